@@ -98,8 +98,10 @@ def test_derivatives_of_one_pair(cell, upper, seed):
     assert max(errors(rough)) < 1e-8
 
 
-@pytest.mark.parametrize(("upper", "degree"), crosswise([(UNDER,), (PARTLY,)], [1, 2]))
-def test_derivatives_of_smooth_heights(upper, degree, monkeypatch):
+@pytest.mark.parametrize(
+    ("upper", "degree", "order"), crosswise([(UNDER,), (PARTLY,)], [(1, 1), (2, 1), (2, 2)])
+)
+def test_derivatives_of_smooth_heights(upper, degree, order, monkeypatch):
     """Of one pair: between two master facets heights jump. With integrals that are accurate.
 
     Strains, by which heights of second order change, are held.
@@ -107,7 +109,8 @@ def test_derivatives_of_smooth_heights(upper, degree, monkeypatch):
     monkeypatch.setattr(area, "_least_degree", lambda slave, master: 12)
     held = lambda surface, u: np.ones(len(surface.nodes))  # noqa: E731
     monkeypatch.setattr(curvature_correction, "thickness_stretches", held)
-    rough = Rough("hexahedron", (1, 1), (1, 1), upper=upper, seed=3, smooth=True, degree=degree)
+    options = {"smooth": True, "degree": degree, "order": order}
+    rough = Rough("hexahedron", (1, 1), (1, 1), upper=upper, seed=3, **options)
     assert max(errors(rough)) < 1e-8
 
 

@@ -12,11 +12,13 @@ from dolfinx_mortar.geometry.curvature import (
     NodeNormals,
     common_sagittas,
     curvatures,
+    curved_sagittas,
     edge_sagittas,
     edges,
     heights,
+    own_curvatures,
 )
-from dolfinx_mortar.geometry.elements import LINE2, QUAD4, TRI3
+from dolfinx_mortar.geometry.elements import LINE2, LINE3, QUAD4, QUAD9, TRI3, TRI6
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.meshing.two_bodies import distribute
 from dolfinx_mortar.mortar.curvature_correction import count_edges, smooth_normals
@@ -49,7 +51,11 @@ def true_heights(facets, centre, radius, xi, axes=slice(None)):
 
 def found_heights(facets, normals, nodes, xi):
     """Return the heights (m, q) of the smooth surface there."""
-    c = edge_sagittas(facets, normals, nodes)
+    return at_points(facets, edge_sagittas(facets, normals, nodes), xi)
+
+
+def at_points(facets, c, xi):
+    """Return the heights (m, q) of c_ab at points xi of every facet."""
     columns = [
         heights(facets, c, np.arange(len(c)), np.broadcast_to(p, (len(c), len(p)))) for p in xi
     ]
@@ -94,12 +100,52 @@ def test_heights_over_a_sphere_are_of_fourth_order(element, rng):
     assert 10.0 < errors[0] / errors[1] < 24.0
 
 
-def scattered(element, rng, size):
+@pytest.mark.parametrize(
+    ("element", "axes"),
+    [(LINE3, [0, 1]), *((e, axes) for e in (TRI6, QUAD9) for axes in ([0, 1, 2], [0, 2]))],
+)
+def test_heights_over_curved_facets(element, axes, rng):
+    """Over spheres and cylinders two orders higher than the facets, wherever their nodes lie."""
+    d = element.points.shape[1] + 1
+    flat, xi = scattered(element, rng, 0.5, 0.1), element.rule[0]
+    left = []
+    for size in (0.4, 0.2):
+        x = (-1) ** (d == 2) * size * flat + np.eye(d)[-1]  # outward normals
+        x[:, :, axes] /= np.linalg.norm(x[:, :, axes], axis=2, keepdims=True)
+        facets = Facets(element, x)
+        K = own_curvatures(facets)
+        same = K[:, None].repeat(len(element.vertices), axis=1)
+        true = true_heights(facets, np.zeros(d), 1.0, xi, axes)
+        found = at_points(facets, curved_sagittas(facets, K, same), xi)
+        left.append(np.abs(found - true).max() / np.abs(true).max())
+    assert left[0] < 0.03 and left[1] < 0.3 * left[0]
+
+
+def test_changes_of_curvature_along_curved_facets(rng):
+    """Where curvatures at the ends are known heights are right to third order, however nodes lie.
+
+    Not beside a flat line, whose curvature does not change.
+    """
+    s, xi = scattered(LINE3, rng, 0.5, 0.1)[..., 0], LINE3.rule[0]
+    for size in (0.02, 0.01):
+        a = 1.0 + size * s  # angles on an ellipse
+        facets = Facets(LINE3, np.stack([1.5 * np.cos(a), np.sin(a)], axis=2))
+        speed = np.hypot(1.5 * np.sin(a), np.cos(a))[:, :2]
+        ends = 1.5 / speed[:, :, None, None] ** 3 * np.eye(2)
+        p = facets.x.swapaxes(1, 2) @ LINE3.shape_functions(xi).T
+        level = (p[:, 0] / 1.5) ** 2 + p[:, 1] ** 2
+        true = (1 - level) / (2 * np.hypot(p[:, 0] / 1.5**2, p[:, 1]))
+        found = at_points(facets, curved_sagittas(facets, own_curvatures(facets), ends), xi)
+        assert np.abs(found - true).max() < 3.0 * size * np.abs(true).max()
+    straight = Facets(LINE3, facets.x * [1.0, 0.0])
+    beside = np.stack([np.zeros((20, 2, 2)), 0.5 * ends[:, 0]], axis=1)
+    assert not curved_sagittas(straight, own_curvatures(straight), beside).any()
+
+
+def scattered(element, rng, size, spread=0.3):
     """Return facets (20,) near the origin of the plane, with their nodes off any grid."""
-    d = 2 if element is LINE2 else 3
-    corners = {LINE2: [[-1.0], [1.0]], TRI3: [[0, 0], [1, 0], [0, 1]]}
-    corners[QUAD4] = [[-1, -1], [1, -1], [1, 1], [-1, 1]]
-    flat = np.array(corners[element]) + rng.uniform(-0.3, 0.3, (20, element.nodes, d - 1))
+    d = element.points.shape[1] + 1
+    flat = element.points + rng.uniform(-spread, spread, (20, element.nodes, d - 1))
     return size * np.concatenate([flat, np.zeros((*flat.shape[:2], 1))], axis=2)
 
 

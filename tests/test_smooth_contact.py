@@ -12,6 +12,7 @@ from tests.choice import crosswise
 from tests.close_fits import OVERLAP, create_pin, create_shrink_fit
 from tests.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
 from tests.pressed_blocks import PressedBlocks, rejected
+from tests.test_smooth_tie import largest, sides, to_arc, to_sphere
 
 COMM = MPI.COMM_WORLD
 RADIUS = 8.0
@@ -56,7 +57,7 @@ def test_a_pin_in_its_hole(counts, swap):
     [(30, 44), (44, 30), *(pytest.param(n, marks=pytest.mark.slow) for n in ((60, 88), (88, 60)))],
 )
 def test_a_pin_of_second_order_in_its_hole(counts, swap, order):
-    """On straight cells with heights, on curved ones without; half as many facets do as well."""
+    """On straight and on curved cells; half as many facets do as well."""
     report, found = create_pin(counts, swap, degree=2, order=order).solve()
     assert report.newton_iterations <= 4 and not report.notes
     on = np.degrees(np.abs(np.arctan2(found["X"][:, 0], -found["X"][:, 1]))) < 20.0
@@ -78,12 +79,42 @@ def test_shrink_fit_of_second_order(swap, geometry, order, spread):
 
 
 @pytest.mark.parametrize("surface", ["smooth", "facets"])
-def test_curved_cells_are_the_surface(surface):
-    """Nothing is added to their gap, nor does the audit look for edges or for facets that show."""
-    case = create_shrink_fit((24, 16), False, degree=2, order=2, surface=surface)
-    audit = case.problem.audit()
-    assert audit.interfaces[0].edges is None
-    assert not case.problem.system.links[0].coupling.heights.any()
+def test_light_loads_on_curved_cells(surface):
+    """An overlap of ten times what the facets leave of the circles: uniform pressure, or a note."""
+    case = create_shrink_fit((24, 16), False, overlap=2e-3, degree=2, order=2, surface=surface)
+    assert case.problem.audit().interfaces[0].edges is None  # curved facets keep none
+    report = dm.newton(case.problem)
+    pressure = case.contact.gather(case.problem.u)["pressure"] / case.pressure
+    if surface == "smooth":
+        assert np.abs(pressure - 1.0).max() < 0.03 and not report.notes
+    else:
+        assert np.ptp(pressure) > 0.2 and "surface='smooth'" in report.notes[0]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("swap", [False, True])
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral", *CELLS])
+def test_curved_sides_on_one_surface_have_no_gap(cell, swap):
+    """A hundredth of what their uneven facets leave, on spheres and circles."""
+    domain, tags = sides(COMM, cell, on_one_surface, n=2, order=2)
+    V = fem.functionspace(domain, ("Lagrange", 2, (domain.geometry.dim,)))
+    slave, master = (4, 3) if swap else (3, 4)
+    left = []
+    for surface in ("facets", "smooth"):
+        contact = dm.Contact(tags, slave=slave, master=master, surface=surface)
+        problem = dm.ContactProblem(dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3)), [contact])
+        problem.update_geometry(0.0)
+        (link,) = problem.system.links
+        x = link.Q.createVecRight()
+        x.array[:] = V.tabulate_dof_coordinates()[:, : domain.geometry.dim].ravel()[: x.local_size]
+        left.append(largest(COMM, link.gaps(x)[link.coupling.kept[:, 0]]))
+    assert left[0] > 1e-4 and left[1] < 0.01 * left[0]
+
+
+def on_one_surface(x):
+    """Map a block to a sector of a ring or a spherical shell, with uneven nodes."""
+    x = x + np.eye(x.shape[1])[0] * (0.3 * x[:, :1] * (1 - x[:, :1]))
+    return to_arc(x) if x.shape[1] == 2 else to_sphere(x)
 
 
 # with 384 and 512 facets, either slave; between 530.2 and 531.4 on five pairs of meshes, on which

@@ -340,7 +340,7 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     x = np.abs(sides.V.mesh.geometry.x).max(initial=0.0)
     size = ROUND_OFF * max(float(lengths[0]), float(maximum(sides.V.mesh.comm, x)[0]))
     ends = [0.0 if abs(end) < size or np.isinf(end) else float(end) for end in (-least, largest)]
-    edges = _edges(link) if link.pattern.smooth else None
+    edges = _edges(link) if link.pattern.smooth and not sides.slave.curved else None
     unheld = find_unheld(link)
     row = *map(int, counts), ratio, *ends, edges, measure_reach(link), unheld, itself
     return InterfaceAudit(repr(link.interface), *row)  # type: ignore[arg-type]

@@ -61,7 +61,7 @@ def _means(link: Link, u: fem.Function | None, find: Find) -> Floats:
     """Return the means (n,) at the slave nodes of what smooth sides have at points; collective."""
     (pairing, operators), sides = link.mortar, link.sides
     smooth = link.pattern.smooth or link.pattern.nearby
-    assert smooth is not None, "of contacts on straight cells only"
+    assert smooth is not None, "of contacts only"
     kept = np.zeros(len(sides.slave.nodes))
     kept[: sides.slave.owned] = link.coupling.kept[:, 0]
     Phi = weighted_duals(pairing, operators.segments, accumulate(sides.slave, kept) > 0)
@@ -127,8 +127,6 @@ def note_on_facets(
         stiffness: (owned nodes,) force per gap, K^_jj.
         potential: gives that of the bodies at u, see `Solid.potential`.
     """
-    if link.sides.slave.curved:
-        return ""
     k, z = stiffness[link.nodes], forces[link.nodes]
     on = z > 0.0
     touches = any_rank(link.sides.V.mesh.comm, on.any())[0]

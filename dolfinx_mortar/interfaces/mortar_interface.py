@@ -173,7 +173,7 @@ class MortarInterface(Interface):
         if known is not None and pattern is not None and pairing.D is known.D:
             return pairing, pattern
         smooth = nearby = None
-        if (self.smooth or self.unilateral) and not sides.slave.curved:
+        if self.unilateral or (self.smooth and not sides.slave.curved):
             found = find_smooth_sides(pairing, sides.fixed, self.feature_angle)
             smooth, nearby = (found, None) if self.smooth else (None, found)
         entries = pairing.row, pairing.column, len(pairing.off_diagonal)

@@ -260,8 +260,8 @@ class Obstacle(Movable, Unilateral):
         slave, own = sides.slave, None
         faceted: Bools | None = None
         second = slave.element.degree > 1
-        smooth = not slave.curved and self.meant is not False
-        if smooth if second else not (slave.curved or self.meant):
+        smooth = self.meant is not False
+        if smooth if second else not self.meant:
             own = find_smooth_side(slave, sides.fixed, FEATURE_ANGLE)
         if not second and own is not None:
             # between the nodes of a flat side a tip of the tool is seen by its facets alone

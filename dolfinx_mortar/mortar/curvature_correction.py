@@ -13,12 +13,16 @@ from dolfinx_mortar.geometry.curvature import (
     NodeNormals,
     common_sagittas,
     curvatures,
+    curved_sagittas,
     edge_sagittas,
     end_angles,
+    height_element,
     heights,
     heights_of_arcs,
     missed_sagittas,
+    node_pairs,
     one_ring_sums,
+    own_curvatures,
     sagitta_tensors,
     unit,
 )
@@ -158,9 +162,9 @@ class SmoothSide:
     """The smooth surface over the facets of one side, at X."""
 
     facets: Facets  # (m,)
-    normals: NodeNormals  # of all nodes
+    normals: NodeNormals | None  # of all nodes; None over curved facets
     nodes: Ints  # (m, k) which of them are the facets'
-    sagitta: Floats  # (m, e) c_ab of `edge_sagittas`
+    sagitta: Floats  # (m, e) c_ab of `edge_sagittas`, over curved facets of `curved_sagittas`
     edges: Ints  # (2,) owned nodes of the surface on an edge, and those of them without a normal
 
 
@@ -175,6 +179,13 @@ def find_smooth_sides(
         feature_angle: see `smooth_normals`.
     """
     slave, master = pairing.slave, pairing.master
+    if slave.curved:
+        K_s, K_m = _nodal_curvatures(slave), _nodal_curvatures(master)
+        K_m = np.stack([receive(pairing, row) for row in np.moveaxis(K_m, 1, 0)], axis=1)
+        return (
+            _over_curved(facets_at(slave, slave.X), slave.facets, K_s),
+            _over_curved(received_facets(pairing, None), pairing.master_facets, K_m),
+        )
     n_s, n_m = (
         smooth_normals(side, side.X, fixed[side.nodes], feature_angle) for side in (slave, master)
     )
@@ -194,10 +205,29 @@ def find_smooth_side(surface: Surface, fixed: Bools, feature_angle: float) -> Sm
         fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
         feature_angle: see `smooth_normals`.
     """
+    facets = facets_at(surface, surface.X)
+    if surface.curved:
+        return _over_curved(facets, surface.facets, _nodal_curvatures(surface))
     normals = smooth_normals(surface, surface.X, fixed[surface.nodes], feature_angle)
-    facets, edges = facets_at(surface, surface.X), count_edges(normals, surface.owned)
+    edges = count_edges(normals, surface.owned)
     sagitta = edge_sagittas(facets, normals, surface.facets)
     return SmoothSide(facets, normals, surface.facets, sagitta, edges)
+
+
+def _over_curved(facets: Facets, nodes: Ints, K: Floats) -> SmoothSide:
+    """Return the smooth surface over curved facets (m,) with the curvatures K at nodes."""
+    at_vertices = K[nodes[:, list(facets.element.vertices)]]
+    sagitta = curved_sagittas(facets, own_curvatures(facets), at_vertices)
+    return SmoothSide(facets, None, nodes, sagitta, np.zeros(2, dtype=np.int32))
+
+
+def _nodal_curvatures(surface: Surface) -> Floats:
+    """Return the mean curvatures (n, d, d) of curved facets at nodes, at X; collective."""
+    facets, d = facets_at(surface, surface.X), surface.X.shape[1]
+    K = own_curvatures(facets).reshape(-1, d * d)
+    columns = np.concatenate([K, np.ones((len(K), 1))], axis=1)[:, None]
+    total = sum_at_nodes(surface, np.repeat(columns, surface.element.nodes, axis=1))
+    return np.asarray(total[:, :-1] / np.maximum(total[:, -1:], TINY)).reshape(-1, d, d)
 
 
 def side_heights(
@@ -218,7 +248,7 @@ def side_heights(
     if u is not None:
         c = c * thickness_stretches(surface, u)[surface.facets].mean(axis=1, keepdims=True)
     h = heights(facets, c, which, xi)
-    if u is not None and facets.x.shape[2] == 2:
+    if u is not None and facets.x.shape[2] == 2 and not surface.curved:
         h = heights_of_arcs(facets, c[:, 0], which, h)
     return h
 
@@ -321,7 +351,7 @@ def point_heights(
         c_s, c_m = c_s * s[pairing.pairs[pairs, 0]], c_m * m[pairing.pairs[pairs, 1]]
     h_s = heights(a.facets, c_s, of, segments.xi_s)
     h_m = heights(b.facets, c_m, of, segments.xi_m)
-    if second and u is not None and pairing.slave.X.shape[1] == 2:
+    if second and u is not None and pairing.slave.X.shape[1] == 2 and not pairing.slave.curved:
         h_s = heights_of_arcs(a.facets, c_s[:, 0], of, h_s)
         h_m = heights_of_arcs(b.facets, c_m[:, 0], of, h_m)
     return np.asarray(h_s + h_m)
@@ -363,13 +393,15 @@ def height_slopes(
         both = zip((a, b), stretches, xi, pairing.pairs[pairs].T, strict=True)
         for side, stretch, z, which in both:
             c = side.sagitta * stretch[which]
-            h, slope = _parabola(side.facets, c, of, z)
-            h = heights_of_arcs(side.facets, c[:, 0], of, h)
-            parts.append((h, slope * _arc_slopes(side.facets, c[:, 0], of, h)))
+            h, slope = _with_slopes(side.facets, c, of, z)
+            if not pairing.slave.curved:
+                h = heights_of_arcs(side.facets, c[:, 0], of, h)
+                slope = slope * _arc_slopes(side.facets, c[:, 0], of, h)
+            parts.append((h, slope))
     else:
         found = _common(a, b)
         both_sides = zip((a, b), found, xi, strict=True)
-        parts = [_parabola(side.facets, c, of, z) for side, c, z in both_sides]
+        parts = [_with_slopes(side.facets, c, of, z) for side, c, z in both_sides]
         for one, other, z in (0, 1, xi[0]), (1, 0, xi[1]):
             ends = (a, b)[one].facets.element.vertices
             N = (a, b)[one].facets.element.vertex_functions(z)
@@ -383,9 +415,13 @@ def height_slopes(
     return HeightSlopes(h_s + h_m, slope_s, slope_m, *by_x)
 
 
-def _parabola(facets: Facets, c: Floats, of: Ints, xi: Floats) -> tuple[Floats, Floats]:
-    """Return the heights (q,) of c_ab (p, 1) over lines, and their slopes by xi."""
-    return heights(facets, c, of, xi), -xi[:, 0] / 4 * c[of, 0]
+def _with_slopes(facets: Facets, c: Floats, of: Ints, xi: Floats) -> tuple[Floats, Floats]:
+    """Return the heights (q,) of c_ab (p, e) over lines, and their slopes by xi."""
+    element = height_element(facets.element, c)
+    (a, b), N = node_pairs(element), element.shape_functions(xi)
+    dN = element.derivatives(xi)[:, :, 0]
+    slopes = 0.5 * ((dN[:, a] * N[:, b] + N[:, a] * dN[:, b]) * c[of]).sum(axis=1)
+    return heights(facets, c, of, xi), slopes
 
 
 def _arc_slopes(facets: Facets, sagitta: Floats, which: Ints, h: Floats) -> Floats:
@@ -453,7 +489,7 @@ def point_motions(
         sides: the smooth surfaces at X.
     """
     slave, master = sides
-    C_s, C_m = (sagitta_tensors(s.facets, s.normals, s.nodes) for s in sides)
+    C_s, C_m = (_tensors(side) for side in sides)
 
     def at(part: slice) -> Floats:
         s, m = segments.slave[part], segments.master[part]
@@ -463,6 +499,11 @@ def point_motions(
         return offset_motions(master.facets, m, xi_m, offsets, H)
 
     return at
+
+
+def _tensors(side: SmoothSide) -> Floats:
+    assert side.normals is not None, "offset vectors of curved facets are not corrected"
+    return sagitta_tensors(side.facets, side.normals, side.nodes)
 
 
 def find_parting(

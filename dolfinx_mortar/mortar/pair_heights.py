@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 r"""Derivatives of the heights of smooth surfaces over pairs of facets in 3D.
 
-Over both facets h = sum_ab N_a N_b c_ab / 2 with functions of the vertices, see
+Over both facets h = sum_ab N_a N_b c_ab / 2, see
 `dolfinx_mortar.mortar.curvature_correction.point_heights`. In first order the c_ab are those of the
 surface that the sides share. With the edges e of a facet and the curvatures K of the other one,
 functions of the coordinates of its nodes,
@@ -21,6 +21,7 @@ from dolfinx_mortar.geometry.curvature import (
     common_sagittas,
     curvature_slopes,
     edges,
+    height_element,
     node_pairs,
 )
 from dolfinx_mortar.geometry.elements import FacetElement
@@ -49,7 +50,7 @@ class PairHeights:
         """Return the heights at points (q,) of pairs, and their derivatives by xi_m."""
         sides = zip((self.slave, self.master), (xi_s, xi_m), self.c, strict=True)
         (h_s, _), (h_m, y) = (_heights(element, xi, c, pair) for element, xi, c in sides)
-        slopes = (self.master.part or self.master).derivatives(xi_m)
+        slopes = height_element(self.master, self.c[1]).derivatives(xi_m)
         return Heights(h_s + h_m, 2.0 * (y[:, None] @ slopes)[:, 0])
 
     def integrals(self, Phi: Floats, pair: Ints, xi_s: Floats, xi_m: Floats) -> Floats:
@@ -75,21 +76,18 @@ class PairHeights:
 
 def _heights(element: FacetElement, xi: Floats, c: Floats, pair: Longs) -> tuple[Floats, Floats]:
     """Return h (q,) over facets, and half of its derivatives (q, k) by the N_a."""
-    i, j = _pairs(element)
-    N, S = element.vertex_functions(xi), np.zeros((len(c), *2 * [len(element.vertices)]))
+    element = height_element(element, c)
+    i, j = node_pairs(element)
+    N, S = element.shape_functions(xi), np.zeros((len(c), *2 * [element.nodes]))
     S[:, i, j] = S[:, j, i] = c / 4
     y = (S[pair] @ N[:, :, None])[:, :, 0]
     return (N * y).sum(axis=1), y
 
 
 def _products(element: FacetElement, xi: Floats) -> Floats:
-    """Return N_a N_b / 2 (q, e) of the pairs of vertices of a facet."""
-    (i, j), N = _pairs(element), element.vertex_functions(xi)
+    """Return N_a N_b / 2 (q, e) of the pairs of nodes of a facet of first order."""
+    (i, j), N = node_pairs(element), element.shape_functions(xi)
     return N[:, i] * N[:, j] / 2
-
-
-def _pairs(element: FacetElement) -> tuple[list[int], list[int]]:
-    return node_pairs(Facets(element, np.zeros((0, element.nodes, 3))))
 
 
 def pair_heights(
@@ -123,7 +121,7 @@ def _by_own(facets: Facets, K: Floats) -> Floats:
     """Return the derivatives (p, e, k, 3) of c_ab by the nodes of their own facets."""
     change = np.einsum("pij,pej->pei", K, edges(facets))
     result = np.zeros((*change.shape[:2], facets.x.shape[1], 3))
-    for e, (first, last) in enumerate(zip(*node_pairs(facets), strict=True)):
+    for e, (first, last) in enumerate(zip(*node_pairs(facets.element), strict=True)):
         result[:, e, first], result[:, e, last] = change[:, e], -change[:, e]
     return result
 

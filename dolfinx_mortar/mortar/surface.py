@@ -64,7 +64,7 @@ class Surface:
 
     @property
     def curved(self) -> bool:
-        """Whether the mesh has curved cells, whose facets need no correction of their curvature."""
+        """Whether the mesh has curved cells."""
         return compat.cell_degree(self.V.mesh) > 1
 
     @cached_property
