@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx import mesh
+from dolfinx import fem, mesh
 from dolfinx_mortar.audit import stand_off
 from dolfinx_mortar.interfaces import mortar_interface
 from dolfinx_mortar.mortar.curvature_correction import (
@@ -15,6 +15,7 @@ from dolfinx_mortar.mortar.curvature_correction import (
     find_smooth_sides,
     missed_heights,
 )
+from tests import close_fits
 from tests.close_fits import create_pin, create_shrink_fit
 from tests.hertz_case import ELASTIC, create_case
 from tests.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
@@ -135,6 +136,33 @@ def test_heights_that_are_known_too_little_are_told_of(swap, pressure):
         any("smooth surfaces through the nodes are known to" in n for n in report.notes) == spoilt
     )
     assert not any("forces and moments are" in note for note in report.notes)
+
+
+def test_heights_of_a_stiff_ring_in_a_soft_sleeve(monkeypatch):
+    """What heights are worth is given by both sides in series: nothing here, though E is 2e5."""
+    monkeypatch.setattr(close_fits, "STEELS", ((210e3, 0.3), (5.0, 0.45)))
+    case = create_shrink_fit((64, 84), False, overlap=0.1)
+    report = dm.newton(case.problem)
+    found = case.contact.gather(case.problem.u)["pressure"] / case.pressure
+    assert np.abs(found - 1.0).max() < 0.02 and not report.notes
+
+
+def test_flat_sides_do_not_stand_off_a_tool():
+    """Pressed by the corners of a punch, at a light load; the tool is told of, not the facets."""
+    domain = mesh.create_rectangle(
+        COMM, [(-2.0, -1.0), (2.0, 0.0)], (16, 4), mesh.CellType.quadrilateral
+    )
+    top = mesh.locate_entities_boundary(domain, 1, lambda x: x[1] > -1e-9)
+    tags = mesh.meshtags(domain, 1, np.sort(top), np.ones(len(top), dtype=np.int32))
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    foot = fem.locate_dofs_geometrical(V, lambda x: x[1] < -1 + 1e-9)
+    outline = [(-0.52, 1.0), (-0.52, 0.02), (-0.5, 0.0), (0.58, 0.0), (0.6, 0.02), (0.6, 1.0)]
+    shape = dm.shapes.Polyline(np.array(outline) - [0.0, 1e-4], crease=0.0)
+    punch = dm.Obstacle(tags, slave=1, shape=shape)
+    solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3))
+    bcs = [fem.dirichletbc(np.zeros(2), foot, V)]
+    report = dm.newton(dm.ContactProblem(solid, [punch], bcs=bcs))
+    assert punch.force[1] < 0.0 and not any("stand off" in note for note in report.notes)
 
 
 def test_forces_that_are_missing_for_want_of_heights():

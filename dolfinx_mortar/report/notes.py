@@ -72,7 +72,8 @@ def _pressures(end: StepEnd) -> list[str]:
     x, u = end.problem.positions(), end.problem.configuration
     notes, few = [], []
     for link in end.unilateral:
-        spoilt = note_on_facets(link, x, u, forces, stiffness, end.problem.solid.potential)
+        diagonal, potential = end.problem.K.getDiagonal, end.problem.solid.potential
+        spoilt = note_on_facets(link, x, u, forces, stiffness, diagonal, potential)
         notes += [spoilt] if spoilt else []
         if any_rank(end.problem.comm, forces[link.nodes].any())[0]:
             askew = note_on_edges(link, end.problem.system.boundary, u, forces)

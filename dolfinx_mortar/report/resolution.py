@@ -53,15 +53,13 @@ def note_on_resolution(link: Link, contacts: Contacts, sure: bool = True) -> str
             told = "; forces are accurate, single pressures are not" if sure else ""
             return (
                 f"{link.interface}: pressures oscillate from node to node, by {share:.0%} of their "
-                f"mean{told}. The cause may be that the slave is finer and stiffer than the "
-                "master: let the softer side be the slave, or refine the master there"
+                f"mean{told}: exchange slave and master, or refine the master there"
             )
     if not 0 < count < NODES[d]:
         return ""
-    forces = "forces and moments are accurate; " if sure else ""
     return (
         f"{link.interface}: the largest pressure is not resolved: its patch has {count} nodes in "
-        f"contact, and {NODES[d]} are needed; {forces}refine there"
+        f"contact, and {NODES[d]} are needed; refine there"
     )
 
 
