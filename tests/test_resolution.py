@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from dolfinx import fem
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.report.resolution import _measure, _patches, oscillation
 from tests.ball_case import create_problem
@@ -16,7 +17,7 @@ from tests.choice import quick
 from tests.close_fits import create_pin, create_shrink_fit
 from tests.finite_sliding import indentation
 from tests.hertz_case import ELASTIC, create_case, create_mesh
-from tests.meshes import BOTTOM_OF_UPPER, LOWER, TOP_OF_LOWER, UPPER
+from tests.meshes import BOTTOM_OF_UPPER, LEFT, LOWER, TOP_OF_LOWER, UPPER
 from tests.pressed_blocks import PressedBlocks
 
 COMM = MPI.COMM_WORLD
@@ -59,6 +60,26 @@ def test_a_quarter_stands_for_the_whole(cell, few):
     assert said(report) == [whole] == [few]
     problem, _ = create_problem(h=0.25, cell=cell, depth=0.05)
     assert not said(dm.newton(problem))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("slope", "times"), [(0.01, 1), (0.0, 2)])
+def test_a_roller_is_no_plane_of_symmetry(slope, times):
+    """Where a side ends at an angle, no node stands for two; at a right angle all but one do."""
+
+    def inclined(x):
+        rise = np.abs(slope * x[:, 0] if slope else 0.03 * np.maximum(x[:, 0] - 0.2, 0.0))
+        return np.column_stack([x[:, 0], x[:, 1] + np.where(x[:, 1] > 0.0, rise, 0.0)])
+
+    options = {"n_lower": (13, 4), "n_upper": (10, 4), "gap": 1e-6, "cell": "quadrilateral"}
+    blocks = PressedBlocks(transform=inclined, **options)
+    contact = blocks.contact(slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER)
+    rollers = fem.locate_dofs_topological(blocks.V.sub(0), 1, blocks.facets.find(LEFT))
+    held = fem.dirichletbc(0.0, rollers, blocks.V.sub(0))
+    blocks.top.value[1] = -5e-3 if slope else -2e-3
+    report = dm.newton(blocks.problem([contact], bcs=[*blocks.bcs(), held]))
+    active = report.certificate.active_nodes
+    assert active > 2 and said(report) == [1 + times * (active - 1)]
 
 
 def test_a_pin():
