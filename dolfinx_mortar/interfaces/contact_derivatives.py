@@ -298,7 +298,6 @@ def _turning(link: CoupledSides, averaged: Floats) -> tuple[Floats, Floats]:
     """
     kept = link.coupling.kept[:, 0]
     n = np.where(kept[:, None], link.coupling.normals, 0.0)
-    assert link.sides.mirrors is not None
     free = ~link.sides.mirrors[: len(n)]
     left = np.linalg.norm(averaged * free, axis=1)
     turning = (np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :]) * free[:, None, :]

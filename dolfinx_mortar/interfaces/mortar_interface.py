@@ -230,7 +230,6 @@ class MortarInterface(Interface):
         if sides.edges is not None:
             normals = edge_normals(pairing, segments, u, normals, sides.edges)
         nodes, own = sides.slave.nodes, slice(None, sides.slave.owned)
-        assert sides.mirrors is not None
         normals, _ = free_directions(normals, sides.mirrors)  # the side goes on as its image
         _, left = free_directions(normals, sides.fixed[nodes])
         may = ask(sides.V.mesh.comm, self, "may_carry", left, sides.fixed[nodes])
