@@ -12,7 +12,7 @@ from dolfinx_mortar.geometry.sweep import find_entering, find_passing_edges
 from dolfinx_mortar.geometry.turning import RigidMotion
 from dolfinx_mortar.report.swept import _first, notes_on_swept
 from dolfinx_mortar.report.uncoupled import Crossing
-from tests.meshes import BOTTOM, TOP, two_blocks
+from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
 from tests.meshes_3d import rotation, two_boxes
 from tests.test_crossings import sunk
 
@@ -260,6 +260,19 @@ def test_sides_are_left_to_their_interface(make):
         problem = sunk(interfaces=interfaces)
         problem.u.interpolate(lambda x: np.stack([0 * x[0], -0.3 * (x[1] > 0.01)]))
         assert len(notes_on_swept(problem, Crossing())) == count
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("order", [1, -1])
+def test_overlaps_that_contacts_remove(order):
+    """A thin block is moved out of a thick one, in which it lay wholly, and not by a contact."""
+    blocks, _, facets = two_blocks(COMM, gap=-0.5, x_upper=(0.3, 0.7), heights=(1.0, 0.3))
+    V = fem.functionspace(blocks, ("Lagrange", 1, (2,)))
+    slave, master = (TOP_OF_LOWER, BOTTOM_OF_UPPER)[::order]
+    bcs = held(V, facets, 0.6)
+    for contacts, count in (([], 1), ([dm.Contact(facets, slave=slave, master=master)], 0)):
+        problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), contacts, bcs=bcs)
+        assert len(notes(dm.newton(problem))) == count
 
 
 def held(V, facets, way):

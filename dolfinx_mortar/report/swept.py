@@ -8,11 +8,13 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx import fem, la
+from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats, Longs
 from dolfinx_mortar.audit.neighbours import boxes_of
 from dolfinx_mortar.geometry.crossings import bounds, near_others, near_pairs
 from dolfinx_mortar.geometry.sweep import find_entering, find_passing_edges, flat_parts
 from dolfinx_mortar.geometry.turning import best_motion, path, rigid_sums, times_of
+from dolfinx_mortar.mortar.surface import cells_of, mean_facet_length
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.overlaps import SUNK
 from dolfinx_mortar.report.uncoupled import Crossing, FacetParts, point
@@ -62,7 +64,8 @@ def notes_on_swept(problem: ContactProblem, crossing: Crossing) -> list[str]:
     processor time of a step of one iteration that needs no set-up: 6 % at rest and where one
     slides by a third of its length or by all of it, 12 % where it turns by 30 degrees; in the
     plane with 47 thousand 2 and 7 %. Facets with a node on one side of an interface are left out
-    with those of its other side: contacts see to those themselves, see `mortar.passing`.
+    with those of its other side: contacts see to those themselves, see `mortar.passing`. So are
+    bodies whose sides overlapped before the step, whose contact has moved them out of each other.
 
     Args:
         problem: at the end of a step.
@@ -76,6 +79,9 @@ def notes_on_swept(problem: ContactProblem, crossing: Crossing) -> list[str]:
         other = (bodies != np.sort(np.array(crossing.bodies))).any(axis=1)
         bodies, places = bodies[other], places[other]
     found = _first(problem.comm, bodies, places)
+    if found:
+        overlapped = _overlapped(problem)
+        found = {pair: place for pair, place in found.items() if pair not in overlapped}
     if not found:
         return []
     pair, place = min(found.items())
@@ -86,6 +92,23 @@ def notes_on_swept(problem: ContactProblem, crossing: Crossing) -> list[str]:
         f"the material point that was at {point(np.array(place))} before it{more}: no interface "
         "couples them there; give them a Contact, or take smaller steps to see where they meet"
     ]
+
+
+def _overlapped(problem: ContactProblem) -> set[tuple[int, int]]:
+    """Return the pairs of bodies whose contacts overlapped at the last commit; collective."""
+    x, n = problem.vector(problem.X), problem.d * problem.n
+    x.array[:] += problem.committed.displacement[:n]
+    found: set[tuple[int, int]] = set()
+    for link in problem.system.unilateral:
+        if link.sides.master is None:
+            continue
+        limit = -SUNK * mean_facet_length(link.sides.slave)
+        deep = link.coupling.kept[:, 0] & (link.gaps(x) < limit)
+        if any_rank(problem.comm, deep.any())[0]:
+            own = [problem.bodies.of_cells[cells_of(side)] for side in link.sides.surfaces]
+            on = [set(np.concatenate(problem.comm.allgather(bodies)).tolist()) for bodies in own]
+            found |= {(min(a, b), max(a, b)) for a in on[0] for b in on[1]}
+    return found
 
 
 def _meetings(swept: _Swept) -> tuple[Longs, Floats]:
