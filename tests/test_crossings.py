@@ -16,7 +16,7 @@ from dolfinx_mortar.mortar.surface import create_surface, facets_at, nodal_sagit
 from dolfinx_mortar.report.uncoupled import find_crossing
 from tests import lug_case
 from tests.box_piles import THREE, create_boxes
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
+from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, UPPER, two_blocks
 from tests.meshes_3d import two_boxes
 from tests.msh_files import msh_file
 
@@ -77,7 +77,23 @@ def test_a_block_that_nothing_stops(partition):
     assert found.place[1] == pytest.approx(0.0, abs=1e-12)
     assert min(abs(found.place[0] - x) for x in (0.2, 0.8)) < 1e-12
     (note,) = [note for note in report.notes if "lie in each other" in note]
-    assert "60% of a facet" in note
+    assert "60% of a facet" in note and "give them a Contact" in note
+
+
+@pytest.mark.mpi
+def test_a_body_deeper_than_its_whole_skin_reaches():
+    """Its contact has no pairs beyond half of its thickness: it is not asked for a Contact."""
+    blocks, cells, facets = two_blocks(COMM, gap=-0.2, x_upper=(0.2, 0.8), heights=(1.0, 0.3))
+    V = fem.functionspace(blocks, ("Lagrange", 1, (2,)))
+    outer, to_cell = exterior_facet_indices(blocks.topology), blocks.topology.connectivity(1, 2)
+    upper = np.isin([to_cell.links(f)[0] for f in outer], cells.find(UPPER))
+    skins = meshtags(blocks, 1, outer, np.where(upper, 2, 1).astype(np.int32))
+    ends = [fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (BOTTOM, TOP)]
+    bcs = [fem.dirichletbc(np.zeros(2), dofs, V) for dofs in ends]
+    contact = dm.Contact(skins, slave=2, master=1)
+    report = dm.newton(dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact], bcs=bcs))
+    (note,) = [note for note in report.notes if "lie in each other" in note]
+    assert "tag only faces that touch" in note and "give them" not in note
 
 
 @pytest.mark.mpi

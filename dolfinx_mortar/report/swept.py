@@ -14,10 +14,10 @@ from dolfinx_mortar.audit.neighbours import boxes_of
 from dolfinx_mortar.geometry.crossings import bounds, near_others, near_pairs
 from dolfinx_mortar.geometry.sweep import find_entering, find_passing_edges, flat_parts
 from dolfinx_mortar.geometry.turning import best_motion, path, rigid_sums, times_of
-from dolfinx_mortar.mortar.surface import cells_of, mean_facet_length
+from dolfinx_mortar.mortar.surface import mean_facet_length
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.overlaps import SUNK
-from dolfinx_mortar.report.uncoupled import Crossing, FacetParts, point
+from dolfinx_mortar.report.uncoupled import Crossing, FacetParts, coupled_bodies, point
 
 
 @dataclass(frozen=True)
@@ -100,14 +100,10 @@ def _overlapped(problem: ContactProblem) -> set[tuple[int, int]]:
     x.array[:] += problem.committed.displacement[:n]
     found: set[tuple[int, int]] = set()
     for link in problem.system.unilateral:
-        if link.sides.master is None:
-            continue
         limit = -SUNK * mean_facet_length(link.sides.slave)
         deep = link.coupling.kept[:, 0] & (link.gaps(x) < limit)
         if any_rank(problem.comm, deep.any())[0]:
-            own = [problem.bodies.of_cells[cells_of(side)] for side in link.sides.surfaces]
-            on = [set(np.concatenate(problem.comm.allgather(bodies)).tolist()) for bodies in own]
-            found |= {(min(a, b), max(a, b)) for a in on[0] for b in on[1]}
+            found |= coupled_bodies(problem, link)
     return found
 
 

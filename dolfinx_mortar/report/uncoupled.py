@@ -247,11 +247,27 @@ def notes_on_crossings(problem: ContactProblem, found: Crossing) -> list[str]:
             f"{found.depth:.3g}, {found.share:.0%} of a facet there, and its contact with itself "
             "has no pairs there; take smaller steps, finer facets, or a tag for each of the parts"
         ]
+    remedy = "give them a Contact, or add these facets to the sides of one"
+    pair = min(found.bodies), max(found.bodies)
+    if any(pair in coupled_bodies(problem, link) for link in problem.system.unilateral):
+        remedy = (
+            "their contact has no pairs there: add these facets to its sides, or where its sides "
+            "run around a body that is thinner than twice the overlap, tag only faces that touch"
+        )
     return [
         f"the bodies around {around[0]} and {around[1]} lie in each other around {where}, where no "
-        f"interface couples them: by {found.depth:.3g}, {found.share:.0%} of a facet there; give "
-        "them a Contact, or add these facets to the sides of one"
+        f"interface couples them: by {found.depth:.3g}, {found.share:.0%} of a facet there; "
+        f"{remedy}"
     ]
+
+
+def coupled_bodies(problem: ContactProblem, link: Link) -> set[tuple[int, int]]:
+    """Return the pairs of bodies on the two sides of an interface; collective."""
+    if link.sides.master is None:
+        return set()
+    own = [problem.bodies.of_cells[cells_of(side)] for side in link.sides.surfaces]
+    on = [set(np.concatenate(problem.comm.allgather(bodies)).tolist()) for bodies in own]
+    return {(min(a, b), max(a, b)) for a in on[0] for b in on[-1]}
 
 
 def _create_skin(problem: ContactProblem) -> _Skin:
