@@ -253,3 +253,42 @@ def test_exact_tangent(slope):
             mask = on[:, 0] if kind == 1 else on[:, 1:]
             difference, found = difference[mask], found[mask]
         assert largest(found - difference) < 1e-8 * largest(found), kind
+
+
+def push_cone(n, slave, sign, degree):
+    """Return the axial force of a shaft of 3 degrees that its foot pushes .05 mm into a ring."""
+
+    def revolved(x):
+        inner = 5.0 + sign * np.tan(np.radians(3.0)) * 10.0 * x[:, 0]
+        wall = np.where(x[:, 1] > 0.0, 9.0 - inner, inner - 1.0)
+        return np.column_stack([inner + x[:, 1] * wall, 10.0 * x[:, 0]])
+
+    options = {"cell": "quadrilateral", "transform": revolved}
+    blocks, cells, tags = meshes.two_blocks(COMM, (2 * n, n), (2 * n + 3, n), **options)
+    V = fem.functionspace(blocks, ("Lagrange", degree, (2,)))
+    feet, axial = tags.find(LEFT), V.sub(1)
+    link = blocks.topology.connectivity(1, 2)
+    pushed = np.isin(link.array[link.offsets[feet]], cells.find(LOWER))
+    bcs = []
+    for facets, value in ((feet[pushed], -0.05 * sign), (feet[~pushed], 0.0)):
+        dofs = fem.locate_dofs_topological(axial, 1, facets)
+        bcs.append(fem.dirichletbc(value, dofs, axial))
+    sides = (TOP_OF_LOWER, BOTTOM_OF_UPPER)[:: 1 if slave == "shaft" else -1]
+    contact = dm.Contact(tags, slave=sides[0], master=sides[1])
+    solid = dm.Solid(fem.Function(V), dm.Elastic(2e5, 0.3), kinematics="axisymmetric")
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs)
+    assert not dm.newton(problem).notes
+    force = abs(contact.force[1])
+    assert abs(dm.reaction(problem, bcs[0]).force[1]) == pytest.approx(force, rel=1e-5)
+    return force
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_cone_whose_end_is_pushed(sign, degree):
+    """Frictionless, with both ends on supports; errors on the coarsest mesh are 1.4 and .05 %."""
+    coarse, other, fine = (
+        push_cone(n, slave, sign, degree) for n, slave in ((3, "shaft"), (3, "ring"), (6, "ring"))
+    )
+    assert coarse == pytest.approx(other, rel=1e-4)
+    assert coarse == pytest.approx(fine, rel=0.01)
