@@ -205,6 +205,44 @@ def test_body_held_by_contact_alone():
 
 
 @pytest.mark.mpi
+def test_a_body_that_contact_keeps_from_turning():
+    """Named once, though its motion about a corner is one of three parts."""
+    domain, _, facets = create_blocks(COMM, PAIR)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    corner = fem.locate_dofs_geometrical(V, lambda x: (x[0] < 1e-9) & (x[1] > 1 - 1e-9))
+    bcs = [condition(V, facets, 11), fem.dirichletbc(np.zeros(2), corner, V)]
+    contact = dm.Contact(facets, slave=13, master=21)
+    solid = dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3))
+    audit = dm.ContactProblem(solid, [contact], bcs=bcs).audit()
+    assert audit.held_by_contact == ["the body around [0.5, 0.5]"]
+
+
+@pytest.mark.mpi
+def test_inertia_holds_light_bodies():
+    """Nothing else does, and its mass is far below that of the other body and a stiffness."""
+    domain, cells, facets = create_blocks(COMM, PAIR)
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    solid = dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3))
+    mass = dm.Inertia(solid, density={1: 1e-3, 2: 1e-12}, cell_tags=cells)
+    ds = ufl.Measure("ds", domain, subdomain_data=facets)
+    bed = dm.WeakForm(solid, energy=1e6 * ufl.inner(solid.u, solid.u) * ds(11))
+    contact = dm.Contact(facets, slave=13, master=21)
+    audit = dm.ContactProblem(solid, [contact], terms=[mass, bed]).audit()
+    assert not audit.held_by_contact and not audit.warnings
+
+
+@pytest.mark.mpi
+def test_a_rigid_side_has_no_gap():
+    """It holds its nodes where they are, wherever the origin of the coordinates is."""
+    domain, _, facets = create_blocks(COMM, PAIR[:1])
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    side = dm.RigidSide(facets, 11, reference=(0.5, -1.0))
+    audit = dm.ContactProblem(dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3)), [side]).audit()
+    assert "overlap" not in str(audit) and "gap" not in str(audit)
+    assert np.isnan(audit.interfaces[0].least_gap)
+
+
+@pytest.mark.mpi
 def test_body_that_nothing_holds():
     with pytest.raises(ValueError, match=r"nothing holds.*translation x.*Prescribe"):
         create(supports=((11, None),)).audit()

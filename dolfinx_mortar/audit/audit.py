@@ -76,21 +76,23 @@ class InterfaceAudit:
     facing_away: int  # slave facets that touch master facets, but do not face them
     size_ratio: float  # mean slave facet length over mean master facet length; 1 without a master
     least_gap: float  # smallest distance of a kept node to the master, negative in an overlap
-    largest_gap: float
+    largest_gap: float  # both not-a-number where an interface has neither a master nor a gap
     edges: Edges | None = None  # of smooth surfaces
     reach: TieReach | None = None  # of ties
     unheld: Unheld | None = None  # where Dirichlet data leave no multiplier
     meets_itself: bool = False  # one surface, divided into slaves and masters where it is near
 
     def __str__(self) -> str:
-        gap = f"gaps from {self.least_gap:.3g} to {self.largest_gap:.3g}"
-        if self.least_gap < 0.0:
+        gap = f", gaps from {self.least_gap:.3g} to {self.largest_gap:.3g}"
+        if np.isnan(self.least_gap):
+            gap = ""
+        elif self.least_gap < 0.0:
             gap += f" (overlap {-self.least_gap:.3g})"
         return (
             f"{self.name}: {self.slave_facets} slave and {self.master_facets} master facets"
             f"{' near each other' if self.meets_itself else ''}, "
             f"{self.kept_nodes} of {self.slave_nodes} slave nodes carry a multiplier, "
-            f"{self.uncovered_nodes} face no master, {self.removed_nodes} removed, {gap}"
+            f"{self.uncovered_nodes} face no master, {self.removed_nodes} removed{gap}"
             + "".join(f", {part}" for part in (self.edges, self.reach) if part)
         )
 
@@ -183,8 +185,8 @@ def find_free_motions(
     facets = [_facet_motion(link) for link in system.unilateral]
     held = _held_motions(system, supports, springs)
     loose, free = find_free(bodies, held, contacts, facets)
-    names = [motion.partition(" of ")[2] for motion in free] if contacts else []
-    return loose, list(dict.fromkeys(names))
+    parts = [part for motion in free for part in motion.split(" + ")] if contacts else []
+    return loose, list(dict.fromkeys(part.partition(" of ")[2] for part in parts))
 
 
 def _held_motions(
@@ -339,6 +341,8 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     # what is round-off of the coordinates is no gap
     x = np.abs(sides.V.mesh.geometry.x).max(initial=0.0)
     size = ROUND_OFF * max(float(lengths[0]), float(maximum(sides.V.mesh.comm, x)[0]))
+    if sides.master is None and not link.interface.unilateral:  # it holds nodes where they are
+        least = largest = np.nan
     ends = [0.0 if abs(end) < size or np.isinf(end) else float(end) for end in (-least, largest)]
     edges = _edges(link) if link.pattern.smooth and not sides.slave.curved else None
     unheld = find_unheld(link)

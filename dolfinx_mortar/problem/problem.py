@@ -500,12 +500,16 @@ class ContactProblem:
         return find_free_motions(self.bodies, self.system, self.supports, springs)[1]
 
     def _resistance_of_potential(self) -> Callable[[PETSc.Vec], Floats]:
-        """Return the function v -> forces of the terms against v over the norm of their tangent."""
+        """Return v -> forces of the terms against v, over the diagonal of their tangent.
+
+        So a mass counts beside a spring, and the lighter one of two bodies.
+        """
         if not self.terms.have_tangent:
             return lambda v: np.zeros(0)
         self.terms.check_energies()
         springs = self.terms.stiffness()
-        scale = max(springs.norm(PETSc.NormType.INFINITY), TINY)
+        own = np.abs(springs.getDiagonal().array_r)
+        scale = np.where(own > 0.0, own, max(springs.norm(PETSc.NormType.INFINITY), TINY))
         return lambda v: np.asarray((springs * v).array_r / scale)
 
     def update_geometry(self, increment: float) -> None:
