@@ -151,6 +151,9 @@ CASES = {
     "tie in space": (TIE, {}, {"slope": deg(30, 20), "both": True}),
     "tool": (TOOL, {}, {"slope": deg(30)}),
     "tool, degree 2": (TOOL, {}, {"slope": deg(-60), "degree": 2, "slave": "lower"}),
+    "tool, degree 2, 5 degrees": (TOOL, {}, {"slope": deg(5), "degree": 2}),
+    "contact 2, 1 degree": (CONTACT, {}, {"slope": deg(-1), "degree": 2, "both": True}),
+    "tie, 1 degree": (TIE, {}, {"slope": deg(1), "slave": "lower", "both": True}),
     "tool, rings": (TOOL, {}, {"slope": deg(-20), "inside": 0.7}),
     "tool in space": (TOOL, {}, {"slope": deg(30, -20)}),
 }
