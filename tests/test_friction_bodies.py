@@ -8,7 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.block_piles import ABOVE, BELOW, COMM, EAST, Blocks
+from tests.block_piles import ABOVE, BELOW, COMM, EAST, WEST, Blocks
 
 EXACT = 1e-10
 STACK = [
@@ -216,3 +216,22 @@ def test_nodes_on_a_plane_of_symmetry_lose_no_friction(swap):
         problem.commit()
         told = [note for note in report.notes if "has no friction" in note]
         assert len(told) == (1 if aside.value else 0)
+
+
+@pytest.mark.parametrize("height", [0.0, 0.123, -1e3])
+@pytest.mark.parametrize(("gap", "friction"), [(0.0, 0.3), (-1e-3, 0.3), (0.0, None)])
+def test_where_nothing_acts_nothing_happens(height, gap, friction):
+    """Contact alone holds the upper block at level 0, where round-off must not open it.
+
+    That of coordinates is larger than any force; an overlap goes by a motion without strain.
+    """
+    y = height + 2.0
+    b = Blocks([(0.0, 4.0, height, y, 8, 4), (0.0, 3.0, y + gap, y + 2.0, 7, 5)])
+    sides = {"slave": 20 + BELOW, "master": 10 + ABOVE}
+    contact, t = dm.Contact(b.facets, **sides, friction=friction), fem.Constant(b.mesh, 0.0)
+    loads = t * b.traction(2, ABOVE, (0.0, -1.0))
+    problem = b.problem([contact], [b.fix(1, BELOW), b.fix(2, WEST, 0)], loads=loads)
+    for step in dm.load_steps(problem, [0, 0, 1], ramp={t: [(0, 0.0), (1, 1.0)]}, progress=False):
+        assert abs(contact.force[1] - 3.0 * step.time) < 1e-6 * max(step.time, 1e-3)
+        assert step.report.cuts == 0 and not any("handed" in n for n in step.report.notes)
+        assert step.time > 0.0 or largest(b.u.x.array) < 1e-12 * (1.0 + abs(height)) - gap

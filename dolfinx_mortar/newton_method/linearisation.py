@@ -16,6 +16,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx.mesh import Mesh
 from dolfinx_mortar.algebra.congruence import CongruentOperator, OperatorOfBases, as_aij
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Floats, Ints
@@ -64,6 +65,13 @@ class Linearisation:
     balance: Balance
     diagonal: PETSc.Vec  # (n,) of K^ before the elimination
     geometry: GeometryTangent | None = None  # where the motion of the surfaces is linearised
+
+
+def find_extent(mesh: Mesh, displacement: Floats) -> float:
+    """Return the largest coordinate of the mesh plus the largest displacement; collective."""
+    x = mesh.geometry.x
+    sizes = maximum(mesh.comm, np.abs(x).max(initial=0.0), np.abs(displacement).max(initial=0.0))
+    return float(sizes.sum())
 
 
 def find_balance(
@@ -185,7 +193,8 @@ def _bounded(
     lower.array[bounds.dofs] = np.maximum(bounds.lower, PETSc.NINFINITY)
     upper.array[bounds.dofs] = np.minimum(bounds.upper, PETSc.INFINITY)
     law = None if balance.limits is None else _law(balance.limits, bounds, b.local_size)
-    return BoundQP(A, b, lower, upper, bounds.dofs, law), diagonal
+    extent = find_extent(problem.V.mesh, problem.u.x.array)
+    return BoundQP(A, b, lower, upper, bounds.dofs, law, extent=extent), diagonal
 
 
 def linearise_all(

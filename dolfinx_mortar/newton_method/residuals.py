@@ -18,11 +18,10 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
-from dolfinx.mesh import Mesh
 from dolfinx_mortar.algebra.parallel import maximum, norm, ratio
 from dolfinx_mortar.arrays import ROUND_OFF, Floats
 from dolfinx_mortar.newton_method.contacts import Contacts, find_sliders
-from dolfinx_mortar.newton_method.linearisation import Balance
+from dolfinx_mortar.newton_method.linearisation import Balance, find_extent
 
 # The error allowed to a QP, as a share of the residual that the contraction seen so far promises
 # for the next iterate (Eisenstat and Walker 1996). Digits are cheap with a factorisation only.
@@ -76,13 +75,6 @@ def round_off(
 def gap_round_off(u: fem.Function) -> float:
     """Return the round-off of gaps, which are differences of coordinates; collective."""
     return ROUND_OFF * find_extent(u.function_space.mesh, u.x.array)
-
-
-def find_extent(mesh: Mesh, displacement: Floats) -> float:
-    """Return the largest coordinate of the mesh plus the largest displacement; collective."""
-    x = mesh.geometry.x
-    sizes = maximum(mesh.comm, np.abs(x).max(initial=0.0), np.abs(displacement).max(initial=0.0))
-    return float(sizes.sum())
 
 
 def largest_force(comm: MPI.Comm, balance: Balance, z: Floats) -> float:
@@ -140,6 +132,9 @@ def measure(
     limit = max(rtol * scale, floor)
     if acting <= floor:  # nothing acts but the round-off of K u
         scale = max(scale, floor / ROUND_OFF)
+    of_gaps = norm(comm, noise * diagonal.array_r[balance.bounds.dofs])
+    if acting <= of_gaps:  # nothing acts but the forces of such gaps
+        limit = max(limit, of_gaps)
 
     active, gap = contacts.active[balance.nodes], balance.bounds.upper
     off = np.maximum(np.where(active, np.abs(gap), np.maximum(-gap, 0.0)) - noise, 0.0)

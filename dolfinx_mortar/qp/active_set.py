@@ -79,7 +79,11 @@ def solve(
         reason = f"an active set could not be solved ({error})"
         definite = not isinstance(error, NotDefinite)
     if not qp.definite:
-        raise QPNotSolved(f"Active set: {reason}. The matrix is not said to be definite.")
+        raise QPNotSolved(
+            f"Active set: {reason}. Where few nodes touch, as at a corner or on a coarse mesh, "
+            "they may open and close in turn: refine the mesh there, take smaller steps, or "
+            "prescribe displacements instead of loads"
+        )
     try:
         solution = interior_point.solve(qp, linear, rtol=rtol)
     except (LinearSolveFailed, PETSc.Error, np.linalg.LinAlgError) as error:

@@ -10,7 +10,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.algebra.parallel import any_rank, maximum, ratio
+from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm, ratio
 from dolfinx_mortar.arrays import ROUND_OFF, TINY, Actives, Bools, Floats, Ints
 from dolfinx_mortar.qp.friction import Friction, Sliders
 
@@ -37,6 +37,7 @@ class BoundQP:
     definite: bool = True
     product: CongruentOperator | None = None  # A, where it is not formed but to be factorised
     near: PETSc.Mat | None = None  # definite, of which multigrid preconditions A as well
+    extent: float = 0.0  # size of the coordinates whose differences the bounds are
 
     @property
     def comm(self) -> MPI.Comm:
@@ -66,6 +67,12 @@ class BoundQP:
             mean = diagonal.sum() / diagonal.getSize()
             diagonal.array[diagonal.array_r == 0.0] = mean
         return np.asarray(diagonal.array_r)
+
+    @cached_property
+    def noise(self) -> float:
+        """The norm of the forces that the round-off of bounds may cause; collective at first."""
+        largest = self.extent * self.stiffness[self.bounded]
+        return ROUND_OFF * norm(self.comm, largest)
 
 
 @dataclass(frozen=True)
@@ -248,6 +255,21 @@ def on_friction(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec, found: Bounded) -> Slid
     return Sliders(law, slip, law.pick(z.array_r), limit, stiffness)
 
 
+def is_noise(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> bool:
+    """Tell whether the round-off of bounds may have caused all forces, z = b - A x; collective.
+
+    Then nothing acts, and a reaction or a gap of either sign is as good as none.
+    """
+    if max(qp.b.norm(), z.norm()) > qp.noise:
+        return False
+    bounded, errors = on_bounded(qp, x, z), np.zeros(0)
+    if qp.friction is not None:
+        errors = on_friction(qp, x, z, bounded).error().ravel()
+    outside = np.maximum(bounded.x - bounded.upper, bounded.lower - bounded.x)
+    violated = bounded.stiffness * np.maximum(outside, 0.0)
+    return norm(qp.comm, violated, errors) <= qp.noise
+
+
 def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     """Measure how well x satisfies the optimality conditions, from the data alone (collective).
 
@@ -259,6 +281,8 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
         The residuals; they are zero for the exact solution.
     """
     z = reaction(qp, x) if z is None else z
+    if is_noise(qp, x, z):
+        return KKT(*np.zeros(6))
     bounded = on_bounded(qp, x, z)
     xb, zb, lower, upper = bounded.x, bounded.z, bounded.lower, bounded.upper
     active = bounded.predicted()

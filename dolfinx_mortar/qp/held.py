@@ -21,6 +21,7 @@ from dolfinx_mortar.qp.bound_qp import (
     BoundQP,
     QPSolution,
     check,
+    is_noise,
     on_bounded,
     on_friction,
     reaction,
@@ -152,6 +153,8 @@ class HeldProblem:
         if level > self.level:  # smaller errors become visible
             self.level, self.best = level, self.best and replace(self.best, error=np.inf)
         atol = self.solve(state, self.level)
+        if is_noise(self.qp, self.x, self.z):
+            return Found(state, 0, satisfied=True)
         law = self.qp.friction
         found = on_bounded(self.qp, self.x, self.z)
         atol = max(atol, self.linear.setup.operator.round_off(self.x))
