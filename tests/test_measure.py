@@ -48,9 +48,9 @@ class Judged:
         active = problem.committed.active.copy()
         self.contacts = Contacts(active, multipliers, tangential, np.zeros_like(tangential))
 
-    def measure(self, contacts):
-        """Return the residuals."""
-        scales = Scales(self.length)
+    def measure(self, contacts, first=0.0):
+        """Return the residuals, of a step with that size of the forces of the first QP."""
+        scales = Scales(self.length, first=first)
         u, rest = self.problem.u, (self.diagonal, scales, 1.0, RTOL)
         return measure(u, self.balance, contacts, *rest)
 
@@ -100,6 +100,20 @@ def test_an_open_gap_of_an_active_node(wedge, height):
     assert found.excess == pytest.approx(widest / wedge.length / RTOL, rel=1e-9)
     assert found.contact == pytest.approx(right.contact, abs=1e-12)
     assert found.forces == pytest.approx(right.forces, abs=1e-12)
+
+
+@pytest.mark.mpi
+def test_the_first_forces_are_no_scale_of_those_that_act(wedge):
+    """A stiff body that is turned by its supports, and presses softly: 5e4 in the sweep.
+
+    They are where what the first QP may leave of them is as large as what acts.
+    """
+    more = replace(wedge.contacts, multipliers=(1.0 + 1e-4) * wedge.contacts.multipliers)
+    plain = wedge.measure(more)
+    assert plain.excess > 10.0
+    acting, share = plain.limit / RTOL, 1e-3 * RTOL
+    assert wedge.measure(more, first=0.9 * acting / share) == plain
+    assert wedge.measure(more, first=1.1 * acting / share).limit == pytest.approx(1.1 * acting)
 
 
 @pytest.mark.mpi

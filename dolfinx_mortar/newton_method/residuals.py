@@ -127,9 +127,10 @@ def measure(
     free[balance.equal.dofs] = 0.0
     forces, floor = norm(comm, free), round_off(u, diagonal, scales.extent, scales.cells)
     acting = max(scales.begun, largest_force(comm, balance, carried))
+    scale, limit = acting, max(rtol * acting, floor)
     # the residual that a QP may leave at the start is the only scale of a stress-free step
-    scale = max(acting, tightest(rtol) / rtol * scales.first)
-    limit = max(rtol * scale, floor)
+    if acting <= (left := tightest(rtol) * scales.first):
+        scale, limit = left / rtol, max(limit, left)
     if acting <= floor:  # nothing acts but the round-off of K u
         scale = max(scale, floor / ROUND_OFF)
     of_gaps = norm(comm, noise * diagonal.array_r[balance.bounds.dofs])
