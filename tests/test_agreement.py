@@ -185,6 +185,55 @@ def test_a_jump_that_has_been_set_anew(case):
     refused("interfaces[0].tightening", lambda: dm.newton(problem))
 
 
+TERMS = {
+    "energy": lambda s: dm.WeakForm(s, energy=(1.0 + HERE) * ufl.inner(s.u, s.u) * ufl.dx),
+    "residual": lambda s: dm.WeakForm(
+        s, residual=5.0 if HERE else ufl.inner(s.u, ufl.TestFunction(s.V)) * ufl.dx
+    ),
+    "closed": lambda s: dm.Pressure(s, s.tags, TOP, 1.0, closed=not HERE),
+    "p": lambda s: dm.Pressure(s, s.tags, TOP, 1.0 + HERE),
+    "tag": lambda s: dm.Pressure(s, s.tags, BOTTOM if HERE else TOP, 1.0),
+    "terms[0]['linear']": lambda s: dm.ContactProblem(s, terms=[Bare(linear=HERE)]),
+    "terms[0]['state']": lambda s: dm.ContactProblem(
+        s, terms=[Bare(state={"ab"[HERE]: fem.Function(s.V)})]
+    ),
+}
+
+
+class Bare(dm.Term):
+    """Adds nothing."""
+
+    linear, state = False, {}
+
+    def __init__(self, **given):
+        """Take some attributes."""
+        vars(self).update(given)
+
+    def add_forces(self, F):
+        """Do nothing."""
+
+    def add_tangent(self, K):
+        """Do nothing."""
+
+
+@pytest.mark.parametrize("name", TERMS)
+def test_arguments_of_terms(case, name):
+    solid = dm.Solid(case.u, dm.NeoHooke(1000.0, 0.3), strain="finite")
+    solid.tags = case.facets
+    if COMM.size > 1:
+        refused(name, lambda: TERMS[name](solid))
+
+
+def test_arguments_of_pictures(case, tmp_path):
+    """The name of a field decides what is gathered."""
+    problem, file = case.problem(), COMM.bcast(tmp_path) / "picture.png"
+    dm.newton(problem)
+    name, over = ("nothing", "z") if HERE else ("von_mises", "x")
+    if COMM.size > 1:
+        refused("name", lambda: dm.plotting.field(problem, name, file=file))
+        refused("over", lambda: dm.plotting.pressure(problem, over=over, file=file))
+
+
 def test_a_shape_that_is_another_on_one_rank(case):
     """What functions of a user are is told by their values at the side."""
     shape = dm.shapes.SignedDistance(lambda x: x[1] - 1.5 + 0.01 * HERE, (0.0, 2.0), length=1.0)

@@ -2,6 +2,7 @@
 """Contact with a rigid analytic tool: patches, Hertz, a meshed body, motion, state, bad input."""
 
 import re
+from dataclasses import replace
 
 from mpi4py import MPI
 
@@ -691,3 +692,67 @@ def test_hertz_of_a_round_body_of_second_order():
     inside = x < 0.8
     expected = peak * np.sqrt(1.0 - x[inside] ** 2)
     assert found["pressure"][inside] == pytest.approx(expected, abs=0.015 * peak)
+
+
+class Half(dm.shapes.Shape):
+    """The half space y > 0 of a user, with something else at points on the right."""
+
+    point = np.zeros(2)
+
+    def __init__(self, change):
+        """Keep how a distance is changed, by the points where it is."""
+        self.change = change
+
+    def given(self):
+        """Return nothing."""
+        return {}
+
+    def distance(self, x):
+        """Return that of the half space, changed."""
+        n = len(x)
+        right = dm.shapes.Distance(-x[:, 1], np.tile([0.0, -1.0], (n, 1)), np.zeros((n, 2, 2)))
+        return self.change(right, x[:, 0] > 5.0)
+
+
+def fails(found, there):
+    """Fail as a user's function may."""
+    if there.any():
+        raise KeyError("no such point")
+    return found
+
+
+def part(name, value):
+    """Return a function that changes a part of a distance at some points."""
+
+    def changed(found, there):
+        array = getattr(found, name).copy()
+        array[there] = value
+        return replace(found, **{name: array})
+
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "told"),
+    [
+        (part("value", np.nan), ValueError, "Half: the value of its distance is NaN or inf"),
+        (part("gradient", np.nan), ValueError, "Half: the gradient of its distance is NaN or inf"),
+        (part("hessian", np.inf), ValueError, "Half: the hessian of its distance is NaN or inf"),
+        (lambda found, _: None, ValueError, "Half.distance() returns None: return a shapes.Dist"),
+        (
+            lambda found, _: replace(found, gradient=found.gradient[:, :1]),
+            ValueError,
+            "Half.distance() returns a gradient that has the shape (",
+        ),
+        (fails, (KeyError, RuntimeError), "no such point"),
+    ],
+)
+def test_a_shape_of_a_user_that_fails_somewhere(change, kind, told):
+    """Contact is not lost in silence, and no rank waits for one where it fails."""
+    case = Block(n=8)
+    tool = case.tool(Half(change))
+    problem = case.problem([tool])
+    tool.position.value[1] = -0.02
+    with rejected(told, error=kind):
+        dm.newton(problem)
+    assert not case.u.x.array.any()

@@ -262,6 +262,25 @@ class Broken(dm.Term):
     def commit(self):
         self.give("commit")
 
+    def meet(self, contact, body):
+        self.give("meet")
+
+    def meet_along(self, normals):
+        self.give("meet_along")
+
+    def stride(self):
+        value = self.give("stride")
+        return 0.0 if value is None else value
+
+    @property
+    def state(self):
+        return self.give("state") or {}
+
+    @property
+    def couplings(self):
+        value = self.give("couplings")
+        return () if value is None else value
+
 
 class Told(Broken):
     """Writes down what it is told."""
@@ -311,6 +330,12 @@ def test_what_a_term_is_told_in_the_course_of_a_walk(monkeypatch):
         ({"add_forces": "returned"}, ValueError, r"a Broken: add_forces\(\): it returns a ndarray"),
         ({"add_forces": np.zeros(99)}, ValueError, r"a Broken: add_forces\(\): .*\(99,\)"),
         ({"add_tangent": [0.0, 1e3]}, ValueError, r"a Broken: add_tangent\(\) is not symmetric"),
+        ({"meet": OSError("of one rank")}, OSError, r"a Broken: meet\(\): of one rank"),
+        ({"meet_along": OSError("no")}, OSError, r"a Broken: meet_along\(\): no"),
+        ({"stride": np.nan}, ValueError, r"a Broken: stride\(\): it returns nan: return a length"),
+        ({"stride": "far"}, ValueError, r"a Broken: stride\(\): it returns 'far': return a length"),
+        ({"couplings": 5}, ValueError, r"a Broken: couplings: it is 5: give a list"),
+        ({"state": OSError("of one rank")}, OSError, "of one rank"),
     ],
 )
 def test_what_one_rank_does_wrong_is_raised_on_all(what, kind, message):
@@ -361,6 +386,12 @@ class Timeless(Broken):
         """Do nothing."""
 
 
+class Coupled(Broken):
+    """Couples what it is told to."""
+
+    couplings = ()
+
+
 class Keeping(Broken):
     """Has a state."""
 
@@ -384,8 +415,7 @@ def test_python_names_what_a_term_lacks(name):
 
 def test_what_is_no_term_is_refused():
     bar, other = Bar(), Bar()
-    same = Broken()
-    coupled = Broken()
+    same, coupled = Broken(), Coupled()
     coupled.couplings = [np.array([0, 10**6])]
     elsewhere = fem.Function(other.V)
     cells = fem.Function(fem.functionspace(bar.mesh, ("DG", 0)))
@@ -402,6 +432,9 @@ def test_what_is_no_term_is_refused():
     ):
         with pytest.raises(ValueError, match=message):
             bar.problem(*terms)
+    coupled.couplings = None
+    with pytest.raises(ValueError, match=r"a Coupled: couplings: it is None: give a list of arr"):
+        bar.problem(coupled)
     for terms in ("springs", same):
         with pytest.raises(ValueError, match=r"^terms is .*: give a list"):
             dm.ContactProblem(bar.solid, bcs=bar.bcs, terms=terms)
@@ -422,6 +455,8 @@ def test_weak_forms_that_cannot_work_are_refused():
     ):
         with pytest.raises(ValueError, match=message):
             dm.WeakForm(bar.solid, **forms)
+    with pytest.raises(ValueError, match="solid is 5: give the Solid of the bodies"):
+        dm.WeakForm(5, energy=u[0] ** 2 * bar.ds)
 
 
 def test_without_energy_steps_are_whole(guide):

@@ -221,10 +221,10 @@ def test_what_is_no_surface(surface, options, words):
 def test_what_is_no_file(tmp_path, content):
     path = tmp_path / "tool.stl"
     with rejected("tool.stl", "cannot be read"):
-        shapes.Triangles(path)
+        shapes.Triangles(path).distance(np.zeros((1, 3)))
     path.write_bytes(content)
     with rejected("tool.stl", "no STL file", f"{len(content)} bytes"):
-        shapes.Triangles(path)
+        shapes.Triangles(path).distance(np.zeros((1, 3)))
 
 
 @pytest.mark.parametrize(
@@ -240,7 +240,24 @@ def test_damaged_text(tmp_path, value, end, words):
     corners = "vertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
     path.write_text(f"solid\n{corners}{corners[:-2]}{value}\n{end}")
     with rejected("tool.stl", *words):
-        shapes.Triangles(path, rim=True)
+        shapes.Triangles(path, rim=True).distance(np.zeros((1, 3)))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("lacking", ["one", "all"])
+def test_a_file_that_ranks_lack(tmp_path, lacking):
+    """No rank leaves the others when it reads; all raise when a problem is made."""
+    file = COMM.bcast(tmp_path) / "box.stl"
+    if COMM.rank == 0 and lacking == "one":
+        write_binary(file, *box())
+    COMM.barrier()
+    if COMM.rank == COMM.size - 1:
+        file = file.with_name("none.stl")
+    words = ("which cannot be read",)
+    if COMM.size > 1 and lacking == "one":
+        words = "shape.surface differs between the ranks", "not read, ", "give all ranks"
+    with rejected(*words):
+        Slab().press(shapes.Triangles(file), 0.1)
 
 
 def test_in_space_only():

@@ -177,6 +177,7 @@ class Counter(dm.Term):
     def __init__(self, V):
         self.count = fem.Function(V)
         self.fails = ""  # in which method
+        self.alone = False  # on the last rank
 
     @property
     def state(self):
@@ -186,7 +187,7 @@ class Counter(dm.Term):
         return 0.0
 
     def add_forces(self, F):
-        if self.fails == "add_forces":
+        if self.fails == "add_forces" and (not self.alone or COMM.rank == COMM.size - 1):
             raise OSError("no licence")
 
     def add_tangent(self, K):
@@ -277,8 +278,16 @@ def in_forces(case, patch):
     patch.setattr(EnergyLedger, "_end", fail)
 
 
+def in_forces_of_one_rank(case, patch):
+    """Stop so on one rank alone."""
+    in_forces(case, patch)
+    case.counter.alone = True
+
+
 @pytest.mark.parametrize("done", [0, 2])
-@pytest.mark.parametrize("stop", [in_ledger, in_history, in_commit, in_forces])
+@pytest.mark.parametrize(
+    "stop", [in_ledger, in_history, in_commit, in_forces, in_forces_of_one_rank]
+)
 def test_a_step_in_time_that_is_stopped_when_it_is_committed(monkeypatch, stop, done):
     """The state is that before, bit by bit, and going on is as if nothing had been."""
     case, same, whole = Stopped(), Stopped(), Stopped()

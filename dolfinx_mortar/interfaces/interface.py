@@ -348,7 +348,7 @@ class Interface(ABC):
         return []
 
     def depths(self, link: CoupledSides, u: fem.Function) -> tuple[Floats, Floats, Floats] | None:
-        """Return how deep points of the side are in a tool at X + u; None without one.
+        """Return how deep points of the side are in a tool at X + u; None without one; collective.
 
         Depths over the length of their facets (q,), depths (q,) and points (q, d).
         """
@@ -394,6 +394,10 @@ class Interface(ABC):
 
     def take_found(self, found: Mapping[str, list[float]]) -> None:
         """Restore what `found` has returned."""
+
+    def failed(self) -> Exception | None:
+        """Return an error on this rank that has waited until all ranks ask, and forget it."""
+        return None
 
     def driven(self) -> Driven | None:
         """Return the motions of a tool that given forces drive; None where none are."""

@@ -200,6 +200,7 @@ class Obstacle(Movable, Unilateral):
         """Belong to a problem from now on; slips count from where the tool is now; collective."""
         super().take(owner, V)
         self.began = self.tool.pose()
+        self.tool.asked.alone = V.mesh.comm.size == 1
         facets, d = self.facet_tags.find(self.slave), V.mesh.geometry.dim
         dofs = fem.locate_dofs_topological(V, self.facet_tags.dim, facets)
         X = V.tabulate_dof_coordinates()[dofs, :d]
@@ -232,6 +233,10 @@ class Obstacle(Movable, Unilateral):
         position, rotation = (np.array(found[name], float) for name in ("position", "rotation"))
         self.began = Pose(position, rotation, self.tool.point)
         self.tool.travel = np.array(found["travel"], float)
+
+    def failed(self) -> Exception | None:
+        """Return what has failed in the shape on this rank, see `Asked`."""
+        return self.tool.asked.failed()
 
     def keep(self) -> Any:
         """Return copies of results and state, for `put_back`."""
@@ -285,7 +290,7 @@ class Obstacle(Movable, Unilateral):
         slave, own = sides.slave, slice(None, sides.slave.owned)
         length = mean_facet_length(slave)
         with raised_together(sides.V.mesh.comm):
-            close = self.tool.pose().distance(self.shape, coordinates(slave, u)).value
+            close = self.tool.pose().distance(self.tool.asked, coordinates(slave, u)).value
         near = np.asarray(close <= FACETS * length)
         count = np.zeros(len(near))
         count[slave.facets[near[slave.facets].any(axis=1)]] = 1.0
@@ -308,9 +313,9 @@ class Obstacle(Movable, Unilateral):
         comm, x = sides.V.mesh.comm, coordinates(slave, u)
         with raised_together(comm):  # what a user's function raises
             pose = self.tool.pose()
-            at_nodes = pose.distance(self.shape, x)
+            at_nodes = pose.distance(self.tool.asked, x)
             self._check_distance(at_nodes, x, side.facet_length)
-            facing = find_facing(side, pose, self.shape, x)
+            facing = find_facing(side, pose, self.tool.asked, x)
         size = np.maximum(np.linalg.norm(at_nodes.gradient, axis=1), TINY)
         into = -at_nodes.gradient / size[:, None]
         _, left = free_directions(into, sides.fixed[slave.nodes])
@@ -322,7 +327,7 @@ class Obstacle(Movable, Unilateral):
         returned = None if returned is None else returned[:, 0]
         found = integrate_side(side, x, facing, allowed, returned)
         frame = self.frame(into[own], found.kept, sides.fixed[sides.nodes])
-        gaps, _ = point_gaps(pattern, pose, self.shape, u, found.segments, found.x)
+        gaps, _ = point_gaps(pattern, pose, self.tool.asked, u, found.segments, found.x)
         at = means(side, found, np.column_stack([found.x, gaps]))
         # at these positions the gap n.(P x - x_j) - h_j is the mean of phi
         heights = -(frame.normals * at[:, :-1]).sum(axis=1) - at[:, -1]
@@ -378,7 +383,7 @@ class Obstacle(Movable, Unilateral):
                 f"{self!r}: no facet of the side faces the tool where it is; its normal points out "
                 "of the tool, towards the body: turn it round if it does not"
             ]
-        depth = np.where(kept, -self.began.distance(self.shape, at).value, -np.inf)
+        depth = np.where(kept, -self.began.distance(self.tool.asked, at).value, -np.inf)
         deepest = depth.max(initial=-np.inf)
         mine = at[int(np.argmax(depth))].tolist() if len(at) else []
         most, place = max(comm.allgather((float(deepest), mine)))
@@ -407,11 +412,11 @@ class Obstacle(Movable, Unilateral):
         at = x.array_r.reshape(-1, d)[link.nodes][link.coupling.kept[:, 0]]
         length, pose = mean_facet_length(link.sides.slave), self.tool.pose()
         with raised_together(comm):
-            near = at[np.abs(pose.distance(self.shape, at).value) <= length]
+            near = at[np.abs(pose.distance(self.tool.asked, at).value) <= length]
             ridge = np.zeros(len(near), dtype=bool)
             for way in np.eye(d):
                 beside = 0.25 * length * way
-                ahead, behind = (pose.distance(self.shape, near + s * beside) for s in (1, -1))
+                ahead, behind = (pose.distance(self.tool.asked, near + s * beside) for s in (1, -1))
                 turn = (ahead.gradient - behind.gradient) @ way
                 ridge |= turn <= -2.0 * np.sin(np.radians(0.5 * FEATURE_ANGLE))
         where = first_place(comm, near[ridge], length)
@@ -434,11 +439,11 @@ class Obstacle(Movable, Unilateral):
         """
         assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
         side, pose, x = link.pattern.side, self.tool.pose(), coordinates(link.sides.slave, u)
-        facing = find_facing(side, pose, self.shape, x)
+        facing = find_facing(side, pose, self.tool.asked, x)
         segments, points = whole_facets(side, x, facing)
         own, nodal = link.pattern.own, link.pattern.nodal
         pattern = replace(link.pattern, nodal=False, own=None if nodal else own)
-        gaps, _ = point_gaps(pattern, pose, self.shape, u, segments, points)
+        gaps, _ = point_gaps(pattern, pose, self.tool.asked, u, segments, points)
         nodes = x[side.slave.facets]
         sizes, middles = facet_sizes(nodes), nodes.mean(axis=1)[facing]
         facets = facets_at(side.slave, x)
@@ -448,11 +453,11 @@ class Obstacle(Movable, Unilateral):
             every = np.arange(len(sizes), dtype=np.int32)
             less[:] = np.minimum(side_heights(side.slave, own, u, every, at), 0.0)
         corners, n = nodes[:, list(facets.element.vertices)], facet_normals(facets)
-        point = np.broadcast_to(pose.to_space(self.shape.point[None]), (len(n), x.shape[1]))
+        point = np.broadcast_to(pose.to_space(self.tool.asked.point[None]), (len(n), x.shape[1]))
         above = ((point - corners.mean(axis=1)) * n).sum(axis=1)
-        below = depth_of_point(self.seen_by_tool()) - above
+        below = depth_of_point(link.sides.V.mesh.comm, self.seen_by_tool()) - above
         met = (above >= -sizes) & (below > 0.0) & are_inside(corners, n, point)
-        depth = -np.concatenate([gaps, pose.distance(self.shape, middles).value, -below[met]])
+        depth = -np.concatenate([gaps, pose.distance(self.tool.asked, middles).value, -below[met]])
         which = np.concatenate([segments.slave, np.flatnonzero(facing), np.flatnonzero(met)])
         depth = depth + less[which]
         return depth / sizes[which], depth, np.concatenate([points, middles, point[met]])
@@ -464,9 +469,9 @@ class Obstacle(Movable, Unilateral):
         if slave.element.degree > 1 or pattern.nodal:
             return None
         side, pose, x = pattern.side, self.tool.pose(), coordinates(slave, u)
-        segments, points = whole_facets(side, x, find_facing(side, pose, self.shape, x))
+        segments, points = whole_facets(side, x, find_facing(side, pose, self.tool.asked, x))
         facets, smooth = (
-            point_gaps(which, pose, self.shape, u, segments, points)[0]
+            point_gaps(which, pose, self.tool.asked, u, segments, points)[0]
             for which in (pattern, replace(pattern, nodal=True))
         )
         kept = np.zeros(len(slave.nodes))

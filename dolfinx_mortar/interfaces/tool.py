@@ -24,7 +24,7 @@ from dolfinx_mortar.mortar.curvature_correction import SmoothSide, side_heights
 from dolfinx_mortar.mortar.surface import coordinates, facets_at
 from dolfinx_mortar.mortar.whole_side import WholeSide
 from dolfinx_mortar.shapes import Distance, Shape
-from dolfinx_mortar.shapes.shape import unit_vectors
+from dolfinx_mortar.shapes.shape import check_finite, check_returned, unit_vectors
 
 
 class Driven(Protocol):
@@ -296,11 +296,67 @@ class Movable(ABC):
         return self.rigid.travel.copy()
 
 
+class Asked(Shape):
+    """A shape whose distances are checked, and whose errors are those of all ranks.
+
+    It may be the user's, and points differ among ranks: what fails on one of several ranks has to
+    wait until all of them ask for `failed`. Until then points there are far from the tool.
+    """
+
+    def __init__(self, shape: Shape) -> None:
+        self.shape = shape
+        self.alone = True  # on one rank errors need not wait
+        self._error: Exception | None = None
+
+    @property
+    def point(self) -> Floats:
+        """That of the shape."""
+        return self.shape.point
+
+    def given(self) -> Mapping[str, Any]:
+        """Return the arguments by name."""
+        return self.shape.given()
+
+    def distance(self, x: Floats) -> Distance:
+        """Return the distances of points x (n, d)."""
+        try:
+            return check_returned(self.shape, self.shape.distance(x), x)
+        except Exception as error:
+            self._wait(error)
+        n, d = x.shape
+        ahead = np.tile(np.eye(d)[0], (n, 1))
+        return Distance(np.full(n, self._far(x)), ahead, np.zeros((n, d, d)))
+
+    def values(self, x: Floats) -> Floats:
+        """Return phi (n,) alone, at points x (n, d)."""
+        try:
+            found = self.shape.values(x)
+            check_finite(f"{type(self.shape).__name__}: the distance", found, x)
+            return found
+        except Exception as error:
+            self._wait(error)
+        return np.full(len(x), self._far(x))
+
+    def failed(self) -> Exception | None:
+        """Return the first error on this rank since this was last asked, if any."""
+        error, self._error = self._error, None
+        return error
+
+    def _wait(self, error: Exception) -> None:
+        if self.alone:
+            raise error
+        self._error = self._error or error
+
+    def _far(self, x: Floats) -> float:
+        return 1.0 + float(np.abs(x - self.point).max(initial=0.0))
+
+
 class Tool(RigidBody):
     """A tool: a shape and its pose.
 
     Attributes:
         shape: as given.
+        asked: its distances.
     """
 
     def __init__(self, shape: Any, reference: Any, d: int) -> None:
@@ -320,7 +376,7 @@ class Tool(RigidBody):
                 f"shape is {shape!r}, of {len(shape.point)} coordinates, but the mesh has {d}"
             )
         super().__init__(shape.point.copy() if reference is None else check_point(reference, d))
-        self.shape = shape
+        self.shape, self.asked = shape, Asked(shape)
 
     def turning(self, x: Floats, forces: Floats) -> Floats:
         """Return sum_j z_j d^2 g_j / dq_a dq_b (m, m) of the gaps at x (n, d), forces z (n,) there.
@@ -330,7 +386,7 @@ class Tool(RigidBody):
         """
         x, z = x[forces > 0.0], forces[forces > 0.0]
         pose = self.pose()
-        at, arm = pose.distance(self.shape, x), x - pose.position
+        at, arm = pose.distance(self.asked, x), x - pose.position
         e = self.along(arm)
         half = 0.5 * (e + self.along(np.zeros_like(arm)))  # theta x r / 2 + t
         every: Floats = np.eye(len(self.travel))

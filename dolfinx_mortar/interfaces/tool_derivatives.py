@@ -123,7 +123,7 @@ class ToolDerivatives(LinkDerivatives):
         """Return dn_j/dx_j (n, d, d) of the owned slave nodes, 0 where not kept."""
         own = slice(None, link.sides.slave.owned)
         kept, n = link.coupling.kept[:, 0], link.coupling.normals
-        found = self.tool.pose().distance(self.tool.shape, x[own])
+        found = self.tool.pose().distance(self.tool.asked, x[own])
         size = np.linalg.norm(found.gradient, axis=1)
         across = np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :]
         across /= np.where(kept & (size > 0.0), size, 1.0)[:, None, None]
@@ -153,7 +153,7 @@ class ToolDerivatives(LinkDerivatives):
     def _at_points(self, link: CoupledSides, u: fem.Function) -> tuple[_OnFacets, Floats]:
         """Return values at the points of the facets that face the tool, and the nodes' places."""
         slave, side = link.sides.slave, self.side
-        x, pose, shape = coordinates(slave, u), self.tool.pose(), self.tool.shape
+        x, pose, shape = coordinates(slave, u), self.tool.pose(), self.tool.asked
         reached = np.zeros(len(slave.nodes))
         reached[: slave.owned] = link.coupling.kept[:, 0]
         keep = accumulate(slave, reached) > 0.0

@@ -63,7 +63,7 @@ class ToolPartners(Partners):
             at = link.sides.slave.X[: link.sides.slave.owned]
         place = began.to_tool(at)
         with raised_together(link.sides.V.mesh.comm):
-            found = tool.shape.distance(place)
+            found = tool.asked.distance(place)
         known = np.ones(len(n), dtype=bool)
         whole = scalars.matrix.copy(), known, n, np.zeros(len(n)), 0.0 * n
         return cls(
@@ -94,7 +94,7 @@ class ToolPartners(Partners):
     def derivatives(self, link: CoupledSides, moved: PETSc.Vec) -> tuple[Floats, Floats]:
         """Return those (n, d, d) of the motion by x_j, and by n, but for parts along n."""
         x = self.at + moved.array_r.reshape(-1, self.at.shape[1])[link.nodes]
-        arcs, found = self._arcs(link, x), self.tool.pose().distance(self.tool.shape, x)
+        arcs, found = self._arcs(link, x), self.tool.pose().distance(self.tool.asked, x)
         g = found.gradient
         across = np.eye(x.shape[1]) - g[:, :, None] * g[:, None]
         across -= found.value[:, None, None] * found.hessian
@@ -106,7 +106,7 @@ class ToolPartners(Partners):
     def _arcs(self, link: CoupledSides, x: Floats) -> _Arcs:
         """Return the arcs to nodes that are at x (n, d)."""
         now = self.tool.pose()
-        found, end = now.distance(self.tool.shape, x), link.coupling.normals
+        found, end = now.distance(self.tool.asked, x), link.coupling.normals
         foot = x - found.value[:, None] * found.gradient
         return _Arcs(foot - now.to_space(self.place), self.into @ now.R.T, end)
 

@@ -241,7 +241,7 @@ def find_passed_tool(
     y = [seen.at(t, at) for t, at in zip((0.0, 1.0), x, strict=True)]
     depth = side.depth[np.isfinite(side.depth)]
     way = np.linalg.norm(y[1] - y[0], axis=1).max(initial=0.0)
-    inner = depth_of_point(seen)
+    inner = depth_of_point(comm, seen)
     most, least = maximum(comm, way, -depth.min(initial=np.inf))
     within = inner >= HALF_OF_DIGITS * least  # tips are on the surface, up to round-off
     sums = np.stack([rigid_sums(*(at[: own.owned] for at in both)) for both in (x, y)])
@@ -264,12 +264,16 @@ def find_passed_tool(
     return Passing(None, 0, tuple(map(float, seen.point)), inner)
 
 
-def depth_of_point(seen: SeenByTool) -> float:
-    """Return how deep the tool's point is in it, -inf where it has no distance, as in an oval."""
+def depth_of_point(comm: MPI.Comm, seen: SeenByTool) -> float:
+    """Return how deep the tool's point is in it; collective.
+
+    -inf where it has no distance, as in an oval, on any rank.
+    """
     try:
-        return -float(seen.distance(seen.point[None])[0])
-    except ValueError:  # NaN or infinity, on all ranks
-        return -np.inf
+        apart = float(seen.distance(seen.point[None])[0])
+    except Exception:  # of a user's function
+        apart = np.inf
+    return -float(maximum(comm, np.inf if np.isnan(apart) else apart)[0])
 
 
 def _behind(parts: Floats, most: float, less: float) -> Floats:

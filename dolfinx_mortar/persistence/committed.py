@@ -14,7 +14,7 @@ from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.interfaces.interface import Interface, ask
 from dolfinx_mortar.interfaces.system import InterfaceSystem, Paired
 from dolfinx_mortar.solid.solid import Solid
-from dolfinx_mortar.solid.term import Term
+from dolfinx_mortar.solid.term import Term, ask_term
 from dolfinx_mortar.step_report import LoadStep
 from dolfinx_mortar.supports.dirichlet import Dirichlet
 
@@ -128,12 +128,20 @@ class ProblemState:
 
     @property
     def states_of_terms(self) -> dict[str, fem.Function]:
-        """States of the terms by the name of their column in a checkpoint."""
+        """States of the terms by the name of their column in a checkpoint; collective."""
         return {
             f"{COLUMN_OF_TERM} {k} {name}": f
-            for k, (_, term) in enumerate(self.terms)
-            for name, f in term.state.items()
+            for k, state in enumerate(self.ask_terms("state"))
+            for name, f in state.items()
         }
+
+    def ask_terms(self, name: str) -> list[dict[str, Any]]:
+        """Return a mapping that terms have, of each of them; collective."""
+
+        def ask_one(named: str, term: Term) -> dict[str, Any]:
+            return ask_term(self.comm, f"{named}: {name}", term, lambda: dict(getattr(term, name)))
+
+        return [ask_one(*one) for one in self.terms]
 
     @property
     def comm(self) -> MPI.Comm:

@@ -35,7 +35,8 @@ def describe(state: ProblemState) -> dict[str, dict[str, Any]]:
     solid, V = state.solid, state.solid.V
     domain, cells = V.mesh, V.mesh.topology.index_map(V.mesh.topology.dim)
     parts = _parts(solid)
-    stateful = [(name, term) for name, term in state.terms if term.state]
+    names = [name for name, _ in state.terms]
+    states = zip(names, state.ask_terms("state"), strict=True)
     own = [int((part < cells.size_local).sum()) for _, part in parts]
     counts = domain.comm.allreduce(np.array(own, dtype=int), op=MPI.SUM).tolist()
     identity: dict[str, dict[str, Any]] = {
@@ -58,15 +59,16 @@ def describe(state: ProblemState) -> dict[str, dict[str, Any]]:
         "problem": {
             "geometry": state.geometry,
             "interfaces": ", ".join(map(repr, state.interfaces)),
-            "terms": [f"{name}: {', '.join(sorted(term.state))}" for name, term in stateful],
+            "terms": [f"{name}: {', '.join(sorted(found))}" for name, found in states if found],
         },
     } | {
         f"material {k}, {type(material).__name__}": _describe_material(material) | {"cells": count}
         for k, ((material, _), count) in enumerate(zip(parts, counts, strict=True))
     }
-    named: list[tuple[str, Any]] = [*state.terms]
-    named += [(subject_of(k, interface), interface) for k, interface in enumerate(state.interfaces)]
-    return identity | {name: dict(part.identity) for name, part in named if part.identity}
+    of_parts = dict(zip(names, state.ask_terms("identity"), strict=True))
+    for k, interface in enumerate(state.interfaces):
+        of_parts[subject_of(k, interface)] = dict(interface.identity)
+    return identity | {subject: own for subject, own in of_parts.items() if own}
 
 
 def subject_of(k: int, interface: Interface) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from dolfinx_mortar import compat
+from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arguments import is_name
 from dolfinx_mortar.arrays import Ints
@@ -57,6 +58,7 @@ def mesh(
         raise ValueError(
             f"mesh is {mesh!r}: give a dolfinx mesh of {', '.join(CELLS)} cells{unpack}."
         )
+    check_same_on_all_ranks(mesh.comm, cell_tags=cell_tags, facet_tags=facet_tags)
     tdim = mesh.topology.dim
     for name, tags, dim in (("cell_tags", cell_tags, tdim), ("facet_tags", facet_tags, tdim - 1)):
         sound = isinstance(tags, dmesh.MeshTags) and compat.on_same_mesh(tags, mesh)
@@ -113,6 +115,7 @@ def field(
     V = getattr(solid, "V", None)
     if not isinstance(V, fem.FunctionSpace) or not hasattr(solid, "cell_values"):
         raise ValueError(f"problem is {problem!r}: give a ContactProblem or a Solid.")
+    check_same_on_all_ranks(V.mesh.comm, name=name, scale=scale)
     drawer = _drawer(V.mesh, file, view, ax)
     title, at_nodes, of_cells = _values(solid, name)
     bodies = gather_bodies(V, {**at_nodes, **_moved(V, solid.u, scale)}, of_cells)
@@ -160,7 +163,7 @@ def pressure(
             any, unknown ``over``, and `over` in space; else as `mesh` does.
         NoResult: before the first step, a RuntimeError.
     """
-    chosen = _chosen(problem, interfaces)
+    chosen = _chosen(problem, interfaces, over)
     V: fem.FunctionSpace = problem.solid.V
     if over is not None and (V.mesh.geometry.dim == 3 or not is_name(over, ("x", "y"))):
         raise ValueError(f"over is {over!r}: choose 'x' or 'y' in the plane, nothing in space.")
@@ -187,11 +190,12 @@ def _box(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return low - beside, high + beside
 
 
-def _chosen(problem: Any, interfaces: Any) -> list[Any]:
-    """Return the interfaces to draw."""
+def _chosen(problem: Any, interfaces: Any, over: Any) -> list[Any]:
+    """Return the interfaces to draw; collective."""
     if not hasattr(problem, "check_owned"):
         raise ValueError(f"problem is {problem!r}: give a ContactProblem.")
     problem.check_owned()
+    check_same_on_all_ranks(problem.comm, interfaces=interfaces, over=over)
     asked = (problem.contacts or problem.interfaces) if interfaces is None else interfaces
     asked = list(asked) if isinstance(asked, list | tuple) else [asked]
     for interface in asked:

@@ -20,7 +20,7 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar.agreement import Inputs, check_same_on_all_ranks, find_constants
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.algebra.errors import from_callbacks, raised_together
+from dolfinx_mortar.algebra.errors import from_callbacks, raise_together, raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import TINY, Bools, Floats
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_free_motions
@@ -134,9 +134,8 @@ class ContactProblem:
             self.terms = replace(self.terms, named=[*self.terms.named, (PRETENSION, pretensions)])
         bodies = find_bodies(self.V, kinematics.rigid_motions)
         self.bodies: Bodies = with_ties(bodies, self.system.tied)
-        for term in self.terms.every:
-            term.meet_along(self.system.open_normals)
-            term.meet(self.system.can_open[: self.n], self.bodies.label)
+        can_open = self.system.can_open[: self.n]
+        self.terms.meet(self.system.open_normals, can_open, self.bodies.label)
         motions = kinematics.nearly_rigid or kinematics.rigid_motions
         with self.timings("setup"):
             self.linear = LinearSolver(
@@ -311,6 +310,7 @@ class ContactProblem:
                 partners=self._completed(found, partners),
             )
         self._enter(found, data.increment)
+        self.raise_failed()
         if audit:
             audited = self._audit(data.increment)
             if self.comm.rank == 0:
@@ -318,6 +318,11 @@ class ContactProblem:
                 for warning in audited.warnings:
                     log.warning("%s", warning)
         return data
+
+    def raise_failed(self) -> None:
+        """Raise on all ranks what has failed in the shape of a tool on one; collective."""
+        failed = [error for one in self.interfaces if (error := one.failed()) is not None]
+        raise_together(self.comm, failed[0] if failed else None)
 
     def _read(self, level: float | None) -> StepData:
         """Return the data of a step that starts at the present displacement; collective."""
@@ -473,7 +478,9 @@ class ContactProblem:
             with self.timings("mortar"):
                 found = self.system.at(self.configuration)
                 self.system.enter(found, self.positions(), 0.0)
-            return self._audit(increment)
+            audit = self._audit(increment)
+            self.raise_failed()
+            return audit
 
     def _check_mesh(self) -> None:
         """Raise a ValueError for a mesh that is not sound; collective."""

@@ -44,8 +44,8 @@ def notes_beside_tools(
         before, x = (boundary.at(at).x[beside] for at in (None, u))
         m, k, d = x.shape
         with raised_together(slave.V.mesh.comm):
-            apart = tool.shape.distance(before.reshape(-1, d)).value.reshape(m, k)
-            depth = -tool.pose().distance(tool.shape, x.reshape(-1, d)).value.reshape(m, k)
+            apart = tool.asked.distance(before.reshape(-1, d)).value.reshape(m, k)
+            depth = -tool.pose().distance(tool.asked, x.reshape(-1, d)).value.reshape(m, k)
         length = facet_sizes(x)[:, None]
         share = np.where(apart > SUNK * length, depth / length, 0.0)
         at = share.ravel(), depth.ravel(), x.reshape(-1, d)

@@ -150,24 +150,29 @@ class EnergyLedger:
             for start, end, sum_ in zip(before, self._acting, sums, strict=True)
         ]
 
-    def _forces(self, terms: Sequence[Term]) -> Floats:
+    def _forces(self, named: Sequence[tuple[str, Term]]) -> Floats:
         """Return the sum of the forces of terms, (owned nodes, d); collective."""
         F = self.problem.vector()
-        for term in terms:
-            term.add_forces(F)
-        F.assemble()
+        self.problem.terms.add_forces(named, F)
         return np.asarray(F.array_r.reshape(self.inertia.mass.X.shape)).copy()
 
     def _loads(self) -> Floats:
         """Return the forces of loads and of all other terms, but of inertia and damping."""
-        moving = (Inertia, Damping)
-        terms = [term for _, term in self.problem.terms.named if not isinstance(term, moving)]
-        return -self._forces(terms)
+        return -self._forces(self._still)
+
+    @property
+    def _still(self) -> list[tuple[str, Term]]:
+        named = self.problem.terms.named
+        return [one for one in named if not isinstance(one[1], Inertia | Damping)]
+
+    @property
+    def _bodies(self) -> list[tuple[str, Term]]:
+        return [("solid", self.problem.solid)]
 
     def _internal(self) -> Floats | None:
         if self._potential is not None and not self.problem.solid.follows:
             return None
-        return self._forces([self.problem.solid])
+        return self._forces(self._bodies)
 
     def start(self, begin: float, end: float, sides: Floats) -> None:
         """Find the initial acceleration, with the loads of the start; collective.
@@ -181,11 +186,9 @@ class EnergyLedger:
             sides: (owned nodes, d) with which rigid sides hold their nodes.
         """
         problem, inertia = self.problem, self.inertia
-        for _, term in problem.terms.named:
-            if not isinstance(term, Inertia | Damping):
-                term.begin(begin, end)
+        problem.terms.prepare(self._still, begin, end)
         loads, velocity = self._loads(), inertia.values("velocity")
-        forces = loads - self._forces([problem.solid]) + sides
+        forces = loads - self._forces(self._bodies) + sides
         damping = sum((d.times(velocity) for d in self._dampings), np.zeros_like(velocity))
         forces -= damping
         forces += inertia.values("contact") + inertia.values("friction")

@@ -10,7 +10,13 @@ import ufl
 from dolfinx_mortar.arguments import as_numbers
 from dolfinx_mortar.arrays import EPS, Floats
 from dolfinx_mortar.kernels import Kernel, compile_kernel, constants, tabulate
-from dolfinx_mortar.shapes.shape import Distance, Shape, check_length, check_vector
+from dolfinx_mortar.shapes.shape import (
+    Distance,
+    Shape,
+    check_finite,
+    check_length,
+    check_vector,
+)
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 from ufl.constantvalue import ConstantValue
@@ -96,7 +102,7 @@ class SignedDistance(Shape):
         found = tabulate(self._kernel, np.ascontiguousarray(x))
         parts = {"phi": found[:, 0], "grad phi": found[:, 1 : d + 1], "Hess phi": found[:, d + 1 :]}
         for name, part in parts.items():
-            _check_finite(name, part, x)
+            check_finite(name, part, x)
         value, gradient, hessian = parts.values()
         return Distance(value, gradient, hessian.reshape(-1, d, d))
 
@@ -105,7 +111,7 @@ class SignedDistance(Shape):
         if self._kernel is None:
             return _returned("phi", self.phi, x, ())
         found = tabulate(self._kernel, np.ascontiguousarray(x))[:, 0]
-        _check_finite("phi", found, x)
+        check_finite("phi", found, x)
         return found
 
     def _gradients(self, x: Floats) -> Floats:
@@ -157,14 +163,6 @@ def _compile(phi: Expr, d: int) -> Kernel:
     return compile_kernel(ufl.as_vector(numbers))
 
 
-def _check_finite(name: str, found: Floats, x: Floats) -> None:
-    """Raise a ValueError for NaN and infinity among values (n, ..) at points x (n, d)."""
-    finite = np.isfinite(found).all(axis=tuple(range(1, found.ndim)))
-    if not finite.all():
-        place = ", ".join(f"{c:.4g}" for c in x[int(np.argmin(finite))])
-        raise ValueError(f"{name} is NaN or infinite at ({place})")
-
-
 def _returned(name: str, function: Function, x: Floats, shape: tuple[int, ...]) -> Floats:
     """Return what a function returns at points x (n, d), (n, ..).
 
@@ -181,7 +179,7 @@ def _returned(name: str, function: Function, x: Floats, shape: tuple[int, ...]) 
             f"{name} returns {has} for {n} points x {(x.shape[1], n)}; it must return {(*shape, n)}"
         )
     found = np.asarray(np.moveaxis(found, -1, 0), dtype=np.float64)
-    _check_finite(name, found, x)
+    check_finite(name, found, x)
     return found
 
 

@@ -40,6 +40,36 @@ class Distance:
         )
 
 
+def check_finite(name: str, found: Floats, x: Floats) -> None:
+    """Raise a ValueError for NaN and infinity among values (n, ..) at points x (n, d)."""
+    finite = np.isfinite(found).all(axis=tuple(range(1, found.ndim)))
+    if not finite.all():
+        place = ", ".join(f"{c:.4g}" for c in x[int(np.argmin(finite))])
+        raise ValueError(f"{name} is NaN or infinite at ({place})")
+
+
+def check_returned(shape: Shape, found: Any, x: Floats) -> Distance:
+    """Return what `Shape.distance` has returned for points x (n, d).
+
+    Raises:
+        ValueError: for what is no `Distance`, arrays of other shapes, NaN and infinity.
+    """
+    kind = type(shape).__name__
+    if not isinstance(found, Distance):
+        raise ValueError(f"{kind}.distance() returns {found!r}: return a shapes.Distance")
+    n, d = x.shape
+    for name, size in (("value", (n,)), ("gradient", (n, d)), ("hessian", (n, d, d))):
+        given = getattr(found, name)
+        array = as_numbers(given)
+        if array is None or array.shape != size:
+            has = "no numbers" if array is None else f"the shape {array.shape}"
+            raise ValueError(
+                f"{kind}.distance() returns a {name} that has {has} for {n} points, not {size}"
+            )
+        check_finite(f"{kind}: the {name} of its distance", array, x)
+    return found
+
+
 class Shape(ABC):
     """A region of space, by the signed distance phi of points from its surface, positive outside.
 

@@ -27,14 +27,20 @@ from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Longs
 from dolfinx_mortar.shapes.nearest import EDGE, FACE, POINT, create_tree, find_nearest
 from dolfinx_mortar.shapes.shape import Distance, Shape, check_angle, check_vector
 from dolfinx_mortar.shapes.stl import read_stl
-from dolfinx_mortar.shapes.triangulation import FIRST, SECOND, create_triangulation
+from dolfinx_mortar.shapes.triangulation import (
+    FIRST,
+    SECOND,
+    Triangulation,
+    create_triangulation,
+)
 
 
 class Triangles(Shape):
     """The body within triangles, whose normals, counterclockwise, point out of it; in space.
 
     Args:
-        surface: the path of an STL file, binary or text, which every rank reads; or points (n, 3)
+        surface: the path of an STL file, binary or text, which every rank reads (what is wrong with
+            it is raised where the shape is used first: on all ranks); or points (n, 3)
             and triangles (m, 3), the numbers of their corners.
         point: 3 coordinates that tell where the tool is, about which it turns; the middle of the
             box around the triangles if not given.
@@ -55,17 +61,40 @@ class Triangles(Shape):
     ) -> None:
         self.crease, self.rim = check_angle("crease", crease), bool(rim)
         file = isinstance(surface, str | os.PathLike)
-        points, triangles = read_stl(surface) if file else _check_arrays(surface)
         self.file = os.fspath(surface) if file else None
-        self.triangulation = create_triangulation(points, triangles, rim=self.rim)
+        self._point = np.zeros(3) if point is None else check_vector("point", point, 3)
+        self._unread: ValueError | None = None
+        try:
+            points, triangles = read_stl(surface) if file else _check_arrays(surface)
+        except ValueError as error:
+            if not file:
+                raise
+            self._unread = error  # perhaps on this rank alone, which must not leave the others
+            return
+        self._triangulation = create_triangulation(points, triangles, rim=self.rim)
         x = self.triangulation.corners
-        middle = (x.min(axis=(0, 1)) + x.max(axis=(0, 1))) / 2
-        self._point = middle if point is None else check_vector("point", point, 3)
+        if point is None:
+            self._point = (x.min(axis=(0, 1)) + x.max(axis=(0, 1))) / 2
         normals, smooth = self.triangulation.smooth_normals(self.crease)
         self._offsets = _bulges(x, normals) * smooth[..., None] * (self.crease > 0.0)
         self._tree = create_tree(x, self._offsets)
         self._edge_normals = self.triangulation.edge_normals()
         self._point_normals = self.triangulation.point_normals()
+
+    @property
+    def triangulation(self) -> Triangulation:
+        """The triangles with their neighbours.
+
+        Raises:
+            ValueError: for a file that could not be read.
+        """
+        if self._unread is not None:
+            raise self._unread
+        return self._triangulation
+
+    def misfit(self, d: int, revolved: bool) -> str:
+        """Say why it cannot be used; "" if it can."""
+        return super().misfit(d, revolved) if self._unread is None else str(self._unread)
 
     @property
     def point(self) -> Floats:
@@ -79,13 +108,17 @@ class Triangles(Shape):
 
     def given(self) -> Mapping[str, Any]:
         """Return the arguments by name, of the triangles a digest."""
+        names = {"point": self._point, "crease": self.crease, "rim": self.rim}
+        if self._unread is not None:
+            return {"surface": f"not read, {self._unread}", **names}
         shape = self.triangulation
         digest = hashlib.sha256(shape.points.tobytes() + shape.triangles.tobytes()).hexdigest()
-        names = {"point": self._point, "crease": self.crease, "rim": self.rim}
         return {"surface": digest, **names}
 
     def __repr__(self) -> str:
         of = f"{self.file!r}, " if self.file else ""
+        if self._unread is not None:
+            return f"Triangles({of}not read)"
         return f"Triangles({of}{len(self.triangulation.triangles)} triangles)"
 
     def distance(self, x: Floats) -> Distance:

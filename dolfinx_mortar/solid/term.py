@@ -3,8 +3,9 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from dolfinx import fem, la
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.algebra.csr import add_blocks
+from dolfinx_mortar.algebra.errors import is_ours, named, raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 
 
@@ -116,6 +118,20 @@ class Term(ABC):
 
     def roll_back(self) -> None:
         """Forget a step that has failed; the committed state stands as it is."""
+
+
+R = TypeVar("R")
+
+
+def ask_term(comm: MPI.Comm, name: str, term: Term, call: Callable[[], R]) -> R:
+    """Ask a term; what fails in one of a user's on one rank is raised on all, with its name.
+
+    Collective; those of this package pay nothing.
+    """
+    if is_ours(term):
+        return call()
+    with raised_together(comm), named(name):
+        return call()
 
 
 def create_vector(V: fem.FunctionSpace) -> la.Vector:

@@ -188,6 +188,7 @@ def solve_step(
             except (failures.StepFailed, backends.QPNotSolved, backends.UnusableQP) as error:
                 reached = problem.u.x.array.copy()
                 problem.undo(before)
+                problem.raise_failed()  # the cause
                 if not linear.direct:
                     linear.clear()  # levels of tangents of the step that is undone
                     problem.operator.rows.forget()
@@ -369,6 +370,7 @@ class _Step:
     ) -> tuple[Iterate, Watch, Residuals]:
         """Make one Newton iteration and record it in the report."""
         problem, first = self.problem, number == 1
+        problem.raise_failed()
         free_unused(problem.comm)
         if watch.held and problem.solid.strain == "finite" and self.is_exact(watch, residuals):
             old, watch, residuals[-1] = self.thaw(old, watch)
@@ -917,6 +919,7 @@ class _Step:
         report.certificate = create_certificate(
             problem, report, contacts, residual, balances, sliders, left_out, crossing, pull
         )
+        problem.raise_failed()
         supports = support_forces(problem, iterate.balance)  # last, as no error may follow
         at, paired = problem.owned_u.copy(), problem.system.present.paired
         forces = -normal_forces(problem, contacts), -tangential_forces(problem, contacts)

@@ -11,6 +11,7 @@ import numpy as np
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.mesh import Mesh, MeshTags
+from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arguments import is_number
@@ -69,6 +70,8 @@ class Pressure(WeakForm):
                 "traction -p n as loads=inner(-p * n, v) * ds"
             )
         domain = solid.mesh
+        given = {"facet_tags": facet_tags, "tag": tag, "p": p, "closed": closed}
+        check_same_on_all_ranks(domain.comm, **given)
         facet_tags, number = _exterior(domain, facet_tags, tag)
         p = _as_scalar(domain, p)
         if not isinstance(closed, bool):

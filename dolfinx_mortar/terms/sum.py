@@ -13,13 +13,14 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.errors import is_defined_here, is_ours, named, raised_together
+from dolfinx_mortar.agreement import check_same_on_all_ranks
+from dolfinx_mortar.algebra.errors import is_defined_here, is_ours, raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arguments import as_numbers
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Floats
+from dolfinx_mortar.arguments import as_numbers, is_number
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.solid.mean_volume import VolumeStep
 from dolfinx_mortar.solid.solid import Solid
-from dolfinx_mortar.solid.term import Term
+from dolfinx_mortar.solid.term import Term, ask_term
 from dolfinx_mortar.terms.point_terms import PointTerm
 from dolfinx_mortar.terms.weak_forms import DeadLoads
 
@@ -132,13 +133,18 @@ class Terms:
         one, largest = F.duplicate(), 0.0
         for name, term in self.named:
             one.array_w[:] = 0.0
-            self._ask(f"{name}: add_forces()", term, partial(_add, term.add_forces, one))
-            one.assemble()
+            self.add_forces([(name, term)], one)
             if not is_ours(term) and not np.isfinite(one.norm()):
                 raise ValueError(f"{name}: add_forces gives NaN or infinity at the present u")
             largest = max(largest, float(one.norm()))
             F.axpy(1.0, one)
         return largest
+
+    def add_forces(self, named: Sequence[tuple[str, Term]], F: PETSc.Vec) -> None:
+        """Add the forces of some terms; collective."""
+        for name, term in named:
+            self._ask(f"{name}: add_forces()", term, partial(_add, term.add_forces, F))
+        F.assemble()
 
     def assemble_tangent(
         self, K: PETSc.Mat, pressure: Floats | None = None, *, from_committed: bool = False
@@ -233,7 +239,11 @@ class Terms:
         """
         ours = all(is_defined_here(type(term).add_tangent) for _, term in self.named)
         K = self.solid.create_matrix("baij" if blocks and ours else "aij")
-        dense = [(name, dofs) for name, term in self.named for dofs in term.couplings]
+        dense = [
+            (name, dofs)
+            for name, term in self.named
+            for dofs in self._ask(f"{name}: couplings", term, partial(_couplings, term))
+        ]
         if not any_rank(self.comm, bool(dense))[0]:
             return K
         self.solid.add_tangent(K)  # entries that nobody has set are not kept
@@ -255,13 +265,23 @@ class Terms:
         Raises:
             ValueError: on all ranks, if forces or the energy of a term are NaN or infinite.
         """
-        for name, term in self._every:
-            self._ask(f"{name}: begin()", term, partial(term.begin, start, end))
+        self.prepare(self._every, start, end)
         self.check_energies()
+
+    def prepare(self, named: Sequence[tuple[str, Term]], start: float, end: float) -> None:
+        """Let some terms prepare a step between two load levels; collective."""
+        for name, term in named:
+            self._ask(f"{name}: begin()", term, partial(term.begin, start, end))
+
+    def meet(self, normals: Callable[[], Floats], contact: Bools, body: Ints) -> None:
+        """Tell all terms where the bodies may meet others, see `Term`; collective."""
+        for name, term in self._every:
+            self._ask(f"{name}: meet_along()", term, partial(term.meet_along, normals))
+            self._ask(f"{name}: meet()", term, partial(term.meet, contact, body))
 
     def stride(self) -> float:
         """Return how far a node may move in the step that has begun; collective."""
-        found = [self._ask(f"{n}: stride()", t, t.stride) for n, t in self.named]
+        found = [self._ask(f"{n}: stride()", t, partial(_stride, t)) for n, t in self.named]
         return float(maximum(self.comm, max(found, default=0.0))[0])
 
     def check_energies(self) -> None:
@@ -299,10 +319,7 @@ class Terms:
 
     def _ask(self, name: str, term: Term, call: Callable[[], R]) -> R:
         """Call a method; what fails on one rank is raised on all, with its name; collective."""
-        if is_ours(term):
-            return call()
-        with raised_together(self.comm), named(name):
-            return call()
+        return ask_term(self.comm, name, term, call)
 
 
 def _add(method: Callable[[Any], object], to: PETSc.Vec | PETSc.Mat) -> None:
@@ -339,6 +356,22 @@ def _addends(term: Term, energy: Callable[[], object]) -> Floats | None:
     return np.atleast_1d(addends)
 
 
+def _stride(term: Term) -> float:
+    """Return how far a node may move by what a term knows."""
+    found = term.stride()
+    if not (is_number(found) and found >= 0.0):
+        raise ValueError(f"it returns {found!r}: return a length, a finite number >= 0")
+    return float(found)
+
+
+def _couplings(term: Term) -> Sequence[Any]:
+    """Return the dense blocks of a term."""
+    found = term.couplings
+    if not isinstance(found, list | tuple):
+        raise ValueError(f"it is {found!r}: give a list of arrays of global dofs, () for none")
+    return found
+
+
 def _dofs(name: str, dofs: object, n: int) -> np.ndarray:
     """Return the global dofs of a dense block as PETSc knows them."""
     given = np.asarray(dofs)
@@ -370,7 +403,15 @@ def check_terms(comm: MPI.Comm, terms: Any, u: fem.Function) -> list[Term]:
             _check_state(k, term, u.function_space)
             if isinstance(term, PointTerm):
                 term.act_on(u)
+    kinds = {f"terms[{k}]": _kind(term) for k, term in enumerate(terms)}
+    check_same_on_all_ranks(comm, **kinds)
     return list(terms)
+
+
+def _kind(term: Term) -> dict[str, Any]:
+    """Return what decides how a term is asked."""
+    names = "linear", "has_tangent", "convex"
+    return {name: getattr(term, name) for name in names} | {"state": sorted(term.state)}
 
 
 def _check_signatures(k: int, term: Term) -> None:

@@ -22,6 +22,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
+from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.solid.solid import Solid
@@ -111,7 +112,10 @@ class WeakForm(Term):
         self, solid: Solid, *, energy: ufl.Form | None = None, residual: ufl.Form | None = None
     ) -> None:
         """Check and compile the forms; collective."""
+        if not isinstance(solid, Solid):
+            raise ValueError(f"WeakForm: solid is {solid!r}: give the Solid of the bodies")
         u, V = solid.u, solid.V
+        check_same_on_all_ranks(V.mesh.comm, energy=energy, residual=residual)
         name, form = ("energy", energy) if residual is None else ("residual", residual)
         if (energy is None) == (residual is None):
             raise ValueError("WeakForm: give either energy= or residual=")
