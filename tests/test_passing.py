@@ -131,6 +131,33 @@ def test_a_disc_through_a_strip_is_no_step(slave, top):
         assert (pushed.problem.u.x.array == before).all()
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("slave", [TOP_OF_LOWER, BOTTOM_OF_UPPER])
+def test_a_body_that_is_prescribed_altogether(slave):
+    """As master it presses; as slave it would pass without a force, which no cut can mend."""
+    mesh, cells, facets = two_blocks(COMM, (8, 4), (5, 3), x_upper=(0.2, 0.8))
+    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    mesh.topology.create_connectivity(2, 2)
+    body = fem.locate_dofs_topological(V, 2, cells.find(UPPER))
+    base = fem.locate_dofs_topological(V, 1, facets.find(BOTTOM))
+    way = fem.Constant(mesh, np.array([0.0, -0.02]))
+    bcs = [fem.dirichletbc(np.zeros(2), base, V), fem.dirichletbc(way, body, V)]
+    master = TOP_OF_LOWER + BOTTOM_OF_UPPER - slave
+    contact = dm.Contact(facets, slave=slave, master=master)
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact], bcs=bcs)
+    if slave == TOP_OF_LOWER:
+        dm.newton(problem, rtol=1e-10)
+        carried = dm.reaction(problem, bcs[0]).force
+        np.testing.assert_allclose(dm.reaction(problem, bcs[1]).force, -carried, atol=1e-8)
+        assert carried[1] > 0.5 * 0.02 * LAW.E * 0.6
+        return
+    way.value[1] = -0.6
+    for solve in (lambda: dm.newton(problem), lambda: list(dm.load_steps(problem, [1.0]))):
+        with pytest.raises(ValueError, match=r"prescribe all nodes of slave=.* be the slave$"):
+            solve()
+        assert not problem.u.x.array.any()
+
+
 def test_what_flows_on_the_other_side_is_no_cause(monkeypatch):
     """Nor what floats there: the message says what has passed, and nothing else."""
     pushed = Pushed()

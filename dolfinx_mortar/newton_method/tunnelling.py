@@ -2,6 +2,8 @@
 """Tunnelling: a step in which bodies have passed through each other is rejected."""
 
 from dolfinx import fem
+from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.mortar.passing import (
     Middles,
     Passing,
@@ -19,13 +21,18 @@ def describe_passing(problem: ContactProblem) -> str:
 
     Empty if none has; rigid tools are bodies, too. Costs a few numbers per contact, unless sides
     have moved against each other by more than half of the thinner body; once, how thick these are.
+
+    Raises:
+        ValueError: on all ranks, if one has because all nodes of its slave side are prescribed.
     """
     d, n, system = problem.d, problem.n, problem.system
     before, now = problem.committed.displacement, problem.u.x.array[: d * n]
     began: fem.Function | None = None
     if system.middles is None:
         system.middles = _find_middles(problem)
-    for interface, middles in zip(system.interfaces, system.middles, strict=True):
+    for interface, middles, sides in zip(
+        system.interfaces, system.middles, system.sides, strict=True
+    ):
         if not middles:
             continue
         seen, (side, *other) = interface.seen_by_tool(), middles
@@ -44,12 +51,23 @@ def describe_passing(problem: ContactProblem) -> str:
             if found.surface is None:
                 return f"{interface}: {_through_tool(found, at)}"
             name = "master" if found.surface is side.surface else "slave"
+            if not any_rank(problem.comm, not sides.fixed[sides.nodes].all())[0]:
+                raise ValueError(_without_effect(interface, sides.slave.label))
             return (
                 f"{interface}: the {name} side has passed through the other one, at "
                 f"{found.count} facets, such as the one that began around {at}; no step may bring "
                 f"the middle of a body, {found.depth:.3g} behind that facet, into the other body"
             )
     return ""
+
+
+def _without_effect(interface: Interface, slave: str) -> str:
+    """Say that all slave nodes are held, against which no smaller step helps."""
+    return (
+        f"{interface}: Dirichlet data prescribe all nodes of slave={slave} and move them through "
+        "the master: no slave node has a multiplier, so that the contact has no effect; let the "
+        "other side be the slave"
+    )
 
 
 def _through_tool(found: Passing, at: list[float]) -> str:
