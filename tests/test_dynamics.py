@@ -505,7 +505,7 @@ def test_densities_that_are_none(bar, density):
 
 def test_densities_by_tag():
     case = Blocks()
-    with rejected("density", "cell_tags"):
+    with rejected("density", "tags or names", "cell_tags is None", "as the solid has them"):
         dm.Inertia(case.solid, {LOWER: 1.0})
     with rejected("density is missing", str([UPPER])):
         dm.Inertia(case.solid, {LOWER: 1.0}, case.cells)
@@ -529,7 +529,7 @@ def test_velocities_that_are_none(bar):
     for wrong in (1.0, (1.0, 2.0, 3.0), (0.0, np.inf), "down"):
         with rejected("velocity", "2 finite numbers"):
             dm.Inertia(bar.solid, 1.0, velocity=wrong)
-    with rejected("velocity", "cell_tags"):
+    with rejected("velocity", "tags or names", "cell_tags is None"):
         dm.Inertia(bar.solid, 1.0, velocity={1: (0.0, 0.0)})
     for function in (lambda x: x[0], lambda x: x):
         with rejected("velocity", "shape", "2 finite numbers"):

@@ -52,7 +52,10 @@ class Pair:
 
 @dataclass(frozen=True)
 class Pairs:
-    """Proposed contacts and the tags of their sides; unpacks as ``facet_tags, contacts``."""
+    """Proposed contacts and the tags of their sides; unpacks as ``facet_tags, contacts``.
+
+    Keep the record itself for the rest: ``found = find_pairs(..)``, ``found.joined``.
+    """
 
     tags: Tags  # of the facets of all sides
     contacts: list[Contact]  # one for each pair
@@ -112,7 +115,8 @@ def find_pairs(
 ) -> Pairs:
     """Propose contacts between bodies that are near and face each other; collective.
 
-        facet_tags, contacts = dm.find_pairs(mesh, cell_tags)
+        found = dm.find_pairs(mesh, cell_tags)
+        facet_tags, contacts = found
         problem = dm.ContactProblem(solid, contacts, bcs=bcs)
 
     Bodies are the connected parts of the mesh and, where cell tags are given, the parts of these
@@ -144,8 +148,9 @@ def find_pairs(
         show: whether rank 0 prints the table of what was found.
 
     Returns:
-        Facet tags such as "disc to block", contacts, the numbers of the table, how many nodes
-        bodies share, `joined`, and where constraints are lost, `lost`.
+        A record that unpacks as facet tags, such as "disc to block", and contacts; it also has the
+        numbers of the table, how many nodes bodies share, `joined`, and where constraints are lost,
+        `lost`.
 
     Raises:
         ValueError: on all ranks, for a mesh that is not supported or not sound; tags of another

@@ -56,6 +56,11 @@ NO_TIME = (
     "newton(problem, level=) a time after that of the last step"
 )
 
+_WITHOUT_TAGS = (
+    "Inertia: {} is given by tags or names, and cell_tags is None: give the tags of the cells, as "
+    "the solid has them, Inertia(solid, density, cell_tags, ..)"
+)
+
 as_floats = partial(np.asarray, dtype=np.float64)
 
 
@@ -551,7 +556,7 @@ def create_density(solid: Solid, density: Any, cell_tags: Any) -> Any:
     if not isinstance(density, Mapping):
         return fem.Constant(solid.mesh, np.float64(_value(density)))
     if cell_tags is None:
-        raise ValueError("Inertia: density is given by tag: give cell_tags, too")
+        raise ValueError(_WITHOUT_TAGS.format("density"))
     tags = tags_of_cells(solid.mesh, cell_tags)
     chosen = by_tag(cell_tags, density, "Inertia: density")
     rho = fem.Function(fem.functionspace(solid.mesh, ("DG", 0)))
@@ -628,7 +633,7 @@ def _set_by_tag(target: fem.Function, given: Any, cell_tags: Any, wanted: str) -
     """Set velocities of bodies."""
     V, d = target.function_space, target.function_space.dofmap.index_map_bs
     if cell_tags is None:
-        raise ValueError("Inertia: velocity is given by tag: give cell_tags, too")
+        raise ValueError(_WITHOUT_TAGS.format("velocity"))
     tags = tags_of_cells(V.mesh, cell_tags)
     for tag, vector in by_tag(cell_tags, given, "Inertia: velocity").items():
         value = _vector(vector, d, f"velocity of {label(cell_tags, tag)}", wanted)
