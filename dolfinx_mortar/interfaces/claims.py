@@ -12,7 +12,8 @@ from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes
 from dolfinx_mortar.arrays import Bools, Ints
 from dolfinx_mortar.interfaces.coupling import Pattern, Sides, with_ghosts
 from dolfinx_mortar.interfaces.interface import Interface
-from dolfinx_mortar.mortar.duals import Coverage
+from dolfinx_mortar.mortar.duals import LEAST_COVERAGE, Coverage
+from dolfinx_mortar.mortar.surface import sum_at_nodes
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,30 @@ def _why_claimed(
     return why + "give both masters one tag"
 
 
+def _common(sides: Sequence[Sides], coverage: Sequence[Coverage], owner: Ints) -> Bools:
+    """Return for each interface the owned nodes (n,) that its and their owner's masters cover."""
+    whole = np.zeros((len(sides), len(owner)), dtype=bool)
+    for on, side, found in zip(whole, sides, coverage, strict=True):
+        on[side.nodes] = found.share >= 1.0 - LEAST_COVERAGE
+    return np.asarray(whole & whole[owner, np.arange(len(owner))])
+
+
+def _lost(sides: Sides, coverage: Coverage, banned: Bools, common: Bools) -> Bools:
+    """Return the owned nodes (n,) with which something is lost of what faces a master; collective.
+
+    That is nothing where two sides end together: both masters cover the node (`common`), and every
+    slave facet there has another node.
+    """
+    slave = sides.slave
+    taken = np.asarray(with_ghosts(sides.V, banned)[slave.nodes][slave.facets].all(axis=1))
+    alone = np.repeat(taken[:, None, None], slave.facets.shape[1], axis=1)
+    lost = np.zeros(sides.n_owned, dtype=bool)
+    lost[sides.nodes] = coverage.faces & (
+        ~common[sides.nodes] | (sum_at_nodes(slave, alone)[: slave.owned, 0] > 0)
+    )
+    return np.asarray(lost & banned)
+
+
 def resolve_claims(
     interfaces: Sequence[Interface],
     sides: Sequence[Sides],
@@ -124,10 +149,9 @@ def resolve_claims(
         note(k, nodes, why)
         banned[k] |= nodes
 
+    common = _common(sides, coverage, owner)
     for k in range(len(sides)):
-        lost = np.zeros(n, dtype=bool)
-        lost[sides[k].nodes] = coverage[k].faces
-        lost &= banned[k]
+        lost = _lost(sides[k], coverage[k], banned[k], common[k])
         note(k, lost, _why_claimed(sides, interfaces, owner[lost], k))
         both = dependent(k, k)  # of a surface that meets itself, where its slaves begin and end
         if interfaces[k].meets_itself:

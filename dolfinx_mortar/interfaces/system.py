@@ -34,6 +34,7 @@ from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent, MovingGeo
 from dolfinx_mortar.interfaces.near import find_reach, touches_far_nodes
 from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.slip_partners import Partners
+from dolfinx_mortar.interfaces.splits import notes_on_splits
 from dolfinx_mortar.mortar.contact_normals import contact_normals
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.passing import Middles
@@ -275,6 +276,8 @@ class InterfaceSystem:
         else:  # nobody to share with
             coverage = [full_coverage(self.sides[0])]
         claims = resolve_claims(self.interfaces, self.sides, patterns, coverage)
+        notes = notes_on_splits(self.interfaces, self.sides, coverage, displacements)
+        claims = replace(claims, notes=claims.notes + notes)
         at = np.zeros(0) if u is None else u.x.array[: self.n * self.V.dofmap.bs].copy()
         self._reused = replace(self._reused, pairs=found, claims=claims, at_X={}, paired_at=at)
         near = [np.ones(len(sides.nodes), dtype=bool) for sides in self.sides]
