@@ -18,6 +18,8 @@ by how much the facets are turned from the support, and from the side at the sup
 symmetry A = B; on a flat side and one of a single facet B = 0.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, QUARTER_OF_DIGITS, SAME, Bools, Floats
@@ -51,50 +53,67 @@ def judge_supports(surface: Surface, fixed: Bools, feature_angle: float) -> tupl
         feature_angle: degrees between facets from which on they meet in an edge; across an edge
             nothing is known of the curvature.
     """
-    vertices = surface.facets[:, list(surface.element.vertices)]
-    n_f, (n, closed) = facet_normals(facets_at(surface, surface.X)), _one_rings(surface)
-    cosines = np.einsum("mki,mi->mk", n[vertices], n_f)
-    weights = np.where(closed[vertices], 1.0, QUARTER_OF_DIGITS)  # others where these tell nothing
-    weights[cosines < np.cos(np.radians(feature_angle / 2))] = 0.0
-    between = surface.element.vertex_functions(surface.element.points)
-    one, leaning = np.ones(len(n_f)), np.zeros(fixed.shape)
-    mirrors = fixed & ~fixed.all(axis=1, keepdims=True)
-    for i, across in enumerate(n_f.T):
-        held = fixed[vertices, i]
-        columns = np.stack([across, across**2, one], axis=1)[:, None].repeat(len(between), axis=1)
-        sums = sum_at_nodes(surface, columns)
-        n_j = _by_chords(surface, n, weights * ~held, fixed[:, i])
-        means = np.ones((len(n), 4))
-        means[:, :3] = np.stack([sums[:, 0] / sums[:, 2], n_j[:, i], closed], axis=1)
-        around = np.where(held[:, :, None], sums[vertices], 0.0).sum(axis=1, keepdims=True)
-        own, around = between @ means[vertices], around.repeat(len(between), axis=1)
-        sums = sum_at_nodes(surface, np.concatenate([own, around], axis=2))
-        A, leaning[:, i], inside = sums.T[:3] / sums[:, 3]
-        B, (mean, square, count) = A - leaning[:, i], sums.T[4:]
-        spread = np.sqrt(np.maximum(square * count - mean**2, 0.0))
-        upright = np.abs(mean) <= np.maximum(spread, HALF_OF_DIGITS * count)
-        curved = (A * B > 0.0) & (np.abs(A) <= 2.0 * np.abs(B)) & (np.abs(B) <= 2.0 * np.abs(A))
-        mirrors[:, i] &= (inside == 0.0) & (upright | curved)
+    n, closed = _one_rings(surface)
+    leaning, mirrors = np.zeros(fixed.shape), fixed & ~fixed.all(axis=1, keepdims=True)
+    for i in range(fixed.shape[1]):
+        some = fixed[surface.facets, i].any(axis=1)
+        side = replace(surface, facets=surface.facets[some], entities=surface.entities[some])
+        found, leaning[:, i] = _judge(side, n, closed, fixed[:, i], i, feature_angle)
+        mirrors[:, i] &= found
     return mirrors, leaning
 
 
-def _by_chords(surface: Surface, n: Floats, weights: Floats, which: Bools) -> Floats:
+def _judge(
+    side: Surface, n: Floats, closed: Bools, fixed: Bools, i: int, feature_angle: float
+) -> tuple[Bools, Floats]:
+    """Return both of a component i for the nodes (n,) of the facets that have it prescribed.
+
+    Args:
+        side: these facets of the side.
+        n: normals (n, d) of one-rings.
+        closed: (n,) which one-rings are closed.
+        fixed: (n,) nodes of which the component is prescribed.
+    """
+    vertices = side.facets[:, list(side.element.vertices)]
+    held, n_f = fixed[vertices], facet_normals(facets_at(side, side.X))
+    weights = np.where(closed[vertices], 1.0, QUARTER_OF_DIGITS)  # others where these tell nothing
+    cosines = np.einsum("mki,mi->mk", n[vertices], n_f)
+    weights[held | (cosines < np.cos(np.radians(feature_angle / 2)))] = 0.0
+    between = side.element.vertex_functions(side.element.points)
+    columns = np.stack([n_f[:, i], n_f[:, i] ** 2, np.ones(len(n_f))], axis=1)[:, None]
+    sums = sum_at_nodes(side, columns.repeat(len(between), axis=1))
+    means = np.ones((len(n), 4))
+    means[:, 0] = sums[:, 0] / np.maximum(sums[:, 2], 1.0)
+    means[:, 1], means[:, 2] = _by_chords(side, n, weights, fixed)[:, i], closed
+    around = np.where(held[:, :, None], sums[vertices], 0.0).sum(axis=1, keepdims=True)
+    columns = np.concatenate(
+        [between @ means[vertices], around.repeat(len(between), axis=1)], axis=2
+    )
+    *own, count, mean, square, number = sum_at_nodes(side, columns).T
+    A, leaning, inside = np.array(own) / np.maximum(count, 1.0)
+    B = A - leaning
+    spread = np.sqrt(np.maximum(square * number - mean**2, 0.0))
+    upright = np.abs(mean) < np.maximum(spread, HALF_OF_DIGITS * number)
+    curved = (A * B > 0.0) & (np.abs(A) <= 2.0 * np.abs(B)) & (np.abs(B) <= 2.0 * np.abs(A))
+    return (inside == 0.0) & (upright | curved), leaning
+
+
+def _by_chords(side: Surface, n: Floats, weights: Floats, which: Bools) -> Floats:
     """Return the normals (n, d) that chords give at some nodes, elsewhere n (n, d); collective.
 
     By least squares in the tangent plane, with weights (m, v) of the vertices of facets at the
     other ends of chords. Where chords say nothing, n stays.
     """
-    corners, d = list(surface.element.vertices), n.shape[1]
-    some = np.flatnonzero(which[surface.facets[:, corners]].any(axis=1))
-    ends = surface.facets[some][:, corners]
-    x = surface.X[ends]
+    corners, d = list(side.element.vertices), n.shape[1]
+    ends = side.facets[:, corners]
+    x = side.X[ends]
     t = unit(x[:, None] - x[:, :, None])  # (m, v, v, d) from j to k
-    products = weights[some][:, None, :, None, None] * t[..., None] * t[..., None, :]
+    products = weights[:, None, :, None, None] * t[..., None] * t[..., None, :]
     squares = products.sum(axis=2).reshape(*ends.shape, d * d)
     moments = np.einsum("mjkil,mkl->mji", products, n[ends])
-    columns = np.zeros((*surface.facets.shape, d * d + d))
-    columns[some[:, None], corners] = np.concatenate([squares, moments], axis=2)
-    square, moment = np.split(sum_at_nodes(surface, columns)[which], [d * d], axis=1)
+    columns = np.zeros((*side.facets.shape, d * d + d))
+    columns[:, corners] = np.concatenate([squares, moments], axis=2)
+    square, moment = np.split(sum_at_nodes(side, columns)[which], [d * d], axis=1)
     square, result, n = square.reshape(-1, d, d), n.copy(), n[which]
     across = np.eye(d) - n[:, :, None] * n[:, None]
     right = across @ (moment[:, :, None] + square @ n[:, :, None])
