@@ -268,7 +268,7 @@ def test_overlaps_are_pairs():
             pairs, *_ = create(boxes, show=False)
             assert np.isclose(pairs.found[0].distance, -depth, atol=1e-12)
             continue
-        with pytest.raises(ValueError, match="or at all"):
+        with pytest.raises(ValueError, match=f"overlap by {depth}, more than half"):
             create(boxes, show=False)
     pairs, *_ = create([(0, 1, 0, 1, 2, 2), (0, 1, 1, 2, 3, 2)], friction=0.25, show=False)
     assert [c.friction for c in pairs.contacts] == [0.25]

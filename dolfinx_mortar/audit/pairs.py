@@ -156,7 +156,7 @@ def find_pairs(
         ValueError: on all ranks, for a mesh that is not supported or not sound; tags of another
             mesh or that leave cells out; `within` that is not positive; options that `Contact`
             refuses; a mesh that is one connected body; and if there is no pair, with the distance
-            of the nearest bodies.
+            of the nearest bodies, or the overlap that is too deep.
     """
     if not isinstance(mesh, Mesh):
         raise ValueError(f"mesh is {mesh!r}: give a dolfinx.mesh.Mesh of all bodies")
@@ -298,6 +298,8 @@ def _find(
     facing = find_facing(comm, Skin(facets, part_of_cell[cells], label))
     sides = _sides(comm, facing[are_near(facing, within)])
     if not sides:
+        deep = find_facing(comm, Skin(facets, part_of_cell[cells], label), deep=True)
+        _raise_overlap(comm, deep[deep.distance < 0.0], names, within, told)
         _raise_nearest(_sides(comm, facing), names, within, told)
     numbers, common = entities.astype(np.int64), _facing_nodes(V, boundary.nodes, facing, sides)
     return _Found(names, facets, numbers, faces, sides, joined, common)
@@ -408,12 +410,33 @@ def _sides(comm: MPI.Intracomm, facing: Facing) -> dict[tuple[int, int], _Side]:
     return dict(sorted(sides.items()))
 
 
+def _nothing_near(within: float | None) -> str:
+    how = "a facet is long" if within is None else f"within={within:g}"
+    return f"find_pairs: no two bodies face each other at a distance of at most {how}"
+
+
+def _raise_overlap(
+    comm: MPI.Intracomm, deep: Facing, names: Sequence[str], within: float | None, told: str
+) -> None:
+    """Raise a ValueError that names the least of overlaps that are too deep; collective."""
+    bodies = np.sort(deep.label[:, :, 0], axis=1)
+    mine = [(deep.distance[i], *(-bodies[i]).tolist()) for i in np.argsort(deep.distance)[-1:]]
+    found = [overlap for rank in comm.allgather(mine) for overlap in rank]
+    if found:
+        distance, *two = max(found)
+        one, other = (names[-k] for k in two)
+        raise ValueError(
+            f"{_nothing_near(within)}. {one!r} and {other!r} overlap by {-distance:.4g}, more "
+            "than half of the thinner one: tag their sides by hand, or let them begin with less "
+            f"overlap{told}"
+        )
+
+
 def _raise_nearest(
     sides: dict[tuple[int, int], _Side], names: Sequence[str], within: float | None, told: str
 ) -> None:
     """Raise a ValueError that says which bodies are nearest."""
-    how = "a facet is long" if within is None else f"within={within:g}"
-    none = f"find_pairs: no two bodies face each other at a distance of at most {how}"
+    none = _nothing_near(within)
     if not sides:
         raise ValueError(f"{none}, or at all: check the mesh, or tag the sides by hand{told}")
     near = min(sides.values(), key=lambda side: (side.distance, side.body, side.other))

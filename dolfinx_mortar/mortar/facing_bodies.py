@@ -53,7 +53,9 @@ class Facing:
         return Facing(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
-def find_facing(comm: MPI.Intracomm, skin: Skin, asked: Bools | None = None) -> Facing:
+def find_facing(
+    comm: MPI.Intracomm, skin: Skin, asked: Bools | None = None, *, deep: bool = False
+) -> Facing:
     """Return which facets of other parts the facets of a skin face, at any distance; collective.
 
     A facet that lies in another body by more than half of the thinner body is no partner, see
@@ -62,8 +64,9 @@ def find_facing(comm: MPI.Intracomm, skin: Skin, asked: Bools | None = None) -> 
     Args:
         skin: all exterior facets of this rank.
         asked: (m,) which of them to project, on all of the others; all if not given.
+        deep: whether facets are partners however deep they lie in another body.
     """
-    depth = THROUGH * _thickness(comm, skin)
+    depth = np.full(len(skin.part), np.inf) if deep else THROUGH * _thickness(comm, skin)
     own = np.flatnonzero(np.ones(len(depth), dtype=bool) if asked is None else asked)
     facets = skin.facets[own]
     others, part, label, behind = _receive(comm, facets, skin, depth)
