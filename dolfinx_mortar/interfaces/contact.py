@@ -376,7 +376,8 @@ class Contact(Unilateral, MortarInterface):
         return (
             f"{self!r}: around X = ({where}) an edge or a corner of the master lies at facets of "
             "the slave side, over which its gap is a mean, so that Newton's method need not "
-            "converge, not even in small steps: exchange slave and master"
+            "converge, not even in small steps: exchange slave and master, or refine the slave "
+            "there"
         )
 
 

@@ -161,8 +161,8 @@ def unsettled(problem: ContactProblem) -> str:
     return (
         "the geometry does not settle: normals and gaps change more from one update to the "
         "next, although the forces are in balance in between. Contact forces that turn with the "
-        f"surfaces may be stiffer than {soft}take smaller steps, or freeze the geometry, "
-        "geometry='reference'"
+        f"surfaces may be stiffer than {soft}take smaller steps, refine the slave side at edges "
+        "and corners, or freeze the geometry, geometry='reference'"
     )
 
 
