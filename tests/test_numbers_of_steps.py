@@ -47,6 +47,7 @@ NUMBERS = {
 # test_edges, in those of checkpoints, in test_preload, in test_friction_bodies, in
 # test_tie_reach, in test_small_strain, and in test_ramp
 OTHERS = {
+    "interfaces.constraints",  # in test_friction_bodies
     "interfaces.contact",
     "interfaces.obstacle",  # in test_obstacle
     "newton_method.driven_tools",  # in test_driven_tools

@@ -180,6 +180,64 @@ def test_uniform_pressure(name, geometry):
     assert np.abs(pressure * area - P).max() < EXACT * P
 
 
+PAST = {
+    "contact": (CONTACT, {"slope": deg(-30), "cell": "quadrilateral"}),
+    "contact 2": (CONTACT, {"slope": deg(-20), "slave": "lower", "degree": 2}),
+    "contact 60": (CONTACT, {"slope": deg(-60)}),
+    "space": (CONTACT, {"slope": deg(10, 20)}),
+    "tool": (TOOL, {"slope": deg(30)}),
+    "tool, lower": (TOOL, {"slope": deg(20), "slave": "lower", "degree": 2}),
+    "tool in space": (TOOL, {"slope": deg(-20, 0)}),
+}
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("name", PAST)
+def test_sliding_past(name):
+    """A body or a tool slides along a slave on rollers: T = mu N, and all forces are in balance."""
+    kind, options = PAST[name]
+    case, mu = Hydrostatic(**options), 0.2
+    interface = case.interface(kind, friction=mu)
+    n, t = case.normal, np.zeros(case.d)
+    t[0], t[-1] = case.normal[-1], -case.normal[0]
+    if kind is not TOOL:
+        shift = fem.Function(case.V)
+        shift.interpolate(lambda x: 0.3 * np.tile(t[:, None], x.shape[1]))
+        case.exact.x.array[:] += shift.x.array
+    problem = case.problem(interface, geometry="reference")
+    if kind is TOOL:
+        interface.position.value[:] += 0.3 * t
+    report = dm.newton(problem, rtol=1e-10)
+    F = interface.force
+    N, T = F @ n, F - (F @ n) * n
+    assert np.linalg.norm(T) == pytest.approx(mu * N, rel=1e-9 if case.d == 2 else 1e-4)
+    other = interface.tool_force if kind is TOOL else interface.master_force
+    assert np.abs(F + other).max() < 1e-14 * np.linalg.norm(F)
+    held = sum(dm.reaction(problem, bc).force for bc in case.bcs[: case.d - 1])
+    assert np.abs(held + F - case.force).max() < 1e-8 * np.linalg.norm(F)
+    assert report.certificate.force_balance < 1e-14
+    found = interface.gather(case.u)
+    on_rollers = np.isclose(found["X"][:, 0], 0.0)
+    assert (found["status"][on_rollers] == 2).all()
+
+
+def test_a_tool_that_a_force_presses():
+    """Its load balances the friction of nodes on rollers, too, while it slides along the slave."""
+    case, mu = Hydrostatic(deg(-25)), 0.2
+    case.bcs.append(case.hold(1, TOP, UPPER))
+    load = fem.Constant(case.mesh, case.force[1])
+    tool = case.interface(TOOL, friction=mu, load={"y": load})
+    problem = case.problem(tool, geometry="reference")
+    dm.newton(problem, rtol=1e-10)
+    problem.commit()
+    assert tool.tool_force[1] == pytest.approx(-case.force[1], rel=1e-8)
+    tool.position.value[0] += 0.3
+    dm.newton(problem, rtol=1e-10)
+    F, n = tool.force, case.normal
+    assert F[1] == pytest.approx(case.force[1], rel=1e-8)
+    assert np.linalg.norm(F - (F @ n) * n) == pytest.approx(mu * (F @ n), rel=1e-8)
+
+
 class Differences:
     """Forces, weighted gaps and slips of a contact with friction, at given tractions."""
 

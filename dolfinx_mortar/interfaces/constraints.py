@@ -81,9 +81,10 @@ def check_limits(name: str, found: SlipLimits, d: int) -> None:
     """Raise a ValueError unless the arrays of `SlipLimits` fit each other, without NaN."""
     m = np.shape(found.nodes)[0] if np.ndim(found.nodes) else 0
     one: dict[str, tuple[int, ...]] = dict.fromkeys(
-        ("nodes", "normal", "coefficient", "cohesion", "weight"), (m,)
+        ("nodes", "normal", "coefficient", "cohesion", "weight", "room"), (m,)
     )
     more = {"tangential": (m, d - 1), "axes": (m, d - 1, d), "slip": (m, d - 1)}
+    more |= dict.fromkeys(("beside", "before", "opening"), (m, d))
     check_shapes(name, found, one | more)
 
 
@@ -112,11 +113,25 @@ def join(parts: Sequence[Constraints]) -> Constraints:
     return Constraints(dofs.astype(np.int32), lower, upper, weight)
 
 
+# Slip, as a part of a facet, over which friction grows at a node whose slip is prescribed: stick
+# would be a constraint of the master. So it sticks like a spring of the stiffness mu p / ROOM over
+# the facet, little beside the E of the bodies: else friction that is known from the last iterate
+# would not converge (pressures of E / 200, mu = .3: a factor of .1 an iteration, .35 with .01).
+ROOM = 0.05
+
+
 @dataclass(frozen=True)
 class SlipLimits:
     """Limits of the tangential reactions at nodes of contacts with friction.
 
     |z_t| <= coefficient z_n + cohesion where the contact is closed, in this rank's numbering.
+
+    In directions that are prescribed there is no unknown for z_t, but the slip s_e is known. There
+    a share of the limit acts, that of Coulomb's law with the elastic slip a,
+
+        q / max(|q + s_t / a|, 1),     q = (share at the last commit) + s_e / a,
+
+    and what it leaves of the limit is that of the tangential unknowns.
     """
 
     nodes: Ints  # (m,) owned
@@ -127,6 +142,41 @@ class SlipLimits:
     coefficient: Floats  # (m,) mu
     cohesion: Floats  # (m,) force, D_jj times a traction
     weight: Floats  # (m,) D_jj
+    beside: Floats  # (m, d) slip in prescribed directions, a vector
+    before: Floats  # (m, d) share at the last commit, a vector
+    room: Floats  # (m,) a
+    opening: Floats  # (m, d) motion of the node by a unit of its w_n
+
+    @property
+    def shares(self) -> Floats:
+        """The parts (m, d) of the limit that act in prescribed directions, as vectors."""
+        q = self.before + self.beside / self.room[:, None]
+        return np.asarray(q / np.maximum(self._size(q), 1.0)[:, None])
+
+    @property
+    def slides(self) -> Bools:
+        """At which nodes (m,) prescribed directions have all that is left of the limit."""
+        q = self.before + self.beside / self.room[:, None]
+        return np.asarray(q.any(axis=1) & (self._size(q) >= 1.0))
+
+    def _size(self, q: Floats) -> Floats:
+        return np.hypot(*(np.linalg.norm(v, axis=1) for v in (q, self.slip / self.room[:, None])))
+
+    @property
+    def left(self) -> tuple[Floats, Floats]:
+        """Coefficient and cohesion (m,) of the limit for the tangential unknowns."""
+        part = np.sqrt(np.maximum(1.0 - (self.shares**2).sum(axis=1), 0.0))
+        return self.coefficient * part, self.cohesion * part
+
+    @property
+    def wedging(self) -> Floats:
+        """What the friction in prescribed directions takes of lambda_j by itself (m,), a factor."""
+        return self.coefficient * np.asarray((self.opening * self.shares).sum(axis=1))
+
+    def known(self, multipliers: Floats) -> Floats:
+        """Return the reactions (m, d) in prescribed directions, given lambda_j (owned nodes,)."""
+        limit = self.coefficient * self.weight * multipliers[self.nodes] + self.cohesion
+        return np.asarray(limit[:, None] * self.shares)
 
     @property
     def some(self) -> Bools:

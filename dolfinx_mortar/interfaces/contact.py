@@ -230,6 +230,10 @@ class Unilateral(Interface):
             coefficient=values if coulomb else np.zeros_like(values),
             cohesion=np.zeros_like(values) if coulomb else values * weight,
             weight=weight,
+            beside=np.zeros((len(values), d)),
+            before=np.zeros((len(values), d)),
+            room=np.ones_like(values),
+            opening=np.zeros((len(values), d)),
         )
 
     # -- results ---------------------------------------------------------------------------------
@@ -302,7 +306,8 @@ class Contact(Unilateral, MortarInterface):
     the slave side, ``traction`` (tangential, exerted on the slave side), ``step_slip`` (a length,
     of the last step), ``slip`` (length of the slip path of each node since the start), ``status``
     (0 open, 1 stick, 2 slip), and ``dissipation``, the energy dissipated by friction since the
-    start. In directions with Dirichlet data there is no friction.
+    start. Where Dirichlet data prescribe the slip of a node, friction opposes it, and grows to its
+    limit over the slip of a twentieth of a facet.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.

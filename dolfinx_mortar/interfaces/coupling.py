@@ -261,8 +261,17 @@ class CoupledSides:
         Those on the slave side (of I and D) and those on the master side (of M), which meet at
         nodes of both. Their sum is (I - Q)^T v.
         """
+        moved = -np.einsum("eij,ei->ej", self.coupling.blocks, forces[self.pattern.row])
+        return self._on_both_sides(forces, moved)
+
+    def exert(self, forces: Floats) -> tuple[Floats, Floats]:
+        """Return the same of slave forces of contact in any direction, (I - P)^T v; collective."""
+        row = self.pattern.row
+        return self._on_both_sides(forces, -self.coupling.P[:, :1] * forces[row])
+
+    def _on_both_sides(self, forces: Floats, moved: Floats) -> tuple[Floats, Floats]:
+        """Return the sums of forces at slave nodes (n, d), and those moved from them (e, d)."""
         p, V = self.pattern, self.sides.V
-        moved = -np.einsum("eij,ei->ej", self.coupling.blocks, forces[p.row])
         slave, master = (
             sums_at_nodes(V.mesh.comm, V.dofmap.index_map, p.column[part], moved[part])
             for part in (slice(None, p.split), slice(p.split, None))

@@ -17,13 +17,20 @@ from dolfinx_mortar.mortar.surface import mean_facet_length
 
 
 def set_results(
-    link: Link, reaction: Floats, gap: Floats, active: Bools, x: Floats, growth: Floats
+    link: Link,
+    reaction: Floats,
+    known: Floats,
+    gap: Floats,
+    active: Bools,
+    x: Floats,
+    growth: Floats,
 ) -> tuple[float, float]:
     """Set resultants and Functions of an interface; return its `_balances`; collective.
 
     Args:
         reaction: (n, d) D_jj lambda_j in the frames, at the owned slave nodes; zero in directions
             that are not constrained.
+        known: (n, d) friction in directions that are prescribed, as vectors.
         gap: (n,) nodal gaps that may still close; how far a jump opens a tie.
         active: (n,) nodes on which the interface acts.
         x: (owned nodes, d) coordinates at which the forces act.
@@ -36,7 +43,7 @@ def set_results(
     weight = np.broadcast_to(D, reaction.shape)
     multiplier = np.divide(reaction, weight, out=np.zeros_like(reaction), where=weight > 0)
     forces = np.einsum("nji,nj->ni", link.coupling.rows, reaction)
-    link.interface.resultants, balances = _resultants(link, forces, multiplier, x)
+    link.interface.resultants, balances = _resultants(link, forces, known, multiplier, x)
     traction = np.einsum("nji,nj->ni", link.coupling.rows, multiplier)
     if D.shape[1] > 1:  # components that supports take are those of the nodes around
         traction = np.nan_to_num(_extended(link, traction, link.coupling.kept)[link.nodes])
@@ -71,12 +78,17 @@ def set_sliding(
 
 
 def _resultants(
-    link: Link, forces: Floats, multiplier: Floats, x: Floats
+    link: Link, forces: Floats, known: Floats, multiplier: Floats, x: Floats
 ) -> tuple[Resultants, tuple[float, float]]:
-    """Return the resultants and balances of what slave nodes exert (n, d); collective."""
+    """Return the resultants and balances of what slave nodes exert (n, d) in two parts; collective.
+
+    In the directions that the interface constrains, and the friction in prescribed ones.
+    """
     comm, n, d = link.sides.V.mesh.comm, link.sides.n_owned, forces.shape[1]
     f, points = np.zeros((2, n, 3)), np.zeros((n, 3))
     f[:, :, :d], points[:, :d] = link.transpose(forces), x
+    if link.interface.rough:
+        f[:, :, :d] += link.exert(known)
     if link.sides.master is None:  # what is no part of the mesh takes the same forces
         f[1] = -f[0]
     local = np.array([[-s.sum(axis=0), -np.cross(points, s).sum(axis=0)] for s in f])

@@ -20,8 +20,20 @@ from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.claims import Claims, are_outdated, resolve_claims
-from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, join, join_limits
-from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides, check_coupling
+from dolfinx_mortar.interfaces.constraints import (
+    ROOM,
+    Constraints,
+    SlipLimits,
+    join,
+    join_limits,
+)
+from dolfinx_mortar.interfaces.coupling import (
+    Coupling,
+    Pattern,
+    Sides,
+    check_coupling,
+    relative_motions,
+)
 from dolfinx_mortar.interfaces.interface import (
     FEATURE_ANGLE,
     Interface,
@@ -539,6 +551,7 @@ class InterfaceSystem:
         moved: PETSc.Vec,
         limits: Sequence[Floats | None],
         partners: Sequence[Partners | None],
+        sliding: Floats | None = None,
     ) -> SlipLimits | None:
         """Return the limits of friction, None if there is none; collective.
 
@@ -546,14 +559,53 @@ class InterfaceSystem:
             moved: (n,) displacement since the last commit.
             limits: (owned nodes,) coefficients or tractions, for each interface that has them.
             partners: of each interface when the step began, None for those of the moment.
+            sliding: (owned nodes, d) directions of slip at the last commit.
         """
         parts = []
         for link, limit, partner in zip(self.links, limits, partners, strict=True):
             if limit is not None:
                 slip = link.relative(moved) if partner is None else partner.slip(link, moved)
                 at = link.nodes, link.constrained, link.rows, slip, link.coupling.weight
-                parts.append(ask(moved.comm.tompi4py(), link.interface, "slip_limits", *at, limit))
+                found = ask(moved.comm.tompi4py(), link.interface, "slip_limits", *at, limit)
+                parts.append(self._with_known_slips(link, found, moved, partner, sliding))
         return join_limits(parts) if parts else None
+
+    def _with_known_slips(
+        self,
+        link: Link,
+        limits: SlipLimits,
+        moved: PETSc.Vec,
+        partner: Partners | None,
+        sliding: Floats | None,
+    ) -> SlipLimits:
+        """Return limits with the slips in directions that are prescribed; collective."""
+        place = np.zeros(self.n, dtype=np.int32)
+        place[link.nodes] = np.arange(len(link.nodes))
+        at = place[limits.nodes]
+        held: Bools = np.asarray(link.sides.fixed[limits.nodes].any(axis=1))
+        if not any_rank(self.V.mesh.comm, held.any())[0]:
+            return limits
+        motion = relative_motions(link, moved)[0]
+        if partner is not None:
+            motion = np.where(partner.known[:, None], partner.motion(link, moved), motion)
+        before = np.zeros_like(motion) if sliding is None else sliding[link.nodes]
+        parts, n = np.stack([motion[at], before[at]]), link.coupling.normals[at]
+        parts -= (parts * n).sum(axis=2)[:, :, None] * n
+        beside, before = ((v - limits.vectors(limits.along(v))) * held[:, None] for v in parts)
+        room = np.full(len(at), ROOM * mean_facet_length(link.sides.slave))
+        opening = link.coupling.R[at, :, 0]
+        return replace(limits, beside=beside, before=before, room=room, opening=opening)
+
+    def exert(self, forces: Floats) -> Floats:
+        """Return forces on both sides of those (owned nodes, d) at slaves of contacts; collective.
+
+        A node belongs to the contact that carries there.
+        """
+        total = np.zeros_like(forces)
+        for link in self.unilateral:
+            slave, master = link.exert(np.where(link.constrained[:, :1], forces[link.nodes], 0.0))
+            total += slave + master
+        return total
 
     def slots(self) -> Ints:
         """Return (owned nodes, d): the unknown of each node that is a Cartesian component."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The active set of an iterate and its Lagrange multipliers: the warm start of the next QP."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
 
@@ -21,7 +21,8 @@ class Contacts:
     multipliers: Floats  # (owned nodes,) lambda_j, 0 where not active
     # with friction: tangential reactions over D_jj, and directions of slip that they oppose
     tangential: Floats | None = None  # (owned nodes, d)
-    sliding: Floats | None = None  # (owned nodes, d), 0 where it sticks or is open
+    # (owned nodes, d), 0 where it sticks or is open; in prescribed directions `SlipLimits.shares`
+    sliding: Floats | None = None
 
     def reactions(self, balance: Balance) -> Floats:
         """Return D_jj lambda_j (k,) on the bounded unknowns of a configuration."""
@@ -32,6 +33,36 @@ class Contacts:
         if self.tangential is None:
             return np.zeros(limits.slip.shape)
         return limits.weight[:, None] * limits.along(self.tangential[limits.nodes])
+
+    def after(self, last: "Contacts", limits: SlipLimits | None) -> "Contacts":
+        """Return these with what their multipliers change at the nodes themselves.
+
+        The friction in prescribed directions was that of the last multipliers. On a support at an
+        angle it takes part of what presses the node, c lambda_j, which the QP does not know; those
+        after it are (lambda_j + c lambda_j of the last) / (1 + c).
+        """
+        if limits is None:
+            return self
+        multipliers, nodes = self.multipliers.copy(), limits.nodes
+        change = multipliers[nodes] - last.multipliers[nodes]
+        # half of it, where friction alone nearly holds the node
+        change = change / np.maximum(1.0 + limits.wedging, 0.5)
+        multipliers[nodes] = np.where(
+            self.active[nodes], last.multipliers[nodes] + change, multipliers[nodes]
+        )
+        return replace(self, multipliers=multipliers)
+
+    def completed(self, limits: SlipLimits | None) -> "Contacts":
+        """Return these with the tractions in prescribed directions, where slips are known."""
+        if limits is None or self.tangential is None:
+            return self
+        assert self.sliding is not None
+        tangential, sliding, nodes = self.tangential.copy(), self.sliding.copy(), limits.nodes
+        known = limits.known(self.multipliers) / limits.weight[:, None]
+        tangential[nodes] = limits.vectors(limits.along(tangential[nodes])) + known
+        shares = np.where(known != 0.0, limits.shares, 0.0)
+        sliding[nodes] = limits.vectors(limits.along(sliding[nodes])) + shares
+        return replace(self, tangential=tangential, sliding=sliding)
 
     def directions(self, limits: SlipLimits | None) -> Floats | None:
         """Return the directions of slip (m, d - 1) in these frames; None without friction."""
@@ -109,7 +140,7 @@ def find_sliders(
     size = np.linalg.norm(limits.slip, axis=1, keepdims=True)
     share = np.divide(np.maximum(size - noise, 0.0), size, out=np.zeros_like(size), where=size > 0)
     position = np.arange(len(size), dtype=np.int32)
-    law = Friction(position, limits.tangential, -limits.slip, limits.coefficient, limits.cohesion)
+    law = Friction(position, limits.tangential, -limits.slip, *limits.left)
     stiffness = law.means(diagonal.array_r)
     pressing = limits.weight * contacts.multipliers[limits.nodes]
     reaction = contacts.tangential_reactions(limits)

@@ -219,11 +219,15 @@ class _Try:
         return float(np.linalg.norm(self.missing / np.sqrt(diagonal)))
 
 
-def find_drives(problem: ContactProblem) -> Drives | None:
+def find_drives(problem: ContactProblem, known: Floats | None = None) -> Drives | None:
     """Return the motions of the tools that forces drive, in the present geometry; None for none.
 
     A contact node stands for a part of the side, on which tool and forces act: its motion is the
     mean of those there, sum_l D_jl e_l / D_jj, which is e_j where D is diagonal; collective.
+
+    Args:
+        problem: at an iterate.
+        known: reactions (owned nodes, d) that are given, which act on the tools like loads.
     """
     offered = [(link, link.interface.driven()) for link in problem.system.links]
     parts = [(link, tool) for link, tool in offered if tool is not None]
@@ -238,9 +242,7 @@ def find_drives(problem: ContactProblem) -> Drives | None:
     def moved(travel: Floats) -> Floats:
         rows = []
         for (link, tool), q in zip(parts, np.split(travel, ends), strict=True):
-            ways = tool.motions(x[link.nodes], problem.X[link.nodes], q)
-            if not tool.holds:
-                ways = np.array([_mean(problem, link, way) for way in ways])
+            ways = _ways(problem, link, tool, x, q)
             in_frames = np.einsum("nij,mnj->mni", link.coupling.rows, ways) * link.constrained
             e = np.zeros((len(q), problem.n, problem.d))
             e[:, link.nodes] = in_frames
@@ -259,6 +261,16 @@ def find_drives(problem: ContactProblem) -> Drives | None:
         return to_reduced(T, problem.K * to_displacement(T, y))
 
     loads = np.concatenate([tool.loads() for _, tool in parts])
+    if known is not None:
+        given = [
+            np.einsum(
+                "mni,ni->m",
+                _ways(problem, link, tool, x, np.zeros(len(tool.names))),
+                np.where(link.constrained[:, :1], known[link.nodes], 0.0),
+            )
+            for link, tool in parts
+        ]
+        loads = loads + problem.comm.allreduce(np.concatenate(given), op=MPI.SUM)
     follows = np.repeat([tool.holds for _, tool in parts], counts)
     held = [_unknowns(link, problem.d) for link, tool in parts if tool.holds]
     return Drives(
@@ -272,6 +284,14 @@ def find_drives(problem: ContactProblem) -> Drives | None:
         product=product,
         comm=problem.comm,
     )
+
+
+def _ways(problem: ContactProblem, link: Link, tool: Driven, x: Floats, q: Floats) -> Floats:
+    """Return the motions (m, n, d) at the slave nodes of each unit of q (m,); collective."""
+    ways = tool.motions(x[link.nodes], problem.X[link.nodes], q)
+    if tool.holds:
+        return ways
+    return np.array([_mean(problem, link, way) for way in ways])
 
 
 def _unknowns(link: Link, d: int) -> Ints:
@@ -583,7 +603,7 @@ def miss(problem: ContactProblem, balance: Balance, contacts: Contacts, limit: f
         contacts: the multipliers there.
         limit: what may be missing in the balance of forces, and of rigid sides.
     """
-    drives = find_drives(problem)
+    drives = find_drives(problem, balance.known(contacts.multipliers))
     if drives is None:
         return 0.0
     carried = np.zeros(drives.motions.shape[1])

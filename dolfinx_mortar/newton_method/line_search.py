@@ -51,7 +51,7 @@ class Direction:
     slip: Floats  # (m, d - 1) of nodes with friction, at the start
     slide: Floats  # (m, d - 1) by how much they slip in the step
     limits: Floats  # (m,) what resists
-    pull: float = 0.0  # -F.q, of tools that forces drive; on one rank
+    pull: float = 0.0  # -F.q, of tools that forces drive, on one rank, and of given friction
     curve: Curve | None = None
 
     def at(self, t: float) -> Floats:
@@ -71,7 +71,7 @@ class Direction:
         path = replace(
             self,
             motion=self.motion - way[lin.balance.bounds.dofs],
-            pull=-float(driven.drives.loads @ driven.travel) if first else 0.0,
+            pull=self.pull - (float(driven.drives.loads @ driven.travel) if first else 0.0),
             curve=driven.curve,
         )
         if (law := lin.qp.friction) is None or lin.balance.limits is None:
@@ -196,6 +196,7 @@ def create_path(
         slip=slip,
         slide=slide,
         limits=limits,
+        pull=0.0 if (given := lin.balance.friction) is None else -float(given @ du.array_r),
     )
 
 
@@ -219,7 +220,10 @@ def find_slope(problem: ContactProblem, lin: Linearisation, path: Direction) -> 
     A step that solves the QP closes every violated gap in proportion, so that the gain over the
     whole step is the derivative at its start.
     """
-    local = -float(lin.balance.r.array_r @ path.du) + path.excess(1.0) - path.excess(0.0)
+    forces = lin.balance.r.array_r
+    if lin.balance.friction is not None:  # whose work is in the excess
+        forces = forces - lin.balance.friction
+    local = -float(forces @ path.du) + path.excess(1.0) - path.excess(0.0)
     return float(problem.comm.allreduce(local))
 
 

@@ -45,6 +45,14 @@ class Balance:
     limits: SlipLimits | None = None  # of friction
     pretensions: tuple[tuple[Pretension, float], ...] = ()  # of ties, and their forces
     from_committed: bool = False  # whether forces of bodies are linearised about that state
+    friction: Floats | None = None  # (n,) that of prescribed slips, as it is in r
+
+    def known(self, multipliers: Floats) -> Floats:
+        """Return the reactions (owned nodes, d) of friction where slips are prescribed."""
+        found = np.zeros((len(multipliers), self.reduced.getBlockSize()))
+        if self.limits is not None:
+            found[self.limits.nodes] = self.limits.known(multipliers)
+        return found
 
     @property
     def nodes(self) -> Ints:
@@ -75,7 +83,12 @@ def find_extent(mesh: Mesh, displacement: Floats) -> float:
 
 
 def find_balance(
-    problem: ContactProblem, data: StepData, overlap: float = 0.0, *, from_committed: bool = False
+    problem: ContactProblem,
+    data: StepData,
+    overlap: float = 0.0,
+    multipliers: Floats | None = None,
+    *,
+    from_committed: bool = False,
 ) -> Balance:
     """Assemble the forces and constraints at the present u; collective.
 
@@ -84,6 +97,8 @@ def find_balance(
         data: loads and prescribed values of the step.
         overlap: depth by which the sides may still overlap (initial overlaps are resolved in
             parts).
+        multipliers: lambda_j (owned nodes,), which decide on the friction where slips are
+            prescribed; None for none.
         from_committed: linearise forces of bodies about the committed state.
     """
     with problem.timings("assembly"):
@@ -92,7 +107,6 @@ def find_balance(
         elements = problem.solid.element_force_norm()
         r.scale(-1.0)
     with problem.timings("transform"):
-        reduced = to_reduced(problem.system.transformation, r)
         u = problem.vector(problem.u.x.array[: r.local_size])
         found = problem.system.constraints(problem.positions(), u, data.jumps)
         dofs, slots = support_slots(problem)
@@ -101,14 +115,31 @@ def find_balance(
         if data.limits:
             u.array[:] -= problem.committed.displacement
             now = _present_limits(problem, data.limits)
-            limits = problem.system.slip_limits(u, now, data.partners)
+            limits = problem.system.slip_limits(u, now, data.partners, data.contacts[1])
+        friction = None if multipliers is None else _known_friction(problem, limits, multipliers)
+        if friction is not None:
+            r.array[:] += friction
+        reduced = to_reduced(problem.system.transformation, r)
     equal, bounds = found.select(found.equal), found.select(~found.equal)
     if overlap > 0.0:
         bounds = replace(bounds, upper=bounds.upper + overlap)
     supported = join([asked, equal])
     forces = elements, external
-    parts = r, reduced, supported, bounds, *forces, limits, problem.pretensions
-    return Balance(*parts, from_committed)
+    pretensions = problem.pretensions
+    return Balance(
+        r, reduced, supported, bounds, *forces, limits, pretensions, from_committed, friction
+    )
+
+
+def _known_friction(
+    problem: ContactProblem, limits: SlipLimits | None, multipliers: Floats
+) -> Floats | None:
+    """Return the nodal forces (n,) of friction at prescribed slips; None for none; collective."""
+    if limits is None or not any_rank(problem.comm, limits.shares.any())[0]:
+        return None
+    forces = np.zeros((problem.n, problem.d))
+    forces[limits.nodes] = limits.known(multipliers)
+    return -problem.system.exert(forces).ravel()
 
 
 def _present_limits(
@@ -332,7 +363,7 @@ def _law(limits: SlipLimits, bounds: Constraints, n: int) -> Friction:
     position[bounds.dofs] = np.arange(len(bounds.dofs))
     rest = -limits.slip
     normal = position[limits.normal]
-    return Friction(normal, limits.tangential, rest, limits.coefficient, limits.cohesion)
+    return Friction(normal, limits.tangential, rest, *limits.left)
 
 
 def _form(problem: ContactProblem, balance: Balance) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:

@@ -158,6 +158,6 @@ def _on_both_sides(problem: ContactProblem, tractions: Callable[[Link], Floats])
     """Return the nodal forces (owned nodes, d) of tractions at slave nodes; collective."""
     total: Floats = np.zeros((problem.n, problem.d))
     for link in problem.system.unilateral:
-        slave, master = link.transpose(link.coupling.weight[:, :1] * tractions(link))
+        slave, master = link.exert(link.coupling.weight[:, :1] * tractions(link))
         total += slave + master
     return total

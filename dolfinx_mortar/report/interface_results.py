@@ -8,10 +8,10 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Floats
+from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces import results
 from dolfinx_mortar.interfaces.constraints import SlipLimits
-from dolfinx_mortar.interfaces.coupling import relative_motions, slipped
+from dolfinx_mortar.interfaces.coupling import slipped
 from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.near import nodal_gaps
@@ -46,6 +46,7 @@ def set_results(
     for pretension, force in balance.pretensions:
         reaction[pretension.own] = pretension.reaction(balance.reduced, force)
     reaction[balance.bounds.dofs] = contacts.reactions(balance)
+    known = balance.known(contacts.multipliers)
     if (limits := balance.limits) is not None:
         some = limits.some
         reaction[limits.tangential[some]] = contacts.tangential_reactions(limits)[some]
@@ -59,6 +60,7 @@ def set_results(
         found = results.set_results(
             link,
             np.where(on, forces[link.nodes], 0.0),
+            np.where(on[:, :1], known[link.nodes], 0.0),
             link.shown_gap(gap, (jumps or {}).get(k)),
             link.acting(contacts.active),
             problem.X if frozen else moved,  # where the forces act
@@ -77,13 +79,16 @@ def _set_sliding(
     n, d, committed = problem.n, problem.d, problem.committed
     traction, slip = np.zeros((2, n, d))
     assert contacts.sliding is not None
-    slides = np.asarray(contacts.sliding[limits.nodes].any(axis=1))
-    resisting = contacts.tangential_reactions(limits)
+    slides = np.asarray(limits.along(contacts.sliding[limits.nodes]).any(axis=1))
+    resisting, known = contacts.tangential_reactions(limits), limits.known(contacts.multipliers)
     slips = np.where(slides[:, None], limits.slip, 0.0)  # of others it is round-off
-    traction[limits.nodes] = -limits.vectors(resisting) / limits.weight[:, None]
-    slip[limits.nodes] = limits.vectors(slips)
+    aside = limits.slides & known.any(axis=1)
+    beside = np.where(aside[:, None], limits.beside, 0.0)
+    traction[limits.nodes] = -(limits.vectors(resisting) + known) / limits.weight[:, None]
+    slip[limits.nodes] = limits.vectors(slips) + beside
     energy, status = np.zeros((2, n))
-    energy[limits.nodes] = (resisting * slips).sum(axis=1)
+    energy[limits.nodes] = (resisting * slips).sum(axis=1) + (known * beside).sum(axis=1)
+    slides |= aside
     acts = contacts.active[limits.nodes] | (limits.cohesion > 0.0)
     status[limits.nodes] = np.where(slides, 2.0, acts)
     total = Slips(committed.slid.copy(), committed.dissipated.copy())
@@ -172,42 +177,6 @@ def notes_on_turns(problem: ContactProblem, contacts: Contacts) -> list[str]:
                 f"{link.interface}: the tool turns by {np.degrees(spin):.0f} degrees about normals "
                 "of the side in this step, which slides on it; slips are taken along straight "
                 f"ways, which are {missed:.0%} too short: take steps of 30 degrees at most"
-            )
-    return notes
-
-
-def notes_on_lost_friction(problem: ContactProblem, contacts: Contacts) -> list[str]:
-    """Return a note for every contact that slides where its motion is prescribed; collective.
-
-    Dirichlet data leave no tangential unknown there, to which friction could be applied.
-    """
-    notes = []
-    began, now = (
-        problem.X + u.reshape(problem.X.shape)
-        for u in (problem.committed.displacement, problem.owned_u)
-    )
-    moved = problem.vector(problem.owned_u - problem.committed.displacement)
-    for link in problem.system.links:
-        if not link.interface.rough:
-            continue
-        rows, directions = link.coupling.rows, link.coupling.directions
-        # prescribed directions, too, unlike `link.relative`
-        relative = np.einsum("nij,nj->ni", rows, relative_motions(link, moved)[0])
-        way = link.interface.tool_way(began[link.nodes], now[link.nodes])
-        if way is not None:
-            relative = relative - np.einsum("nij,nj->ni", rows, way)
-        on = contacts.active[link.nodes] & directions[:, 0]
-        lost = np.abs(np.where(on[:, None] & ~directions, relative, 0.0)).max(axis=1, initial=0.0)
-        # on a plane of symmetry a slave node stands still, and P u of the master is zero for linear
-        # fields only: under a pressed ball up to 2e-5 of a facet are left
-        slides = lost > QUARTER_OF_DIGITS * problem.system.facet_length
-        count = int(problem.comm.allreduce(int(slides.sum())))
-        if count:
-            farthest = float(maximum(problem.comm, lost.max(initial=0.0))[0])
-            notes.append(
-                f"{link.interface} has no friction at {count} slave nodes, which slide by up to "
-                f"{farthest:.3g}, because Dirichlet data prescribe their motion; let the other "
-                "side be the slave, or prescribe fewer components there"
             )
     return notes
 

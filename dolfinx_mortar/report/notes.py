@@ -17,7 +17,6 @@ from dolfinx_mortar.newton_method.residuals import gap_round_off
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.beside_tools import notes_beside_tools
 from dolfinx_mortar.report.interface_results import (
-    notes_on_lost_friction,
     notes_on_missed_tools,
     notes_on_sliding,
     notes_on_turns,
@@ -92,7 +91,6 @@ DIAGNOSES: tuple[Diagnosis, ...] = (
     lambda end: notes_on_missed_tools(end.unilateral),
     lambda end: notes_on_sliding(end.problem, end.contacts),
     lambda end: notes_on_turns(end.problem, end.contacts),
-    lambda end: notes_on_lost_friction(end.problem, end.contacts),
     lambda end: notes_on_pulls(end.pull, end.rtol),
     _pressures,
     lambda end: notes_on_rims(end.links),

@@ -314,7 +314,7 @@ class _Step:
                     self.check_passing()
                     self.finish(iterate, residual, begun)
                     return
-                iterate = replace(iterate, balance=self.balance())  # with another T
+                iterate = replace(iterate, balance=self.balance(iterate.contacts))  # another T
             start = iterate.start
         end = failures.StepFailed(f"Newton did not converge in max_it={max_it} iterations")
         raise self.told(end, iterate)
@@ -356,9 +356,10 @@ class _Step:
         )
         return Iterate(balance, contacts, scales, energy, norm, 0.0, problem.vector()), start
 
-    def balance(self) -> Balance:
+    def balance(self, contacts: Contacts | None) -> Balance:
         """Return forces and constraints at u in the present geometry."""
-        return find_balance(self.problem, self.data, self.overlap)
+        multipliers = None if contacts is None else contacts.multipliers
+        return find_balance(self.problem, self.data, self.overlap, multipliers)
 
     def iterate(
         self,
@@ -379,7 +380,7 @@ class _Step:
         lin, solved = found.lin, found.solved
         self.report.quote(number, solved.note or found.rejected)
         self.report.note_friction(number, solved.linearisation)
-        contacts = found_by(lin, solved, problem.n)
+        contacts = found_by(lin, solved, problem.n).after(old.contacts, old.balance.limits)
         multiplier = maximum(problem.comm, contacts.multipliers.max(initial=0.0))[0]
         largest = max(old.largest, float(multiplier))
         scales = replace(old.scales, first=self.first_forces(lin)) if first else old.scales
@@ -415,7 +416,7 @@ class _Step:
         )
         iterate = Iterate(
             balance,
-            contacts,
+            contacts.completed(balance.limits),
             scales,
             moved.energy,
             norm,
@@ -505,7 +506,9 @@ class _Step:
         self, lin: Linearisation, solved: QPSolution, old: Iterate
     ) -> tuple[Linearisation, QPSolution, driven_tools.Settled | None]:
         """Return the QP in which tools carry their loads, its solution, and their motions."""
-        drives = driven_tools.find_drives(self.problem)
+        given = None if old.balance.friction is None else old.contacts.multipliers
+        known = None if given is None else old.balance.known(given)
+        drives = driven_tools.find_drives(self.problem, known)
         if drives is None:
             return lin, solved, None
         rtol = DIGIT * self.report.rtol
@@ -823,13 +826,13 @@ class _Step:
         """
         problem = self.problem
         if last is None and (not watch.moving or watch.held) and not self.driven:
-            balance = self.balance()
+            balance = self.balance(contacts)
             residual = judge(balance)
             if not watch.moving or residual.excess > 1.0:
                 return balance, residual, watch, 0.0
         before, carrying = contact_forces(problem, contacts), self.carrying()
         problem.follow_geometry()
-        balance = self.balance()
+        balance = self.balance(contacts)
         residual = judge(balance)
         change, work = find_change(problem.comm, balance, contacts, predicted)
         turned = problem.vector(contact_forces(problem, contacts) - before).norm()
@@ -866,7 +869,7 @@ class _Step:
         """
         problem = self.problem
         problem.follow_geometry()
-        balance = self.balance()
+        balance = self.balance(old.contacts)
         given = problem.u, balance, old.contacts, old.stiffness, old.scales, old.norm
         residual = measure(*given, self.report.rtol)
         return replace(old, balance=balance), watch.thawed(), residual
