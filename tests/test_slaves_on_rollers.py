@@ -6,6 +6,8 @@ around. The stress is -P I, u = -c (X - X0) with X0 on the interface, the pressu
 P everywhere, its force normal to it, and nothing is left to the supports.
 """
 
+from types import SimpleNamespace
+
 from mpi4py import MPI
 
 import numpy as np
@@ -18,12 +20,20 @@ from tests import meshes, meshes_3d, on_edges
 from tests.choice import crosswise
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, LOWER, RIGHT, TOP, TOP_OF_LOWER, UPPER
 from tests.meshes_3d import BACK, FRONT
-from tests.rings import largest
+from tests.rings import SIDES, largest, tubes
 from tests.test_tool_tangent import turned
 
 COMM = MPI.COMM_WORLD
 E, NU, P = 1000.0, 0.3, 2.0
 EXACT = 1e-9
+
+
+def facets_of(case, tag, body):
+    """Return the facets of a tag on one body."""
+    d = case.mesh.topology.dim
+    case.mesh.topology.create_connectivity(d - 1, d)
+    link, found = case.mesh.topology.connectivity(d - 1, d), case.tags.find(tag)
+    return found[np.isin(link.array[link.offsets[found]], case.cells.find(body))]
 
 
 class Hydrostatic:
@@ -77,24 +87,16 @@ class Hydrostatic:
         if both:
             self.bcs += [self.hold(k, tag, masters) for k, tag in enumerate((LEFT, FRONT)[: d - 1])]
         far = fem.locate_dofs_topological(
-            self.V, d - 1, self.facets(BOTTOM if slave == "upper" else TOP, masters)
+            self.V, d - 1, facets_of(self, BOTTOM if slave == "upper" else TOP, masters)
         )
         self.bcs.append(fem.dirichletbc(self.exact, far))
-
-    def facets(self, tag, body):
-        """Return the facets of a tag on one body."""
-        d = self.mesh.topology.dim
-        self.mesh.topology.create_connectivity(d - 1, d)
-        link, found = self.mesh.topology.connectivity(d - 1, d), self.tags.find(tag)
-        cells = link.array[link.offsets[found]]
-        return found[np.isin(cells, self.cells.find(body))]
 
     def hold(self, k, tag, body):
         """Prescribe a component of the exact displacement on a side of a body."""
         Q, _ = self.V.sub(k).collapse()
         value = fem.Function(Q)
         value.interpolate(lambda x: -self.c * (x[k] - self.X0[k]))
-        spaces, facets = (self.V.sub(k), Q), self.facets(tag, body)
+        spaces, facets = (self.V.sub(k), Q), facets_of(self, tag, body)
         dofs = fem.locate_dofs_topological(spaces, self.mesh.topology.dim - 1, facets)
         return fem.dirichletbc(value, dofs, self.V.sub(k))
 
@@ -236,6 +238,31 @@ def test_a_tool_that_a_force_presses():
     F, n = tool.force, case.normal
     assert F[1] == pytest.approx(case.force[1], rel=1e-8)
     assert np.linalg.norm(F - (F @ n) * n) == pytest.approx(mu * (F @ n), rel=1e-8)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("slave", ["lower", "upper"])
+def test_press_fit_is_pushed_out(slave):
+    """Shaft and hub, one end of each prescribed, with a node of the slave side: F = mu N."""
+    case, mu = SimpleNamespace(), 0.25
+    case.mesh, case.cells, case.tags = tubes((0.4, 1.0, 2.0), ((4, 2), (5, 3)), overlap=0.004)
+    V, push = fem.functionspace(case.mesh, ("Lagrange", 1, (2,))), fem.Constant(case.mesh, 0.0)
+    bcs = []
+    for body, tag, value in ((LOWER, LEFT, push), (UPPER, RIGHT, fem.Constant(case.mesh, 0.0))):
+        dofs = fem.locate_dofs_topological(V.sub(1), 1, facets_of(case, tag, body))
+        bcs.append(fem.dirichletbc(value, dofs, V.sub(1)))
+    side, master = SIDES[slave]
+    contact = dm.Contact(case.tags, slave=side, master=master, friction=mu)
+    solid = dm.Solid(fem.Function(V), dm.Elastic(E, NU), kinematics="axisymmetric")
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry="reference")
+    for push.value in (0.0, 0.01, 0.1, 0.11):
+        dm.newton(problem, rtol=1e-10)
+        problem.commit()
+        N, F = np.abs(contact.force)
+        ends = [dm.reaction(problem, bc).force[1] for bc in bcs]
+        assert ends == pytest.approx([-ends[1], ends[1]], rel=1e-8, abs=1e-8 * N)
+        assert F == pytest.approx(np.abs(ends[0]), rel=1e-8, abs=1e-8 * N)
+    assert F == pytest.approx(mu * N, rel=1e-9)
 
 
 class Differences:
