@@ -3,13 +3,16 @@
 
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 import dolfinx
 from dolfinx_mortar import compat
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import Floats, Ints
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 HIGHEST = 2
@@ -109,3 +112,30 @@ def with_values(V: dolfinx.fem.FunctionSpace, values: Floats) -> dolfinx.fem.Fun
     f = dolfinx.fem.Function(V)
     set_owned(f, values)
     return f
+
+
+def connected_parts(V: dolfinx.fem.FunctionSpace) -> tuple[int, Ints]:
+    """Return how many parts a mesh has that share no nodes, and the part (local nodes,) of each.
+
+    They are numbered from 0 on, the same on all ranks; collective.
+    """
+    layout, comm = V.dofmap.index_map, V.mesh.comm
+    n_owned, n_local = layout.size_local, layout.size_local + layout.num_ghosts
+    cells = V.dofmap.list
+    first, last = cells[:, :-1].ravel(), cells[:, 1:].ravel()
+    graph = coo_array((np.ones(len(first)), (first, last)), shape=(n_local, n_local))
+    parts, local = connected_components(graph, directed=False)
+
+    # Parts of different ranks are one body where a ghost of one part is owned by the other.
+    offset = comm.exscan(parts) or 0
+    vector = dolfinx.la.vector(layout, 1)
+    vector.array[:n_owned] = local[:n_owned] + offset
+    vector.scatter_forward()
+    touching = np.column_stack([local + offset, vector.array]).astype(np.int64)
+    links = np.concatenate(comm.allgather(np.unique(touching, axis=0)))
+    total = comm.allreduce(parts, op=MPI.SUM)
+    joined = coo_array((np.ones(len(links)), links.T), shape=(total, total))
+    _, body_of = connected_components(joined, directed=False)
+    label = body_of[local + offset]
+    used = np.unique(np.concatenate(comm.allgather(np.unique(label[:n_owned]))))
+    return len(used), np.searchsorted(used, label).astype(np.int32)

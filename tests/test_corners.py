@@ -99,7 +99,7 @@ def test_an_outer_corner_of_a_tool_is_none():
 
 
 def friction_of_a_drawn_corner(slave, tilt, whole=False, **options):
-    """Draw a block that stands on its corner over another one; return |Ft/Fn| and the notes."""
+    """Draw a block that stands on its corner over another one; return |Ft/Fn|."""
     ends = {"x_lower": (0.0, 2.0), "x_upper": (0.6, 1.2)}
     domain, cells, facets = two_blocks(COMM, (20, 10), (6, 10), cell="quadrilateral", **ends)
     upper = np.unique(domain.geometry.dofmap[cells.indices[cells.values == UPPER]])
@@ -116,26 +116,21 @@ def friction_of_a_drawn_corner(slave, tilt, whole=False, **options):
     problem = dm.ContactProblem(dm.Solid(u, dm.Elastic(1.0, 0.3)), [contact], bcs=bcs)
     for way in (0.0, 0.03, 0.06, 0.09):
         lid.value[0] = way
-        report = dm.newton(problem, **options)
+        dm.newton(problem, **options)
         problem.commit()
-    return abs(contact.force[0] / contact.force[1]), report.notes
+    return abs(contact.force[0] / contact.force[1])
 
 
-def askew(notes):
-    """Tell whether one of the notes is on edges and corners that press askew."""
-    return any("degrees askew" in note for note in notes)
-
-
-def test_a_corner_drawn_over_a_face():
-    """Friction is mu times the force normal to the face, if that is the slave; else a note.
+@pytest.mark.parametrize(
+    ("slave", "tilt", "whole"),
+    [(TOP_OF_LOWER, 0.3, False), (BOTTOM_OF_UPPER, 0.3, False), (BOTTOM_OF_UPPER, 0.2, True)],
+)
+def test_a_corner_drawn_over_a_face(slave, tilt, whole):
+    """Friction is mu times the force normal to the face, whichever is the slave.
 
     Also where the side runs around the corner, of which the flank faces nothing.
     """
-    found, notes = friction_of_a_drawn_corner(TOP_OF_LOWER, 0.3)
-    assert not askew(notes) and found == pytest.approx(0.3, abs=0.005)
-    for tilt, whole in ((0.3, False), (0.2, True)):
-        found, notes = friction_of_a_drawn_corner(BOTTOM_OF_UPPER, tilt, whole)
-        assert askew(notes) and found > 0.35
+    assert friction_of_a_drawn_corner(slave, tilt, whole) == pytest.approx(0.3, rel=0.005)
 
 
 def test_a_corner_drawn_over_facets_of_the_slave():
@@ -148,7 +143,7 @@ def test_a_corner_drawn_over_facets_of_the_slave():
 @pytest.mark.parametrize("axis", [(0, -1, 0), (1, -1, 0), None])
 @pytest.mark.parametrize("slave", [BOTTOM_OF_UPPER, TOP_OF_LOWER])
 def test_edges_and_corners_on_a_plate_in_space(axis, slave):
-    """The force of a cube without friction is normal to the plate, but for what is noted."""
+    """The force of a cube without friction is normal to the plate, whichever is the slave."""
 
     def turned(x):
         turn = rotation(axis or (0, 1, 0), 0.0 if axis is None else 0.2)
@@ -166,11 +161,9 @@ def test_edges_and_corners_on_a_plate_in_space(axis, slave):
     (master,) = {BOTTOM_OF_UPPER, TOP_OF_LOWER} - {slave}
     contact = dm.Contact(facets, slave=slave, master=master)
     solid = dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3))
-    notes = dm.newton(dm.ContactProblem(solid, [contact], bcs=bcs)).notes
+    dm.newton(dm.ContactProblem(solid, [contact], bcs=bcs))
     *across, along = contact.force
-    assert askew(notes) == (axis is not None and slave == BOTTOM_OF_UPPER)
-    part = np.hypot(*across) / abs(along)
-    assert part > 0.1 if askew(notes) else part < 0.01
+    assert np.hypot(*across) < 1e-3 * abs(along)
 
 
 def pressed(split, slave):
@@ -226,11 +219,14 @@ def pressed(split, slave):
 
 
 def test_a_tie_that_ends_in_a_contact():
-    """With the floor as slave two halves are as one; else the note says to make it the slave."""
+    """With the floor as slave two halves are as one; else the note says to make it the slave.
+
+    But for the normals of the halves at the cut, of one facet each: 1e-6 of the forces.
+    """
     whole, _ = pressed(split=False, slave=FLOOR)
     halves, notes = pressed(split=True, slave=FLOOR)
-    assert np.allclose(halves.force, whole.force, rtol=1e-8)
-    assert halves.dissipation == pytest.approx(whole.dissipation, rel=1e-7)
+    assert np.allclose(halves.force, whole.force, rtol=1e-6)
+    assert halves.dissipation == pytest.approx(whole.dissipation, rel=1e-5)
     assert not any("removed" in note for note in notes)
     _, notes = pressed(split=True, slave=FOOT)
     assert any("let the other side of Contact" in note for note in notes)

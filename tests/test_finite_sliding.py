@@ -15,6 +15,8 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
+from dolfinx_mortar.interfaces import mortar_interface
+from dolfinx_mortar.mortar import common_normals
 from tests.finite_sliding import COMM, indentation, soft_block, turning_hub, walk
 
 
@@ -33,18 +35,28 @@ def iterations(steps):
         pytest.param(1.0, "block", 0.282147, 21, marks=pytest.mark.slow),
     ],
 )
-def test_half_ring_pressed_to_a_strain_of_20_percent(modulus, slave, force, most):
+def test_half_ring_pressed_to_a_strain_of_20_percent(modulus, slave, force, most, monkeypatch):
     """Force to 2e-6 of the independent program, in four steps of five iterations.
 
-    That one takes 19 to 21; the fixed point of the geometry 43 to 67.
+    That one takes 19 to 21; the fixed point of the geometry 43 to 67. Its normals are the averaged
+    ones of the slave; with those of both sides forces are the same to 1e-3.
     """
     sizes = {"radius": 1.0, "length": 6.0, "height": 2.0}
-    case = indentation(n=((24, 5), (16, 2)), moduli=(1.0, modulus), slave=slave, **sizes)
-    steps = walk(case, lambda t: (0.0, -0.4 * t), np.arange(1, 5) / 4, rtol=1e-10)
-    assert abs(np.abs(steps[-1][1][1]) - force) < 2e-6 * force + 5e-7  # digits that are quoted
-    assert iterations(steps).sum() <= most
-    for _, _, report in steps:
-        assert report.iterations[-1].exact_tangent
+    found = common_normals.common_normals
+
+    def averaged(pairing, segments, M, u, *options):
+        n = found(pairing, segments, 0.0 * M, u, *options)
+        assert not n.by_master.any()
+        return n
+
+    for error, normals in ((1e-3 * force, found), (2e-6 * force + 5e-7, averaged)):
+        monkeypatch.setattr(mortar_interface, "common_normals", normals)
+        case = indentation(n=((24, 5), (16, 2)), moduli=(1.0, modulus), slave=slave, **sizes)
+        steps = walk(case, lambda t: (0.0, -0.4 * t), np.arange(1, 5) / 4, rtol=1e-10)
+        assert abs(np.abs(steps[-1][1][1]) - force) < error
+        assert iterations(steps).sum() <= most
+        for _, _, report in steps:
+            assert report.iterations[-1].exact_tangent
 
 
 @pytest.mark.mpi
@@ -163,7 +175,7 @@ def test_dragged_over_an_edge_onto_the_next_body(slave):
     first, second, beyond = (steps[k][1] for k in (1, 12, 20))
     assert np.abs(first - second).max() < 1e-9 * np.abs(first).max()
     assert not beyond.any()
-    assert (iterations(steps) > 8).sum() <= 2  # those over the edge
+    assert (iterations(steps) > 8).sum() <= 3  # those over the edge
 
 
 def slider(depth, **options):

@@ -11,10 +11,9 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx import fem, la
-from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm, ratio, sums_at_nodes
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Floats
-from dolfinx_mortar.geometry.facets import facet_normals, normals_at_nodes
+from dolfinx import fem
+from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm, ratio
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.link import Link
@@ -28,8 +27,8 @@ from dolfinx_mortar.mortar.curvature_correction import (
 )
 from dolfinx_mortar.mortar.duals import weighted_duals
 from dolfinx_mortar.mortar.operators import mean_values
-from dolfinx_mortar.mortar.pairing import Pairing, received_facets
-from dolfinx_mortar.mortar.surface import Boundary, accumulate, mean_facet_length
+from dolfinx_mortar.mortar.pairing import Pairing
+from dolfinx_mortar.mortar.surface import accumulate, mean_facet_length
 
 # Pressures are inaccurate where the forces of the sagittas exceed this share of the contact
 # forces. A pin in its hole, on ten meshes: its peak pressure is right to 2 % where the share is
@@ -141,84 +140,6 @@ def note_on_facets(
     if touches:
         return _uneven_facets(link, heights[on], k[on], z[on])
     return _apart(link, x, heights)
-
-
-def note_on_edges(link: Link, boundary: Boundary, u: fem.Function | None, forces: Floats) -> str:
-    """Return the note on edges and corners of a slave side that press askew; collective.
-
-    Forces act along the normals n of the slave side; those of a corner on a face, where the side
-    ends, are those of the facets that end there. The corner could be met along the normal -m of the
-    face, too, where that is turned from n towards the body's other facets there. The part of
-    -m - n in their direction, weighted by the forces, is the share of them that is askew.
-
-    A block turned by .1, .2 and .3 is drawn over a plate, mu = .3: Ft/Fn is too large by
-
-        in the plane, 5 and 20 cells, side ends   .07, .02   .18, .12   .30, .22
-                                      whole skin  .04, .01   .09, .06   .00, .00
-        in space, 5 cells, on an edge, side ends  .06        .17        .28
-                                       whole skin .03        .08        .00
-                        on a corner, side ends    .04        .13        .23
-                                     whole skin   .02        .06        .09
-
-    and the share is .7 to 1.2 of it from .05 on. With the plate as slave, and for blocks that stand
-    on their faces, Ft/Fn is right to .005 and the share .006 at most.
-
-    Args:
-        boundary: all exterior facets.
-        u: displacement by which facets have moved, None for X.
-        forces: (owned nodes,) of contact.
-    """
-    sides, V = link.sides, link.sides.V
-    z, comm, slave, n = forces[link.nodes], V.mesh.comm, sides.slave, link.coupling.normals
-    if link.pairing is None:
-        return ""
-    beyond = np.where(sides.fixed[link.nodes], 0.0, _beyond(link, boundary, u))
-    size = np.linalg.norm(beyond, axis=1)
-    some = (z > 0.0) & (size > HALF_OF_DIGITS)
-    if not any_rank(comm, some.any())[0]:
-        return ""
-    kept = np.zeros(len(slave.nodes))
-    kept[: slave.owned] = link.coupling.kept[:, 0]
-    pairing, operators = link.mortar
-    segments, weight = operators.segments, operators.weight[:, 0]
-    Phi = weighted_duals(pairing, segments, accumulate(slave, kept) > 0)
-    found = facet_normals(received_facets(pairing, u))[segments.master]
-    faced = [mean_values(pairing, segments, Phi, weight, part) for part in found.T]
-    m = np.stack(faced, axis=1)
-    m /= np.maximum(np.linalg.norm(m, axis=1), TINY)[:, None]
-    along = beyond / np.maximum(size, TINY)[:, None]
-    turned = np.maximum(-((m + n) * along).sum(axis=1), 0.0)
-    askew = (z * some * turned) @ along
-    total = comm.allreduce(np.append(askew, z.sum()))
-    share = float(ratio(np.linalg.norm(total[:-1]), total[-1]))
-    if share <= 0.25 * SPOILT:
-        return ""
-    angle = np.degrees(2.0 * np.arcsin(min(0.5 * share, 1.0)))
-    return (
-        f"{link.interface}: edges or corners of the slave side press on a face along normals of "
-        f"their own facets, so that the whole of the contact forces is {angle:.2g} degrees askew: "
-        "exchange slave and master, or refine at the corner"
-    )
-
-
-def _beyond(link: Link, boundary: Boundary, u: fem.Function | None) -> Floats:
-    """Return the parts (n, d) across n of the normals of a body's facets at its slave nodes.
-
-    Their sums over all exterior facets at a node; collective.
-    """
-    V, d = link.sides.V, link.sides.fixed.shape[1]
-    n = la.vector(V.dofmap.index_map, d)
-    n.array[:] = 0.0
-    normals = n.array.reshape(-1, d)
-    normals[link.nodes] = link.coupling.normals
-    n.scatter_forward()
-    on = np.flatnonzero(normals[boundary.nodes].any(axis=(1, 2)))
-    at, found = normals[boundary.nodes[on]], normals_at_nodes(boundary.at(u)[on])
-    found = found - (found * at).sum(axis=2, keepdims=True) * at
-    nodes = V.dofmap.index_map.local_to_global(boundary.nodes[on].ravel().astype(np.int32))
-    layout = V.dofmap.index_map
-    sums = sums_at_nodes(V.mesh.comm, layout, nodes.astype(np.int64), found.reshape(-1, d))
-    return np.asarray(sums[link.nodes])
 
 
 def _uncertain(

@@ -26,9 +26,9 @@ from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.mortar.curvature_correction import height_slopes
 from dolfinx_mortar.mortar.derivatives import Derivatives, Tractions, differentiate
 from dolfinx_mortar.mortar.duals import weighted_duals
-from dolfinx_mortar.mortar.edge_derivatives import differentiate_edges
-from dolfinx_mortar.mortar.edges import edge_normals, find_sharing, open_duals
+from dolfinx_mortar.mortar.edges import find_sharing, open_duals
 from dolfinx_mortar.mortar.integrals import some_points
+from dolfinx_mortar.mortar.pairing import receive
 from dolfinx_mortar.mortar.space_derivatives import differentiate_in_space
 from dolfinx_mortar.mortar.surface import (
     Surface,
@@ -131,9 +131,9 @@ class LinkDerivatives(ABC):
 class ContactDerivatives(LinkDerivatives):
     """Derivatives of the forces and the weighted gaps of one contact.
 
-    They are sums F_x + F_n N + F_c C, N being the derivatives of the averaged normals, C those of
-    the normals on edges. On a slave facet forces and gaps depend on all
-    of its partners, by the dual functions.
+    They are sums F_x + F_n C + F_p N, C being the derivatives of the normals of contact, N those of
+    the averaged ones, along which facets are projected in 2D. On a slave facet forces and gaps
+    depend on all of its partners, by the dual functions.
     """
 
     def __init__(self, link: CoupledSides) -> None:
@@ -153,27 +153,16 @@ class ContactDerivatives(LinkDerivatives):
         by_x = (d * both[:, None] + np.arange(d)).ravel()
         by_n, forces, gaps = by_x[: d * n], by_x, d * nodes
         of = V.mesh.comm, layout_of(V)
-        at = by_n.reshape(-1, d)[slave.facets]
-        block = *at.shape, *at.shape[1:]
-        rows = np.broadcast_to(at[:, :, :, None, None], block)
-        columns = np.broadcast_to(at[:, None, None], block)
-        self.averaged = Triplets(*of, rows, columns)
+        self.averaged = _averaged(slave)
         N = self.averaged.zero()
-        by_forces = [(BlockEntries(on_both.T @ on_slave, (d, d), forces, by_n), N)]
-        by_gaps = [(BlockEntries(on_slave.T @ on_slave, (1, d), gaps, by_n), N)]
-        self.normals: SumWithProducts | None = None  # of the nodes, with those on edges
-        self.edges = link.sides.edges
-        if self.edges is not None:
-            facets = facets[self.edges[slave.facets[facets]].any(axis=1)]
-            at_edges = incidence(facets, slave.facets[facets], (len(self.asked), n))
-            own = sparse.hstack([on_slave.T @ on_slave, sparse.csr_array((n, shape[1]))])
-            x = BlockEntries(at_edges.T @ on_both + own, (d, d), by_n, by_x)
-            y = BlockEntries(at_edges.T @ at_edges, (d, d), by_n, by_n)
-            projected = () if _in_space(link) else ((y, N),)  # along averaged normals
-            self.normals = SumWithProducts(*of, x, *projected)
-            C = self.normals.zero()
-            by_forces.append((BlockEntries(on_both.T @ at_edges, (d, d), forces, by_n), C))
-            by_gaps.append((BlockEntries(at_edges.T @ at_edges, (1, d), gaps, by_n), C))
+        x = BlockEntries(on_slave.T @ on_both, (d, d), by_n, by_x)
+        y = BlockEntries(on_slave.T @ on_slave, (d, d), by_n, by_n)
+        self.normals = _Normals(link, x, y, N)
+        turned = [self.normals.zero()] if _in_space(link) else [self.normals.zero(), N]
+        by_forces, by_gaps = (
+            [(BlockEntries(pattern.T @ on_slave, (i, d), rows, by_n), A) for A in turned]
+            for pattern, i, rows in ((on_both, d, forces), (on_slave, 1, gaps))
+        )
         x = BlockEntries(on_both.T @ on_both, (d, d), forces, by_x)
         self.forces = SumWithProducts(*of, x, *by_forces)
         x = BlockEntries(on_slave.T @ on_both, (1, d), gaps, by_x)
@@ -193,69 +182,119 @@ class ContactDerivatives(LinkDerivatives):
         The matrices are refilled. In space rows of gaps are those of facets that carry tractions,
         and of their neighbours: others are open, and cost as much.
         """
-        slave, (pairing, operators) = link.sides.slave, link.mortar
+        slave, (_, operators) = link.sides.slave, link.mortar
         x = coordinates(slave, u)
-        given, keep = _tractions(link, self._normals(link, u), multipliers, tangential)
+        given, keep = _tractions(link, multipliers, tangential)
         asked, loaded = self.asked, np.asarray(given.tractions.any(axis=1))
         known: Bools = np.ones_like(loaded)
         if _in_space(link):
             known = _neighbours(slave, loaded)
             asked = asked & known[slave.facets].any(axis=1)
         segments = some_points(operators.segments, asked[operators.segments.slave])
-        off_edges = given if self.edges is None else given.held(self.edges)
-        found, Phi = self._derivatives(link, u, segments, keep, off_edges)
-        blocks = normal_derivatives(slave, x)
-        N = self.averaged.fill(blocks)
-        by_forces, by_gaps = [(found.F_n, N)], [(found.G_n, N)]
-        if self.edges is not None and self.normals is not None:
-            at = differentiate_edges(pairing, u, segments, self.edges, Phi, given)
-            blocks[self.edges[slave.facets]] = 0.0
-            facets = slave.facets[self.asked]
-            rest = Blocks(facets, facets, blocks[self.asked])
-            projected = () if at.n_n is None else (([at.n_n], N),)
-            C = self.normals.fill([rest, at.n_x], *projected)
-            by_forces.append(([at.F], C))
-            by_gaps.append(([at.G], C))
-        F = self.forces.fill(found.F_x, *by_forces)
-        G = self.gaps.fill(found.G_x, *by_gaps)
+        found = self._derivatives(link, u, segments, keep, given)
+        N = self.averaged.fill(normal_derivatives(slave, x))
+        C = self.normals.fill(link, u, found)
+        along = [] if _in_space(link) else [(found.F_p, found.G_p, N)]
+        parts = [(found.F_n, found.G_n, C), *along]
+        F = self.forces.fill(found.F_x, *((F_n, A) for F_n, _, A in parts))
+        G = self.gaps.fill(found.G_x, *((G_n, A) for _, G_n, A in parts))
         return F, G, known[: slave.owned]
-
-    def _normals(self, link: CoupledSides, u: fem.Function) -> Floats:
-        """Return the averaged normals (n, d), on edges those of both sides; collective."""
-        averaged = nodal_normals(link.sides.slave, coordinates(link.sides.slave, u))
-        if self.edges is None:
-            return averaged
-        pairing, operators = link.mortar
-        return edge_normals(pairing, operators.segments, u, averaged, self.edges)
 
     def _derivatives(
         self, link: CoupledSides, u: fem.Function, segments: Segments, keep: Bools, given: Tractions
-    ) -> tuple[Derivatives, Floats]:
-        """Return the derivatives on this rank, and the weighted dual functions; collective."""
+    ) -> Derivatives:
+        """Return the derivatives on this rank; collective."""
         pairing, smooth = link.mortar[0], link.pattern.smooth
-        Phi, sharing = weighted_duals(pairing, segments, keep), None
-        if self.edges is not None:
+        Phi, sharing, edges = weighted_duals(pairing, segments, keep), None, link.sides.edges
+        if edges is not None:
             banned = link.banned[link.sides.slave.nodes]
-            sharing = find_sharing(pairing, segments, u, keep, self.edges, banned)
+            sharing = find_sharing(pairing, segments, u, keep, edges, banned)
             Phi = open_duals(pairing, segments, Phi, keep, sharing)
         at = pairing, u, segments, keep, Phi, given
         if _in_space(link):
-            return differentiate_in_space(*at, smooth, sharing), Phi
+            return differentiate_in_space(*at, smooth, sharing)
         slopes = None if smooth is None else height_slopes(pairing, segments, u, smooth)
-        return differentiate(*at, slopes, sharing), Phi
+        master = pairing.master
+        normals = receive(pairing, nodal_normals(master, coordinates(master, u)))
+        return differentiate(*at, normals, slopes, sharing)
 
     def slips(
         self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
     ) -> SlipRows:
         """Return the rows of slips at the iterate that was differentiated last; collective."""
-        own = slice(None, link.sides.slave.owned)
-        n, turning = _turning(link, self._normals(link, u)[own])
+        n, turning = _turning(link)
         along = (partners.motion(link, since) * link.coupling.R[:, :, 0]).sum(axis=1)
         by_n = partners.motion_by_normals(link) - along[:, None, None] * np.eye(n.shape[1])
         by_n[~partners.known] = 0.0
         tangents = link.coupling.rows[:, 1:]
-        N = (self.averaged if self.normals is None else self.normals).zero()
-        return SlipRows(link, partners, tangents @ by_n @ turning, N, tangents)
+        turned = tangents @ by_n @ turning
+        return SlipRows(link, partners, turned, self.normals.zero(), tangents)
+
+
+class _Normals:
+    """Derivatives of the normals of contact, Y_s dn_j + Y_m sum_l (dM_jl n_l + M_jl dn_l).
+
+    n_j and n_l are the averaged normals of the slave and of the master. Left out is what spreads
+    change, and in space dM_jl: nothing beside a flat side.
+    """
+
+    def __init__(self, link: CoupledSides, x: BlockEntries, y: BlockEntries, N: PETSc.Mat) -> None:
+        """Make the patterns; collective.
+
+        Args:
+            x: Of sum_l dM_jl n_l by coordinates.
+            y: The same by the averaged normals of the slave.
+            N: Matrix of these.
+        """
+        V, pattern, n = link.sides.V, link.pattern, len(link.nodes)
+        assert link.sides.master is not None
+        d, of = V.dofmap.index_map_bs, (V.mesh.comm, layout_of(V))
+        self._d, self._N, self._of_master = d, N, _averaged(link.sides.master)
+        own = V.dofmap.index_map.local_to_global(link.nodes).astype(np.int64)
+        self._row = pattern.row[pattern.split :]
+        columns, place = np.unique(pattern.column[pattern.split :], return_inverse=True)
+        self._column: Ints = place.astype(np.int32)
+        rows, others = ((d * at[:, None] + np.arange(d)).ravel() for at in (own, columns))
+        coupled = incidence(self._row, self._column[:, None], (n, len(columns)))
+        M = BlockEntries(coupled, (d, d), rows, others)
+        self._facing = SumWithProducts(*of, x, (y, N), (M, self._of_master.zero()))
+        none, one = (
+            BlockEntries(sparse.csr_array(pattern), (d, d), rows, rows)
+            for pattern in (sparse.csr_array((n, n)), sparse.eye_array(n))
+        )
+        self._sum = SumWithProducts(*of, none, (one, N), (one, self._facing.zero()))
+
+    def zero(self) -> PETSc.Mat:
+        """Return the matrix of `fill`, whatever its values, for the analysis of its pattern."""
+        return self._sum.zero()
+
+    def fill(self, link: CoupledSides, u: fem.Function, found: Derivatives) -> PETSc.Mat:
+        """Return the derivatives; those of the averaged normals are filled; collective."""
+        master, common, M = link.sides.master, link.coupling.common, link.mortar[1].M[:, :1]
+        assert master is not None and common is not None
+        N_m = self._of_master.fill(normal_derivatives(master, coordinates(master, u)))
+        at = M[:, :, None, None, None] * np.eye(self._d)[:, None]
+        facing = self._facing.fill(
+            found.b_x,
+            (found.b_p, self._N),
+            ([Blocks(self._row[:, None], self._column[:, None], at)], N_m),
+        )
+        nodes: Ints = np.arange(len(link.nodes), dtype=np.int32)[:, None]
+        by_slave, by_master = (
+            [Blocks(nodes, nodes, Y[:, None, :, None])] for Y in (common.by_slave, common.by_master)
+        )
+        return self._sum.fill([], (by_slave, self._N), (by_master, facing))
+
+
+def _averaged(surface: Surface) -> Triplets:
+    """Return the pattern of the derivatives of the averaged normals of a side; collective."""
+    V, d = surface.V, surface.X.shape[1]
+    nodes = V.dofmap.index_map.local_to_global(surface.nodes).astype(np.int64)
+    at = (d * nodes[:, None] + np.arange(d))[surface.facets]
+    block = *at.shape, *at.shape[1:]
+    rows = np.broadcast_to(at[:, :, :, None, None], block)
+    columns = np.broadcast_to(at[:, None, None], block)
+    return Triplets(V.mesh.comm, layout_of(V), rows, columns)
 
 
 def _in_space(link: CoupledSides) -> bool:
@@ -290,16 +329,16 @@ def layout_of(V: fem.FunctionSpace) -> Unknowns:
     return Unknowns(d * index_map.size_local, d * index_map.size_global)
 
 
-def _turning(link: CoupledSides, averaged: Floats) -> tuple[Floats, Floats]:
+def _turning(link: CoupledSides) -> tuple[Floats, Floats]:
     """Return the normals n_j (n, d) of the owned slave nodes, 0 where not kept, and dn_j/dn.
 
-    n_j is the averaged normal (n, d), or that on an edge, without the directions that mirror planes
-    take.
+    n_j is the normal of contact without the directions that mirror planes take.
     """
+    assert link.coupling.common is not None
     kept = link.coupling.kept[:, 0]
     n = np.where(kept[:, None], link.coupling.normals, 0.0)
     free = ~link.sides.mirrors[: len(n)]
-    left = np.linalg.norm(averaged * free, axis=1)
+    left = np.linalg.norm(link.coupling.common.n * free, axis=1)
     turning = (np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :]) * free[:, None, :]
     turning /= np.where(kept, left, 1.0)[:, None, None]
     turning[~kept] = 0.0
@@ -307,18 +346,17 @@ def _turning(link: CoupledSides, averaged: Floats) -> tuple[Floats, Floats]:
 
 
 def _tractions(
-    link: CoupledSides, averaged: Floats, multipliers: Floats, tangential: Floats | None
+    link: CoupledSides, multipliers: Floats, tangential: Floats | None
 ) -> tuple[Tractions, Bools]:
     """Return normals, tractions, and which local slave nodes are kept; collective.
 
     Args:
-        averaged: normals (local slave nodes, d).
         multipliers: lambda_j (owned nodes,).
         tangential: tangential tractions (owned nodes, d), None without friction.
     """
     slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
     nodes, kept = link.nodes, link.coupling.kept[:, 0]
-    n, turning = _turning(link, averaged[own])
+    n, turning = _turning(link)
     at = multipliers[nodes] * kept
     traction, change = at[:, None] * n, at[:, None, None] * turning
     if tangential is not None:

@@ -36,6 +36,7 @@ from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes
 from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.constraints import check_shapes
+from dolfinx_mortar.mortar.common_normals import CommonNormals, Spreads
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide
 from dolfinx_mortar.mortar.duals import Coverage
 from dolfinx_mortar.mortar.operators import MortarOperators
@@ -55,8 +56,9 @@ class Sides:
     fixed: Bools  # (local nodes, d) directions with Dirichlet data
     mirrors: Bools  # (local slave nodes, d) those of planes of symmetry, see `find_mirrors`
     dependent: Bools  # (n,) owned slave nodes that depend on other ones, which may be kept
-    edges: Bools | None = None  # (n,) slave nodes on edges where a contact has normals of its own
+    edges: Bools | None = None  # (n,) slave nodes of a contact on edges
     weight: Weight | None = None  # of all integrals over the interface; None for 1
+    spreads: Spreads | None = None  # of the normals around the nodes of contacts of two sides
 
     @property
     def nodes(self) -> Ints:
@@ -103,6 +105,7 @@ class Coupling:
     coverage: Coverage  # how far the nodes face the master
     lost: Bools  # (n, c) nodes that have lost a multiplier in the course of the step
     operators: MortarOperators | None = None  # of which it is made; None without a master
+    common: CommonNormals | None = None  # with the prescribed directions; of contacts of two sides
 
     @property
     def returned(self) -> Bools:

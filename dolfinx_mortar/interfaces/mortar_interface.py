@@ -12,6 +12,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
+from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.contact_derivatives import ContactDerivatives
@@ -30,9 +31,10 @@ from dolfinx_mortar.interfaces.coupling import (
 )
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface, ask
 from dolfinx_mortar.interfaces.slip_partners import Partners, partners_of
+from dolfinx_mortar.mortar.common_normals import common_normals
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides
 from dolfinx_mortar.mortar.duals import Coverage, find_coverage, node_weights
-from dolfinx_mortar.mortar.edges import check_angle, edge_normals, find_edges
+from dolfinx_mortar.mortar.edges import check_angle, find_edges
 from dolfinx_mortar.mortar.integrals import drop_far, find_segments
 from dolfinx_mortar.mortar.mirrors import find_mirrors
 from dolfinx_mortar.mortar.operators import SmoothSides, create_operators
@@ -226,27 +228,31 @@ class MortarInterface(Interface):
     ) -> Coupling:
         """Integrate D and M at X + u on the fixed pattern, see `Interface.couple`; collective."""
         assert pairing is not None
+        comm, slave, own = sides.V.mesh.comm, sides.slave, slice(None, sides.slave.owned)
         segments, normals = self.find_partners(pairing, u)
-        if sides.edges is not None:
-            normals = edge_normals(pairing, segments, u, normals, sides.edges)
-        nodes, own = sides.slave.nodes, slice(None, sides.slave.owned)
         normals, _ = free_directions(normals, sides.mirrors)  # the side goes on as its image
-        _, left = free_directions(normals, sides.fixed[nodes])
-        may = ask(sides.V.mesh.comm, self, "may_carry", left, sides.fixed[nodes])
-        allowed = may & ~banned[nodes, None]
-        operators = create_operators(
-            pairing,
-            u,
-            segments,
-            normals,
-            allowed,
-            returned=returned_nodes(sides, before),
-            edges=sides.edges,
-            claimed=banned[nodes],
+        fixed, free = sides.fixed[slave.nodes], ~banned[slave.nodes, None]
+        _, left = free_directions(normals, fixed)
+        allowed = ask(comm, self, "may_carry", left, fixed) & free
+        options: dict[str, Any] = {
+            "returned": returned_nodes(sides, before),
+            "edges": sides.edges,
+            "claimed": banned[slave.nodes],
             **({} if pattern.smooth is None else self.corrections(pattern.smooth)),
-        )
+        }
+        operators = create_operators(pairing, u, segments, normals, allowed, **options)
+        common = None
+        if sides.spreads is not None:
+            at = pairing, segments, operators.M[:, 0], u
+            common = common_normals(*at, sides.spreads, self.feature_angle)
+            normals, _ = free_directions(common.everywhere(slave), sides.mirrors)
+            _, left = free_directions(normals, fixed)
+            may = ask(comm, self, "may_carry", left, fixed)
+            if any_rank(comm, (operators.kept & ~may[own]).any())[0]:
+                allowed &= may
+                operators = create_operators(pairing, u, segments, normals, allowed, **options)
         kept = operators.kept
-        frame = ask(sides.V.mesh.comm, self, "frame", normals[own], kept, sides.fixed[sides.nodes])
+        frame = ask(comm, self, "frame", normals[own], kept, fixed[own])
         blocks = self.blocks(operators.P, frame, pattern.row)
         if operators.motions is not None:
             blocks[pattern.split :] += operators.motions
@@ -260,4 +266,5 @@ class MortarInterface(Interface):
             heights=operators.heights,
             coverage=operators.coverage,
             operators=operators,
+            common=common,
         )

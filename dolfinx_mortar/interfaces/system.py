@@ -47,6 +47,7 @@ from dolfinx_mortar.interfaces.near import find_reach, touches_far_nodes
 from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.splits import notes_on_splits
+from dolfinx_mortar.mortar.common_normals import find_spreads
 from dolfinx_mortar.mortar.contact_normals import contact_normals
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.passing import Middles
@@ -154,12 +155,29 @@ class InterfaceSystem:
         self.sides: list[Sides] = [
             ask(V.mesh.comm, i, "find_sides", V, fixed, weight) for i in interfaces
         ]
+        self._find_spreads()
         self.facet_length = max((mean_facet_length(s.slave) for s in self.sides), default=1.0)
         self.present = Configuration()
         self._reused = Reused()
         self.searches = 0
         self.middles: list[tuple[Middles, ...]] | None = None  # when first asked for
         self.faced = False
+
+    def _find_spreads(self) -> None:
+        """Tell the sides of contacts how the normals at their nodes spread; collective."""
+        pairs = list(zip(self.interfaces, self.sides, strict=True))
+        two = [i.unilateral and sides.master is not None for i, sides in pairs]
+        if not any(two):
+            return
+        contacts, ties = (
+            [side for i, sides in pairs if i.unilateral is can_open for side in sides.surfaces]
+            for can_open in (True, False)
+        )
+        spreads = find_spreads(self.boundary, contacts, ties)
+        self.sides = [
+            replace(sides, spreads=spreads) if some else sides
+            for (_, sides), some in zip(pairs, two, strict=True)
+        ]
 
     @property
     def n(self) -> int:

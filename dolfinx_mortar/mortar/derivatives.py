@@ -21,7 +21,7 @@ coordinates of the received master nodes of this rank.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import reduce
 from typing import TypeAlias
 
@@ -54,14 +54,9 @@ class Tractions:
     """Constraint normals and tractions at the local slave nodes, as functions of the normals."""
 
     normals: Floats  # (n, 2) n_j of gaps; zero where no multiplier is carried
-    turning: Floats  # (n, 2, 2) dn_j/dn of the averaged normals n
+    turning: Floats  # (n, 2, 2) dn_j/dn of the normals n before Dirichlet data restrict them
     tractions: Floats  # (n, 2) c_j
     changes: Floats  # (n, 2, 2) dc_j/dn
-
-    def held(self, nodes: Bools) -> "Tractions":
-        """Return the same, of which those at some nodes (n,) do not turn."""
-        off = ~nodes[:, None, None]
-        return replace(self, turning=self.turning * off, changes=self.changes * off)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +68,13 @@ class Derivatives:
     """
 
     F_x: Sequence[Part]  # (d n + d nm, d n + d nm) by the coordinates of the same nodes
-    F_n: Sequence[Part]  # (d n + d nm, d n) by the averaged normals
+    F_n: Sequence[Part]  # (d n + d nm, d n) by the normals of contact
     G_x: Sequence[Part]  # (n, d n + d nm)
     G_n: Sequence[Part]  # (n, d n)
+    F_p: Sequence[Part] = ()  # (d n + d nm, d n) by the averaged normals, the directions in 2D
+    G_p: Sequence[Part] = ()  # (n, d n)
+    b_x: Sequence[Part] = ()  # (d n, d n + d nm) of sum_l M_jl n_l with fixed n_l, in 2D
+    b_p: Sequence[Part] = ()  # (d n, d n)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +120,7 @@ def differentiate(
     keep: Bools,
     Phi: Floats,
     given: Tractions,
+    normals: Floats,
     slopes: HeightSlopes | None,
     sharing: Sharing | None = None,
 ) -> Derivatives:
@@ -132,6 +132,7 @@ def differentiate(
         keep: Local slave nodes (n,) that carry a multiplier.
         Phi: Their weighted functions (q, k) of `open_duals`.
         given: Normals and tractions.
+        normals: Those of the received master nodes (nm, 2).
         slopes: Heights of smooth surfaces and their derivatives; None for facets.
         sharing: What is shared out beside edges; None without.
     """
@@ -162,8 +163,15 @@ def differentiate(
         F, G = F + F_c @ by_x, G + G_c @ by_x
     n, z = 2 * len(x), place.columns
     coordinate_columns, normal_columns = np.r_[0:n, 2 * n : z], np.arange(n, 2 * n)
-    parts = ([Matrix(B)[:, c]] for B in (F, G) for c in (coordinate_columns, normal_columns))
-    return Derivatives(*parts)
+    by_x, along = (
+        [[Matrix(B)[:, c]] for B in (F, G)] for c in (coordinate_columns, normal_columns)
+    )
+    F_n, G_n = place.by_normals(*chain.by_normals(Phi))
+    facing = chain.facing(duals, normals[pairing.master_facets][segments.master])
+    rows = (place.gaps(by_x) + place.gaps_by_coefficients(by_A) @ dA for by_x, by_A in facing)
+    b = sum(sparse.kron(row, one) for row, one in zip(rows, np.eye(2)[:, :, None], strict=True))
+    b_x, b_p = ([Matrix(b)[:, c]] for c in (coordinate_columns, normal_columns))
+    return Derivatives(by_x[0], [F_n], by_x[1], [G_n], along[0], along[1], b_x, b_p)
 
 
 def by_closed_parts(
@@ -270,12 +278,21 @@ class _Chain:
         x_s, x_m = (np.einsum("qk,qk->q", side.N, v) for side, v in sides)
         return _Field(x_m - x_s, d)
 
-    def _nodal(self, values: Floats, changes: Floats, j: int, i: int) -> _Field:
-        """Return component i of vectors at nodes (n, 2), by normals (n, 2, 2), at node j."""
-        d = np.zeros((len(self.facet), self.p))
-        first = 2 * self.k + 2 * j
-        d[:, first : first + 2] = changes[self.nodes[:, j], i]
-        return _Field(values[self.nodes[:, j], i], d)
+    def _nodal(self, values: Floats, j: int, i: int) -> _Field:
+        """Return component i of fixed vectors at nodes (n, 2), at node j."""
+        return _Field(values[self.nodes[:, j], i], np.zeros((len(self.facet), self.p)))
+
+    def by_normals(self, Phi: Floats) -> tuple[Floats, Floats]:
+        """Return the derivatives of forces (q, k + l, 2, k, 2) and gaps (q, k, 2) by normals n_j.
+
+        Args:
+            Phi: (q, k) weighted dual functions.
+        """
+        N, o = np.hstack([self.slave.N, -self.master.N]), [v.value for v in self.offsets]
+        changes = np.moveaxis(Phi[:, :, None, None] * self.given.changes[self.nodes], 1, 2)
+        turned = Phi[:, :, None, None] * self.given.turning[self.nodes]
+        gaps = np.einsum("qi,qjih->qjh", np.stack(o, axis=1), turned)
+        return N[:, :, None, None, None] * changes[:, None], gaps
 
     def moments(self) -> Floats:
         """Return the derivatives (q, k + k^2, p) of w N_a and w N_a N_c."""
@@ -302,10 +319,7 @@ class _Chain:
         d_xi = np.stack([s.d_xi] * s.k + [m.d_xi] * m.k, axis=1)
         by_x = []
         for i in range(2):
-            terms = (
-                dual * self._nodal(self.given.tractions, self.given.changes, j, i)
-                for j, dual in enumerate(duals)
-            )
+            terms = (dual * self._nodal(self.given.tractions, j, i) for j, dual in enumerate(duals))
             density = self.w * reduce(_Field.__add__, terms)
             along = (density.value[:, None] * dN)[:, :, None] * d_xi
             by_x.append(N[:, :, None] * density.d[:, None] + along)
@@ -319,14 +333,26 @@ class _Chain:
         """
         by_x, values = [], []
         for j, dual in enumerate(duals):
-            parts = (
-                self._nodal(self.given.normals, self.given.turning, j, i) * self.offsets[i]
-                for i in range(2)
-            )
+            parts = (self._nodal(self.given.normals, j, i) * self.offsets[i] for i in range(2))
             gap = self.w * reduce(_Field.__add__, parts, self._below(slopes))
             by_x.append((gap * dual).d)
             values.append(gap.value)
         return np.stack(by_x, axis=1), np.stack(values, axis=1)[:, :, None] * self.slave.N[:, None]
+
+    def facing(self, duals: list[_Field], normals: Floats) -> list[tuple[Floats, Floats]]:
+        """Return those of each component of sum_l M_jl n_l, as `gaps` does.
+
+        Args:
+            normals: n_l (q, l, 2), fixed.
+        """
+        found, side = [], self.master
+        for n in np.moveaxis(normals, 2, 0):
+            along = (side.slopes * n).sum(axis=1)[:, None] * side.d_xi
+            density = self.w * _Field((side.N * n).sum(axis=1), along)
+            by_A = density.value[:, None, None] * self.slave.N[:, None]
+            by_A = np.repeat(by_A, self.k, axis=1)
+            found.append((np.stack([(density * dual).d for dual in duals], axis=1), by_A))
+        return found
 
     def closed_parts(self, partly: PartlyOpen, slave: Facets) -> Floats:
         """Return the derivatives (q, p) of the parts that slave facets share out, but by size."""
@@ -396,6 +422,15 @@ class _Places:
         """Return the sums of values (q, k, p)."""
         where = self.slave[..., None], self.stencil[:, None]
         return summed(*where, values, (self.n, self.columns))
+
+    def by_normals(self, forces: Floats, gaps: Floats) -> tuple[Matrix, Matrix]:
+        """Return the sums of `_Chain.by_normals`."""
+        columns, size = 2 * self.slave[:, :, None] + np.arange(2), 2 * self.n
+        rows, of_forces = self.force_rows[..., None, None], (self.columns - 2 * self.n, size)
+        return (
+            summed(rows, columns[:, None, None], forces, of_forces),
+            summed(self.slave[:, :, None], columns, gaps, (self.n, size)),
+        )
 
     def forces_by_coefficients(self, values: Floats) -> Matrix:
         """Return the sums of values (q, k + l, 2, k, k)."""

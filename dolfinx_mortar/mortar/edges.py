@@ -30,7 +30,7 @@ import numpy as np
 import dolfinx
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import is_number
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints
+from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.curvature import unit
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -125,108 +125,6 @@ def facing_edges(pairing: Pairing, segments: Segments, feature_angle: float) -> 
     apart = ((x - middle[on]) * (n - mean[on])).sum(axis=1)
     convex = np.bincount(on, w * apart, count) > 0.0
     return np.asarray(convex & (np.bincount(on, w * turned, count) > SUNK * whole))
-
-
-def edge_normals(
-    pairing: Pairing,
-    segments: Segments,
-    u: dolfinx.fem.Function | None,
-    normals: Floats,
-    edges: Bools,
-) -> Floats:
-    """Return the normals (n, d) of the slave nodes, those on edges by both sides; collective.
-
-    Args:
-        u: Displacement, None for X.
-        normals: Averaged normals (n, d) at X + u: kept off the edges, and where nothing is covered.
-        edges: Nodes (n,) on edges, of `find_edges`.
-    """
-    found = _in_both_cones(sums_at_edges(pairing, segments, u, edges), normals.shape[1])[0]
-    length = np.linalg.norm(found, axis=1, keepdims=True)
-    result = np.copy(normals)
-    least = HALF_OF_DIGITS * BLUR  # it vanishes where a and b are opposite
-    result[edges] = np.where(length > least, found / np.maximum(length, TINY), normals[edges])
-    return result
-
-
-def edged(slave: Surface, edges: Bools, segments: Segments) -> Bools:
-    """Return which points (q,) lie on a facet with a node on an edge (n,)."""
-    some = np.asarray(edges[slave.facets].any(axis=1))
-    return np.asarray(some[segments.slave])
-
-
-def products(n_s: Floats, n_m: Floats) -> Floats:
-    """Return 1, the normals (q, d) of both sides, and their products with themselves, (q, c).
-
-    With the weights w N_j their sums give the normal of a node on an edge.
-    """
-    i, j = np.triu_indices(n_s.shape[1])
-    columns = [np.ones((len(n_s), 1)), n_s, n_m, n_s[:, i] * n_s[:, j], n_m[:, i] * n_m[:, j]]
-    return np.concatenate(columns, axis=1)
-
-
-def sums_at_edges(
-    pairing: Pairing, segments: Segments, u: dolfinx.fem.Function | None, edges: Bools
-) -> Floats:
-    """Return the sums (e, c) of w N_j times `products` at the nodes on edges; collective."""
-    slave, some = pairing.slave, np.flatnonzero(edged(pairing.slave, edges, segments))
-    on_slave, on_master = segments.slave[some], segments.master[some]
-    N = slave.element.shape_functions(segments.xi_s[some])
-    N = np.clip(N, 0.0, None) * segments.weight[some, None]
-    n_s = facet_normals(facets_at(slave, coordinates(slave, u)))[on_slave]
-    n_m = -facet_normals(received_facets(pairing, u))[on_master]
-    sums = sums_of_products(N, products(n_s, n_m), on_slave, len(slave.facets))
-    return np.asarray(sum_at_nodes(slave, sums)[edges])
-
-
-def _in_both_cones(sums: Floats, d: int) -> tuple[Floats, Floats, Floats]:
-    """Return (C_s^-1 + C_m^-1)^-1 (a + b) (e, d) for sums (e, c); C_s and C_m (2, e, d, d), y.
-
-    With A = C_s, B = C_m it is A y, y = (A + B)^-1 B (a + b).
-    """
-    i, j = np.triu_indices(d)
-    weight, a, b, *squares = np.split(sums, np.cumsum([1, d, d, len(i)]), axis=1)
-    C = np.zeros((2, len(sums), d, d))
-    C[:, :, i, j] = C[:, :, j, i] = np.stack(squares) / np.maximum(weight, TINY)
-    C += BLUR * np.eye(d)
-    y = np.linalg.solve(C[0] + C[1], C[1] @ (unit(a) + unit(b))[:, :, None])
-    return (C[0] @ y)[:, :, 0], C, y[:, :, 0]
-
-
-def edge_normals_by_sums(sums: Floats, d: int) -> Floats:
-    """Return the derivatives (e, d, c) of normals on edges by the sums (e, c), 0 for averaged.
-
-    With K = (A + B)^-1 and v = a + b, d(A y) = B K dA y + A K (dB (v - y) + B dv).
-    """
-    result = np.zeros((len(sums), d, sums.shape[1]))
-    some = np.flatnonzero(sums[:, 0] > TINY)
-    found, (A, B), y = _in_both_cones(sums[some], d)
-    some, A, B, y, found = (
-        v[np.linalg.norm(found, axis=1) > HALF_OF_DIGITS * BLUR] for v in (some, A, B, y, found)
-    )
-    i, j = np.triu_indices(d)
-    _, a, b, of_A, of_B = np.cumsum([0, 1, d, d, len(i)])
-    sums, size, e = sums[some], sums[some, :1, None], np.arange(len(i))
-    v = unit(sums[:, a:b]) + unit(sums[:, b:of_A])
-    left, right = (np.swapaxes(np.linalg.solve(A + B, X), 1, 2) for X in (B, A))
-    by_square = np.zeros((d, d, len(i)))
-    by_square[i, j, e] = by_square[j, i, e] = 1.0
-    by_sums = np.zeros((len(sums), d, result.shape[2]))
-    for first in (a, b):
-        part = slice(first, first + d)
-        by_sums[:, :, part] = right @ B @ _by_direction(sums[:, part])
-    for S, X, w, first in ((left, A, y, of_A), (right, B, v - y, of_B)):
-        part, blurred = slice(first, first + len(i)), X - BLUR * np.eye(d)
-        by_sums[:, :, part] = S @ np.einsum("hic,ei->ehc", by_square, w) / size
-        by_sums[:, :, :1] -= S @ blurred @ w[:, :, None] / size
-    result[some] = _by_direction(found) @ by_sums
-    return result
-
-
-def _by_direction(v: Floats) -> Floats:
-    """Return the derivative (e, d, d) of v / |v| by v (e, d)."""
-    n, size = unit(v), np.maximum(np.linalg.norm(v, axis=1), TINY)
-    return (np.eye(v.shape[1]) - n[:, :, None] * n[:, None]) / size[:, None, None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,11 +22,12 @@ from scipy.sparse import csr_array, kron
 import dolfinx
 from dolfinx_mortar.algebra.csr import csr_of
 from dolfinx_mortar.arrays import Floats, Ints, Longs
-from dolfinx_mortar.mortar.edges import check_angle, edge_normals, find_edges
+from dolfinx_mortar.mortar.common_normals import common_normals, find_spreads
+from dolfinx_mortar.mortar.edges import check_angle, find_edges
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.operators import create_operators
 from dolfinx_mortar.mortar.pairing import Weight, create_pairing
-from dolfinx_mortar.mortar.surface import create_surface
+from dolfinx_mortar.mortar.surface import create_surface, find_boundary
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,12 +110,14 @@ def assemble_mortar(
         known = V.dofmap.index_map.local_to_global(surfaces[0].nodes.astype(np.int32))
         returned = np.isin(known, np.concatenate(V.mesh.comm.allgather(np.asarray(stays))))[:, None]
     edges = None if feature_angle is None else find_edges(surfaces[0], feature_angle)
-    if edges is not None:
-        normals = edge_normals(pairing, segments, u, normals, edges)
     parts = pairing, u, segments, normals, everything
     operators = create_operators(*parts, returned=returned, edges=edges)
     own = surfaces[0].nodes[: surfaces[0].owned]
     kept, normals = operators.kept[:, 0], operators.normals
+    if feature_angle is not None:
+        at = pairing, segments, operators.M[:, 0], u
+        spreads = find_spreads(find_boundary(V), surfaces)
+        normals = common_normals(*at, spreads, feature_angle).n
     node_D = pairing.D.matrix(operators.D[:, 0])
     node_M = pairing.M.matrix(operators.M[:, 0])
     D, M = (_expand_rows(A, own[kept], V) for A in (node_D, node_M))

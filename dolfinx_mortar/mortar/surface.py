@@ -30,7 +30,7 @@ from dolfinx_mortar.geometry.facets import (
 from dolfinx_mortar.geometry.thickness import thickness
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.mortar.receivers import create_groups, find_receivers, group_cones
-from dolfinx_mortar.spaces import check_space
+from dolfinx_mortar.spaces import check_space, connected_parts
 from dolfinx_mortar.tags import check_entities, check_tag, label, labels, tag_of
 
 _MOST_WARPED = 0.3
@@ -246,24 +246,51 @@ def create_surface(
         facets=np.searchsorted(nodes, facet_nodes).astype(np.int32),
         entities=entities,
         X=np.ascontiguousarray(X[nodes]),
-        thickness=_thickness(facets, V),
+        thickness=_thickness(V, facets, facet_nodes),
         sums=sums,
     )
 
 
-def _thickness(facets: Facets, V: dolfinx.fem.FunctionSpace) -> Floats:
-    """Return how thick (m,) the body is behind the facets of a side; collective.
+def _thickness(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) -> Floats:
+    """Return how thick (m,) the bodies are behind the facets of a side; collective.
 
-    Up to a facet of this side, on any rank. Where a side encloses a body but for a face, such as
-    its support, up to all exterior facets.
+    Up to a facet of this side, on any rank. Up to all facets of the body where a side encloses it
+    but for a face, such as its support, or has facets that meet at more than 60 degrees: what one
+    of its faces meets may lie behind another one.
+
+    Args:
+        nodes: (m, k) local nodes of the facets.
     """
-    result = thickness_behind(facets, facets, V.mesh.comm)
+    comm = V.mesh.comm
+    result = thickness_behind(facets, facets, comm)
     unknown = np.isinf(result)
-    around, partly = any_rank(V.mesh.comm, (~unknown).any(), unknown.any())
-    if around and partly:
-        everything = find_boundary(V).facets
-        result[unknown] = thickness_behind(facets[unknown], everything, V.mesh.comm)
+    around, partly, edges = any_rank(
+        comm, (~unknown).any(), unknown.any(), _meet_at_edges(V, facets, nodes)
+    )
+    if not partly or not (around or edges):
+        return result
+    count, part = connected_parts(V)
+    boundary = find_boundary(V)
+    own, of = np.where(unknown, part[nodes[:, 0]], -1), part[boundary.nodes[:, 0]]
+    for body in range(count):
+        if any_rank(comm, (own == body).any())[0]:
+            everything = boundary.facets[np.flatnonzero(of == body)]
+            result[own == body] = thickness_behind(facets[own == body], everything, comm)
     return result
+
+
+def _meet_at_edges(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) -> bool:
+    """Tell whether some facets of this rank meet others at more than 60 degrees; collective."""
+    n = facet_normals(facets)
+    sums = dolfinx.la.vector(V.dofmap.index_map, n.shape[1])
+    sums.array[:] = 0.0
+    at = sums.array.reshape(-1, n.shape[1])
+    for column in nodes.T:
+        np.add.at(at, column, n)
+    sums.scatter_reverse(dolfinx.la.InsertMode.add)
+    sums.scatter_forward()
+    along = (at[nodes] * n[:, None]).sum(axis=2)
+    return bool((along < np.sqrt(0.75) * np.linalg.norm(at[nodes], axis=2)).any())
 
 
 def thickness_behind(facets: Facets, others: Facets, comm: MPI.Intracomm) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.audit.stand_off import note_on_edges, note_on_facets
+from dolfinx_mortar.audit.stand_off import note_on_facets
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import Balance
@@ -75,9 +75,7 @@ def _pressures(end: StepEnd) -> list[str]:
         spoilt = note_on_facets(link, x, u, forces, stiffness, diagonal, potential)
         notes += [spoilt] if spoilt else []
         if any_rank(end.problem.comm, forces[link.nodes].any())[0]:
-            askew = note_on_edges(link, end.problem.system.boundary, u, forces)
-            sure = not (spoilt or askew)
-            few += [askew, note_on_resolution(link, end.contacts, sure)]
+            few.append(note_on_resolution(link, end.contacts, not spoilt))
     return notes + [note for note in few if note]
 
 

@@ -11,7 +11,6 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx import fem, la
@@ -26,6 +25,7 @@ from dolfinx_mortar.arrays import (
     Ints,
 )
 from dolfinx_mortar.solid.kinematics import translations_and_rotations
+from dolfinx_mortar.spaces import connected_parts
 
 Motion = Callable[[PETSc.Vec], Floats]
 Modes = list[tuple[int, str, PETSc.Vec]]
@@ -146,28 +146,8 @@ def find_bodies(
     Args:
         motions: the rigid-body modes, `rigid_motions` of the solid's kinematics.
     """
-    layout, comm = V.dofmap.index_map, V.mesh.comm
-    n_owned, n_local = layout.size_local, layout.size_local + layout.num_ghosts
-    cells = V.dofmap.list
-    first, last = cells[:, :-1].ravel(), cells[:, 1:].ravel()
-    graph = coo_array((np.ones(len(first)), (first, last)), shape=(n_local, n_local))
-    parts, local = connected_components(graph, directed=False)
-
-    # Parts of different ranks are one body where a ghost of one part is owned by the other.
-    offset = comm.exscan(parts) or 0
-    vector = la.vector(layout, 1)
-    vector.array[:n_owned] = local[:n_owned] + offset
-    vector.scatter_forward()
-    touching = np.column_stack([local + offset, vector.array]).astype(np.int64)
-    links = np.concatenate(comm.allgather(np.unique(touching, axis=0)))
-    total = comm.allreduce(parts, op=MPI.SUM)
-    joined = coo_array((np.ones(len(links)), links.T), shape=(total, total))
-    count, body_of = connected_components(joined, directed=False)
-    label = body_of[local + offset][:n_owned].astype(np.int32)
-    used = np.concatenate(comm.allgather(np.unique(label)))
-    label = np.searchsorted(np.unique(used), label).astype(np.int32)
-    count = len(np.unique(used))
-
+    count, label = connected_parts(V)
+    label = label[: V.dofmap.index_map.size_local]
     return dataclasses.replace(_measure(V, count, label), motions=motions)
 
 

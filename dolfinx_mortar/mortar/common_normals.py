@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: MIT
+r"""Normals of contact nodes, which are normals of both sides.
+
+A contact force without friction is normal to both sides. How well a side knows its normal at a node
+is the spread of the normals n_f of all exterior facets there,
+
+    S = mean (n_f - n')(n_f - n')^T,      n' = mean n_f:
+
+nothing on a face, less the finer an arc, and on an edge much across it and nothing along it. So the
+normal of node j is the least-squares mean of those of both sides, a_j and b_j,
+
+    n_j = unit [C_m (C_s + C_m)^-1 a_j + C_s (C_s + C_m)^-1 b_j],   C_s = a_j a_j^T + S_s + eps I,
+
+C_m likewise: the normal of the face or of the flatter side where the other one has an edge, a
+corner or an arc, t_s x t_m where edges with the tangents t cross, the mean of equal sides; no angle
+decides. The force at slave node j goes to the master nodes l in parts of M_jl (paper, eq. 20). So
+
+    b_j = -unit sum_l M_jl n_l:
+
+each node of either side is pressed along its own normal. The resultant on a flat side is then
+normal to it: with the nodal forces f and the symmetric compliance C of its normal motions, averaged
+normals turn by G C f, G being the central difference. Along equal facets far from the ends C and G
+commute and G is antisymmetric: the tangential resultant f.G C f is zero for any f. That of facet
+normals, or of means with other weights, is as large as the dent is steep.
+
+Spreads are those at X, which S at X + u is scaled to: a flat side does not become an edge where it
+is dented. Facets that are tied are none of them. Between vertices, at nodes of second order, S is
+the mean of the vertices'. eps has a part of the spreads at the vertices beside a node, so that the
+end of a flat part, where an arc or a corner begins, yields to the other side's face as these do.
+
+The normal of a side at a node, a_j or n_l, is the averaged one, but across an edge that of the
+facets that face the other side: of a block that stands flush on another one, not that of its flank.
+Up to half of the spread at the feature angle it is the averaged one, then a part of both.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dolfinx import fem, la
+from dolfinx_mortar.algebra.parallel import sums_at_nodes
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, ROUND_OFF, TINY, Floats, Ints
+from dolfinx_mortar.geometry.curvature import unit
+from dolfinx_mortar.geometry.facets import Facets, facet_normals
+from dolfinx_mortar.geometry.segments import Segments
+from dolfinx_mortar.mortar.integrals import sums_of_values
+from dolfinx_mortar.mortar.pairing import Pairing, received_facets
+from dolfinx_mortar.mortar.surface import (
+    Boundary,
+    Surface,
+    accumulate,
+    coordinates,
+    facets_at,
+    nodal_normals,
+)
+
+BLUR = 1e-3
+"""Part of eps: share of the spreads beside a node.
+
+Of 1e-5 to 1e-1 resultants on a face differ by 1e-4, of crossing edges by .002.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Spreads:
+    """How the normals of the exterior facets around nodes spread."""
+
+    V: fem.FunctionSpace
+    boundary: Boundary  # facets of the sides, and those beside them
+    width: Floats  # (local nodes,) trace of S at X, of vertices
+    blur: Floats  # (local nodes,) eps
+
+    def at(self, u: fem.Function | None) -> Floats:
+        """Return S + eps I (local nodes, d, d) at X + u; collective."""
+        V, nodes = self.V, self.boundary.nodes
+        vertices = list(self.boundary.facets.element.vertices)
+        S = _covariances(V, nodes[:, vertices], self.boundary.at(u))
+        one = np.eye(S.shape[1])
+        S += ROUND_OFF * one  # without an axis, where facets that meet at an angle have become flat
+        S *= (self.width / np.trace(S, axis1=1, axis2=2))[:, None, None]
+        between = np.delete(nodes, vertices, axis=1)
+        if between.size:
+            of_facets = S[nodes[:, vertices]].mean(axis=1).reshape(len(nodes), -1)
+            S += _means(V, between, of_facets).reshape(S.shape)
+        return np.asarray(S + self.blur[:, None, None] * one)
+
+
+def find_spreads(
+    boundary: Boundary,
+    contacts: Sequence[Surface],
+    ties: Sequence[Surface] = (),
+) -> Spreads:
+    """Return the spreads of normals at X; collective.
+
+    Args:
+        boundary: All exterior facets.
+        contacts: Sides of contacts, one or more.
+        ties: Sides that are tied.
+    """
+    V, nodes = contacts[0].V, boundary.nodes
+    marks = la.vector(V.dofmap.index_map)
+    marks.array[:] = 0.0
+    for side in contacts:
+        marks.array[side.nodes[: side.owned]] = 1.0
+    marks.scatter_forward()
+    free = marks.array[nodes].any(axis=1)
+    for side in ties:
+        free &= ~np.isin(boundary.entities, side.entities)
+    names = "facets", "cells", "entities", "nodes"
+    boundary = replace(boundary, **{name: getattr(boundary, name)[free] for name in names})
+    nodes = boundary.nodes
+    at_vertices = nodes[:, list(boundary.facets.element.vertices)]
+    width = np.trace(_covariances(V, at_vertices, boundary.facets), axis1=1, axis2=2)
+    beside = width[at_vertices].mean(axis=1, keepdims=True)
+    blur = BLUR * _means(V, nodes, beside)[:, 0] + HALF_OF_DIGITS
+    return Spreads(V, boundary, np.maximum(width, 0.0), blur)
+
+
+def _means(V: fem.FunctionSpace, nodes: Ints, values: Floats) -> Floats:
+    """Return the means (local nodes, c) over facets at nodes (m, k) of values (m, c); collective.
+
+    Zero at other nodes.
+    """
+    c = values.shape[1] + 1
+    sums = la.vector(V.dofmap.index_map, c)
+    sums.array[:] = 0.0
+    at, each = sums.array.reshape(-1, c), np.column_stack([values, np.ones(len(values))])
+    for column in nodes.T:
+        np.add.at(at, column, each)
+    sums.scatter_reverse(la.InsertMode.add)
+    sums.scatter_forward()
+    return np.asarray(at[:, :-1] / np.maximum(at[:, -1:], 1.0))
+
+
+def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets) -> Floats:
+    """Return S (local nodes, d, d) of facets at their nodes (m, k); collective."""
+    n = facet_normals(facets)
+    d = n.shape[1]
+    products = (n[:, :, None] * n[:, None]).reshape(len(n), d * d)
+    found = _means(V, nodes, np.hstack([n, products]))
+    mean = found[:, :d]
+    return np.asarray(found[:, d:].reshape(-1, d, d) - mean[:, :, None] * mean[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class CommonNormals:
+    """The normals at the owned slave nodes, and their derivatives by the averaged ones."""
+
+    n: Floats  # (n, d)
+    by_slave: Floats  # (n, d, d) by the averaged normal of the node
+    by_master: Floats  # (n, d, d) by sum_l M_jl n_l
+
+    def everywhere(self, slave: Surface) -> Floats:
+        """Return the normals at all local slave nodes (n, d); collective."""
+        local = np.zeros_like(slave.X)
+        local[: slave.owned] = self.n
+        return accumulate(slave, local)
+
+
+def common_normals(
+    pairing: Pairing,
+    segments: Segments,
+    M: Floats,
+    u: fem.Function | None,
+    spreads: Spreads,
+    feature_angle: float,
+) -> CommonNormals:
+    """Return the normals of both sides at X + u; collective.
+
+    Averaged ones where nothing is coupled, or where both sides' normals are opposite.
+
+    Args:
+        segments: Those at X + u.
+        M: Its entries (f,).
+        feature_angle: Degrees between facets from which on they meet in an edge.
+    """
+    slave, master, V = pairing.slave, pairing.master, pairing.slave.V
+    own, d = slave.nodes[: slave.owned], slave.X.shape[1]
+    S, limit = spreads.at(u), np.sin(np.radians(feature_angle / 2)) ** 2
+    averaged = nodal_normals(slave, coordinates(slave, u))[: slave.owned]
+    of_slave, of_master = _facing(pairing, segments, u)
+    a = _of_side(averaged, of_slave[own], S[own], limit)
+    nodes = master.nodes[: master.owned]
+    n_m = nodal_normals(master, coordinates(master, u))[: master.owned]
+    values = np.zeros((V.dofmap.index_map.size_local, d + d * d + 1))
+    values[nodes, :d] = _of_side(n_m, of_master[nodes], S[nodes], limit)
+    values[nodes, d:-1], values[nodes, -1] = S[nodes].reshape(-1, d * d), 1.0
+    total = -_products(pairing, M, values[:, :d])[own]
+    size = np.linalg.norm(total, axis=1)
+    b = unit(total)
+    spread = _products(pairing, np.maximum(M, 0.0), values[:, d:])[own]
+    spread = spread[:, :-1] / np.maximum(spread[:, -1:], TINY)
+    mean, by_a, by_b = _mean(a, b, S[own], spread.reshape(-1, d, d))
+    length = np.linalg.norm(mean, axis=1)
+    met = np.flatnonzero((size > 0.0) & (length > HALF_OF_DIGITS))
+    n, by_slave = averaged.copy(), np.tile(np.eye(d), (len(own), 1, 1))
+    by_master = np.zeros_like(by_slave)
+    n[met] = unit(mean[met])
+    across = _across(n[met]) / length[met, None, None]
+    by_slave[met] = across @ by_a[met]
+    by_master[met] = -across @ by_b[met] @ _across(b[met]) / size[met, None, None]
+    return CommonNormals(n, by_slave, by_master)
+
+
+def _across(n: Floats) -> Floats:
+    """Return I - n n^T (n, d, d) of unit vectors, or of zero."""
+    return np.asarray(np.eye(n.shape[1]) - n[:, :, None] * n[:, None])
+
+
+def _facing(pairing: Pairing, segments: Segments, u: fem.Function | None) -> tuple[Floats, Floats]:
+    """Return the sums of w N_j n_s and w N_l n_m over the points (owned nodes, d); collective."""
+    V, slave = pairing.slave.V, pairing.slave
+    facets = facets_at(slave, coordinates(slave, u)), received_facets(pairing, u)
+    numbers = V.dofmap.index_map.local_to_global(slave.nodes).astype(np.int64)
+    sides = (
+        (segments.slave, segments.xi_s, numbers[slave.facets]),
+        (segments.master, segments.xi_m, pairing.master_nodes[pairing.master_facets]),
+    )
+    found = []
+    for side, (on, xi, nodes) in zip(facets, sides, strict=True):
+        N = np.clip(side.element.shape_functions(xi), 0.0, None) * segments.weight[:, None]
+        weights = sums_of_values(N, np.ones(len(on)), on, len(nodes))
+        sums = weights[:, :, None] * facet_normals(side)[:, None]
+        at = nodes.ravel(), sums.reshape(-1, sums.shape[2])
+        found.append(sums_at_nodes(V.mesh.comm, V.dofmap.index_map, *at))
+    return found[0], found[1]
+
+
+def _of_side(averaged: Floats, facing: Floats, S: Floats, limit: float) -> Floats:
+    """Return the normals (n, d) of one side.
+
+    Args:
+        averaged: (n, d).
+        facing: Sums (n, d) over what faces the other side.
+        S: (n, d, d).
+        limit: Spread from which on facets meet in an edge.
+    """
+    some = np.linalg.norm(facing, axis=1, keepdims=True) > 0.0
+    c = np.where(some, unit(facing), averaged)
+    Q = _across(averaged)
+    widths, axes = np.linalg.eigh(Q @ S @ Q)
+    smooth = np.clip(2.0 - 2.0 * widths / limit, 0.0, 1.0)
+    K = Q @ (axes * smooth[:, None]) @ np.swapaxes(axes, 1, 2) @ Q
+    return unit(c - (K @ c[:, :, None])[:, :, 0])
+
+
+def _products(pairing: Pairing, M: Floats, values: Floats) -> Floats:
+    """Return sum_l M_jl v_l (owned nodes, c) for entries of M and values at nodes; collective."""
+    matrix, result = pairing.M.matrix(M), np.empty_like(values)
+    v, w = matrix.createVecs()
+    for i, column in enumerate(values.T):
+        v.array[:] = column
+        matrix.mult(v, w)
+        result[:, i] = w.array_r
+    return result
+
+
+def _mean(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the mean y (n, d) of unit vectors with given spreads, and its derivatives by them.
+
+    With A and B = a a^T + S_a and b b^T + S_b, K = (A + B)^-1 and z = K (b - a),
+    y = B K a + A K b = a + A K (b - a),
+    dy = B K (da + (a.z) da + a (z.da)) + A K (db - (b.z) db - b (z.db)).
+    """
+    one = np.eye(a.shape[1])
+    A, B = (v[:, :, None] * v[:, None] + S for v, S in ((a, S_a), (b, S_b)))
+    K = np.linalg.inv(A + B)
+    z = (K @ (b - a)[:, :, None])[:, :, 0]
+    along = ((v * z).sum(axis=1)[:, None, None] * one + v[:, :, None] * z[:, None] for v in (a, b))
+    by_a, by_b = B @ K, A @ K
+    y = a + (by_b @ (b - a)[:, :, None])[:, :, 0]
+    turned_a, turned_b = along
+    return y, by_a @ (one + turned_a), by_b @ (one - turned_b)
