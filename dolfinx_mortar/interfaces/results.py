@@ -45,7 +45,8 @@ def set_results(
     forces = np.einsum("nji,nj->ni", link.coupling.rows, reaction)
     link.interface.resultants, balances = _resultants(link, forces, known, multiplier, x)
     traction = np.einsum("nji,nj->ni", link.coupling.rows, multiplier)
-    if D.shape[1] > 1:  # components that supports take are those of the nodes around
+    _, choices = D.shape
+    if choices > 1:  # components that supports take are those of the nodes around
         traction = np.nan_to_num(_extended(link, traction, link.coupling.kept)[link.nodes])
     normal = np.einsum("ni,ni->n", traction, link.coupling.normals) / np.maximum(growth, TINY)
     _fill(fields.pressure, link, np.where(kept, normal, 0.0), kept)
