@@ -139,6 +139,12 @@ class Ledger:
     # empty after a checkpoint of a version without it
     impulses: list[list[float] | None] = field(default_factory=list)
 
+    @property
+    def imbalance(self) -> float:
+        """Left side less right side."""
+        gone = self.dissipated + self.friction + self.damping
+        return self.kinetic + self.stored + gone - (self.initial + self.loads + self.supports)
+
     def __str__(self) -> str:
         energies = {name: value for name, value in vars(self).items() if name != "impulses"}
         return "energy: " + ", ".join(f"{name} {value:.6g}" for name, value in energies.items())

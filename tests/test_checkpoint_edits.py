@@ -187,6 +187,9 @@ def test_the_slips_of_a_contact(made):
 # -- what is no array ----------------------------------------------------------------------------
 
 NAN, DELETED = float("nan"), object()
+NONE = dict.fromkeys(("stored", "dissipated", "friction", "damping", "supports", "contact"), 0.0)
+LEDGER = NONE | {"initial": 1.0, "kinetic": 3.0, "loads": 2.0, "largest": 3.0, "defect": 0.0}
+ENERGIES = "steps", 1, "parts", 0, "ledger"
 
 
 @pytest.mark.parametrize(
@@ -208,6 +211,15 @@ NAN, DELETED = float("nan"), object()
         (("steps", 0, "number"), 0, "steps[0] has number 0 and 1 parts"),
         (("steps", 0, "parts"), [], "steps[0] has number 1 and 0 parts"),
         (("steps", 0, "parts", 0, "certificate"), {"gap": 0.0}, "TypeError"),
+        (ENERGIES, LEDGER | {"stored": NAN}, "steps[1].parts[0].ledger.stored is nan: need a"),
+        (
+            ENERGIES,
+            LEDGER | {"loads": 0.0},
+            "ledger does not add up: its energies and works are of",
+        ),
+        (ENERGIES, LEDGER | {"impulses": [[1.0]]}, "ledger.impulses[0] is [1.0]: need 2 finite"),
+        (ENERGIES, LEDGER | {"impulses": [None] * 2}, "ledger has 2 impulses: need 1"),
+        (ENERGIES, {"kinetic": 1.0}, "TypeError"),
         (("steps", 0, "forces"), [], "steps[0] has 0 forces: need 1"),
         (("steps", 0, "forces", 0), [1.0], "steps[0].forces[0] is [1.0]: need 2 finite numbers"),
         (("interfaces",), [], "interfaces has 0 entries, but there are 1 interfaces"),

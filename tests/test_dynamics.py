@@ -534,6 +534,9 @@ def test_velocities_that_are_none(bar):
     for function in (lambda x: x[0], lambda x: x):
         with rejected("velocity", "shape", "2 finite numbers"):
             dm.Inertia(bar.solid, 1.0, velocity=function)
+    for function in (lambda x: 1j * x[:2], lambda x: None):
+        with rejected("velocity returns", "no real numbers", "2 finite numbers"):
+            dm.Inertia(bar.solid, 1.0, velocity=function)
 
 
 def test_no_time_to_move_in(bar):
@@ -554,6 +557,8 @@ def test_no_time_to_move_in(bar):
     for start, time in ((0.0, 1e-300), (1e9, 1e9 + 1e-6)):
         with rejected("times", "too short a step"):
             next(dm.time_steps(problem, [time], start=start))
+    with rejected("times", "1e+300 after 0", "infinite"):
+        next(dm.time_steps(problem, [1e300]))
 
 
 def test_the_mass_is_that_of_the_problem_made_last():

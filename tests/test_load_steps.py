@@ -52,6 +52,23 @@ def test_a_second_walk_starts_where_the_first_ended():
     assert seen == [3.0, 2.0]
 
 
+def generator(t):
+    yield t
+
+
+async def coroutine(t):
+    return t
+
+
+@pytest.mark.parametrize("on_time", [generator, coroutine, lambda t: generator(t)])
+def test_what_has_set_nothing(on_time):
+    """A function with `yield` only makes a generator: its loads would stay as they were."""
+    case = Blocks(PILE[:1])
+    problem = dm.ContactProblem(dm.Solid(case.u, dm.Elastic(1.0, 0.3)), bcs=[case.fix(0, WEST)])
+    with rejected("on_time(1) returns a ", "has set nothing", "plain function"):
+        list(dm.load_steps(problem, [1.0], on_time=on_time))
+
+
 def test_a_step_of_no_length_is_not_halved():
     # of smooth surfaces the weighted gap of what touches in a point is an overlap of some 1e-6
     case, seen = create_case(dm.meshing.hertz(COMM, kind="paper"), surface="facets"), []

@@ -115,6 +115,8 @@ def test_a_given_distance_by_differences():
         assert found.hessian == pytest.approx(exact.hessian, abs=1e-7 / unit)
 
 
+APART = shapes.Sphere([1.0, 2.0], 1.0), shapes.Sphere([4.0, 6.0], 3.9)
+HIGH = shapes.Plane([0.0, 20.0], [0.3, -1.0])
 WRONG = [
     (lambda: shapes.Plane([0.0], [1.0, 0.0]), ("point is [0.0]", "2 or 3")),
     (lambda: shapes.Plane([0.0, 0.0], [0.0, 0.0]), ("normal", "no direction")),
@@ -131,6 +133,11 @@ WRONG = [
     (lambda: shapes.Union(3), ("Union of 3", "shapes")),
     (lambda: shapes.Union(IN_PLANE[0], IN_SPACE[0]), ("[2, 3] coordinates",)),
     (lambda: shapes.Complement("ball"), ("Complement of 'ball'",)),
+    (lambda: shapes.Torus([0, 0, 0], 1.0, 1.1, [0, 0, 1]), ("tube is 1.1", "the radius 1.0")),
+    (lambda: shapes.berkovich([0, 0, 0], [0, 0, 1], True), ("turned is True", "-360 to 360")),
+    (lambda: shapes.berkovich([0, 0, 0], [0, 0, 1], 1e300), ("turned is 1e+300", "-360 to 360")),
+    (lambda: shapes.Intersection(*APART), ("Intersection(Sphere(", "is empty", "no point")),
+    (lambda: shapes.Intersection(shapes.Union(*APART), HIGH), ("is empty", "no point")),
     (lambda: shapes.SignedDistance(3, [0.0, 0.0], length=1.0), ("phi is 3", "function of points")),
     (lambda: shapes.SignedDistance(abs, [0.0, 0.0]), ("length is None", "gradient")),
     (lambda: shapes.SignedDistance(abs, [0, 0], length=0), ("length is 0", "> 0")),

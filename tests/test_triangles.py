@@ -206,6 +206,7 @@ WRONG = [
     (lambda: (POINTS, [["a"]]), {}, ("triangles have no numbers",)),
     (lambda: (POINTS, FACES + 1), {}, ("corners are numbers of points, 0 to 7",)),
     (lambda: (POINTS * np.nan, FACES), {}, ("points[0] is [nan, nan, nan]", "not finite")),
+    (box, {"rim": "x"}, ("rim is 'x'", "True or False")),
     (box, {"crease": 120.0}, ("crease is 120.0", "0 to 90")),
     (box, {"point": [0.0, 0.0]}, ("point is [0.0, 0.0]", "3 finite")),
 ]

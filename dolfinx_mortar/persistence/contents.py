@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from dolfinx_mortar.arguments import as_numbers, is_integer
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats
 from dolfinx_mortar.persistence.committed import ProblemState
 from dolfinx_mortar.persistence.identity import subject_of
+from dolfinx_mortar.step_report import Ledger
 
 NODES, POINTS = "nodes", "points"
 SLIPS = ("slid", "dissipated")
@@ -144,8 +145,27 @@ def _check_step(state: ProblemState, name: str, step: Any) -> None:
         )
     if len(step["forces"]) != len(state.interfaces):
         raise ValueError(f"{name} has {len(step['forces'])} forces: need {len(state.interfaces)}")
+    d = state.solid.mesh.geometry.dim
     for k, force in enumerate(step["forces"]):
-        _check_numbers(f"{name}.forces[{k}]", force, (state.solid.mesh.geometry.dim,))
+        _check_numbers(f"{name}.forces[{k}]", force, (d,))
+    for k, part in enumerate(step["parts"]):
+        if (ledger := part.get("ledger")) is not None:
+            _check_ledger(f"{name}.parts[{k}].ledger", Ledger(**ledger), len(state.interfaces), d)
+
+
+def _check_ledger(name: str, ledger: Ledger, interfaces: int, d: int) -> None:
+    """Check the energies of a motion, from which the next step goes on."""
+    for key, value in vars(ledger).items():
+        if key != "impulses":
+            _check_numbers(f"{name}.{key}", value)
+    off = ledger.imbalance - ledger.defect * ledger.largest
+    if not abs(off) <= HALF_OF_DIGITS * ledger.largest:
+        raise ValueError(f"{name} does not add up: its energies and works are off by {off:.3g}")
+    if ledger.impulses and len(ledger.impulses) != interfaces:
+        raise ValueError(f"{name} has {len(ledger.impulses)} impulses: need {interfaces}")
+    for k, impulse in enumerate(ledger.impulses):
+        if impulse is not None:
+            _check_numbers(f"{name}.impulses[{k}]", impulse, (d,))
 
 
 def _check_walk(walk: Any) -> None:

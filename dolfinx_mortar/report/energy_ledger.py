@@ -502,9 +502,8 @@ def _balanced(ledger: Ledger) -> Ledger:
     """Return a ledger with its defect."""
     gone = ledger.dissipated + ledger.friction + ledger.damping
     total = ledger.kinetic + ledger.stored
-    given = ledger.initial + ledger.loads + ledger.supports
     largest = max(ledger.largest, total, gone, abs(ledger.loads), abs(ledger.supports))
-    return replace(ledger, largest=largest, defect=float(ratio(total + gone - given, largest)))
+    return replace(ledger, largest=largest, defect=float(ratio(ledger.imbalance, largest)))
 
 
 def notes_on_energy(ledger: Ledger, *, thin: bool = False) -> list[str]:

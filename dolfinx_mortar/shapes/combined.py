@@ -6,7 +6,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, Floats
 from dolfinx_mortar.shapes.half_space import Plane
 from dolfinx_mortar.shapes.shape import Distance, Shape, check_unit, check_vector
 
@@ -76,10 +77,54 @@ class Intersection(_Combined):
         shapes: one or more, of the same dimension.
 
     Raises:
-        ValueError: for none, for what is no shape, and for different dimensions.
+        ValueError: for none, for what is no shape, for different dimensions, and for shapes that
+            are found to have nothing in common.
     """
 
     sign = -1.0
+
+    def __init__(self, *shapes: Shape) -> None:
+        super().__init__(*shapes)
+        if self._is_empty():
+            raise ValueError(
+                f"{self!r} is empty: no point is within all of the shapes, so that nothing could "
+                "meet the tool; check where they are, and which sides of them are inside"
+            )
+
+    def _is_empty(self) -> bool:
+        """Tell whether two shapes face each other across a gap, wherever projections onto them end.
+
+        From the points of all shapes, onto the farthest one, over and over. Between convex shapes
+        that is a proof: what has opposite normals lies on both sides of a gap.
+        """
+        x = np.array([shape.point for shape in _leaves(self)])
+        for _ in range(LIMIT):
+            try:
+                found = [shape.distance(x) for shape in self.shapes]
+            except Exception:  # in a function of a user's, which may not reach so far
+                return False
+            values = np.array([one.value for one in found])
+            gradients = np.array([one.gradient for one in found])
+            order, every = np.argsort(-values, axis=0), np.arange(len(x))
+            far = values[order[0], every]
+            if not (far > 0.0).all():
+                return False
+            x = x - far[:, None] * gradients[order[0], every]
+        if len(found) < 2:
+            return False
+        gap = far + values[order[1], every]
+        facing = (gradients[order[0], every] * gradients[order[1], every]).sum(axis=1)
+        size = np.abs(x).max() + far.max()
+        return bool(((gap > HALF_OF_DIGITS * size) & (facing < HALF_OF_DIGITS - 1.0)).all())
+
+
+def _leaves(shape: Any) -> list[Shape]:
+    """Return the shapes that a combination is made of."""
+    if isinstance(shape, Complement):
+        return _leaves(shape.shape)
+    if isinstance(shape, _Combined):
+        return [leaf for part in shape.shapes for leaf in _leaves(part)]
+    return [shape]
 
 
 class Complement(Shape):
@@ -123,12 +168,14 @@ def berkovich(tip: Any, axis: Any, turned: float = 0.0) -> Intersection:
     Args:
         tip: 3 coordinates.
         axis: direction from the tip into the tool.
-        turned: degrees by which the faces are turned about the axis.
+        turned: degrees by which the faces are turned about the axis, from -360 to 360.
 
     Raises:
-        ValueError: for other than 3 finite coordinates, and an axis of 0.
+        ValueError: for other than 3 finite coordinates, an axis of 0, and no such angle.
     """
     at, a = check_vector("tip", tip, 3), check_unit("axis", axis, 3)
+    if not (is_number(turned) and abs(turned) <= 360.0):
+        raise ValueError(f"turned is {turned!r}: give an angle in degrees, from -360 to 360")
     first = np.cross(a, np.eye(3)[np.argmin(np.abs(a))])
     first /= np.linalg.norm(first)
     second, face = np.cross(a, first), np.radians(65.27)

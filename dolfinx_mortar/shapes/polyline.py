@@ -30,6 +30,7 @@ from dolfinx_mortar.shapes.shape import (
     Distance,
     Shape,
     check_angle,
+    check_flag,
     check_vector,
     of_centre,
     unit_vectors,
@@ -52,14 +53,14 @@ class Polyline(Shape):
 
     Raises:
         ValueError: for what is no array of finite points, fewer than 3 of a polygon or 2 of a line,
-            points that coincide with the next ones, edges that cross, a polygon whose points go
-            clockwise, and a crease that is no such angle.
+            points that coincide with the next ones, edges that go back along the one before or
+            cross others, a polygon whose points go clockwise, and a crease that is no such angle.
     """
 
     def __init__(
         self, points: Any, point: Any = None, *, crease: float = 30.0, closed: bool = True
     ) -> None:
-        self.crease, self.closed = check_angle("crease", crease), bool(closed)
+        self.crease, self.closed = check_angle("crease", crease), check_flag("closed", closed)
         self.points = _check_points(points, 3 if closed else 2)
         x = self.points
         self._point = (x.min(axis=0) + x.max(axis=0)) / 2
@@ -71,6 +72,11 @@ class Polyline(Shape):
         _refuse(
             self._p, lengths <= HALF_OF_DIGITS * np.ptp(x, axis=0).max(), "points that coincide"
         )
+        before = along if closed else along[:-1]
+        after = np.roll(along, -1, axis=0)[: len(before)]
+        beside = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+        back = (np.abs(beside) <= HALF_OF_DIGITS) & ((before * after).sum(axis=1) < 0.0)
+        _refuse(self._q[: len(back)], back, "edges that go back along the one before")
         _refuse(self._p, _crossed(self._p, self._q, self.closed), "edges that cross others")
         if closed and (x[:, 0] * self._q[:, 1] - x[:, 1] * self._q[:, 0]).sum() < 0.0:  # area
             raise ValueError(

@@ -161,6 +161,17 @@ def check_length(name: str, value: Any, *, least: str = "> 0") -> float:
     return float(value)
 
 
+def check_flag(name: str, value: Any) -> bool:
+    """Return a truth value.
+
+    Raises:
+        ValueError: for anything else, such as a text, which would count as True.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name} is {value!r}: give True or False")
+    return bool(value)
+
+
 def check_angle(name: str, value: Any) -> float:
     """Return an angle in degrees, from 0 to 90.
 

@@ -25,7 +25,7 @@ import numpy as np
 from dolfinx_mortar.arguments import as_numbers
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Longs
 from dolfinx_mortar.shapes.nearest import EDGE, FACE, POINT, create_tree, find_nearest
-from dolfinx_mortar.shapes.shape import Distance, Shape, check_angle, check_vector
+from dolfinx_mortar.shapes.shape import Distance, Shape, check_angle, check_flag, check_vector
 from dolfinx_mortar.shapes.stl import read_stl
 from dolfinx_mortar.shapes.triangulation import (
     FIRST,
@@ -59,7 +59,7 @@ class Triangles(Shape):
     def __init__(
         self, surface: Any, point: Any = None, *, crease: float = 30.0, rim: bool = False
     ) -> None:
-        self.crease, self.rim = check_angle("crease", crease), bool(rim)
+        self.crease, self.rim = check_angle("crease", crease), check_flag("rim", rim)
         file = isinstance(surface, str | os.PathLike)
         self.file = os.fspath(surface) if file else None
         self._point = np.zeros(3) if point is None else check_vector("point", point, 3)

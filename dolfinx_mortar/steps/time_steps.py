@@ -32,6 +32,7 @@ from dolfinx_mortar.terms.inertia import (
     Inertia,
     Scheme,
     generalised_alpha,
+    has_square,
 )
 
 CONSERVING, DAMPED = "energy-conserving", "generalised-alpha"
@@ -363,7 +364,12 @@ def check_increasing(begin: float, levels: list[float]) -> None:
     """Raise a ValueError unless times increase, by steps that numbers can tell, and square."""
     for before, after in zip([begin, *levels], levels, strict=False):
         dt = QUARTER_OF_DIGITS * (after - before)  # of the step in which the start settles
-        if dt > 0.0 and (before + dt == before or dt**2 == 0.0):
+        if not np.isfinite((after - before) * (after - before)):
+            raise ValueError(
+                f"times holds {after:g} after {before:g}: the square of that step is infinite; "
+                "give times in a larger unit"
+            )
+        if dt > 0.0 and (before + dt == before or not has_square(dt)):
             raise ValueError(
                 f"times holds {after:g}, {after - before:g} after {before:g}: that is too short a "
                 "step for the digits of numbers; take longer ones, or count from a nearer start"

@@ -10,7 +10,15 @@ import logging
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import (
+    AsyncGenerator,
+    Callable,
+    Coroutine,
+    Generator,
+    Iterator,
+    Mapping,
+    Sequence,
+)
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -74,7 +82,13 @@ class Loading:
             ramp.set(level)
         if self.on_time is not None:
             with raised_together(problem.comm):
-                self.on_time(level)
+                returned: Any = self.on_time(level)
+                if isinstance(returned, Generator | Coroutine | AsyncGenerator):
+                    returned.close() if isinstance(returned, Coroutine) else None
+                    raise ValueError(
+                        f"on_time({level:g}) returns a {type(returned).__name__} and has set "
+                        "nothing: give a plain function, without yield and async"
+                    )
 
 
 @dataclass

@@ -61,6 +61,12 @@ _WITHOUT_TAGS = (
     "the solid has them, Inertia(solid, density, cell_tags, ..)"
 )
 
+
+def has_square(dt: float) -> bool:
+    """Tell whether the square of a number is one: of small ones it is 0, of large ones infinite."""
+    return 0.0 < dt * dt < np.inf
+
+
 as_floats = partial(np.asarray, dtype=np.float64)
 
 
@@ -273,7 +279,7 @@ class Inertia(Term):
             ValueError: unless time goes on.
         """
         dt = end - start
-        if not (dt > 0.0 and dt**2 > 0.0):  # of numbers, squares of small ones are 0
+        if not (dt > 0.0 and has_square(dt)):
             raise ValueError(f"Inertia: the step goes from {start:g} to {end:g}; {NO_TIME}")
         # Of equal steps 13 digits are the same after a thousand; so they have one matrix.
         dt = float(f"{dt:.11e}")
@@ -608,7 +614,9 @@ def set_velocity(target: fem.Function, given: Any, cell_tags: Any) -> None:
     elif callable(given):
         x = V.tabulate_dof_coordinates().T
         with raised_together(V.mesh.comm):
-            values = np.asarray(given(x))
+            values = as_numbers(given(x))
+            if values is None:
+                raise ValueError(f"Inertia: velocity returns what are no real numbers: {wanted}")
             if values.shape != (d, x.shape[1]):
                 raise ValueError(
                     f"Inertia: velocity returns the shape {values.shape} for points of the shape "
