@@ -8,6 +8,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
+import basix.ufl
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.audit import pairs as pairs_module
@@ -116,6 +117,34 @@ def test_bodies_without_tags_are_numbered_by_their_places(partition):
         ("body 2 to body 4", "body 4 to body 2"),
         ("body 3 to body 2, body 4", "body 4 to body 3"),
     ]
+
+
+def create_squares(bodies, n=2):
+    """Create bodies of unit squares, by the numbers of their lowest corners, with n x n cells."""
+    points, cells = [], []
+    for squares in bodies:
+        at = {}
+        for i, j in squares:
+            for a, b in np.ndindex(n, n):
+                corners = [(n * i + a + p, n * j + b + q) for q in (0, 1) for p in (0, 1)]
+                cells.append([at.setdefault(c, len(points) + len(at)) for c in corners])
+        points += list(at)
+    x, e = np.array(points) / n, np.array(cells)
+    mine, own = (
+        slice(*(len(a) * np.array([COMM.rank, COMM.rank + 1]) // COMM.size)) for a in (e, x)
+    )
+    element = basix.ufl.element("Lagrange", "quadrilateral", 1, shape=(2,))
+    return mesh.create_mesh(COMM, e[mine], x=np.ascontiguousarray(x[own]), e=element)
+
+
+@pytest.mark.mpi
+def test_a_body_whose_sides_to_two_others_share_a_face():
+    """A block in a channel of two angles: walls and floor are one side, of all three faces."""
+    channel = [[(0, 0), (1, 0), (0, 1)], [(2, 0), (3, 0), (3, 1)], [(1, 1), (2, 1)]]
+    pairs = dm.find_pairs(create_squares(channel), show=False)
+    (name,) = (name for name in pairs.tags.names if ", " in name)
+    assert count(pairs.tags, name) == 8  # of 2 + 1 + 1 unit lengths
+    assert sorted(p.facets for p in pairs.found if p.master == name) == [(4, 8), (4, 8)]
 
 
 # Walls of blocks. Chosen pair by pair, contacts lose all slave nodes to cycles: bodies pass.

@@ -95,6 +95,19 @@ def test_values_in_closed_form():
     assert area == pytest.approx(24.5, rel=6e-3)  # Oliver and Pharr (1992)
 
 
+@pytest.mark.parametrize("radius", [0.0, 0.3])
+@pytest.mark.parametrize("d", [2, 3])
+def test_normals_on_the_axis_of_a_tip(d, radius):
+    """Within a cone or a wedge flanks are as near on all sides: their mean is along the axis."""
+    tip, axis = np.arange(1.0, d + 1.0), np.eye(d)[-1]
+    kinds = [shapes.Cone(tip, 35.0, axis, radius)]
+    kinds += [shapes.Wedge(tip, 35.0, axis, radius)] if d == 2 else []
+    for shape in kinds:
+        x = tip + np.array([[1.0], [2.0]]) * axis
+        assert (shape.distance(x).value < 0.0).all()
+        assert shape.distance(x).gradient == pytest.approx(-np.tile(axis, (2, 1)), abs=1e-14)
+
+
 def test_a_given_distance_by_differences():
     """Of a ball, with differences of either order, and in another unit."""
     for unit in (1.0, 1e-6):
@@ -110,6 +123,9 @@ def test_a_given_distance_by_differences():
         assert found.value == pytest.approx(exact.value, abs=1e-15 * unit)
         assert found.gradient == pytest.approx(exact.gradient, abs=1e-8)
         assert found.hessian == pytest.approx(exact.hessian, abs=1e-4 / unit)
+        apart = exact.value > -0.1 * unit  # the step balances the errors of h^2 and eps / h^2
+        assert apart.any()
+        assert found.hessian[apart] == pytest.approx(exact.hessian[apart], abs=1e-6 / unit)
         options = {"gradient": lambda x: x / np.sqrt((x**2).sum(axis=0)), "length": 0.7 * unit}
         found = shapes.SignedDistance(phi, [0.0, 0.0, 0.0], **options).distance(x)
         assert found.hessian == pytest.approx(exact.hessian, abs=1e-7 / unit)
