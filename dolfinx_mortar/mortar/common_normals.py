@@ -183,14 +183,15 @@ def common_normals(
     a = _of_side(averaged, of_slave[own], S[own], limit)
     nodes = master.nodes[: master.owned]
     n_m = nodal_normals(master, coordinates(master, u))[: master.owned]
-    values = np.zeros((V.dofmap.index_map.size_local, d + d * d + 1))
+    values = np.zeros((V.dofmap.index_map.size_local, d + 1 + d * d))
     values[nodes, :d] = _of_side(n_m, of_master[nodes], S[nodes], limit)
-    values[nodes, d:-1], values[nodes, -1] = S[nodes].reshape(-1, d * d), 1.0
-    total = -_products(pairing, M, values[:, :d])[own]
+    values[nodes, d], values[nodes, d + 1 :] = 1.0, S[nodes].reshape(-1, d * d)
+    total = _products(pairing, M, values[:, : d + 1])[own]
+    total = -np.sign(total[:, d:]) * total[:, :d]
     size = np.linalg.norm(total, axis=1)
     b = unit(total)
     spread = _products(pairing, np.maximum(M, 0.0), values[:, d:])[own]
-    spread = spread[:, :-1] / np.maximum(spread[:, -1:], TINY)
+    spread = spread[:, 1:] / np.maximum(spread[:, :1], TINY)
     mean, by_a, by_b = _mean(a, b, S[own], spread.reshape(-1, d, d))
     length = np.linalg.norm(mean, axis=1)
     met = np.flatnonzero((size > 0.0) & (length > HALF_OF_DIGITS))
