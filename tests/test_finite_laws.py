@@ -156,6 +156,15 @@ def test_one_law_by_another():
     assert np.isclose(one.energy, two.energy, rtol=1e-12)
 
 
+def test_arrays_are_not_called_inside_out():
+    """A law of F has no value where det F < 0; ln det F would be NaN, and some laws say nothing."""
+    u = create_displacement(create_domain("triangle"))
+    solid = dm.Solid(u, Arrays(200.0, 0.3), strain="finite")
+    u.interpolate(lambda x: np.stack([-2.0 * x[0], 0.0 * x[1]]))
+    with rejected("Arrays", "is not called where det F is not positive", "-1"):
+        solid.evaluate()
+
+
 def test_parameters_that_make_no_rubber():
     with rejected("Ogden", "one length"):
         dm.Ogden(mu=(1.0,), alpha=(2.0, 3.0), K=1.0)

@@ -8,11 +8,13 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.interfaces import obstacle as obstacle_module
+from dolfinx_mortar.interfaces.tool import after
 from tests.ball_case import STEEL as STEEL_3D
 from tests.ball_case import create_mesh, create_problem
 from tests.pressed_blocks import PressedBlocks, rejected
@@ -691,6 +693,36 @@ def test_hertz_of_a_round_body_of_second_order():
     inside = x < 0.8
     expected = peak * np.sqrt(1.0 - x[inside] ** 2)
     assert found["pressure"][inside] == pytest.approx(expected, abs=0.015 * peak)
+
+
+def test_rotations_keep_whole_turns():
+    """A tool that loads turn on and on goes on, about any axis, past one turn and through two."""
+    for axis in ([0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [2 / 3, -1 / 3, 2 / 3]):
+        turn, axis = np.zeros(3), np.array(axis)
+        for step in (6.0, 1.0, 4 * np.pi - 7.0, 0.5, -0.5, -4 * np.pi - 1.0):
+            expected = turn + step * axis
+            turn = after(turn, step * axis)
+            assert turn == pytest.approx(expected, abs=1e-7)
+    # about another axis: the rotation is that of both, with the turns that are nearest
+    turn = after(np.array([0.0, 0.0, 7.0]), np.array([1e-3, 0.0, 0.0]))
+    both = Rotation.from_rotvec([1e-3, 0.0, 0.0]) * Rotation.from_rotvec([0.0, 0.0, 7.0])
+    assert (Rotation.from_rotvec(turn) * both.inv()).magnitude() < 1e-12
+    assert np.linalg.norm(turn) == pytest.approx(7.0, abs=1e-5)
+
+
+def test_what_a_tool_does_is_undone_when_it_rolls_back():
+    """Its way at points that slide on it, by which its work is told, is the opposite then."""
+    case, rng = Block(n=4), np.random.default_rng(4)
+    tool = case.tool(DISC)
+    tool.take(None, case.V)
+    before, after_ = rng.uniform(-1.0, 1.0, (2, 30, 2))
+    tool.position.value[:], tool.rotation.value = (0.7, R), 0.8
+    way = tool.tool_way(before, after_)
+    carried = tool.tool.pose().to_space(tool.began.to_tool(before))
+    assert tool.tool_way(before, carried) == pytest.approx(carried - before, abs=1e-13)
+    tool.commit(tool.ended())
+    tool.position.value[:], tool.rotation.value = (0.0, R), 0.0
+    assert tool.tool_way(after_, before) == pytest.approx(-way, abs=1e-13)
 
 
 class Half(dm.shapes.Shape):

@@ -96,6 +96,29 @@ def test_what_is_carried_along_keeps_its_traction(geometry):
     assert tool.dissipation == pytest.approx(0.0, abs=1e-10)
 
 
+def test_slips_on_a_tool_that_turns_and_slides_in_one_step():
+    """On frozen surfaces they are those of the rigid motion, of the turn to third order.
+
+    It turns about the middle of the side, but its point is far away and goes far.
+    """
+    case, turn, far = Held(n=3, size=1.0, fine=0.8), 0.01, 100.0
+    plane = dm.shapes.Plane([0.4, 0.0], [0.0, -1.0])
+    tool = case.tool(plane, friction=1e-9, reference=[0.5 + far, 0.0])
+    problem = case.problem([tool], law=SOFT, geometry="reference")
+    tool.position.value[1] -= 0.02
+    dm.newton(problem, rtol=1e-10)
+    problem.commit()
+    before = case.u.x.array.copy()
+    tool.position.value[:] += far * np.array([np.cos(turn) - 1.0, np.sin(turn)])
+    tool.rotation.value = turn
+    dm.newton(problem, rtol=1e-10)
+    closed = tool.active.x.array > 0.0
+    way = (case.u.x.array - before).reshape(-1, 2) - tool.tool_way(case.X, case.X)
+    slip = tool.step_slip.x.array.reshape(-1, 2)
+    assert slip[closed, 0] == pytest.approx(way[closed, 0], abs=far * turn**3)
+    assert COMM.allreduce(int(closed.sum())) > 0
+
+
 @pytest.mark.parametrize("early", [False, True])
 def test_a_step_ends_where_the_tool_was(early):
     """Set for the next step before the commit of this one: its slip counts all of that motion."""

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar import shapes
+from dolfinx_mortar.shapes.nearest import EDGE, FACE, POINT, create_tree, find_nearest
 from tests.pressed_blocks import rejected
 from tests.triangles_case import ball, box, write_binary, write_text
 
@@ -93,6 +94,30 @@ def test_derivatives(kind):
     assert (np.abs(slope - found.gradient).max(axis=1) < 1e-8 * size)[same].all()
     assert (np.abs(bend - found.hessian).max(axis=(1, 2)) < 1e-7 * size)[same].mean() > 0.99
     assert np.linalg.norm(found.gradient, axis=1) == pytest.approx(np.ones(len(x)))
+
+
+def test_around_a_centre_of_curvature():
+    """Of a parabolic cylinder z = x (2 - x) / 4, whose radius is 2 at its top, in one triangle.
+
+    At the centre all points near the top are as far, to the last bit; beyond it edges are nearest.
+    """
+    corners = np.array([[[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]]])
+    offsets = np.array([[[0.0, 0.0, 0.25], [0.0, 0.0, 0.25], [0.0, 0.0, 0.0]]])
+    s, t = np.linspace(0.0, 1.0, 401)[:, None], np.linspace(0.0, 1.0, 401)[None]
+    inside = s + t <= 1.0
+    surface = np.stack([2.0 * s + 0.0 * t, 2.0 * t + 0.0 * s, s * (1.0 - s) + 0.0 * t], axis=2)
+    depth = np.array([1.0, 1.9, 2.0, 2.1, 3.0, 5.0])
+    x = np.array([1.0, 0.5, 0.25]) - depth[:, None] * [0.0, 0.0, 1.0]
+    exact = np.linalg.norm(surface[inside][None] - x[:, None], axis=2).min(axis=1)
+    _, where, at = find_nearest(x, corners, offsets, *create_tree(corners, offsets))
+    for k, kind in enumerate(where):
+        (a, b) = at[k]
+        edge = kind - EDGE
+        if kind >= EDGE:
+            (a, b) = ((a, 0.0), (1.0 - a, a), (0.0, 1.0 - a))[edge]
+        point = 2.0 * a, 2.0 * b, a * (1.0 - a)
+        assert kind < POINT and np.linalg.norm(point - x[k]) == pytest.approx(exact[k], rel=1e-3)
+    assert (where[:2] == FACE).all() and (where[4:] >= EDGE).all()
 
 
 def test_files(tmp_path):
