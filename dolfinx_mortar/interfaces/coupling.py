@@ -141,6 +141,9 @@ def check_coupling(name: str, found: object, sides: Sides, pattern: Pattern) -> 
         "lost": (n, c),
     }
     check_shapes(f"{name}: couple() returns", found, shapes)
+    size = np.linalg.norm(found.R, axis=1).prod(axis=1)
+    if not (np.abs(np.linalg.det(found.R)) > ROUND_OFF * size).all():
+        raise ValueError(f"{name}: couple() returns R without inverse: give independent columns")
 
 
 def create_blocks(V: fem.FunctionSpace, rows: Ints, columns: Longs) -> BlockMatrix:
