@@ -297,8 +297,9 @@ class Contact(Unilateral, MortarInterface):
     the slave side. ``force`` is the resultant exerted on the slave side, -sum_j D_jj lambda_j n_j,
     friction included. ``pressure`` and ``traction`` are per area of the slave side at X + u with
     the problem's geometry="updated", at X with "reference"; the two differ by the strain of the
-    surface. Nodal values are those of the part that faces the master: where that is all of the
-    slave side, their integral over it is the force, elsewhere it is larger.
+    surface. Nodal values are those of the part that faces the master, also at a node just beyond
+    its end, which shows the traction there: where that part is all of the slave side, their
+    integral over it is the force, elsewhere it is larger.
 
     With friction abs(tau) <= mu p, and where the sides slip tau has this size and opposes the slip
     of the step: the tangential motion of the slave side relative to the master since the last
