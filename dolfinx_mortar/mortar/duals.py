@@ -348,6 +348,11 @@ def _find_weightless(pairing: Integrated, segments: Segments) -> tuple[Bools, Fl
     return np.asarray(none), np.asarray(sums[:, 2] / np.maximum(sums[:, 1], TINY))
 
 
+def _least(stays: Bools | None) -> Floats:
+    """Return `LEAST_COVERAGE` (n,), less of nodes that stay."""
+    return np.asarray(LEAST_COVERAGE * np.where(False if stays is None else stays, STAYS, 1.0))
+
+
 def default_keep(
     pairing: Integrated,
     segments: Segments,
@@ -370,7 +375,7 @@ def default_keep(
         stays: Nodes (n,) that are kept down to less, `STAYS`; none if not given.
         N_s: Values (q, k) of the slave shape functions, if they are at hand.
     """
-    least = LEAST_COVERAGE * np.where(False if stays is None else stays, STAYS, 1.0)
+    least = _least(stays)
     allowed = np.ones(len(covered), dtype=bool) if allowed is None else allowed
     none, _ = _find_weightless(pairing, segments)
     coverage = np.where(allowed & ~none, covered, 0.0) / np.where(none, 1.0, tributary)
@@ -414,7 +419,7 @@ def choose_duals(
         Phi = weighted_duals(pairing, segments, keep, N_s)
         Phi = Phi if opened is None else opened(Phi, keep)
         force = integrate_values(pairing, segments, Phi, np.ones(len(Phi)))
-        pulls = keep & (force <= LEAST_COVERAGE * weights[0])
+        pulls = keep & (force <= _least(stays) * weights[0])
         if not any_rank(pairing.slave.V.mesh.comm, pulls.any())[0]:
             return keep, Phi
         allowed = allowed & ~pulls
