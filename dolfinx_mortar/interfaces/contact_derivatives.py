@@ -23,6 +23,7 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.coupling import CoupledSides, node_motions
 from dolfinx_mortar.interfaces.slip_partners import Partners
+from dolfinx_mortar.mortar.common_normals import in_planes
 from dolfinx_mortar.mortar.curvature_correction import height_slopes
 from dolfinx_mortar.mortar.derivatives import Derivatives, Tractions, differentiate
 from dolfinx_mortar.mortar.duals import weighted_duals
@@ -272,7 +273,7 @@ class _Normals:
         """Return the derivatives; those of the averaged normals are filled; collective."""
         master, common, M = link.sides.master, link.coupling.common, link.mortar[1].M[:, :1]
         assert master is not None and common is not None
-        N_m = self._of_master.fill(normal_derivatives(master, coordinates(master, u)))
+        N_m = self._of_master.fill(_in_planes(link, coordinates(master, u)))
         at = M[:, :, None, None, None] * np.eye(self._d)[:, None]
         facing = self._facing.fill(
             found.b_x,
@@ -284,6 +285,15 @@ class _Normals:
             [Blocks(nodes, nodes, Y[:, None, :, None])] for Y in (common.by_slave, common.by_master)
         )
         return self._sum.fill([], (by_slave, self._N), (by_master, facing))
+
+
+def _in_planes(link: CoupledSides, x: Floats) -> Floats:
+    """Return the derivatives of the master's normals, those on planes of symmetry in these."""
+    master, spreads = link.sides.master, link.sides.spreads
+    assert master is not None and spreads is not None
+    _, by_n = in_planes(nodal_normals(master, x), spreads.mirrors[master.nodes])
+    terms = normal_derivatives(master, x)
+    return np.einsum("mkij,mkjla->mkila", by_n[master.facets], terms, optimize=True)
 
 
 def _averaged(surface: Surface) -> Triplets:
@@ -337,7 +347,7 @@ def _turning(link: CoupledSides) -> tuple[Floats, Floats]:
     assert link.coupling.common is not None
     kept = link.coupling.kept[:, 0]
     n = np.where(kept[:, None], link.coupling.normals, 0.0)
-    free = ~link.sides.mirrors[: len(n)]
+    free = ~link.sides.mirrors[link.nodes]
     left = np.linalg.norm(link.coupling.common.n * free, axis=1)
     turning = (np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :]) * free[:, None, :]
     turning /= np.where(kept, left, 1.0)[:, None, None]

@@ -54,7 +54,7 @@ class Sides:
     on_slave: Bools  # (local nodes,)
     on_master: Bools  # (local nodes,)
     fixed: Bools  # (local nodes, d) directions with Dirichlet data
-    mirrors: Bools  # (local slave nodes, d) those of planes of symmetry, see `find_mirrors`
+    mirrors: Bools  # (local nodes, d) those of planes of symmetry, of both sides: `find_mirrors`
     dependent: Bools  # (n,) owned slave nodes that depend on other ones, which may be kept
     edges: Bools | None = None  # (n,) slave nodes of a contact on edges
     weight: Weight | None = None  # of all integrals over the interface; None for 1

@@ -211,7 +211,8 @@ class Interface(ABC):
         slave = create_surface(V, self.facet_tags, self.slave, "slave")
         on_slave, dependent = mark(slave), dependent_nodes(slave)[: slave.owned]
         nowhere = np.zeros_like(on_slave)
-        mirrors = find_mirrors(slave, fixed[slave.nodes], self.feature_angle)
+        mirrors = np.zeros_like(fixed)
+        mirrors[slave.nodes] = find_mirrors(slave, fixed[slave.nodes], self.feature_angle)
         return Sides(V, slave, None, on_slave, nowhere, fixed, mirrors, dependent, weight=weight)
 
     def pair(

@@ -154,7 +154,9 @@ class MortarInterface(Interface):
             master = create_surface(V, self.facet_tags, self.master, "master")
         dependent = dependent_nodes(slave)[: slave.owned]
         edges = find_edges(slave, self.feature_angle) if self.unilateral else None
-        mirrors = find_mirrors(slave, fixed[slave.nodes], self.feature_angle)
+        mirrors = np.zeros_like(fixed)
+        for side in (slave,) if self.meets_itself else (slave, master):
+            mirrors[side.nodes] |= find_mirrors(side, fixed[side.nodes], self.feature_angle)
         marks = mark(slave), mark(master)
         return Sides(V, slave, master, *marks, fixed, mirrors, dependent, edges, weight)
 
@@ -230,7 +232,8 @@ class MortarInterface(Interface):
         assert pairing is not None
         comm, slave, own = sides.V.mesh.comm, sides.slave, slice(None, sides.slave.owned)
         segments, normals = self.find_partners(pairing, u)
-        normals, _ = free_directions(normals, sides.mirrors)  # the side goes on as its image
+        mirrors = sides.mirrors[slave.nodes]  # there the side goes on as its image
+        normals, _ = free_directions(normals, mirrors)
         fixed, free = sides.fixed[slave.nodes], ~banned[slave.nodes, None]
         _, left = free_directions(normals, fixed)
         allowed = ask(comm, self, "may_carry", left, fixed) & free
@@ -245,7 +248,7 @@ class MortarInterface(Interface):
         if sides.spreads is not None:
             at = pairing, segments, operators.M[:, 0], u
             common = common_normals(*at, sides.spreads, self.feature_angle)
-            normals, _ = free_directions(common.everywhere(slave), sides.mirrors)
+            normals, _ = free_directions(common.everywhere(slave), mirrors)
             _, left = free_directions(normals, fixed)
             may = ask(comm, self, "may_carry", left, fixed)
             if any_rank(comm, (operators.kept & ~may[own]).any())[0]:

@@ -33,6 +33,7 @@ from dolfinx_mortar.interfaces.coupling import (
     Sides,
     check_coupling,
     relative_motions,
+    with_ghosts,
 )
 from dolfinx_mortar.interfaces.interface import (
     FEATURE_ANGLE,
@@ -173,7 +174,9 @@ class InterfaceSystem:
             [side for i, sides in pairs if i.unilateral is can_open for side in sides.surfaces]
             for can_open in (True, False)
         )
-        spreads = find_spreads(self.boundary, contacts, ties)
+        mirrors = np.any([sides.mirrors for i, sides in pairs if i.unilateral], axis=0)
+        columns = [with_ghosts(self.V, column) for column in mirrors[: self.n].T]
+        spreads = find_spreads(self.boundary, contacts, ties, np.stack(columns, axis=1))
         self.sides = [
             replace(sides, spreads=spreads) if some else sides
             for (_, sides), some in zip(pairs, two, strict=True)

@@ -31,6 +31,9 @@ end of a flat part, where an arc or a corner begins, yields to the other side's 
 The normal of a side at a node, a_j or n_l, is the averaged one, but across an edge that of the
 facets that face the other side: of a block that stands flush on another one, not that of its flank.
 Up to half of the spread at the feature angle it is the averaged one, then a part of both.
+
+On a plane of symmetry all sums are those of the whole: with the images of the facets, and without
+the facets in the plane.
 """
 
 from collections.abc import Sequence
@@ -40,7 +43,7 @@ import numpy as np
 
 from dolfinx import fem, la
 from dolfinx_mortar.algebra.parallel import sums_at_nodes
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, ROUND_OFF, TINY, Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, ROUND_OFF, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.curvature import unit
 from dolfinx_mortar.geometry.facets import Facets, facet_normals
 from dolfinx_mortar.geometry.segments import Segments
@@ -70,12 +73,13 @@ class Spreads:
     boundary: Boundary  # facets of the sides, and those beside them
     width: Floats  # (local nodes,) trace of S at X, of vertices
     blur: Floats  # (local nodes,) eps
+    mirrors: Bools  # (local nodes, d) components of planes of symmetry
 
     def at(self, u: fem.Function | None) -> Floats:
         """Return S + eps I (local nodes, d, d) at X + u; collective."""
         V, nodes = self.V, self.boundary.nodes
         vertices = list(self.boundary.facets.element.vertices)
-        S = _covariances(V, nodes[:, vertices], self.boundary.at(u))
+        S = _covariances(V, nodes[:, vertices], self.boundary.at(u), self.mirrors)
         one = np.eye(S.shape[1])
         S += ROUND_OFF * one  # without an axis, where facets that meet at an angle have become flat
         S *= (self.width / np.trace(S, axis1=1, axis2=2))[:, None, None]
@@ -83,13 +87,14 @@ class Spreads:
         if between.size:
             of_facets = S[nodes[:, vertices]].mean(axis=1).reshape(len(nodes), -1)
             S += _means(V, between, of_facets).reshape(S.shape)
-        return np.asarray(S + self.blur[:, None, None] * one)
+        return _with_images(S + self.blur[:, None, None] * one, self.mirrors)
 
 
 def find_spreads(
     boundary: Boundary,
     contacts: Sequence[Surface],
     ties: Sequence[Surface] = (),
+    mirrors: Bools | None = None,
 ) -> Spreads:
     """Return the spreads of normals at X; collective.
 
@@ -97,6 +102,7 @@ def find_spreads(
         boundary: All exterior facets.
         contacts: Sides of contacts, one or more.
         ties: Sides that are tied.
+        mirrors: (local nodes, d) components of planes of symmetry, see `find_mirrors`.
     """
     V, nodes = contacts[0].V, boundary.nodes
     marks = la.vector(V.dofmap.index_map)
@@ -107,14 +113,19 @@ def find_spreads(
     free = marks.array[nodes].any(axis=1)
     for side in ties:
         free &= ~np.isin(boundary.entities, side.entities)
+    if mirrors is None:
+        mirrors = np.zeros((len(marks.array), V.dofmap.index_map_bs), dtype=bool)
+    along = facet_normals(boundary.facets)[:, None] ** 2 > 0.5  # rather in the plane than across it
+    free &= ~(along & mirrors[nodes]).any(axis=(1, 2))
     names = "facets", "cells", "entities", "nodes"
     boundary = replace(boundary, **{name: getattr(boundary, name)[free] for name in names})
     nodes = boundary.nodes
     at_vertices = nodes[:, list(boundary.facets.element.vertices)]
-    width = np.trace(_covariances(V, at_vertices, boundary.facets), axis1=1, axis2=2)
+    S = _covariances(V, at_vertices, boundary.facets, mirrors)
+    width = np.trace(S, axis1=1, axis2=2)
     beside = width[at_vertices].mean(axis=1, keepdims=True)
     blur = BLUR * _means(V, nodes, beside)[:, 0] + HALF_OF_DIGITS
-    return Spreads(V, boundary, np.maximum(width, 0.0), blur)
+    return Spreads(V, boundary, np.maximum(width, 0.0), blur, mirrors)
 
 
 def _means(V: fem.FunctionSpace, nodes: Ints, values: Floats) -> Floats:
@@ -133,14 +144,21 @@ def _means(V: fem.FunctionSpace, nodes: Ints, values: Floats) -> Floats:
     return np.asarray(at[:, :-1] / np.maximum(at[:, -1:], 1.0))
 
 
-def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets) -> Floats:
+def _with_images(S: Floats, mirrors: Bools) -> Floats:
+    """Return the means (n, d, d) of tensors and their images in planes of symmetry."""
+    off = ~np.eye(S.shape[1], dtype=bool) & (mirrors[:, :, None] | mirrors[:, None])
+    return np.where(off, 0.0, S)
+
+
+def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Bools) -> Floats:
     """Return S (local nodes, d, d) of facets at their nodes (m, k); collective."""
     n = facet_normals(facets)
     d = n.shape[1]
     products = (n[:, :, None] * n[:, None]).reshape(len(n), d * d)
     found = _means(V, nodes, np.hstack([n, products]))
-    mean = found[:, :d]
-    return np.asarray(found[:, d:].reshape(-1, d, d) - mean[:, :, None] * mean[:, None])
+    mean = np.where(mirrors, 0.0, found[:, :d])
+    S = found[:, d:].reshape(-1, d, d) - mean[:, :, None] * mean[:, None]
+    return _with_images(S, mirrors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,30 +196,49 @@ def common_normals(
     slave, master, V = pairing.slave, pairing.master, pairing.slave.V
     own, d = slave.nodes[: slave.owned], slave.X.shape[1]
     S, limit = spreads.at(u), np.sin(np.radians(feature_angle / 2)) ** 2
+    across = spreads.mirrors[: V.dofmap.index_map.size_local]
     averaged = nodal_normals(slave, coordinates(slave, u))[: slave.owned]
-    of_slave, of_master = _facing(pairing, segments, u)
+    averaged, by_averaged = in_planes(averaged, across[own])
+    of_slave, of_master = (np.where(across, 0.0, v) for v in _facing(pairing, segments, u))
     a = _of_side(averaged, of_slave[own], S[own], limit)
     nodes = master.nodes[: master.owned]
     n_m = nodal_normals(master, coordinates(master, u))[: master.owned]
+    n_m, _ = in_planes(n_m, across[nodes])
     values = np.zeros((V.dofmap.index_map.size_local, d + 1 + d * d))
     values[nodes, :d] = _of_side(n_m, of_master[nodes], S[nodes], limit)
     values[nodes, d], values[nodes, d + 1 :] = 1.0, S[nodes].reshape(-1, d * d)
     total = _products(pairing, M, values[:, : d + 1])[own]
     total = -np.sign(total[:, d:]) * total[:, :d]
+    total = np.where(across[own], 0.0, total)
     size = np.linalg.norm(total, axis=1)
     b = unit(total)
     spread = _products(pairing, np.maximum(M, 0.0), values[:, d:])[own]
     spread = spread[:, 1:] / np.maximum(spread[:, :1], TINY)
-    mean, by_a, by_b = _mean(a, b, S[own], spread.reshape(-1, d, d))
+    spread = _with_images(spread.reshape(-1, d, d), across[own])
+    mean, by_a, by_b = _mean(a, b, S[own], spread)
     length = np.linalg.norm(mean, axis=1)
     met = np.flatnonzero((size > 0.0) & (length > HALF_OF_DIGITS))
-    n, by_slave = averaged.copy(), np.tile(np.eye(d), (len(own), 1, 1))
+    n, by_slave = averaged.copy(), by_averaged.copy()
     by_master = np.zeros_like(by_slave)
     n[met] = unit(mean[met])
-    across = _across(n[met]) / length[met, None, None]
-    by_slave[met] = across @ by_a[met]
-    by_master[met] = -across @ by_b[met] @ _across(b[met]) / size[met, None, None]
+    turning = _across(n[met]) / length[met, None, None]
+    by_slave[met] = turning @ by_a[met] @ by_averaged[met]
+    by_master[met] = -turning @ by_b[met] @ _across(b[met]) / size[met, None, None]
+    by_master *= ~across[own][:, None]
     return CommonNormals(n, by_slave, by_master)
+
+
+def in_planes(n: Floats, mirrors: Bools) -> tuple[Floats, Floats]:
+    """Return unit vectors n (n, d) without the components across planes, and their derivatives.
+
+    (I - m m^T) P / |P n| with m = P n / |P n|; I where there is no plane, as dn is normal to n.
+    """
+    m = np.where(mirrors, 0.0, n)
+    size = np.linalg.norm(m, axis=1)[:, None, None]
+    by_n = _across(unit(m)) * ~mirrors[:, None] / np.where(size > 0.0, size, np.inf)
+    some = mirrors.any(axis=1)
+    by_n[~some] = np.eye(n.shape[1])
+    return np.where(some[:, None], unit(m), n), by_n
 
 
 def _across(n: Floats) -> Floats:

@@ -116,7 +116,7 @@ def _peak_patch(link: Link, contacts: Contacts) -> tuple[int, bool]:
     all planes stands for two to the number of planes.
     """
     slave, nodes = link.sides.slave, link.nodes
-    active, planes = contacts.active[nodes], link.sides.mirrors[: slave.owned].sum(axis=1)
+    active, planes = contacts.active[nodes], link.sides.mirrors[nodes].sum(axis=1)
     marks = np.zeros((len(slave.nodes), 1))
     marks[: slave.owned, 0] = link.coupling.kept[:, 0] & ~active
     (off,) = (accumulate(slave, marks) > 0).T
