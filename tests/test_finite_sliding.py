@@ -156,6 +156,16 @@ def test_shallow_ironing_in_many_steps(friction):
 
 
 @pytest.mark.mpi
+@pytest.mark.parametrize("slave", ["tool", "block"])
+def test_the_force_on_a_flat_side_is_normal_to_it(slave):
+    """A half ring is pressed between two nodes of a flat block; facet normals give T/N = .013."""
+    sizes = {"radius": 1.0, "length": 6.0, "height": 2.0, "start": 3.05}
+    case = indentation(n=((24, 6), (16, 2)), slave=slave, friction=0.0, **sizes)
+    (*_, force, _) = walk(case, lambda t: (0.0, -0.2 * t), [0.5, 1.0])[-1]
+    assert abs(force[0]) < 2e-4 * abs(force[1])
+
+
+@pytest.mark.mpi
 @pytest.mark.parametrize("slave", ["tool", pytest.param("block", marks=pytest.mark.slow)])
 def test_dragged_over_an_edge_onto_the_next_body(slave):
     """Without friction the second block answers like the first one, by a shift; beyond, nothing.

@@ -13,7 +13,14 @@ from pathlib import Path
 import pytest
 
 from dolfinx_mortar.geometry import segments, turning
-from dolfinx_mortar.mortar import curvature_correction, duals, edges, self_contact, surface
+from dolfinx_mortar.mortar import (
+    common_normals,
+    curvature_correction,
+    duals,
+    edges,
+    self_contact,
+    surface,
+)
 from tests import (
     test_curvature_jumps,
     test_dual,
@@ -42,7 +49,7 @@ FELT = {
         test_dual.test_vertices_of_six_node_facets_are_the_centres_of_their_functions,
     ),
     "BLUR": (
-        edges,
+        common_normals,
         (10.0,),
         lambda: test_edges.test_forces_of_crossing_edges_are_normal_to_both(*test_edges.SIDES),
     ),

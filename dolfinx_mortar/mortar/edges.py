@@ -1,20 +1,7 @@
 # SPDX-License-Identifier: MIT
-r"""Normals and dual functions at the edges and corners of a slave side.
+"""Dual functions at the edges and corners of a slave side; normals are in `common_normals`.
 
-There the averaged normal contains facets that face nothing, and where an edge meets an edge no
-normal of either side is one of contact. Contact acts along a direction in the normal cones of both
-sides: that of the facet where a corner or an edge meets a facet of either side, t_s x t_m where two
-edges with the tangents t cross, the mean where they are parallel. With the weights w of the points
-of a node's segments one formula gives them all,
-
-    a = unit sum w N_j n_s,                                  b = -unit sum w N_j n_m,
-    C_s = sum w N_j n_s n_s^T / sum w N_j + eps I,           C_m likewise of n_m,
-    n_j = unit [(C_s^-1 + C_m^-1)^-1 (a + b)],
-
-by the parallel sum of two matrices (Anderson and Duffin, J. Math. Anal. Appl. 26, 1969), whose
-range is the intersection of their ranges. It is a continuous function of what is covered.
-
-Nor is the gap of a corner that of its facets. If a node of them has no multiplier, because of
+The gap of a corner is not that of its facets. If a node of them has no multiplier, because of
 Dirichlet data or of little coverage, its dual function is shared out to the others, so that a
 constant pressure acts on all that is covered. But where the facets are open up to that node, the
 gap of the corner then is a mean over the opening, and the corner penetrates until that vanishes.
@@ -52,13 +39,6 @@ from dolfinx_mortar.mortar.surface import (
     nodal_normals,
     sum_at_nodes,
 )
-
-BLUR = 1e-3
-"""eps: weight of directions in the normal cone of one side only, against 1 of those in both.
-
-With 1e-4 to 1e-2 edges and corners take the same iterations, within two; where edges aslant cross,
-the direction of the force is off by .004 at most, with 1e-2 by .04.
-"""
 
 SUNK = 0.05
 """Share of the size of a facet up to which a corner may lie in it without a note of the report.

@@ -5,8 +5,9 @@ Eq. 16, B_I v <= c_I, with B_I = N^T (D - M) of eq. 17 and c_I = -N^T (D - M) X 
 blocks of D and M are those of eqs. 19 and 20, times the identity.
 
 They are the solver's own `operators`, of which it keeps one entry per pair of nodes and makes a
-change of basis (`interfaces.basis`). At edges and corners it has other normals and functions
-than the averaged normals and dual functions here, unless `feature_angle` asks for them: `edges`.
+change of basis (`interfaces.basis`). It has the normals of both sides (`common_normals`), at edges
+other dual functions (`edges`), and not the averaged normals and functions here, unless
+`feature_angle` asks for them.
 """
 
 from __future__ import annotations
