@@ -244,6 +244,7 @@ def test_what_is_pressed_in_is_no_rotation():
     assert report.certificate.left_out_lengths < 0.1 * LARGEST_SHARE
 
 
+@pytest.mark.slow
 def test_a_ball_in_a_perfectly_plastic_block():
     """What the small strain loses of the force is told to a factor of two: a third."""
     domain = mesh.create_rectangle(
