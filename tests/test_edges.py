@@ -163,8 +163,8 @@ def test_an_overlap_where_supports_hold_the_slave_is_said_to_be_that():
         notes.append(notes_on_overlaps([problem.system.link(contact)], problem.u))
     (held,), (free,) = notes
     assert "Dirichlet data prescribe the nodes of slave=3 there" in held
-    assert "let the other side be the slave" in held and "edge or corner" not in held
-    assert "0.05 deep" in held and "edge or corner" in free
+    assert "let the other side be the slave" in held and "mean over facets" not in held
+    assert "0.05 deep" in held and "mean over facets of slave=4" in free
 
 
 @SLAVES

@@ -529,7 +529,7 @@ def _describe_way(owner: Interface, names: Sequence[str], length: Floats) -> str
     on = length >= OVERSHOOT * length.max()
     along = [name for name, some in zip(names, on, strict=True) if some]
     turns = ["moment" in name for name in along]
-    does, remedy = "moves along the side", "give friction, or prescribe its position"
+    does, remedy = "moves", "prescribe its position, or give friction if it slides"
     if all(turns):
         does, remedy = "turns", "leave the moment out, or prescribe its rotation"
     elif any(turns):
@@ -557,7 +557,7 @@ def notes_on_loose_tools(
     if not found[0]:
         x = problem.positions().array_r.reshape(problem.n, problem.d)
         found = [_loose_on_a_facet(link, contacts, x) for link in problem.system.links]
-    held = "only the facets between its nodes hold it in its place, a flat side would not"
+    held = "small changes of its loads move it far"
     return [f"{loose}; {held}" for loose in found if loose]
 
 

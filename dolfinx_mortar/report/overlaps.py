@@ -60,7 +60,7 @@ def notes_on_overlaps(
 
 
 def _note_on_tool(link: Link, u: fem.Function) -> list[str]:
-    """Return the note on a tool that is sharper than the facets of the side; collective."""
+    """Return the note on a tool that lies deep in its side between its points; collective."""
     found = link.interface.depths(link, u)
     if found is None:
         return []
@@ -69,8 +69,8 @@ def _note_on_tool(link: Link, u: fem.Function) -> list[str]:
         return []
     return [
         f"{link.interface}: around ({', '.join(f'{c:.4g}' for c in x)}) the tool lies "
-        f"{deepest:.3g} deep in the side, {ratio:.0%} of a facet there, because it is sharper than "
-        "the facets, over which the gap is averaged; refine there, or give the tool a radius"
+        f"{deepest:.3g} deep in the side, {ratio:.0%} of a facet there: its gap is a mean over "
+        "facets; refine there, or round a tool that is sharper than the facets"
     ]
 
 
@@ -93,8 +93,8 @@ def _note(link: Link, u: fem.Function, unseen: float | None) -> list[str]:
     part = f"{ratio:.0%}" if ratio >= 0.01 else f"{ratio:.1g}"
     bare = link.prescribed_facets()[link.mortar[0].pairs[pair, 0]]
     why = (
-        f"no gap is measured at an edge or corner between nodes of slave={link.sides.slave.label}; "
-        "let the finer or sharper side be the slave, or refine there"
+        f"their gap is a mean over facets of slave={link.sides.slave.label}, of those at X with "
+        "geometry='reference'; let the finer or sharper side be the slave, or refine there"
     )
     if find_deepest(comm, np.where(bare, share, 0.0), depth, place)[0] == ratio:
         why = (
