@@ -84,6 +84,20 @@ def test_facets_that_spoil_the_pressures_are_told_of(counts, swap, spoilt):
     assert any("surface='smooth'" in note for note in report.notes) == spoilt
 
 
+@pytest.mark.mpi
+def test_a_note_is_logged_once(caplog):
+    """Not in every step that has it, with other numbers; each report keeps it."""
+    pin = create_pin((64, 96), True, surface="facets")
+    with caplog.at_level("WARNING", logger="dolfinx_mortar.report"):
+        for _ in range(3):
+            report, _ = pin.solve()
+            assert any("stand off" in note for note in report.notes)
+            pin.problem.commit()
+            pin.problem.u.x.array[:] *= 1.01
+    told = [r for r in caplog.records if "stand off" in r.getMessage()]
+    assert len(told) == (COMM.rank == 0)
+
+
 @pytest.mark.parametrize(("factor", "told"), [(0.1, True), (10.0, False)])
 def test_the_share_that_is_told_of(factor, told, monkeypatch):
     """The forces of the sagittas are 0.1 and 1 of the contact forces in between."""

@@ -153,6 +153,7 @@ class ContactProblem:
         slips = np.zeros((2, len(sides), self.n))
         self.committed = Committed(np.zeros(self.n, dtype=bool), self.owned_u.copy(), *slips)
         self.outcome: StepOutcome | None = None  # of the last step, until it is committed
+        self._warned: set[str] = set()  # what has been logged, on rank 0
 
     # -- parts -----------------------------------------------------------------------------------
 
@@ -315,9 +316,15 @@ class ContactProblem:
             audited = self._audit(data.increment)
             if self.comm.rank == 0:
                 log.info("%s", "; ".join(map(str, audited.interfaces)) or "no interface")
-                for warning in audited.warnings:
+                for warning in filter(self.is_new, audited.warnings):  # steps are cut
                     log.warning("%s", warning)
         return data
+
+    def is_new(self, warning: str) -> bool:
+        """Tell whether a warning has not been logged for this problem; it has been from then on."""
+        known = warning in self._warned
+        self._warned.add(warning)
+        return not known
 
     def raise_failed(self) -> None:
         """Raise on all ranks what has failed in the shape of a tool on one; collective."""

@@ -2,6 +2,7 @@
 """Notes on a step that has converged: diagnoses of one signature, made one after the other."""
 
 import logging
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -105,9 +106,20 @@ DIAGNOSES: tuple[Diagnosis, ...] = (
 
 
 def find_notes(end: StepEnd) -> list[str]:
-    """Return the notes of all diagnoses; rank 0 logs them; collective."""
+    """Return the notes of all diagnoses; rank 0 logs them, each kind once; collective."""
     notes = [note for diagnose in DIAGNOSES for note in diagnose(end)]
     if end.problem.comm.rank == 0:
         for note in notes:
-            log.warning("%s", note)
+            if end.problem.is_new(_kind(note, [repr(i) for i in end.problem.interfaces])):
+                log.warning("%s", note)
     return notes
+
+
+def _kind(note: str, names: Sequence[str]) -> str:
+    """Return a note without its numbers, but for those in the name of its interface.
+
+    >>> _kind("Contact(slave=1): 1.5e-3 deep in 2 facets", ["Contact(slave=1)"])
+    'Contact(slave=1): # deep in # facets'
+    """
+    name = max((name for name in names if note.startswith(name)), key=len, default="")
+    return name + re.sub(r"\d[\d.]*(e[-+]?\d+)?", "#", note[len(name) :])
