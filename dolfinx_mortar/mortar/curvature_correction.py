@@ -3,6 +3,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -264,8 +265,18 @@ class Curved:
     """Facets of one side where they are now, and the smooth surface over them."""
 
     facets: Facets  # (m,)
-    sagitta: Floats  # (m, e) c_ab of `edge_sagittas`
-    K: Floats  # (m, d, d) their curvatures
+    sagitta: Floats  # (m, e) c_ab of the smooth surface
+    which: Ints  # (m,) their numbers: a facet is in several pairs
+
+    @cached_property
+    def K(self) -> Floats:
+        """Their curvatures (m, d, d)."""
+        if self.facets.x.shape[2] == 2:  # cheaper than to find out which are the same
+            return curvatures(self.facets, self.sagitta)
+        _, again = distinct(self.which)
+        first = np.empty(again.max(initial=-1) + 1, dtype=np.int32)
+        first[again] = np.arange(len(again))
+        return curvatures(self.facets[first], self.sagitta[first])[again]
 
 
 def find_curved(
@@ -286,17 +297,12 @@ def find_curved(
     """
     s, m = pairing.pairs[pairs, 0], pairing.pairs[pairs, 1]
     slave = facets_at(pairing.slave, coordinates(pairing.slave, u))
-    return _curved(sides[0], slave, s), _curved(sides[1], received_facets(pairing, u), m)
-
-
-def _curved(side: SmoothSide, moved: Facets, which: Ints) -> Curved:
-    if moved.x.shape[2] == 2:  # cheaper than to find out which are the same
-        facets, sagitta = moved[which], side.sagitta[which]
-        return Curved(facets, sagitta, curvatures(facets, sagitta))
-    once, again = distinct(which)  # a facet is in several pairs
-    facets, sagitta = moved[once], side.sagitta[once]
-    K = curvatures(facets, sagitta)
-    return Curved(moved[which], sagitta[again], K[again])
+    moved = slave[s], received_facets(pairing, u)[m]
+    a, b = (
+        Curved(x, side.sagitta[which], which)
+        for x, side, which in zip(moved, sides, (s, m), strict=True)
+    )
+    return a, b
 
 
 def _meeting(segments: Segments) -> tuple[Ints, Ints]:
