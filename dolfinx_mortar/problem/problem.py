@@ -30,6 +30,7 @@ from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
+from dolfinx_mortar.logged import is_new
 from dolfinx_mortar.persistence import restoring, saving
 from dolfinx_mortar.persistence.committed import Before, Committed, ProblemState, StepOutcome
 from dolfinx_mortar.problem.checks import check_arguments
@@ -153,7 +154,6 @@ class ContactProblem:
         slips = np.zeros((2, len(sides), self.n))
         self.committed = Committed(np.zeros(self.n, dtype=bool), self.owned_u.copy(), *slips)
         self.outcome: StepOutcome | None = None  # of the last step, until it is committed
-        self._warned: set[str] = set()  # what has been logged, on rank 0
 
     # -- parts -----------------------------------------------------------------------------------
 
@@ -316,15 +316,10 @@ class ContactProblem:
             audited = self._audit(data.increment)
             if self.comm.rank == 0:
                 log.info("%s", "; ".join(map(str, audited.interfaces)) or "no interface")
-                for warning in filter(self.is_new, audited.warnings):  # steps are cut
-                    log.warning("%s", warning)
+                for warning in audited.warnings:
+                    if is_new(self, warning):  # steps are cut
+                        log.warning("%s", warning)
         return data
-
-    def is_new(self, warning: str) -> bool:
-        """Tell whether a warning has not been logged for this problem; it has been from then on."""
-        known = warning in self._warned
-        self._warned.add(warning)
-        return not known
 
     def raise_failed(self) -> None:
         """Raise on all ranks what has failed in the shape of a tool on one; collective."""
