@@ -161,3 +161,36 @@ def test_the_curvature_tells_mirrors_from_other_supports(name, cell, degree):
     fixed[np.abs(surface.X[:, 0]) < 1e-9, 0] = True
     assert MPI.COMM_WORLD.allreduce(int(fixed[: surface.owned].sum())) == 8 * degree + 1
     assert np.array_equal(find_mirrors(surface, fixed, 40.0), fixed & mirror)
+
+
+def press_sphere(cell, degree, slave, *, half):
+    """Press a quarter of a ball or half of it on a block; return twice, or once, the force."""
+    m = dm.meshing.sphere(MPI.COMM_WORLD, h=1.0, cell=cell, core=1.0, radius=8.0, half=half)
+    V = fem.functionspace(m.mesh, ("Lagrange", degree, (3,)))
+    conditions = [("bottom", 2, 0.0), ("flat", 2, -0.2), ("symmetry_y", 1, 0.0)]
+    bcs = []
+    for name, i, value in conditions if half else [*conditions, ("symmetry_x", 0, 0.0)]:
+        dofs = fem.locate_dofs_topological(V.sub(i), 2, m.facet_tags.find(name))
+        bcs.append(fem.dirichletbc(value, dofs, V.sub(i)))
+    if half:  # neither body moves along x
+        W, (Q, _) = V.sub(0), V.sub(0).collapse()
+        ends = fem.locate_dofs_geometrical(
+            (W, Q), lambda x: np.isclose(x[0], 0) & (np.isclose(x[2], 8) | np.isclose(x[2], -10))
+        )
+        bcs.append(fem.dirichletbc(fem.Function(Q), ends, W))
+    sides = ("sphere", "top") if slave == "sphere" else ("top", "sphere")
+    contact = dm.Contact(m.facet_tags, slave=sides[0], master=sides[1])
+    problem = dm.ContactProblem(
+        dm.Solid(fem.Function(V), dm.Elastic(200e3, 0.3)), [contact], bcs=bcs, geometry="reference"
+    )
+    dm.newton(problem, rtol=1e-10)
+    pressure = contact.gather(problem.u)["pressure"].max()
+    return (1 if half else 2) * abs(contact.force[2]), pressure
+
+
+@pytest.mark.parametrize("slave", ["sphere", "top"])
+@pytest.mark.parametrize(("cell", "degree"), [("tetrahedron", 2), ("hexahedron", 1)])
+def test_half_of_a_model_is_as_the_whole(cell, degree, slave):
+    """On a plane of symmetry normals are those of the whole: of both sides, and between nodes."""
+    part, whole = (press_sphere(cell, degree, slave, half=half) for half in (False, True))
+    assert part == pytest.approx(whole, rel=1e-9)

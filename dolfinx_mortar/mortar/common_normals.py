@@ -196,7 +196,7 @@ def common_normals(
     slave, master, V = pairing.slave, pairing.master, pairing.slave.V
     own, d = slave.nodes[: slave.owned], slave.X.shape[1]
     S, limit = spreads.at(u), np.sin(np.radians(feature_angle / 2)) ** 2
-    across = spreads.mirrors[: V.dofmap.index_map.size_local]
+    across: Bools = spreads.mirrors[: V.dofmap.index_map.size_local]
     averaged = nodal_normals(slave, coordinates(slave, u))[: slave.owned]
     averaged, by_averaged = in_planes(averaged, across[own])
     of_slave, of_master = (np.where(across, 0.0, v) for v in _facing(pairing, segments, u))
@@ -224,7 +224,7 @@ def common_normals(
     turning = _across(n[met]) / length[met, None, None]
     by_slave[met] = turning @ by_a[met] @ by_averaged[met]
     by_master[met] = -turning @ by_b[met] @ _across(b[met]) / size[met, None, None]
-    by_master *= ~across[own][:, None]
+    by_master = np.where(across[own, None], 0.0, by_master)
     return CommonNormals(n, by_slave, by_master)
 
 
@@ -235,8 +235,9 @@ def in_planes(n: Floats, mirrors: Bools) -> tuple[Floats, Floats]:
     """
     m = np.where(mirrors, 0.0, n)
     size = np.linalg.norm(m, axis=1)[:, None, None]
-    by_n = _across(unit(m)) * ~mirrors[:, None] / np.where(size > 0.0, size, np.inf)
-    some = mirrors.any(axis=1)
+    by_n = _across(unit(m)) / np.where(size > 0.0, size, np.inf)
+    by_n = np.where(mirrors[:, None], 0.0, by_n)
+    some = np.asarray(mirrors.any(axis=1))
     by_n[~some] = np.eye(n.shape[1])
     return np.where(some[:, None], unit(m), n), by_n
 
