@@ -90,6 +90,9 @@ def residuals(
 
 
 def _tangential(way: Floats, normals: Floats, loose: npt.NDArray[np.bool_]) -> Floats:
-    """Return the part along the surface, without prescribed directions."""
-    free = way * loose
-    return free - normals * (normals * free).sum(axis=1, keepdims=True)
+    """Return the part along the surface and normal to prescribed directions."""
+    along = way - normals * (normals * way).sum(axis=1, keepdims=True)
+    for k in np.flatnonzero(~loose.all(axis=1)):
+        taken = np.linalg.qr(np.column_stack([normals[k], *np.eye(len(loose[k]))[~loose[k]]]))[0]
+        along[k] = way[k] - taken @ (way[k] @ taken)
+    return along
