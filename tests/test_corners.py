@@ -241,3 +241,58 @@ def test_a_tie_that_ends_in_a_contact():
     _, notes = pressed(split=True, slave=FOOT)
     assert any("let the other side of Contact" in note for note in notes)
     assert not any("masters" in note for note in notes)
+
+
+def beam(x0, y0, n=40, m=3):
+    """Return nodes and quadrilaterals of a cantilever 2032 long and 63.5 thick."""
+    x, y = np.linspace(x0, x0 + 2032.0, n + 1), np.linspace(y0 - 31.75, y0 + 31.75, m + 1)
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(n), np.arange(m)))
+    points = np.stack([np.tile(x, m + 1), np.repeat(y, n + 1)], axis=1)
+    return points, (j * (n + 1) + i)[:, None] + np.array([0, 1, n + 1, n + 2])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("top", [False, True])
+def test_a_cantilever_slides_down_another_one(top):
+    """Its end comes flush and leaves on the other corner (Code_Aster, SSNV505: 267.2 and 309.9).
+
+    From where only one flank of the corner faces the other beam, F is the slope of the energy.
+    """
+    (p, c), (q, d) = beam(0.0, 0.0), beam(914.4, 508.0)
+    element = basix.ufl.element("Lagrange", "quadrilateral", 1, shape=(2,))
+    own = slice(None if COMM.rank == 0 else 0)
+    cells, points = np.concatenate([c, d + len(p)])[own], np.concatenate([p, q])[own]
+    domain = dolfinx.mesh.create_mesh(COMM, cells, x=points, e=element)
+    end = lambda x: np.isclose(x[0], 914.4) & (x[1] > 400.0)  # noqa: E731
+    where = {
+        "low clamp": lambda x: np.isclose(x[0], 0.0),
+        "up clamp": lambda x: np.isclose(x[0], 2946.4),
+        "low": lambda x: np.isclose(x[1], 31.75),
+        "up": lambda x: np.isclose(x[1], 476.25) | end(x) | (top & np.isclose(x[1], 539.75)),
+    }
+    found = [mesh.locate_entities_boundary(domain, 1, on) for on in where.values()]
+    values = np.repeat(np.arange(4, dtype=np.int32), [len(f) for f in found])
+    facets, first = np.unique(np.concatenate(found), return_index=True)
+    names = {name: k for k, name in enumerate(where)}
+    tags = dm.Tags(mesh.meshtags(domain, 1, facets, values[first]), names)
+    V, push = fem.functionspace(domain, ("Lagrange", 1, (2,))), fem.Constant(domain, 0.0)
+    place = lambda x: np.isclose(x[0], 1625.6) & np.isclose(x[1], 539.75)  # noqa: E731
+    at = fem.locate_dofs_geometrical((V.sub(1), V.sub(1).collapse()[0]), place)[0]
+    bcs = [
+        fem.dirichletbc(np.zeros(2), fem.locate_dofs_topological(V, 1, tags.find(name)), V)
+        for name in ("low clamp", "up clamp")
+    ]
+    bcs.append(fem.dirichletbc(push, at, V.sub(1)))
+    law = dm.NeoHooke(6894.8, 0.3333)
+    solid = dm.Solid(fem.Function(V), law, strain="finite", energies=True)
+    contact = dm.Contact(tags, slave="up", master="low")
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs)
+    forces, stored, ramp = [], [], {push: [(0.0, 0.0), (1.0, -800.0)]}
+    for _ in dm.load_steps(problem, np.arange(1, 51) / 50, ramp=ramp, progress=False):
+        forces.append(-dm.reaction(problem, bcs[2]).force[1])
+        stored.append(sum(energy.stored for energy in solid.energies().values()))
+    assert forces[39] == pytest.approx(267.2, rel=0.005)
+    assert forces[49] == pytest.approx(309.9, rel=0.005)
+    slopes = (np.array(stored[2:]) - stored[:-2]) / 32.0
+    smooth = np.setdiff1d(np.arange(38, 48), [40, 41])  # the end comes flush at .86
+    assert np.abs(np.array(forces)[smooth + 1] / slopes[smooth] - 1.0).max() < 0.01
