@@ -96,6 +96,21 @@ def test_what_is_carried_along_keeps_its_traction(geometry):
     assert tool.dissipation == pytest.approx(0.0, abs=1e-10)
 
 
+def test_a_second_try_has_the_friction_of_the_first():
+    """Where the supports of nodes prescribe their slips, these count from the last commit alone."""
+    case = Block(n=6)
+    tool = case.tool(dm.shapes.Plane([0.0, 0.02], [0.0, -1.0]), friction=0.2)
+    problem, forces = case.problem([tool]), []
+    for place, tries in (((0.01, 0.0), 1), ((0.02, -0.01), 3)):
+        tool.position.value[:] = place
+        for _ in range(tries):
+            dm.newton(problem, rtol=1e-10)
+            forces.append(tool.force.copy())
+        problem.commit()
+    assert forces[2] == pytest.approx(forces[1], rel=1e-8)
+    assert forces[3] == pytest.approx(forces[1], rel=1e-8) and forces[1][0] > 0.0
+
+
 def test_slips_on_a_tool_that_turns_and_slides_in_one_step():
     """On frozen surfaces they are those of the rigid motion, of the turn to third order.
 

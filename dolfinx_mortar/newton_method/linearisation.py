@@ -115,7 +115,7 @@ def find_balance(
         if data.limits:
             u.array[:] -= problem.committed.displacement
             now = _present_limits(problem, data.limits)
-            limits = problem.system.slip_limits(u, now, data.partners, data.contacts[1])
+            limits = problem.system.slip_limits(u, now, data.partners, problem.committed.sliding)
         friction = None if multipliers is None else _known_friction(problem, limits, multipliers)
         if friction is not None:
             r.array[:] += friction
