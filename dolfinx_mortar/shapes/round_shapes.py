@@ -112,22 +112,18 @@ class Torus(_Round):
     Args:
         centre: c, d coordinates.
         radius: R, of the circle through the centres of the sections.
-        tube: r, of the sections.
+        tube: r, of the sections; with r > R there is no hole, and phi is exact outside, as of a
+            `Union`.
         axis: direction of the axis, d components; (0, 1) in axisymmetric problems if not given.
 
     Raises:
-        ValueError: for other than 2 or 3 finite coordinates, radii that are not > 0, a tube larger
-            than the radius, an axis of 0, and none in space.
+        ValueError: for other than 2 or 3 finite coordinates, radii that are not > 0, an axis of 0,
+            and none in space.
     """
 
     def __init__(self, centre: Any, radius: Any, tube: Any, axis: Any = None) -> None:
         super().__init__(centre, radius)
         self.tube = check_length("tube", tube)
-        if self.tube > self.radius:
-            raise ValueError(
-                f"tube is {tube!r}, larger than the radius {radius!r}: the ring would have no hole "
-                "and its section would cut itself; give a smaller one, or a Sphere"
-            )
         if axis is None and len(self.centre) == 2:
             axis = (0.0, 1.0)
         self.axis = check_unit("axis", axis, len(self.centre))
