@@ -172,7 +172,7 @@ def create_shrink_fit(
     a, b, c = 10.0, 20.0, 30.0
     domain, tags = rings(comm, (a, b + overlap), (b, c), counts, (16, 16), order)
     V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
-    limit = b + overlap + 1e-6
+    limit = b + overlap / 2 + 1e-6
     inside = mesh.locate_entities(domain, 2, lambda x: np.hypot(x[0], x[1]) < limit)
     values = np.full(domain.topology.index_map(2).size_local, 2, dtype=np.int32)
     values[inside[inside < len(values)]] = 1
