@@ -20,9 +20,10 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar.agreement import Inputs, check_same_on_all_ranks, find_constants
 from dolfinx_mortar.algebra.congruence import CongruentOperator
+from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.algebra.errors import from_callbacks, raise_together, raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arrays import TINY, Bools, Floats
+from dolfinx_mortar.arrays import ROUND_OFF, TINY, Bools, Floats
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_free_motions
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from dolfinx_mortar.interfaces.interface import Interface, Outline, ask, check_owned
@@ -509,7 +510,7 @@ class ContactProblem:
         return find_free_motions(self.bodies, self.system, self.supports, springs)[1]
 
     def _resistance_of_potential(self) -> Callable[[PETSc.Vec], Floats]:
-        """Return v -> forces of the terms against v, over the diagonal of their tangent.
+        """Return v -> forces of the terms against v, over the largest entry of each row of K.
 
         So a mass counts beside a spring, and the lighter one of two bodies.
         """
@@ -517,8 +518,8 @@ class ContactProblem:
             return lambda v: np.zeros(0)
         self.terms.check_energies()
         springs = self.terms.stiffness()
-        own = np.abs(springs.getDiagonal().array_r)
-        scale = np.where(own > 0.0, own, max(springs.norm(PETSc.NormType.INFINITY), TINY))
+        least = max(ROUND_OFF * springs.norm(PETSc.NormType.INFINITY), TINY)
+        scale = np.maximum(abs(owned_rows(springs)).max(axis=1).toarray().ravel(), least)
         return lambda v: np.asarray((springs * v).array_r / scale)
 
     def update_geometry(self, increment: float) -> None:
