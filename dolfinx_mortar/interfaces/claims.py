@@ -13,7 +13,7 @@ from dolfinx_mortar.arrays import Bools, Ints
 from dolfinx_mortar.interfaces.coupling import Pattern, Sides, with_ghosts
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.mortar.duals import LEAST_COVERAGE, Coverage
-from dolfinx_mortar.mortar.surface import sum_at_nodes
+from dolfinx_mortar.mortar.surface import nodal_normals, sum_at_nodes
 
 
 @dataclass(frozen=True)
@@ -88,19 +88,33 @@ def _why_claimed(
     return why + "give both masters one tag"
 
 
-def _common(sides: Sequence[Sides], coverage: Sequence[Coverage], owner: Ints) -> Bools:
-    """Return for each interface the owned nodes (n,) that its and their owner's masters cover."""
+def _common(
+    interfaces: Sequence[Interface],
+    sides: Sequence[Sides],
+    coverage: Sequence[Coverage],
+    owner: Ints,
+) -> Bools:
+    """Return for each interface the owned nodes (n,) that it has in common with owners; collective.
+
+    Both masters cover them, and both sides are one face there: in a corner, pressures of one side
+    are normal to the other's.
+    """
+    d, own = sides[0].V.mesh.geometry.dim, np.arange(len(owner))
     whole = np.zeros((len(sides), len(owner)), dtype=bool)
-    for on, side, found in zip(whole, sides, coverage, strict=True):
+    of_sides = np.zeros((*whole.shape, d))
+    for on, n, side, found in zip(whole, of_sides, sides, coverage, strict=True):
         on[side.nodes] = found.share >= 1.0 - LEAST_COVERAGE
-    return np.asarray(whole & whole[owner, np.arange(len(owner))])
+        n[side.nodes] = nodal_normals(side.slave, side.slave.X)[: side.slave.owned]
+    angles = np.radians([interface.feature_angle for interface in interfaces])
+    one_face = (of_sides * of_sides[owner, own]).sum(axis=2) > np.cos(angles)[:, None]
+    return np.asarray(whole & whole[owner, own] & one_face)
 
 
 def _lost(sides: Sides, coverage: Coverage, banned: Bools, common: Bools) -> Bools:
     """Return the owned nodes (n,) with which something is lost of what faces a master; collective.
 
-    That is nothing where two sides end together: both masters cover the node (`common`), and every
-    slave facet there has another node.
+    That is nothing where two sides of one face end together: both masters cover the node
+    (`common`), and every slave facet there has another node.
     """
     slave = sides.slave
     taken = np.asarray(with_ghosts(sides.V, banned)[slave.nodes][slave.facets].all(axis=1))
@@ -149,7 +163,7 @@ def resolve_claims(
         note(k, nodes, why)
         banned[k] |= nodes
 
-    common = _common(sides, coverage, owner)
+    common = _common(interfaces, sides, coverage, owner)
     for k in range(len(sides)):
         lost = _lost(sides[k], coverage[k], banned[k], common[k])
         note(k, lost, _why_claimed(sides, interfaces, owner[lost], k))
