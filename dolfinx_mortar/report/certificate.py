@@ -29,13 +29,15 @@ def operator_errors(link: Link, X: Floats, facet_length: float) -> tuple[float, 
     """Return the linear-field error and the row-sum error of D and M; collective.
 
     On a flat interface (D - M) X has no tangential part, whatever the gap; on a curved one it is
-    the gap times the angle between the projections and the nodal normals. Rows of D - M sum to
+    the gap times the angle between the projections, which are along facet normals, and the averaged
+    normals of the slave; those of both sides are no measure of projections. Rows of D - M sum to
     zero on every interface. Both over D_jj, the first also over the gap plus a facet length. Where
     Dirichlet data give the directions of a tie different nodes, that holds for each direction. X:
     reference coordinates (owned nodes, d).
     """
-    sides, normals = link.sides, link.coupling.normals
-    judged = link.coupling.kept.T & normals.any(axis=1)  # Dirichlet data may leave no normal
+    sides, coupling = link.sides, link.coupling
+    judged = coupling.kept.T & coupling.normals.any(axis=1)  # Dirichlet data may leave no normal
+    normals = coupling.normals if coupling.operators is None else coupling.operators.normals
     v = link.Q.createVecRight()
     v.set(1.0)
     sums = np.abs(relative_motions(link, v)).max(initial=0.0)
