@@ -138,8 +138,6 @@ def test_a_corner_drawn_over_a_face(slave, tilt, whole):
 @pytest.mark.parametrize("slave", [TOP_OF_LOWER, BOTTOM_OF_UPPER])
 def test_a_corner_that_leans_on_a_face(slave, degrees, whole):
     """Without friction the force is normal to the face, at any angle and with either slave."""
-    if slave == TOP_OF_LOWER and whole and degrees > 10.0:
-        return  # the corner lies between the nodes of the slave: see below
     assert friction_of_a_drawn_corner(slave, np.radians(degrees), whole, friction=None) < 1e-3
 
 
