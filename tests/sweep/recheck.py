@@ -220,7 +220,7 @@ def _contact(
         if before is not None and not spins:
             moved = case.problem.u.x.array[: _owned(case)] - before
             plain = _apply(B, moved).reshape(-1, d) / weight[:, None]
-            way = _way(case, sides, before, nodes, plain)
+            way = _way(case, contact, sides, before, nodes, plain)
         travel = _travel_of(case, before)
         at = slips.Nodes(nodes, normals, loose, acts, pressure, case.limit.x.array[nodes])
         largest = V.mesh.comm.allreduce(float(weight.max(initial=TINY)), op=MPI.MAX)
@@ -257,6 +257,7 @@ def _travel_of(case: RandomProblem, before: Floats | None) -> float:
 
 def _way(
     case: RandomProblem,
+    contact: dm.Contact,
     sides: tuple[int, int],
     before: Floats,
     at: npt.NDArray[np.int64],
@@ -286,31 +287,42 @@ def _way(
         begin.x.array[:own] = before
         begin.x.scatter_forward()
         begin.x.array.reshape(-1, d)[np.unique(V.dofmap.list[case.cell_tags.find(2)])] += moved
-        there = _way_from(case, sides, begin, before)
+        there = _way_from(case, contact, sides, begin, before)
         way = np.where(np.isnan(way), there, way)
     return np.where(np.isnan(way[at]), plain, way[at])
 
 
 def _way_from(
-    case: RandomProblem, sides: tuple[int, int], begin: fem.Function, before: Floats
+    case: RandomProblem,
+    contact: dm.Contact,
+    sides: tuple[int, int],
+    begin: fem.Function,
+    before: Floats,
 ) -> Floats:
     """Return the same (owned nodes, d) by what nodes face at a displacement; NaN for nothing."""
     problem, V, own = case.problem, case.problem.V, _owned(case)
     d, u = V.mesh.geometry.dim, case.problem.u.x.array[:own]
     ring = _circumference if is_ring(case) else None
-    mortar = dm.assemble_mortar(
-        V, case.facet_tags, slave=sides[0], master=sides[1], u=begin, weight=ring
-    )
+    pair = {"slave": sides[0], "master": sides[1], "feature_angle": contact.feature_angle}
+    mortar = dm.assemble_mortar(V, case.facet_tags, u=begin, weight=ring, **pair)
     nodes = mortar.nodes - V.dofmap.index_map.local_range[0]
     B, size = mortar.D - mortar.M, _row_norms(mortar.D)[::d, None]
-    normals = mortar.N.getValuesCSR()[2].reshape(-1, d)
-    normals = normals / np.maximum(np.linalg.norm(normals, axis=1), TINY)[:, None]
+    normals = _normals_at(case, contact, begin)[nodes]
     X = _current(case) - u
     now, then = (_apply(B, X + v).reshape(-1, d) / size for v in (u, before))
     then -= normals * (normals * then).sum(axis=1, keepdims=True)
     way = np.full((problem.n, d), np.nan)
     way[nodes] = now - then
     return way
+
+
+def _normals_at(case: RandomProblem, contact: dm.Contact, u: fem.Function) -> Floats:
+    """Return the normals of a contact (owned nodes, d) at X + u."""
+    link = case.problem.system.link(contact)
+    found = contact.pair(link.sides, u, again=True)
+    normals = np.zeros((case.problem.n, u.function_space.mesh.geometry.dim))
+    normals[link.nodes] = contact.couple(link.sides, *found, link.banned, u).normals
+    return normals
 
 
 def _heights(case: RandomProblem, contact: dm.Contact) -> Floats:
