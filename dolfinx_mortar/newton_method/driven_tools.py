@@ -163,6 +163,34 @@ class Drives:
         balance = replace(lin.balance, equal=replace(equal, lower=values, upper=values))
         return replace(lin, qp=replace(lin.qp, b=b), balance=balance)
 
+    def check_gaps(self, balance: Balance, active: Bools, least: float) -> None:
+        """Raise an error if a gap is between a body and a tool with a load; collective.
+
+        Tools have no mass: with inertia a force would move them across it instantaneously.
+
+        Args:
+            balance: at an iterate.
+            active: the active set (owned nodes,) there.
+            least: smaller gaps are none.
+
+        Raises:
+            StepFailed: if so.
+        """
+        loaded, first = np.abs(self.loads) > self.noise(balance), 0
+        left = np.where(active[balance.nodes], 0.0, balance.bounds.upper)
+        for owner, tool in self.tools:
+            end = first + len(tool.names)
+            on = self.motions[first:end, balance.bounds.dofs].any(axis=0)
+            gap = float(self.comm.allreduce(left[on].min(initial=np.inf), op=MPI.MIN))
+            if loaded[first:end].any() and not tool.holds and least < gap < np.inf:
+                raise StepFailed(
+                    f"{owner!r} has a load and is {gap:.3g} from the body. With inertia, let tools "
+                    "touch the body at the start: tools have no mass, so that forces move them "
+                    "across a gap instantaneously. Prescribe the position until it touches, or "
+                    "mesh the tool as a body with mass"
+                )
+            first = end
+
     def reactions(self, lin: Linearisation, solved: QPSolution) -> Floats:
         """Return the reactions (n,) at the closed nodes."""
         z, dofs = solved.z.array_r, lin.balance.bounds.dofs
@@ -383,19 +411,20 @@ def _beyond_the_gap(drives: Drives, lin: Linearisation, here: _Try, diagonal: Fl
 
 
 def _overshoots(here: _Try, there: _Try, way: Floats) -> bool:
-    """Tell whether a step has gone far beyond the minimum along its way (m,)."""
+    """Tell whether a step has gone far beyond the minimum along its way (m,).
+
+    It has where it lets go of everything: what is missing then is not linear in the way.
+    """
     gain = here.missing @ way  # none towards a saddle point, of sides that forces turn
-    return bool(here.touches and gain > 0.0 and there.missing @ way < -OVERSHOOT * gain)
+    most = OVERSHOOT * gain if there.touches else 0.0
+    return bool(here.touches and gain > 0.0 and there.missing @ way < -most)
 
 
 def _not_met(drives: Drives, lin: Linearisation, here: _Try) -> str:
     """Say which load is not balanced, and what to do."""
     worst = int(np.argmax(np.abs(here.missing) / np.maximum(here.size, TINY)))
     name, _ = _names(drives)[worst]
-    remedy = (
-        "take smaller steps, or prescribe the position. With inertia, let the tools touch the body "
-        "at the start: tools have no mass, so that forces move them across a gap instantaneously"
-    )
+    remedy = "take smaller steps, or prescribe the position"
     if lin.qp.friction is not None and len(drives.loads) > 1:
         remedy = (
             "friction carries loads along the side up to its limit only, and a step in which the "

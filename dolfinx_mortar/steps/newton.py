@@ -86,6 +86,7 @@ from dolfinx_mortar.report.small_strain import find_left_out
 from dolfinx_mortar.report.turned_ties import find_turned_ties
 from dolfinx_mortar.report.uncoupled import find_crossing
 from dolfinx_mortar.step_report import Iteration, NewtonNotConverged, StepReport
+from dolfinx_mortar.terms.inertia import Inertia
 from dolfinx_mortar.terms.sum import Energy, VolumeStep
 
 log = logging.getLogger(__name__)
@@ -511,6 +512,9 @@ class _Step:
         drives = driven_tools.find_drives(self.problem, known)
         if drives is None:
             return lin, solved, None
+        if any(isinstance(term, Inertia) for _, term in self.problem.terms.named):
+            least = self.report.rtol * old.scales.facet_length
+            drives.check_gaps(lin.balance, old.contacts.active, least)
         rtol = DIGIT * self.report.rtol
 
         def again(at: Linearisation) -> QPSolution:
