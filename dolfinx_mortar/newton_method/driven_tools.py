@@ -163,15 +163,17 @@ class Drives:
         balance = replace(lin.balance, equal=replace(equal, lower=values, upper=values))
         return replace(lin, qp=replace(lin.qp, b=b), balance=balance)
 
-    def check_gaps(self, balance: Balance, active: Bools, least: float) -> None:
+    def check_gaps(self, balance: Balance, active: Bools, facet_length: float) -> None:
         """Raise an error if a gap is between a body and a tool with a load; collective.
 
-        Tools have no mass: with inertia a force would move them across it instantaneously.
+        Tools have no mass: with inertia a force would move them across it instantaneously. A tool
+        of radius R that touches is h^2 / (8 R) from the next node, h / 8 where it is as round as a
+        facet is long: smaller gaps are those of the mesh.
 
         Args:
             balance: at an iterate.
             active: the active set (owned nodes,) there.
-            least: smaller gaps are none.
+            facet_length: h.
 
         Raises:
             StepFailed: if so.
@@ -182,7 +184,7 @@ class Drives:
             end = first + len(tool.names)
             on = self.motions[first:end, balance.bounds.dofs].any(axis=0)
             gap = float(self.comm.allreduce(left[on].min(initial=np.inf), op=MPI.MIN))
-            if loaded[first:end].any() and not tool.holds and least < gap < np.inf:
+            if loaded[first:end].any() and not tool.holds and facet_length / 8.0 < gap < np.inf:
                 raise StepFailed(
                     f"{owner!r} has a load and is {gap:.3g} from the body. With inertia, let tools "
                     "touch the body at the start: tools have no mass, so that forces move them "

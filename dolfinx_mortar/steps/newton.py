@@ -513,8 +513,7 @@ class _Step:
         if drives is None:
             return lin, solved, None
         if any(isinstance(term, Inertia) for _, term in self.problem.terms.named):
-            least = self.report.rtol * old.scales.facet_length
-            drives.check_gaps(lin.balance, old.contacts.active, least)
+            drives.check_gaps(lin.balance, old.contacts.active, old.scales.facet_length)
         rtol = DIGIT * self.report.rtol
 
         def again(at: Linearisation) -> QPSolution:
