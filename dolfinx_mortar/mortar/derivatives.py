@@ -167,9 +167,8 @@ def differentiate(
         [[Matrix(B)[:, c]] for B in (F, G)] for c in (coordinate_columns, normal_columns)
     )
     F_n, G_n = place.by_normals(*chain.by_normals(Phi))
-    facing = chain.facing(duals, normals[pairing.master_facets][segments.master])
-    rows = (place.gaps(by_x) + place.gaps_by_coefficients(by_A) @ dA for by_x, by_A in facing)
-    b = sum(sparse.kron(row, one) for row, one in zip(rows, np.eye(2)[:, :, None], strict=True))
+    b_x, b_A = chain.facing(duals, normals[pairing.master_facets][segments.master])
+    b = place.facing(b_x) + place.facing_by_coefficients(b_A) @ dA
     b_x, b_p = ([Matrix(b)[:, c]] for c in (coordinate_columns, normal_columns))
     return Derivatives(by_x[0], [F_n], by_x[1], [G_n], along[0], along[1], b_x, b_p)
 
@@ -339,20 +338,20 @@ class _Chain:
             values.append(gap.value)
         return np.stack(by_x, axis=1), np.stack(values, axis=1)[:, :, None] * self.slave.N[:, None]
 
-    def facing(self, duals: list[_Field], normals: Floats) -> list[tuple[Floats, Floats]]:
-        """Return those of each component of sum_l M_jl n_l, as `gaps` does.
+    def facing(self, duals: list[_Field], normals: Floats) -> tuple[Floats, Floats]:
+        """Return those of sum_l M_jl n_l, (q, k, 2, p), and by A' (q, k, 2, k).
 
         Args:
             normals: n_l (q, l, 2), fixed.
         """
-        found, side = [], self.master
+        found, values, side = [], [], self.master
         for n in np.moveaxis(normals, 2, 0):
             along = (side.slopes * n).sum(axis=1)[:, None] * side.d_xi
             density = self.w * _Field((side.N * n).sum(axis=1), along)
-            by_A = density.value[:, None, None] * self.slave.N[:, None]
-            by_A = np.repeat(by_A, self.k, axis=1)
-            found.append((np.stack([(density * dual).d for dual in duals], axis=1), by_A))
-        return found
+            found.append(np.stack([(density * dual).d for dual in duals], axis=1))
+            values.append(density.value)
+        by_A = np.stack(values, axis=1)[:, None, :, None] * self.slave.N[:, None, None]
+        return np.stack(found, axis=2), np.repeat(by_A, self.k, axis=1)
 
     def closed_parts(self, partly: PartlyOpen, slave: Facets) -> Floats:
         """Return the derivatives (q, p) of the parts that slave facets share out, but by size."""
@@ -431,6 +430,16 @@ class _Places:
             summed(rows, columns[:, None, None], forces, of_forces),
             summed(self.slave[:, :, None], columns, gaps, (self.n, size)),
         )
+
+    def facing(self, values: Floats) -> Matrix:
+        """Return the sums of values (q, k, 2, p)."""
+        rows, columns = self.force_rows[:, : self.k, :, None], self.stencil[:, None, None]
+        return summed(rows, columns, values, (2 * self.n, self.columns))
+
+    def facing_by_coefficients(self, values: Floats) -> Matrix:
+        """Return the sums of values (q, k, 2, k)."""
+        rows, columns = self.force_rows[:, : self.k, :, None], self.coefficients[:, :, None]
+        return summed(rows, columns, values, (2 * self.n, self.k**2 * self.count))
 
     def forces_by_coefficients(self, values: Floats) -> Matrix:
         """Return the sums of values (q, k + l, 2, k, k)."""
