@@ -39,6 +39,7 @@ the facets in the plane.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numba
 import numpy as np
 
 from dolfinx import fem, la
@@ -48,7 +49,7 @@ from dolfinx_mortar.geometry.curvature import unit
 from dolfinx_mortar.geometry.facets import Facets, facet_normals
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.integrals import sums_of_values
-from dolfinx_mortar.mortar.pairing import Pairing, received_facets
+from dolfinx_mortar.mortar.pairing import Pairing, receive, received_facets
 from dolfinx_mortar.mortar.surface import (
     Boundary,
     Surface,
@@ -80,14 +81,14 @@ class Spreads:
         V, nodes = self.V, self.boundary.nodes
         vertices = list(self.boundary.facets.element.vertices)
         S = _covariances(V, nodes[:, vertices], self.boundary.at(u), self.mirrors)
-        one = np.eye(S.shape[1])
-        S += ROUND_OFF * one  # without an axis, where facets that meet at an angle have become flat
-        S *= (self.width / np.trace(S, axis1=1, axis2=2))[:, None, None]
+        _scale(S, self.width)
         between = np.delete(nodes, vertices, axis=1)
-        if between.size:
+        if V.element.basix_element.degree > 1:
             of_facets = S[nodes[:, vertices]].mean(axis=1).reshape(len(nodes), -1)
-            S += _means(V, between, of_facets).reshape(S.shape)
-        return _with_images(S + self.blur[:, None, None] * one, self.mirrors)
+            S = _with_images(S + _means(V, between, of_facets).reshape(S.shape), self.mirrors)
+        for i in range(S.shape[1]):
+            S[:, i, i] += self.blur
+        return S
 
 
 def find_spreads(
@@ -137,8 +138,7 @@ def _means(V: fem.FunctionSpace, nodes: Ints, values: Floats) -> Floats:
     sums = la.vector(V.dofmap.index_map, c)
     sums.array[:] = 0.0
     at, each = sums.array.reshape(-1, c), np.column_stack([values, np.ones(len(values))])
-    for column in nodes.T:
-        np.add.at(at, column, each)
+    _add_at(at, nodes, each)
     sums.scatter_reverse(la.InsertMode.add)
     sums.scatter_forward()
     return np.asarray(at[:, :-1] / np.maximum(at[:, -1:], 1.0))
@@ -156,9 +156,45 @@ def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Boo
     d = n.shape[1]
     products = (n[:, :, None] * n[:, None]).reshape(len(n), d * d)
     found = _means(V, nodes, np.hstack([n, products]))
-    mean = np.where(mirrors, 0.0, found[:, :d])
-    S = found[:, d:].reshape(-1, d, d) - mean[:, :, None] * mean[:, None]
-    return _with_images(S, mirrors)
+    return _central(found, mirrors)
+
+
+@numba.njit(cache=True)
+def _add_at(sums, nodes, values):  # type: ignore[no-untyped-def]
+    """Add values (m, c) of facets to sums (n, c) at their nodes (m, k)."""
+    for i in range(nodes.shape[1]):
+        for f in range(len(nodes)):
+            for c in range(values.shape[1]):
+                sums[nodes[f, i], c] += values[f, c]
+
+
+@numba.njit(cache=True)
+def _central(means, mirrors):  # type: ignore[no-untyped-def]
+    """Return S (n, d, d) of the means (n, d + d d) of n_f and n_f n_f^T, with their images."""
+    n, d = mirrors.shape
+    S = np.zeros((n, d, d))
+    for j in range(n):
+        for i in range(d):
+            for h in range(d):
+                if mirrors[j, i] or mirrors[j, h]:
+                    S[j, i, h] = means[j, d + d * i + h] if i == h else 0.0
+                else:
+                    S[j, i, h] = means[j, d + d * i + h] - means[j, i] * means[j, h]
+    return S
+
+
+@numba.njit(cache=True)
+def _scale(S, width):  # type: ignore[no-untyped-def]
+    """Give S (n, d, d) the traces (n,).
+
+    Without an axis where facets that meet at an angle have become flat.
+    """
+    for j in range(len(S)):
+        trace = 0.0
+        for i in range(S.shape[1]):
+            S[j, i, i] += ROUND_OFF
+            trace += S[j, i, i]
+        S[j] *= width[j] / trace
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,23 +235,26 @@ def common_normals(
     across: Bools = spreads.mirrors[: V.dofmap.index_map.size_local]
     averaged = nodal_normals(slave, coordinates(slave, u))[: slave.owned]
     averaged, by_averaged = in_planes(averaged, across[own])
-    of_slave, of_master = (np.where(across, 0.0, v) for v in _facing(pairing, segments, u))
-    a = _of_side(averaged, of_slave[own], S[own], limit)
     nodes = master.nodes[: master.owned]
     n_m = nodal_normals(master, coordinates(master, u))[: master.owned]
     n_m, _ = in_planes(n_m, across[nodes])
-    values = np.zeros((V.dofmap.index_map.size_local, d + 1 + d * d))
+    edged = np.trace(S, axis1=1, axis2=2) > limit / 2
+    of_slave, of_master = (np.where(across, 0.0, v) for v in _facing(pairing, segments, u, edged))
+    a = _of_side(averaged, of_slave[own], S[own], limit)
+    upper = np.triu_indices(d)
+    values = np.zeros((V.dofmap.index_map.size_local, d + 1 + len(upper[0])))
     values[nodes, :d] = _of_side(n_m, of_master[nodes], S[nodes], limit)
-    values[nodes, d], values[nodes, d + 1 :] = 1.0, S[nodes].reshape(-1, d * d)
+    values[nodes, d], values[nodes, d + 1 :] = 1.0, S[nodes][:, *upper]
     total = _products(pairing, M, values[:, : d + 1])[own]
     total = -np.sign(total[:, d:]) * total[:, :d]
     total = np.where(across[own], 0.0, total)
     size = np.linalg.norm(total, axis=1)
     b = unit(total)
     spread = _products(pairing, np.maximum(M, 0.0), values[:, d:])[own]
-    spread = spread[:, 1:] / np.maximum(spread[:, :1], TINY)
-    spread = _with_images(spread.reshape(-1, d, d), across[own])
-    mean, by_a, by_b = _mean(a, b, S[own], spread)
+    S_b = np.empty((len(own), d, d))
+    S_b[:, *upper] = spread[:, 1:] / np.maximum(spread[:, :1], TINY)
+    S_b[:, *upper[::-1]] = S_b[:, *upper]
+    mean, by_a, by_b = _mean(a, b, S[own], _with_images(S_b, across[own]))
     length = np.linalg.norm(mean, axis=1)
     met = np.flatnonzero((size > 0.0) & (length > HALF_OF_DIGITS))
     n, by_slave = averaged.copy(), by_averaged.copy()
@@ -233,13 +272,14 @@ def in_planes(n: Floats, mirrors: Bools) -> tuple[Floats, Floats]:
 
     (I - m m^T) P / |P n| with m = P n / |P n|; I where there is no plane, as dn is normal to n.
     """
-    m = np.where(mirrors, 0.0, n)
+    some = np.flatnonzero(mirrors.any(axis=1))
+    n, by_n = n.copy(), np.eye(n.shape[1])[None].repeat(len(n), axis=0)
+    m = np.where(mirrors[some], 0.0, n[some])
     size = np.linalg.norm(m, axis=1)[:, None, None]
-    by_n = _across(unit(m)) / np.where(size > 0.0, size, np.inf)
-    by_n = np.where(mirrors[:, None], 0.0, by_n)
-    some = np.asarray(mirrors.any(axis=1))
-    by_n[~some] = np.eye(n.shape[1])
-    return np.where(some[:, None], unit(m), n), by_n
+    n[some] = unit(m)
+    by_m = _across(n[some]) / np.where(size > 0.0, size, np.inf)
+    by_n[some] = np.where(mirrors[some][:, None], 0.0, by_m)
+    return n, by_n
 
 
 def _across(n: Floats) -> Floats:
@@ -247,18 +287,30 @@ def _across(n: Floats) -> Floats:
     return np.asarray(np.eye(n.shape[1]) - n[:, :, None] * n[:, None])
 
 
-def _facing(pairing: Pairing, segments: Segments, u: fem.Function | None) -> tuple[Floats, Floats]:
-    """Return the sums of w N_j n_s and w N_l n_m over the points (owned nodes, d); collective."""
-    V, slave = pairing.slave.V, pairing.slave
+def _facing(
+    pairing: Pairing, segments: Segments, u: fem.Function | None, which: Bools
+) -> tuple[Floats, Floats]:
+    """Return the sums of w N_j n_s and w N_l n_m over the points (owned nodes, d); collective.
+
+    All of them at the nodes `which` (local nodes,), at others parts.
+    """
+    V, slave, master = pairing.slave.V, pairing.slave, pairing.master
     facets = facets_at(slave, coordinates(slave, u)), received_facets(pairing, u)
     numbers = V.dofmap.index_map.local_to_global(slave.nodes).astype(np.int64)
+    flags = np.zeros_like(master.X)
+    flags[:, 0] = which[master.nodes]
+    received = receive(pairing, flags)[:, 0] > 0.0
+    of_slave, of_master = slave.facets, pairing.master_facets
     sides = (
-        (segments.slave, segments.xi_s, numbers[slave.facets]),
-        (segments.master, segments.xi_m, pairing.master_nodes[pairing.master_facets]),
+        (segments.slave, segments.xi_s, numbers[of_slave], which[slave.nodes][of_slave]),
+        (segments.master, segments.xi_m, pairing.master_nodes[of_master], received[of_master]),
     )
     found = []
-    for side, (on, xi, nodes) in zip(facets, sides, strict=True):
-        N = np.clip(side.element.shape_functions(xi), 0.0, None) * segments.weight[:, None]
+    for side, (on, xi, nodes, asked) in zip(facets, sides, strict=True):
+        some = np.flatnonzero(asked.any(axis=1)[on])
+        on = on[some]
+        N = np.clip(side.element.shape_functions(xi[some]), 0.0, None)
+        N *= segments.weight[some, None]
         weights = sums_of_values(N, np.ones(len(on)), on, len(nodes))
         sums = weights[:, :, None] * facet_normals(side)[:, None]
         at = nodes.ravel(), sums.reshape(-1, sums.shape[2])
@@ -273,15 +325,18 @@ def _of_side(averaged: Floats, facing: Floats, S: Floats, limit: float) -> Float
         averaged: (n, d).
         facing: Sums (n, d) over what faces the other side.
         S: (n, d, d).
-        limit: Spread from which on facets meet in an edge.
+        limit: Spread from which on facets meet in an edge; up to half of it the averaged one.
     """
+    edged = np.flatnonzero(np.trace(S, axis1=1, axis2=2) > limit / 2)
+    result, n, facing = averaged.copy(), averaged[edged], facing[edged]
     some = np.linalg.norm(facing, axis=1, keepdims=True) > 0.0
-    c = np.where(some, unit(facing), averaged)
-    Q = _across(averaged)
-    widths, axes = np.linalg.eigh(Q @ S @ Q)
+    c = np.where(some, unit(facing), n)
+    Q = _across(n)
+    widths, axes = np.linalg.eigh(Q @ S[edged] @ Q)
     smooth = np.clip(2.0 - 2.0 * widths / limit, 0.0, 1.0)
     K = Q @ (axes * smooth[:, None]) @ np.swapaxes(axes, 1, 2) @ Q
-    return unit(c - (K @ c[:, :, None])[:, :, 0])
+    result[edged] = unit(c - (K @ c[:, :, None])[:, :, 0])
+    return result
 
 
 def _products(pairing: Pairing, M: Floats, values: Floats) -> Floats:
