@@ -5,7 +5,6 @@ import numpy as np
 
 from dolfinx_mortar.audit.stand_off import SPOILT
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.mortar.mirrors import judge_supports
 
 
 def warnings_on_mirrors(link: Link) -> list[str]:
@@ -17,9 +16,8 @@ def warnings_on_mirrors(link: Link) -> list[str]:
     """
     warnings = []
     names = ("slave",) if link.interface.meets_itself else ("slave", "master")
-    for name, side in zip(names, link.sides.surfaces, strict=False):
-        fixed = link.sides.fixed[side.nodes]
-        mirrors, leaning = judge_supports(side, fixed, link.interface.feature_angle)
+    judged = link.sides.judged
+    for name, side, (mirrors, leaning) in zip(names, link.sides.surfaces, judged, strict=False):
         sines = np.where(mirrors, np.abs(leaning), 0.0).max(axis=1)[: side.owned]
         own = np.flatnonzero(sines > 0.25 * SPOILT)
         places = [(float(sines[j]), *map(float, side.X[j])) for j in own]

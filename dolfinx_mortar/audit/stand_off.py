@@ -79,7 +79,7 @@ def warnings_on_straight_facets(link: Link, u: fem.Function | None = None) -> li
     if only_close and not interface.smooth:
         return []
     pairing, segments = link.mortar[0], link.mortar[1].segments
-    sides = find_smooth_sides(pairing, link.sides.fixed, interface.feature_angle)
+    sides = find_smooth_sides(pairing, link.sides.fixed, interface.feature_angle, link.sides.shapes)
     highest = max(np.abs(side.sagitta).max(initial=0.0) for side in sides)
     length = mean_facet_length(slave)
     if float(maximum(link.sides.V.mesh.comm, highest)[0]) <= HALF_OF_DIGITS * length:

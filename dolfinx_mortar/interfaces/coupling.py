@@ -22,6 +22,7 @@ node, and the reaction of u_e is that of the support alone. Elsewhere frames are
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -37,7 +38,7 @@ from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.constraints import check_shapes
 from dolfinx_mortar.mortar.common_normals import CommonNormals, Spreads
-from dolfinx_mortar.mortar.curvature_correction import SmoothSide
+from dolfinx_mortar.mortar.curvature_correction import NodeShape, SmoothSide
 from dolfinx_mortar.mortar.duals import Coverage
 from dolfinx_mortar.mortar.operators import MortarOperators
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
@@ -59,6 +60,8 @@ class Sides:
     edges: Bools | None = None  # (n,) slave nodes of a contact on edges
     weight: Weight | None = None  # of all integrals over the interface; None for 1
     spreads: Spreads | None = None  # of the normals around the nodes of contacts of two sides
+    judged: Sequence[tuple[Bools, Floats]] = ()  # of slave and master: `judge_supports`
+    shapes: Sequence[NodeShape] = ()  # of slave and master: `find_shape`; none if nobody asks
 
     @property
     def nodes(self) -> Ints:

@@ -36,7 +36,7 @@ from dolfinx_mortar.interfaces.coupling import (
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.tool import Driven, Pose
 from dolfinx_mortar.mortar.duals import Coverage
-from dolfinx_mortar.mortar.mirrors import find_mirrors
+from dolfinx_mortar.mortar.mirrors import judge_supports
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.passing import SeenByTool
 from dolfinx_mortar.mortar.surface import check_tags, create_surface, dependent_nodes
@@ -212,8 +212,10 @@ class Interface(ABC):
         on_slave, dependent = mark(slave), dependent_nodes(slave)[: slave.owned]
         nowhere = np.zeros_like(on_slave)
         mirrors = np.zeros_like(fixed)
-        mirrors[slave.nodes] = find_mirrors(slave, fixed[slave.nodes], self.feature_angle)
-        return Sides(V, slave, None, on_slave, nowhere, fixed, mirrors, dependent, weight=weight)
+        judged = [judge_supports(slave, fixed[slave.nodes], self.feature_angle)]
+        mirrors[slave.nodes] = judged[0][0]
+        at = V, slave, None, on_slave, nowhere, fixed, mirrors, dependent
+        return Sides(*at, weight=weight, judged=judged)
 
     def pair(
         self,

@@ -32,11 +32,11 @@ from dolfinx_mortar.interfaces.coupling import (
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface, ask
 from dolfinx_mortar.interfaces.slip_partners import Partners, partners_of
 from dolfinx_mortar.mortar.common_normals import common_normals
-from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides
+from dolfinx_mortar.mortar.curvature_correction import find_shape, find_smooth_sides
 from dolfinx_mortar.mortar.duals import Coverage, find_coverage, node_weights
 from dolfinx_mortar.mortar.edges import check_angle, find_edges
 from dolfinx_mortar.mortar.integrals import drop_far, find_segments
-from dolfinx_mortar.mortar.mirrors import find_mirrors
+from dolfinx_mortar.mortar.mirrors import judge_supports
 from dolfinx_mortar.mortar.operators import SmoothSides, create_operators
 from dolfinx_mortar.mortar.pairing import Pairing, Weight, create_pairing, outside_margin
 from dolfinx_mortar.mortar.surface import create_surface, dependent_nodes
@@ -155,10 +155,16 @@ class MortarInterface(Interface):
         dependent = dependent_nodes(slave)[: slave.owned]
         edges = find_edges(slave, self.feature_angle) if self.unilateral else None
         mirrors = np.zeros_like(fixed)
+        angle, judged, shapes = self.feature_angle, [], []
         for side in (slave,) if self.meets_itself else (slave, master):
-            mirrors[side.nodes] |= find_mirrors(side, fixed[side.nodes], self.feature_angle)
-        marks = mark(slave), mark(master)
-        return Sides(V, slave, master, *marks, fixed, mirrors, dependent, edges, weight)
+            judged.append(judge_supports(side, fixed[side.nodes], angle))
+            own = judged[-1][0]
+            mirrors[side.nodes] |= own
+            if self.unilateral or (self.smooth and not side.curved):
+                shapes.append(find_shape(side, fixed, angle, own))
+        marks, again = (mark(slave), mark(master)), 2 if self.meets_itself else 1
+        found = {"weight": weight, "judged": judged, "shapes": again * shapes}
+        return Sides(V, slave, master, *marks, fixed, mirrors, dependent, edges, **found)
 
     def pair(
         self,
@@ -177,8 +183,9 @@ class MortarInterface(Interface):
         if known is not None and pattern is not None and pairing.D is known.D:
             return pairing, pattern
         smooth = nearby = None
-        if self.unilateral or (self.smooth and not sides.slave.curved):
-            found = find_smooth_sides(pairing, sides.fixed, self.feature_angle)
+        if sides.shapes:
+            at = pairing, sides.fixed, self.feature_angle
+            found = find_smooth_sides(*at, sides.shapes)
             smooth, nearby = (found, None) if self.smooth else (None, found)
         entries = pairing.row, pairing.column, len(pairing.off_diagonal)
         return pairing, create_pattern(sides, *entries, smooth, nearby)

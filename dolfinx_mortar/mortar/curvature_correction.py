@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Smooth surfaces over the facets of two sides: corrections of their gap and of offset vectors."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -54,8 +54,13 @@ at most 2.7 on 800 ellipses with axes 1 : 1.2 to 4 and 6 to 96 facets a quarter,
 displaced by .3 of a facet, and tends to 1 with the size of the facets.
 """
 
+NodeShape = NodeNormals | Floats
+"""What is known of a smooth surface at nodes: normals, of curved facets curvatures (n, d, d)."""
 
-def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: float) -> NodeNormals:
+
+def smooth_normals(
+    surface: Surface, x: Floats, fixed: Bools, feature_angle: float, mirrors: Bools | None = None
+) -> NodeNormals:
     """Return the normals of the smooth surface at the nodes; collective.
 
     There is none, n = 0, where the normal of a facet has no positive component along the sum: at a
@@ -70,8 +75,11 @@ def smooth_normals(surface: Surface, x: Floats, fixed: Bools, feature_angle: flo
         x: coordinates (n, d) of its nodes.
         fixed: (n, d) components of the nodes with Dirichlet data.
         feature_angle: degrees between facets from which on they meet in an edge.
+        mirrors: those of `find_mirrors` where they are known.
     """
-    facets, mirrors = facets_at(surface, x), find_mirrors(surface, fixed, feature_angle)
+    facets = facets_at(surface, x)
+    if mirrors is None:
+        mirrors = find_mirrors(surface, fixed, feature_angle)
     normals = _classify(surface, facets, one_ring_sums(facets), mirrors, feature_angle)
     for _ in range(PROJECTIONS if x.shape[1] > 2 else 0):
         K = _deviators(surface, facets, normals)[surface.facets]
@@ -170,29 +178,46 @@ class SmoothSide:
 
 
 @timed("~Mortar: smooth surfaces")
+def find_shape(
+    surface: Surface, fixed: Bools, feature_angle: float, mirrors: Bools | None = None
+) -> NodeShape:
+    """Return the shape of a side at its nodes at X, which no search changes; collective.
+
+    Args:
+        fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
+        feature_angle: see `smooth_normals`.
+        mirrors: see `smooth_normals`.
+    """
+    if surface.curved:
+        return _nodal_curvatures(surface)
+    return smooth_normals(surface, surface.X, fixed[surface.nodes], feature_angle, mirrors)
+
+
 def find_smooth_sides(
-    pairing: Pairing, fixed: Bools, feature_angle: float
+    pairing: Pairing,
+    fixed: Bools,
+    feature_angle: float,
+    shapes: Sequence[NodeShape] = (),
 ) -> tuple[SmoothSide, SmoothSide]:
     """Return the smooth surfaces of the slave and of the received master facets; collective.
 
     Args:
         fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
         feature_angle: see `smooth_normals`.
+        shapes: of both sides, see `find_shape`, where they are known.
     """
     slave, master = pairing.slave, pairing.master
-    if slave.curved:
-        K_s, K_m = _nodal_curvatures(slave), _nodal_curvatures(master)
+    own, other = shapes or [find_shape(side, fixed, feature_angle) for side in (slave, master)]
+    if not (isinstance(own, NodeNormals) and isinstance(other, NodeNormals)):
+        K_s, K_m = np.asarray(own), np.asarray(other)
         K_m = np.stack([receive(pairing, row) for row in np.moveaxis(K_m, 1, 0)], axis=1)
         return (
             _over_curved(facets_at(slave, slave.X), slave.facets, K_s),
             _over_curved(received_facets(pairing, None), pairing.master_facets, K_m),
         )
-    n_s, n_m = (
-        smooth_normals(side, side.X, fixed[side.nodes], feature_angle) for side in (slave, master)
-    )
-    on_slave = facets_at(slave, slave.X), n_s, slave.facets
-    on_master = received_facets(pairing, None), _received(pairing, n_m), pairing.master_facets
-    counts = count_edges(n_s, slave.owned), count_edges(n_m, master.owned)
+    on_slave = facets_at(slave, slave.X), own, slave.facets
+    on_master = received_facets(pairing, None), _received(pairing, other), pairing.master_facets
+    counts = count_edges(own, slave.owned), count_edges(other, master.owned)
     sides = zip((on_slave, on_master), counts, strict=True)
     a, b = (SmoothSide(*side, edge_sagittas(*side), edges) for side, edges in sides)
     return a, b
@@ -207,9 +232,9 @@ def find_smooth_side(surface: Surface, fixed: Bools, feature_angle: float) -> Sm
         feature_angle: see `smooth_normals`.
     """
     facets = facets_at(surface, surface.X)
-    if surface.curved:
-        return _over_curved(facets, surface.facets, _nodal_curvatures(surface))
-    normals = smooth_normals(surface, surface.X, fixed[surface.nodes], feature_angle)
+    normals = find_shape(surface, fixed, feature_angle)
+    if not isinstance(normals, NodeNormals):
+        return _over_curved(facets, surface.facets, normals)
     edges = count_edges(normals, surface.owned)
     sagitta = edge_sagittas(facets, normals, surface.facets)
     return SmoothSide(facets, normals, surface.facets, sagitta, edges)
