@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
 
@@ -30,7 +30,7 @@ from dolfinx_mortar.mortar.duals import weighted_duals
 from dolfinx_mortar.mortar.edges import find_sharing, open_duals
 from dolfinx_mortar.mortar.integrals import some_points
 from dolfinx_mortar.mortar.pairing import receive
-from dolfinx_mortar.mortar.space_derivatives import differentiate_in_space
+from dolfinx_mortar.mortar.space_derivatives import differentiate_in_space, facing_derivatives
 from dolfinx_mortar.mortar.surface import (
     Surface,
     accumulate,
@@ -212,11 +212,12 @@ class ContactDerivatives(LinkDerivatives):
             sharing = find_sharing(pairing, segments, u, keep, edges, banned)
             Phi = open_duals(pairing, segments, Phi, keep, sharing)
         at = pairing, u, segments, keep, Phi, given
-        if _in_space(link):
-            return differentiate_in_space(*at, smooth, sharing)
-        slopes = None if smooth is None else height_slopes(pairing, segments, u, smooth)
         master = pairing.master
         normals = receive(pairing, nodal_normals(master, coordinates(master, u)))
+        if _in_space(link):
+            facing = facing_derivatives(pairing, u, segments, Phi, normals)
+            return replace(differentiate_in_space(*at, smooth, sharing), b_x=[facing])
+        slopes = None if smooth is None else height_slopes(pairing, segments, u, smooth)
         return differentiate(*at, normals, slopes, sharing)
 
     def slips(
@@ -236,7 +237,7 @@ class _Normals:
     """Derivatives of the normals of contact, Y_s dn_j + Y_m sum_l (dM_jl n_l + M_jl dn_l).
 
     n_j and n_l are the averaged normals of the slave and of the master. Left out is what spreads
-    change, and in space dM_jl: nothing beside a flat side.
+    change, and in space how the weights of M_jl do.
     """
 
     def __init__(self, link: CoupledSides, x: BlockEntries, y: BlockEntries, N: PETSc.Mat) -> None:

@@ -80,6 +80,35 @@ def differentiate_in_space(
     return Derivatives(F, F_n, G, G_n)
 
 
+def facing_derivatives(
+    pairing: Pairing, u: dolfinx.fem.Function, segments: Segments, Phi: Floats, normals: Floats
+) -> Blocks:
+    """Return the derivatives of sum_l M_jl n_l by the coordinates, as points slide; collective.
+
+    With d eta^a = m^a.(dx_s - dx_m), m^a dual to the tangents of the master across the normal of
+    the slave facet. Left out are the changes of w Phi_j, which scale n_l alike where these are.
+
+    Args:
+        Phi: (q, k) weighted dual functions.
+        normals: n_l (nm, 3) of the received master nodes, fixed.
+    """
+    slave, master = pairing.slave, received_facets(pairing, u)
+    used, of = distinct(segments.pair)
+    pairs = np.ascontiguousarray(pairing.pairs[used])
+    m, element = segments.master, master.element
+    slopes = element.derivatives(segments.xi_m)
+    x, y = np.einsum("qla,qli->aqi", slopes, master.x[m])
+    n = facet_normals(facets_at(slave, coordinates(slave, u)))[segments.slave]
+    dual = np.stack([np.cross(y, n), np.cross(n, x)], axis=1)
+    dual /= (x * dual[:, 0]).sum(axis=1)[:, None, None]
+    turned = np.einsum("qla,qli,qah->qih", slopes, normals[pairing.master_facets[m]], dual)
+    N = [slave.element.shape_functions(segments.xi_s), -element.shape_functions(segments.xi_m)]
+    columns = turned[:, :, None] * np.hstack(N)[:, None, :, None]  # (q, 3, k + l, 3)
+    sums = sums_of_products(Phi, columns.reshape(len(m), -1), of.astype(np.int32), len(pairs))
+    place = _Places(pairing, pairs, len(slave.nodes))
+    return Blocks(place.slave, place.nodes, sums.reshape(*sums.shape[:2], *columns.shape[1:]))
+
+
 def _differentiate(
     pairing: Pairing,
     u: dolfinx.fem.Function,
