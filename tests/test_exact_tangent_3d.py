@@ -17,7 +17,7 @@ from dolfinx_mortar.mortar import curvature_correction
 from dolfinx_mortar.mortar.integrals import (
     find_segments,
 )
-from dolfinx_mortar.mortar.space_derivatives import differentiate_in_space
+from dolfinx_mortar.mortar.space_derivatives import differentiate_in_space, facing_derivatives
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.watch import contact_forces
 from tests import meshes_3d, on_edges
@@ -136,6 +136,33 @@ def test_derivatives_in_second_order(cell, order, upper, monkeypatch):
     assert rough.keep.all() == (upper == UNDER)
     directions = np.random.default_rng(0).standard_normal((2, len(rough.nodes), 3))
     assert max(errors(rough, directions)) < 1e-8
+
+
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_derivatives_of_what_faces_a_node(cell, monkeypatch):
+    """Of sum_l M_jl n_l, n_l fixed, under a master that moves; with accurate integrals."""
+    monkeypatch.setattr(area, "_least_degree", lambda slave, master: 20)
+    rough = Rough(cell, (2, 3), (1, 1), upper=UNDER, seed=1, noise=0.01)
+    rng, own, pairing = np.random.default_rng(0), len(rough.slave.nodes), rough.pairing
+    n, v = rng.standard_normal((2, len(pairing.master_nodes), 3))
+
+    def facing(size):
+        before = rough.u.x.array.copy()
+        rough.u.x.array.reshape(-1, 3)[pairing.master_nodes] += size * v
+        segments, _ = find_segments(pairing, rough.u)
+        N = pairing.master.element.shape_functions(segments.xi_m)
+        at = np.einsum("ql,qli->qi", N, n[pairing.master_facets[segments.master]])
+        result, Phi = np.zeros((own, 3)), rough.duals(segments)
+        np.add.at(result, rough.slave.facets[segments.slave], Phi[:, :, None] * at[:, None])
+        rough.u.x.array[:] = before
+        return result.ravel()
+
+    segments, _ = find_segments(pairing, rough.u)
+    found = facing_derivatives(pairing, rough.u, segments, rough.duals(segments), n)
+    found = summed([found], (3 * own, 3 * len(rough.nodes))) @ np.append(np.zeros((own, 3)), v)
+    expected = (facing(1e-5) - facing(-1e-5)) / 2e-5
+    assert rough.keep.all()
+    assert np.allclose(found, expected, rtol=0.0, atol=1e-7 * np.abs(expected).max())
 
 
 def wavy(X, phase):

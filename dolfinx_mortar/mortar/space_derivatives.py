@@ -86,7 +86,8 @@ def facing_derivatives(
     """Return the derivatives of sum_l M_jl n_l by the coordinates, as points slide; collective.
 
     With d eta^a = m^a.(dx_s - dx_m), m^a dual to the tangents of the master across the normal of
-    the slave facet. Left out are the changes of w Phi_j, which scale n_l alike where these are.
+    the slave facet (in second order of all its parts). Left out are the changes of w Phi_j, in
+    which what n_l have in common does not turn b_j.
 
     Args:
         Phi: (q, k) weighted dual functions.
@@ -97,11 +98,11 @@ def facing_derivatives(
     pairs = np.ascontiguousarray(pairing.pairs[used])
     m, element = segments.master, master.element
     slopes = element.derivatives(segments.xi_m)
-    x, y = np.einsum("qla,qli->aqi", slopes, master.x[m])
+    x, y = np.moveaxis(np.swapaxes(master.x[m], 1, 2) @ slopes, 2, 0)
     n = facet_normals(facets_at(slave, coordinates(slave, u)))[segments.slave]
     dual = np.stack([np.cross(y, n), np.cross(n, x)], axis=1)
     dual /= (x * dual[:, 0]).sum(axis=1)[:, None, None]
-    turned = np.einsum("qla,qli,qah->qih", slopes, normals[pairing.master_facets[m]], dual)
+    turned = np.swapaxes(normals[pairing.master_facets][m], 1, 2) @ slopes @ dual
     N = [slave.element.shape_functions(segments.xi_s), -element.shape_functions(segments.xi_m)]
     columns = turned[:, :, None] * np.hstack(N)[:, None, :, None]  # (q, 3, k + l, 3)
     sums = sums_of_products(Phi, columns.reshape(len(m), -1), of.astype(np.int32), len(pairs))
