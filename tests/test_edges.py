@@ -81,13 +81,16 @@ def test_the_normal_is_that_of_a_face_and_normal_to_crossing_edges():
 
 
 def test_derivatives_of_the_normal_of_both_sides():
-    """By complex differences along any direction."""
+    """By complex differences along any direction; spreads turn with their normals."""
     rng = np.random.default_rng(7)
     a, b, da, db = rng.uniform(-1.0, 1.0, (4, 1, 3))
     S = [v @ np.swapaxes(v, 1, 2) for v in rng.uniform(-0.5, 0.5, (2, 1, 3, 3))]
     _, by_a, by_b = _mean(a, b, *S)
     found = by_a @ da[:, :, None] + by_b @ db[:, :, None]
     h = 1e-30j
+    for k, (v, dv) in enumerate(((a, da), (b, db))):
+        W = dv[:, :, None] * v[:, None] - v[:, :, None] * dv[:, None]
+        S[k] = S[k] + h * (W @ S[k] - S[k] @ W)
     assert np.allclose(found[..., 0], _mean(a + h * da, b + h * db, *S)[0].imag / h.imag)
 
 

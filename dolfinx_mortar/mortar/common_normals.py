@@ -23,8 +23,8 @@ normals turn by G C f, G being the central difference. Along equal facets far fr
 commute and G is antisymmetric: the tangential resultant f.G C f is zero for any f. That of facet
 normals, or of means with other weights, is as large as the dent is steep.
 
-Spreads are those at X, which S at X + u is scaled to: a flat side does not become an edge where it
-is dented. Facets that are tied are none of them. Between vertices, at nodes of second order, S is
+Spreads are those at X, which turn with the surface: a flat side does not become an edge where it is
+dented. Facets that are tied are none of them. Between vertices, at nodes of second order, S is
 the mean of the vertices'. eps has a part of the spreads at the vertices beside a node, so that the
 end of a flat part, where an arc or a corner begins, yields to the other side's face as these do.
 
@@ -44,9 +44,9 @@ import numpy as np
 
 from dolfinx import fem, la
 from dolfinx_mortar.algebra.parallel import sums_at_nodes
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, ROUND_OFF, TINY, Bools, Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.curvature import unit
-from dolfinx_mortar.geometry.facets import Facets, facet_normals
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, surface_gradients
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.integrals import sums_of_values
 from dolfinx_mortar.mortar.pairing import Pairing, receive, received_facets
@@ -72,22 +72,18 @@ class Spreads:
 
     V: fem.FunctionSpace
     boundary: Boundary  # facets of the sides, and those beside them
-    width: Floats  # (local nodes,) trace of S at X, of vertices
+    S: Floats  # (local nodes, d, d) at X
     blur: Floats  # (local nodes,) eps
     mirrors: Bools  # (local nodes, d) components of planes of symmetry
 
     def at(self, u: fem.Function | None) -> Floats:
         """Return S + eps I (local nodes, d, d) at X + u; collective."""
-        V, nodes = self.V, self.boundary.nodes
-        vertices = list(self.boundary.facets.element.vertices)
-        S = _covariances(V, nodes[:, vertices], self.boundary.at(u), self.mirrors)
-        _scale(S, self.width)
-        between = np.delete(nodes, vertices, axis=1)
-        if V.element.basix_element.degree > 1:
-            of_facets = S[nodes[:, vertices]].mean(axis=1).reshape(len(nodes), -1)
-            S = _with_images(S + _means(V, between, of_facets).reshape(S.shape), self.mirrors)
-        for i in range(S.shape[1]):
-            S[:, i, i] += self.blur
+        S = self.S + self.blur[:, None, None] * np.eye(self.S.shape[1])
+        if u is None:
+            return S
+        some = np.flatnonzero(np.trace(self.S, axis1=1, axis2=2) > HALF_OF_DIGITS)
+        R = _rotations(self.V, self.boundary, u, self.mirrors, some)
+        S[some] = R @ S[some] @ np.swapaxes(R, 1, 2)
         return S
 
 
@@ -121,12 +117,33 @@ def find_spreads(
     names = "facets", "cells", "entities", "nodes"
     boundary = replace(boundary, **{name: getattr(boundary, name)[free] for name in names})
     nodes = boundary.nodes
-    at_vertices = nodes[:, list(boundary.facets.element.vertices)]
+    vertices = list(boundary.facets.element.vertices)
+    at_vertices = nodes[:, vertices]
     S = _covariances(V, at_vertices, boundary.facets, mirrors)
     width = np.trace(S, axis1=1, axis2=2)
     beside = width[at_vertices].mean(axis=1, keepdims=True)
     blur = BLUR * _means(V, nodes, beside)[:, 0] + HALF_OF_DIGITS
-    return Spreads(V, boundary, np.maximum(width, 0.0), blur, mirrors)
+    between = np.delete(nodes, vertices, axis=1)
+    if between.size:
+        of_facets = S[at_vertices].mean(axis=1).reshape(len(nodes), -1)
+        S += _means(V, between, of_facets).reshape(S.shape)
+    return Spreads(V, boundary, _with_images(S, mirrors), blur, mirrors)
+
+
+def _rotations(
+    V: fem.FunctionSpace, boundary: Boundary, u: fem.Function, mirrors: Bools, some: Longs
+) -> Floats:
+    """Return how surfaces have turned around some of the local nodes (s, d, d); collective.
+
+    The rotations of the means of dx/dX over facets, normals being carried to normals.
+    """
+    at_X, facets = boundary.facets, boundary.at(u)
+    middle = np.broadcast_to(at_X.element.points.mean(axis=0), (len(at_X.x), at_X.x.shape[2] - 1))
+    G, N = surface_gradients(at_X, np.arange(len(at_X.x), dtype=np.int32), middle)
+    F = np.swapaxes(facets.x, 1, 2) @ G + facet_normals(facets)[:, :, None] * N[:, None]
+    mean = _means(V, boundary.nodes, F.reshape(len(F), -1)).reshape(-1, *F.shape[1:])
+    left, _, right = np.linalg.svd(_with_images(mean[some], mirrors[some]))
+    return np.asarray(left @ right)
 
 
 def _means(V: fem.FunctionSpace, nodes: Ints, values: Floats) -> Floats:
@@ -156,7 +173,9 @@ def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Boo
     d = n.shape[1]
     products = (n[:, :, None] * n[:, None]).reshape(len(n), d * d)
     found = _means(V, nodes, np.hstack([n, products]))
-    return _central(found, mirrors)
+    mean = np.where(mirrors, 0.0, found[:, :d])
+    S = found[:, d:].reshape(-1, d, d) - mean[:, :, None] * mean[:, None]
+    return _with_images(S, mirrors)
 
 
 @numba.njit(cache=True)
@@ -166,35 +185,6 @@ def _add_at(sums, nodes, values):  # type: ignore[no-untyped-def]
         for f in range(len(nodes)):
             for c in range(values.shape[1]):
                 sums[nodes[f, i], c] += values[f, c]
-
-
-@numba.njit(cache=True)
-def _central(means, mirrors):  # type: ignore[no-untyped-def]
-    """Return S (n, d, d) of the means (n, d + d d) of n_f and n_f n_f^T, with their images."""
-    n, d = mirrors.shape
-    S = np.zeros((n, d, d))
-    for j in range(n):
-        for i in range(d):
-            for h in range(d):
-                if mirrors[j, i] or mirrors[j, h]:
-                    S[j, i, h] = means[j, d + d * i + h] if i == h else 0.0
-                else:
-                    S[j, i, h] = means[j, d + d * i + h] - means[j, i] * means[j, h]
-    return S
-
-
-@numba.njit(cache=True)
-def _scale(S, width):  # type: ignore[no-untyped-def]
-    """Give S (n, d, d) the traces (n,).
-
-    Without an axis where facets that meet at an angle have become flat.
-    """
-    for j in range(len(S)):
-        trace = 0.0
-        for i in range(S.shape[1]):
-            S[j, i, i] += ROUND_OFF
-            trace += S[j, i, i]
-        S[j] *= width[j] / trace
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,14 +345,18 @@ def _mean(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> tuple[Floats, Float
 
     With A and B = a a^T + S_a and b b^T + S_b, K = (A + B)^-1 and z = K (b - a),
     y = B K a + A K b = a + A K (b - a),
-    dy = B K (da + (a.z) da + a (z.da)) + A K (db - (b.z) db - b (z.db)).
+    dy = B K (da + dA z) + A K (db - dB z),
+    dA = da a^T + a da^T + W S_a - S_a W with W = da a^T - a da^T: spreads turn with their normals.
     """
     one = np.eye(a.shape[1])
     A, B = (v[:, :, None] * v[:, None] + S for v, S in ((a, S_a), (b, S_b)))
     K = np.linalg.inv(A + B)
     z = (K @ (b - a)[:, :, None])[:, :, 0]
-    along = ((v * z).sum(axis=1)[:, None, None] * one + v[:, :, None] * z[:, None] for v in (a, b))
+    turned = []
+    for v, S in ((a, S_a), (b, S_b)):
+        vz, Sz = v[:, :, None] * z[:, None], (S @ z[:, :, None])[:, :, 0]
+        along, across = ((v * w).sum(axis=1)[:, None, None] for w in (z, Sz))
+        turned.append(along * (one - S) + across * one + vz + S @ vz - v[:, :, None] * Sz[:, None])
     by_a, by_b = B @ K, A @ K
     y = a + (by_b @ (b - a)[:, :, None])[:, :, 0]
-    turned_a, turned_b = along
-    return y, by_a @ (one + turned_a), by_b @ (one - turned_b)
+    return y, by_a @ (one + turned[0]), by_b @ (one - turned[1])
