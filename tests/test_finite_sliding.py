@@ -25,31 +25,37 @@ def iterations(steps):
     return np.array([report.newton_iterations for _, _, report in steps])
 
 
+def averaged(pairing, segments, M, u, *options):
+    """Return the averaged normals of the slave, which are those of the independent program."""
+    n = common_normals.common_normals(pairing, segments, 0.0 * M, u, *options)
+    assert not n.by_master.any()
+    return n
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize(
-    ("modulus", "slave", "force", "most"),
+    ("modulus", "slave", "force", "swapped", "most"),
     [
-        (10.0, "tool", 0.388957, 20),
-        pytest.param(10.0, "block", 0.393826, 21, marks=pytest.mark.slow),
-        pytest.param(1.0, "tool", 0.285278, 20, marks=pytest.mark.slow),
-        pytest.param(1.0, "block", 0.282147, 21, marks=pytest.mark.slow),
+        (10.0, "tool", 0.388957, 0.393826, 20),
+        pytest.param(10.0, "block", 0.393826, 0.388957, 21, marks=pytest.mark.slow),
+        pytest.param(1.0, "tool", 0.285278, 0.282147, 20, marks=pytest.mark.slow),
+        pytest.param(1.0, "block", 0.282147, 0.285278, 21, marks=pytest.mark.slow),
     ],
 )
-def test_half_ring_pressed_to_a_strain_of_20_percent(modulus, slave, force, most, monkeypatch):
+def test_half_ring_pressed_to_a_strain_of_20_percent(
+    modulus, slave, force, swapped, most, monkeypatch
+):
     """Force to 2e-6 of the independent program, in four steps of five iterations.
 
     That one takes 19 to 21; the fixed point of the geometry 43 to 67. Its normals are the averaged
-    ones of the slave; with those of both sides forces are the same to 1e-3.
+    ones of the slave; those of both sides change forces by a fifth of what a swap of sides does.
     """
     sizes = {"radius": 1.0, "length": 6.0, "height": 2.0}
-    found = common_normals.common_normals
-
-    def averaged(pairing, segments, M, u, *options):
-        n = found(pairing, segments, 0.0 * M, u, *options)
-        assert not n.by_master.any()
-        return n
-
-    for error, normals in ((1e-3 * force, found), (2e-6 * force + 5e-7, averaged)):
+    both = mortar_interface.common_normals
+    for error, normals in (
+        (0.2 * abs(force - swapped), both),
+        (2e-6 * force + 5e-7, averaged),
+    ):
         monkeypatch.setattr(mortar_interface, "common_normals", normals)
         case = indentation(n=((24, 5), (16, 2)), moduli=(1.0, modulus), slave=slave, **sizes)
         steps = walk(case, lambda t: (0.0, -0.4 * t), np.arange(1, 5) / 4, rtol=1e-10)
@@ -101,19 +107,26 @@ def test_shallow_ironing(friction):
     """Few iterations; the normal force is that of swapped sides and of other steps, to 1.5 %.
 
     Without friction the drag is that of discretisation, below 2 % of the normal force. With
-    friction it is mu V, as far as that. The independent program, which has none, ends with the
-    same forces to 2e-6, and takes 149 and 161 iterations.
+    friction it is mu V, as far as that.
     """
     runs = [ironed(20, slave=slave, friction=friction) for slave in ("tool", "block")]
     for steps in runs:
         assert iterations(steps).mean() < 4.5
         H, V = sliding(steps)
         assert np.abs(H - friction * V).max() < 0.02 * V.max()
-    if not friction:
-        for steps, force in zip(runs, ((0.007346, 0.638620), (0.006054, 0.638062)), strict=True):
-            assert np.abs(np.abs(steps[-1][1]) - force).max() < 2e-6
     (_, V), (_, W) = (sliding(steps) for steps in runs)
     assert np.abs(V - W).max() < 0.015 * V.max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("slave", "force"), [("tool", (0.007346, 0.638620)), ("block", (0.006054, 0.638062))]
+)
+def test_ironing_ends_with_the_forces_of_the_independent_program(slave, force, monkeypatch):
+    """To 2e-6, with its normals; that one takes 149 and 161 iterations."""
+    monkeypatch.setattr(mortar_interface, "common_normals", averaged)
+    steps = ironed(20, slave=slave, friction=0.0)
+    assert np.abs(np.abs(steps[-1][1]) - force).max() < 2e-6
 
 
 @pytest.mark.slow
@@ -124,7 +137,7 @@ def test_without_friction_the_work_of_the_tool_is_stored(slave):
     On its way to the middle the tool leaves the end of the block, which is softer: E grows there by
     3 % and decreases again behind the middle. The trapezoidal rule needs steps as short as facets.
     """
-    for k in (1, 2):
+    for k, error in ((1, 0.03), (2, 0.005)):
         case = indentation(n=((48 * k, 10 * k), (32 * k, 4 * k)), slave=slave)
         places = [(0.0, -0.075 * n) for n in range(11)]
         places += [(0.15 * n, -0.75) for n in range(1, 41)]
@@ -141,7 +154,7 @@ def test_without_friction_the_work_of_the_tool_is_stored(slave):
         assert W[10] == pytest.approx(E[10], rel=3e-3)  # pressed
         rise, off = E[30] - E[10], (W - W[10]) - (E - E[10])
         assert rise == pytest.approx(0.0057, rel=0.02)  # the same on both meshes
-        assert abs(off[30]) < 0.005 * rise and np.abs(off[10:]).max() < 0.03 * rise
+        assert np.abs(off[10:]).max() < error * rise
 
 
 @pytest.mark.slow
@@ -240,13 +253,17 @@ def test_a_step_slides_by_ten_facets_with_friction():
 @pytest.mark.slow
 @pytest.mark.parametrize("slave", ["inner", "outer"])
 def test_a_hub_that_turns_in_a_pressed_ring_needs_no_torque(slave):
-    """Two iterations a step, 90 degrees in 30 steps; the independent program takes 63 as well."""
-    case, total = turning_hub(slave=slave), 0
+    """Two iterations a step, 90 degrees in 30 steps; the independent program takes 63 as well.
+
+    The facets do not match: normals of both sides are as radial as that, the same all the way.
+    """
+    case, total, moments = turning_hub(slave=slave), 0, []
     for step in dm.load_steps(
         case.problem, np.linspace(1, 2, 31), on_time=lambda t: case.turn((t - 1) * np.pi / 2)
     ):
         total += step.report.newton_iterations
-        assert np.abs(case.contact.moment).max() < 1e-10
+        moments.append(case.contact.moment[2])
+    assert max(map(abs, moments)) < 1e-7 and np.ptp(moments) < 1e-10
     pressure = case.contact.pressure.x.array.max(initial=0.0)
     assert COMM.allreduce(pressure, op=MPI.MAX) > 0.01
     assert total <= 63
@@ -297,17 +314,22 @@ def test_flanks_of_a_dent_do_not_turn_a_contact():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("slave", ["block", "support"])
-def test_soft_block_pressed_on_a_round_support(slave):
-    """Half its modulus in ten steps, where the fixed point fails; that program takes 57 and 51."""
-    problem, contact, p = soft_block(slave=slave)
+def test_soft_block_pressed_on_a_round_support(slave, monkeypatch):
+    """Half its modulus in ten steps, where the fixed point fails; that program takes 57 and 51.
 
-    def load(t):
-        p.value = 0.5 * t
+    With its normals as many; with those of both sides the tangent has no derivatives of spreads.
+    """
+    for normals, most in ((mortar_interface.common_normals, 80), (averaged, 60)):
+        monkeypatch.setattr(mortar_interface, "common_normals", normals)
+        problem, contact, p = soft_block(slave=slave)
 
-    steps = [
-        (step.time, contact.force.copy(), step.report)
-        for step in dm.load_steps(problem, np.arange(1, 11) / 10, on_time=load, rtol=1e-10)
-    ]
-    assert len(steps) == 10
-    assert iterations(steps).sum() <= 60
-    assert abs(np.abs(contact.force[1]) - 0.5 * 1.6) < 1e-9
+        def load(t, p=p):
+            p.value = 0.5 * t
+
+        steps = [
+            (step.time, contact.force.copy(), step.report)
+            for step in dm.load_steps(problem, np.arange(1, 11) / 10, on_time=load, rtol=1e-10)
+        ]
+        assert len(steps) == 10
+        assert iterations(steps).sum() <= most
+        assert abs(np.abs(contact.force[1]) - 0.5 * 1.6) < 1e-9
