@@ -46,7 +46,7 @@ def linear_normals(problem):
     """
     (link,), u = problem.system.unilateral, problem.owned_u
     derivatives, start = link.interface.derivatives(link), u.copy()
-    derivatives.differentiate(link, problem.u, np.zeros(problem.n), None)
+    derivatives.differentiate(link, problem.u, np.ones(problem.n), None)  # all facets are loaded
     C, n = derivatives.normals.zero().copy(), link.coupling.common.n
 
     def changed(*arguments):

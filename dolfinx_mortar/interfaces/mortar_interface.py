@@ -32,7 +32,7 @@ from dolfinx_mortar.interfaces.coupling import (
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface, ask
 from dolfinx_mortar.interfaces.slip_partners import Partners, partners_of
 from dolfinx_mortar.mortar.common_normals import common_normals
-from dolfinx_mortar.mortar.curvature_correction import find_shape, find_smooth_sides
+from dolfinx_mortar.mortar.curvature_correction import NodeShape, find_shape, find_smooth_sides
 from dolfinx_mortar.mortar.duals import Coverage, find_coverage, node_weights
 from dolfinx_mortar.mortar.edges import check_angle, find_edges
 from dolfinx_mortar.mortar.integrals import drop_far, find_segments
@@ -155,7 +155,9 @@ class MortarInterface(Interface):
         dependent = dependent_nodes(slave)[: slave.owned]
         edges = find_edges(slave, self.feature_angle) if self.unilateral else None
         mirrors = np.zeros_like(fixed)
-        angle, judged, shapes = self.feature_angle, [], []
+        judged: list[tuple[Bools, Floats]] = []
+        shapes: list[NodeShape] = []
+        angle = self.feature_angle
         for side in (slave,) if self.meets_itself else (slave, master):
             judged.append(judge_supports(side, fixed[side.nodes], angle))
             own = judged[-1][0]
@@ -163,8 +165,8 @@ class MortarInterface(Interface):
             if self.unilateral or (self.smooth and not side.curved):
                 shapes.append(find_shape(side, fixed, angle, own))
         marks, again = (mark(slave), mark(master)), 2 if self.meets_itself else 1
-        found = {"weight": weight, "judged": judged, "shapes": again * shapes}
-        return Sides(V, slave, master, *marks, fixed, mirrors, dependent, edges, **found)
+        at = V, slave, master, *marks, fixed, mirrors, dependent, edges
+        return Sides(*at, weight=weight, judged=judged, shapes=again * shapes)
 
     def pair(
         self,

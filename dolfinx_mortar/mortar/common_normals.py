@@ -262,13 +262,13 @@ def in_planes(n: Floats, mirrors: Bools) -> tuple[Floats, Floats]:
 
     (I - m m^T) P / |P n| with m = P n / |P n|; I where there is no plane, as dn is normal to n.
     """
-    some = np.flatnonzero(mirrors.any(axis=1))
+    some: Ints = np.flatnonzero(mirrors.any(axis=1)).astype(np.int32)
     n, by_n = n.copy(), np.eye(n.shape[1])[None].repeat(len(n), axis=0)
     m = np.where(mirrors[some], 0.0, n[some])
     size = np.linalg.norm(m, axis=1)[:, None, None]
     n[some] = unit(m)
     by_m = _across(n[some]) / np.where(size > 0.0, size, np.inf)
-    by_n[some] = np.where(mirrors[some][:, None], 0.0, by_m)
+    by_n[some] = np.where(mirrors[some, None], 0.0, by_m)
     return n, by_n
 
 
@@ -297,7 +297,7 @@ def _facing(
     )
     found = []
     for side, (on, xi, nodes, asked) in zip(facets, sides, strict=True):
-        some = np.flatnonzero(asked.any(axis=1)[on])
+        some = np.flatnonzero(asked[on].any(axis=1))
         on = on[some]
         N = np.clip(side.element.shape_functions(xi[some]), 0.0, None)
         N *= segments.weight[some, None]

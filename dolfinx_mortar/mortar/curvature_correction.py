@@ -4,6 +4,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 
@@ -54,7 +55,7 @@ at most 2.7 on 800 ellipses with axes 1 : 1.2 to 4 and 6 to 96 facets a quarter,
 displaced by .3 of a facet, and tends to 1 with the size of the facets.
 """
 
-NodeShape = NodeNormals | Floats
+NodeShape: TypeAlias = NodeNormals | Floats
 """What is known of a smooth surface at nodes: normals, of curved facets curvatures (n, d, d)."""
 
 

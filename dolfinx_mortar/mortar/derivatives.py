@@ -167,8 +167,8 @@ def differentiate(
         [[Matrix(B)[:, c]] for B in (F, G)] for c in (coordinate_columns, normal_columns)
     )
     F_n, G_n = place.by_normals(*chain.by_normals(Phi))
-    b_x, b_A = chain.facing(duals, normals[pairing.master_facets][segments.master])
-    b = place.facing(b_x) + place.facing_by_coefficients(b_A) @ dA
+    facing, by_A = chain.facing(duals, normals[pairing.master_facets][segments.master])
+    b = place.facing(facing) + place.facing_by_coefficients(by_A) @ dA
     b_x, b_p = ([Matrix(b)[:, c]] for c in (coordinate_columns, normal_columns))
     return Derivatives(by_x[0], [F_n], by_x[1], [G_n], along[0], along[1], b_x, b_p)
 

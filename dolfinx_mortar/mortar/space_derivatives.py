@@ -105,9 +105,12 @@ def facing_derivatives(
     turned = np.swapaxes(normals[pairing.master_facets][m], 1, 2) @ slopes @ dual
     N = [slave.element.shape_functions(segments.xi_s), -element.shape_functions(segments.xi_m)]
     columns = turned[:, :, None] * np.hstack(N)[:, None, :, None]  # (q, 3, k + l, 3)
-    sums = sums_of_products(Phi, columns.reshape(len(m), -1), of.astype(np.int32), len(pairs))
+    size = columns.shape[1:]
+    sums = sums_of_products(
+        Phi, columns.reshape(len(m), int(np.prod(size))), of.astype(np.int32), len(pairs)
+    )
     place = _Places(pairing, pairs, len(slave.nodes))
-    return Blocks(place.slave, place.nodes, sums.reshape(*sums.shape[:2], *columns.shape[1:]))
+    return Blocks(place.slave, place.nodes, sums.reshape(*sums.shape[:2], *size))
 
 
 def _differentiate(
