@@ -15,11 +15,19 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem, mesh
 from dolfinx_mortar.meshing.two_bodies import distribute
+from dolfinx_mortar.mortar import common_normals
 from tests.close_fits import create_ring, nested
 
 COMM = MPI.COMM_WORLD
 BLOCK, TOOL = 1, 2
 BASE, TOP, ARC, HELD = 1, 2, 3, 4
+
+
+def averaged(pairing, segments, M, u, *options):
+    """Return the averaged normals of the slave, which are those of the independent program."""
+    n = common_normals.common_normals(pairing, segments, 0.0 * M, u, *options)
+    assert not n.by_master.any()
+    return n
 
 
 def grid(nx, ny, place):

@@ -257,8 +257,9 @@ def test_tied_tubes_reach_their_limit_load():
     assert pressures[0] < 0.95 * limit and pressures[-1] / pressures[-2] - 1 < 5e-3
 
 
-# Of an independent solver of second order, each with its uncertainty: benchmarks of the sphere.
-SPHERE = {("reference", 3): 5036.0, ("reference", 4): 5024.0, ("updated", 3): 5035.5}
+# Of an independent solver of second order, each with its uncertainty: benchmarks of the sphere;
+# that of the ball as slave on frozen surfaces: see test_sphere.
+SPHERE = {("reference", 3): 5036.0, ("reference", 4): 5042.6, ("updated", 3): 5035.5}
 
 
 @pytest.mark.parametrize(("geometry", "slave"), quick(SPHERE, ("updated", 3)))

@@ -15,6 +15,7 @@ from dolfinx_mortar.geometry.elements import LINE2, LINE3, QUAD4, QUAD9, TRI3, T
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
 from dolfinx_mortar.mortar.common_normals import _mean
 from dolfinx_mortar.report.overlaps import notes_on_overlaps, opposite
+from tests.ball_case import create_problem
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER, skins, two_blocks
 from tests.meshes_3d import rotation, two_boxes
 from tests.moving_bodies import Blocks
@@ -78,6 +79,17 @@ def test_the_normal_is_that_of_a_face_and_normal_to_crossing_edges():
         (*normals, *edges),
     ):
         assert np.allclose(unit(_mean(*parts)[0]), face, atol=1e-7)
+
+
+@pytest.mark.parametrize("slave", ["ball", "block"])
+def test_normals_of_contact_point_out_of_both_sides(slave):
+    """Also of a ball that overhangs the corner of a block, where no direction is normal to both."""
+    problem, _ = create_problem(h=0.125, slave=slave, cell="hexahedron", depth=0.05)
+    problem.begin_step()
+    (link,) = problem.system.links
+    coupling = link.coupling
+    along = (coupling.normals * coupling.operators.normals).sum(axis=1)
+    assert (along[coupling.kept[:, 0]] > 0.0).all()
 
 
 def test_derivatives_of_the_normal_of_both_sides():

@@ -16,20 +16,12 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.interfaces import mortar_interface
-from dolfinx_mortar.mortar import common_normals
-from tests.finite_sliding import COMM, indentation, soft_block, turning_hub, walk
+from tests.finite_sliding import COMM, averaged, indentation, soft_block, turning_hub, walk
 
 
 def iterations(steps):
     """Return the Newton iterations of each step."""
     return np.array([report.newton_iterations for _, _, report in steps])
-
-
-def averaged(pairing, segments, M, u, *options):
-    """Return the averaged normals of the slave, which are those of the independent program."""
-    n = common_normals.common_normals(pairing, segments, 0.0 * M, u, *options)
-    assert not n.by_master.any()
-    return n
 
 
 @pytest.mark.mpi

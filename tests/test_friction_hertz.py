@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from dolfinx_mortar.interfaces import mortar_interface
+from tests.finite_sliding import averaged
 from tests.hertz_case import ELASTIC, create_case, create_mesh
 
 MU, DEPTH = 0.2, 0.05
@@ -38,11 +40,13 @@ def coarse(geometry, slave):
 
 
 @pytest.mark.slow
-def test_the_forces_of_another_code():
+def test_the_forces_of_another_code(monkeypatch):
     """Tangential forces to all digits that are known, the stick zone to the node, up to sliding.
 
-    On the same mesh; to 1e-4 on one that differs by a few nodes.
+    On the same mesh, along the normals of the slave, as there; to 1e-4 on one that differs by a few
+    nodes.
     """
+    monkeypatch.setattr(mortar_interface, "common_normals", averaged)
     pushes = [*SIDEWAYS, SLIDING[0]]
     levels = [(DEPTH, 0.0), *((DEPTH, s) for s in pushes)]
     cases = pushed("graded", 0.05, levels, geometry="reference", surface="facets")

@@ -17,10 +17,11 @@ from tests.ball_case import STEEL, create_problem
 
 COMM = MPI.COMM_WORLD
 DEPTH, RADIUS = 0.05, 8.0
-# N, by geometry and slave side
+# N, by geometry and slave side. That of a ball on frozen surfaces depends on the normals there:
+# 5024 along those of the ball, by that solver; along those of both sides by second order of this.
 LIMITS = {
     ("reference", "block"): 5036.0,
-    ("reference", "ball"): 5024.0,
+    ("reference", "ball"): 5042.6,
     ("updated", "block"): 5035.5,
     ("updated", "ball"): 5035.5,
 }

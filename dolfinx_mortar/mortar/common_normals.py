@@ -212,7 +212,8 @@ def common_normals(
 ) -> CommonNormals:
     """Return the normals of both sides at X + u; collective.
 
-    Averaged ones where nothing is coupled, or where both sides' normals are opposite.
+    Averaged ones where nothing is coupled, or where no direction agrees with both sides, as of a
+    facet that overhangs the other side's corner.
 
     Args:
         segments: Those at X + u.
@@ -246,7 +247,8 @@ def common_normals(
     S_b[:, *upper[::-1]] = S_b[:, *upper]
     mean, by_a, by_b = _mean(a, b, S[own], _with_images(S_b, across[own]))
     length = np.linalg.norm(mean, axis=1)
-    met = np.flatnonzero((size > 0.0) & (length > HALF_OF_DIGITS))
+    towards = np.stack([(mean * v).sum(axis=1) for v in (a, b)])
+    met = np.flatnonzero((size > 0.0) & (towards > HALF_OF_DIGITS).all(axis=0))
     n, by_slave = averaged.copy(), by_averaged.copy()
     by_master = np.zeros_like(by_slave)
     n[met] = unit(mean[met])
