@@ -17,8 +17,8 @@ def warnings_on_mirrors(link: Link) -> list[str]:
     warnings = []
     names = ("slave",) if link.interface.meets_itself else ("slave", "master")
     judged = link.sides.judged
-    for name, side, (mirrors, leaning) in zip(names, link.sides.surfaces, judged, strict=False):
-        sines = np.where(mirrors, np.abs(leaning), 0.0).max(axis=1)[: side.owned]
+    for name, side, (mirrors, tilt) in zip(names, link.sides.surfaces, judged, strict=False):
+        sines = np.where(mirrors, np.abs(tilt), 0.0).max(axis=1)[: side.owned]
         own = np.flatnonzero(sines > 0.25 * SPOILT)
         places = [(float(sines[j]), *map(float, side.X[j])) for j in own]
         found = [place for part in link.sides.V.mesh.comm.allgather(places) for place in part]

@@ -54,13 +54,13 @@ def judge_supports(surface: Surface, fixed: Bools, feature_angle: float) -> tupl
             nothing is known of the curvature.
     """
     n, closed = _one_rings(surface)
-    leaning, mirrors = np.zeros(fixed.shape), fixed & ~fixed.all(axis=1, keepdims=True)
+    tilt, mirrors = np.zeros(fixed.shape), fixed & ~fixed.all(axis=1, keepdims=True)
     for i in range(fixed.shape[1]):
         some = fixed[surface.facets, i].any(axis=1)
         side = replace(surface, facets=surface.facets[some], entities=surface.entities[some])
-        found, leaning[:, i] = _judge(side, n, closed, fixed[:, i], i, feature_angle)
+        found, tilt[:, i] = _judge(side, n, closed, fixed[:, i], i, feature_angle)
         mirrors[:, i] &= found
-    return mirrors, leaning
+    return mirrors, tilt
 
 
 def _judge(
@@ -90,12 +90,12 @@ def _judge(
         [between @ means[vertices], around.repeat(len(between), axis=1)], axis=2
     )
     *own, count, mean, square, number = sum_at_nodes(side, columns).T
-    A, leaning, inside = np.array(own) / np.maximum(count, 1.0)
-    B = A - leaning
+    A, tilt, inside = np.array(own) / np.maximum(count, 1.0)
+    B = A - tilt
     spread = np.sqrt(np.maximum(square * number - mean**2, 0.0))
     upright = np.abs(mean) < np.maximum(spread, HALF_OF_DIGITS * number)
     curved = (A * B > 0.0) & (np.abs(A) <= 2.0 * np.abs(B)) & (np.abs(B) <= 2.0 * np.abs(A))
-    return (inside == 0.0) & (upright | curved), leaning
+    return (inside == 0.0) & (upright | curved), tilt
 
 
 def _by_chords(side: Surface, n: Floats, weights: Floats, which: Bools) -> Floats:

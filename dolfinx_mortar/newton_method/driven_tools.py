@@ -415,7 +415,7 @@ def _beyond_the_gap(drives: Drives, lin: Linearisation, here: _Try, diagonal: Fl
 def _overshoots(here: _Try, there: _Try, way: Floats) -> bool:
     """Tell whether a step has gone far beyond the minimum along its way (m,).
 
-    It has where it lets go of everything: what is missing then is not linear in the way.
+    It has where the tool touches nothing at its end: what is missing then is not linear in the way.
     """
     gain = here.missing @ way  # none towards a saddle point, of sides that forces turn
     most = OVERSHOOT * gain if there.touches else 0.0
