@@ -125,7 +125,7 @@ def find_spreads(
     blur = BLUR * _means(V, nodes, beside)[:, 0] + HALF_OF_DIGITS
     between = np.delete(nodes, vertices, axis=1)
     if between.size:
-        of_facets = S[at_vertices].mean(axis=1).reshape(len(nodes), -1)
+        of_facets = S[at_vertices].mean(axis=1).reshape(len(nodes), S.shape[1] ** 2)
         S += _means(V, between, of_facets).reshape(S.shape)
     return Spreads(V, boundary, _with_images(S, mirrors), blur, mirrors)
 
@@ -141,7 +141,8 @@ def _rotations(
     middle = np.broadcast_to(at_X.element.points.mean(axis=0), (len(at_X.x), at_X.x.shape[2] - 1))
     G, N = surface_gradients(at_X, np.arange(len(at_X.x), dtype=np.int32), middle)
     F = np.swapaxes(facets.x, 1, 2) @ G + facet_normals(facets)[:, :, None] * N[:, None]
-    mean = _means(V, boundary.nodes, F.reshape(len(F), -1)).reshape(-1, *F.shape[1:])
+    d = F.shape[1]
+    mean = _means(V, boundary.nodes, F.reshape(len(F), d * d)).reshape(-1, d, d)
     left, _, right = np.linalg.svd(_with_images(mean[some], mirrors[some]))
     return np.asarray(left @ right)
 
