@@ -215,8 +215,10 @@ class ContactDerivatives(LinkDerivatives):
         master = pairing.master
         normals = receive(pairing, nodal_normals(master, coordinates(master, u)))
         if _in_space(link):
-            facing = facing_derivatives(pairing, u, segments, Phi, normals)
-            return replace(differentiate_in_space(*at, smooth, sharing), b_x=[facing])
+            found = differentiate_in_space(*at, smooth, sharing)
+            if master is pairing.slave:  # without d(w Phi_j) a ring that closes does not converge
+                return found
+            return replace(found, b_x=[facing_derivatives(pairing, u, segments, Phi, normals)])
         slopes = None if smooth is None else height_slopes(pairing, segments, u, smooth)
         return differentiate(*at, normals, slopes, sharing)
 
