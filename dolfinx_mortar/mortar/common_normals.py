@@ -124,7 +124,7 @@ def find_spreads(
     beside = width[at_vertices].mean(axis=1, keepdims=True)
     blur = BLUR * _means(V, nodes, beside)[:, 0] + HALF_OF_DIGITS
     between = np.delete(nodes, vertices, axis=1)
-    if between.size:
+    if V.element.basix_element.degree > 1:
         of_facets = S[at_vertices].mean(axis=1).reshape(len(nodes), S.shape[1] ** 2)
         S += _means(V, between, of_facets).reshape(S.shape)
     return Spreads(V, boundary, _with_images(S, mirrors), blur, mirrors)
