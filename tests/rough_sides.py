@@ -7,7 +7,6 @@ import numpy as np
 
 from dolfinx_mortar.geometry.facets import points_of
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides, point_heights
-from dolfinx_mortar.mortar.derivatives import Tractions
 from dolfinx_mortar.mortar.duals import default_keep, node_weights, weighted_duals
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing, received_facets
@@ -17,7 +16,19 @@ from dolfinx_mortar.mortar.surface import (
     facets_at,
     normal_derivatives,
 )
+from dolfinx_mortar.mortar.tangent import Tractions, differentiate
 from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
+
+
+def summed(parts, shape):
+    """Return the sum of blocks as a dense matrix."""
+    total = np.zeros(shape)
+    for part in parts:
+        _, _, i, _, h = part.values.shape
+        rows = i * part.rows[:, :, None] + np.arange(i)
+        columns = h * part.columns[:, :, None] + np.arange(h)
+        np.add.at(total, (rows[..., None, None], columns[:, None, None]), part.values)
+    return total
 
 
 class RoughSides:
@@ -81,6 +92,20 @@ class RoughSides:
             gap -= point_heights(self.pairing, segments, self.u, self.smooth)[:, None]
         np.add.at(G, nodes, Phi * gap)
         return F.ravel(), G
+
+    def derivatives(self, sharing=None):
+        """Return those of the forces and the weighted gaps by the coordinates of both sides."""
+        segments, n = find_segments(self.pairing, self.u)
+        at = self.pairing, self.u, segments, self.keep, self.given(n), self.smooth, sharing
+        found, N = differentiate(*at), self.normals_by_nodes()
+        F, G = self.d * len(self.nodes), len(n)
+        return tuple(
+            summed(by_x, (i, N.shape[1])) + summed([*by_n, *by_p], (i, len(N))) @ N
+            for i, by_x, by_n, by_p in (
+                (F, found.F_x, found.F_n, found.F_p),
+                (G, found.G_x, found.G_n, found.G_p),
+            )
+        )
 
     def normals_by_nodes(self):
         """Return the derivatives (d own nodes, d nodes) of the averaged normals."""

@@ -16,10 +16,6 @@ from dolfinx import fem
 from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.interfaces.constraints import Constraints
 from dolfinx_mortar.mortar import edges
-from dolfinx_mortar.mortar.curvature_correction import (
-    height_slopes,
-)
-from dolfinx_mortar.mortar.derivatives import differentiate
 from dolfinx_mortar.mortar.edges import Sharing, open_duals
 from dolfinx_mortar.mortar.integrals import (
     find_segments,
@@ -75,17 +71,7 @@ class Rough(RoughSides):
 
     def derivatives(self):
         """Return those of the forces and the weighted gaps by the coordinates of both sides."""
-        segments, n = find_segments(self.pairing, self.u)
-        slopes = None
-        if self.smooth is not None:
-            slopes = height_slopes(self.pairing, segments, self.u, self.smooth)
-        at = self.pairing, self.u, segments, self.keep, self.duals(segments)
-        zero = np.zeros_like(self.pairing.master_X)
-        found = differentiate(*at, self.given(n), zero, slopes, self.sharing(segments))
-        N = self.normals_by_nodes()
-        (F_x,), (F_n,), (F_p,) = found.F_x, found.F_n, found.F_p
-        (G_x,), (G_n,), (G_p,) = found.G_x, found.G_n, found.G_p
-        return F_x + (F_n + F_p) @ N, G_x + (G_n + G_p) @ N
+        return super().derivatives(self.sharing(find_segments(self.pairing, self.u)[0]))
 
 
 @pytest.mark.parametrize("shared", [False, True])

@@ -10,38 +10,23 @@ import dolfinx_mortar as dm
 import dolfinx_mortar.steps.newton as newton_module
 from dolfinx import fem
 from dolfinx_mortar.algebra import congruence, triplets
-from dolfinx_mortar.algebra.block_sums import Blocks
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.geometry import area
 from dolfinx_mortar.mortar import curvature_correction
 from dolfinx_mortar.mortar.integrals import (
     find_segments,
 )
-from dolfinx_mortar.mortar.space_derivatives import differentiate_in_space, facing_derivatives
+from dolfinx_mortar.mortar.tangent import differentiate
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.watch import contact_forces
 from tests import meshes_3d, on_edges
 from tests.ball_case import STEEL, create_mesh
 from tests.choice import crosswise, quick
 from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
-from tests.rough_sides import RoughSides
+from tests.rough_sides import RoughSides, summed
 
 COMM = MPI.COMM_SELF
 FACTORISED = {"pc_type": "cholesky"}
-
-
-def summed(parts, shape):
-    """Return the sum of parts of derivatives as a dense matrix."""
-    total = np.zeros(shape)
-    for part in parts:
-        if not isinstance(part, Blocks):
-            total += part
-            continue
-        _, _, i, _, h = part.values.shape
-        rows = i * part.rows[:, :, None] + np.arange(i)
-        columns = h * part.columns[:, :, None] + np.arange(h)
-        np.add.at(total, (rows[..., None, None], columns[:, None, None]), part.values)
-    return total
 
 
 class Rough(RoughSides):
@@ -63,18 +48,6 @@ class Rough(RoughSides):
         turn = meshes_3d.rotation((1.0, 2.0, 3.0), 0.7)
         super().__init__(u, facets, turn, rng, sagittas=(0.02, 0.05) if smooth else None)
 
-    def derivatives(self):
-        """Return those of the forces and the weighted gaps by the coordinates of both sides."""
-        segments, n = find_segments(self.pairing, self.u)
-        at = self.pairing, self.u, segments, self.keep, self.duals(segments)
-        found = differentiate_in_space(*at, self.given(n), self.smooth)
-        N = self.normals_by_nodes()
-        F, G = 3 * len(self.nodes), len(n)
-        return tuple(
-            summed(by_x, (i, N.shape[1])) + summed(by_n, (i, len(N))) @ N
-            for i, by_x, by_n in ((F, found.F_x, found.F_n), (G, found.G_x, found.G_n))
-        )
-
 
 def errors(rough, directions=None):
     """Return the errors of the derivatives, over the largest entries."""
@@ -85,6 +58,13 @@ def errors(rough, directions=None):
     return [np.abs(found - expected).max() / np.abs(expected).max() for found, expected in both]
 
 
+@pytest.fixture
+def accurate(monkeypatch):
+    """Integrals that are accurate: derivatives are those of integrals, by fewer points."""
+    monkeypatch.setattr(area, "_least_degree", lambda slave, master: 20)
+    monkeypatch.setattr(area, "_TANGENT", 20)
+
+
 UNDER = (-0.5, 1.6, -0.5, 1.5)
 PARTLY = (0.2, 1.3, -0.1, 0.7)
 
@@ -92,7 +72,7 @@ PARTLY = (0.2, 1.3, -0.1, 0.7)
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("upper", [UNDER, PARTLY])
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
-def test_derivatives_of_one_pair(cell, upper, seed):
+def test_derivatives_of_one_pair(cell, upper, seed, accurate):
     """Of one facet (two triangles) a side, which lies under the master or reaches beyond it."""
     rough = Rough(cell, (1, 1), (1, 1), upper=upper, seed=seed)
     assert max(errors(rough)) < 1e-8
@@ -101,12 +81,8 @@ def test_derivatives_of_one_pair(cell, upper, seed):
 @pytest.mark.parametrize(
     ("upper", "degree", "order"), crosswise([(UNDER,), (PARTLY,)], [(1, 1), (2, 1), (2, 2)])
 )
-def test_derivatives_of_smooth_heights(upper, degree, order, monkeypatch):
-    """Of one pair: between two master facets heights jump. With integrals that are accurate.
-
-    Strains, by which heights of second order change, are held.
-    """
-    monkeypatch.setattr(area, "_least_degree", lambda slave, master: 12)
+def test_derivatives_of_smooth_heights(upper, degree, order, accurate, monkeypatch):
+    """Strains, by which heights of second order change, are held."""
     held = lambda surface, u: np.ones(len(surface.nodes))  # noqa: E731
     monkeypatch.setattr(curvature_correction, "thickness_stretches", held)
     options = {"smooth": True, "degree": degree, "order": order}
@@ -115,7 +91,7 @@ def test_derivatives_of_smooth_heights(upper, degree, order, monkeypatch):
 
 
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
-def test_derivatives_are_those_of_forces_and_gaps(cell):
+def test_derivatives_are_those_of_forces_and_gaps(cell, accurate):
     """Of random tractions on sides that cover each other in part; to 1e-8 of the largest entry."""
     rough = Rough(cell, (3, 3), (2, 3), upper=PARTLY, seed=3)
     assert 0 < rough.keep.sum() < len(rough.keep)
@@ -124,13 +100,12 @@ def test_derivatives_are_those_of_forces_and_gaps(cell):
 
 @pytest.mark.parametrize(("order", "cell"), crosswise([1, 2], ["tetrahedron", "hexahedron"]))
 @pytest.mark.parametrize("upper", [UNDER, PARTLY])
-def test_derivatives_in_second_order(cell, order, upper, monkeypatch):
-    """Of straight and of curved cells, in random directions; with integrals that are accurate.
+def test_derivatives_in_second_order(cell, order, upper, accurate):
+    """Of straight and of curved cells, in random directions.
 
     Where facets meet, what one of them gains the other one does not lose: their common edge is
     clipped as a straight line, beside which both are continued.
     """
-    monkeypatch.setattr(area, "_least_degree", lambda slave, master: 20)
     second = {"degree": 2, "order": order, "noise": 0.01}
     rough = Rough(cell, (2, 3), (3, 2), upper=upper, seed=2, **second)
     assert rough.keep.all() == (upper == UNDER)
@@ -139,16 +114,15 @@ def test_derivatives_in_second_order(cell, order, upper, monkeypatch):
 
 
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
-def test_derivatives_of_what_faces_a_node(cell, monkeypatch):
-    """Of sum_l M_jl n_l, n_l fixed, under a master that moves; with accurate integrals."""
-    monkeypatch.setattr(area, "_least_degree", lambda slave, master: 20)
+def test_derivatives_of_what_faces_a_node(cell, accurate):
+    """Of sum_l M_jl n_l, n_l fixed."""
     rough = Rough(cell, (2, 3), (1, 1), upper=UNDER, seed=1, noise=0.01)
     rng, own, pairing = np.random.default_rng(0), len(rough.slave.nodes), rough.pairing
-    n, v = rng.standard_normal((2, len(pairing.master_nodes), 3))
+    n, v = (rng.standard_normal((len(of), 3)) for of in (pairing.master_nodes, rough.nodes))
 
     def facing(size):
         before = rough.u.x.array.copy()
-        rough.u.x.array.reshape(-1, 3)[pairing.master_nodes] += size * v
+        rough.u.x.array.reshape(-1, 3)[rough.nodes] += size * v
         segments, _ = find_segments(pairing, rough.u)
         N = pairing.master.element.shape_functions(segments.xi_m)
         at = np.einsum("ql,qli->qi", N, n[pairing.master_facets[segments.master]])
@@ -157,9 +131,9 @@ def test_derivatives_of_what_faces_a_node(cell, monkeypatch):
         rough.u.x.array[:] = before
         return result.ravel()
 
-    segments, _ = find_segments(pairing, rough.u)
-    found = facing_derivatives(pairing, rough.u, segments, rough.duals(segments), n)
-    found = summed([found], (3 * own, 3 * len(rough.nodes))) @ np.append(np.zeros((own, 3)), v)
+    segments, normals = find_segments(pairing, rough.u)
+    at = pairing, rough.u, segments, rough.keep, rough.given(normals)
+    found = summed(differentiate(*at, normals=n).b_x, (3 * own, 3 * len(rough.nodes))) @ v.ravel()
     expected = (facing(1e-5) - facing(-1e-5)) / 2e-5
     assert rough.keep.all()
     assert np.allclose(found, expected, rtol=0.0, atol=1e-7 * np.abs(expected).max())
@@ -198,10 +172,8 @@ def partly_covered(cell, friction, degree):
         ("tetrahedron", 0.3, 2),
     ],
 )
-def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell, friction, degree, monkeypatch):
+def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell, friction, degree, accurate):
     """On any number of ranks: in a direction, with tractions that vary from node to node."""
-    if degree == 2:
-        monkeypatch.setattr(area, "_least_degree", lambda slave, master: 16)
     problem = partly_covered(cell, friction, degree)
     solid, mesh, X = problem.solid, problem.V.mesh, problem.V.tabulate_dof_coordinates()
     u, v = (scale * wavy(X, phase).ravel() for scale, phase in ((0.03, 0.0), (1.0, 2.0)))
@@ -255,7 +227,7 @@ def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell, friction, deg
 @pytest.mark.parametrize(
     ("slave", "cell"), crosswise(["ball", "block"], ["hexahedron", "tetrahedron"])
 )
-def test_rows_of_gaps_and_slips_are_their_derivatives(slave, cell):
+def test_rows_of_gaps_and_slips_are_their_derivatives(slave, cell, accurate):
     """The trial rows of T_g, with what lumping leaves to the bounds; differences agree to 1e-8.
 
     They are extrapolated: of warped facets a simple one has an error of 6e-7. Slips are vectors:
@@ -337,13 +309,8 @@ ON_EDGES = {
         ("open, swapped", "hexahedron", 1),
     ),
 )
-def test_derivatives_at_edges_are_those_of_forces_gaps_and_slips(name, cell, degree, monkeypatch):
-    """With the normals of edges, and what open facets share out; to 1e-8 of the largest entry.
-
-    Of second order with integrals that are accurate.
-    """
-    if degree == 2:
-        monkeypatch.setattr(area, "_least_degree", lambda slave, master: 16)
+def test_derivatives_at_edges_are_those_of_forces_gaps_and_slips(name, cell, degree, accurate):
+    """With the normals of edges, and what open facets share out; to 1e-8 of the largest entry."""
     upper, slave, master, up = ON_EDGES[name]
     n = ((4, 4, 1), (3, 3, 1)) if upper == SMALL else ((3, 3, 1), (3, 3, 1))
     mesh = meshes_3d.two_boxes(MPI.COMM_WORLD, *n, upper=upper, cell=cell, jitter=0.15)

@@ -163,7 +163,7 @@ class Differences:
 def test_derivatives(name, monkeypatch):
     """Against central differences, to 1e-8 of their size: forces, gaps and slips.
 
-    At given strains of the bodies along normals, see `tool_derivatives`.
+    At given strains of the bodies along normals, see `tool_tangent`.
     """
     held = lambda surface, u: np.linspace(0.9, 1.1, len(surface.nodes))  # noqa: E731
     monkeypatch.setattr(curvature_correction, "thickness_stretches", held)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sums of dense blocks, or of sparse matrices, on a pattern that is fixed once; over all ranks."""
+"""Sums of dense blocks on a pattern that is fixed once; over all ranks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ def _add(start, columns, rows, others, values, total):  # type: ignore[no-untype
 
 
 class BlockEntries:
-    """Sums of blocks, or of sparse matrices, at the entries of a pattern of this rank's nodes.
+    """Sums of blocks at the entries of a pattern of this rank's nodes.
 
     Args:
         pattern: (m, n) which blocks there may be.
@@ -70,30 +70,19 @@ class BlockEntries:
     ) -> None:
         pattern = Matrix(pattern).sorted_indices()
         self._start, self._nodes = pattern.indptr, pattern.indices
-        self._width, self._block = pattern.shape[1], block
+        self._shape = len(self._nodes), *block
         node = np.repeat(np.arange(pattern.shape[0]), np.diff(self._start))
-        self._keys = node.astype(np.int64) * self._width + self._nodes
         i = block[0] * node[:, None, None] + np.arange(block[0])[:, None]
         j = block[1] * self._nodes[:, None, None] + np.arange(block[1])
-        shape = len(node), *block
-        found = (np.broadcast_to(v, shape).ravel() for v in (rows[i], columns[j]))
+        found = (np.broadcast_to(v, self._shape).ravel() for v in (rows[i], columns[j]))
         self.rows, self.columns = found
 
-    def sum(self, parts: Sequence[Matrix | Blocks]) -> Floats:
-        """Return the sums (e,) of parts within the pattern.
-
-        Sparse matrices have scalar entries, of which each is stored once.
-        """
-        total = np.zeros((len(self._keys), *self._block))
+    def sum(self, parts: Sequence[Blocks]) -> Floats:
+        """Return the sums (e,) of parts within the pattern."""
+        total = np.zeros(self._shape)
         for part in parts:
-            if isinstance(part, Blocks):
-                at = part.rows, part.columns, part.values
-                _add(self._start, self._nodes, *(np.ascontiguousarray(v) for v in at), total)
-                continue
-            entries, (a, b) = part.tocoo(), self._block
-            (row, i), (column, j) = np.divmod(entries.row, a), np.divmod(entries.col, b)
-            place = np.searchsorted(self._keys, row.astype(np.int64) * self._width + column)
-            total[place, i, j] += entries.data
+            at = part.rows, part.columns, part.values
+            _add(self._start, self._nodes, *(np.ascontiguousarray(v) for v in at), total)
         return total.ravel()
 
 
@@ -109,7 +98,7 @@ class BlockSums:
         """Return the matrix with zeros; collective."""
         return self._sums.zero()
 
-    def fill(self, parts: Sequence[Matrix | Blocks]) -> PETSc.Mat:
+    def fill(self, parts: Sequence[Blocks]) -> PETSc.Mat:
         """Return the sum of parts within the pattern; collective."""
         return self._sums.fill(self._entries.sum(parts))
 
@@ -143,8 +132,8 @@ class SumWithProducts:
 
     def fill(
         self,
-        A: Sequence[Matrix | Blocks],
-        *products: tuple[Sequence[Matrix | Blocks], PETSc.Mat],
+        A: Sequence[Blocks],
+        *products: tuple[Sequence[Blocks], PETSc.Mat],
     ) -> PETSc.Mat:
         """Return the sum, the same matrix in every call; collective."""
         values = [self._A.sum(A)]

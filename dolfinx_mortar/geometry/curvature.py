@@ -62,9 +62,9 @@ from dolfinx_mortar.geometry.facets import (
     Facets,
     area_vectors,
     facet_normals,
-    facet_sizes,
     scaled_normals,
 )
+from dolfinx_mortar.geometry.moments import KERNEL
 
 
 @dataclass(frozen=True)
@@ -265,39 +265,28 @@ def curvatures(facets: Facets, sagitta: Floats) -> Floats:
     >>> (curvatures(facet, np.array([[1.0]])).round(12) + 0.0).tolist()  # without -0.0
     [[[0.25, 0.0], [0.0, 0.0]]]
     """
-    e = edges(facets, height_element(facets.element, sagitta))
-    if e.shape[2] == 2:  # c_ab e e^T / |e|^4, of the ends
-        t = e[:, 0] / np.maximum((e[:, 0] ** 2).sum(axis=1), TINY)[:, None]
-        return np.asarray(sagitta[:, :1, None] * t[:, :, None] * t[:, None])
-    n = facet_normals(facets)[:, None]
-    B = unit(e[:, :1] - (e[:, :1] * n).sum(axis=2, keepdims=True) * n)
-    B = np.concatenate([B, np.cross(n, B)], axis=1)
-    i, j = np.triu_indices(2)
-    p = np.einsum("mki,mei->mek", B, e)
-    p = unit(p) * np.linalg.norm(e, axis=2)[:, :, None]  # on spheres, c_ab is |e|^2 / R
-    A = p[:, :, i] * p[:, :, j] * np.where(i == j, 1.0, 2.0)
-    normal = np.einsum("mea,meb->mab", A, A)
-    size = EPS * np.trace(normal, axis1=1, axis2=2) + TINY  # needles: nothing across them
-    normal = normal + size[:, None, None] * np.eye(len(i))
-    k = np.linalg.solve(normal, np.einsum("mea,me->ma", A, sagitta)[:, :, None])[:, :, 0]
-    K = np.empty((len(e), 2, 2))
-    K[:, i, j] = K[:, j, i] = k
-    return np.asarray(np.einsum("mki,mkl,mlj->mij", B, K, B))
+    element = height_element(facets.element, sagitta)
+    first, last = (np.array(ends) for ends in node_pairs(element))
+    K = np.empty((len(facets.x), *2 * [facets.x.shape[2]]))
+    x, c = (np.ascontiguousarray(v) for v in (facets.x, sagitta))
+    _fill_curvatures(x, len(element.vertices), c, first, last, K)
+    return K
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(**KERNEL)
 def _cross(a, b, c):  # type: ignore[no-untyped-def]
     """Write the unit vector along a x b into c."""
-    square = 0.0
+    square = 0.0 * a[0]
     for i in range(3):
         g, h = (i + 1) % 3, (i + 2) % 3
         c[i] = a[g] * b[h] - a[h] * b[g]
-        square += c[i] ** 2
+        square += c[i] * c[i]
+    scale = 1.0 / np.sqrt(square)
     for i in range(3):
-        c[i] /= np.sqrt(square)
+        c[i] *= scale
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(**KERNEL)
 def _frame(x, B):  # type: ignore[no-untyped-def]
     """Write two tangents and the mean normal of a first-order facet x (v, 3) into the rows of B."""
     bilinear = len(x) == 4
@@ -311,7 +300,7 @@ def _frame(x, B):  # type: ignore[no-untyped-def]
     _cross(B[1], B[2], B[0])
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(**KERNEL)
 def _solve(N, r, k):  # type: ignore[no-untyped-def]
     """Write the solution of the symmetric N k = r (3,) into k."""
     a, b, c, d, e, f = N[0, 0], N[0, 1], N[0, 2], N[1, 1], N[1, 2], N[2, 2]
@@ -322,66 +311,87 @@ def _solve(N, r, k):  # type: ignore[no-untyped-def]
     k[2] = (s * r[0] + u * r[1] + v * r[2]) / size
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _add_curvature(factor, x, first, last, c, B, N, r, k, K):  # type: ignore[no-untyped-def]
-    """Add a factor times what `curvatures` returns of one facet in space to K (3, 3)."""
-    _frame(x, B)
-    N[:], r[:] = 0.0, 0.0
+@numba.njit(**KERNEL)
+def fill_curvature(x, v, c, first, last, K):  # type: ignore[no-untyped-def]
+    """Write K (d, d) of a facet x (k, d) with v vertices and c_ab (e,), see `curvatures`."""
+    if x.shape[1] == 2:  # c_ab e e^T / |e|^4, of the ends
+        p, q = x[last[0], 0] - x[first[0], 0], x[last[0], 1] - x[first[0], 1]
+        square = p * p + q * q
+        scale = c[0] / (square * square) if square.real > 0.0 else 0.0 * square
+        K[0, 0], K[0, 1], K[1, 0], K[1, 1] = (
+            scale * p * p,
+            scale * p * q,
+            scale * p * q,
+            scale * q * q,
+        )
+        return
+    B, N = np.empty((3, 3), x.dtype), np.zeros((3, 3), x.dtype)
+    r, k = np.zeros(3, x.dtype), np.empty(3, x.dtype)
+    _frame(x[:v], B)
     for z in range(len(c)):
-        p, q, square = 0.0, 0.0, 0.0
+        p, q, square = 0.0 * x[0, 0], 0.0 * x[0, 0], 0.0 * x[0, 0]
         for i in range(3):
             e = x[last[z], i] - x[first[z], i]
             p, q, square = p + B[0, i] * e, q + B[1, i] * e, square + e * e
-        scale = square / (p * p + q * q)
+        size = p * p + q * q
+        scale = square / size if size.real > 0.0 else 0.0 * size  # on spheres, c_ab is |e|^2 / R
         A = p * p * scale, 2.0 * p * q * scale, q * q * scale
         for i in range(3):
             r[i] += A[i] * c[z]
             for j in range(3):
                 N[i, j] += A[i] * A[j]
-    size = EPS * (N[0, 0] + N[1, 1] + N[2, 2]) + TINY
+    size = EPS * (N[0, 0] + N[1, 1] + N[2, 2]) + TINY  # needles: nothing across them
     for i in range(3):
         N[i, i] += size
     _solve(N, r, k)
     for i in range(3):
         for j in range(3):
-            K[i, j] += factor * (
-                k[0] * B[0, i] * B[0, j]
-                + k[1] * (B[0, i] * B[1, j] + B[1, i] * B[0, j])
-                + k[2] * B[1, i] * B[1, j]
-            )
+            K[i, j] = k[0] * B[0, i] * B[0, j] + k[2] * B[1, i] * B[1, j]
+            K[i, j] += k[1] * (B[0, i] * B[1, j] + B[1, i] * B[0, j])
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _differences(x, sagitta, first, last, step, dK):  # type: ignore[no-untyped-def]
-    """Add central differences of the curvatures of facets to dK (m, v, 3, 3, 3)."""
-    B, N, r, k = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
+@numba.njit(**KERNEL)
+def _fill_curvatures(x, v, c, first, last, K):  # type: ignore[no-untyped-def]
+    """Write the curvatures K (m, d, d) of facets, see `fill_curvature`."""
     for f in range(len(x)):
-        for z in range(x.shape[1]):
-            for i in range(3):
-                for sign in (1.0, -1.0):
-                    before = x[f, z, i]
-                    x[f, z, i] += sign * step[f]
-                    _add_curvature(
-                        sign / (2 * step[f]), x[f], first, last, sagitta[f], B, N, r, k,
-                        dK[f, z, i],
-                    )  # fmt: skip
-                    x[f, z, i] = before
+        fill_curvature(x[f], v, c[f], first, last, K[f])
 
 
-def curvature_slopes(facets: Facets, sagitta: Floats) -> Floats:
-    """Return the derivatives (m, v, 3, 3, 3) of `curvatures` by the nodes, first order in space.
-
-    Central differences, with errors of some 1e-10. [f, z, i] is that of K by x_z in direction i.
+@numba.njit(**KERNEL)
+def fill_heights(x, c, shared, K, first, last, table, Q):  # type: ignore[no-untyped-def]
+    """Write Q (k, k) of the heights N.Q N over a facet x (k, d).
 
     Args:
-        facets: the facets (m,).
-        sagitta: c_ab (m, e) of `edge_sagittas`.
+        c: (e,) its c_ab.
+        shared: whether they are those of the surface shared with another facet of curvature K; see
+            `common_sagittas`.
+        table: of `height_table`.
     """
-    first, last = (np.array(ends) for ends in node_pairs(facets.element))
-    dK = np.zeros((*facets.x.shape, 3, 3))
-    step = EPS ** (1 / 3) * facet_sizes(facets.x)
-    _differences(np.array(facets.x), np.ascontiguousarray(sagitta), first, last, step, dK)
-    return dK
+    Q[:] = 0.0
+    for z in range(len(c)):
+        value = c[z] + 0.0 * x[0, 0]
+        if shared:
+            for i in range(x.shape[1]):
+                for j in range(x.shape[1]):
+                    e_i, e_j = x[last[z], i] - x[first[z], i], x[last[z], j] - x[first[z], j]
+                    value -= e_i * K[i, j] * e_j
+            value *= 0.5
+        for a in range(len(Q)):
+            for b in range(len(Q)):
+                Q[a, b] += value * table[z, a, b]
+
+
+def height_table(element: FacetElement, e: int) -> Floats:
+    """Return N_a N_b / 2 (e, k, k), symmetric, as products of the functions of an element.
+
+    Args:
+        e: how many c_ab there are, see `height_element`.
+    """
+    of = height_element(element, np.empty((0, e)))
+    V = np.eye(element.nodes) if of is element else of.shape_functions(element.points).T
+    a, b = node_pairs(of)
+    products = V[a][:, :, None] * V[b][:, None]
+    return np.asarray((products + np.swapaxes(products, 1, 2)) / 4)
 
 
 def common_sagittas(facets: Facets, sagitta: Floats, K_other: Floats) -> Floats:
@@ -441,32 +451,38 @@ def _polynomials(c, which, xi, values):  # type: ignore[no-untyped-def]
         values[q] = value
 
 
-def heights_of_arcs(facets: Facets, sagitta: Floats, which: Ints, h: Floats) -> Floats:
+def arcs_of_chords(facets: Facets, sagitta: Floats) -> Floats:
+    """Return k and cos^2 b (m, 2) of the arcs over lines with c_ab (m, 1).
+
+    The curvature k is c_ab / L^2, and b the angle between chord and tangent at its ends, sin b =
+    k L / 2.
+    """
+    a, b = facets.element.vertices
+    chord = np.linalg.norm(facets.x[:, b] - facets.x[:, a], axis=1)
+    k = sagitta[:, 0] / np.maximum(chord**2, TINY)
+    return np.stack([k, np.maximum(1.0 - (k * chord / 2) ** 2, TINY)], axis=1)
+
+
+def heights_of_arcs(arcs: Floats, h: Floats) -> Floats:
     """Return the heights (q,) over chords that are exact on circles, of those of `heights` (q,).
 
-    With the curvature k = c_ab / L^2 and cos b the cosine between chord and tangent at its ends,
-    sin b = k L / 2, the point at the height h over the chord lies on the circle if
-    h^2 k + 2 h cos b = 2 h_0. The difference is of fourth order and matters for second-order
-    elements: 3 % of the pressure at a pin in a hole with 30 facets.
+    The point at the height h over the chord lies on the circle if h^2 k + 2 h cos b = 2 h_0. The
+    difference is of fourth order and matters for second-order elements: 3 % of the pressure at a
+    pin in a hole with 30 facets.
 
     Args:
-        facets: facets (m,) in the plane.
-        sagitta: their c_ab (m,).
-        which: (q,) which of them belongs to each point.
+        arcs: k and cos^2 b (q, 2), see `arcs_of_chords`; without curvature heights stay.
         h: heights h_0 (q,) of leading order.
 
     >>> from dolfinx_mortar.geometry.elements import LINE3
     >>> facet = Facets(LINE3, np.array([[[0.6, 0.8], [-0.6, 0.8], [0.0, 0.8]]]))
     >>> middle, c_ab = np.zeros(1, dtype=np.int32), np.array([[1.44]])
     >>> h = heights(facet, c_ab, middle, np.zeros((1, 1)))
-    >>> heights_of_arcs(facet, c_ab[:, 0], middle, h).round(12).tolist()
+    >>> heights_of_arcs(arcs_of_chords(facet, c_ab)[middle], h).round(12).tolist()
     [0.2]
     """
-    a, b = facets.element.vertices
-    chord = np.linalg.norm(facets.x[:, b] - facets.x[:, a], axis=1)
-    k = sagitta / np.maximum(chord**2, TINY)
-    cosine2 = np.maximum(1.0 - (k * chord / 2) ** 2, TINY)[which]
-    return np.asarray(2.0 * h / (np.sqrt(cosine2) + np.sqrt(cosine2 + 2.0 * k[which] * h)))
+    k, square = arcs.T
+    return np.asarray(2.0 * h / (np.sqrt(square) + np.sqrt(square + 2.0 * k * h)))
 
 
 def missed_sagittas(facets: Facets, sagitta: Floats) -> Floats:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial, reduce
+from functools import cached_property, partial, reduce
 
 import numpy as np
 
@@ -46,6 +46,22 @@ class FacetElement:
     def nodes(self) -> int:
         """Number of nodes k."""
         return len(self.points)
+
+    @cached_property
+    def table(self) -> Floats:
+        """Coefficients (k, 9) of the shape functions: of xi^a eta^b at 3 a + b.
+
+        >>> TRI3.table[:, [0, 1, 3]].tolist()
+        [[1.0, -1.0, -1.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]
+        """
+        a, b = (i.ravel() for i in np.indices((3, 3)))
+        flat = self.points.shape[1] == 2
+        order = np.maximum(a, b) if self.bilinear else a + b
+        mine = (order <= self.degree) & (flat | (b == 0))
+        values = self.points[:, :1] ** a[mine] * (self.points[:, 1:] ** b[mine] if flat else 1.0)
+        found = np.zeros((self.nodes, 9))
+        found[:, mine] = np.linalg.inv(values).T.round(12) + 0.0  # multiples of 1/4
+        return found
 
 
 def _interval(xi: Floats) -> Floats:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
-from dolfinx_mortar.geometry.elements import LINE2, FacetElement
+from dolfinx_mortar.geometry.elements import FacetElement
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,28 +55,6 @@ def facet_normals(facets: Facets) -> Floats:
     """
     n = area_vectors(facets)
     return n / np.maximum(np.linalg.norm(n, axis=1), TINY)[:, None]
-
-
-def normal_slopes(facets: Facets) -> Floats:
-    """Return the derivatives (m, k, d, d) of the mean normals by the nodes.
-
-    With the gradients G_k of flat functions in the middle, dn = -sum_k G_k (n.dx_k); nodes that are
-    no vertices do not turn it.
-
-    Example:
-        >>> from dolfinx_mortar.geometry.elements import LINE2
-        >>> line = Facets(LINE2, np.array([[[2.0, 0.0], [0.0, 0.0]]]))  # n = (0, 1)
-        >>> normal_slopes(line)[0, 0].tolist()
-        [[-0.0, -0.5], [-0.0, -0.0]]
-    """
-    element, (m, k, d) = facets.element, facets.x.shape
-    corners = list(element.vertices)
-    flat = Facets(LINE2 if d == 2 else element.part or element, facets.x[:, corners])
-    middle = flat.element.points.mean(axis=0, keepdims=True).repeat(m, axis=0)
-    G, _ = surface_gradients(flat, np.arange(m, dtype=np.int32), middle)
-    slopes = np.zeros((m, k, d, d))
-    slopes[:, corners] = -G[:, :, :, None] * facet_normals(facets)[:, None, None]
-    return slopes
 
 
 def normals_at_nodes(facets: Facets) -> Floats:
@@ -151,22 +129,6 @@ def bounding_balls(x: Floats) -> tuple[Floats, Floats]:
 def facet_sizes(x: Floats) -> Floats:
     """Return the diameter (m,) of facets with the node coordinates x (m, k, d)."""
     return 2 * bounding_balls(x)[1]
-
-
-def size_slopes(x: Floats) -> Floats:
-    """Return the derivatives (m, k, d) of `facet_sizes` by the nodes.
-
-    Example:
-        >>> size_slopes(np.array([[[0.0, 0], [2, 0]]]))[..., 0].tolist()
-        [[-1.0, 1.0]]
-    """
-    offsets = x - x.mean(axis=1, keepdims=True)
-    square = (offsets**2).sum(axis=2)
-    k, furthest = x.shape[1], square.argmax(axis=1)
-    along = np.take_along_axis(offsets, furthest[:, None, None], axis=1)
-    along /= np.maximum(np.linalg.norm(along, axis=2, keepdims=True), TINY)
-    parts = (np.arange(k) == furthest[:, None])[:, :, None] - 1.0 / k
-    return np.asarray(2 * parts * along)
 
 
 def are_inside(x: Floats, n: Floats, p: Floats) -> Bools:

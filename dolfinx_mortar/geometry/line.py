@@ -9,11 +9,11 @@ Second-order facets are clipped as parabolas, not as two chords: the ends of a s
 normals of the curved slave facet meet the ends of the curved master facet, so that no function has
 a kink inside a segment. With chords, ends and normals are off by a share of the sagitta, and the
 master's functions are extrapolated beyond their ends. The kernels take the coefficients of
-a + b xi + c xi^2; straight facets have c = 0.
+a + b xi + c xi^2; straight facets have c = 0. They are generic in the number type, see `moments`.
 """
 
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -22,6 +22,7 @@ import numpy.typing as npt
 from dolfinx_mortar.arrays import EPS, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
+from dolfinx_mortar.geometry.moments import KERNEL, add_point, fill_functions
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 
@@ -50,24 +51,26 @@ def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
     bracketed: the interval is halved unless Newton's step stays in it and is at most half of the
     last step, so that the loop ends whatever f is.
     """
-    first, last = _moment(x, n, y0, y1, -1.0)[0], _moment(x, n, y0, y1, 1.0)[0]
+    zero = 0.0 * (x[0, 0] + n[0, 0] + y0)
+    first, last = _moment(x, n, y0, y1, -1.0)[0].real, _moment(x, n, y0, y1, 1.0)[0].real
     if first <= 0.0 or last >= 0.0:
         if first <= 0.0 and last >= 0.0:
-            return np.nan
-        return -1.0 if first <= 0.0 else 1.0
+            return zero + np.nan
+        return zero + (-1.0 if first <= 0.0 else 1.0)
     low, high, step = -1.0, 1.0, 2.0
     xi = (first + last) / (first - last)  # of the chord of f
     while step > 2 * EPS:
         f, slope = _moment(x, n, y0, y1, xi)
-        if f > 0.0:
+        if f.real > 0.0:
             low = xi
         else:
             high = xi
-        new = xi - f / slope if slope < 0.0 else np.inf
+        new = xi - f.real / slope.real if slope.real < 0.0 else np.inf
         if not (low <= new <= high and abs(new - xi) <= max(step / 2, 2 * EPS)):
             new = (low + high) / 2
         step, xi = abs(new - xi), new
-    return xi
+    f, slope = _moment(x, n, y0, y1, xi)  # by one more step in full: exact to first order
+    return zero + xi - (f / slope if slope.real < 0.0 else zero)
 
 
 @numba.njit(cache=True)
@@ -82,9 +85,10 @@ def _opposite(x, n, y, xi):  # type: ignore[no-untyped-def]
     C = (y[0, 0] - _at(x, xi, 0)) * n1 - (y[0, 1] - _at(x, xi, 1)) * n0
     B = y[1, 0] * n1 - y[1, 1] * n0
     A = y[2, 0] * n1 - y[2, 1] * n0
-    root = np.sqrt(max(B * B - 4 * A * C, 0.0))  # the form that does not cancel
-    eta = -2 * C / (B + root) if B > 0.0 else -2 * C / (B - root)
-    return min(max(eta, -1.0), 1.0)
+    square = B * B - 4 * A * C
+    root = np.sqrt(square if square.real > 0.0 else 0.0 * square)  # the form that does not cancel
+    eta = -2 * C / (B + root) if B.real > 0.0 else -2 * C / (B - root)
+    return eta if abs(eta.real) <= 1.0 else 0.0 * eta + (1.0 if eta.real > 0.0 else -1.0)
 
 
 @numba.njit(cache=True)
@@ -95,8 +99,8 @@ def _distances(x, n, y, xi):  # type: ignore[no-untyped-def]
     """
     eta = _opposite(x, n, y, xi)
     p0, p1 = _at(x, xi, 0) - _at(y, eta, 0), _at(x, xi, 1) - _at(y, eta, 1)
-    depth = (p0 * x[1, 1] - p1 * x[1, 0]) / np.sqrt(x[1, 0] ** 2 + x[1, 1] ** 2)
-    return np.sqrt(p0 * p0 + p1 * p1), depth
+    p0, p1, t0, t1 = p0.real, p1.real, x[1, 0].real, x[1, 1].real
+    return np.sqrt(p0 * p0 + p1 * p1), (p0 * t1 - p1 * t0) / np.sqrt(t0 * t0 + t1 * t1)
 
 
 @numba.njit(cache=True)
@@ -104,7 +108,7 @@ def _nearest(x, n, x_m, master, deepest, low, high, a, b):  # type: ignore[no-un
     """Return the candidate that covers [a, b] at the smallest distance, -1 if there is none."""
     best, least = -1, np.inf
     for c in range(len(master)):
-        if low[c] <= a and high[c] >= b:
+        if low[c].real <= a.real and high[c].real >= b.real:
             distance, depth = _distances(x, n, x_m[master[c]], (a + b) / 2)
             if distance < least and depth <= deepest[c]:
                 best, least = c, distance
@@ -114,50 +118,69 @@ def _nearest(x, n, x_m, master, deepest, low, high, a, b):  # type: ignore[no-un
 @numba.njit(cache=True)
 def _insert(cuts, count, value):  # type: ignore[no-untyped-def]
     """Insert a value into the first `count` ascending ones."""
-    while count > 0 and cuts[count - 1] > value:
+    while count > 0 and cuts[count - 1].real > value.real:
         cuts[count] = cuts[count - 1]
         count -= 1
     cuts[count] = value
 
 
 @numba.njit(cache=True)
+def _clip_facet(x, n, x_m, ends_m, pairs, deepest, first, last, which, ends, q):  # type: ignore[no-untyped-def]
+    """Append the segments of one slave facet, of pairs first to last; return how many there are.
+
+    No part of the facet occurs twice.
+    """
+    p, c, start = last - first, 0, q
+    low, high, cuts = np.empty(p, x.dtype), np.empty(p, x.dtype), np.empty(2 * p, x.dtype)
+    index, master, most = np.empty(p, np.int32), np.empty(p, np.int32), np.empty(p)
+    for r in range(first, last):
+        y = ends_m[pairs[r, 1]]
+        # the two sides are passed in opposite directions
+        a = _project_node(x, n, y[1, 0], y[1, 1])
+        b = _project_node(x, n, y[0, 0], y[0, 1])
+        if (b - a).real > 8 * ROUND_OFF:
+            low[c], high[c], index[c], master[c] = a, b, r, pairs[r, 1]
+            most[c] = deepest[r]
+            _insert(cuts, 2 * c, a)
+            _insert(cuts, 2 * c + 1, b)
+            c += 1
+    for i in range(2 * c - 1):
+        a, b = cuts[i], cuts[i + 1]
+        if (b - a).real <= 8 * ROUND_OFF:
+            continue
+        best = _nearest(x, n, x_m, master[:c], most, low, high, a, b)
+        if best < 0:
+            continue
+        if q > start and which[q - 1] == index[best] and ends[q - 1, 1].real == a.real:
+            ends[q - 1, 1] = b
+            continue
+        which[q], ends[q, 0], ends[q, 1] = index[best], a, b
+        q += 1
+    return q
+
+
+@numba.njit(cache=True)
 def _clip(x_s, n_s, x_m, ends_m, pairs, deepest):  # type: ignore[no-untyped-def]
-    """Return the pair and the ends in xi of all segments; no part of a slave facet occurs twice."""
+    """Return the pair and the ends in xi of all segments."""
     p = len(pairs)
     which, ends = np.empty(2 * p, dtype=np.int32), np.empty((2 * p, 2))
-    low, high, cuts, most = np.empty(p), np.empty(p), np.empty(2 * p), np.empty(p)
-    index, master = np.empty(p, dtype=np.int32), np.empty(p, dtype=np.int32)
-    q = 0
-    r = 0
-    while r < p:
-        s = pairs[r, 0]
-        c = 0
-        while r < p and pairs[r, 0] == s:
-            y = ends_m[pairs[r, 1]]
-            # the two sides are passed in opposite directions
-            a = _project_node(x_s[s], n_s[s], y[1, 0], y[1, 1])
-            b = _project_node(x_s[s], n_s[s], y[0, 0], y[0, 1])
-            if b - a > 8 * ROUND_OFF:
-                low[c], high[c], index[c], master[c] = a, b, r, pairs[r, 1]
-                most[c] = deepest[r]
-                _insert(cuts, 2 * c, a)
-                _insert(cuts, 2 * c + 1, b)
-                c += 1
-            r += 1
-        start = q
-        for i in range(2 * c - 1):
-            a, b = cuts[i], cuts[i + 1]
-            if b - a <= 8 * ROUND_OFF:
-                continue
-            best = _nearest(x_s[s], n_s[s], x_m, master[:c], most, low, high, a, b)
-            if best < 0:
-                continue
-            if q > start and which[q - 1] == index[best] and ends[q - 1, 1] == a:
-                ends[q - 1, 1] = b
-                continue
-            which[q], ends[q, 0], ends[q, 1] = index[best], a, b
-            q += 1
+    q = last = np.int64(0)
+    while last < p:
+        first, s = last, pairs[last, 0]
+        while last < p and pairs[last, 0] == s:
+            last += 1
+        at = x_s[s], n_s[s], x_m, ends_m, pairs, deepest, first, last
+        q = _clip_facet(*at, which, ends, q)
     return which[:q], ends[:q]
+
+
+@numba.njit(cache=True)
+def _point(x, n, y, low, high, t):  # type: ignore[no-untyped-def]
+    """Return xi, eta and the length per t at t in [-1, 1] of a segment."""
+    half = (high - low) / 2
+    xi = (low + high) / 2 + half * t
+    dx0, dx1 = x[1, 0] + 2 * xi * x[2, 0], x[1, 1] + 2 * xi * x[2, 1]
+    return xi, _opposite(x, n, y, xi), half * np.sqrt(dx0 * dx0 + dx1 * dx1)
 
 
 @numba.njit(cache=True)
@@ -168,15 +191,68 @@ def _place(x_s, n_s, x_m, pairs, which, ends, points, weights):  # type: ignore[
     weight = np.empty(len(which) * k)
     for i in range(len(which)):
         s, m = pairs[which[i]]
-        half = (ends[i, 1] - ends[i, 0]) / 2
         for j in range(k):
-            q = i * k + j
-            xi = (ends[i, 0] + ends[i, 1]) / 2 + half * points[j]
-            dx0 = x_s[s, 1, 0] + 2 * xi * x_s[s, 2, 0]
-            dx1 = x_s[s, 1, 1] + 2 * xi * x_s[s, 2, 1]
-            xi_s[q], xi_m[q] = xi, _opposite(x_s[s], n_s[s], x_m[m], xi)
-            weight[q] = half * weights[j] * np.sqrt(dx0 * dx0 + dx1 * dx1)
+            q, ab = i * k + j, ends[i]
+            at = _point(x_s[s], n_s[s], x_m[m], ab[0], ab[1], points[j])
+            xi_s[q], xi_m[q], weight[q] = at[0], at[1], weights[j] * at[2]
     return xi_s, xi_m, weight
+
+
+@numba.njit(cache=True)
+def _polynomial(v, table, result):  # type: ignore[no-untyped-def]
+    """Write the coefficients (3, 2) of the field with nodal values v (k, 2), see `_polynomials`."""
+    for a in range(3):
+        for i in range(2):
+            result[a, i] = 0.0
+            for j in range(len(v)):
+                result[a, i] += table[j, 3 * a] * v[j, i]
+
+
+class Tables(NamedTuple):
+    """What `moments` needs of the two types of facets."""
+
+    slave: Floats  # (k, 9) coefficients of functions, see `moments.fill_functions`
+    master: Floats  # (l, 9)
+    points: Floats  # (q,)
+    weights: Floats  # (q,)
+
+
+def tables(slave: FacetElement, master: FacetElement) -> Tables:
+    """Return the tables of two types."""
+    rule = gauss_points(2 * max(slave.degree, master.degree) + 1)
+    return Tables(slave.table, master.table, *rule)
+
+
+@numba.njit(**KERNEL)
+def moments(x, n, Y, deepest, factor, heights, positive, tables, S, R, H):  # type: ignore[no-untyped-def]
+    """Add the moments of a slave facet x (k, 2) and its masters Y (c, l, 2) to S, R (c, k, l), H.
+
+    Return whether masters hide others. For the other arguments see `moments.add_point`.
+
+    Args:
+        n: (k, 2) directions of projection.
+        deepest: (c,) see `place_points`.
+        tables: of `tables`.
+    """
+    c, zero = len(Y), x.dtype
+    p_s, p_n, p_m = np.empty((3, 2), zero), np.empty((3, 2), zero), np.empty((c, 3, 2), zero)
+    N, M = np.empty(len(x), zero), np.empty(Y.shape[1], zero)
+    pairs, which = np.empty((c, 2), np.int32), np.empty(2 * c, np.int32)
+    ends = np.empty((2 * c, 2), zero)
+    _polynomial(x, tables.slave, p_s)
+    _polynomial(n, tables.slave, p_n)
+    for r in range(c):
+        _polynomial(Y[r], tables.master, p_m[r])
+        pairs[r, 0], pairs[r, 1] = 0, r
+    count = _clip_facet(p_s, p_n, p_m, Y, pairs, deepest, 0, c, which, ends, 0)
+    for i in range(count):
+        r = which[i]
+        for q in range(len(tables.points)):
+            xi, eta, size = _point(p_s, p_n, p_m[r], ends[i, 0], ends[i, 1], tables.points[q])
+            fill_functions(tables.slave, xi, 0.0, N)
+            fill_functions(tables.master, eta, 0.0, M)
+            add_point(N, M, tables.weights[q] * size, r, factor, heights, positive, S, R, H)
+    return True
 
 
 def _polynomials(element: FacetElement, v: Floats) -> Floats:
@@ -186,12 +262,7 @@ def _polynomials(element: FacetElement, v: Floats) -> Floats:
     >>> _polynomials(LINE3, np.array([[[0.0, 1.0], [2.0, 1.0], [1.0, 3.0]]])).tolist()
     [[[1.0, 3.0], [1.0, 0.0], [0.0, -2.0]]]
     """
-    result = np.zeros((len(v), 3, 2))
-    middle = (v[:, 0] + v[:, 1]) / 2
-    result[:, 0], result[:, 1] = middle, (v[:, 1] - v[:, 0]) / 2
-    if element.degree > 1:
-        result[:, 0], result[:, 2] = v[:, 2], middle - v[:, 2]
-    return result
+    return np.asarray(element.table[:, ::3].T @ v)
 
 
 @cache

@@ -15,6 +15,7 @@ import numpy as np
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
+from dolfinx_mortar.geometry.moments import KERNEL
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 
@@ -30,39 +31,6 @@ def parts_of(facets: Facets) -> Facets:
         return facets
     x = facets.x[:, np.array(element.sub_facets)]
     return Facets(element.part, np.ascontiguousarray(x.reshape(-1, *x.shape[2:])))
-
-
-def part_at(element: FacetElement, xi: Floats) -> Ints:
-    """Return the parts (q,) on which points xi (q, 2) of a reference facet lie.
-
-    >>> from dolfinx_mortar.geometry.elements import TRI6
-    >>> part_at(TRI6, np.array([[0.1, 0.1], [0.3, 0.3], [0.1, 0.8]])).tolist()
-    [0, 3, 2]
-    """
-    if element.part is None:
-        return np.zeros(len(xi), dtype=np.int32)
-    near = element.vertex_functions(xi)  # parts are numbered like the vertices on them
-    nearest = near.argmax(axis=1)
-    if not element.bilinear:
-        nearest[near.max(axis=1, initial=0.0) < 0.5] = 3
-    return nearest.astype(np.int32)
-
-
-def edges_of_parts(element: FacetElement) -> Ints:
-    """Return on which edge (s, v) of a facet each edge of a part lies, -1 for those inside.
-
-    >>> from dolfinx_mortar.geometry.elements import TRI6
-    >>> edges_of_parts(TRI6).tolist()
-    [[0, -1, 2], [0, 1, -1], [-1, 1, 2], [-1, -1, -1]]
-    """
-    v = len(element.vertices)
-    found = np.full((count(element), v), -1, dtype=np.int32)
-    for part, nodes in enumerate(element.sub_facets):
-        for i, ends in enumerate(zip(nodes, nodes[1:] + nodes[:1], strict=True)):
-            for edge in range(v):
-                if set(ends) <= {edge, (edge + 1) % v, v + edge}:
-                    found[part, i] = edge
-    return found
 
 
 def first_order(facets: Facets) -> Facets | None:
@@ -118,7 +86,7 @@ def _all_pairs(pairs, a, b):  # type: ignore[no-untyped-def]
     return every, of
 
 
-def _on_reference(element: FacetElement) -> Floats:
+def on_reference(element: FacetElement) -> Floats:
     """Return the coefficients (s, 3, 9) of the parts of the reference facet."""
     x = element.points[np.array(element.sub_facets)]  # (s, k', d-1)
     return coefficients(Facets(element.part or element, np.pad(x, ((0, 0), (0, 0), (0, 1)))))
@@ -133,21 +101,14 @@ def coefficients(facets: Facets) -> Floats:
         >>> coefficients(Facets(TRI3, x))[0, 0].tolist()
         [5.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     """
-    element = facets.element
-    a, b = (i.ravel() for i in np.indices((3, 3)))
-    order = np.maximum(a, b) if element.bilinear else a + b
-    mine = order <= element.degree
-    values = element.points[:, :1] ** a[mine] * element.points[:, 1:] ** b[mine]
-    to_c = np.zeros((9, element.nodes))
-    to_c[mine] = np.linalg.inv(values)
-    return np.ascontiguousarray(np.swapaxes(to_c @ facets.x, 1, 2))
+    return np.ascontiguousarray(np.swapaxes(facets.element.table.T @ facets.x, 1, 2))
 
 
 # Facets by number: a view of each would cost as much as a point.
-_KERNEL = {"cache": True, "error_model": "numpy", "fastmath": {"contract"}}
+# They are generic in the number type, see `moments`.
 
 
-@numba.njit(**_KERNEL)
+@numba.njit(**KERNEL)
 def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
     """Return component i of a point of facet m, and of its tangents, at (r, s)."""
     c1, c2, c4, c5, c7, c8 = c[m, i, 1], c[m, i, 2], c[m, i, 4], c[m, i, 5], c[m, i, 7], c[m, i, 8]
@@ -156,7 +117,7 @@ def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
     return c[m, i, 0] + s * (c1 + s * c2) + r * (mid + r * high), mid + 2 * r * high, along
 
 
-@numba.njit(**_KERNEL)
+@numba.njit(**KERNEL)
 def _point(c, m, r, s):  # type: ignore[no-untyped-def]
     """Return a point of facet m, three numbers, and the area there per reference area."""
     x0, a0, b0 = _component(c, m, 0, r, s)
@@ -166,48 +127,67 @@ def _point(c, m, r, s):  # type: ignore[no-untyped-def]
     return x0, x1, x2, np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
 
 
-@numba.njit(**_KERNEL)
-def _on_facet(reference, part, r, s):  # type: ignore[no-untyped-def]
-    """Return the reference coordinates on the facet of a point of a part: an affine map."""
-    c = reference
-    return (
-        c[part, 0, 0] + s * c[part, 0, 1] + r * c[part, 0, 3],
-        c[part, 1, 0] + s * c[part, 1, 1] + r * c[part, 1, 3],
-    )
+@numba.njit(**KERNEL)
+def _on_facet(c, r, s):  # type: ignore[no-untyped-def]
+    """Return reference coordinates on the facet of a point of a part c (3, 9): an affine map."""
+    return c[0, 0] + s * c[0, 1] + r * c[0, 3], c[1, 0] + s * c[1, 1] + r * c[1, 3]
 
 
-@numba.njit(**_KERNEL)
-def _project(c, m, axes, i, P):  # type: ignore[no-untyped-def]
-    """Write the coefficients of facet m along the tangents of plane i into P (1, 2, 9)."""
+@numba.njit(**KERNEL)
+def along(c, m, axes, P):  # type: ignore[no-untyped-def]
+    """Write the coefficients of facet m along the tangents of a plane into P (1, 2, 9)."""
     for a in range(2):
         for k in range(9):
             P[0, a, k] = 0.0
             for j in range(3):
-                P[0, a, k] += axes[i, a, j] * c[m, j, k]
+                P[0, a, k] += axes[a, j] * c[m, j, k]
 
 
-@numba.njit(**_KERNEL)
+@numba.njit(**KERNEL)
 def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
     """Return where a facet projected on a plane, P (1, 2, 9), has the point (x, y), or NaN.
 
     By Newton's method from (r, s), where the point is on a part of the facet. It converges
     quadratically from within the part's sagitta times its slope: in two or three steps where the
-    normal of a part changes by a tenth of a radian, in one where facets are straight.
+    normal of a part changes by a tenth of a radian, in one where facets are straight. One more step
+    in full makes it exact to first order, too.
     """
+    found = False
     for _ in range(LIMIT):
         y0, a0, b0 = _component(P, 0, 0, r, s)
         y1, a1, b1 = _component(P, 0, 1, r, s)
         e0, e1, inverse = x - y0, y - y1, 1.0 / (a0 * b1 - a1 * b0)
         dr, ds = (e0 * b1 - e1 * b0) * inverse, (a0 * e1 - a1 * e0) * inverse
         r, s = r + dr, s + ds
-        if max(abs(dr), abs(ds)) <= HALF_OF_DIGITS:  # the next one is round-off
+        if found:
             return r, s
-    return np.nan, np.nan
+        found = max(abs(dr.real), abs(ds.real)) <= HALF_OF_DIGITS  # the next one is round-off
+    return np.nan * r, np.nan * s
 
 
-@numba.njit(**_KERNEL)
+@numba.njit(**KERNEL)
+def carry(slave, f, axes, P, of_slave, of_master, at):  # type: ignore[no-untyped-def]
+    """Return xi_s and xi_m on two facets of a point on parts of them, and the Jacobian there.
+
+    Args:
+        slave: Coefficients (.., 3, 9), of which f is the slave facet's.
+        axes: Of the plane of the slave's part.
+        P: The master facet along them.
+        of_slave: (3, 9) the part on the reference facet; `of_master` likewise.
+        at: xi_s and xi_m on the parts, four numbers.
+    """
+    r, s = _on_facet(of_slave, at[0], at[1])
+    x, y, z, area = _point(slave, f, r, s)
+    u = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
+    v = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+    p, q = _on_facet(of_master, at[2], at[3])
+    p, q = meet(P, u, v, p, q)
+    return r, s, p, q, area
+
+
+@numba.njit(**KERNEL)
 def _place(  # type: ignore[no-untyped-def]
-    slave, slave_parts, master, reference_s, reference_m, axes, part, xi_s, xi_m, weight, scale
+    slave, master, reference_s, reference_m, axes, part, xi_s, xi_m, weight, scale
 ):
     """See `on_facets`; facets by their coefficients."""
     on_s, on_m, area = np.empty(xi_s.shape), np.empty(xi_m.shape), np.empty(len(weight))
@@ -218,15 +198,12 @@ def _place(  # type: ignore[no-untyped-def]
         if q == 0 or part[q, 0] != i or part[q, 1] != j:
             i, j = np.int64(part[q, 0]), np.int64(part[q, 1])
             of_i, of_j = i // a, j // b
-            _project(master, of_j, axes, i, P)
-        of_part = _point(slave_parts, i, xi_s[q, 0], xi_s[q, 1])[3]
-        r, s = _on_facet(reference_s, i - a * of_i, xi_s[q, 0], xi_s[q, 1])
-        x, y, z, of_facet = _point(slave, of_i, r, s)
-        on_s[q, 0], on_s[q, 1], area[q] = r, s, weight[q] * scale * of_facet / of_part
-        u = axes[i, 0, 0] * x + axes[i, 0, 1] * y + axes[i, 0, 2] * z
-        v = axes[i, 1, 0] * x + axes[i, 1, 1] * y + axes[i, 1, 2] * z
-        r, s = _on_facet(reference_m, j - b * of_j, xi_m[q, 0], xi_m[q, 1])
-        on_m[q, 0], on_m[q, 1] = meet(P, u, v, r, s)
+            along(master, of_j, axes[i], P)
+        at = xi_s[q, 0], xi_s[q, 1], xi_m[q, 0], xi_m[q, 1]
+        of = reference_s[i - a * of_i], reference_m[j - b * of_j]
+        r, s, p, t, J = carry(slave, of_i, axes[i], P, *of, at)
+        on_s[q, 0], on_s[q, 1], on_m[q, 0], on_m[q, 1] = r, s, p, t
+        area[q] = weight[q] * scale * J
     return on_s, on_m, area
 
 
@@ -251,11 +228,11 @@ def on_facets(
         part: (q, 2) parts of slave and master that lie over each other.
         xi_s: (q, 2) reference coordinates on the slave's part.
         xi_m: (q, 2) and on the master's.
-        weight: (q,) of the slave's part.
+        weight: (q,) on the reference facet of the slave's part.
     """
-    parts = parts_of(slave)
-    scale = slave.element.size / (count(slave.element) * parts.element.size)
-    facets = (coefficients(f) for f in (slave, parts, master))
-    references = (_on_reference(f.element) for f in (slave, master))
+    part_s = slave.element.part or slave.element
+    scale = slave.element.size / (count(slave.element) * part_s.size)
+    facets = (coefficients(f) for f in (slave, master))
+    references = (on_reference(f.element) for f in (slave, master))
     on_s, on_m, area = _place(*facets, *references, axes, part, xi_s, xi_m, weight, scale)
     return on_s, on_m, area

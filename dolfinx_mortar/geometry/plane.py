@@ -5,6 +5,9 @@ Lengths in a plane are relative: the slave facet has radius 1. A polygon is an a
 anticlockwise, of which the first `n` count. Vertices that are nearer to a line than ROUND_OFF are
 taken to lie on it.
 
+All kernels are generic in the number type: of complex numbers real parts decide, and imaginary ones
+are derivatives, see `moments`.
+
 Numba's cache of a caller in another file does not notice changes here: touch that file, too.
 """
 
@@ -12,7 +15,7 @@ import numba
 import numpy as np
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints
-from dolfinx_mortar.geometry.facets import Facets, bounding_balls, facet_normals
+from dolfinx_mortar.geometry.facets import Facets, bounding_balls
 from dolfinx_mortar.geometry.parts import count, pairs_of_parts, parts_of
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
@@ -27,20 +30,21 @@ Two quadrilaterals have 8 in common; each cut adds one, and polygons are halved 
 def cut(P, n, ax, ay, bx, by, Q):  # type: ignore[no-untyped-def]
     """Write the part of P on the left of the line from a to b into Q; return its size."""
     dx, dy = bx - ax, by - ay
-    length = np.sqrt(dx * dx + dy * dy)
-    dx, dy = dx / length, dy / length
+    scale = 1.0 / np.sqrt(dx.real**2 + dy.real**2)
+    dx, dy = scale * dx, scale * dy
     m = 0
     before = n - 1
     d0 = dx * (P[before, 1] - ay) - dy * (P[before, 0] - ax)
     for i in range(n):
         d1 = dx * (P[i, 1] - ay) - dy * (P[i, 0] - ax)
-        apart = (d0 < -ROUND_OFF and d1 > ROUND_OFF) or (d0 > ROUND_OFF and d1 < -ROUND_OFF)
+        a, b = d0.real, d1.real
+        apart = (a < -ROUND_OFF and b > ROUND_OFF) or (a > ROUND_OFF and b < -ROUND_OFF)
         if apart and m < VERTICES:
             t = d0 / (d0 - d1)
             Q[m, 0] = P[before, 0] + t * (P[i, 0] - P[before, 0])
             Q[m, 1] = P[before, 1] + t * (P[i, 1] - P[before, 1])
             m += 1
-        if d1 >= -ROUND_OFF and m < VERTICES:
+        if b >= -ROUND_OFF and m < VERTICES:
             Q[m, 0], Q[m, 1] = P[i, 0], P[i, 1]
             m += 1
         before, d0 = i, d1
@@ -60,14 +64,14 @@ def halve(P, n, Q):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True)
 def measure(P, n):  # type: ignore[no-untyped-def]
     """Return area and centroid (the mean of the vertices where there is no area) of P."""
-    area, x, y, mx, my = 0.0, 0.0, 0.0, P[0, 0], P[0, 1]
+    area, x, y, mx, my = 0.0, 0.0, 0.0, P[0, 0].real, P[0, 1].real
     for i in range(1, n):
-        mx, my = mx + P[i, 0], my + P[i, 1]
+        mx, my = mx + P[i, 0].real, my + P[i, 1].real
     mx, my = mx / n, my / n
     for i in range(n):
         j = i + 1 if i + 1 < n else 0
-        ux, uy = P[i, 0] - mx, P[i, 1] - my
-        vx, vy = P[j, 0] - mx, P[j, 1] - my
+        ux, uy = P[i, 0].real - mx, P[i, 1].real - my
+        vx, vy = P[j, 0].real - mx, P[j, 1].real - my
         part = (ux * vy - uy * vx) / 2
         area += part
         x, y = x + part * (ux + vx) / 3, y + part * (uy + vy) / 3
@@ -83,7 +87,8 @@ def is_thin(P, n):  # type: ignore[no-untyped-def]
         return True
     square = 0.0
     for i in range(1, n):
-        square = max(square, (P[i, 0] - P[0, 0]) ** 2 + (P[i, 1] - P[0, 1]) ** 2)
+        dx, dy = (P[i, 0] - P[0, 0]).real, (P[i, 1] - P[0, 1]).real
+        square = max(square, dx * dx + dy * dy)
     return measure(P, n)[0] <= 8 * ROUND_OFF * np.sqrt(square)
 
 
@@ -99,7 +104,7 @@ def orientation(P, n):  # type: ignore[no-untyped-def]
         j, h = (i + 1) % n, (i + n - 1) % n
         ux, uy = P[j, 0] - P[i, 0], P[j, 1] - P[i, 1]
         vx, vy = P[h, 0] - P[i, 0], P[h, 1] - P[i, 1]
-        corner = ux * vy - uy * vx
+        corner = (ux * vy - uy * vx).real
         least, most, whole = min(least, corner), max(most, corner), whole + abs(corner)
     if least > HALF_OF_DIGITS * whole:
         return 1
@@ -127,11 +132,11 @@ def is_beside(P, n, Q, m, sign, distance):  # type: ignore[no-untyped-def]
     """Tell whether some edge of P, of the given orientation, has all of Q beyond a distance."""
     for i in range(n):
         j = i + 1 if i + 1 < n else 0
-        dx, dy = sign * (P[j, 0] - P[i, 0]), sign * (P[j, 1] - P[i, 1])
+        dx, dy = sign * (P[j, 0] - P[i, 0]).real, sign * (P[j, 1] - P[i, 1]).real
         length = np.sqrt(dx * dx + dy * dy)
         beside = length > 0.0
         for k in range(m):
-            d = dx * (Q[k, 1] - P[i, 1]) - dy * (Q[k, 0] - P[i, 0])
+            d = dx * (Q[k, 1] - P[i, 1]).real - dy * (Q[k, 0] - P[i, 0]).real
             if d > -distance * length:
                 beside = False
                 break
@@ -146,7 +151,7 @@ def subtract(P, n, Q, m, sign, pieces, sizes, count, spare):  # type: ignore[no-
 
     Each edge of Q cuts off a piece beyond it; the next edge cuts the rest.
     """
-    rest = np.empty((VERTICES, 2))
+    rest = np.empty((VERTICES, 2), P.dtype)
     for i in range(n):
         rest[i, 0], rest[i, 1] = P[i, 0], P[i, 1]
     for i in range(m):
@@ -173,12 +178,47 @@ def create_planes(slave: Facets) -> tuple[Floats, Floats, Floats]:
     x_s = slave.x
     centre, radius = bounding_balls(x_s)
     radius = np.maximum(radius, TINY)
-    n = facet_normals(slave)
-    t = x_s[:, 1] - x_s[:, 0]
-    t = t - np.einsum("mi,mi->m", t, n)[:, None] * n
-    t /= np.maximum(np.linalg.norm(t, axis=1), TINY)[:, None]
-    axes = np.stack([t, np.cross(n, t), n], axis=1) / radius[:, None, None]
+    axes = np.empty((len(x_s), 3, 3))
+    _fill_axes(x_s, radius, axes)
     return centre, axes, radius
+
+
+@numba.njit(cache=True)
+def _fill_axes(x, radius, axes):  # type: ignore[no-untyped-def]
+    """Write the axes (m, 3, 3) of facets (m, k, 3)."""
+    for f in range(len(x)):
+        fill_axes(x[f], radius[f], axes[f])
+
+
+@numba.njit(cache=True)
+def fill_axes(x, radius, axes):  # type: ignore[no-untyped-def]
+    """Write the axes of the plane of a facet x (k, 3), see `create_planes`."""
+    last = len(x) - 1  # of triangles the same corner as the one before
+    n = axes[2]
+    for i in range(3):
+        j, h = (i + 1) % 3, (i + 2) % 3
+        n[i] = (x[2, j] - x[0, j]) * (x[last, h] - x[1, h])
+        n[i] -= (x[2, h] - x[0, h]) * (x[last, j] - x[1, j])
+    _scale(n, 1.0)
+    along = n[0] * (x[1, 0] - x[0, 0]) + n[1] * (x[1, 1] - x[0, 1]) + n[2] * (x[1, 2] - x[0, 2])
+    for i in range(3):
+        axes[0, i] = x[1, i] - x[0, i] - along * n[i]
+    _scale(axes[0], radius)
+    for i in range(3):
+        j, h = (i + 1) % 3, (i + 2) % 3
+        axes[1, i] = n[j] * axes[0, h] - n[h] * axes[0, j]
+    for i in range(3):
+        n[i] /= radius
+
+
+@numba.njit(cache=True)
+def _scale(v, size):  # type: ignore[no-untyped-def]
+    """Divide v (3,) by its length and a size."""
+    square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    if square.real > 0.0:
+        factor = 1.0 / (np.sqrt(square) * size)
+        for i in range(3):
+            v[i] *= factor
 
 
 @numba.njit(cache=True)
@@ -212,7 +252,8 @@ def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
         p0, p1 = x - P[0, 0], y - P[0, 1]
         xi = (p0 * b1 - p1 * b0) / J
         # by projection on b: on slivers xi is inexact, but the point stays where it is
-        return xi, ((p0 - xi * a0) * b0 + (p1 - xi * a1) * b1) / (b0 * b0 + b1 * b1), abs(J)
+        eta = ((p0 - xi * a0) * b0 + (p1 - xi * a1) * b1) / (b0 * b0 + b1 * b1)
+        return xi, eta, J if J.real > 0.0 else -J
     return inverse_of(bilinear_map(P, 0), bilinear_map(P, 1), x, y)
 
 
@@ -225,9 +266,10 @@ def inverse_of(first, second, x, y):  # type: ignore[no-untyped-def]
     centre = a0 * b1 - a1 * b0
     B = centre + p0 * c1 - p1 * c0
     C = p0 * b1 - p1 * b0
-    sign = 1.0 if centre > 0.0 else -1.0
-    J = np.sqrt(max(B * B - 4 * A * C, 0.0))
-    if sign * B > 0.0:  # the form that does not cancel
+    sign = 1.0 if centre.real > 0.0 else -1.0
+    square = B * B - 4 * A * C
+    J = np.sqrt(square if square.real > 0.0 else 0.0 * square)
+    if sign * B.real > 0.0:  # the form that does not cancel
         xi = -2 * C / (B + sign * J)
     else:
         xi = (sign * J - B) / (2 * A)
@@ -252,7 +294,7 @@ def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
     The area of the facet per area in the plane is sqrt(1 + s_0^2 + s_1^2).
     """
     if not bilinear:
-        return 0.0, 0.0
+        return 0.0 * xi, 0.0 * xi
     return slopes_of(bilinear_map(P, 0), bilinear_map(P, 1), bilinear_map(P, 2), xi, eta)
 
 

@@ -24,7 +24,7 @@ from dolfinx_mortar.interfaces.constraints import (
     check_constraints,
     check_limits,
 )
-from dolfinx_mortar.interfaces.contact_derivatives import LinkDerivatives
+from dolfinx_mortar.interfaces.contact_tangent import LinkDerivatives
 from dolfinx_mortar.interfaces.coupling import (
     CoupledSides,
     Coupling,

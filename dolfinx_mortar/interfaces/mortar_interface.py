@@ -15,7 +15,7 @@ from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.interfaces.contact_derivatives import ContactDerivatives
+from dolfinx_mortar.interfaces.contact_tangent import ContactDerivatives
 from dolfinx_mortar.interfaces.coupling import (
     CoupledSides,
     Coupling,
@@ -225,7 +225,7 @@ class MortarInterface(Interface):
         return partners_of(link, x) if self.rough and not frozen else None
 
     def derivatives(self, link: CoupledSides) -> ContactDerivatives | None:
-        """Return the derivatives of what can open, see `contact_derivatives`; collective."""
+        """Return the derivatives of what can open, see `contact_tangent`; collective."""
         return ContactDerivatives(link) if self.unilateral else None
 
     def couple(

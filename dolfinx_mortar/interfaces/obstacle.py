@@ -8,7 +8,7 @@ With the signed distance phi of the tool, positive outside, the weighted gaps ar
 and the multipliers lambda_j >= 0 act along n_j = -grad phi(x_j), into the tool: forces -D_jl
 lambda_j n_j on the nodes l of the side, and as much on the tool. Where phi is that of a plane, g_j
 is what D and n_j say, so that uniform pressures are exact. Facets may stand for a smooth surface,
-see `point_gaps`. The tangent is in `tool_derivatives`.
+see `point_gaps`. The tangent is in `tool_tangent`.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ from dolfinx_mortar.interfaces.tool import (
     point_gaps,
     turn_between,
 )
-from dolfinx_mortar.interfaces.tool_derivatives import ToolDerivatives
 from dolfinx_mortar.interfaces.tool_slips import ToolPartners
+from dolfinx_mortar.interfaces.tool_tangent import ToolDerivatives
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_side, side_heights
 from dolfinx_mortar.mortar.duals import Coverage, weighted_duals
 from dolfinx_mortar.mortar.operators import mean_values

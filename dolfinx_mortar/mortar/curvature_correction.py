@@ -13,16 +13,15 @@ from dolfinx.common import timed
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.curvature import (
     NodeNormals,
+    arcs_of_chords,
     common_sagittas,
     curvatures,
     curved_sagittas,
     edge_sagittas,
     end_angles,
-    height_element,
     heights,
     heights_of_arcs,
     missed_sagittas,
-    node_pairs,
     one_ring_sums,
     own_curvatures,
     sagitta_tensors,
@@ -276,7 +275,7 @@ def side_heights(
         c = c * thickness_stretches(surface, u)[surface.facets].mean(axis=1, keepdims=True)
     h = heights(facets, c, which, xi)
     if u is not None and facets.x.shape[2] == 2 and not surface.curved:
-        h = heights_of_arcs(facets, c[:, 0], which, h)
+        h = heights_of_arcs(arcs_of_chords(facets, c)[which], h)
     return h
 
 
@@ -373,105 +372,34 @@ def point_heights(
         sides: the smooth surfaces at X.
     """
     pairs, of = _meeting(segments)
+    c_s, c_m, arcs = pair_sagittas(pairing, u, sides, pairs)
     a, b = find_curved(pairing, u, sides, pairs)
-    c_s, c_m = a.sagitta, b.sagitta
-    second = pairing.slave.element.degree > 1
-    if not second:
-        c_s, c_m = _common(a, b)
-    elif u is not None:
-        s, m = facet_stretches(pairing, u)
-        c_s, c_m = c_s * s[pairing.pairs[pairs, 0]], c_m * m[pairing.pairs[pairs, 1]]
-    h_s = heights(a.facets, c_s, of, segments.xi_s)
-    h_m = heights(b.facets, c_m, of, segments.xi_m)
-    if second and u is not None and pairing.slave.X.shape[1] == 2 and not pairing.slave.curved:
-        h_s = heights_of_arcs(a.facets, c_s[:, 0], of, h_s)
-        h_m = heights_of_arcs(b.facets, c_m[:, 0], of, h_m)
-    return np.asarray(h_s + h_m)
+    if pairing.slave.element.degree == 1:
+        c_s, c_m = common_sagittas(a.facets, c_s, b.K), common_sagittas(b.facets, c_m, a.K)
+    h_s = heights_of_arcs(arcs[of, 0], heights(a.facets, c_s, of, segments.xi_s))
+    return h_s + heights_of_arcs(arcs[of, 1], heights(b.facets, c_m, of, segments.xi_m))
 
 
-@dataclass(frozen=True, eq=False)
-class HeightSlopes:
-    """Heights at points (q,) in 2D, of `point_heights`, and their derivatives.
-
-    By the points on both facets, and by the coordinates of their nodes at given points. Those of
-    second order depend on their coordinates by strains of the bodies alone, which are left out.
-    """
-
-    height: Floats  # (q,)
-    by_xi_s: Floats  # (q,)
-    by_xi_m: Floats  # (q,)
-    by_x_s: Floats  # (q, k, 2)
-    by_x_m: Floats  # (q, m, 2)
-
-
-def height_slopes(
+def pair_sagittas(
     pairing: Pairing,
-    segments: Segments,
-    u: dolfinx.fem.Function,
+    u: dolfinx.fem.Function | None,
     sides: tuple[SmoothSide, SmoothSide],
-) -> HeightSlopes:
-    """Return the heights in 2D and their derivatives; collective.
+    pairs: Ints,
+) -> tuple[Floats, Floats, Floats]:
+    """Return the own c_ab (p, e) of both facets of pairs (p,), and arcs (p, 2, 2); collective.
 
-    With the edges e of both facets, c_s = (c_s0 - c_m0 (e_s.e_m)^2 / |e_m|^4) / 2 and likewise c_m,
-    see `common_sagittas`. The arguments are those of `point_heights`.
+    Those of second order with the strain along the normal, see `point_heights`. Where facets are
+    straight lines of second order at X, which have become curved, arcs are those of
+    `arcs_of_chords`; others have the curvature 0.
     """
-    pairs, of = _meeting(segments)
     a, b = find_curved(pairing, u, sides, pairs)
-    xi = segments.xi_s, segments.xi_m
-    by_x = [np.zeros((len(of), side.facets.element.nodes, 2)) for side in (a, b)]
-    if pairing.slave.element.degree > 1:
-        stretches = facet_stretches(pairing, u)
-        parts = []
-        both = zip((a, b), stretches, xi, pairing.pairs[pairs].T, strict=True)
-        for side, stretch, z, which in both:
-            c = side.sagitta * stretch[which]
-            h, slope = _with_slopes(side.facets, c, of, z)
-            if not pairing.slave.curved:
-                h = heights_of_arcs(side.facets, c[:, 0], of, h)
-                slope = slope * _arc_slopes(side.facets, c[:, 0], of, h)
-            parts.append((h, slope))
-    else:
-        found = _common(a, b)
-        both_sides = zip((a, b), found, xi, strict=True)
-        parts = [_with_slopes(side.facets, c, of, z) for side, c, z in both_sides]
-        for one, other, z in (0, 1, xi[0]), (1, 0, xi[1]):
-            ends = (a, b)[one].facets.element.vertices
-            N = (a, b)[one].facets.element.vertex_functions(z)
-            bubble = 0.5 * (N[:, ends[0]] * N[:, ends[1]])[:, None]
-            own, across = _common_slopes((a, b)[one], (a, b)[other])
-            for moved, change in (one, own[of]), (other, across[of]):
-                first, last = (a, b)[moved].facets.element.vertices
-                by_x[moved][:, last] += bubble * change
-                by_x[moved][:, first] -= bubble * change
-    (h_s, slope_s), (h_m, slope_m) = parts
-    return HeightSlopes(h_s + h_m, slope_s, slope_m, *by_x)
-
-
-def _with_slopes(facets: Facets, c: Floats, of: Ints, xi: Floats) -> tuple[Floats, Floats]:
-    """Return the heights (q,) of c_ab (p, e) over lines, and their slopes by xi."""
-    element = height_element(facets.element, c)
-    (a, b), N = node_pairs(element), element.shape_functions(xi)
-    dN = element.derivatives(xi)[:, :, 0]
-    slopes = 0.5 * ((dN[:, a] * N[:, b] + N[:, a] * dN[:, b]) * c[of]).sum(axis=1)
-    return heights(facets, c, of, xi), slopes
-
-
-def _arc_slopes(facets: Facets, sagitta: Floats, which: Ints, h: Floats) -> Floats:
-    """Return dh/dh_0 (q,) of `heights_of_arcs`, from h^2 k + 2 h cos b = 2 h_0."""
-    a, b = facets.element.vertices
-    chord = np.linalg.norm(facets.x[:, b] - facets.x[:, a], axis=1)
-    k = sagitta / np.maximum(chord**2, TINY)
-    cosine = np.sqrt(np.maximum(1.0 - (k * chord / 2) ** 2, TINY))
-    return np.asarray(1.0 / (h * k[which] + cosine[which]))
-
-
-def _common_slopes(side: Curved, other: Curved) -> tuple[Floats, Floats]:
-    """Return the derivatives (p, 2) of a line's common c_ab by its edge and by the other's."""
-    (a, b), (i, j) = side.facets.element.vertices, other.facets.element.vertices
-    e, f = side.facets.x[:, b] - side.facets.x[:, a], other.facets.x[:, j] - other.facets.x[:, i]
-    along, square = (e * f).sum(axis=1), (f * f).sum(axis=1)
-    size = (-0.5 * other.sagitta[:, 0] * 2 * along / square**2)[:, None]
-    return size * f, size * (e - (2 * along / square)[:, None] * f)
+    c, arcs = [a.sagitta, b.sagitta], np.tile([0.0, 1.0], (len(pairs), 2, 1))
+    if pairing.slave.element.degree > 1 and u is not None:
+        both = zip(c, facet_stretches(pairing, u), pairing.pairs[pairs].T, strict=True)
+        c = [own * stretch[which] for own, stretch, which in both]
+        if pairing.slave.X.shape[1] == 2 and not pairing.slave.curved:
+            arcs[:, 0], arcs[:, 1] = arcs_of_chords(a.facets, c[0]), arcs_of_chords(b.facets, c[1])
+    return c[0], c[1], arcs
 
 
 def missed_heights(
@@ -488,15 +416,11 @@ def missed_heights(
     pairs, of = _meeting(segments)
     a, b = find_curved(pairing, u, sides, pairs)
     c_s, c_m = (
-        missed_sagittas(side.facets, c) for side, c in zip((a, b), _common(a, b), strict=True)
+        missed_sagittas(side.facets, common_sagittas(side.facets, side.sagitta, other.K))
+        for side, other in ((a, b), (b, a))
     )
     h_s = heights(a.facets, c_s, of, segments.xi_s)
     return np.asarray(h_s + heights(b.facets, c_m, of, segments.xi_m))
-
-
-def _common(a: Curved, b: Curved) -> tuple[Floats, Floats]:
-    """Return the c_ab of both sides of the surface that they share where they touch."""
-    return common_sagittas(a.facets, a.sagitta, b.K), common_sagittas(b.facets, b.sagitta, a.K)
 
 
 def facet_stretches(pairing: Pairing, u: dolfinx.fem.Function) -> tuple[Floats, Floats]:

@@ -123,6 +123,16 @@ def absorbed(
     return result
 
 
+def absorbing(shares: Sequence[tuple[int, int, int]], kept: Bools) -> Floats:
+    """Return T (m, k, k) with N~ = T N on facets of which nodes (m, k) have multipliers."""
+    T = np.repeat(np.eye(kept.shape[1])[None], len(kept), axis=0)
+    for middle, *ends in shares:
+        part = ALPHA * kept[:, middle]
+        T[:, ends, middle] = part[:, None]
+        T[:, middle, middle] -= 2 * part
+    return T
+
+
 @numba.njit(**SUMS)
 def _orthonormalise(Q, R):  # type: ignore[no-untyped-def]
     """Replace the rows of Q (k, q) by those of Q^T with Q R; return the least R_jj / |row j|.
@@ -251,11 +261,6 @@ class Duals:
     def shares(self) -> Floats:
         """The part (m, k) that functions have of what their sum misses of 1."""
         return np.asarray(self.kept / np.maximum(self.kept.sum(axis=1, keepdims=True), 1))
-
-    def at(self, facet: Ints, N: Floats) -> Floats:
-        """Return Phi (q, k) at other points of facets (q,) for values N~ (q, k)."""
-        coefficients = self.share_out(self.A)[facet]
-        return np.asarray(np.einsum("qjb,qb->qj", coefficients, N) + self.shares[facet])
 
 
 def create_duals(N: Floats, weight: Floats, slave: Ints, kept: Bools) -> Duals:

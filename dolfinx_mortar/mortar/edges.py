@@ -17,7 +17,7 @@ import numpy as np
 import dolfinx
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import is_number
-from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints
+from dolfinx_mortar.arrays import TINY, Bools, Floats, Longs
 from dolfinx_mortar.geometry.curvature import unit
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -25,7 +25,6 @@ from dolfinx_mortar.geometry.facets import (
     facet_sizes,
     normals_at_nodes,
     points_of,
-    size_slopes,
 )
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.duals import weighted_duals
@@ -197,31 +196,17 @@ def _closed(
     return np.asarray(np.clip(1.0 - widest, 0.0, 1.0))
 
 
-@dataclass(frozen=True, eq=False)
-class PartlyOpen:
-    """Slave facets (f,) that share out in part, 1 - o_j / (SUNK L), L being their size."""
-
-    facets: Ints  # (f,)
-    node: Ints  # (f,) number on the facet of the widest opening j
-    opening: Floats  # (f,) o_j
-    by_moment: Floats  # (f,) derivative of the part by int N_j (gap - o_j), o_j being fixed
-    by_x: Floats  # (f, k, d) that by the coordinates, by which L changes
-
-
-def find_partly_open(
+def widest_openings(
     pairing: Pairing, segments: Segments, u: dolfinx.fem.Function, sharing: Sharing
-) -> PartlyOpen:
-    """Return the slave facets that share out in part; collective.
+) -> Longs:
+    """Return the node of the widest opening of slave facets (m,), its number there; collective.
+
+    -1 on facets that do not share out in part.
 
     Args:
         segments: Those at X + u, of all slave facets or of some.
         sharing: Of the same.
     """
-    found = _openings(pairing, segments, u, sharing.silent)
-    some = np.flatnonzero((sharing.closed > 0.0) & (sharing.closed < 1.0)).astype(np.int32)
-    node = found.opening[some].argmax(axis=1).astype(np.int32)
-    (opening, weight), x = (v[some, node] for v in (found.opening, found.weight)), found.facets.x
-    size = SUNK * facet_sizes(x[some])
-    by_size = SUNK * opening / size**2
-    by_x = by_size[:, None, None] * size_slopes(x[some])
-    return PartlyOpen(some, node, opening, -1.0 / (size * weight), by_x)
+    widest = _openings(pairing, segments, u, sharing.silent).opening.argmax(axis=1)
+    partly = (sharing.closed > 0.0) & (sharing.closed < 1.0)
+    return np.where(partly, widest, -1)

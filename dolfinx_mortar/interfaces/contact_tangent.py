@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from petsc4py import PETSc
 
@@ -24,13 +24,9 @@ from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.coupling import CoupledSides, node_motions
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.mortar.common_normals import in_planes
-from dolfinx_mortar.mortar.curvature_correction import height_slopes
-from dolfinx_mortar.mortar.derivatives import Derivatives, Tractions, differentiate
-from dolfinx_mortar.mortar.duals import weighted_duals
-from dolfinx_mortar.mortar.edges import find_sharing, open_duals
+from dolfinx_mortar.mortar.edges import find_sharing
 from dolfinx_mortar.mortar.integrals import some_points
 from dolfinx_mortar.mortar.pairing import receive
-from dolfinx_mortar.mortar.space_derivatives import differentiate_in_space, facing_derivatives
 from dolfinx_mortar.mortar.surface import (
     Surface,
     accumulate,
@@ -38,6 +34,7 @@ from dolfinx_mortar.mortar.surface import (
     nodal_normals,
     normal_derivatives,
 )
+from dolfinx_mortar.mortar.tangent import Derivatives, Tractions, differentiate
 
 
 @dataclass(frozen=True)
@@ -185,7 +182,7 @@ class ContactDerivatives(LinkDerivatives):
         """
         slave, (_, operators) = link.sides.slave, link.mortar
         x = coordinates(slave, u)
-        given, keep = _tractions(link, multipliers, tangential)
+        given, keep = tractions_of(link, _turning(link), multipliers, tangential)
         asked, loaded = self.asked, np.asarray(given.tractions.any(axis=1))
         known: Bools = np.ones_like(loaded)
         if _in_space(link):
@@ -205,33 +202,25 @@ class ContactDerivatives(LinkDerivatives):
         self, link: CoupledSides, u: fem.Function, segments: Segments, keep: Bools, given: Tractions
     ) -> Derivatives:
         """Return the derivatives on this rank; collective."""
-        pairing, smooth = link.mortar[0], link.pattern.smooth
-        Phi, sharing, edges = weighted_duals(pairing, segments, keep), None, link.sides.edges
+        pairing, master, edges = link.mortar[0], link.sides.master, link.sides.edges
+        assert master is not None
+        sharing = None
         if edges is not None:
             banned = link.banned[link.sides.slave.nodes]
             sharing = find_sharing(pairing, segments, u, keep, edges, banned)
-            Phi = open_duals(pairing, segments, Phi, keep, sharing)
-        at = pairing, u, segments, keep, Phi, given
-        master = pairing.master
         normals = receive(pairing, nodal_normals(master, coordinates(master, u)))
-        if _in_space(link):
-            found = differentiate_in_space(*at, smooth, sharing)
-            if master is pairing.slave:  # without d(w Phi_j) a ring that closes does not converge
-                return found
-            return replace(found, b_x=[facing_derivatives(pairing, u, segments, Phi, normals)])
-        slopes = None if smooth is None else height_slopes(pairing, segments, u, smooth)
-        return differentiate(*at, normals, slopes, sharing)
+        at = pairing, u, segments, keep, given, link.pattern.smooth, sharing
+        return differentiate(*at, normals)
 
     def slips(
         self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
     ) -> SlipRows:
         """Return the rows of slips at the iterate that was differentiated last; collective."""
-        n, turning = _turning(link)
-        along = (partners.motion(link, since) * link.coupling.R[:, :, 0]).sum(axis=1)
-        by_n = partners.motion_by_normals(link) - along[:, None, None] * np.eye(n.shape[1])
-        by_n[~partners.known] = 0.0
         tangents = link.coupling.rows[:, 1:]
-        turned = tangents @ by_n @ turning
+        along = (partners.motion(link, since) * link.coupling.R[:, :, 0]).sum(axis=1)
+        by_n = partners.motion_by_normals(link) - along[:, None, None] * np.eye(tangents.shape[2])
+        by_n[~partners.known] = 0.0
+        turned = tangents @ by_n @ _turning(link)
         return SlipRows(link, partners, turned, self.normals.zero(), tangents)
 
 
@@ -342,34 +331,34 @@ def layout_of(V: fem.FunctionSpace) -> Unknowns:
     return Unknowns(d * index_map.size_local, d * index_map.size_global)
 
 
-def _turning(link: CoupledSides) -> tuple[Floats, Floats]:
-    """Return the normals n_j (n, d) of the owned slave nodes, 0 where not kept, and dn_j/dn.
+def _turning(link: CoupledSides) -> Floats:
+    """Return dn_j/dn (n, d, d) of the normals of the owned slave nodes, 0 where not kept.
 
-    n_j is the normal of contact without the directions that mirror planes take.
+    By the normals of contact with the directions that mirror planes take.
     """
     assert link.coupling.common is not None
-    kept = link.coupling.kept[:, 0]
-    n = np.where(kept[:, None], link.coupling.normals, 0.0)
+    kept, n = link.coupling.kept[:, 0], link.coupling.normals
     free = ~link.sides.mirrors[link.nodes]
     left = np.linalg.norm(link.coupling.common.n * free, axis=1)
     turning = (np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :]) * free[:, None, :]
     turning /= np.where(kept, left, 1.0)[:, None, None]
     turning[~kept] = 0.0
-    return n, turning
+    return np.asarray(turning)
 
 
-def _tractions(
-    link: CoupledSides, multipliers: Floats, tangential: Floats | None
+def tractions_of(
+    link: CoupledSides, turning: Floats, multipliers: Floats, tangential: Floats | None
 ) -> tuple[Tractions, Bools]:
     """Return normals, tractions, and which local slave nodes are kept; collective.
 
     Args:
+        turning: derivatives (n, d, d) of the normals, by what the tractions shall be.
         multipliers: lambda_j (owned nodes,).
         tangential: tangential tractions (owned nodes, d), None without friction.
     """
     slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
     nodes, kept = link.nodes, link.coupling.kept[:, 0]
-    n, turning = _turning(link)
+    n = np.where(kept[:, None], link.coupling.normals, 0.0)
     at = multipliers[nodes] * kept
     traction, change = at[:, None] * n, at[:, None, None] * turning
     if tangential is not None:

@@ -1,0 +1,588 @@
+# SPDX-License-Identifier: MIT
+r"""Derivatives of contact forces and weighted gaps by the coordinates of both sides.
+
+With the moments S, R and H of a slave facet (`geometry.moments`), its dual functions
+Phi_j = sum_b C_jb N_b, tractions c_j = lambda_j n_j + tau_j and the nodes x_k and y_l of both sides
+
+    D = C S,   M = C R,   F_k = sum_j D_jk c_j,   F_l = -sum_j M_jl c_j,
+    G_j = n_j.(sum_l M_jl y_l - sum_k D_jk x_k) - (C H)_j,     b_j = sum_l M_jl n_l,
+
+so that all derivatives follow from those of the moments, which the complex step gives, by the
+product rule. That of C: over the nodes that carry a multiplier, with N~ = T N of `duals.absorbed`,
+m = T S T^T and d = T S 1,
+
+    A = diag(d) m^-1,   dA = (diag(dd) - A dm) m^-1,   C = (A - mean of its rows) T + 1 / count.
+
+Beside open edges C is a mean of two such, with shares that depend on the opening (`edges`). Tools
+have no master: for H stands minus the integral of N_j phi. By the normals n_j, and of these by the
+coordinates, the derivatives are apart: they may depend on facets of other ranks.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+
+import dolfinx
+from dolfinx.common import timed
+from dolfinx_mortar.algebra.block_sums import Blocks
+from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.geometry import area, line
+from dolfinx_mortar.geometry.curvature import (
+    fill_curvature,
+    fill_heights,
+    height_element,
+    height_table,
+    node_pairs,
+)
+from dolfinx_mortar.geometry.facets import Facets
+from dolfinx_mortar.geometry.moments import KERNEL, STEP, add_whole
+from dolfinx_mortar.geometry.plane import fill_axes
+from dolfinx_mortar.geometry.segments import Segments
+from dolfinx_mortar.mortar import edges
+from dolfinx_mortar.mortar.curvature_correction import SmoothSide, pair_sagittas
+from dolfinx_mortar.mortar.duals import Duals, absorbing, find_duals
+from dolfinx_mortar.mortar.edges import Sharing, widest_openings
+from dolfinx_mortar.mortar.pairing import Pairing, received_facets
+from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals
+
+
+@dataclass(frozen=True, eq=False)
+class Tractions:
+    """Constraint normals and tractions at the local slave nodes, as functions of the normals."""
+
+    normals: Floats  # (n, d) n_j of gaps; zero where no multiplier is carried
+    turning: Floats  # (n, d, d) dn_j/dn of the normals n before Dirichlet data restrict them
+    tractions: Floats  # (n, d) c_j
+    changes: Floats  # (n, d, d) dc_j/dn
+
+
+@dataclass(frozen=True, eq=False)
+class Derivatives:
+    """Derivatives of the part of forces F, gaps G and b that this rank's slave facets have.
+
+    Rows of F belong to the coordinates of the slave nodes, then of the received master nodes. Each
+    is the sum of parts.
+    """
+
+    F_x: Sequence[Blocks]  # (d n + d nm, d n + d nm) by the coordinates of the same nodes
+    F_n: Sequence[Blocks]  # (d n + d nm, d n) by the normals of contact
+    G_x: Sequence[Blocks]  # (n, d n + d nm)
+    G_n: Sequence[Blocks]  # (n, d n)
+    F_p: Sequence[Blocks] = ()  # (d n + d nm, d n) by the directions of projection in the plane
+    G_p: Sequence[Blocks] = ()  # (n, d n)
+    b_x: Sequence[Blocks] = ()  # (d n, d n + d nm) of b_j with fixed n_l
+    b_p: Sequence[Blocks] = ()  # (d n, d n)
+
+
+class _Basis(NamedTuple):
+    """Dual functions of facets (p,), first with all shared out, then with nothing."""
+
+    T: Floats  # (p, 2, k, k)
+    inverse: Floats  # (p, 2, k, k) m^-1, 0 for nodes without multiplier
+    kept: Bools  # (p, 2, k)
+    closed: Floats  # (p,) share of the first
+
+
+class _Fixed(NamedTuple):
+    """What does not change with the coordinates."""
+
+    c: Floats  # (p, k, d)
+    n: Floats  # (p, k, d)
+    n_m: Floats  # (p, m, d) n_l
+
+
+class _Sides(NamedTuple):
+    """Slave facets (p,) and the master facets (P,) that they face, those of a facet together."""
+
+    x: Floats  # (p, k, d)
+    n: Floats  # (p, k, 2) directions of projection; (p, 0, 3) in space
+    y: Floats  # (p, m, d) the different nodes of the masters
+    start: Longs  # (p + 1,)
+    place: Longs  # (P, l) nodes of the masters among y
+    deepest: Floats  # (P,)
+    factor: Floats  # (p, k) weight of the integrals at the nodes
+    partly: Longs  # (p,) node with the widest opening where it matters, else -1
+
+
+class _Surfaces(NamedTuple):
+    """Heights of smooth surfaces."""
+
+    c_s: Floats  # (P, e) c_ab; (P, 0) without
+    c_m: Floats  # (P, e')
+    arcs: Floats  # (P, 2, 2) see `moments.add_point`
+    shared: bool  # whether both sides share one surface
+    table_s: Floats  # (e, k, k)
+    table_m: Floats
+    pairs_s: Longs  # (2, e) pairs of nodes
+    pairs_m: Longs
+    corners: tuple[int, int]
+
+
+class _Results(NamedTuple):
+    """Derivatives by the z coordinates: of the slave facet, directions, and nodes of masters."""
+
+    F: Floats  # (p, k + m, d, z)
+    G: Floats  # (p, k, z)
+    b: Floats  # (p, k, d, z)
+    D: Floats  # (p, k, k) values
+    M: Floats  # (p, k, m)
+
+
+@numba.njit(**KERNEL)
+def _product(A, B, C):  # type: ignore[no-untyped-def]
+    """Write A B into C."""
+    for i in range(A.shape[0]):
+        for j in range(B.shape[1]):
+            C[i, j] = 0.0
+            for k in range(A.shape[1]):
+                C[i, j] += A[i, k] * B[k, j]
+
+
+@numba.njit(**KERNEL)
+def _close(A, T, kept, count, C):  # type: ignore[no-untyped-def]
+    """Write (A - mean of its rows) T into C, for the count of nodes kept (k,); A is lost."""
+    for b in range(len(A)):
+        mean = A[:, b].sum() / count
+        for j in range(len(A)):
+            A[j, b] -= mean * kept[j]
+    _product(A, T, C)
+
+
+@numba.njit(**KERNEL)
+def _add_duals(S, dS, T, inverse, kept, mask, factor, C, dC):  # type: ignore[no-untyped-def]
+    """Add a factor times C (k, k), in the rows of a mask (k,), and its derivatives (z, k, k)."""
+    k, T_T, count = len(S), T.T, max(kept.sum(), 1)
+    N, m, A, dA, other = np.empty((5, k, k))
+    _product(T, S, N)
+    for j in range(k):
+        for b in range(k):
+            A[j, b] = dA[j, b] = N[j].sum() * inverse[j, b]
+    _close(dA, T, kept, count, other)
+    for j in range(k):
+        for b in range(k):
+            C[j, b] += factor * mask[j] * (other[j, b] + kept[j] / count)
+    for z in range(len(dS)):
+        _product(T, dS[z], N)
+        _product(N, T_T, m)
+        _product(A, m, other)
+        for j in range(k):
+            for b in range(k):
+                other[j, b] = -other[j, b]
+            other[j, j] += N[j].sum()
+        _product(other, inverse, dA)
+        _close(dA, T, kept, count, other)
+        for j in range(k):
+            for b in range(k):
+                dC[z, j, b] += factor * mask[j] * other[j, b]
+
+
+@numba.njit(**KERNEL)
+def _all_duals(S, dS, basis, f, d_closed, C, dC):  # type: ignore[no-untyped-def]
+    """Write C (k, k) and its derivatives (z, k, k) of facet f; `d_closed` (z,) of its share."""
+    k, closed, kept = len(S), basis.closed[f], basis.kept[f]
+    C[:], dC[:] = 0.0, 0.0
+    _add_duals(S, dS, basis.T[f, 0], basis.inverse[f, 0], kept[0], kept[0], closed, C, dC)
+    if closed < 1.0:
+        both = np.zeros((2, k, k))
+        for i in range(2):
+            at = basis.T[f, i], basis.inverse[f, i], kept[i], kept[0]
+            _add_duals(S, dS[:0], *at, 1.0, both[i], dC[:0])
+        at = basis.T[f, 1], basis.inverse[f, 1], kept[1], kept[0]
+        _add_duals(S, dS, *at, 1.0 - closed, C, dC)
+        for z in range(len(dS)):
+            for j in range(k):
+                for b in range(k):
+                    dC[z, j, b] += d_closed[z] * (both[0, j, b] - both[1, j, b])
+
+
+@numba.njit(**KERNEL)
+def _add_products(dC, S, C, dS, spare, dD):  # type: ignore[no-untyped-def]
+    """Write dC S + C dS into dD."""
+    _product(dC, S, dD)
+    _product(C, dS, spare)
+    for j in range(dD.shape[0]):
+        for a in range(dD.shape[1]):
+            dD[j, a] += spare[j, a]
+
+
+@numba.njit(**KERNEL)
+def _apply(S, R, H, dS, dR, dH, C, dC, fixed, x, y, f, found):  # type: ignore[no-untyped-def]
+    """Write the derivatives of facet f but for those of x and y at fixed D and M."""
+    k, m = R.shape
+    _product(C, S, found.D[f])
+    _product(C, R, found.M[f])
+    dD, spare_D, dM, spare_M = (
+        np.empty((k, k)),
+        np.empty((k, k)),
+        np.empty((k, m)),
+        np.empty((k, m)),
+    )
+    for z in range(len(dS)):
+        _add_products(dC[z], S, C, dS[z], spare_D, dD)
+        _add_products(dC[z], R, C, dR[z], spare_M, dM)
+        _contract(dD, dM, fixed, x, y, f, z, found)
+        for j in range(k):
+            for b in range(k):
+                found.G[f, j, z] -= dC[z, j, b] * H[b] + C[j, b] * dH[z, b]
+
+
+@numba.njit(**KERNEL)
+def _contract(dD, dM, fixed, x, y, f, z, found):  # type: ignore[no-untyped-def]
+    """Add what dD and dM give to the derivatives of facet f by z."""
+    c, n, n_m, (k, m) = fixed.c[f], fixed.n[f], fixed.n_m[f], dM.shape
+    for j in range(k):
+        for i in range(x.shape[1]):
+            moved = 0.0
+            for a in range(k):
+                found.F[f, a, i, z] += dD[j, a] * c[j, i]
+                moved -= dD[j, a] * x[a, i]
+            for a in range(m):
+                found.F[f, k + a, i, z] -= dM[j, a] * c[j, i]
+                found.b[f, j, i, z] += dM[j, a] * n_m[a, i]
+                moved += dM[j, a] * y[a, i]
+            found.G[f, j, z] += n[j, i] * moved
+
+
+@numba.njit(**KERNEL)
+def _move(n, D, M, others, G):  # type: ignore[no-untyped-def]
+    """Add n_j.(M_jl dy_l - D_jk dx_k) to G (k, z); the nodes of masters are the last columns."""
+    k, d = n.shape
+    for j in range(k):
+        for i in range(d):
+            for a in range(k):
+                G[j, d * a + i] -= D[j, a] * n[j, i]
+            for a in range(M.shape[1]):
+                G[j, others + d * a + i] += M[j, a] * n[j, i]
+
+
+@numba.njit(**KERNEL)
+def _share(x, y, S, R, j, corners, sunk):  # type: ignore[no-untyped-def]
+    """Return 1 - o_j / (sunk L), see `edges`, from the moments of the positive part of N_j."""
+    k, d = x.shape
+    n = np.empty((3, 3), x.dtype)
+    if d == 2:
+        t0, t1 = x[1, 0] - x[0, 0], x[1, 1] - x[0, 1]
+        length = np.sqrt(t0 * t0 + t1 * t1)
+        n[2, 0], n[2, 1] = t1 / length, -t0 / length
+    else:
+        fill_axes(x[:corners], 1.0, n)
+    weight, gap, size = 0.0 * x[0, 0], 0.0 * x[0, 0], 0.0 * x[0, 0]
+    for a in range(k):
+        weight, square = weight + S[j, a], 0.0 * x[0, 0]
+        for i in range(d):
+            gap -= S[j, a] * x[a, i] * n[2, i]
+            offset = x[a, i] - x[:, i].sum() / k
+            square += offset * offset
+        size = square if square.real > size.real else size
+    for a in range(len(y)):
+        for i in range(d):
+            gap += R[j, a] * y[a, i] * n[2, i]
+    return 1.0 - gap / (weight * sunk * 2.0 * np.sqrt(size))
+
+
+@numba.njit(**KERNEL)
+def _fill_heights(x, Y, which, surfaces, heights):  # type: ignore[no-untyped-def]
+    """Write the heights over a slave facet and masters Y (c, l, d), see `moments.add_point`."""
+    Q_s, Q_m, arcs = heights
+    p_s, p_m, shared, d = surfaces.pairs_s, surfaces.pairs_m, surfaces.shared, x.shape[1]
+    K = np.zeros((2, d, d), x.dtype)
+    for r in range(len(Q_s)):
+        c_s, c_m = surfaces.c_s[which[r]], surfaces.c_m[which[r]]
+        if shared:
+            fill_curvature(x, surfaces.corners[0], c_s, p_s[0], p_s[1], K[0])
+            fill_curvature(Y[r], surfaces.corners[1], c_m, p_m[0], p_m[1], K[1])
+        fill_heights(x, c_s, shared, K[1], p_s[0], p_s[1], surfaces.table_s, Q_s[r])
+        fill_heights(Y[r], c_m, shared, K[0], p_m[0], p_m[1], surfaces.table_m, Q_m[r])
+        arcs[r] = surfaces.arcs[which[r]]
+
+
+@numba.njit(**KERNEL)
+def _at_node(place, first, last, node):  # type: ignore[no-untyped-def]
+    """Return the pairs from first to last whose masters have a node."""
+    count, some = 0, np.empty(last - first, np.int64)
+    for r in range(first, last):
+        if (place[r] == node).any():
+            some[count], count = r, count + 1
+    return some[:count]
+
+
+def _evaluator(moments: Any) -> Any:
+    """Return the compiled moments of one slave facet, by `line.moments` or `area.moments`."""
+
+    @numba.njit(**KERNEL)
+    def evaluate(v, f, some, sides, surfaces, tables, positive, S, R, H):  # type: ignore[no-untyped-def]
+        """Write the moments of facet f and some of its masters at v; R (k, m) by their nodes."""
+        k, lines, c, smooth = len(S), sides.n.shape[1], len(some), surfaces.c_s.shape[1] > 0
+        x, n, y = v[:k], v[k : k + lines], v[k + lines :]
+        Y = np.empty((c, sides.place.shape[1], x.shape[1]), v.dtype)
+        each, deepest = np.zeros((c, k, Y.shape[1]), v.dtype), np.empty(c)
+        Q_s, Q_m = (np.empty((c * smooth, a, a), v.dtype) for a in (k, Y.shape[1]))
+        heights = Q_s, Q_m, np.empty((c * smooth, 2, 2))
+        S[:], R[:], H[:] = 0.0, 0.0, 0.0
+        for r in range(c):
+            deepest[r] = sides.deepest[some[r]]
+            for a in range(Y.shape[1]):
+                Y[r, a] = y[sides.place[some[r], a]]
+        _fill_heights(x, Y, some, surfaces, heights)
+        at = sides.factor[f], heights, positive, tables
+        hidden = moments(x, n, Y, deepest, *at, S, each, H)
+        for r in range(c):
+            for a in range(Y.shape[1]):
+                for j in range(k):
+                    R[j, sides.place[some[r], a]] += each[r, j, a]
+        return hidden
+
+    return evaluate
+
+
+def _loop(evaluate: Any) -> Any:
+    """Return the compiled loop over slave facets, with moments of `_evaluator`."""
+
+    @numba.njit(**KERNEL)
+    def differentiate(sides, surfaces, tables, basis, fixed, sunk, found):  # type: ignore[no-untyped-def]
+        """Write the derivatives of all facets."""
+        (p, k, d), lines, m = sides.x.shape, sides.n.shape[1], sides.y.shape[1]
+        size, v = d * (k + lines + m), np.empty((k + lines + m, d), np.complex128)
+        S, R, H = np.empty((k, k), v.dtype), np.empty((k, m), v.dtype), np.empty(k, v.dtype)
+        S0, R0, H0 = np.empty((k, k)), np.empty((k, m)), np.empty(k)
+        dS, dR, dH = np.empty((size, k, k)), np.empty((size, k, m)), np.empty((size, k))
+        C, dC, shares = np.empty((k, k)), np.empty((size, k, k)), np.zeros(size)
+        for f in range(p):
+            v[:k], v[k : k + lines], v[k + lines :] = sides.x[f], sides.n[f], sides.y[f]
+            first, last, hidden = sides.start[f], sides.start[f + 1], False
+            every = np.arange(first, last)
+            for z in range(size):
+                a, some = z // d, every
+                if a >= k + lines and not hidden:  # pairs do not know of each other
+                    some = _at_node(sides.place, first, last, a - k - lines)
+                v[a, z % d] += 1j * STEP
+                at = sides, surfaces, tables
+                hidden = evaluate(v, f, some, *at, False, S, R, H) or hidden
+                if z == 0:
+                    S0[:], R0[:], H0[:] = S.real, R.real, H.real
+                dS[z], dR[z], dH[z] = S.imag / STEP, R.imag / STEP, H.imag / STEP
+                if sides.partly[f] >= 0:
+                    evaluate(v, f, every, *at, True, S, R, H)
+                    node = sides.partly[f], surfaces.corners[0], sunk
+                    shares[z] = _share(v[:k], v[k + lines :], S, R, *node).imag / STEP
+                v[a, z % d] = v[a, z % d].real
+            _all_duals(S0, dS, basis, f, shares, C, dC)
+            _apply(S0, R0, H0, dS, dR, dH, C, dC, fixed, sides.x[f], sides.y[f], f, found)
+            _move(fixed.n[f], found.D[f], found.M[f], d * (k + lines), found.G[f])
+
+    return differentiate
+
+
+@numba.njit(**KERNEL)
+def _differentiate_whole(x, by_x, rule, factor, phi, basis, fixed, found):  # type: ignore[no-untyped-def]
+    """Write the derivatives of whole facets, see `differentiate_whole`."""
+    p, k, d = x.shape
+    size, none_open, at = d * k, np.zeros(d * k), np.empty((k, d), np.complex128)
+    S, H = np.empty((k, k), at.dtype), np.empty(k, at.dtype)
+    S0, H0, none = np.empty((k, k)), np.empty(k), np.empty((k, 0))
+    dS, dR, dH = np.empty((size, k, k)), np.empty((size, k, 0)), np.empty((size, k))
+    C, dC, y = np.empty((k, k)), np.empty((size, k, k)), np.empty((0, d))
+    for f in range(p):
+        at[:] = x[f]
+        for z in range(size):
+            at[z // d, z % d] += 1j * STEP
+            S[:], H[:] = 0.0, 0.0
+            add_whole(at, by_x[f], x[f], rule, factor[f], phi[f], S, H)
+            dS[z], dH[z] = S.imag / STEP, H.imag / STEP
+            at[z // d, z % d] = x[f, z // d, z % d]
+        S0[:], H0[:] = S.real, H.real
+        _all_duals(S0, dS, basis, f, none_open, C, dC)
+        _apply(S0, none, H0, dS, dR, dH, C, dC, fixed, x[f], y, f, found)
+
+
+def differentiate_whole(
+    facets: Facets, xi: Floats, weights: Floats, phi: Floats, by_x: Floats, duals: Duals, c: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return dF (f, k, d, k, d), dg (f, k, k, d) and D (f, k, k) on whole facets, below a tool.
+
+    Args:
+        facets: (f,) at X + u.
+        xi: (q, d-1) points of a rule.
+        weights: (f, q) its weights on the reference facet, times the factor of the integrals.
+        phi: (f, q) distances.
+        by_x: (f, q, k, d) their derivatives by the places of the nodes.
+        duals: of the facets.
+        c: (f, k, d) tractions.
+    """
+    (p, k, d), element, kept = facets.x.shape, facets.element, duals.kept
+    T = absorbing(element.shares, kept)
+    basis = _Basis(T[:, None], duals.inverse[:, None], kept[:, None], np.ones(p))
+    fixed = _Fixed(c, np.zeros((p, k, d)), np.zeros((p, 0, d)))
+    shapes = (k, d, k * d), (k, k * d), (k, d, k * d), (k, k), (k, 0)
+    found = _Results(*(np.zeros((p, *shape)) for shape in shapes))
+    rule = tuple(
+        np.ascontiguousarray(f(xi)) for f in (element.shape_functions, element.derivatives)
+    )
+    _differentiate_whole(facets.x, by_x, rule, weights, phi, basis, fixed, found)
+    return found.F.reshape(p, k, d, k, d), found.G.reshape(p, k, k, d), found.D
+
+
+_LOOPS = {2: _loop(_evaluator(line.moments)), 3: _loop(_evaluator(area.moments))}
+
+
+@timed("~Mortar: derivatives")
+def differentiate(
+    pairing: Pairing,
+    u: dolfinx.fem.Function,
+    segments: Segments,
+    keep: Bools,
+    given: Tractions,
+    smooth: tuple[SmoothSide, SmoothSide] | None = None,
+    sharing: Sharing | None = None,
+    normals: Floats | None = None,
+) -> Derivatives:
+    """Return the derivatives of forces and weighted gaps at X + u (collective).
+
+    Args:
+        pairing: The pair of surfaces.
+        segments: Its segments at X + u, of all slave facets or of some.
+        keep: Local slave nodes (n,) that carry a multiplier.
+        given: Normals and tractions.
+        smooth: Smooth surfaces at X; None for facets.
+        sharing: What is shared out beside edges; None without.
+        normals: n_l (nm, d) of the received master nodes; zero if not given.
+    """
+    slave, master = pairing.slave, received_facets(pairing, u)
+    x = coordinates(slave, u)
+    facets, (d, n) = facets_at(slave, x), (x.shape[1], len(x))
+    directions = (
+        nodal_normals(slave, x)[slave.facets] if d == 2 else np.zeros((len(facets.x), 0, 3))
+    )
+    used = np.unique(segments.pair)
+    surfaces = _surfaces(pairing, u, smooth, used)
+    bases = [find_duals(pairing, segments, keep)]
+    closed, partly = np.ones(len(facets.x)), np.full(len(facets.x), -1)
+    if sharing is not None:
+        bases.append(find_duals(pairing, segments, keep | sharing.silent))
+        closed, partly = sharing.closed, widest_openings(pairing, segments, u, sharing)
+    factor = np.ones(slave.facets.shape)
+    if pairing.weight is not None:
+        factor = pairing.weight(slave.X)[slave.facets]
+    normals = np.zeros_like(pairing.master_X) if normals is None else normals
+    y = np.empty_like(pairing.master_X)
+    y[pairing.master_facets] = master.x
+    tables = (line if d == 2 else area).tables(facets.element, master.element)
+    parts: dict[str, list[Blocks]] = {field.name: [] for field in fields(Derivatives)}
+    for group in _groups(pairing, used):
+        s, k, m = group.facets, slave.element.nodes, group.nodes.shape[1]
+        own, lines = slave.facets[s], directions.shape[1]
+        sides = _Sides(
+            facets.x[s],
+            directions[s],
+            y[group.nodes],
+            group.start,
+            group.place,
+            pairing.deepest[used[group.pairs]],
+            factor[s],
+            partly[s],
+        )
+        both = [bases[0], bases[-1]]
+        basis = _Basis(
+            np.stack([absorbing(slave.element.shares, one.kept[s]) for one in both], axis=1),
+            np.stack([one.inverse[s] for one in both], axis=1),
+            np.stack([one.kept[s] for one in both], axis=1),
+            closed[s],
+        )
+        fixed = _Fixed(given.tractions[own], given.normals[own], normals[group.nodes])
+        z = d * (k + lines + m)
+        shapes = (k + m, d, z), (k, z), (k, d, z), (k, k), (k, m)
+        found = _Results(*(np.zeros((len(s), *shape)) for shape in shapes))
+        at = sides, _some(surfaces, group.pairs), tables, basis, fixed, edges.SUNK, found
+        _LOOPS[d](*at)
+        _add_parts(parts, found, given, sides, own, n + group.nodes)
+    return Derivatives(**parts)
+
+
+def _surfaces(
+    pairing: Pairing,
+    u: dolfinx.fem.Function,
+    smooth: tuple[SmoothSide, SmoothSide] | None,
+    used: Ints,
+) -> _Surfaces:
+    """Return the heights of pairs (P,); collective."""
+    types, none = (pairing.slave.element, pairing.master.element), np.empty((len(used), 0))
+    c_s, c_m, arcs = none, none, np.empty((len(used), 2, 2))
+    if smooth is not None:
+        c_s, c_m, arcs = pair_sagittas(pairing, u, smooth, used)
+    ends = (
+        np.array(node_pairs(height_element(one, c)), dtype=np.int64)
+        for one, c in zip(types, (c_s, c_m), strict=True)
+    )
+    tables = (height_table(one, c.shape[1]) for one, c in zip(types, (c_s, c_m), strict=True))
+    first = types[0].degree == 1
+    corners = len(types[0].vertices), len(types[1].vertices)
+    return _Surfaces(c_s, c_m, arcs, first, *tables, *ends, corners)
+
+
+def _some(surfaces: _Surfaces, pairs: Longs) -> _Surfaces:
+    """Return the heights of some pairs."""
+    parts = (np.ascontiguousarray(v[pairs]) for v in surfaces[:3])
+    return _Surfaces(*parts, *surfaces[3:])
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Slave facets with as many different master nodes each."""
+
+    facets: Longs  # (p,)
+    nodes: Ints  # (p, m) nodes that have been received
+    pairs: Longs  # (P,) positions of their pairs among all, those of a facet together
+    start: Longs  # (p + 1,) those of a facet
+    place: Longs  # (P, l) nodes of the master facets among those of the slave facet
+
+
+def _groups(pairing: Pairing, used: Ints) -> list[_Group]:
+    """Return the groups of the slave facets of some pairs, which are ordered by these."""
+    s, m = pairing.pairs[used].T.astype(np.int64)
+    nodes = pairing.master_facets[m].astype(np.int64)
+    size = len(pairing.master_nodes)
+    keys, place = np.unique(s[:, None] * size + nodes, return_inverse=True)
+    facets, first, count = np.unique(keys // max(size, 1), return_index=True, return_counts=True)
+    of = np.searchsorted(facets, s)
+    place = place.reshape(nodes.shape) - first[of][:, None]
+    groups = []
+    for m in np.unique(count):
+        which = np.flatnonzero(count == m)
+        pairs = np.flatnonzero(count[of] == m)
+        start = np.searchsorted(s[pairs], np.append(facets[which], np.iinfo(np.int64).max))
+        all_nodes = (keys % size)[first[which][:, None] + np.arange(m)]
+        groups.append(_Group(facets[which], all_nodes.astype(np.int32), pairs, start, place[pairs]))
+    return groups
+
+
+def _add_parts(
+    parts: dict[str, list[Blocks]],
+    found: _Results,
+    given: Tractions,
+    sides: _Sides,
+    own: Ints,
+    others: Ints,
+) -> None:
+    """Add the derivatives of a group of facets with nodes (p, k) and (p, m) to the parts."""
+    (_, k, d), lines = sides.x.shape, sides.n.shape[1]
+    both = np.concatenate([own, others], axis=1)
+    z = found.F.shape[-1]
+    by_x = np.r_[0 : d * k, d * (k + lines) : z]
+    by_p = np.arange(d * k, d * (k + lines))
+    values = {"F": (both, found.F), "G": (own, found.G[:, :, None]), "b": (own, found.b)}
+    for name, (rows, value) in values.items():
+        for of, nodes, columns in (("x", both, by_x), ("p", own, by_p)):
+            if len(columns):
+                shape = *value.shape[:-1], nodes.shape[1], d
+                block = Blocks(rows, nodes, value[..., columns].reshape(shape))
+                parts[f"{name}_{of}"].append(block)
+    by_c = np.concatenate([found.D, -found.M], axis=2)
+    forces = np.einsum("pjr,pjih->prijh", by_c, given.changes[own])
+    parts["F_n"].append(Blocks(both, own, forces))
+    v = found.M @ sides.y - found.D @ sides.x
+    gaps = (v[:, :, None] @ given.turning[own]).reshape(-1, 1, 1, 1, d)
+    each = own.reshape(-1, 1)  # a gap depends on the normal of its own node
+    parts["G_n"].append(Blocks(each, each, gaps))
