@@ -237,30 +237,13 @@ class Duals:
     A = diag(d) m^-1, d = int N~ and m = int N~ N~^T; N~ is that of `absorbed`.
     """
 
-    N: Floats  # (q, k) N~ at the points
-    Phi: Floats  # (q, k)
+    Phi: Floats  # (q, k) at the points
     kept: Bools  # (m, k) nodes with a multiplier
-    d: Floats  # (m, k)
     inverse: Floats  # (m, k, k) m^-1, 0 for other nodes, and where it has lost its digits
-
-    @property
-    def A(self) -> Floats:
-        """The coefficients (m, k, k)."""
-        return self.d[:, :, None] * self.inverse
-
-    def share_out(self, values: Floats) -> Floats:
-        """Return values (m, k, ..) of the functions, 0 for others, less their mean: A as above."""
-        shares = self.shares.reshape(*self.kept.shape, *(1,) * (values.ndim - 2))
-        return np.asarray(values - shares * values.sum(axis=1, keepdims=True))
 
     def of(self, facets: Longs) -> "Duals":
         """Return those of some facets, at all points."""
-        return Duals(self.N, self.Phi, self.kept[facets], self.d[facets], self.inverse[facets])
-
-    @property
-    def shares(self) -> Floats:
-        """The part (m, k) that functions have of what their sum misses of 1."""
-        return np.asarray(self.kept / np.maximum(self.kept.sum(axis=1, keepdims=True), 1))
+        return Duals(self.Phi, self.kept[facets], self.inverse[facets])
 
 
 def create_duals(N: Floats, weight: Floats, slave: Ints, kept: Bools) -> Duals:
@@ -282,8 +265,7 @@ def create_duals(N: Floats, weight: Floats, slave: Ints, kept: Bools) -> Duals:
     columns, weight = np.ascontiguousarray(N.T), np.ascontiguousarray(weight)
     at = np.ascontiguousarray(slave), np.ascontiguousarray(kept)
     Phi, inverse = _all_duals(columns, weight, *at)
-    d = covered_weights(N, weight, slave, len(kept))
-    return Duals(N, np.asarray(Phi.T), kept, d, inverse)
+    return Duals(np.asarray(Phi.T), kept, inverse)
 
 
 @timed("~Mortar: node weights")

@@ -319,7 +319,8 @@ def _evaluator(moments: Any) -> Any:
         x, n, y = v[:k], v[k : k + lines], v[k + lines :]
         Y = np.empty((c, sides.place.shape[1], x.shape[1]), v.dtype)
         each, deepest = np.zeros((c, k, Y.shape[1]), v.dtype), np.empty(c)
-        Q_s, Q_m = (np.empty((c * smooth, a, a), v.dtype) for a in (k, Y.shape[1]))
+        Q_s = np.empty((c * smooth, k, k), v.dtype)
+        Q_m = np.empty((c * smooth, Y.shape[1], Y.shape[1]), v.dtype)
         heights = Q_s, Q_m, np.empty((c * smooth, 2, 2))
         S[:], R[:], H[:] = 0.0, 0.0, 0.0
         for r in range(c):
