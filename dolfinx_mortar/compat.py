@@ -17,8 +17,8 @@ def interpolation_points(V: fem.FunctionSpace) -> np.ndarray:
     return np.asarray(points() if callable(points) else points)
 
 
-def on_same_mesh(tags: mesh.MeshTags, domain: mesh.Mesh) -> bool:
-    """Tell whether the tags were made for this very mesh (the topology may be wrapped or not)."""
+def on_same_mesh(tags: mesh.MeshTags | mesh.Mesh, domain: mesh.Mesh) -> bool:
+    """Tell whether tags, or a mesh, are of this very mesh (the topology may be wrapped or not)."""
 
     def unwrapped(topology: Any) -> Any:
         return getattr(topology, "_cpp_object", topology)

@@ -19,11 +19,15 @@ HIGHEST = 2
 """Highest degree of the displacement, and of the cells themselves."""
 
 
-def check_space(V: dolfinx.fem.FunctionSpace, name: str = "V") -> None:
+def check_space(
+    V: dolfinx.fem.FunctionSpace, name: str = "V", *, scalar: bool = False, on_cells: bool = True
+) -> None:
     """Raise a ValueError, without communication, for spaces that are not supported.
 
     Args:
         name: the argument that it comes from, for messages.
+        scalar: whether scalar spaces are supported, too.
+        on_cells: whether facets have to lie on the cells.
 
     Raises:
         ValueError: For what is no function space, meshes in single precision, a complex PETSc,
@@ -31,7 +35,8 @@ def check_space(V: dolfinx.fem.FunctionSpace, name: str = "V") -> None:
             degree 1 or 2, and cells of a higher degree than the displacement.
     """
     if not isinstance(V, dolfinx.fem.FunctionSpace):
-        raise ValueError(f"{name} is {V!r}: give a dolfinx.fem.FunctionSpace of displacements.")
+        of = "" if scalar else " of displacements"
+        raise ValueError(f"{name} is {V!r}: give a dolfinx.fem.FunctionSpace{of}.")
     if V.mesh.geometry.x.dtype != np.float64:
         raise ValueError(
             f"{name}: the coordinates of the mesh are of type {V.mesh.geometry.x.dtype}; make the "
@@ -50,15 +55,17 @@ def check_space(V: dolfinx.fem.FunctionSpace, name: str = "V") -> None:
     element, bs = V.ufl_element(), V.dofmap.index_map_bs
     lagrange = element.family_name == "P" and not element.discontinuous
     degree = V.element.basix_element.degree if lagrange else 0
-    if (element.reference_value_shape, bs) != ((d,), d) or not 1 <= degree <= HIGHEST:
+    kinds = [((d,), d), ((), 1)] if scalar else [((d,), d)]
+    if (element.reference_value_shape, bs) not in kinds or not 1 <= degree <= HIGHEST:
         found = f"Lagrange of degree {degree}" if lagrange else str(element)
+        shapes = "scalar or vector" if scalar else "vector"
         raise ValueError(
             f"{name} has the element {found} with values of shape {element.reference_value_shape}; "
-            "it has to be a continuous vector Lagrange element of degree 1 or 2, "
+            f"it has to be a continuous {shapes} Lagrange element of degree 1 or 2, "
             f'functionspace(mesh, ("Lagrange", 1, ({d},))).'
         )
     curved = compat.cell_degree(V.mesh)
-    if curved > degree:
+    if on_cells and curved > degree:
         remedy = f"make the mesh with degree {degree} (in Gmsh: mesh.setOrder({degree}))"
         if curved <= HIGHEST:
             remedy = f"give {name} the degree {curved}, or {remedy}"
@@ -66,6 +73,64 @@ def check_space(V: dolfinx.fem.FunctionSpace, name: str = "V") -> None:
             f"{name}: the cells of the mesh are of degree {curved}, the displacement of degree "
             f"{degree}; facets would not lie on the cells: {remedy}."
         )
+
+
+def find_positions(
+    V: dolfinx.fem.FunctionSpace, u: dolfinx.fem.Function | None, *, same_nodes: bool
+) -> tuple[dolfinx.fem.FunctionSpace, dolfinx.fem.Function | None]:
+    """Return a vector space of positions X + u for a space V, and u in it; collective.
+
+    Its degree is the highest of V, u and the cells. It is V or the space of u, if one of them fits.
+
+    Args:
+        V: scalar or vector space, see `check_space`.
+        u: displacement in any vector space of the same mesh, None for X.
+        same_nodes: whether it has to number its nodes as V does.
+
+    Raises:
+        ValueError: for what is no displacement on this mesh, without communication; if the nodes
+            have to be those of V, and are not.
+    """
+    spaces = [V]
+    if u is not None:
+        if not isinstance(u, dolfinx.fem.Function) or not compat.on_same_mesh(
+            u.function_space.mesh, V.mesh
+        ):
+            raise ValueError(
+                "u has to be a Function of V or of another space of displacements on the mesh of "
+                f"V, or None for the reference configuration; it is {u!r}."
+            )
+        check_space(u.function_space, "u", on_cells=False)
+        check_real("u", u)
+        spaces.append(u.function_space)
+    d, degrees = V.mesh.geometry.dim, [W.element.basix_element.degree for W in spaces]
+    degree = max(*degrees, compat.cell_degree(V.mesh))
+    if same_nodes and degree > degrees[0]:
+        raise ValueError(
+            f"u has degree {degree}, V degree {degrees[0]}: its facets would bend between the "
+            f"nodes of V; give V the degree {degree}, or interpolate u into degree {degrees[0]}."
+        )
+
+    def fits(W: dolfinx.fem.FunctionSpace) -> bool:
+        if W.dofmap.index_map_bs != d or W.element.basix_element.degree != degree:
+            return False
+        same = not same_nodes or np.array_equal(W.dofmap.list, V.dofmap.list)
+        return bool(V.mesh.comm.allreduce(same, op=MPI.LAND))
+
+    found = next(filter(fits, spaces), None)
+    if found is None:
+        found = dolfinx.fem.functionspace(V.mesh, ("Lagrange", degree, (d,)))
+        if not fits(found):
+            raise ValueError(
+                "V numbers its nodes as no space of displacements does; make it by "
+                "dolfinx.fem.functionspace."
+            )
+    if u is None or found == u.function_space:
+        return found, u
+    moved = dolfinx.fem.Function(found)
+    moved.interpolate(u)
+    moved.x.scatter_forward()
+    return found, moved
 
 
 def check_real(name: str, *values: Any) -> None:

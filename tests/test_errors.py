@@ -129,8 +129,9 @@ def test_space(case, element, words):
     V = fem.functionspace(case.mesh, element)
     with rejected(*words):
         dm.Solid(fem.Function(V), ELASTIC)
-    with rejected("V", "degree 1"):
-        dm.assemble_mortar(V, case.facets, slave=3, master=4)
+    if element != ("Lagrange", 1):
+        with rejected("V", "degree 1"):
+            dm.assemble_mortar(V, case.facets, slave=3, master=4)
 
 
 @pytest.mark.parametrize("domain", ["interval", "prism"])

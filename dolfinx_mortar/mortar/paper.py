@@ -13,6 +13,7 @@ other dual functions (`edges`), and not the averaged normals and functions here,
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -21,6 +22,7 @@ import numpy as np
 from scipy.sparse import csr_array, kron
 
 import dolfinx
+from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.csr import csr_of
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.mortar.common_normals import common_normals, find_spreads
@@ -29,24 +31,29 @@ from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.operators import create_operators
 from dolfinx_mortar.mortar.pairing import Weight, create_pairing
 from dolfinx_mortar.mortar.surface import create_surface, find_boundary
+from dolfinx_mortar.spaces import check_space, find_positions
 
 
 @dataclass(frozen=True, eq=False)
 class Mortar:
     """The paper's matrices. Row d*i + c belongs to component c of the slave node nodes[i].
 
-    Rows are distributed like the slave nodes; nodes that cannot carry a multiplier have no row.
+    Rows are distributed like the slave nodes; nodes that cannot carry a multiplier have no row. Of
+    a scalar space row i belongs to nodes[i], and there are no N and no gap.
     """
 
     D: PETSc.Mat  # (d * m_I, dofs of V)
     M: PETSc.Mat  # (d * m_I, dofs of V)
-    N: PETSc.Mat  # (d * m_I, m_I), column i holds the outward slave normal of nodes[i]
-    gap: PETSc.Vec  # (m_I,) weighted gap -N^T (D - M)(X + u), positive where the interface is open
+    N: PETSc.Mat | None  # (d * m_I, m_I), column i holds the outward slave normal of nodes[i]
+    gap: PETSc.Vec | None  # (m_I,) weighted gap -N^T (D - M)(X + u), positive where open
     nodes: Longs  # (m_I of this rank,) global nodes in the order of the rows
 
 
 def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETSc.Mat:
-    """Return owned rows of a node matrix, every entry times the d x d identity (eqs. 19, 20)."""
+    """Return owned rows of a node matrix, every entry times the d x d identity (eqs. 19, 20).
+
+    Of a scalar space d = 1.
+    """
     d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
     start, columns, values = csr_of(A)
     shape = (index_map.size_local, index_map.size_global)
@@ -74,54 +81,57 @@ def assemble_mortar(
     master: int | str,
     u: dolfinx.fem.Function | None = None,
     weight: Weight | None = None,
-    stays: Longs | None = None,
     feature_angle: float | None = None,
 ) -> Mortar:
     """Assemble the paper's matrices D, M and N and the weighted gap (collective).
 
     The constraint of frictionless contact is B_I v <= c_I (eq. 16) for the displacement v with
     B_I = N^T (D - M) (eq. 17) and c_I = -N^T (D - M) X (eq. 18); the weighted gap is c_I - B_I u.
+    Two sides are tied by (D - M) v = 0, also those of a scalar field, such as a temperature.
 
     Args:
-        V: Vector Lagrange space on the mesh of all bodies.
+        V: Vector or scalar Lagrange space of degree 1 or 2 on the mesh of all bodies.
         facet_tags: Facet tags of the same mesh.
         slave: Tag, or name if the tags have names, of the side that carries the multipliers.
         master: Tag or name of the other side.
-        u: Displacement; segments, normals and gap belong to X + u.
+        u: Displacement, in V or in a vector Lagrange space of no higher degree on this mesh;
+            segments, normals and gap belong to X + u.
         weight: Factor of all integrals at points X of the slave side, (q, d) -> (q,), such as
             2 pi r; 1 if not given.
-        stays: Global nodes that keep their multiplier down to a lower coverage (`Contact` does this
-            with nodes that lose and regain it within a step).
         feature_angle: Degrees between slave facets from which on they meet in an edge, with the
             normals and dual functions of `Contact` there; no edges if not given.
 
     Raises:
         ValueError: On all ranks, for tags, spaces and displacements that do not fit.
     """
+    check_space(V, scalar=True)
+    given: dict[str, Any] = {"facet_tags": facet_tags, "slave": slave, "master": master, "u": u}
+    given |= {"weight": weight, "feature_angle": feature_angle}
+    check_same_on_all_ranks(V.mesh.comm, **given)
     if weight is not None and not callable(weight):
         raise ValueError(f"weight is {weight!r}: give a function of points (q, d), or None")
     if feature_angle is not None:
         check_angle(feature_angle)
-    surfaces = [create_surface(V, facet_tags, slave, "slave")]
-    surfaces.append(create_surface(V, facet_tags, master, "master"))
-    pairing = create_pairing(V, *surfaces, u, moving=False, weight=weight)
+    W, u = find_positions(V, u, same_nodes=True)
+    surfaces = [create_surface(W, facet_tags, slave, "slave")]
+    surfaces.append(create_surface(W, facet_tags, master, "master"))
+    pairing = create_pairing(W, *surfaces, u, moving=False, weight=weight)
     segments, normals = find_segments(pairing, u)
-    returned, everything = None, np.ones((len(normals), 1), dtype=bool)
-    if stays is not None:
-        known = V.dofmap.index_map.local_to_global(surfaces[0].nodes.astype(np.int32))
-        returned = np.isin(known, np.concatenate(V.mesh.comm.allgather(np.asarray(stays))))[:, None]
+    everything = np.ones((len(normals), 1), dtype=bool)
     edges = None if feature_angle is None else find_edges(surfaces[0], feature_angle)
-    parts = pairing, u, segments, normals, everything
-    operators = create_operators(*parts, returned=returned, edges=edges)
+    operators = create_operators(pairing, u, segments, normals, everything, edges=edges)
     own = surfaces[0].nodes[: surfaces[0].owned]
     kept, normals = operators.kept[:, 0], operators.normals
-    if feature_angle is not None:
-        at = pairing, segments, operators.M[:, 0], u
-        spreads = find_spreads(find_boundary(V), surfaces)
-        normals = common_normals(*at, spreads, feature_angle).n
     node_D = pairing.D.matrix(operators.D[:, 0])
     node_M = pairing.M.matrix(operators.M[:, 0])
     D, M = (_expand_rows(A, own[kept], V) for A in (node_D, node_M))
+    nodes = V.dofmap.index_map.local_to_global(own[kept])
+    if V.dofmap.index_map_bs == 1:
+        return Mortar(D=D, M=M, N=None, gap=None, nodes=nodes)
+    if feature_angle is not None:
+        at = pairing, segments, operators.M[:, 0], u
+        spreads = find_spreads(find_boundary(W), surfaces)
+        normals = common_normals(*at, spreads, feature_angle).n
     N = _create_normal_matrix(V.mesh.comm, normals[kept])
     x, relative, gap = D.createVecRight(), D.createVecLeft(), N.createVecRight()
     d = V.dofmap.index_map_bs
@@ -130,5 +140,4 @@ def assemble_mortar(
         x.array[:] += u.x.array[: x.local_size]
     (M - D).mult(x, relative)
     N.multTranspose(relative, gap)
-    nodes = V.dofmap.index_map.local_to_global(own[kept])
     return Mortar(D=D, M=M, N=N, gap=gap, nodes=nodes)
