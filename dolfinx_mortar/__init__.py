@@ -27,6 +27,7 @@ from dolfinx_mortar.materials import (
     VonMises,
     VonMisesVoce,
 )
+from dolfinx_mortar.mortar.cell_segments import Segments, segments
 from dolfinx_mortar.mortar.paper import Mortar, assemble_mortar
 from dolfinx_mortar.output import Writer
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -75,6 +76,7 @@ __all__ = [
     "QPNotSolved",
     "Reaction",
     "RigidSide",
+    "Segments",
     "Solid",
     "StepReport",
     "Tags",
@@ -94,6 +96,7 @@ __all__ = [
     "plotting",
     "preload",
     "reaction",
+    "segments",
     "shapes",
     "summarise",
     "time_steps",

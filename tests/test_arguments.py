@@ -79,6 +79,10 @@ def mortar(good, **given):
     dm.assemble_mortar(**({"V": good.case.V, "facet_tags": good.case.facets} | SIDES | given))
 
 
+def points(good, **given):
+    dm.segments(**({"V": good.case.V, "facet_tags": good.case.facets} | SIDES | given))
+
+
 # What is said, a call, and what it takes.
 CALLS = [
     ("petsc_options_prefix", lambda g, x: g.case.problem(petsc_options_prefix=x), kinds(str)),
@@ -97,6 +101,10 @@ CALLS = [
     ("facet_tags", lambda g, x: mortar(g, facet_tags=x), kinds()),
     ("u has to be", lambda g, x: mortar(g, u=x), or_none),
     ("weight", lambda g, x: mortar(g, weight=x), or_none),
+    ("V", lambda g, x: points(g, V=x), kinds()),
+    ("facet_tags", lambda g, x: points(g, facet_tags=x), kinds()),
+    ("slave", lambda g, x: points(g, slave=x), is_tag),
+    ("u has to be", lambda g, x: points(g, u=x), or_none),
     ("qp", lambda g, x: dm.newton(g.problem, qp=x), kinds()),
     ("qp", lambda g, x: dm.qp.solve(x), kinds()),
     ("comm", lambda g, x: dm.qp.LinearSolver(x, prefix="x_"), kinds()),

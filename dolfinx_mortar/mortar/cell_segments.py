@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: MIT
+r"""Segments for integrals of a user's own: points with what both sides' functions are there.
+
+A facet and the cell behind it share their nodes, so that a point sum_k N_k(xi) of the facet is the
+point sum_k N_k(xi) X_k of the reference cell, X_k being where the cell has the facet's nodes. Cells
+of the master side travel to the ranks that have received their facets.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+
+import dolfinx
+from dolfinx_mortar.agreement import check_same_on_all_ranks
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.geometry.facets import surface_gradients
+from dolfinx_mortar.mortar.integrals import find_segments
+from dolfinx_mortar.mortar.pairing import create_pairing
+from dolfinx_mortar.mortar.surface import (
+    Surface,
+    cells_of,
+    coordinates,
+    create_surface,
+    facets_at,
+)
+from dolfinx_mortar.spaces import check_space, find_positions
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """Quadrature points where two sides face each other, on the slave facets of this rank.
+
+    An integral over the covered part of the slave side is the sum of the weights times the values
+    at the points, over all ranks. Lengths are those of the mesh. A side has k functions in a cell;
+    the dofs of a vector space are those of the d components of each.
+    """
+
+    x: Floats  # (n, d) points of the slave side at X + u
+    weight: Floats  # (n,) of the area (length, in the plane) of the slave side at X + u, positive
+    normal: Floats  # (n, d) outward unit normals of the slave facets at X + u
+    gap: Floats  # (n,) from x to the master's point along the normal: < 0 where sides overlap
+    slave_cells: Longs  # (n,) global cells
+    master_cells: Longs  # (n,) global cells, perhaps of other ranks
+    xi_slave: Floats  # (n, d) the points in the reference cells
+    xi_master: Floats  # (n, d)
+    slave_dofs: Longs  # (n, k) global dofs; (n, k, d) of a vector space
+    master_dofs: Longs  # (n, k) or (n, k, d), perhaps of other ranks
+    slave_values: Floats  # (n, k) values of the functions
+    master_values: Floats  # (n, k)
+    slave_gradients: Floats  # (n, k, d) gradients of the functions by the positions X + u
+    master_gradients: Floats  # (n, k, d)
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """The cells behind m facets, one for each."""
+
+    number: Longs  # (m,) global
+    places: Ints  # (m, k) which of its nodes those of the facet are
+    x: Floats  # (m, c, d) its nodes
+    dofs: Longs  # (m, k) or (m, k, d) of V, global
+
+    def sent(self, comm: MPI.Comm, receivers: Bools) -> _Cells:
+        """Return those that all ranks send to this one, by receivers (m, ranks); collective."""
+        own = self.number, self.places, self.x, self.dofs
+        parts = comm.alltoall([tuple(v[to] for v in own) for to in receivers.T])
+        return _Cells(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
+
+
+def _find_cells(
+    V: dolfinx.fem.FunctionSpace, side: Surface, u: dolfinx.fem.Function | None, name: str
+) -> _Cells:
+    """Return the cells behind the facets of a side at X + u; collective."""
+    W, d, cells = side.V, side.X.shape[1], cells_of(side)
+    nodes = W.dofmap.list[cells]
+    of_facets = side.nodes[side.facets]
+    X = W.tabulate_dof_coordinates()[:, :d][nodes]
+    x = X if u is None else X + u.x.array.reshape(-1, d)[nodes]
+    slopes = _tabulate(W, W.element.basix_element.points)[1:]
+    with raised_together(V.mesh.comm):
+        before, now = (np.linalg.det(np.einsum("aqk,mki->mqai", slopes, v)) for v in (X, x))
+        wrong = np.flatnonzero(~(before * now > 0.0).all(axis=1))
+        if len(wrong):
+            place = _place(X[wrong[0]])
+            raise ValueError(
+                f"{len(wrong)} cells behind {name}={side.label} have no volume, or u turns them "
+                f"inside out, such as the one that is around ({place}) at X; check mesh and u."
+            )
+    local, bs = V.dofmap.list[cells], V.dofmap.index_map_bs
+    dofs = V.dofmap.index_map.local_to_global(local.ravel()).reshape(local.shape)
+    return _Cells(
+        V.mesh.topology.index_map(d).local_to_global(cells),
+        np.argmax(nodes[:, None] == of_facets[:, :, None], axis=2).astype(np.int32),
+        x,
+        dofs if bs == 1 else bs * dofs[:, :, None] + np.arange(bs),
+    )
+
+
+def _place(x: Floats) -> str:
+    """Return the text for the centre of nodes x (k, d)."""
+    return ", ".join(f"{v:.4g}" for v in x.mean(axis=0))
+
+
+def _tabulate(V: dolfinx.fem.FunctionSpace, xi: Floats) -> Floats:
+    """Return values and derivatives (1 + d, q, k) of functions of V at xi (q, d) in a cell."""
+    one_more = np.vstack([xi, np.zeros(xi.shape[1])])  # basix 0.9 aborts where there is no point
+    return np.asarray(V.element.basix_element.tabulate(1, one_more)[:, :-1, :, 0])
+
+
+def _evaluate(
+    V: dolfinx.fem.FunctionSpace, side: Surface, cells: _Cells, which: Ints, on_facet: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return xi (n, d), x (n, d), values (n, k) and gradients (n, k, d) of V at points.
+
+    Args:
+        cells: Those behind the facets of the side.
+        which: Facet (n,) of each point.
+        on_facet: Reference coordinates (n, d-1) on it.
+    """
+    W, N = side.V, side.element.shape_functions(on_facet)
+    nodes = np.asarray(W.element.basix_element.points)[cells.places[which]]
+    xi = np.einsum("nk,nki->ni", N, nodes)
+    of_W, of_V = _tabulate(W, xi), _tabulate(V, xi)
+    x = np.einsum("nk,nki->ni", of_W[0], cells.x[which])
+    slopes = np.einsum("ank,nki->nia", of_W[1:], cells.x[which])
+    gradients = np.einsum("ank,nai->nki", of_V[1:], np.linalg.inv(slopes))
+    return xi, x, of_V[0], gradients
+
+
+def segments(
+    V: dolfinx.fem.FunctionSpace,
+    facet_tags: dolfinx.mesh.MeshTags,
+    *,
+    slave: int | str,
+    master: int | str,
+    u: dolfinx.fem.Function | None = None,
+) -> Segments:
+    """Return the points for integrals over an interface whose meshes do not match (collective).
+
+    The slave side is divided where facets of the master side begin and end, so that functions of
+    both sides are smooth in each part. With the weights w_q and the functions N_i of the slave and
+    N_l of the master at the points, int N_i N_l = sum_q w_q N_i N_l over the covered part of the
+    slave side. They are the points of D and M: exact for products of two functions of V on the
+    parts where two flat triangles, or parallelograms, or parallel lines face each other.
+
+    Args:
+        V: Scalar or vector Lagrange space of degree 1 or 2 on the mesh of all bodies, of the
+            functions whose values are wanted.
+        facet_tags: Facet tags of the same mesh.
+        slave: Tag, or name if the tags have names, of the side that is integrated.
+        master: Tag or name of the other side.
+        u: Displacement, in any vector Lagrange space of degree 1 or 2 on this mesh: positions,
+            normals, areas and gradients are those at X + u, at X if it is not given.
+
+    Returns:
+        The points of the slave facets of this rank. What faces no master facet has none, nor has
+        what faces only those behind a body; how far the sides are apart does not matter.
+
+    Raises:
+        ValueError: On all ranks, for tags, spaces and displacements that do not fit.
+    """
+    check_space(V, scalar=True, on_cells=False)
+    comm = V.mesh.comm
+    check_same_on_all_ranks(comm, facet_tags=facet_tags, slave=slave, master=master, u=u)
+    W, u = find_positions(V, u, same_nodes=False)
+    names = {"slave": slave, "master": master}
+    sides = [create_surface(W, facet_tags, tag, name) for name, tag in names.items()]
+    pairing = create_pairing(W, *sides, u, moving=False)
+    cells_s, cells_m = (
+        _find_cells(V, side, u, name) for side, name in zip(sides, names, strict=True)
+    )
+    cells_m = cells_m.sent(comm, pairing.sent)
+    points, _ = find_segments(pairing, u)
+    s, m = points.slave, points.master
+    with raised_together(comm):
+        lost = np.flatnonzero(~np.isfinite(points.xi_m).all(axis=1))
+        if len(lost):
+            place = _place(cells_s.x[s[lost[0]]])
+            raise ValueError(
+                f"{len(lost)} points of slave={sides[0].label} have none opposite on master="
+                f"{sides[1].label}, whose curved facets are folded as seen from the slave, such as "
+                f"one near ({place}) at X + u; check mesh and u."
+            )
+    xi_s, x_s, N_s, G_s = _evaluate(V, sides[0], cells_s, s, points.xi_s)
+    xi_m, x_m, N_m, G_m = _evaluate(V, sides[1], cells_m, m, points.xi_m)
+    _, normal = surface_gradients(facets_at(sides[0], coordinates(sides[0], u)), s, points.xi_s)
+    return Segments(
+        x=x_s,
+        weight=points.weight,
+        normal=normal,
+        gap=((x_m - x_s) * normal).sum(axis=1),
+        slave_cells=cells_s.number[s],
+        master_cells=cells_m.number[m],
+        xi_slave=xi_s,
+        xi_master=xi_m,
+        slave_dofs=cells_s.dofs[s],
+        master_dofs=cells_m.dofs[m],
+        slave_values=N_s,
+        master_values=N_m,
+        slave_gradients=G_s,
+        master_gradients=G_m,
+    )

@@ -1,0 +1,539 @@
+# SPDX-License-Identifier: MIT
+"""Integrals of a user's own over an interface: points of both sides, scalar D and M."""
+
+import dataclasses
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+
+import basix.ufl
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc
+from dolfinx_mortar.mortar import cell_segments
+from tests import meshes, meshes_3d
+from tests.choice import crosswise
+from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LOWER, TOP, TOP_OF_LOWER, UPPER
+from tests.pressed_blocks import rejected
+
+COMM = MPI.COMM_WORLD
+EXACT = 1e-12
+CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
+SIDES = {"slave": TOP_OF_LOWER, "master": BOTTOM_OF_UPPER}
+SWAPPED = {"slave": BOTTOM_OF_UPPER, "master": TOP_OF_LOWER}
+
+
+def blocks(cell, comm=COMM, x_upper=(0.0, 1.0), width=1.0, **options):
+    """Return two blocks that do not match, whose fine upper one covers `x_upper` of the width."""
+    ends = tuple(width * x for x in x_upper)
+    if cell in ("triangle", "quadrilateral"):
+        sizes = {"x_lower": (0.0, width), "x_upper": ends}
+        return meshes.two_blocks(comm, (3, 2), (5, 2), cell=cell, **sizes, **options)
+    sizes = {"lower": (0.0, width, 0.0, width), "upper": (*ends, 0.0, width)}
+    return meshes_3d.two_boxes(comm, (2, 2, 1), (3, 3, 1), cell=cell, **sizes, **options)
+
+
+def vectors(mesh, degree):
+    return fem.functionspace(mesh, ("Lagrange", degree, (mesh.geometry.dim,)))
+
+
+def scalars(mesh, degree):
+    return fem.functionspace(mesh, ("Lagrange", degree))
+
+
+def everywhere(V, values):
+    """Return values (nodes, ..) at the owned nodes of all ranks, in the order of their numbers."""
+    return np.concatenate(V.mesh.comm.allgather(values[: V.dofmap.index_map.size_local]))
+
+
+def positions(V, u=None):
+    """Return X + u of all nodes; V and u have the same nodes."""
+    d = V.mesh.geometry.dim
+    moved = 0.0 if u is None else u.x.array.reshape(-1, d)
+    return everywhere(V, V.tabulate_dof_coordinates()[:, :d] + moved)
+
+
+def on_both(s, at_nodes):
+    """Return values (n,) and gradients (n, d) of a field, by its values at all nodes, twice."""
+    for dofs, N, G in (
+        (s.slave_dofs, s.slave_values, s.slave_gradients),
+        (s.master_dofs, s.master_values, s.master_gradients),
+    ):
+        yield np.einsum("nk,nk->n", N, at_nodes[dofs]), np.einsum("nki,nk->ni", G, at_nodes[dofs])
+
+
+def largest(array):
+    return np.abs(array).max(initial=0.0)
+
+
+def moved(V, motion):
+    """Return the displacement by which X gets to motion(X)."""
+    d = V.mesh.geometry.dim
+    u = fem.Function(V)
+    u.interpolate(lambda x: motion(x[:d]) - x[:d])
+    return u
+
+
+def bent(x):
+    """Return curved positions of x (d, n)."""
+    waves = [0.1 * np.sin(2 * x[i - 1] + i) for i in range(len(x))]
+    return x + np.stack(waves)
+
+
+# -- points
+
+
+@pytest.mark.parametrize("sides", [SIDES, SWAPPED], ids=["lower", "upper"])
+@pytest.mark.parametrize("motion", [False, True])
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("cell", CELLS)
+def test_polynomials_are_exact_on_both_sides(cell, degree, motion, sides):
+    """Values, gradients, area, normal and gap, also after a rotation with a stretch."""
+    mesh, _, tags = blocks(cell, x_upper=(0.3, 1.2), gap=0.1, partition="stripes")
+    d = mesh.geometry.dim
+    F, V = np.eye(d), scalars(mesh, degree)
+    if motion:
+        F = 1.5 * (meshes_3d.rotation((1, 2, 3), 0.7) if d == 3 else turn(0.7))
+    u = moved(vectors(mesh, degree), lambda x: F @ x) if motion else None
+    s = dm.segments(V, tags, **sides, u=u)
+    stretch = np.linalg.norm(F, 2)
+    assert abs(COMM.allreduce(s.weight.sum()) - 0.7 * stretch ** (d - 1)) < EXACT
+    up = F[:, -1] / stretch * (1 if sides is SIDES else -1)
+    assert largest(s.normal - up) < EXACT and largest(s.gap - 0.1 * stretch) < EXACT
+    g, x_s, x = np.arange(1.0, d + 1), s.x, positions(V, u)
+    for at, (values, gradients) in zip(
+        (x_s, x_s + s.gap[:, None] * s.normal), on_both(s, (x @ g + 0.3) ** degree), strict=True
+    ):
+        assert largest(values - (at @ g + 0.3) ** degree) < 100 * EXACT
+        slope = degree * (at @ g + 0.3) ** (degree - 1)
+        assert largest(gradients - slope[:, None] * g) < 100 * EXACT
+    for values, gradients in on_both(s, np.ones(len(x))):
+        assert largest(values - 1.0) < EXACT and largest(gradients) < 10 * EXACT
+
+
+def turn(angle):
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("cell", CELLS)
+def test_linear_fields_are_exact_on_curved_sides(cell, order):
+    """Also where the functions have a lower degree than the displacement and the cells."""
+    bend = (lambda x: bent(x.T).T) if order == 2 else None
+    mesh, _, tags = blocks(cell, order=order, transform=bend, partition="stripes")
+    u = moved(vectors(mesh, 2), bent)
+    low, high = (dm.segments(scalars(mesh, k), tags, **SIDES, u=u) for k in (1, 2))
+    x = positions(scalars(mesh, 2), u)
+    g = np.arange(1.0, x.shape[1] + 1)
+    for values, gradients in on_both(high, x @ g):
+        assert values.shape == high.weight.shape and largest(gradients - g) < 100 * EXACT
+    x_s, x_m = zip(*((v for v, _ in on_both(high, column)) for column in x.T), strict=True)
+    off = np.stack(x_m, axis=1) - high.x
+    assert largest(np.stack(x_s, axis=1) - high.x) < EXACT
+    assert largest((off * high.normal).sum(axis=1) - high.gap) < EXACT
+    assert largest(np.linalg.norm(high.normal, axis=1) - 1) < EXACT
+    assert largest(low.x - high.x) == largest(low.weight - high.weight) == 0.0
+    field = fem.Function(scalars(mesh, 1))
+    field.interpolate(lambda x: np.sin(3 * x[0]) + x[-1])
+    same = fem.Function(scalars(mesh, 2))
+    same.interpolate(field)
+    pairs = zip(
+        on_both(low, everywhere(field.function_space, field.x.array)),
+        on_both(high, everywhere(same.function_space, same.x.array)),
+        strict=True,
+    )
+    for (value, gradient), (other, others) in pairs:
+        assert largest(value - other) < EXACT and largest(gradient - others) < 100 * EXACT
+
+
+@pytest.mark.mpi
+def test_dofs_and_cells_are_those_of_the_mesh():
+    """Dofs of vectors are those of the components; cells are global, reference points in them."""
+    mesh, cells, tags = blocks("hexahedron", partition="stripes")
+    V = vectors(mesh, 2)
+    s, of_scalars = dm.segments(V, tags, **SIDES), dm.segments(scalars(mesh, 2), tags, **SIDES)
+    assert s.slave_dofs.shape == (len(s.x), 27, 3)
+    assert (s.master_dofs == 3 * of_scalars.master_dofs[:, :, None] + np.arange(3)).all()
+    x = positions(V)
+    field = x @ np.arange(9.0).reshape(3, 3)
+    for dofs, N, at in (
+        (s.slave_dofs, s.slave_values, s.x),
+        (s.master_dofs, s.master_values, s.x + s.gap[:, None] * s.normal),
+    ):
+        found = np.einsum("nk,nkc->nc", N, field.ravel()[dofs])
+        assert largest(found - at @ np.arange(9.0).reshape(3, 3)) < 100 * EXACT
+    first, last = mesh.topology.index_map(3).local_range
+    assert (s.slave_cells >= first).all() and (s.slave_cells < last).all()
+    values = np.zeros(last - first, dtype=np.int32)
+    own = cells.indices < last - first
+    values[cells.indices[own]] = cells.values[own]
+    tag = np.concatenate(COMM.allgather(values))
+    assert (tag[s.slave_cells] == LOWER).all() and (tag[s.master_cells] == UPPER).all()
+    for xi in (s.xi_slave, s.xi_master):
+        assert xi.shape == s.x.shape and (xi > -EXACT).all() and (xi < 1 + EXACT).all()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("partition", ["graph", "stripes", "bodies", "empty"])
+def test_the_same_integrals_on_any_number_of_ranks(partition):
+    assert integrals(COMM, partition) == pytest.approx(integrals(MPI.COMM_SELF, "graph"), rel=1e-12)
+
+
+def integrals(comm, partition):
+    """Return integrals of values, gradients and gaps of both sides, after a motion."""
+    mesh, _, tags = blocks("tetrahedron", comm, (0.2, 1.3), gap=0.02, partition=partition)
+    V, u = scalars(mesh, 2), moved(vectors(mesh, 1), bent)
+    s = dm.segments(V, tags, **SIDES, u=u)
+    (T_s, g_s), (T_m, g_m) = on_both(s, np.sin(3 * positions(V) @ [1.0, 0.5, 2.0]))
+    along = [(g * s.normal).sum(axis=1) for g in (g_s, g_m)]
+    ones = np.ones_like(s.gap)
+    parts = [ones, s.gap, (T_s - T_m) ** 2, T_s * T_m, along[0] * along[1], along[1] * s.x[:, 0]]
+    return comm.allreduce(np.stack(parts) @ s.weight)
+
+
+# -- D and M
+
+
+def dense(A, V, rows):
+    """Return a matrix on all ranks, its rows at nodes."""
+    n = V.dofmap.index_map.size_global * V.dofmap.index_map_bs
+    start, columns, values = A.getValuesCSR()
+    result = np.zeros((n, n))
+    result[np.repeat(rows, np.diff(start)), columns] = values
+    return V.mesh.comm.allreduce(result)
+
+
+@pytest.mark.parametrize(
+    ("cell", "degree"),
+    [(c, k) for c in CELLS for k in (1, 2) if (c, k) != ("tetrahedron", 2)],  # duals of N~
+)
+def test_D_and_M_are_sums_over_the_points(cell, degree):
+    """The integrals of Phi_j N_l with Phi = D_e m_e^-1 N on each facet, all of it covered."""
+    mesh, _, tags = blocks(cell, x_upper=(-0.2, 1.3), partition="stripes")
+    V = scalars(mesh, degree)
+    mortar, s = (f(V, tags, **SIDES) for f in (dm.assemble_mortar, dm.segments))
+    n = V.dofmap.index_map.size_global
+    D, M = np.zeros((n, n)), np.zeros((n, n))
+    for cell_of_facet in np.unique(s.slave_cells):  # none has two facets here
+        at = np.flatnonzero(s.slave_cells == cell_of_facet)
+        N, w, dofs = s.slave_values[at], s.weight[at], s.slave_dofs[at[0]]
+        on = np.abs(N).max(axis=0) > EXACT
+        N, dofs = N[:, on], dofs[on]
+        Phi = w[:, None] * N @ np.linalg.solve(N.T @ (w[:, None] * N), np.diag(w @ N))
+        D[np.ix_(dofs, dofs)] += Phi.T @ N
+        for q, p in zip(at, Phi, strict=True):
+            M[np.ix_(dofs, s.master_dofs[q])] += np.outer(p, s.master_values[q])
+    for mine, its in ((D, mortar.D), (M, mortar.M)):
+        assert largest(COMM.allreduce(mine) - dense(its, V, mortar.nodes)) < EXACT
+    assert mortar.N is None and mortar.gap is None
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"feature_angle": 40.0}, {"weight": lambda x: 1 + x[:, 0]}]
+)
+@pytest.mark.parametrize(("cell", "degree"), crosswise(CELLS, [1, 2]))
+def test_those_of_scalars_are_blocks_of_those_of_vectors(cell, degree, options):
+    mesh, cells, tags = blocks(cell, x_upper=(0.3, 1.2), partition="stripes")
+    if "feature_angle" in options:
+        tags = meshes.skins(mesh, cells, tags)
+    V, W = scalars(mesh, degree), vectors(mesh, degree)
+    u = moved(W, bent)
+    one, many = (dm.assemble_mortar(S, tags, **SIDES, u=u, **options) for S in (V, W))
+    assert (one.nodes == many.nodes).all() and one.D.getSize()[0] >= 3
+    d = mesh.geometry.dim
+    for A, B in ((one.D, many.D), (one.M, many.M)):
+        rows = (d * many.nodes[:, None] + np.arange(d)).ravel()
+        assert largest(np.kron(dense(A, V, one.nodes), np.eye(d)) - dense(B, W, rows)) == 0.0
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_displacement_of_another_space_moves_the_sides_of_V(degree):
+    """Of a lower degree, or a part of a mixed space, whose nodes have other numbers."""
+    mesh, _, tags = blocks("triangle", partition="stripes")
+    V = scalars(mesh, degree)
+    u = fem.Function(mixed(mesh, degree).sub(0).collapse()[0])
+    u.interpolate(lambda x: 0.1 * np.stack([x[1], x[0] + x[1]]))
+    same = fem.Function(vectors(mesh, degree))
+    same.interpolate(u)
+    low = fem.Function(vectors(mesh, 1))
+    low.interpolate(u)
+    alike = np.array_equal(u.function_space.dofmap.list, V.dofmap.list)
+    assert not all(COMM.allgather(alike))
+    expected = dm.assemble_mortar(V, tags, **SIDES, u=same)
+    for other in (u, low):
+        found = dm.assemble_mortar(V, tags, **SIDES, u=other)
+        for A, B in ((found.D, expected.D), (found.M, expected.M)):
+            assert (A - B).norm() < EXACT < B.norm()
+        points, others = (dm.segments(V, tags, **SIDES, u=w) for w in (other, same))
+        sums = [COMM.allreduce(s.weight @ s.x) for s in (points, others)]
+        assert largest(sums[0] - sums[1]) < EXACT
+
+
+def mixed(mesh, degree):
+    cell = mesh.basix_cell()
+    vector = basix.ufl.element("P", cell, degree, shape=(mesh.geometry.dim,))
+    return fem.functionspace(
+        mesh, basix.ufl.mixed_element([vector, basix.ufl.element("P", cell, 1)])
+    )
+
+
+# -- conduction of heat
+
+
+def bodywise(V, cells, fields):
+    """Return a Function that is a function of points in each body, by its tag."""
+    T = fem.Function(V)
+    for tag, field in fields.items():
+        T.interpolate(field, cells.find(tag))
+    T.x.scatter_forward()
+    return T
+
+
+K = {LOWER: 50.0, UPPER: 20.0}
+
+
+def conduction(cells, tags, exact):
+    """Return the matrix of two bodies that conduct, and what flows in at their free sides."""
+    V = exact.function_space
+    mesh, T, q = V.mesh, ufl.TrialFunction(V), ufl.TestFunction(V)
+    ds = ufl.Measure("ds", mesh, subdomain_data=tags)
+    constants = {tag: lambda x, value=value: 0 * x[0] + value for tag, value in K.items()}
+    k = bodywise(fem.functionspace(mesh, ("DG", 0)), cells, constants)
+    A = petsc.assemble_matrix(fem.form(k * ufl.inner(ufl.grad(T), ufl.grad(q)) * ufl.dx))
+    A.assemble()
+    sides = tuple(range(5, 5 + 2 * (mesh.topology.dim - 1)))
+    flux = k * ufl.dot(ufl.grad(exact), ufl.FacetNormal(mesh)) * q * ds(sides)
+    b = petsc.assemble_vector(fem.form(flux))
+    b.ghostUpdate(PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)
+    return A, b
+
+
+def owned_ends(V, tags):
+    """Return the owned nodes at bottom and top."""
+    facets = np.concatenate([tags.find(BOTTOM), tags.find(TOP)])
+    nodes = fem.locate_dofs_topological(V, V.mesh.topology.dim - 1, np.sort(facets))
+    return nodes[nodes < V.dofmap.index_map.size_local]
+
+
+def temperatures(cells, tags, exact, coupling):
+    """Return those of all nodes that conduction and coupling give, with those of the ends."""
+    V, (A, b) = exact.function_space, conduction(cells, tags, exact)
+    A.axpy(1.0, coupling)
+    x, ends = A.createVecRight(), owned_ends(V, tags)
+    x.array[ends] = exact.x.array[ends]
+    rows = V.dofmap.index_map.local_range[0] + ends
+    A.zeroRowsColumns(rows.astype(PETSc.IntType), 1.0, x, b)
+    solver = PETSc.KSP().create(V.mesh.comm)
+    solver.setOperators(A)
+    solver.setType("preonly")
+    solver.getPC().setType("lu")
+    solver.getPC().setFactorSolverType("mumps")
+    solver.solve(b, x)
+    return everywhere(V, x.array)
+
+
+def interface_matrix(V, dofs, entries):
+    """Return the matrix of blocks (n, k, k) between dofs (n, k)."""
+    layout = V.dofmap.index_map
+    A = PETSc.Mat().create(V.mesh.comm)
+    A.setSizes(2 * [(layout.size_local, layout.size_global)])
+    A.setUp()
+    for at, block in zip(dofs.astype(PETSc.IntType), entries, strict=True):
+        A.setValues(at, at, block, addv=True)
+    A.assemble()
+    return A
+
+
+def jumps(s):
+    """Return the dofs (n, k) of both sides, and the jump of each function across (n, k)."""
+    return np.hstack([s.slave_dofs, s.master_dofs]), np.hstack([s.slave_values, -s.master_values])
+
+
+# h, flux, temperatures of the two sides
+BARS = [
+    (1e2, 13793.1, 172.414, 34.483),
+    (1e3, 36363.6, 127.273, 90.909),
+    (1e4, 43478.3, 113.043, 108.696),
+]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("cell", "degree"), crosswise(CELLS, [1, 2]))
+def test_two_bars_in_series_with_a_resistance_between_them(cell, degree):
+    """200 degrees over lengths of .1 and .05: q = 200 / (L1 / k1 + 1 / h + L2 / k2)."""
+    mesh, cells, tags = blocks(cell, heights=(0.1, 0.05), width=0.03, partition="stripes")
+    V, up = scalars(mesh, degree), mesh.geometry.dim - 1
+    s = dm.segments(V, tags, **SIDES)
+    dofs, jump = jumps(s)
+    for h, *rounded in BARS:
+        q = 200.0 / (0.1 / K[LOWER] + 1 / h + 0.05 / K[UPPER])
+        low, high = 200.0 - q * 0.1 / K[LOWER], q * 0.05 / K[UPPER]
+        assert [q, low, high] == pytest.approx(rounded, rel=1e-5)
+        straight = {
+            tag: lambda x, T=T, slope=q / K[tag]: T - slope * x[up]
+            for tag, T in ((LOWER, low), (UPPER, high))
+        }
+        exact = bodywise(V, cells, straight)
+        entries = h * s.weight[:, None, None] * jump[:, :, None] * jump[:, None]
+        T = temperatures(cells, tags, exact, interface_matrix(V, dofs, entries))
+        assert largest(T / 200.0 - everywhere(V, exact.x.array) / 200.0) < 1e-10
+        (T_s, g_s), (T_m, g_m) = on_both(s, T)
+        for flux in (h * (T_s - T_m), -K[LOWER] * g_s[:, up], -K[UPPER] * g_m[:, up]):
+            assert largest(flux / q - 1) < 1e-10
+
+
+def linear(V, cells):
+    """Return a temperature linear in each body, whose flux does not jump at the interface."""
+    d = V.mesh.geometry.dim
+    slopes = {tag: np.append(np.arange(1.0, d), 100 / k) for tag, k in K.items()}
+    return bodywise(V, cells, {t: lambda x, g=g: g @ x[:d] for t, g in slopes.items()})
+
+
+@pytest.mark.parametrize("sides", [SIDES, SWAPPED], ids=["lower", "upper"])
+@pytest.mark.parametrize(("cell", "degree"), crosswise(CELLS, [1, 2]))
+def test_nitsches_method_passes_the_patch_test(cell, degree, sides):
+    mesh, cells, tags = blocks(cell, partition="stripes")
+    exact = linear(scalars(mesh, degree), cells)
+    s = dm.segments(exact.function_space, tags, **sides)
+    (dofs, jump), w = jumps(s), s.weight[:, None, None]
+    k = [K[LOWER], K[UPPER]] if sides is SIDES else [K[UPPER], K[LOWER]]
+    gradients = s.slave_gradients, s.master_gradients
+    flux = [c / 2 * np.einsum("nki,ni->nk", g, s.normal) for c, g in zip(k, gradients, strict=True)]
+    mixed = w * np.hstack(flux)[:, :, None] * jump[:, None]
+    entries = 1e3 * w * jump[:, :, None] * jump[:, None] - mixed - np.swapaxes(mixed, 1, 2)
+    T = temperatures(cells, tags, exact, interface_matrix(exact.function_space, dofs, entries))
+    assert largest(T - everywhere(exact.function_space, exact.x.array)) < 1e-10
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("sides", [SIDES, SWAPPED], ids=["lower", "upper"])
+@pytest.mark.parametrize(("cell", "degree"), crosswise(CELLS, [1, 2]))
+def test_scalar_fields_are_tied_by_D_and_M(cell, degree, sides):
+    mesh, cells, tags = blocks(cell, partition="stripes")
+    exact = linear(scalars(mesh, degree), cells)
+    V = exact.function_space
+    mortar = dm.assemble_mortar(V, tags, **sides)
+    B = dense(mortar.D, V, mortar.nodes) - dense(mortar.M, V, mortar.nodes)
+    B = B[np.concatenate(COMM.allgather(mortar.nodes))]
+    A, b = conduction(cells, tags, exact)
+    first, n = V.dofmap.index_map.local_range[0], V.dofmap.index_map.size_global
+    A = dense(A, V, first + np.arange(V.dofmap.index_map.size_local))
+    fixed = np.concatenate(COMM.allgather(first + owned_ends(V, tags)))
+    free, T = np.setdiff1d(np.arange(n), fixed), everywhere(V, exact.x.array)
+    right = np.concatenate([*COMM.allgather(b.array), np.zeros(len(B))])
+    whole = np.block([[A, B.T], [B, np.zeros((len(B), len(B)))]])
+    kept = np.concatenate([free, np.arange(n, len(right))])
+    right = (right - whole[:, fixed] @ T[fixed])[kept]
+    found = np.linalg.solve(whole[np.ix_(kept, kept)], right)
+    assert len(B) >= 4 and largest(found[: len(free)] - T[free]) < 1e-10
+
+
+# -- bad input
+
+
+CALLS = [dm.segments, dm.assemble_mortar]
+
+
+def given(**changes):
+    mesh, _, tags = blocks("triangle", partition="stripes")
+    return {"V": scalars(mesh, 1), "facet_tags": tags} | SIDES | changes
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("call", CALLS)
+def test_spaces_and_displacements_that_do_not_fit(call):
+    arguments = given()
+    mesh, other = arguments["V"].mesh, blocks("triangle")[0]
+    for changed, *words in (
+        ({"V": fem.functionspace(mesh, ("DG", 1))}, "V has", "scalar or vector Lagrange"),
+        ({"V": scalars(mesh, 3)}, "V has", "degree 3", "degree 1 or 2"),
+        ({"V": fem.functionspace(mesh, ("Lagrange", 1, (3,)))}, "V has", "shape (3,)"),
+        ({"V": vectors(mesh, 1).sub(0)}, "V is in a part of a larger space", "collapse()"),
+        ({"u": fem.Function(vectors(other, 1))}, "u has to be a Function of V", "mesh of V"),
+        ({"u": fem.Function(scalars(mesh, 1))}, "u has the element", "vector Lagrange"),
+        ({"u": np.zeros(3)}, "u has to be a Function of V", "array"),
+        ({"slave": 9}, "slave=9 marks no facet", "has the values"),
+        ({"master": "lid"}, "master is 'lid'", "no names"),
+        ({"master": TOP_OF_LOWER}, "slave=3 and master=3 share", "a tag of its own"),
+        ({"master": TOP}, "slave=3 and master=2 can never meet", "check the tags"),
+    ):
+        with rejected(*words):
+            call(**(arguments | changed))
+
+
+@pytest.mark.mpi
+def test_what_only_one_of_them_refuses():
+    """D and M have the facets of V; the functions of segments may have a lower degree than u."""
+    arguments = given()
+    u = fem.Function(vectors(arguments["V"].mesh, 2))
+    with rejected("u has degree 2, V degree 1", "give V the degree 2", "interpolate"):
+        dm.assemble_mortar(**arguments, u=u)
+    assert COMM.allreduce(dm.segments(**arguments, u=u).weight.sum()) == pytest.approx(1.0)
+    mesh, _, tags = blocks("triangle", order=2, transform=lambda x: bent(x.T).T)
+    with rejected("V", "cells of the mesh are of degree 2", "degree 1"):
+        dm.assemble_mortar(scalars(mesh, 1), tags, **SIDES)
+    lengths = [
+        COMM.allreduce(dm.segments(scalars(mesh, k), tags, **SIDES).weight.sum()) for k in (1, 2)
+    ]
+    assert lengths[0] == lengths[1] > 1.0
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("value", [np.nan, -10.0])
+def test_displacements_that_turn_a_cell_inside_out(value):
+    """Of one node, which one rank owns; not of the interface itself."""
+    arguments = given()
+    u = fem.Function(vectors(arguments["V"].mesh, 1))
+    x = u.function_space.tabulate_dof_coordinates()
+    u.x.array[1::2][np.abs(x - [1.0, 0.5, 0.0]).max(axis=1) < 1e-9] = value
+    with (
+        np.errstate(invalid="ignore"),
+        rejected("1 cells behind master=4", "u turns them inside out", "check mesh and u"),
+    ):
+        dm.segments(**arguments, u=u)
+
+
+@pytest.mark.mpi
+def test_nodes_with_numbers_of_their_own(monkeypatch):
+    """As if no vector space had those of V."""
+    arguments = given()
+    others = mixed(arguments["V"].mesh, 1).sub(0).collapse()[0]
+    monkeypatch.setattr(fem, "functionspace", lambda *_: others)
+    with rejected("V numbers its nodes", "dolfinx.fem.functionspace"):
+        dm.assemble_mortar(**arguments)
+    assert COMM.allreduce(dm.segments(**arguments).weight.sum()) == pytest.approx(1.0)
+
+
+@pytest.mark.mpi
+def test_points_without_a_partner(monkeypatch):
+    """Which the kernels mark by NaN, where curved facets are folded, on one rank perhaps."""
+    kernel = cell_segments.find_segments
+
+    def fold(pairing, u):
+        points, normals = kernel(pairing, u)
+        xi = points.xi_m.copy()
+        xi[: COMM.rank == 0] = np.nan
+        return dataclasses.replace(points, xi_m=xi), normals
+
+    monkeypatch.setattr(cell_segments, "find_segments", fold)
+    with rejected("1 points of slave=3", "opposite on master=4", "at X + u; check mesh and u"):
+        dm.segments(**given())
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("call", CALLS)
+@pytest.mark.parametrize("name", ["slave", "master", "u", "facet_tags"])
+def test_arguments_that_differ_between_the_ranks(call, name):
+    if COMM.size == 1:
+        return
+    arguments = given()
+    u = fem.Function(vectors(arguments["V"].mesh, 1))
+    if COMM.rank == COMM.size - 1:
+        arguments[name] = {"u": u, "facet_tags": None}.get(name, TOP)
+    with rejected(f"{name} differs between the ranks", "give all ranks the same"):
+        call(**arguments)
