@@ -31,7 +31,7 @@ from dolfinx_mortar.arrays import SAME, Floats, Ints, Longs
 from dolfinx_mortar.geometry import plane
 from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls
-from dolfinx_mortar.geometry.moments import KERNEL, add_point, fill_functions
+from dolfinx_mortar.geometry.moments import INNER, add_point, fill_functions
 from dolfinx_mortar.geometry.parts import (
     along,
     carry,
@@ -79,7 +79,7 @@ def _rules() -> tuple[Floats, Floats, Longs]:
     return np.concatenate(points), np.concatenate(weights), np.array(start, dtype=np.int64)
 
 
-@numba.njit(cache=True)
+@numba.njit(**INNER)
 def _depth(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
     """Return how far the projected facet M lies below S at (x, y)."""
     xi, eta, _ = inverse(S, bilinear[0], x, y)
@@ -87,7 +87,7 @@ def _depth(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
     return (height_at(S, bilinear[0], xi, eta) - height_at(M, bilinear[1], r, s)).real
 
 
-@numba.njit(cache=True)
+@numba.njit(**INNER)
 def _overlap(P, Q):  # type: ignore[no-untyped-def]
     """Tell whether two projected facets share more than a line."""
     p, q = P.shape[0], Q.shape[0]
@@ -97,7 +97,7 @@ def _overlap(P, Q):  # type: ignore[no-untyped-def]
     return not plane.is_beside(Q, q, P, p, plane.orientation(Q, q), -64 * ROUND_OFF)
 
 
-@numba.njit(cache=True)
+@numba.njit(**INNER)
 def _any_overlap(M, count):  # type: ignore[no-untyped-def]
     """Tell whether any of the first `count` projected facets overlap."""
     low, high = np.empty(count), np.empty(count)
@@ -111,7 +111,7 @@ def _any_overlap(M, count):  # type: ignore[no-untyped-def]
     return False
 
 
-@numba.njit(cache=True)
+@numba.njit(**INNER)
 def _is_hidden(S, M, bilinear, i, j, pieces, sizes, common, spare):  # type: ignore[no-untyped-def]
     """Tell whether facet j is nearer to the slave than facet i where their projections overlap.
 
@@ -134,14 +134,14 @@ def _is_hidden(S, M, bilinear, i, j, pieces, sizes, common, spare):  # type: ign
 # Loops in place of slices: each array assignment takes a second to compile.
 
 
-@numba.njit(cache=True)
+@numba.njit(**INNER)
 def _copy(P, n, Q):  # type: ignore[no-untyped-def]
     """Copy the first n points of P to Q."""
     for i in range(n):
         Q[i, 0], Q[i, 1] = P[i, 0], P[i, 1]
 
 
-@numba.njit(cache=True)
+@numba.njit(**INNER)
 def _doubled(a):  # type: ignore[no-untyped-def]
     """Return an array of twice the length that begins with the contiguous array a."""
     result = np.empty((2 * len(a),) + a.shape[1:], a.dtype)  # noqa: RUF005
@@ -151,7 +151,7 @@ def _doubled(a):  # type: ignore[no-untyped-def]
     return result
 
 
-@numba.njit(cache=True)
+@numba.njit(**INNER)
 def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyped-def]
     """Return the parts of polygon i that no other of the n facets hides: points, sizes, number.
 
@@ -188,7 +188,7 @@ def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyp
     return pieces, sizes, count
 
 
-@numba.njit(cache=True)
+@numba.njit(**INNER)
 def _is_far(middle, radius, centre, axes):  # type: ignore[no-untyped-def]
     """Tell whether the projection of a ball is beside that of the slave facet's own ball."""
     x = y = square = 0.0
@@ -198,7 +198,7 @@ def _is_far(middle, radius, centre, axes):  # type: ignore[no-untyped-def]
     return x * x + y * y > (1.0 + radius * np.sqrt(square)) ** 2
 
 
-@numba.njit(cache=True)
+@numba.njit(**INNER)
 def _clip(  # type: ignore[no-untyped-def]
     S, x_m, balls, bilinear, pairs, deepest, first, last, centre, axes, M, pieces, sizes, row
 ):
@@ -228,7 +228,7 @@ def _clip(  # type: ignore[no-untyped-def]
     return count
 
 
-@numba.njit(cache=True)
+@numba.njit(**INNER)
 def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
     """Append the triangles of a polygon that are larger than round-off; return the new arrays."""
     if t + VERTICES > len(which):
@@ -246,7 +246,7 @@ def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
     return which, corners, t
 
 
-@numba.njit(cache=True)
+@numba.njit(**INNER)
 def _split(S, x_m, balls, bilinear, pairs, deepest, first, last, centre, axes, which, corners, t):  # type: ignore[no-untyped-def]
     """Append the triangles of the segments of one slave facet.
 
@@ -288,7 +288,7 @@ def _triangulate(x_s, x_m, balls, bilinear, pairs, deepest, centre, axes):  # ty
     return which[:t], corners[:t]
 
 
-@numba.njit(cache=True)
+@numba.njit(**INNER)
 def _changes(P, bilinear, corners):  # type: ignore[no-untyped-def]
     """Return changes of a projected facet over a triangle, by its values at the corners.
 
@@ -372,7 +372,7 @@ def _place(  # type: ignore[no-untyped-def]
     return pair, xi_s, xi_m, weight
 
 
-@numba.njit(cache=True)
+@numba.njit(**INNER)
 def _maps(P, bilinear):  # type: ignore[no-untyped-def]
     """Return the three maps of `plane.bilinear_map`, made once for a pair; zeros if affine."""
     if bilinear:
@@ -382,7 +382,7 @@ def _maps(P, bilinear):  # type: ignore[no-untyped-def]
     return none, none, none
 
 
-@numba.njit(cache=True)
+@numba.njit(**INNER)
 def _point(S, M, of_S, of_M, bilinear, c, r, s):  # type: ignore[no-untyped-def]
     """Return xi_s, xi_m and the slave's plane Jacobian at a point of the triangle c (3, 2)."""
     x = c[0, 0] + r * (c[1, 0] - c[0, 0]) + s * (c[2, 0] - c[0, 0])
@@ -398,14 +398,14 @@ def _point(S, M, of_S, of_M, bilinear, c, r, s):  # type: ignore[no-untyped-def]
     return xi, eta, r0, r1, J
 
 
-@numba.njit(cache=True)
+@numba.njit(**INNER)
 def _area(c):  # type: ignore[no-untyped-def]
     """Return the area of a triangle (3, 2)."""
     ux, uy, vx, vy = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[2, 0] - c[0, 0], c[2, 1] - c[0, 1]
     return (ux * vy - uy * vx) / 2
 
 
-@numba.njit(cache=True)
+@numba.njit(**INNER)
 def _jacobian(maps, bilinear, J, xi, eta):  # type: ignore[no-untyped-def]
     """Return the area of a facet per reference area, J being that of its projection."""
     if not bilinear:
@@ -444,7 +444,7 @@ def tables(slave: FacetElement, master: FacetElement) -> Tables:
     )
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**INNER)
 def _coefficients(x, table, c):  # type: ignore[no-untyped-def]
     """Write the coefficients (3, 9) of a facet x (k, 3), see `parts.coefficients`."""
     for i in range(3):
@@ -454,7 +454,7 @@ def _coefficients(x, table, c):  # type: ignore[no-untyped-def]
                 c[i, a] += table[j, a] * x[j, i]
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**INNER)
 def _ball(x, middle):  # type: ignore[no-untyped-def]
     """Write the centre (3,) of a ball around a facet x (k, 3); return its radius."""
     square = 0.0
@@ -470,7 +470,7 @@ def _ball(x, middle):  # type: ignore[no-untyped-def]
     return np.sqrt(square)
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**INNER)
 def _fill_parts(x, nodes, parts):  # type: ignore[no-untyped-def]
     """Write the parts (a, v, 3) of a facet x (k, 3)."""
     for a in range(nodes.shape[0]):
@@ -479,7 +479,7 @@ def _fill_parts(x, nodes, parts):  # type: ignore[no-untyped-def]
                 parts[a, v, i] = x[nodes[a, v], i]
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**INNER)
 def moments(x, n, Y, deepest, factor, heights, positive, tables, S, R, H):  # type: ignore[no-untyped-def]
     """Add the moments of a slave facet x (k, 3) and its masters Y (c, l, 3) to S, R (c, k, l), H.
 
@@ -511,7 +511,7 @@ def moments(x, n, Y, deepest, factor, heights, positive, tables, S, R, H):  # ty
     return hidden
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**INNER)
 def _add_part(i, parts_s, parts_m, of_s, of_m, balls, deepest, tables, given, sums):  # type: ignore[no-untyped-def]
     """Add the moments of part i of a slave facet; return whether parts of masters hide others."""
     kind, c, b, bilinear = parts_s.dtype, len(parts_m), len(tables.nodes_m), tables.bilinear
@@ -523,12 +523,15 @@ def _add_part(i, parts_s, parts_m, of_s, of_m, balls, deepest, tables, given, su
     x, second = parts_s[i], tables.scale > 0.0
     radius = _ball(x, middle)
     for h in range(3):
-        centre[h] = x[:, h].sum() / len(x)
+        centre[h] = 0.0
+        for j in range(len(x)):
+            centre[h] += x[j, h] / len(x)
     fill_axes(x, radius, axes)
     project(x, centre, axes, P)
+    limits = np.empty(c)
     for r in range(c):
-        pairs[r, 1] = r
-    at = pairs, deepest / radius, 0, c, centre, axes
+        pairs[r, 1], limits[r] = r, deepest[r] / radius
+    at = pairs, limits, np.int64(0), c, centre, axes
     which, corners, n, hidden = _split(
         P, parts_m, balls, bilinear, *at, which, corners, np.int64(0)
     )

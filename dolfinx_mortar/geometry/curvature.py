@@ -64,7 +64,7 @@ from dolfinx_mortar.geometry.facets import (
     facet_normals,
     scaled_normals,
 )
-from dolfinx_mortar.geometry.moments import KERNEL
+from dolfinx_mortar.geometry.moments import INNER, KERNEL
 
 
 @dataclass(frozen=True)
@@ -273,7 +273,7 @@ def curvatures(facets: Facets, sagitta: Floats) -> Floats:
     return K
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**INNER)
 def _cross(a, b, c):  # type: ignore[no-untyped-def]
     """Write the unit vector along a x b into c."""
     square = 0.0 * a[0]
@@ -281,12 +281,12 @@ def _cross(a, b, c):  # type: ignore[no-untyped-def]
         g, h = (i + 1) % 3, (i + 2) % 3
         c[i] = a[g] * b[h] - a[h] * b[g]
         square += c[i] * c[i]
-    scale = 1.0 / np.sqrt(square)
+    scale = 1.0 / np.sqrt(square) if square.real > 0.0 else square
     for i in range(3):
         c[i] *= scale
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**INNER)
 def _frame(x, B):  # type: ignore[no-untyped-def]
     """Write two tangents and the mean normal of a first-order facet x (v, 3) into the rows of B."""
     bilinear = len(x) == 4
@@ -300,18 +300,19 @@ def _frame(x, B):  # type: ignore[no-untyped-def]
     _cross(B[1], B[2], B[0])
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**INNER)
 def _solve(N, r, k):  # type: ignore[no-untyped-def]
-    """Write the solution of the symmetric N k = r (3,) into k."""
-    a, b, c, d, e, f = N[0, 0], N[0, 1], N[0, 2], N[1, 1], N[1, 2], N[2, 2]
-    p, q, s = d * f - e * e, c * e - b * f, b * e - c * d
-    size, t, u, v = a * p + b * q + c * s, a * f - c * c, b * c - a * e, a * d - b * b
-    k[0] = (p * r[0] + q * r[1] + s * r[2]) / size
-    k[1] = (q * r[0] + t * r[1] + u * r[2]) / size
-    k[2] = (s * r[0] + u * r[1] + v * r[2]) / size
+    """Write the solution of the symmetric, positive N k = r (3,) into k."""
+    a, b = N[0, 1] / N[0, 0], N[0, 2] / N[0, 0]
+    d = N[1, 1] - a * N[0, 1]
+    e = (N[1, 2] - a * N[0, 2]) / d
+    y, z = r[1] - a * r[0], r[2] - b * r[0]
+    k[2] = (z - e * y) / (N[2, 2] - b * N[0, 2] - e * e * d)
+    k[1] = y / d - e * k[2]
+    k[0] = r[0] / N[0, 0] - a * k[1] - b * k[2]
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**INNER)
 def fill_curvature(x, v, c, first, last, K):  # type: ignore[no-untyped-def]
     """Write K (d, d) of a facet x (k, d) with v vertices and c_ab (e,), see `curvatures`."""
     if x.shape[1] == 2:  # c_ab e e^T / |e|^4, of the ends
@@ -357,7 +358,7 @@ def _fill_curvatures(x, v, c, first, last, K):  # type: ignore[no-untyped-def]
         fill_curvature(x[f], v, c[f], first, last, K[f])
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**INNER)
 def fill_heights(x, c, shared, K, first, last, table, Q):  # type: ignore[no-untyped-def]
     """Write Q (k, k) of the heights N.Q N over a facet x (k, d).
 
@@ -367,7 +368,9 @@ def fill_heights(x, c, shared, K, first, last, table, Q):  # type: ignore[no-unt
             `common_sagittas`.
         table: of `height_table`.
     """
-    Q[:] = 0.0
+    for a in range(len(Q)):
+        for b in range(len(Q)):
+            Q[a, b] = 0.0
     for z in range(len(c)):
         value = c[z] + 0.0 * x[0, 0]
         if shared:

@@ -15,10 +15,13 @@ inverted (complex step: Squire and Trapp, SIAM Review 40, 1998).
 import numba
 import numpy as np
 
-STEP = 1e-30
+from dolfinx_mortar.arrays import EPS
+
+STEP = EPS**2
 """Imaginary part of a coordinate: its square is nothing beside the round-off of any other one."""
 KERNEL = {"cache": True, "error_model": "numpy", "fastmath": {"contract"}}
-SUMS = {**KERNEL, "fastmath": {"contract", "nsz", "nnan", "reassoc"}}
+INNER = {**KERNEL, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+SUMS = {**INNER, "fastmath": {"contract", "nsz", "nnan", "reassoc"}}
 
 
 @numba.njit(**SUMS)
@@ -71,7 +74,7 @@ def add_point(N, M, w, c, factor, heights, positive, S, R, H):  # type: ignore[n
         H[j] += v * h
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**INNER)
 def add_whole(x, by_x, start, rule, weights, phi, S, H):  # type: ignore[no-untyped-def]
     """Add those of a whole facet x (k, d), with minus int N_j phi, to S (k, k) and H (k,).
 
@@ -86,7 +89,8 @@ def add_whole(x, by_x, start, rule, weights, phi, S, H):  # type: ignore[no-unty
     a = np.zeros((2, 3), x.dtype)
     for q in range(len(weights)):
         value = phi[q] + 0.0 * x[0, 0]
-        a[:] = 0.0
+        for i in range(3):
+            a[0, i] = a[1, i] = 0.0
         a[1, 2] = 1.0 if d == 2 else 0.0  # of a line: across its plane
         for i in range(d):
             for j in range(k):

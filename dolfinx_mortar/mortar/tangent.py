@@ -38,7 +38,7 @@ from dolfinx_mortar.geometry.curvature import (
     node_pairs,
 )
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.moments import KERNEL, STEP, add_whole
+from dolfinx_mortar.geometry.moments import INNER, KERNEL, STEP, add_whole
 from dolfinx_mortar.geometry.plane import fill_axes
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar import edges
@@ -131,105 +131,121 @@ class _Results(NamedTuple):
     M: Floats  # (p, k, m)
 
 
-@numba.njit(**KERNEL)
-def _product(A, B, C):  # type: ignore[no-untyped-def]
-    """Write A B into C."""
-    for i in range(A.shape[0]):
-        for j in range(B.shape[1]):
-            C[i, j] = 0.0
+@numba.njit(**INNER)
+def _add_product(factor, A, B, turned, C):  # type: ignore[no-untyped-def]
+    """Add a factor times A B, or A B^T, to C."""
+    for i in range(C.shape[0]):
+        for j in range(C.shape[1]):
+            total = 0.0
             for k in range(A.shape[1]):
-                C[i, j] += A[i, k] * B[k, j]
+                total += A[i, k] * (B[j, k] if turned else B[k, j])
+            C[i, j] += factor * total
 
 
-@numba.njit(**KERNEL)
-def _close(A, T, kept, count, C):  # type: ignore[no-untyped-def]
-    """Write (A - mean of its rows) T into C, for the count of nodes kept (k,); A is lost."""
+@numba.njit(**INNER)
+def _clear(A):  # type: ignore[no-untyped-def]
+    """Set a matrix to zero."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            A[i, j] = 0.0
+
+
+@numba.njit(**INNER)
+def _duals(S, T, inverse, kept, A, spare, C):  # type: ignore[no-untyped-def]
+    """Write C (k, k) for the moments S, and A = diag(d) m^-1."""
+    for i in range(2):
+        _clear(spare[i])
+    _add_product(1.0, T, S, False, spare[0])
+    for j in range(len(S)):
+        d = 0.0
+        for b in range(len(S)):
+            d += spare[0, j, b]
+        for b in range(len(S)):
+            A[j, b] = d * inverse[j, b]
+            spare[1, j, b] = A[j, b]
+    _close(spare[1], T, kept, True, C)
+
+
+@numba.njit(**INNER)
+def _close(A, T, kept, whole, C):  # type: ignore[no-untyped-def]
+    """Write (A - mean of its rows) T, and 1 / count of the nodes kept (k,) if whole; A is lost."""
+    count = 0
+    for j in range(len(A)):
+        count += kept[j]
+    count = max(count, 1)
     for b in range(len(A)):
-        mean = A[:, b].sum() / count
+        mean = 0.0
+        for j in range(len(A)):
+            mean += A[j, b] / count
         for j in range(len(A)):
             A[j, b] -= mean * kept[j]
-    _product(A, T, C)
+            C[j, b] = kept[j] / count if whole else 0.0
+    _add_product(1.0, A, T, False, C)
+
+
+@numba.njit(**INNER)
+def _dual_changes(dS, T, inverse, kept, A, spare, dC):  # type: ignore[no-untyped-def]
+    """Write the derivatives of C for those of the moments, dS."""
+    for i in range(4):
+        _clear(spare[i])
+    _add_product(1.0, T, dS, False, spare[0])
+    _add_product(1.0, spare[0], T, True, spare[1])  # dm
+    _add_product(-1.0, A, spare[1], False, spare[2])
+    for j in range(len(dS)):
+        for b in range(len(dS)):
+            spare[2, j, j] += spare[0, j, b]  # dd
+    _add_product(1.0, spare[2], inverse, False, spare[3])
+    _close(spare[3], T, kept, False, dC)
 
 
 @numba.njit(**KERNEL)
-def _add_duals(S, dS, T, inverse, kept, mask, factor, C, dC):  # type: ignore[no-untyped-def]
-    """Add a factor times C (k, k), in the rows of a mask (k,), and its derivatives (z, k, k)."""
-    k, T_T, count = len(S), T.T, max(kept.sum(), 1)
-    N, m, A, dA, other = np.empty((5, k, k))
-    _product(T, S, N)
-    for j in range(k):
-        for b in range(k):
-            A[j, b] = dA[j, b] = N[j].sum() * inverse[j, b]
-    _close(dA, T, kept, count, other)
-    for j in range(k):
-        for b in range(k):
-            C[j, b] += factor * mask[j] * (other[j, b] + kept[j] / count)
+def _all_duals(S, dS, basis, f, shares, C, dC):  # type: ignore[no-untyped-def]
+    """Write C (k, k) and its derivatives (z, k, k) of facet f; shares (z,): those of its share."""
+    k, closed, mask = len(S), basis.closed[f], basis.kept[f, 0]
+    both, A, spare, one = (np.empty((2, k, k)), np.empty((k, k)), np.empty((4, k, k)),
+                           np.empty((k, k)))  # fmt: skip
     for z in range(len(dS)):
-        _product(T, dS[z], N)
-        _product(N, T_T, m)
-        _product(A, m, other)
-        for j in range(k):
-            for b in range(k):
-                other[j, b] = -other[j, b]
-            other[j, j] += N[j].sum()
-        _product(other, inverse, dA)
-        _close(dA, T, kept, count, other)
-        for j in range(k):
-            for b in range(k):
-                dC[z, j, b] += factor * mask[j] * other[j, b]
-
-
-@numba.njit(**KERNEL)
-def _all_duals(S, dS, basis, f, d_closed, C, dC):  # type: ignore[no-untyped-def]
-    """Write C (k, k) and its derivatives (z, k, k) of facet f; `d_closed` (z,) of its share."""
-    k, closed, kept = len(S), basis.closed[f], basis.kept[f]
-    C[:], dC[:] = 0.0, 0.0
-    _add_duals(S, dS, basis.T[f, 0], basis.inverse[f, 0], kept[0], kept[0], closed, C, dC)
-    if closed < 1.0:
-        both = np.zeros((2, k, k))
-        for i in range(2):
-            at = basis.T[f, i], basis.inverse[f, i], kept[i], kept[0]
-            _add_duals(S, dS[:0], *at, 1.0, both[i], dC[:0])
-        at = basis.T[f, 1], basis.inverse[f, 1], kept[1], kept[0]
-        _add_duals(S, dS, *at, 1.0 - closed, C, dC)
+        _clear(dC[z])
+    for i in range(2 if closed < 1.0 else 1):
+        at = basis.T[f, i], basis.inverse[f, i], basis.kept[f, i], A, spare
+        _duals(S, *at, both[i])
+        factor = 1.0 - closed if i else closed
         for z in range(len(dS)):
+            _dual_changes(dS[z], *at, one)
             for j in range(k):
                 for b in range(k):
-                    dC[z, j, b] += d_closed[z] * (both[0, j, b] - both[1, j, b])
+                    dC[z, j, b] += factor * mask[j] * one[j, b]
+    for j in range(k):
+        for b in range(k):
+            C[j, b] = both[0, j, b]
+            if closed < 1.0:
+                apart = both[0, j, b] - mask[j] * both[1, j, b]
+                C[j, b] -= (1.0 - closed) * apart
+                for z in range(len(dS)):
+                    dC[z, j, b] += shares[z] * apart
 
 
-@numba.njit(**KERNEL)
-def _add_products(dC, S, C, dS, spare, dD):  # type: ignore[no-untyped-def]
-    """Write dC S + C dS into dD."""
-    _product(dC, S, dD)
-    _product(C, dS, spare)
-    for j in range(dD.shape[0]):
-        for a in range(dD.shape[1]):
-            dD[j, a] += spare[j, a]
-
-
-@numba.njit(**KERNEL)
+@numba.njit(**INNER)
 def _apply(S, R, H, dS, dR, dH, C, dC, fixed, x, y, f, found):  # type: ignore[no-untyped-def]
     """Write the derivatives of facet f but for those of x and y at fixed D and M."""
     k, m = R.shape
-    _product(C, S, found.D[f])
-    _product(C, R, found.M[f])
-    dD, spare_D, dM, spare_M = (
-        np.empty((k, k)),
-        np.empty((k, k)),
-        np.empty((k, m)),
-        np.empty((k, m)),
-    )
+    _add_product(1.0, C, S, False, found.D[f])
+    _add_product(1.0, C, R, False, found.M[f])
+    dD, dM = np.empty((k, k)), np.empty((k, m))
     for z in range(len(dS)):
-        _add_products(dC[z], S, C, dS[z], spare_D, dD)
-        _add_products(dC[z], R, C, dR[z], spare_M, dM)
+        _clear(dD)
+        _clear(dM)
+        _add_product(1.0, dC[z], S, False, dD)
+        _add_product(1.0, C, dS[z], False, dD)
+        _add_product(1.0, dC[z], R, False, dM)
+        _add_product(1.0, C, dR[z], False, dM)
         _contract(dD, dM, fixed, x, y, f, z, found)
         for j in range(k):
             for b in range(k):
                 found.G[f, j, z] -= dC[z, j, b] * H[b] + C[j, b] * dH[z, b]
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**INNER)
 def _contract(dD, dM, fixed, x, y, f, z, found):  # type: ignore[no-untyped-def]
     """Add what dD and dM give to the derivatives of facet f by z."""
     c, n, n_m, (k, m) = fixed.c[f], fixed.n[f], fixed.n_m[f], dM.shape
@@ -246,7 +262,7 @@ def _contract(dD, dM, fixed, x, y, f, z, found):  # type: ignore[no-untyped-def]
             found.G[f, j, z] += n[j, i] * moved
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**INNER)
 def _move(n, D, M, others, G):  # type: ignore[no-untyped-def]
     """Add n_j.(M_jl dy_l - D_jk dx_k) to G (k, z); the nodes of masters are the last columns."""
     k, d = n.shape
@@ -258,7 +274,7 @@ def _move(n, D, M, others, G):  # type: ignore[no-untyped-def]
                 G[j, others + d * a + i] += M[j, a] * n[j, i]
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**INNER)
 def _share(x, y, S, R, j, corners, sunk):  # type: ignore[no-untyped-def]
     """Return 1 - o_j / (sunk L), see `edges`, from the moments of the positive part of N_j."""
     k, d = x.shape
@@ -274,7 +290,9 @@ def _share(x, y, S, R, j, corners, sunk):  # type: ignore[no-untyped-def]
         weight, square = weight + S[j, a], 0.0 * x[0, 0]
         for i in range(d):
             gap -= S[j, a] * x[a, i] * n[2, i]
-            offset = x[a, i] - x[:, i].sum() / k
+            offset = x[a, i]
+            for b in range(k):
+                offset -= x[b, i] / k
             square += offset * offset
         size = square if square.real > size.real else size
     for a in range(len(y)):
@@ -283,7 +301,7 @@ def _share(x, y, S, R, j, corners, sunk):  # type: ignore[no-untyped-def]
     return 1.0 - gap / (weight * sunk * 2.0 * np.sqrt(size))
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**INNER)
 def _fill_heights(x, Y, which, surfaces, heights):  # type: ignore[no-untyped-def]
     """Write the heights over a slave facet and masters Y (c, l, d), see `moments.add_point`."""
     Q_s, Q_m, arcs = heights
@@ -296,42 +314,80 @@ def _fill_heights(x, Y, which, surfaces, heights):  # type: ignore[no-untyped-de
             fill_curvature(Y[r], surfaces.corners[1], c_m, p_m[0], p_m[1], K[1])
         fill_heights(x, c_s, shared, K[1], p_s[0], p_s[1], surfaces.table_s, Q_s[r])
         fill_heights(Y[r], c_m, shared, K[0], p_m[0], p_m[1], surfaces.table_m, Q_m[r])
-        arcs[r] = surfaces.arcs[which[r]]
+        for i in range(2):
+            for j in range(2):
+                arcs[r, i, j] = surfaces.arcs[which[r], i, j]
 
 
-@numba.njit(**KERNEL)
-def _at_node(place, first, last, node):  # type: ignore[no-untyped-def]
-    """Return the pairs from first to last whose masters have a node."""
-    count, some = 0, np.empty(last - first, np.int64)
+@numba.njit(**INNER)
+def _at_node(place, first, last, node, some):  # type: ignore[no-untyped-def]
+    """Write the pairs from first to last whose masters have a node (-1: all); return the count."""
+    count = 0
     for r in range(first, last):
-        if (place[r] == node).any():
+        has = node < 0
+        for a in range(place.shape[1]):
+            has = has or place[r, a] == node
+        if has:
             some[count], count = r, count + 1
-    return some[:count]
+    return count
+
+
+@numba.njit(**INNER)
+def _parts(S, R, H, dS, dR, dH):  # type: ignore[no-untyped-def]
+    """Write the derivatives that complex moments hold."""
+    for i in range(R.shape[0]):
+        dH[i] = H[i].imag / STEP
+        for j in range(R.shape[0]):
+            dS[i, j] = S[i, j].imag / STEP
+        for j in range(R.shape[1]):
+            dR[i, j] = R[i, j].imag / STEP
+
+
+@numba.njit(**INNER)
+def _real(S, R, H, S0, R0, H0):  # type: ignore[no-untyped-def]
+    """Write the real parts of moments."""
+    for i in range(R.shape[0]):
+        H0[i] = H[i].real
+        for j in range(R.shape[0]):
+            S0[i, j] = S[i, j].real
+        for j in range(R.shape[1]):
+            R0[i, j] = R[i, j].real
+
+
+@numba.njit(**INNER)
+def _coordinate(sides, f, a, i):  # type: ignore[no-untyped-def]
+    """Return coordinate i of node, direction or master's node a of facet f."""
+    k, lines = sides.x.shape[1], sides.n.shape[1]
+    if a < k:
+        return sides.x[f, a, i]
+    return sides.n[f, a - k, i] if a < k + lines else sides.y[f, a - k - lines, i]
 
 
 def _evaluator(moments: Any) -> Any:
     """Return the compiled moments of one slave facet, by `line.moments` or `area.moments`."""
 
-    @numba.njit(**KERNEL)
+    @numba.njit(**INNER)
     def evaluate(v, f, some, sides, surfaces, tables, positive, S, R, H):  # type: ignore[no-untyped-def]
         """Write the moments of facet f and some of its masters at v; R (k, m) by their nodes."""
         k, lines, c, smooth = len(S), sides.n.shape[1], len(some), surfaces.c_s.shape[1] > 0
-        x, n, y = v[:k], v[k : k + lines], v[k + lines :]
-        Y = np.empty((c, sides.place.shape[1], x.shape[1]), v.dtype)
-        each, deepest = np.zeros((c, k, Y.shape[1]), v.dtype), np.empty(c)
-        Q_s = np.empty((c * smooth, k, k), v.dtype)
-        Q_m = np.empty((c * smooth, Y.shape[1], Y.shape[1]), v.dtype)
-        heights = Q_s, Q_m, np.empty((c * smooth, 2, 2))
-        S[:], R[:], H[:] = 0.0, 0.0, 0.0
+        x, n, l_m, d = v[:k], v[k : k + lines], sides.place.shape[1], v.shape[1]
+        Y, each = np.empty((c, l_m, d), v.dtype), np.zeros((c, k, l_m), v.dtype)
+        Q_s, Q_m = np.empty((c * smooth, k, k), v.dtype), np.empty((c * smooth, l_m, l_m), v.dtype)
+        heights, deepest = (Q_s, Q_m, np.empty((c * smooth, 2, 2))), np.empty(c)
+        _clear(S)
+        _clear(R)
+        for j in range(k):
+            H[j] = 0.0
         for r in range(c):
             deepest[r] = sides.deepest[some[r]]
-            for a in range(Y.shape[1]):
-                Y[r, a] = y[sides.place[some[r], a]]
+            for a in range(l_m):
+                for i in range(d):
+                    Y[r, a, i] = v[k + lines + sides.place[some[r], a], i]
         _fill_heights(x, Y, some, surfaces, heights)
         at = sides.factor[f], heights, positive, tables
         hidden = moments(x, n, Y, deepest, *at, S, each, H)
         for r in range(c):
-            for a in range(Y.shape[1]):
+            for a in range(l_m):
                 for j in range(k):
                     R[j, sides.place[some[r], a]] += each[r, j, a]
         return hidden
@@ -351,24 +407,27 @@ def _loop(evaluate: Any) -> Any:
         S0, R0, H0 = np.empty((k, k)), np.empty((k, m)), np.empty(k)
         dS, dR, dH = np.empty((size, k, k)), np.empty((size, k, m)), np.empty((size, k))
         C, dC, shares = np.empty((k, k)), np.empty((size, k, k)), np.zeros(size)
+        every = np.empty(len(sides.place), np.int64)
         for f in range(p):
-            v[:k], v[k : k + lines], v[k + lines :] = sides.x[f], sides.n[f], sides.y[f]
             first, last, hidden = sides.start[f], sides.start[f + 1], False
-            every = np.arange(first, last)
             for z in range(size):
-                a, some = z // d, every
+                v[z // d, z % d] = _coordinate(sides, f, z // d, z % d)
+            for z in range(size):
+                a, node = z // d, -1
                 if a >= k + lines and not hidden:  # pairs do not know of each other
-                    some = _at_node(sides.place, first, last, a - k - lines)
+                    node = a - k - lines
                 v[a, z % d] += 1j * STEP
-                at = sides, surfaces, tables
-                hidden = evaluate(v, f, some, *at, False, S, R, H) or hidden
+                some = every[: _at_node(sides.place, first, last, node, every)]
+                hidden = evaluate(v, f, some, sides, surfaces, tables, False, S, R, H) or hidden
                 if z == 0:
-                    S0[:], R0[:], H0[:] = S.real, R.real, H.real
-                dS[z], dR[z], dH[z] = S.imag / STEP, R.imag / STEP, H.imag / STEP
-                if sides.partly[f] >= 0:
-                    evaluate(v, f, every, *at, True, S, R, H)
-                    node = sides.partly[f], surfaces.corners[0], sunk
-                    shares[z] = _share(v[:k], v[k + lines :], S, R, *node).imag / STEP
+                    _real(S, R, H, S0, R0, H0)
+                _parts(S, R, H, dS[z], dR[z], dH[z])
+                j = sides.partly[f]
+                if j >= 0:
+                    some = every[: _at_node(sides.place, first, last, -1, every)]
+                    evaluate(v, f, some, sides, surfaces, tables, True, S, R, H)
+                    share = _share(v[:k], v[k + lines :], S, R, j, surfaces.corners[0], sunk)
+                    shares[z] = share.imag / STEP
                 v[a, z % d] = v[a, z % d].real
             _all_duals(S0, dS, basis, f, shares, C, dC)
             _apply(S0, R0, H0, dS, dR, dH, C, dC, fixed, sides.x[f], sides.y[f], f, found)
@@ -381,22 +440,25 @@ def _loop(evaluate: Any) -> Any:
 def _differentiate_whole(x, by_x, rule, factor, phi, basis, fixed, found):  # type: ignore[no-untyped-def]
     """Write the derivatives of whole facets, see `differentiate_whole`."""
     p, k, d = x.shape
-    size, none_open, at = d * k, np.zeros(d * k), np.empty((k, d), np.complex128)
-    S, H = np.empty((k, k), at.dtype), np.empty(k, at.dtype)
-    S0, H0, none = np.empty((k, k)), np.empty(k), np.empty((k, 0))
+    size, shares, at = d * k, np.zeros(d * k), np.empty((k, d), np.complex128)
+    S, H, R = np.empty((k, k), at.dtype), np.empty(k, at.dtype), np.empty((k, 0), at.dtype)
+    S0, R0, H0 = np.empty((k, k)), np.empty((k, 0)), np.empty(k)
     dS, dR, dH = np.empty((size, k, k)), np.empty((size, k, 0)), np.empty((size, k))
     C, dC, y = np.empty((k, k)), np.empty((size, k, k)), np.empty((0, d))
     for f in range(p):
-        at[:] = x[f]
+        for z in range(size):
+            at[z // d, z % d] = x[f, z // d, z % d]
         for z in range(size):
             at[z // d, z % d] += 1j * STEP
-            S[:], H[:] = 0.0, 0.0
+            _clear(S)
+            for j in range(k):
+                H[j] = 0.0
             add_whole(at, by_x[f], x[f], rule, factor[f], phi[f], S, H)
-            dS[z], dH[z] = S.imag / STEP, H.imag / STEP
+            _parts(S, R, H, dS[z], dR[z], dH[z])
             at[z // d, z % d] = x[f, z // d, z % d]
-        S0[:], H0[:] = S.real, H.real
-        _all_duals(S0, dS, basis, f, none_open, C, dC)
-        _apply(S0, none, H0, dS, dR, dH, C, dC, fixed, x[f], y, f, found)
+        _real(S, R, H, S0, R0, H0)
+        _all_duals(S0, dS, basis, f, shares, C, dC)
+        _apply(S0, R0, H0, dS, dR, dH, C, dC, fixed, x[f], y, f, found)
 
 
 def differentiate_whole(
