@@ -504,14 +504,16 @@ def moments(x, n, Y, deepest, factor, heights, positive, tables, S, R, H):  # ty
         _fill_parts(Y[r], tables.nodes_m, parts_m[b * r : b * (r + 1)])
         for j in range(b * r, b * (r + 1)):
             balls[1][j], most[j] = _ball(parts_m[j], balls[0][j]), deepest[r]
-    sides, hidden = (parts_s, parts_m, of_s, of_m, balls, most), False
-    given, sums = (factor, heights, positive), (S, R, H)
+    given, sums, hidden = (factor, heights, positive), (S, R, H), False
     for i in range(a):
-        hidden = _add_part(i, *sides, tables, given, sums) or hidden
+        # fmt: off
+        hidden = _add_part(i, parts_s, parts_m, of_s, of_m, balls, most, tables, given,
+                           sums) or hidden
+        # fmt: on
     return hidden
 
 
-@numba.njit(**INNER)
+@numba.njit(inline="always")
 def _add_part(i, parts_s, parts_m, of_s, of_m, balls, deepest, tables, given, sums):  # type: ignore[no-untyped-def]
     """Add the moments of part i of a slave facet; return whether parts of masters hide others."""
     kind, c, b, bilinear = parts_s.dtype, len(parts_m), len(tables.nodes_m), tables.bilinear

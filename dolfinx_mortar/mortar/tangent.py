@@ -366,7 +366,7 @@ def _coordinate(sides, f, a, i):  # type: ignore[no-untyped-def]
 def _evaluator(moments: Any) -> Any:
     """Return the compiled moments of one slave facet, by `line.moments` or `area.moments`."""
 
-    @numba.njit(**INNER)
+    @numba.njit(inline="always")
     def evaluate(v, f, some, sides, surfaces, tables, positive, S, R, H):  # type: ignore[no-untyped-def]
         """Write the moments of facet f and some of its masters at v; R (k, m) by their nodes."""
         k, lines, c, smooth = len(S), sides.n.shape[1], len(some), surfaces.c_s.shape[1] > 0
@@ -417,17 +417,19 @@ def _loop(evaluate: Any) -> Any:
                 if a >= k + lines and not hidden:  # pairs do not know of each other
                     node = a - k - lines
                 v[a, z % d] += 1j * STEP
-                some = every[: _at_node(sides.place, first, last, node, every)]
-                hidden = evaluate(v, f, some, sides, surfaces, tables, False, S, R, H) or hidden
-                if z == 0:
-                    _real(S, R, H, S0, R0, H0)
-                _parts(S, R, H, dS[z], dR[z], dH[z])
-                j = sides.partly[f]
-                if j >= 0:
-                    some = every[: _at_node(sides.place, first, last, -1, every)]
-                    evaluate(v, f, some, sides, surfaces, tables, True, S, R, H)
-                    share = _share(v[:k], v[k + lines :], S, R, j, surfaces.corners[0], sunk)
-                    shares[z] = share.imag / STEP
+                for positive in range(2 if sides.partly[f] >= 0 else 1):
+                    count = _at_node(sides.place, first, last, -1 if positive else node, every)
+                    # fmt: off
+                    hidden = evaluate(v, f, every[:count], sides, surfaces, tables, positive > 0,
+                                      S, R, H) or hidden
+                    # fmt: on
+                    if positive:
+                        j = sides.partly[f], surfaces.corners[0], sunk
+                        shares[z] = _share(v[:k], v[k + lines :], S, R, *j).imag / STEP
+                        continue
+                    if z == 0:
+                        _real(S, R, H, S0, R0, H0)
+                    _parts(S, R, H, dS[z], dR[z], dH[z])
                 v[a, z % d] = v[a, z % d].real
             _all_duals(S0, dS, basis, f, shares, C, dC)
             _apply(S0, R0, H0, dS, dR, dH, C, dC, fixed, sides.x[f], sides.y[f], f, found)
