@@ -76,6 +76,8 @@ def sums_at_nodes(comm: MPI.Comm, layout: Layout, nodes: Longs, values: Floats) 
 
 def values_at(comm: PETSc.Comm, values: Floats, rows: Longs | Ints) -> Floats:
     """Return the rows (r, k), by global numbers of any rank, of owned rows (n, k); collective."""
+    if comm.size == 1:
+        return np.asarray(values[rows])
     k = values.shape[1]
     source = PETSc.Vec().createMPI((k * len(values), None), bsize=k, comm=comm)
     source.array[:] = values.ravel()

@@ -36,15 +36,18 @@ On a plane of symmetry all sums are those of the whole: with the images of the f
 the facets in the plane.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from petsc4py import PETSc
 
 import numba
 import numpy as np
 
 from dolfinx import fem, la
-from dolfinx_mortar.algebra.parallel import sums_at_nodes
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes, values_at
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.curvature import unit
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, surface_gradients
 from dolfinx_mortar.geometry.segments import Segments
@@ -55,6 +58,7 @@ from dolfinx_mortar.mortar.surface import (
     Surface,
     accumulate,
     coordinates,
+    create_sums,
     facets_at,
     nodal_normals,
 )
@@ -68,22 +72,35 @@ Of 1e-5 to 1e-1 resultants on a face differ by 1e-4, of crossing edges by .002.
 
 @dataclass(frozen=True, eq=False)
 class Spreads:
-    """How the normals of the exterior facets around nodes spread."""
+    """How the normals of the exterior facets around the nodes of contacts spread."""
 
     V: fem.FunctionSpace
-    boundary: Boundary  # facets of the sides, and those beside them
-    S: Floats  # (local nodes, d, d) at X
-    blur: Floats  # (local nodes,) eps
+    nodes: Ints  # (s,) local nodes of contacts, ascending
+    sums: PETSc.Vec  # work vector of `accumulate` for these
+    S: Floats  # (s, d, d) S + eps I at X
     mirrors: Bools  # (local nodes, d) components of planes of symmetry
+    turned: Longs  # which of the nodes have a spread, that turns
+    boundary: Boundary  # facets around these
+    places: Ints  # (m, k) of their nodes among `nodes`, behind these for others
+    gradients: Floats  # (m, k, d) of their functions in their middles at X
+    normals: Floats  # (m, d) there
 
     def at(self, u: fem.Function | None) -> Floats:
-        """Return S + eps I (local nodes, d, d) at X + u; collective."""
-        S = self.S + self.blur[:, None, None] * np.eye(self.S.shape[1])
+        """Return S + eps I (s, d, d) at X + u; collective.
+
+        Turned by the rotations of the means of dx/dX over facets, normals being carried to normals.
+        """
+        S, d = self.S.copy(), self.S.shape[1]
         if u is None:
             return S
-        some = np.flatnonzero(np.trace(self.S, axis1=1, axis2=2) > HALF_OF_DIGITS)
-        R = _rotations(self.V, self.boundary, u, self.mirrors, some)
-        S[some] = R @ S[some] @ np.swapaxes(R, 1, 2)
+        facets = self.boundary.at(u)
+        F = np.swapaxes(facets.x, 1, 2) @ self.gradients
+        F += facet_normals(facets)[:, :, None] * self.normals[:, None]
+        sums = np.zeros((len(S) + 1, d * d))
+        _add_at(sums, self.places, F.reshape(len(F), d * d))
+        mean = accumulate(self, sums[:-1])[self.turned].reshape(-1, d, d)
+        R = _rotations(_with_images(mean, self.mirrors[self.nodes[self.turned]]))
+        S[self.turned] = R @ S[self.turned] @ np.swapaxes(R, 1, 2)
         return S
 
 
@@ -114,8 +131,7 @@ def find_spreads(
         mirrors = np.zeros((len(marks.array), V.dofmap.index_map_bs), dtype=bool)
     along = facet_normals(boundary.facets)[:, None] ** 2 > 0.5  # rather in the plane than across it
     free &= ~(along & mirrors[nodes]).any(axis=(1, 2))
-    names = "facets", "cells", "entities", "nodes"
-    boundary = replace(boundary, **{name: getattr(boundary, name)[free] for name in names})
+    boundary = boundary[np.flatnonzero(free)]
     nodes = boundary.nodes
     vertices = list(boundary.facets.element.vertices)
     at_vertices = nodes[:, vertices]
@@ -127,24 +143,18 @@ def find_spreads(
     if V.element.basix_element.degree > 1:
         of_facets = S[at_vertices].mean(axis=1).reshape(len(nodes), S.shape[1] ** 2)
         S += _means(V, between, of_facets).reshape(S.shape)
-    return Spreads(V, boundary, _with_images(S, mirrors), blur, mirrors)
-
-
-def _rotations(
-    V: fem.FunctionSpace, boundary: Boundary, u: fem.Function, mirrors: Bools, some: Longs
-) -> Floats:
-    """Return how surfaces have turned around some of the local nodes (s, d, d); collective.
-
-    The rotations of the means of dx/dX over facets, normals being carried to normals.
-    """
-    at_X, facets = boundary.facets, boundary.at(u)
-    middle = np.broadcast_to(at_X.element.points.mean(axis=0), (len(at_X.x), at_X.x.shape[2] - 1))
-    G, N = surface_gradients(at_X, np.arange(len(at_X.x), dtype=np.int32), middle)
-    F = np.swapaxes(facets.x, 1, 2) @ G + facet_normals(facets)[:, :, None] * N[:, None]
-    d = F.shape[1]
-    mean = _means(V, boundary.nodes, F.reshape(len(F), d * d)).reshape(-1, d, d)
-    left, _, right = np.linalg.svd(_with_images(mean[some], mirrors[some]))
-    return np.asarray(left @ right)
+    nodes, _, sums = create_sums(V, np.flatnonzero(marks.array > 0.0).astype(np.int32))
+    S = _with_images(S, mirrors)[nodes]
+    turned = np.flatnonzero(np.trace(S, axis1=1, axis2=2) > HALF_OF_DIGITS)
+    position: Ints = np.full(len(marks.array), len(nodes), dtype=np.int32)
+    position[nodes] = np.arange(len(nodes))
+    near = np.isin(position[boundary.nodes], turned).any(axis=1)
+    around = boundary[np.flatnonzero(near)]
+    at = position[around.nodes]
+    S += blur[nodes, None, None] * np.eye(S.shape[1])
+    middle = np.broadcast_to(around.facets.element.points.mean(axis=0), (len(at), S.shape[1] - 1))
+    slopes = surface_gradients(around.facets, np.arange(len(at), dtype=np.int32), middle)
+    return Spreads(V, nodes, sums, S, mirrors, turned, around, at, *slopes)
 
 
 def _means(V: fem.FunctionSpace, nodes: Ints, values: Floats) -> Floats:
@@ -188,13 +198,41 @@ def _add_at(sums, nodes, values):  # type: ignore[no-untyped-def]
                 sums[nodes[f, i], c] += values[f, c]
 
 
+def _rotations(F: Floats) -> Floats:
+    """Return the rotations (n, d, d) of tensors F.
+
+    By the iteration of Newton and Schulz, R <- R - R (R^T R - I) / 2, from singular values less
+    than the square root of 3 on: of small strains in a third of the time of decompositions.
+    """
+    R = F * np.sqrt(F.shape[1]) / np.linalg.norm(F, axis=(1, 2), keepdims=True)
+    for _ in range(LIMIT):
+        off = np.swapaxes(R, 1, 2) @ R - np.eye(R.shape[1])
+        R -= R @ off / 2
+        if np.abs(off).max(initial=0.0) < HALF_OF_DIGITS:  # the last step has squared it
+            break
+    return np.asarray(R)
+
+
 @dataclass(frozen=True, eq=False)
 class CommonNormals:
     """The normals at the owned slave nodes, and their derivatives by the averaged ones."""
 
     n: Floats  # (n, d)
-    by_slave: Floats  # (n, d, d) by the averaged normal of the node
-    by_master: Floats  # (n, d, d) by sum_l M_jl n_l
+    differentiate: Callable[[], tuple[Floats, Floats]]  # returns what follows
+
+    @cached_property
+    def _derivatives(self) -> tuple[Floats, Floats]:
+        return self.differentiate()
+
+    @property
+    def by_slave(self) -> Floats:
+        """The derivatives (n, d, d) by the averaged normal of the node."""
+        return self._derivatives[0]
+
+    @property
+    def by_master(self) -> Floats:
+        """The derivatives (n, d, d) by sum_l M_jl n_l."""
+        return self._derivatives[1]
 
     def everywhere(self, slave: Surface) -> Floats:
         """Return the normals at all local slave nodes (n, d); collective."""
@@ -222,42 +260,41 @@ def common_normals(
         feature_angle: Degrees between facets from which on they meet in an edge.
     """
     slave, master, V = pairing.slave, pairing.master, pairing.slave.V
-    own, d = slave.nodes[: slave.owned], slave.X.shape[1]
+    own, nodes, d = slave.nodes[: slave.owned], master.nodes[: master.owned], slave.X.shape[1]
     S, limit = spreads.at(u), np.sin(np.radians(feature_angle / 2)) ** 2
-    across: Bools = spreads.mirrors[: V.dofmap.index_map.size_local]
-    averaged = nodal_normals(slave, coordinates(slave, u))[: slave.owned]
-    averaged, by_averaged = in_planes(averaged, across[own])
-    nodes = master.nodes[: master.owned]
-    n_m = nodal_normals(master, coordinates(master, u))[: master.owned]
-    n_m, _ = in_planes(n_m, across[nodes])
-    edged = np.trace(S, axis1=1, axis2=2) > limit / 2
-    of_slave, of_master = (np.where(across, 0.0, v) for v in _facing(pairing, segments, u, edged))
-    a = _of_side(averaged, of_slave[own], S[own], limit)
-    upper = np.triu_indices(d)
-    values = np.zeros((V.dofmap.index_map.size_local, d + 1 + len(upper[0])))
-    values[nodes, :d] = _of_side(n_m, of_master[nodes], S[nodes], limit)
-    values[nodes, d], values[nodes, d + 1 :] = 1.0, S[nodes][:, *upper]
-    total = _products(pairing, M, values[:, : d + 1])[own]
-    total = -np.sign(total[:, d:]) * total[:, :d]
-    total = np.where(across[own], 0.0, total)
-    size = np.linalg.norm(total, axis=1)
-    b = unit(total)
-    spread = _products(pairing, np.maximum(M, 0.0), values[:, d:])[own]
-    S_b = np.empty((len(own), d, d))
-    S_b[:, *upper] = spread[:, 1:] / np.maximum(spread[:, :1], TINY)
-    S_b[:, *upper[::-1]] = S_b[:, *upper]
-    mean, by_a, by_b = _mean(a, b, S[own], _with_images(S_b, across[own]))
-    length = np.linalg.norm(mean, axis=1)
+    S_s, S_m = (S[np.searchsorted(spreads.nodes, side.nodes)] for side in (slave, master))
+    across, across_m = (spreads.mirrors[of] for of in (own, nodes))
+    n = nodal_normals(slave, coordinates(slave, u))[: len(own)]
+    n_m = nodal_normals(master, coordinates(master, u))[: len(nodes)]
+    (n, by_averaged), (n_m, _) = in_planes(n, across), in_planes(n_m, across_m)
+    of_slave, of_master = _facing(pairing, segments, u, *(_edged(S, limit) for S in (S_s, S_m)))
+    S_s, S_m = S_s[: len(own)], S_m[: len(nodes)]
+    a = _of_side(n, np.where(across, 0.0, of_slave), S_s, limit)
+    values = np.zeros((V.dofmap.index_map.size_local, d + d * d))
+    values[nodes, :d] = _of_side(n_m, np.where(across_m, 0.0, of_master), S_m, limit)
+    values[nodes, d:] = S_m.reshape(-1, d * d)
+    facing = values_at(V.mesh.comm, values, pairing.M.columns)
+    row, one = pairing.row[len(pairing.off_diagonal) :], np.ones((len(M), 1))
+    total = sums_of_values(np.hstack([one, facing[:, :d]]), M, row, len(own))
+    spread = sums_of_values(np.hstack([one, facing[:, d:]]), np.maximum(M, 0.0), row, len(own))
+    total = np.where(across, 0.0, -np.sign(total[:, :1]) * total[:, 1:])
+    S_b = (spread[:, 1:] / np.maximum(spread[:, :1], TINY)).reshape(-1, d, d)
+    S_b, size, b = _with_images(S_b, across), np.linalg.norm(total, axis=1), unit(total)
+    mean = _mean(a, b, S_s, S_b)
     towards = np.stack([(mean * v).sum(axis=1) for v in (a, b)])
     met = np.flatnonzero((size > 0.0) & (towards > HALF_OF_DIGITS).all(axis=0))
-    n, by_slave = averaged.copy(), by_averaged.copy()
-    by_master = np.zeros_like(by_slave)
     n[met] = unit(mean[met])
-    turning = _across(n[met]) / length[met, None, None]
-    by_slave[met] = turning @ by_a[met] @ by_averaged[met]
-    by_master[met] = -turning @ by_b[met] @ _across(b[met]) / size[met, None, None]
-    by_master = np.where(across[own, None], 0.0, by_master)
-    return CommonNormals(n, by_slave, by_master)
+
+    def differentiate() -> tuple[Floats, Floats]:
+        """Return the derivatives."""
+        by_slave, by_master = by_averaged.copy(), np.zeros_like(by_averaged)
+        turning = _across(n[met]) / np.linalg.norm(mean[met], axis=1)[:, None, None]
+        by_a, by_b = _mean_slopes(a[met], b[met], S_s[met], S_b[met])
+        by_master[met] = -turning @ by_b @ _across(b[met]) / size[met, None, None]
+        by_slave[met] = turning @ by_a @ by_averaged[met]
+        return by_slave, np.where(across[:, :, None], 0.0, by_master)
+
+    return CommonNormals(n, differentiate)
 
 
 def in_planes(n: Floats, mirrors: Bools) -> tuple[Floats, Floats]:
@@ -265,8 +302,10 @@ def in_planes(n: Floats, mirrors: Bools) -> tuple[Floats, Floats]:
 
     (I - m m^T) P / |P n| with m = P n / |P n|; I where there is no plane, as dn is normal to n.
     """
-    some: Ints = np.flatnonzero(mirrors.any(axis=1)).astype(np.int32)
+    some: Longs = np.flatnonzero(mirrors.any(axis=1))
     n, by_n = n.copy(), np.eye(n.shape[1])[None].repeat(len(n), axis=0)
+    if not len(some):
+        return n, by_n
     m = np.where(mirrors[some], 0.0, n[some])
     size = np.linalg.norm(m, axis=1)[:, None, None]
     n[some] = unit(m)
@@ -281,34 +320,39 @@ def _across(n: Floats) -> Floats:
 
 
 def _facing(
-    pairing: Pairing, segments: Segments, u: fem.Function | None, which: Bools
+    pairing: Pairing, segments: Segments, u: fem.Function | None, edged: Bools, edged_m: Bools
 ) -> tuple[Floats, Floats]:
     """Return the sums of w N_j n_s and w N_l n_m over the points (owned nodes, d); collective.
 
-    All of them at the nodes `which` (local nodes,), at others parts.
+    All of them at the edged nodes (n,) of the slave and the master, at others parts.
     """
     V, slave, master = pairing.slave.V, pairing.slave, pairing.master
-    facets = facets_at(slave, coordinates(slave, u)), received_facets(pairing, u)
-    numbers = V.dofmap.index_map.local_to_global(slave.nodes).astype(np.int64)
     flags = np.zeros_like(master.X)
-    flags[:, 0] = which[master.nodes]
-    received = receive(pairing, flags)[:, 0] > 0.0
-    of_slave, of_master = slave.facets, pairing.master_facets
+    flags[:, 0] = edged_m
+    asked = edged[slave.facets], receive(pairing, flags)[pairing.master_facets, 0]
+    points = segments.slave, segments.master
+    some = [np.flatnonzero(v.any(axis=1)[on]) for v, on in zip(asked, points, strict=True)]
+    own = slave.nodes[: slave.owned], master.nodes[: master.owned]
+    if not any_rank(V.mesh.comm, *(len(which) > 0 for which in some)).any():
+        return np.zeros((len(own[0]), flags.shape[1])), np.zeros((len(own[1]), flags.shape[1]))
+    numbers = V.dofmap.index_map.local_to_global(slave.nodes).astype(np.int64)
     sides = (
-        (segments.slave, segments.xi_s, numbers[of_slave], which[slave.nodes][of_slave]),
-        (segments.master, segments.xi_m, pairing.master_nodes[of_master], received[of_master]),
+        (facets_at(slave, coordinates(slave, u)), segments.xi_s, numbers[slave.facets]),
+        (received_facets(pairing, u), segments.xi_m, pairing.master_nodes[pairing.master_facets]),
     )
     found = []
-    for side, (on, xi, nodes, asked) in zip(facets, sides, strict=True):
-        some = np.flatnonzero(asked[on].any(axis=1))
-        on = on[some]
-        N = np.clip(side.element.shape_functions(xi[some]), 0.0, None)
-        N *= segments.weight[some, None]
-        weights = sums_of_values(N, np.ones(len(on)), on, len(nodes))
+    for (side, xi, nodes), on, which in zip(sides, points, some, strict=True):
+        N = np.clip(side.element.shape_functions(xi[which]), 0.0, None)
+        weights = sums_of_values(N, segments.weight[which], on[which], len(nodes))
         sums = weights[:, :, None] * facet_normals(side)[:, None]
         at = nodes.ravel(), sums.reshape(-1, sums.shape[2])
         found.append(sums_at_nodes(V.mesh.comm, V.dofmap.index_map, *at))
-    return found[0], found[1]
+    return found[0][own[0]], found[1][own[1]]
+
+
+def _edged(S: Floats, limit: float) -> Bools:
+    """Tell at which nodes (n,) facets rather meet in an edge, by their spreads (n, d, d)."""
+    return np.asarray(np.trace(S, axis1=1, axis2=2) > limit / 2)
 
 
 def _of_side(averaged: Floats, facing: Floats, S: Floats, limit: float) -> Floats:
@@ -320,10 +364,10 @@ def _of_side(averaged: Floats, facing: Floats, S: Floats, limit: float) -> Float
         S: (n, d, d).
         limit: Spread from which on facets meet in an edge; up to half of it the averaged one.
     """
-    edged = np.flatnonzero(np.trace(S, axis1=1, axis2=2) > limit / 2)
-    result, n, facing = averaged.copy(), averaged[edged], facing[edged]
-    some = np.linalg.norm(facing, axis=1, keepdims=True) > 0.0
-    c = np.where(some, unit(facing), n)
+    edged = np.flatnonzero(_edged(S, limit) & facing.any(axis=1))
+    if not len(edged):
+        return averaged.copy()
+    result, n, c = averaged.copy(), averaged[edged], unit(facing[edged])
     Q = _across(n)
     widths, axes = np.linalg.eigh(Q @ S[edged] @ Q)
     smooth = np.clip(2.0 - 2.0 * widths / limit, 0.0, 1.0)
@@ -332,22 +376,20 @@ def _of_side(averaged: Floats, facing: Floats, S: Floats, limit: float) -> Float
     return result
 
 
-def _products(pairing: Pairing, M: Floats, values: Floats) -> Floats:
-    """Return sum_l M_jl v_l (owned nodes, c) for entries of M and values at nodes; collective."""
-    matrix, result = pairing.M.matrix(M), np.empty_like(values)
-    v, w = matrix.createVecs()
-    for i, column in enumerate(values.T):
-        v.array[:] = column
-        matrix.mult(v, w)
-        result[:, i] = w.array_r
-    return result
-
-
-def _mean(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the mean y (n, d) of unit vectors with given spreads, and its derivatives by them.
+def _mean(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> Floats:
+    """Return the mean y (n, d) of unit vectors with given spreads.
 
     With A and B = a a^T + S_a and b b^T + S_b, K = (A + B)^-1 and z = K (b - a),
-    y = B K a + A K b = a + A K (b - a),
+    y = B K a + A K b = a + A z.
+    """
+    A, B = (v[:, :, None] * v[:, None] + S for v, S in ((a, S_a), (b, S_b)))
+    z = np.linalg.solve(A + B, (b - a)[:, :, None])
+    return np.asarray(a + (A @ z)[:, :, 0])
+
+
+def _mean_slopes(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> tuple[Floats, Floats]:
+    """Return the derivatives of `_mean` by a and b.
+
     dy = B K (da + dA z) + A K (db - dB z),
     dA = da a^T + a da^T + W S_a - S_a W with W = da a^T - a da^T: spreads turn with their normals.
     """
@@ -360,6 +402,4 @@ def _mean(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> tuple[Floats, Float
         vz, Sz = v[:, :, None] * z[:, None], (S @ z[:, :, None])[:, :, 0]
         along, across = ((v * w).sum(axis=1)[:, None, None] for w in (z, Sz))
         turned.append(along * (one - S) + across * one + vz + S @ vz - v[:, :, None] * Sz[:, None])
-    by_a, by_b = B @ K, A @ K
-    y = a + (by_b @ (b - a)[:, :, None])[:, :, 0]
-    return y, by_a @ (one + turned[0]), by_b @ (one - turned[1])
+    return B @ K @ (one + turned[0]), A @ K @ (one - turned[1])

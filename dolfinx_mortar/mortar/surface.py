@@ -3,7 +3,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -16,7 +16,7 @@ import dolfinx
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -39,6 +39,18 @@ _MOST_WARPED = 0.3
 It is the cosine between the normal at a corner and the mean normal, along which the facet is
 projected: at .3 areas are divided by more than three, and a deformation to 0 would fold it.
 """
+
+
+class Nodes(Protocol):
+    """Local nodes that every owner knows, of a surface or others."""
+
+    @property
+    def V(self) -> dolfinx.fem.FunctionSpace:
+        """The space."""
+
+    @property
+    def sums(self) -> PETSc.Vec:
+        """One entry per node, ghosted: work vector of `accumulate`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +183,7 @@ def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.Function
     return np.where(wrong[:, None], nodes[:, element.mirrored], nodes)
 
 
-def _create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, PETSc.Vec]:
+def create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, PETSc.Vec]:
     """Add the nodes used only by other ranks to their owner's; number them for `accumulate`."""
     index_map = V.dofmap.index_map
     number = dolfinx.la.vector(index_map)
@@ -232,7 +244,7 @@ def create_surface(
     facet_nodes, cells = _facet_nodes(V, entities)
     X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
     facet_nodes = _order_outwards(X, facet_nodes, cells, V)
-    nodes, owned, sums = _create_sums(V, np.unique(facet_nodes))
+    nodes, owned, sums = create_sums(V, np.unique(facet_nodes))
     called = label(facet_tags, value)
     facets = Facets(element, X[facet_nodes])
     _check_shapes(facets, V.mesh.comm, f"{name}={called}")
@@ -313,6 +325,10 @@ class Boundary:
     entities: Ints  # (m,) their numbers in the mesh
     nodes: Ints  # (m, k) local nodes
 
+    def __getitem__(self, which: Longs) -> "Boundary":
+        cells, entities, nodes = (v[which] for v in (self.cells, self.entities, self.nodes))
+        return Boundary(self.facets[which], cells, entities, nodes)
+
     def at(self, u: dolfinx.fem.Function | None) -> Facets:
         """Return the facets at X + u."""
         if u is None:
@@ -343,7 +359,7 @@ def cells_of(surface: Surface) -> Ints:
     return _facet_nodes(surface.V, surface.entities)[1]
 
 
-def accumulate(surface: Surface, values: npt.NDArray[Any]) -> Floats:
+def accumulate(surface: Nodes, values: npt.NDArray[Any]) -> Floats:
     """Sum values (n,) or (n, c) of the nodes over the ranks; all ranks get the sum (collective)."""
     result = np.array(values, dtype=float)
     if surface.V.mesh.comm.size == 1:
