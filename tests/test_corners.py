@@ -98,7 +98,7 @@ def test_an_outer_corner_of_a_tool_is_none():
     assert tool.in_corners(link, problem.positions()) == ""
 
 
-def friction_of_a_drawn_corner(slave, tilt, whole=False, friction=0.3, **options):
+def friction_of_a_drawn_corner(slave, tilt, whole=False, friction=0.3, push=0.01, **options):
     """Draw a block that stands on its corner over another one; return |Ft/Fn|."""
     ends = {"x_lower": (0.0, 2.0), "x_upper": (0.6, 1.2)}
     domain, cells, facets = two_blocks(COMM, (20, 10), (6, 10), cell="quadrilateral", **ends)
@@ -107,15 +107,15 @@ def friction_of_a_drawn_corner(slave, tilt, whole=False, friction=0.3, **options
     x = domain.geometry.x
     x[upper, :2] = (x[upper, :2] - (0.6, 0.0)) @ turn.T + (0.6, 0.0)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    u, lid = fem.Function(V), fem.Constant(domain, (0.0, -0.01))
+    u, lid = fem.Function(V), fem.Constant(domain, (0.0, -push))
     held = [fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (BOTTOM_TAG, TOP_TAG)]
     bcs = [fem.dirichletbc(np.zeros(2), held[0], V), fem.dirichletbc(lid, held[1], V)]
     (master,) = {BOTTOM_OF_UPPER, TOP_OF_LOWER} - {slave}
     tags = skins(domain, cells, facets) if whole else facets
     contact = dm.Contact(tags, slave=slave, master=master, friction=friction)
     problem = dm.ContactProblem(dm.Solid(u, dm.Elastic(1.0, 0.3)), [contact], bcs=bcs)
-    for way in (0.0, 0.03, 0.06, 0.09) if friction else (0.0,):
-        lid.value[0] = way
+    for n in range(4 if friction else 1):
+        lid.value[0] = 3 * n * push
         dm.newton(problem, **options)
         problem.commit()
     return abs(contact.force[0] / contact.force[1])
@@ -128,9 +128,11 @@ def friction_of_a_drawn_corner(slave, tilt, whole=False, friction=0.3, **options
 def test_a_corner_drawn_over_a_face(slave, tilt, whole):
     """Friction is mu times the force normal to the face, whichever is the slave.
 
-    Also where the side runs around the corner, of which the flank faces nothing.
+    Also where the side runs around the corner, of which the flank faces nothing. But for the angle
+    by which friction inclines the face, which grows with the load: 1e-3 at ten times of it.
     """
-    assert friction_of_a_drawn_corner(slave, tilt, whole) == pytest.approx(0.3, rel=0.005)
+    found = friction_of_a_drawn_corner(slave, tilt, whole, push=1e-3)
+    assert found == pytest.approx(0.3, rel=0.001)
 
 
 @pytest.mark.parametrize("whole", [False, True])
@@ -250,11 +252,12 @@ def beam(x0, y0, n=40, m=3):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("top", [False, True])
-def test_a_cantilever_slides_down_another_one(top):
+@pytest.mark.parametrize(("top", "slave"), [(False, "up"), (True, "up"), (False, "low")])
+def test_a_cantilever_slides_down_another_one(top, slave):
     """Its end comes flush and leaves on the other corner (Code_Aster, SSNV505: 267.2 and 309.9).
 
-    From where only one flank of the corner faces the other beam, F is the slope of the energy.
+    The force is the slope of the energy, and no step differs from its neighbours, where the corner
+    is at a slave node. Facets of the other side, which are longer than its end, have a mean gap.
     """
     (p, c), (q, d) = beam(0.0, 0.0), beam(914.4, 508.0)
     element = basix.ufl.element("Lagrange", "quadrilateral", 1, shape=(2,))
@@ -283,14 +286,19 @@ def test_a_cantilever_slides_down_another_one(top):
     bcs.append(fem.dirichletbc(push, at, V.sub(1)))
     law = dm.NeoHooke(6894.8, 0.3333)
     solid = dm.Solid(fem.Function(V), law, strain="finite", energies=True)
-    contact = dm.Contact(tags, slave="up", master="low")
+    contact = dm.Contact(tags, slave=slave, master="low" if slave == "up" else "up")
     problem = dm.ContactProblem(solid, [contact], bcs=bcs)
     forces, stored, ramp = [], [], {push: [(0.0, 0.0), (1.0, -800.0)]}
     for _ in dm.load_steps(problem, np.arange(1, 51) / 50, ramp=ramp, progress=False):
         forces.append(-dm.reaction(problem, bcs[2]).force[1])
         stored.append(sum(energy.stored for energy in solid.energies().values()))
-    assert forces[39] == pytest.approx(267.2, rel=0.005)
-    assert forces[49] == pytest.approx(309.9, rel=0.005)
+    error = 0.005 if slave == "up" else 0.03
+    assert forces[39] == pytest.approx(267.2, rel=error)
+    assert forces[49] == pytest.approx(309.9, rel=error)
+    if slave == "low":
+        return
     slopes = (np.array(stored[2:]) - stored[:-2]) / 32.0
-    smooth = np.setdiff1d(np.arange(38, 48), [40, 41])  # the end comes flush at .86
+    smooth = np.setdiff1d(np.arange(30, 48), [40, 41])  # the end comes flush at .86
     assert np.abs(np.array(forces)[smooth + 1] / slopes[smooth] - 1.0).max() < 0.01
+    rises = np.diff(forces[30:42]) / forces[30:41]
+    assert np.abs(rises[1:-1] - (rises[:-2] + rises[2:]) / 2).max() < 0.02
