@@ -6,8 +6,6 @@ around. The stress is -P I, u = -c (X - X0) with X0 on the interface, the pressu
 P everywhere, its force normal to it, and nothing is left to the supports.
 """
 
-from types import SimpleNamespace
-
 from mpi4py import MPI
 
 import numpy as np
@@ -240,29 +238,57 @@ def test_a_tool_that_a_force_presses():
     assert np.linalg.norm(F - (F @ n) * n) == pytest.approx(mu * (F @ n), rel=1e-8)
 
 
+class PressFit:
+    """Shaft and hub, one end of each prescribed, with a node of the slave side."""
+
+    def __init__(self, slave, mu=0.25):
+        """Mesh them; the shaft moves along the axis by `push`."""
+        self.mesh, self.cells, self.tags = tubes((0.4, 1.0, 2.0), ((4, 2), (5, 3)), overlap=0.004)
+        V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
+        self.push, held = (fem.Constant(self.mesh, 0.0) for _ in range(2))
+        self.bcs = []
+        for body, tag, value in ((LOWER, LEFT, self.push), (UPPER, RIGHT, held)):
+            dofs = fem.locate_dofs_topological(V.sub(1), 1, facets_of(self, tag, body))
+            self.bcs.append(fem.dirichletbc(value, dofs, V.sub(1)))
+        side, master = SIDES[slave]
+        self.contact = dm.Contact(self.tags, slave=side, master=master, friction=mu)
+        solid = dm.Solid(fem.Function(V), dm.Elastic(E, NU), kinematics="axisymmetric")
+        self.problem = dm.ContactProblem(solid, [self.contact], bcs=self.bcs, geometry="reference")
+
+    def push_by(self, way):
+        """Solve at a displacement of the shaft's end; return the reactions of both ends."""
+        self.push.value = way
+        dm.newton(self.problem, rtol=1e-10)
+        return [dm.reaction(self.problem, bc).force[1] for bc in self.bcs]
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("slave", ["lower", "upper"])
 def test_press_fit_is_pushed_out(slave):
-    """Shaft and hub, one end of each prescribed, with a node of the slave side: F = mu N."""
-    case, mu = SimpleNamespace(), 0.25
-    case.mesh, case.cells, case.tags = tubes((0.4, 1.0, 2.0), ((4, 2), (5, 3)), overlap=0.004)
-    V, push = fem.functionspace(case.mesh, ("Lagrange", 1, (2,))), fem.Constant(case.mesh, 0.0)
-    bcs = []
-    for body, tag, value in ((LOWER, LEFT, push), (UPPER, RIGHT, fem.Constant(case.mesh, 0.0))):
-        dofs = fem.locate_dofs_topological(V.sub(1), 1, facets_of(case, tag, body))
-        bcs.append(fem.dirichletbc(value, dofs, V.sub(1)))
-    side, master = SIDES[slave]
-    contact = dm.Contact(case.tags, slave=side, master=master, friction=mu)
-    solid = dm.Solid(fem.Function(V), dm.Elastic(E, NU), kinematics="axisymmetric")
-    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry="reference")
-    for push.value in (0.0, 0.01, 0.1, 0.11):
-        dm.newton(problem, rtol=1e-10)
-        problem.commit()
-        N, F = np.abs(contact.force)
-        ends = [dm.reaction(problem, bc).force[1] for bc in bcs]
+    """F = mu N."""
+    case, mu = PressFit(slave), 0.25
+    for way in (0.0, 0.01, 0.1, 0.11):
+        ends = case.push_by(way)
+        case.problem.commit()
+        N, F = np.abs(case.contact.force)
         assert ends == pytest.approx([-ends[1], ends[1]], rel=1e-8, abs=1e-8 * N)
         assert F == pytest.approx(np.abs(ends[0]), rel=1e-8, abs=1e-8 * N)
     assert F == pytest.approx(mu * N, rel=1e-9)
+
+
+@pytest.mark.mpi
+def test_a_try_leaves_no_friction_behind_in_a_checkpoint(tmp_path):
+    """Pushed in and not committed, then out: as if it had not been pushed in, with the file too."""
+    file = COMM.bcast(tmp_path) / "tried.h5"
+    straight, tried, restored = (PressFit("lower") for _ in range(3))
+    for case in (straight, tried):
+        case.push_by(0.0)
+        case.problem.commit()
+    tried.push_by(0.1)
+    tried.problem.save(file)
+    restored.problem.restore(file)
+    (right, *others) = (case.push_by(-0.002)[0] for case in (straight, tried, restored))
+    assert right < 0.0 and others == pytest.approx([right, right], rel=1e-8)
 
 
 class Differences:

@@ -23,7 +23,8 @@ NODES, POINTS = "nodes", "points"
 SLIPS = ("slid", "dissipated")
 TURNS = ("jump along", "jump since")  # see `committed.Turns`
 RESULTANTS = ("force", "moment", "master_force", "master_moment", "place")
-FLAGS = ("active", "carries", "near")  # columns of zeros and ones
+UNCOMMITTED = "uncommitted "  # before what a step has found that has not been committed
+FLAGS = ("active", f"{UNCOMMITTED}active", "carries", "near")  # columns of zeros and ones
 UNDEFINED = ("gap",)  # NaN where a slave node faces no master
 
 
@@ -74,6 +75,7 @@ def _columns(state: ProblemState, table: str) -> dict[str, tuple[int, bool]]:
         columns |= {"displacement": (d, False), "active": (1, False)}
         if state.system.has_friction:
             columns["committed"] = d, False
+        columns |= {f"{UNCOMMITTED}active": (1, True), f"{UNCOMMITTED}sliding": (d, True)}
         return columns | {"sliding": (d, True), "supports": (2 * d, True), "paired": (d, True)}
     if table == POINTS:
         fields = state.solid.lasting_fields().items()
@@ -82,7 +84,8 @@ def _columns(state: ProblemState, table: str) -> dict[str, tuple[int, bool]]:
     (interface,) = (i for k, i in enumerate(state.interfaces) if name_of(k) == table)
     columns = {f.name: (f.function_space.dofmap.bs, False) for f in interface.functions}
     columns |= dict.fromkeys(SLIPS if interface.rough else (), (1, False))
-    columns |= dict(zip(TURNS, ((d, True), (d * d, True)), strict=True))
+    turns = dict(zip(TURNS, ((d, True), (d * d, True)), strict=True))
+    columns |= turns | {f"{UNCOMMITTED}{name}": column for name, column in turns.items()}
     multipliers = interface.shown(np.zeros((1, d))).size
     return columns | {"multiplier": (multipliers, False), "carries": (1, False), "near": (1, True)}
 

@@ -11,7 +11,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.checkpoint import read_about, read_tables, size_of
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.interfaces.interface import Resultants, check_owned
@@ -30,6 +30,7 @@ from dolfinx_mortar.persistence.contents import (
     RESULTANTS,
     SLIPS,
     TURNS,
+    UNCOMMITTED,
     check_about,
     check_values,
     name_of,
@@ -68,9 +69,7 @@ class Saved:
         set_owned(state.u, self.tables[NODES]["displacement"])
         for name, f in state.states_of_terms.items():
             set_owned(f, self.tables[NODES][name])
-        closed = self.tables[NODES]["active"][:, 0] > 0.0
-        # without a column, begin stuck
-        committed.active, committed.sliding = closed, self.tables[NODES].get("sliding")
+        committed.active, committed.sliding = self._contacts("")
         supports = self.tables[NODES].get("supports")
         halves = None if supports is None else np.split(supports, 2, axis=1)
         committed.supports = None if halves is None else SupportForces(*halves)
@@ -84,7 +83,7 @@ class Saved:
         slips = Slips(*np.zeros((2, *committed.slid.shape)))
         for k, resultants in enumerate(self.about["interfaces"]):
             _take(state, k, slips, resultants, self.tables.get(name_of(k), {}))
-        committed.paired, committed.turns = self._paired(), self._turns()
+        committed.paired, committed.turns = self._paired(), self._turns("")
         committed.begun = self.about["begun"]
         committed.level, committed.walked = self.about["level"], self.about["walked"]
         walk = self.about["walk"]
@@ -92,8 +91,14 @@ class Saved:
         committed.history[:], committed.brought = self.steps, len(self.steps)
         state.system.faced = True
         u = self.tables[NODES]["displacement"].flatten()
-        closed, sliding, paired = committed.active, committed.sliding, committed.paired
-        return StepOutcome(u, closed, sliding, paired, slips, turns=committed.turns)
+        last = UNCOMMITTED if f"{UNCOMMITTED}active" in self.tables[NODES] else ""
+        turns = self._turns(last)
+        return StepOutcome(u, *self._contacts(last), committed.paired, slips, turns=turns)
+
+    def _contacts(self, prefix: str) -> tuple[Bools, Floats | None]:
+        """Return closed contacts and slip directions; without a column, steps begin stuck."""
+        nodes = self.tables[NODES]
+        return nodes[f"{prefix}active"][:, 0] > 0.0, nodes.get(f"{prefix}sliding")
 
     def _take_found(self) -> None:
         """Give the interfaces what steps have found; they stay as they are if one refuses it."""
@@ -108,12 +113,12 @@ class Saved:
                 interface.put_back(before)
             raise
 
-    def _turns(self) -> list[Turns | None]:
+    def _turns(self, prefix: str) -> list[Turns | None]:
         """Return since when the jumps of ties have had their directions; None where not known."""
         d, found = self.state.solid.V.dofmap.index_map_bs, []
         for k in range(len(self.state.interfaces)):
             values = self.tables.get(name_of(k), {})
-            given = [values[name] for name in TURNS if name in values]
+            given = [values[prefix + name] for name in TURNS if prefix + name in values]
             known = len(given) == len(TURNS)
             found.append(Turns(given[0], given[1].reshape(-1, d, d)) if known else None)
         return found

@@ -28,6 +28,7 @@ from dolfinx_mortar.persistence.contents import (
     RESULTANTS,
     SLIPS,
     TURNS,
+    UNCOMMITTED,
     check_values,
     name_of,
 )
@@ -51,14 +52,15 @@ def save(state: ProblemState, path: str | os.PathLike[str], outcome: StepOutcome
         "found": [ask(state.comm, interface, "found") for interface in state.interfaces],
     }
     places = places_of(state, [result is not None for result in results])
-    values = {NODES: _nodal(state, outcome or state.committed), POINTS: _at_points(state)}
+    values = {NODES: _nodal(state, outcome), POINTS: _at_points(state)}
     for k, interface in enumerate(state.interfaces):
         if results[k] is not None:
             values[name_of(k)] = (
                 _on_interface(interface)
                 | _slips(state, k)
                 | _near(state, k)
-                | _turns(outcome or committed, k)
+                | _turns(committed, k)
+                | _turns(outcome, k, UNCOMMITTED)
             )
     with raised_together(state.comm):  # no restart could read what is not finite
         for name in places:
@@ -79,19 +81,27 @@ def places_of(state: ProblemState, results: Sequence[bool]) -> dict[str, Floats]
     }
 
 
-def _nodal(state: ProblemState, last: StepOutcome | Committed) -> dict[str, Floats]:
+def _nodal(state: ProblemState, outcome: StepOutcome | None) -> dict[str, Floats]:
     u = _owned(state.u)
-    found = {"displacement": u, "active": last.active[:, None].astype(float)}
+    found = {"displacement": u} | _contacts(state, state.committed)
+    if outcome is not None:
+        contacts = _contacts(state, outcome)
+        found |= {f"{UNCOMMITTED}{name}": values for name, values in contacts.items()}
     if (paired := state.committed.paired) is not None and len(paired.at):
         found["paired"] = paired.at.reshape(u.shape)
     if (supports := state.committed.supports) is not None:
         found["supports"] = np.hstack([supports.forces, supports.points])
     if state.system.has_friction:  # slips are measured from it
-        d = state.solid.V.dofmap.index_map_bs
-        if last.sliding is not None:
-            found["sliding"] = last.sliding
-        found["committed"] = state.committed.displacement.reshape(-1, d)
+        found["committed"] = state.committed.displacement.reshape(u.shape)
     return found | {name: _owned(f) for name, f in state.states_of_terms.items()}
+
+
+def _contacts(state: ProblemState, last: StepOutcome | Committed) -> dict[str, Floats]:
+    """Return closed contacts and slip directions."""
+    found = {"active": last.active[:, None].astype(float)}
+    if state.system.has_friction and last.sliding is not None:
+        found["sliding"] = last.sliding
+    return found
 
 
 def _at_points(state: ProblemState) -> dict[str, Floats]:
@@ -119,14 +129,13 @@ def _near(state: ProblemState, k: int) -> dict[str, Floats]:
     return {} if paired is None else {"near": paired.near[k][:, None].astype(float)}
 
 
-def _turns(last: StepOutcome | Committed, k: int) -> dict[str, Floats]:
+def _turns(last: StepOutcome | Committed | None, k: int, prefix: str = "") -> dict[str, Floats]:
     """Return since when the jump of a tie has had its direction, nothing where it has none."""
-    turns = last.turns[k] if last.turns else None
+    turns = last.turns[k] if last is not None and last.turns else None
     if turns is None:
         return {}
-    return dict(
-        zip(TURNS, (turns.along, turns.since.reshape(-1, turns.along.shape[1] ** 2)), strict=True)
-    )
+    values = turns.along, turns.since.reshape(-1, turns.along.shape[1] ** 2)
+    return {f"{prefix}{name}": column for name, column in zip(TURNS, values, strict=True)}
 
 
 def _slips(state: ProblemState, k: int) -> dict[str, Floats]:
