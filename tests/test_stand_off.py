@@ -19,6 +19,7 @@ from tests.close_fits import create_pin, create_shrink_fit, hold, lame_pressure,
 from tests.hertz_case import ELASTIC, create_case
 from tests.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
 from tests.pressed_blocks import PressedBlocks
+from tests.shells import MASTER, SLAVE, octants
 from tests.test_smooth_contact import PEAK
 
 COMM = MPI.COMM_WORLD
@@ -195,14 +196,26 @@ def test_forces_that_are_missing_for_want_of_heights():
 
 
 @pytest.mark.mpi
-def test_arcs_over_chords():
-    """What heights miss of a circle, in the mean; of a common one on both sides."""
-    problem = create_shrink_fit((48, 72), False, overlap=0.0).problem
-    problem.audit()
+@pytest.mark.parametrize("cell", ["ring", "tetrahedron", "hexahedron"])
+@pytest.mark.parametrize("swap", [False, True])
+def test_what_heights_miss(cell, swap):
+    """It is the gap of sides that fit, at each node, the coarser or the finer one as slave."""
+    if cell == "ring":
+        problem = create_shrink_fit((48, 36), swap, overlap=0.0).problem
+    else:
+        domain, tags = octants(COMM, (0.5, 1.0, 1.5), (4, 3), 1, cell)
+        V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
+        on = [fem.locate_dofs_topological(V.sub(i), 2, tags.find(5 + i)) for i in range(3)]
+        planes = [fem.dirichletbc(0.0, dofs, V.sub(i)) for i, dofs in enumerate(on)]
+        slave, master = (MASTER, SLAVE) if swap else (SLAVE, MASTER)
+        solid = dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3))
+        contact = dm.Contact(tags, slave=slave, master=master)
+        problem = dm.ContactProblem(solid, [contact], bcs=planes)
+    problem.update_geometry(0.0)
     (link,) = problem.system.links
-    missed = np.concatenate(COMM.allgather(stand_off._means(link, None, missed_heights)))
-    R, at = 20.0, np.pi / np.array([48.0, 72.0])  # half of the angles
-    segment = R * (at - np.sin(2 * at) / 2) / (2 * np.sin(at))  # area over chord
-    chord = 2 * R * np.sin(at)
-    inner, outer = segment - chord**2 / (12 * R)
-    assert missed.mean() == pytest.approx(inner - outer, rel=0.02)
+    found = [link.gaps(problem.positions()), stand_off.missed_gaps(link, None)]
+    found.append(stand_off._means(link, None, missed_heights))
+    gaps, missed, of_heights = (np.concatenate(COMM.allgather(part)) for part in found)
+    # but for the next order, facets being 1/8 and 2/5 of the radius long
+    error = (0.04 if cell == "ring" else 0.15) * np.abs(of_heights).max()
+    assert np.abs(missed - gaps).max() < error < np.abs(of_heights - gaps).max() / 2

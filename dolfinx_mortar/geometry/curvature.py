@@ -488,26 +488,6 @@ def heights_of_arcs(arcs: Floats, h: Floats) -> Floats:
     return np.asarray(2.0 * h / (np.sqrt(square) + np.sqrt(square + 2.0 * k * h)))
 
 
-def missed_sagittas(facets: Facets, sagitta: Floats) -> Floats:
-    """Return the c_ab (m, e) by which `heights` miss those of arcs in the mean over a facet.
-
-    The arc of a circle over a chord of length L is higher than `heights` by L^4 / (160 R^3) in the
-    mean (L^4 / (128 R^3) in the middle); that of c_ab is c_ab / 12. With c_ab = L^2 / R these are
-    the heights of 3/40 c_ab^3 / L^2.
-
-    Args:
-        facets: the facets (m,).
-        sagitta: c_ab (m, e) of `edge_sagittas`.
-
-    >>> from dolfinx_mortar.geometry.elements import LINE2
-    >>> facet = Facets(LINE2, np.array([[[2.0, 0.0], [0.0, 0.0]]]))
-    >>> missed_sagittas(facet, np.array([[0.4]])).round(12).tolist()  # R = 10
-    [[0.0012]]
-    """
-    square = (edges(facets) ** 2).sum(axis=2)
-    return np.asarray(3.0 / 40.0 * sagitta**3 / np.maximum(square, TINY))
-
-
 def edges(facets: Facets, element: FacetElement | None = None) -> Floats:
     """Return x_b - x_a (m, e, d) for the pairs of vertices of facets, or of nodes of a type."""
     a, b = node_pairs(element or first_order(facets.element))

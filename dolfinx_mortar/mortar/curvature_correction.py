@@ -18,10 +18,10 @@ from dolfinx_mortar.geometry.curvature import (
     curvatures,
     curved_sagittas,
     edge_sagittas,
+    edges,
     end_angles,
     heights,
     heights_of_arcs,
-    missed_sagittas,
     one_ring_sums,
     own_curvatures,
     sagitta_tensors,
@@ -408,19 +408,32 @@ def missed_heights(
     u: dolfinx.fem.Function | None,
     sides: tuple[SmoothSide, SmoothSide],
 ) -> Floats:
-    """Return by how much (q,) heights of degree 1 miss those of arcs; collective.
+    """Return by how much (q,) heights of degree 1 miss those of round surfaces; collective.
 
-    The next term of their series, see `missed_sagittas`. The arguments are those of
-    `point_heights`.
+    With nodes on a sphere of radius R a point x of a facet has |x|^2 = R^2 - 2 R h, where h is its
+    height of leading order. So the sphere is R - |x| = h + h^2 / (2 R) away along its own normal;
+    likewise a cylinder. And the other side has its curvature along the direction of an edge, which
+    `common_sagittas` shortens by a projection. Both are of fourth order in the length of facets.
+    The arguments are those of `point_heights`.
     """
     pairs, of = _meeting(segments)
     a, b = find_curved(pairing, u, sides, pairs)
-    c_s, c_m = (
-        missed_sagittas(side.facets, common_sagittas(side.facets, side.sagitta, other.K))
-        for side, other in ((a, b), (b, a))
-    )
-    h_s = heights(a.facets, c_s, of, segments.xi_s)
-    return np.asarray(h_s + heights(b.facets, c_m, of, segments.xi_m))
+    return _missed(a, b, of, segments.xi_s) + _missed(b, a, of, segments.xi_m)
+
+
+def _missed(side: Curved, other: Curved, of: Ints, xi: Floats) -> Floats:
+    """Return that (q,) of one side."""
+    e, n = edges(side.facets), facet_normals(other.facets)[:, None]
+    seen = e - (e * n).sum(axis=2, keepdims=True) * n
+    square = (e**2).sum(axis=2)
+    common = common_sagittas(side.facets, side.sagitta, other.K)
+    longer = square / np.maximum((seen**2).sum(axis=2), TINY)
+    right = side.sagitta / 2 + (common - side.sagitta / 2) * longer
+    h, found = (heights(side.facets, c, of, xi) for c in (right, common))
+    along = right / np.maximum(square, TINY)
+    least, k = along.min(axis=1), along.max(axis=1)
+    k = np.where(-least > k, least, k)  # the larger curvature
+    return np.asarray(h + k[of] * h**2 / 2 - found)
 
 
 def facet_stretches(pairing: Pairing, u: dolfinx.fem.Function) -> tuple[Floats, Floats]:
