@@ -20,6 +20,8 @@ from dolfinx_mortar.report.certificate import create_certificate
 from dolfinx_mortar.report.interface_results import set_results
 from tests.friction_case import create as create_pushed
 from tests.hertz_case import ELASTIC, create_case
+from tests.meshes import BOTTOM, TOP
+from tests.pressed_blocks import PressedBlocks
 
 COMM = MPI.COMM_WORLD
 RTOL, MU = 1e-6, 0.2
@@ -114,6 +116,25 @@ def test_the_first_forces_are_no_scale_of_those_that_act(wedge):
     acting, share = plain.limit / RTOL, 1e-3 * RTOL
     assert wedge.measure(more, first=0.9 * acting / share) == plain
     assert wedge.measure(more, first=1.1 * acting / share).limit == pytest.approx(1.1 * acting)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("begun", [0.0, 1e3])
+def test_what_acted_at_the_start_is_no_scale_where_nothing_acts(begun):
+    """What the last step has left, and round-off of gaps at the end: that is in balance."""
+    blocks = PressedBlocks()
+    problem = blocks.problem(bcs=[blocks.bc(BOTTOM), blocks.bc(TOP)])
+    balance = find_balance(problem, problem.begin_step())
+    diagonal = linearise(problem, balance).diagonal
+    stiffness = diagonal.array_r[balance.bounds.dofs]
+    most = norm(COMM, gap_round_off(problem.u) * stiffness)
+    reaction = most * stiffness / norm(COMM, stiffness)
+    for share in (0.5, 2.0):
+        z = np.zeros(problem.n)
+        z[balance.nodes] = share * reaction / balance.bounds.weight
+        scales = Scales(problem.system.facet_length, begun=begun * most)
+        found = measure(problem.u, balance, Contacts(z > 0.0, z), diagonal, scales, 0.0, RTOL)
+        assert (found.excess <= 1.0) == (share < 1.0)
 
 
 @pytest.mark.mpi

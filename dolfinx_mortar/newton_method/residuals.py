@@ -126,7 +126,8 @@ def measure(
         carried = np.concatenate([z, sliders.reaction.ravel()])
     free[balance.equal.dofs] = 0.0
     forces, floor = norm(comm, free), round_off(u, diagonal, scales.extent, scales.cells)
-    acting = max(scales.begun, largest_force(comm, balance, carried))
+    now = largest_force(comm, balance, carried)
+    acting = max(scales.begun, now)
     scale, limit = acting, max(rtol * acting, floor)
     # the residual that a QP may leave at the start is the only scale of a stress-free step
     if acting <= (left := tightest(rtol) * scales.first):
@@ -134,7 +135,7 @@ def measure(
     if acting <= floor:  # nothing acts but the round-off of K u
         scale = max(scale, floor / ROUND_OFF)
     of_gaps = norm(comm, noise * diagonal.array_r[balance.bounds.dofs])
-    if acting <= of_gaps:  # nothing acts but the forces of such gaps
+    if now <= of_gaps:  # nothing acts but the forces of such gaps, whatever did at the start
         limit = max(limit, of_gaps)
 
     active, gap = contacts.active[balance.nodes], balance.bounds.upper
