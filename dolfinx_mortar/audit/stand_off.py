@@ -18,7 +18,6 @@ from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats
 from dolfinx_mortar.geometry.curvature import unit
 from dolfinx_mortar.geometry.facets import points_of
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.tool import SidePattern
 from dolfinx_mortar.mortar.curvature_correction import (
@@ -95,6 +94,13 @@ def missed_gaps(link: Link, u: fem.Function | None) -> Floats:
     return np.asarray((means[:, :-1] * own).sum(axis=1) + means[:, -1])
 
 
+def _are_flat(link: Link, sides: tuple[SmoothSide, SmoothSide]) -> bool:
+    """Tell whether neither of both sides has sagittas that are more than round-off; collective."""
+    highest = max(np.abs(side.sagitta).max(initial=0.0) for side in sides)
+    length = mean_facet_length(link.sides.slave)
+    return float(maximum(link.sides.V.mesh.comm, highest)[0]) <= HALF_OF_DIGITS * length
+
+
 def warnings_on_straight_facets(link: Link, u: fem.Function | None = None) -> list[str]:
     """Return the warnings about second order on straight facets of curved sides; collective.
 
@@ -116,9 +122,7 @@ def warnings_on_straight_facets(link: Link, u: fem.Function | None = None) -> li
         return []
     pairing, segments = link.mortar[0], link.mortar[1].segments
     sides = find_smooth_sides(pairing, link.sides.fixed, interface.feature_angle, link.sides.shapes)
-    highest = max(np.abs(side.sagitta).max(initial=0.0) for side in sides)
-    length = mean_facet_length(slave)
-    if float(maximum(link.sides.V.mesh.comm, highest)[0]) <= HALF_OF_DIGITS * length:
+    if _are_flat(link, sides):
         return []
     if only_close and find_parting(pairing, segments, u, sides) >= CLOSE:
         return []
@@ -194,13 +198,11 @@ def _uncertain(
     e_j is counted two to four times, with the stiffness of single nodes.) K_jj of layers thinner
     than facets are long is too stiff: with an eighth of the length errors are 12 and 80 % at 9.8.
     """
-    comm, kept = link.sides.V.mesh.comm, link.coupling.kept[:, 0]
-    missed = _means(link, u, missed_heights)
-    largest = float(maximum(comm, np.abs(missed[kept]).max(initial=0.0))[0])
-    if largest <= ROUND_OFF * mean_facet_length(link.sides.slave):
+    assert link.pattern.smooth is not None, "of smooth sides only"
+    if _are_flat(link, link.pattern.smooth):
         return ""
-    on = (z > 0.0) | (kept & (link.gaps(x) <= largest))
-    missed = missed_gaps(link, u)
+    comm, missed = link.sides.V.mesh.comm, missed_gaps(link, u)
+    on = (z > 0.0) | (link.coupling.kept[:, 0] & (link.gaps(x) <= np.abs(missed)))
     largest = float(maximum(comm, np.abs(missed[on]).max(initial=0.0))[0])
     share = ratio(norm(comm, k[on] * missed[on]), norm(comm, z))
     if SPOILT < share < np.inf:
