@@ -53,7 +53,7 @@ BELOW = {
 }
 OPEN = {
     *("agreement", "arguments", "arrays", "compat", "disk", "kernels", "spaces"),
-    *("logged", "step_report", "tags"),
+    *("step_report", "tags"),
 }
 BELOW |= {module: set() for module in OPEN}  # they import only each other
 FOREIGN = {  # libraries that a layer must not import

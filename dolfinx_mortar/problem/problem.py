@@ -31,7 +31,6 @@ from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
-from dolfinx_mortar.logged import is_new
 from dolfinx_mortar.persistence import restoring, saving
 from dolfinx_mortar.persistence.committed import Before, Committed, ProblemState, StepOutcome
 from dolfinx_mortar.problem.checks import check_arguments
@@ -318,7 +317,7 @@ class ContactProblem:
             if self.comm.rank == 0:
                 log.info("%s", "; ".join(map(str, audited.interfaces)) or "no interface")
                 for warning in audited.warnings:
-                    if is_new(self, warning):  # steps are cut
+                    if self.is_new(warning):  # steps are cut
                         log.warning("%s", warning)
         return data
 
@@ -495,6 +494,16 @@ class ContactProblem:
         springs = self._resistance_of_potential()
         at, parts = self.configuration, (self.bodies, self.system, self.supports)
         return create_audit(*parts, self.positions(), springs, at=at, increment=increment)
+
+    @cached_property
+    def _logged(self) -> set[str]:
+        return set()
+
+    def is_new(self, warning: str) -> bool:
+        """Tell whether a warning has not been logged; from then on it has been."""
+        new = warning not in self._logged
+        self._logged.add(warning)
+        return new
 
     def loose_motions(self) -> list[str]:
         """Return the names of rigid-body modes without resistance at present; collective.

@@ -12,7 +12,6 @@ from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.audit.stand_off import note_on_facets
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.logged import is_new
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import Balance
 from dolfinx_mortar.newton_method.residuals import gap_round_off
@@ -111,7 +110,7 @@ def find_notes(end: StepEnd) -> list[str]:
     notes = [note for diagnose in DIAGNOSES for note in diagnose(end)]
     if end.problem.comm.rank == 0:
         for note in notes:
-            if is_new(end.problem, _kind(note, [repr(i) for i in end.problem.interfaces])):
+            if end.problem.is_new(_kind(note, [repr(i) for i in end.problem.interfaces])):
                 log.warning("%s", note)
     return notes
 
