@@ -174,6 +174,16 @@ def test_a_body_pulled_away_is_an_error() -> None:
         solve(membrane(6, held=False, force=-1.0))
 
 
+@pytest.mark.mpi
+def test_a_body_that_a_bound_moves_has_no_forces(backend: str) -> None:
+    """Those of the round-off of bounds decide nothing, but they are solved for as all others."""
+    qp = replace(membrane(12, held=False), extent=1e6)
+    solution = solve(qp, backend)
+    exact = check(replace(qp, extent=0.0), solution.x)
+    assert solution.kkt.worst == 0.0
+    assert exact.unsolved < 1e-12 * np.abs(gathered(solution.x)).max()
+
+
 def test_a_body_held_by_nothing_is_an_error() -> None:
     qp = membrane(8, held=False, force=1.0)
     qp.upper.set(PETSc.INFINITY)

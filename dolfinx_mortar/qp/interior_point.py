@@ -54,6 +54,7 @@ def _iterate(
 ) -> tuple[PETSc.Vec, int, int]:
     """Run TAO within |y| <= box; return x, the iterations and TAO's reason to stop."""
     prefix = f"{linear.options.prefix}tao_"
+    exact = replace(qp, extent=0.0)  # forces below the noise of bounds cost iterations, no decision
     tao = PETSc.TAO().create(qp.A.comm)
     tao.setOptionsPrefix(prefix)
     tao.setType(PETSc.TAO.Type.BQPIP)
@@ -64,7 +65,7 @@ def _iterate(
         return float(0.5 * (y.dot(gradient) - y.dot(scaled.b)))
 
     def stop(tao: PETSc.TAO) -> None:
-        if check(qp, scaled.unscale(tao.getSolution())).satisfied(SHARE * rtol):
+        if check(exact, scaled.unscale(tao.getSolution())).satisfied(SHARE * rtol):
             tao.setConvergedReason(PETSc.TAO.Reason.CONVERGED_USER)
 
     y, gradient = scaled.start.copy(), scaled.b.duplicate()
