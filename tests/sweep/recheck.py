@@ -220,7 +220,7 @@ def _contact(
         if before is not None and not spins:
             moved = case.problem.u.x.array[: _owned(case)] - before
             plain = _apply(B, moved).reshape(-1, d) / weight[:, None]
-            way = _way(case, contact, sides, before, nodes, plain)
+            way = _way(case, contact, sides, before, nodes, plain, normals)
         travel = _travel_of(case, before)
         at = slips.Nodes(nodes, normals, loose, acts, pressure, case.limit.x.array[nodes])
         largest = V.mesh.comm.allreduce(float(weight.max(initial=TINY)), op=MPI.MAX)
@@ -262,13 +262,14 @@ def _way(
     before: Floats,
     at: npt.NDArray[np.int64],
     plain: Floats,
+    normals: Floats,
 ) -> Floats:
     """Return by how much slave nodes (n, d) have moved relative to the master in the step.
 
     With updated geometry to those points of the master that they faced before the step; those that
     faced none, in the first step to those where the supports had moved the upper body as a whole.
-    What was apart along the normal then turns with it. Nodes ``at`` that faced none either have
-    moved as in the present configuration, ``plain``.
+    What was apart then turns with the normal, to ``normals``. Nodes ``at`` that faced none either
+    have moved as in the present configuration, ``plain``.
     """
     problem, V = case.problem, case.problem.V
     d, own = V.mesh.geometry.dim, _owned(case)
@@ -287,7 +288,7 @@ def _way(
         begin.x.array[:own] = before
         begin.x.scatter_forward()
         begin.x.array.reshape(-1, d)[np.unique(V.dofmap.list[case.cell_tags.find(2)])] += moved
-        there = _way_from(case, contact, sides, begin, before)
+        there = _way_from(case, contact, sides, begin, before, at, normals)
         way = np.where(np.isnan(way), there, way)
     return np.where(np.isnan(way[at]), plain, way[at])
 
@@ -298,6 +299,8 @@ def _way_from(
     sides: tuple[int, int],
     begin: fem.Function,
     before: Floats,
+    at: npt.NDArray[np.int64],
+    turned: Floats,
 ) -> Floats:
     """Return the same (owned nodes, d) by what nodes face at a displacement; NaN for nothing."""
     problem, V, own = case.problem, case.problem.V, _owned(case)
@@ -307,10 +310,14 @@ def _way_from(
     mortar = dm.assemble_mortar(V, case.facet_tags, u=begin, weight=ring, **pair)
     nodes = mortar.nodes - V.dofmap.index_map.local_range[0]
     B, size = mortar.D - mortar.M, _row_norms(mortar.D)[::d, None]
-    normals = _normals_at(case, contact, begin)[nodes]
+    normals, present = _normals_at(case, contact, begin)[nodes], np.zeros((problem.n, d))
+    present[at] = turned
+    present = present[nodes]
     X = _current(case) - u
     now, then = (_apply(B, X + v).reshape(-1, d) / size for v in (u, before))
     then -= normals * (normals * then).sum(axis=1, keepdims=True)
+    room = 1.0 + (normals * present).sum(axis=1, keepdims=True)
+    then -= (then * present).sum(axis=1, keepdims=True) / room * (normals + present)
     way = np.full((problem.n, d), np.nan)
     way[nodes] = now - then
     return way
