@@ -240,9 +240,9 @@ class MortarInterface(Interface):
         """Integrate D and M at X + u on the fixed pattern, see `Interface.couple`; collective."""
         assert pairing is not None
         comm, slave, own = sides.V.mesh.comm, sides.slave, slice(None, sides.slave.owned)
-        segments, normals = self.find_partners(pairing, u)
-        mirrors = sides.mirrors[slave.nodes]  # there the side goes on as its image
-        normals, _ = free_directions(normals, mirrors)
+        segments, averaged = self.find_partners(pairing, u)
+        # on planes of symmetry the side goes on as its image
+        normals, _ = free_directions(averaged, sides.mirrors[slave.nodes])
         fixed, free = sides.fixed[slave.nodes], ~banned[slave.nodes, None]
         _, left = free_directions(normals, fixed)
         allowed = ask(comm, self, "may_carry", left, fixed) & free
@@ -255,9 +255,9 @@ class MortarInterface(Interface):
         operators = create_operators(pairing, u, segments, normals, allowed, **options)
         common = None
         if sides.spreads is not None:
-            at = pairing, segments, operators.M[:, 0], u
+            at = pairing, segments, operators.M[:, 0], u, averaged
             common = common_normals(*at, sides.spreads, self.feature_angle)
-            normals, _ = free_directions(common.everywhere(slave), mirrors)
+            normals = common.everywhere(slave)
             _, left = free_directions(normals, fixed)
             may = ask(comm, self, "may_carry", left, fixed)
             if any_rank(comm, (operators.kept & ~may[own]).any())[0]:

@@ -42,7 +42,6 @@ from functools import cached_property
 
 from petsc4py import PETSc
 
-import numba
 import numpy as np
 
 from dolfinx import fem, la
@@ -57,6 +56,7 @@ from dolfinx_mortar.mortar.surface import (
     Boundary,
     Surface,
     accumulate,
+    add_at_nodes,
     coordinates,
     create_sums,
     facets_at,
@@ -97,7 +97,8 @@ class Spreads:
         F = np.swapaxes(facets.x, 1, 2) @ self.gradients
         F += facet_normals(facets)[:, :, None] * self.normals[:, None]
         sums = np.zeros((len(S) + 1, d * d))
-        _add_at(sums, self.places, F.reshape(len(F), d * d))
+        F = F.reshape(len(F), 1, d * d).repeat(self.places.shape[1], axis=1)
+        add_at_nodes(sums, self.places, F)
         mean = accumulate(self, sums[:-1])[self.turned].reshape(-1, d, d)
         R = _rotations(_with_images(mean, self.mirrors[self.nodes[self.turned]]))
         S[self.turned] = R @ S[self.turned] @ np.swapaxes(R, 1, 2)
@@ -166,7 +167,7 @@ def _means(V: fem.FunctionSpace, nodes: Ints, values: Floats) -> Floats:
     sums = la.vector(V.dofmap.index_map, c)
     sums.array[:] = 0.0
     at, each = sums.array.reshape(-1, c), np.column_stack([values, np.ones(len(values))])
-    _add_at(at, nodes, each)
+    add_at_nodes(at, np.ascontiguousarray(nodes), each[:, None].repeat(nodes.shape[1], axis=1))
     sums.scatter_reverse(la.InsertMode.add)
     sums.scatter_forward()
     return np.asarray(at[:, :-1] / np.maximum(at[:, -1:], 1.0))
@@ -187,15 +188,6 @@ def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Boo
     mean = np.where(mirrors, 0.0, found[:, :d])
     S = found[:, d:].reshape(-1, d, d) - mean[:, :, None] * mean[:, None]
     return _with_images(S, mirrors)
-
-
-@numba.njit(cache=True)
-def _add_at(sums, nodes, values):  # type: ignore[no-untyped-def]
-    """Add values (m, c) of facets to sums (n, c) at their nodes (m, k)."""
-    for i in range(nodes.shape[1]):
-        for f in range(len(nodes)):
-            for c in range(values.shape[1]):
-                sums[nodes[f, i], c] += values[f, c]
 
 
 def _rotations(F: Floats) -> Floats:
@@ -246,6 +238,7 @@ def common_normals(
     segments: Segments,
     M: Floats,
     u: fem.Function | None,
+    averaged: Floats,
     spreads: Spreads,
     feature_angle: float,
 ) -> CommonNormals:
@@ -257,6 +250,7 @@ def common_normals(
     Args:
         segments: Those at X + u.
         M: Its entries (f,).
+        averaged: Averaged normals of the slave (n, d) there.
         feature_angle: Degrees between facets from which on they meet in an edge.
     """
     slave, master, V = pairing.slave, pairing.master, pairing.slave.V
@@ -264,9 +258,8 @@ def common_normals(
     S, limit = spreads.at(u), np.sin(np.radians(feature_angle / 2)) ** 2
     S_s, S_m = (S[np.searchsorted(spreads.nodes, side.nodes)] for side in (slave, master))
     across, across_m = (spreads.mirrors[of] for of in (own, nodes))
-    n = nodal_normals(slave, coordinates(slave, u))[: len(own)]
     n_m = nodal_normals(master, coordinates(master, u))[: len(nodes)]
-    (n, by_averaged), (n_m, _) = in_planes(n, across), in_planes(n_m, across_m)
+    (n, by_averaged), (n_m, _) = in_planes(averaged[: len(own)], across), in_planes(n_m, across_m)
     of_slave, of_master = _facing(pairing, segments, u, *(_edged(S, limit) for S in (S_s, S_m)))
     S_s, S_m = S_s[: len(own)], S_m[: len(nodes)]
     a = _of_side(n, np.where(across, 0.0, of_slave), S_s, limit)

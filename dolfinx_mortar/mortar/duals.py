@@ -373,8 +373,10 @@ def default_keep(
         keep &= left > least
     facets = pairing.slave.facets[segments.covered]
     facets = facets[~keep[facets].any(axis=1) & (coverage[facets] > 0).any(axis=1)]
-    best = _best_nodes(coverage[facets], pairing.slave.X[facets])
-    rescued = np.bincount(facets[np.arange(len(facets)), best], minlength=len(covered))
+    rescued = np.zeros(len(covered))
+    if len(facets):
+        best = _best_nodes(coverage[facets], pairing.slave.X[facets])
+        rescued[facets[np.arange(len(facets)), best]] = 1.0
     return keep | (accumulate(pairing.slave, rescued) > 0)
 
 
@@ -422,9 +424,10 @@ def _best_nodes(coverage: Floats, X: Floats) -> Ints:
         X: Coordinates (m, k, d).
     """
     best = coverage >= (1 - HALF_OF_DIGITS) * coverage.max(axis=1, initial=0.0)[:, None]
+    size = facet_sizes(X)
     for x in np.moveaxis(X, 2, 0):
         furthest = np.where(best, x, -np.inf).max(axis=1, initial=-np.inf)
-        best &= x >= (furthest - HALF_OF_DIGITS * facet_sizes(X))[:, None]
+        best &= x >= (furthest - HALF_OF_DIGITS * size)[:, None]
     return np.asarray(np.argmax(best, axis=1), dtype=np.int32)
 
 

@@ -116,10 +116,10 @@ def assemble_mortar(
     surfaces = [create_surface(W, facet_tags, slave, "slave")]
     surfaces.append(create_surface(W, facet_tags, master, "master"))
     pairing = create_pairing(W, *surfaces, u, moving=False, weight=weight)
-    segments, normals = find_segments(pairing, u)
-    everything = np.ones((len(normals), 1), dtype=bool)
+    segments, averaged = find_segments(pairing, u)
+    everything = np.ones((len(averaged), 1), dtype=bool)
     edges = None if feature_angle is None else find_edges(surfaces[0], feature_angle)
-    operators = create_operators(pairing, u, segments, normals, everything, edges=edges)
+    operators = create_operators(pairing, u, segments, averaged, everything, edges=edges)
     own = surfaces[0].nodes[: surfaces[0].owned]
     kept, normals = operators.kept[:, 0], operators.normals
     node_D = pairing.D.matrix(operators.D[:, 0])
@@ -129,7 +129,7 @@ def assemble_mortar(
     if V.dofmap.index_map_bs == 1:
         return Mortar(D=D, M=M, N=None, gap=None, nodes=nodes)
     if feature_angle is not None:
-        at = pairing, segments, operators.M[:, 0], u
+        at = pairing, segments, operators.M[:, 0], u, averaged
         spreads = find_spreads(find_boundary(W), surfaces)
         normals = common_normals(*at, spreads, feature_angle).n
     N = _create_normal_matrix(V.mesh.comm, normals[kept])

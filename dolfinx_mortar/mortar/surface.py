@@ -8,6 +8,7 @@ from typing import Any, Protocol
 from mpi4py import MPI
 from petsc4py import PETSc
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -380,9 +381,18 @@ def sum_at_nodes(surface: Surface, values: npt.NDArray[Any]) -> Floats:
 
     Over all facets at a node, those of other ranks included.
     """
-    where, columns = surface.facets.ravel(), values.reshape(-1, values.shape[2]).T
-    sums = [np.bincount(where, column, minlength=len(surface.nodes)) for column in columns]
-    return accumulate(surface, np.stack(sums, axis=1))
+    sums = np.zeros((len(surface.nodes), values.shape[2]))
+    add_at_nodes(sums, surface.facets, np.ascontiguousarray(values, dtype=np.float64))
+    return accumulate(surface, sums)
+
+
+@numba.njit(cache=True)
+def add_at_nodes(sums, nodes, values):  # type: ignore[no-untyped-def]
+    """Add values (m, k, c) of facets and their nodes (m, k) to sums (n, c) of these."""
+    for f in range(len(nodes)):
+        for i in range(nodes.shape[1]):
+            for c in range(sums.shape[1]):
+                sums[nodes[f, i], c] += values[f, i, c]
 
 
 def dependent_nodes(surface: Surface) -> Bools:

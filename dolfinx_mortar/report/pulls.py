@@ -3,8 +3,8 @@
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import maximum, ratio
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Floats
+from dolfinx_mortar.algebra.parallel import any_rank, maximum, ratio
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, SAME, Floats
 from dolfinx_mortar.geometry.curvature import unit
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.newton_method.contacts import Contacts
@@ -37,8 +37,12 @@ def _pull_of_patches(link: Link, forces: Floats) -> float:
 
     Collective.
     """
-    d, area = forces.shape[1], link.coupling.weight[:, :1] * link.coupling.normals
-    exerted = link.transpose(forces)[0][link.nodes]
+    d, n = forces.shape[1], link.coupling.normals
+    area, exerted = link.coupling.weight[:, :1] * n, link.transpose(forces)[0][link.nodes]
+    size = np.linalg.norm(exerted, axis=1)
+    off = np.linalg.norm(exerted - size[:, None] * n, axis=1) > SAME * size
+    if not any_rank(link.sides.V.mesh.comm, off.any())[0]:
+        return 0.0  # each node pushes along its own normal
     patches = find_patches(link, np.asarray(exerted.any(axis=1)), exerted, area)
     whole = sum(float(np.linalg.norm(patch[:, :d], axis=1).sum()) for patch in patches)
     pulls = [0.0]
