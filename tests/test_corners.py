@@ -150,6 +150,55 @@ def test_a_corner_drawn_over_facets_of_the_slave():
         friction_of_a_drawn_corner(TOP_OF_LOWER, 0.3, whole=True, max_it=15)
 
 
+def force_under_a_step(cell, degree, shift, whole):
+    """Press a body with a wide upper part, `whole` of whose lower side may be the master."""
+    H, high = 0.6, 2.0  # of the step, and of the body
+    line = np.array([-1.6, -1.3, -0.501, -0.5, 0.0, 0.5, 0.501, 1.3, 1.6]) + shift
+
+    def stepped(x):
+        upper, beside = x[:, -1] > 0.5, abs(x[:, 0] - shift) > 0.5005
+        y = np.where(upper, x[:, -1] - 1.0, x[:, -1])
+        return np.column_stack([x[:, :-1], np.where(upper & beside, H + y * (high - H) / high, y)])
+
+    options = {"gap": 1.0, "heights": (1.0, high), "cell": cell, "transform": stepped}
+    if cell in ("triangle", "quadrilateral"):
+        domain, _, facets = two_blocks(
+            COMM, (8, 3), (8, 4), x_lower=(-2.0, 2.0), splits_upper=line, **options
+        )
+    else:
+        sides = {"lower": (-2.0, 2.0, 0.0, 0.5), "splits_upper": (line, np.array([0.0, 0.5]))}
+        domain, _, facets = two_boxes(COMM, (8, 1, 2), (8, 1, 3), **sides, **options)
+    d = domain.topology.dim
+    under = facets.find(BOTTOM_OF_UPPER)
+    away = under[mesh.compute_midpoints(domain, d - 1, under)[:, d - 1] > 1e-9]
+    if not whole:
+        left = ~np.isin(facets.indices, away)
+        facets = mesh.meshtags(domain, d - 1, facets.indices[left], facets.values[left])
+    V = fem.functionspace(domain, ("Lagrange", degree, (d,)))
+    held = [fem.locate_dofs_topological(V, d - 1, facets.find(k)) for k in (BOTTOM_TAG, TOP_TAG)]
+    moves = np.zeros(d), np.array([0.0, 0.0, -0.02])[-d:]
+    bcs = [fem.dirichletbc(move, dofs, V) for move, dofs in zip(moves, held, strict=True)]
+    contact = dm.Contact(facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
+    dm.newton(dm.ContactProblem(dm.Solid(fem.Function(V), ELASTIC), [contact], bcs=bcs))
+    return contact.force
+
+
+@pytest.mark.parametrize(
+    ("cell", "degree", "shift"),
+    [
+        ("quadrilateral", 1, 0.1),
+        ("triangle", 2, 0.2),
+        ("hexahedron", 1, 0.2),
+        ("tetrahedron", 1, 0.1),
+    ],
+)
+def test_what_stands_back_behind_a_step_does_not_count(cell, degree, shift):
+    """Where slave facets lie across the step: their gap is that of the part that touches."""
+    force = force_under_a_step(cell, degree, shift, whole=True)
+    face = force_under_a_step(cell, degree, shift, whole=False)
+    assert force == pytest.approx(face, abs=1e-7 * np.linalg.norm(face))
+
+
 @pytest.mark.parametrize("axis", [(0, -1, 0), (1, -1, 0), None])
 @pytest.mark.parametrize("slave", [BOTTOM_OF_UPPER, TOP_OF_LOWER])
 def test_edges_and_corners_on_a_plate_in_space(axis, slave):

@@ -15,7 +15,7 @@ import dolfinx_mortar.steps.newton as newton_module
 from dolfinx import fem
 from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.interfaces.constraints import Constraints
-from dolfinx_mortar.mortar import edges
+from dolfinx_mortar.mortar import edges, integrals
 from dolfinx_mortar.mortar.edges import Sharing, open_duals
 from dolfinx_mortar.mortar.integrals import (
     find_segments,
@@ -80,12 +80,24 @@ class Rough(RoughSides):
 def test_derivatives_are_those_of_forces_and_gaps(degree, smooth, rings, shared, monkeypatch):
     """Of random tractions on sides that cover each other in part; to 1e-9 of the largest entry."""
     monkeypatch.setattr(edges, "SUNK", 2.0)
+    on_edges.count_all_parts(monkeypatch)
     # Seeds whose partly open facet of degree 2 is covered by 5 % and less amplify round-off: the
     # functions of all its nodes need a matrix whose condition is the covered part to the power -4.
     rough = Rough(degree, smooth=smooth, rings=rings, shared=shared, seed=38 if degree == 2 else 3)
     assert 0 < rough.keep.sum() < len(rough.keep)
     closed = rough.sharing(find_segments(rough.pairing, rough.u)[0]).closed
     assert ((closed > 0.0) & (closed < 1.0)).any() != shared
+    for found, expected in zip(rough.derivatives(), rough.differences(), strict=True):
+        assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_derivatives_of_weights_that_fall_with_the_gap(degree, monkeypatch):
+    """Of what stands back, at given levels."""
+    levels = lambda slave, least, sums, size: np.tile([-0.1, 1.0], (len(size), 1))  # noqa: E731
+    monkeypatch.setattr(integrals, "_reaches", levels)
+    rough = Rough(degree, smooth=False, rings=False, shared=True, seed=5)
+    assert find_segments(rough.pairing, rough.u)[0].reach is not None
     for found, expected in zip(rough.derivatives(), rough.differences(), strict=True):
         assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()
 
@@ -194,8 +206,9 @@ def dragged():
     return case.problem, case.problem.begin_step()
 
 
-def test_rows_of_gaps_and_slips_are_their_derivatives(dragged):
+def test_rows_of_gaps_and_slips_are_their_derivatives(dragged, monkeypatch):
     """The trial rows of T_g, with what lumping leaves to the bounds; differences agree to 1e-8."""
+    on_edges.count_all_parts(monkeypatch)
     problem, data = dragged
     rng, u = np.random.default_rng(5), problem.owned_u
     u += 1e-3 * rng.standard_normal(u.shape)  # far from balance, so that all terms count

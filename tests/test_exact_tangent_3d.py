@@ -227,12 +227,13 @@ def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell, friction, deg
 @pytest.mark.parametrize(
     ("slave", "cell"), crosswise(["ball", "block"], ["hexahedron", "tetrahedron"])
 )
-def test_rows_of_gaps_and_slips_are_their_derivatives(slave, cell, accurate):
+def test_rows_of_gaps_and_slips_are_their_derivatives(slave, cell, accurate, monkeypatch):
     """The trial rows of T_g, with what lumping leaves to the bounds; differences agree to 1e-8.
 
     They are extrapolated: of warped facets a simple one has an error of 6e-7. Slips are vectors:
     their components along tangents that do not spin about the normal.
     """
+    on_edges.count_all_parts(monkeypatch)
     case = Sliding(slave, cell=cell, friction=0.3, options=None)
     problem = case.problem
     for along in (0.0, 0.1):

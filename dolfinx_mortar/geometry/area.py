@@ -480,7 +480,7 @@ def _fill_parts(x, nodes, parts):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**INNER)
-def moments(x, n, Y, deepest, factor, heights, positive, tables, S, R, H):  # type: ignore[no-untyped-def]
+def moments(x, n, Y, deepest, reach, factor, heights, positive, tables, S, R, H):  # type: ignore[no-untyped-def]
     """Add the moments of a slave facet x (k, 3) and its masters Y (c, l, 3) to S, R (c, k, l), H.
 
     Return whether masters hide others. For the other arguments see `moments.add_point`.
@@ -504,18 +504,17 @@ def moments(x, n, Y, deepest, factor, heights, positive, tables, S, R, H):  # ty
         _fill_parts(Y[r], tables.nodes_m, parts_m[b * r : b * (r + 1)])
         for j in range(b * r, b * (r + 1)):
             balls[1][j], most[j] = _ball(parts_m[j], balls[0][j]), deepest[r]
-    given, sums, hidden = (factor, heights, positive), (S, R, H), False
+    given, hidden = (reach, factor, heights, positive, S, R, H), False
     for i in range(a):
-        # fmt: off
-        hidden = _add_part(i, parts_s, parts_m, of_s, of_m, balls, most, tables, given,
-                           sums) or hidden
-        # fmt: on
+        at = parts_s, parts_m, of_s, of_m
+        hidden = _add_part(i, x, Y, at, balls, most, tables, given) or hidden
     return hidden
 
 
 @numba.njit(inline="always")
-def _add_part(i, parts_s, parts_m, of_s, of_m, balls, deepest, tables, given, sums):  # type: ignore[no-untyped-def]
+def _add_part(i, facet, Y, sides, balls, deepest, tables, given):  # type: ignore[no-untyped-def]
     """Add the moments of part i of a slave facet; return whether parts of masters hide others."""
+    parts_s, parts_m, of_s, of_m = sides
     kind, c, b, bilinear = parts_s.dtype, len(parts_m), len(tables.nodes_m), tables.bilinear
     N, M = np.empty(len(tables.slave), kind), np.empty(len(tables.master), kind)
     P, Q = np.empty(parts_s.shape[1:], kind), np.empty(parts_m.shape[1:], kind)
@@ -559,7 +558,7 @@ def _add_part(i, parts_s, parts_m, of_s, of_m, balls, deepest, tables, given, su
             if np.isfinite(s0.real):
                 fill_functions(tables.slave, r0, r1, N)
                 fill_functions(tables.master, s0, s1, M)
-                add_point(N, M, w, r // b, *given, *sums)
+                add_point(N, M, w, r // b, facet, Y[r // b], *given)
     return hidden
 
 

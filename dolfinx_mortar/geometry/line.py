@@ -224,7 +224,7 @@ def tables(slave: FacetElement, master: FacetElement) -> Tables:
 
 
 @numba.njit(**INNER)
-def moments(x, n, Y, deepest, factor, heights, positive, tables, S, R, H):  # type: ignore[no-untyped-def]
+def moments(x, n, Y, deepest, reach, factor, heights, positive, tables, S, R, H):  # type: ignore[no-untyped-def]
     """Add the moments of a slave facet x (k, 2) and its masters Y (c, l, 2) to S, R (c, k, l), H.
 
     Return whether masters hide others. For the other arguments see `moments.add_point`.
@@ -239,6 +239,7 @@ def moments(x, n, Y, deepest, factor, heights, positive, tables, S, R, H):  # ty
     N, M = np.empty(len(x), zero), np.empty(Y.shape[1], zero)
     pairs, which = np.empty((c, 2), np.int32), np.empty(2 * c, np.int32)
     ends = np.empty((2 * c, 2), zero)
+    given = reach, factor, heights, positive, S, R, H
     _polynomial(x, tables.slave, p_s)
     _polynomial(n, tables.slave, p_n)
     for r in range(c):
@@ -251,7 +252,7 @@ def moments(x, n, Y, deepest, factor, heights, positive, tables, S, R, H):  # ty
             xi, eta, size = _point(p_s, p_n, p_m[r], ends[i, 0], ends[i, 1], tables.points[q])
             fill_functions(tables.slave, xi, 0.0, N)
             fill_functions(tables.master, eta, 0.0, M)
-            add_point(N, M, tables.weights[q] * size, r, factor, heights, positive, S, R, H)
+            add_point(N, M, tables.weights[q] * size, r, x, Y[r], *given)
     return True
 
 

@@ -47,10 +47,31 @@ def _height(N, Q, arc):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**SUMS)
-def add_point(N, M, w, c, factor, heights, positive, S, R, H):  # type: ignore[no-untyped-def]
+def _remaining(N, M, x, y, reach):  # type: ignore[no-untyped-def]
+    """Return the part of a weight that is left by the gap between x and y along a normal.
+
+    Args:
+        reach: (d + 2,) the gap from which on weights fall, how fast, and the normal.
+    """
+    gap = 0.0 * N[0]
+    for i in range(x.shape[1]):
+        for j in range(len(M)):
+            gap += M[j] * y[j, i] * reach[2 + i]
+        for j in range(len(N)):
+            gap -= N[j] * x[j, i] * reach[2 + i]
+    part = 1.0 - reach[1] * (gap - reach[0])
+    if part.real >= 1.0:
+        return 1.0 + 0.0 * part
+    return part if part.real > 0.0 else 0.0 * part
+
+
+@numba.njit(**SUMS)
+def add_point(N, M, w, c, x, y, reach, factor, heights, positive, S, R, H):  # type: ignore[no-untyped-def]
     """Add a point of pair c with functions N (k,) and M (l,) and weight w to S, R[c] and H.
 
     Args:
+        x: (k, d) nodes of the slave facet, y: (l, d) of the master.
+        reach: of `_remaining`; empty where nothing falls.
         factor: (k,) that of the weight at the nodes, interpolated.
         heights: Q of both facets, (c, k, k) and (c, l, l), and arcs (c, 2, 2); empty without.
         positive: whether of the first N_j only what is positive counts.
@@ -60,6 +81,8 @@ def add_point(N, M, w, c, factor, heights, positive, S, R, H):  # type: ignore[n
     for j in range(len(N)):
         scale += factor[j] * N[j]
     w = w * scale
+    if len(reach):
+        w = w * _remaining(N, M, x, y, reach)
     h = 0.0 * w
     if len(Q_s):
         h = _height(N, Q_s[c], arcs[c, 0]) + _height(M, Q_m[c], arcs[c, 1])

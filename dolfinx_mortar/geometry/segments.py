@@ -191,6 +191,7 @@ class Segments:
     xi_m: Floats  # (q, d-1) reference coordinates of the projection on the master facet
     weight: Floats  # (q,) quadrature weight times Jacobian, positive
     facet_weights: Floats  # (ms, k) integral of N_j over each whole slave facet, covered or not
+    reach: Floats | None = None  # (ms, 2) gap from which on weights fall, and how fast; None: none
 
     @property
     def covered(self) -> Ints:

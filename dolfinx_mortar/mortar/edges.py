@@ -28,7 +28,7 @@ from dolfinx_mortar.geometry.facets import (
 )
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.duals import weighted_duals
-from dolfinx_mortar.mortar.integrals import sums_of_products
+from dolfinx_mortar.mortar.integrals import SUNK, sums_of_products
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
     Surface,
@@ -38,15 +38,6 @@ from dolfinx_mortar.mortar.surface import (
     nodal_normals,
     sum_at_nodes,
 )
-
-SUNK = 0.05
-"""Share of the size of a facet up to which a corner may lie in it without a note of the report.
-
-In 280 steps of the tests (pins, balls, blocks and sockets, elastic, plastic, with friction) it is
-.04 at most, apart from the sagittas of facets; a corner between nodes penetrates as far as it is
-pressed. So a gap at a node counts as open from this share on, see `open_duals`: between 0 and it
-dual functions are shared out in part.
-"""
 
 
 def check_angle(feature_angle: Any) -> float:

@@ -360,8 +360,12 @@ def cells_of(surface: Surface) -> Ints:
     return _facet_nodes(surface.V, surface.entities)[1]
 
 
-def accumulate(surface: Nodes, values: npt.NDArray[Any]) -> Floats:
-    """Sum values (n,) or (n, c) of the nodes over the ranks; all ranks get the sum (collective)."""
+def accumulate(surface: Nodes, values: npt.NDArray[Any], *, largest: bool = False) -> Floats:
+    """Sum values (n,) or (n, c) of the nodes over the ranks; all ranks get the sum (collective).
+
+    Or take the largest one.
+    """
+    mode = PETSc.InsertMode.MAX_VALUES if largest else PETSc.InsertMode.ADD_VALUES
     result = np.array(values, dtype=float)
     if surface.V.mesh.comm.size == 1:
         return result
@@ -369,7 +373,7 @@ def accumulate(surface: Nodes, values: npt.NDArray[Any]) -> Floats:
     for column in columns.T:
         with surface.sums.localForm() as local:
             local.array_w[:] = column
-        surface.sums.ghostUpdate(PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)
+        surface.sums.ghostUpdate(mode, PETSc.ScatterMode.REVERSE)
         surface.sums.ghostUpdate(PETSc.InsertMode.INSERT_VALUES, PETSc.ScatterMode.FORWARD)
         with surface.sums.localForm() as local:
             column[:] = local.array_r

@@ -105,6 +105,7 @@ class _Sides(NamedTuple):
     deepest: Floats  # (P,)
     factor: Floats  # (p, k) weight of the integrals at the nodes
     partly: Longs  # (p,) node with the widest opening where it matters, else -1
+    reach: Floats  # (p, 2) see `Segments`; (p, 0) where weights fall nowhere
 
 
 class _Surfaces(NamedTuple):
@@ -275,16 +276,33 @@ def _move(n, D, M, others, G):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**INNER)
+def _fill_normal(x, corners, n):  # type: ignore[no-untyped-def]
+    """Write the mean normal of a facet into the last row of n (3, 3)."""
+    if x.shape[1] == 3:
+        fill_axes(x[:corners], 1.0, n)
+        return
+    t0, t1 = x[1, 0] - x[0, 0], x[1, 1] - x[0, 1]
+    length = np.sqrt(t0 * t0 + t1 * t1)
+    n[2, 0], n[2, 1] = t1 / length, -t0 / length
+
+
+@numba.njit(**INNER)
+def _fill_reach(x, corners, given, reach):  # type: ignore[no-untyped-def]
+    """Write what `moments.add_point` needs into reach (d + 2,), if there is any."""
+    if len(reach):
+        n = np.empty((3, 3), x.dtype)
+        _fill_normal(x, corners, n)
+        reach[0], reach[1] = given[0], given[1]
+        for i in range(x.shape[1]):
+            reach[2 + i] = n[2, i]
+
+
+@numba.njit(**INNER)
 def _share(x, y, S, R, j, corners, sunk):  # type: ignore[no-untyped-def]
     """Return 1 - o_j / (sunk L), see `edges`, from the moments of the positive part of N_j."""
     k, d = x.shape
     n = np.empty((3, 3), x.dtype)
-    if d == 2:
-        t0, t1 = x[1, 0] - x[0, 0], x[1, 1] - x[0, 1]
-        length = np.sqrt(t0 * t0 + t1 * t1)
-        n[2, 0], n[2, 1] = t1 / length, -t0 / length
-    else:
-        fill_axes(x[:corners], 1.0, n)
+    _fill_normal(x, corners, n)
     weight, gap, size = 0.0 * x[0, 0], 0.0 * x[0, 0], 0.0 * x[0, 0]
     for a in range(k):
         weight, square = weight + S[j, a], 0.0 * x[0, 0]
@@ -384,7 +402,9 @@ def _evaluator(moments: Any) -> Any:
                 for i in range(d):
                     Y[r, a, i] = v[k + lines + sides.place[some[r], a], i]
         _fill_heights(x, Y, some, surfaces, heights)
-        at = sides.factor[f], heights, positive, tables
+        reach = np.empty(sides.reach.shape[1] // 2 * (d + 2), v.dtype)
+        _fill_reach(x, surfaces.corners[0], sides.reach[f], reach)
+        at = reach, sides.factor[f], heights, positive, tables
         hidden = moments(x, n, Y, deepest, *at, S, each, H)
         for r in range(c):
             for a in range(l_m):
@@ -548,6 +568,7 @@ def differentiate(
             pairing.deepest[used[group.pairs]],
             factor[s],
             partly[s],
+            np.zeros((len(s), 0)) if segments.reach is None else segments.reach[s],
         )
         both = [bases[0], bases[-1]]
         basis = _Basis(
