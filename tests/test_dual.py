@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from dolfinx_mortar.geometry.elements import QUAD9, TRI6
 from dolfinx_mortar.geometry.facets import Facets, tributary_weights
-from dolfinx_mortar.mortar import tangent
+from dolfinx_mortar.mortar import product_rule
 from dolfinx_mortar.mortar.duals import ALPHA, absorbed, absorbing, create_duals
 from dolfinx_mortar.mortar.integrals import covered_weights, sums_of_values
 from tests.polylines import assemble
@@ -148,9 +148,9 @@ def test_coefficients_are_those_of_the_values(k, end, least, t):
     if t < least:
         return
     T, one, C = absorbing((), keep), np.ones(1), np.empty((k, k))
-    basis = tangent._Basis(T[:, None], duals.inverse[:, None], keep[:, None], one)
+    basis = product_rule.Basis(T[:, None], duals.inverse[:, None], keep[:, None], one)
     none = np.empty((0, k, k))
-    tangent._all_duals(N.T @ (weight[:, None] * N), none, basis, 0, np.empty(0), C, none)
+    product_rule.all_duals(N.T @ (weight[:, None] * N), none, basis, 0, np.empty(0), C, none)
     assert np.abs(N @ C.T - duals.Phi).max() < 1e-10 * np.abs(duals.Phi).max()
 
 

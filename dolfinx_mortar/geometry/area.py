@@ -436,8 +436,10 @@ def tables(slave: FacetElement, master: FacetElement) -> Tables:
     return Tables(
         slave.table,
         master.table,
-        *(np.array(e.sub_facets, dtype=np.int32) for e in (slave, master)),
-        *(on_reference(e) for e in (slave, master)),
+        np.array(slave.sub_facets, dtype=np.int32),
+        np.array(master.sub_facets, dtype=np.int32),
+        on_reference(slave),
+        on_reference(master),
         (part_s.bilinear, part_m.bilinear),
         slave.size / (count(slave) * part_s.size) if second else 0.0,
         *triangle_rule(min(_least_degree(slave, master), _TANGENT)),

@@ -1,21 +1,9 @@
 # SPDX-License-Identifier: MIT
-r"""Derivatives of contact forces and weighted gaps by the coordinates of both sides.
+"""Derivatives of contact forces and weighted gaps by the coordinates of both sides.
 
-With the moments S, R and H of a slave facet (`geometry.moments`), its dual functions
-Phi_j = sum_b C_jb N_b, tractions c_j = lambda_j n_j + tau_j and the nodes x_k and y_l of both sides
-
-    D = C S,   M = C R,   F_k = sum_j D_jk c_j,   F_l = -sum_j M_jl c_j,
-    G_j = n_j.(sum_l M_jl y_l - sum_k D_jk x_k) - (C H)_j,     b_j = sum_l M_jl n_l,
-
-so that all derivatives follow from those of the moments, which the complex step gives, by the
-product rule. That of C: over the nodes that carry a multiplier, with N~ = T N of `duals.absorbed`,
-m = T S T^T and d = T S 1,
-
-    A = diag(d) m^-1,   dA = (diag(dd) - A dm) m^-1,   C = (A - mean of its rows) T + 1 / count.
-
-Beside open edges C is a mean of two such, with shares that depend on the opening (`edges`). Tools
-have no master: for H stands minus the integral of N_j phi. By the normals n_j, and of these by the
-coordinates, the derivatives are apart: they may depend on facets of other ranks.
+Those of the moments of slave facets are taken by the complex step (`geometry.moments`), all others
+by the `product_rule`. Those by the normals n_j, and of these by the coordinates, are apart: they
+may depend on facets of other ranks.
 """
 
 from collections.abc import Sequence
@@ -46,6 +34,7 @@ from dolfinx_mortar.mortar.curvature_correction import SmoothSide, pair_sagittas
 from dolfinx_mortar.mortar.duals import Duals, absorbing, find_duals
 from dolfinx_mortar.mortar.edges import Sharing, widest_openings
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
+from dolfinx_mortar.mortar.product_rule import Basis, Fixed, Results, all_duals, apply, clear, move
 from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals
 
 
@@ -77,23 +66,6 @@ class Derivatives:
     b_p: Sequence[Blocks] = ()  # (d n, d n)
 
 
-class _Basis(NamedTuple):
-    """Dual functions of facets (p,), first with all shared out, then with nothing."""
-
-    T: Floats  # (p, 2, k, k)
-    inverse: Floats  # (p, 2, k, k) m^-1, 0 for nodes without multiplier
-    kept: Bools  # (p, 2, k)
-    closed: Floats  # (p,) share of the first
-
-
-class _Fixed(NamedTuple):
-    """What does not change with the coordinates."""
-
-    c: Floats  # (p, k, d)
-    n: Floats  # (p, k, d)
-    n_m: Floats  # (p, m, d) n_l
-
-
 class _Sides(NamedTuple):
     """Slave facets (p,) and the master facets (P,) that they face, those of a facet together."""
 
@@ -120,159 +92,6 @@ class _Surfaces(NamedTuple):
     pairs_s: Longs  # (2, e) pairs of nodes
     pairs_m: Longs
     corners: tuple[int, int]
-
-
-class _Results(NamedTuple):
-    """Derivatives by the z coordinates: of the slave facet, directions, and nodes of masters."""
-
-    F: Floats  # (p, k + m, d, z)
-    G: Floats  # (p, k, z)
-    b: Floats  # (p, k, d, z)
-    D: Floats  # (p, k, k) values
-    M: Floats  # (p, k, m)
-
-
-@numba.njit(**INNER)
-def _add_product(factor, A, B, turned, C):  # type: ignore[no-untyped-def]
-    """Add a factor times A B, or A B^T, to C."""
-    for i in range(C.shape[0]):
-        for j in range(C.shape[1]):
-            total = 0.0
-            for k in range(A.shape[1]):
-                total += A[i, k] * (B[j, k] if turned else B[k, j])
-            C[i, j] += factor * total
-
-
-@numba.njit(**INNER)
-def _clear(A):  # type: ignore[no-untyped-def]
-    """Set a matrix to zero."""
-    for i in range(A.shape[0]):
-        for j in range(A.shape[1]):
-            A[i, j] = 0.0
-
-
-@numba.njit(**INNER)
-def _duals(S, T, inverse, kept, A, spare, C):  # type: ignore[no-untyped-def]
-    """Write C (k, k) for the moments S, and A = diag(d) m^-1."""
-    for i in range(2):
-        _clear(spare[i])
-    _add_product(1.0, T, S, False, spare[0])
-    for j in range(len(S)):
-        d = 0.0
-        for b in range(len(S)):
-            d += spare[0, j, b]
-        for b in range(len(S)):
-            A[j, b] = d * inverse[j, b]
-            spare[1, j, b] = A[j, b]
-    _close(spare[1], T, kept, True, C)
-
-
-@numba.njit(**INNER)
-def _close(A, T, kept, whole, C):  # type: ignore[no-untyped-def]
-    """Write (A - mean of its rows) T, and 1 / count of the nodes kept (k,) if whole; A is lost."""
-    count = 0
-    for j in range(len(A)):
-        count += kept[j]
-    count = max(count, 1)
-    for b in range(len(A)):
-        mean = 0.0
-        for j in range(len(A)):
-            mean += A[j, b] / count
-        for j in range(len(A)):
-            A[j, b] -= mean * kept[j]
-            C[j, b] = kept[j] / count if whole else 0.0
-    _add_product(1.0, A, T, False, C)
-
-
-@numba.njit(**INNER)
-def _dual_changes(dS, T, inverse, kept, A, spare, dC):  # type: ignore[no-untyped-def]
-    """Write the derivatives of C for those of the moments, dS."""
-    for i in range(4):
-        _clear(spare[i])
-    _add_product(1.0, T, dS, False, spare[0])
-    _add_product(1.0, spare[0], T, True, spare[1])  # dm
-    _add_product(-1.0, A, spare[1], False, spare[2])
-    for j in range(len(dS)):
-        for b in range(len(dS)):
-            spare[2, j, j] += spare[0, j, b]  # dd
-    _add_product(1.0, spare[2], inverse, False, spare[3])
-    _close(spare[3], T, kept, False, dC)
-
-
-@numba.njit(**KERNEL)
-def _all_duals(S, dS, basis, f, shares, C, dC):  # type: ignore[no-untyped-def]
-    """Write C (k, k) and its derivatives (z, k, k) of facet f; shares (z,): those of its share."""
-    k, closed, mask = len(S), basis.closed[f], basis.kept[f, 0]
-    both, A, spare, one = (np.empty((2, k, k)), np.empty((k, k)), np.empty((4, k, k)),
-                           np.empty((k, k)))  # fmt: skip
-    for z in range(len(dS)):
-        _clear(dC[z])
-    for i in range(2 if closed < 1.0 else 1):
-        at = basis.T[f, i], basis.inverse[f, i], basis.kept[f, i], A, spare
-        _duals(S, *at, both[i])
-        factor = 1.0 - closed if i else closed
-        for z in range(len(dS)):
-            _dual_changes(dS[z], *at, one)
-            for j in range(k):
-                for b in range(k):
-                    dC[z, j, b] += factor * mask[j] * one[j, b]
-    for j in range(k):
-        for b in range(k):
-            C[j, b] = both[0, j, b]
-            if closed < 1.0:
-                apart = both[0, j, b] - mask[j] * both[1, j, b]
-                C[j, b] -= (1.0 - closed) * apart
-                for z in range(len(dS)):
-                    dC[z, j, b] += shares[z] * apart
-
-
-@numba.njit(**INNER)
-def _apply(S, R, H, dS, dR, dH, C, dC, fixed, x, y, f, found):  # type: ignore[no-untyped-def]
-    """Write the derivatives of facet f but for those of x and y at fixed D and M."""
-    k, m = R.shape
-    _add_product(1.0, C, S, False, found.D[f])
-    _add_product(1.0, C, R, False, found.M[f])
-    dD, dM = np.empty((k, k)), np.empty((k, m))
-    for z in range(len(dS)):
-        _clear(dD)
-        _clear(dM)
-        _add_product(1.0, dC[z], S, False, dD)
-        _add_product(1.0, C, dS[z], False, dD)
-        _add_product(1.0, dC[z], R, False, dM)
-        _add_product(1.0, C, dR[z], False, dM)
-        _contract(dD, dM, fixed, x, y, f, z, found)
-        for j in range(k):
-            for b in range(k):
-                found.G[f, j, z] -= dC[z, j, b] * H[b] + C[j, b] * dH[z, b]
-
-
-@numba.njit(**INNER)
-def _contract(dD, dM, fixed, x, y, f, z, found):  # type: ignore[no-untyped-def]
-    """Add what dD and dM give to the derivatives of facet f by z."""
-    c, n, n_m, (k, m) = fixed.c[f], fixed.n[f], fixed.n_m[f], dM.shape
-    for j in range(k):
-        for i in range(x.shape[1]):
-            moved = 0.0
-            for a in range(k):
-                found.F[f, a, i, z] += dD[j, a] * c[j, i]
-                moved -= dD[j, a] * x[a, i]
-            for a in range(m):
-                found.F[f, k + a, i, z] -= dM[j, a] * c[j, i]
-                found.b[f, j, i, z] += dM[j, a] * n_m[a, i]
-                moved += dM[j, a] * y[a, i]
-            found.G[f, j, z] += n[j, i] * moved
-
-
-@numba.njit(**INNER)
-def _move(n, D, M, others, G):  # type: ignore[no-untyped-def]
-    """Add n_j.(M_jl dy_l - D_jk dx_k) to G (k, z); the nodes of masters are the last columns."""
-    k, d = n.shape
-    for j in range(k):
-        for i in range(d):
-            for a in range(k):
-                G[j, d * a + i] -= D[j, a] * n[j, i]
-            for a in range(M.shape[1]):
-                G[j, others + d * a + i] += M[j, a] * n[j, i]
 
 
 @numba.njit(**INNER)
@@ -392,8 +211,8 @@ def _evaluator(moments: Any) -> Any:
         Y, each = np.empty((c, l_m, d), v.dtype), np.zeros((c, k, l_m), v.dtype)
         Q_s, Q_m = np.empty((c * smooth, k, k), v.dtype), np.empty((c * smooth, l_m, l_m), v.dtype)
         heights, deepest = (Q_s, Q_m, np.empty((c * smooth, 2, 2))), np.empty(c)
-        _clear(S)
-        _clear(R)
+        clear(S)
+        clear(R)
         for j in range(k):
             H[j] = 0.0
         for r in range(c):
@@ -451,9 +270,9 @@ def _loop(evaluate: Any) -> Any:
                         _real(S, R, H, S0, R0, H0)
                     _parts(S, R, H, dS[z], dR[z], dH[z])
                 v[a, z % d] = v[a, z % d].real
-            _all_duals(S0, dS, basis, f, shares, C, dC)
-            _apply(S0, R0, H0, dS, dR, dH, C, dC, fixed, sides.x[f], sides.y[f], f, found)
-            _move(fixed.n[f], found.D[f], found.M[f], d * (k + lines), found.G[f])
+            all_duals(S0, dS, basis, f, shares, C, dC)
+            apply(S0, R0, H0, dS, dR, dH, C, dC, fixed, sides.x[f], sides.y[f], f, found)
+            move(fixed.n[f], found.D[f], found.M[f], d * (k + lines), found.G[f])
 
     return differentiate
 
@@ -472,15 +291,15 @@ def _differentiate_whole(x, by_x, rule, factor, phi, basis, fixed, found):  # ty
             at[z // d, z % d] = x[f, z // d, z % d]
         for z in range(size):
             at[z // d, z % d] += 1j * STEP
-            _clear(S)
+            clear(S)
             for j in range(k):
                 H[j] = 0.0
             add_whole(at, by_x[f], x[f], rule, factor[f], phi[f], S, H)
             _parts(S, R, H, dS[z], dR[z], dH[z])
             at[z // d, z % d] = x[f, z // d, z % d]
         _real(S, R, H, S0, R0, H0)
-        _all_duals(S0, dS, basis, f, shares, C, dC)
-        _apply(S0, R0, H0, dS, dR, dH, C, dC, fixed, x[f], y, f, found)
+        all_duals(S0, dS, basis, f, shares, C, dC)
+        apply(S0, R0, H0, dS, dR, dH, C, dC, fixed, x[f], y, f, found)
 
 
 def differentiate_whole(
@@ -499,10 +318,10 @@ def differentiate_whole(
     """
     (p, k, d), element, kept = facets.x.shape, facets.element, duals.kept
     T = absorbing(element.shares, kept)
-    basis = _Basis(T[:, None], duals.inverse[:, None], kept[:, None], np.ones(p))
-    fixed = _Fixed(c, np.zeros((p, k, d)), np.zeros((p, 0, d)))
+    basis = Basis(T[:, None], duals.inverse[:, None], kept[:, None], np.ones(p))
+    fixed = Fixed(c, np.zeros((p, k, d)), np.zeros((p, 0, d)))
     shapes = (k, d, k * d), (k, k * d), (k, d, k * d), (k, k), (k, 0)
-    found = _Results(*(np.zeros((p, *shape)) for shape in shapes))
+    found = Results(*(np.zeros((p, *shape)) for shape in shapes))
     rule = tuple(
         np.ascontiguousarray(f(xi)) for f in (element.shape_functions, element.derivatives)
     )
@@ -537,14 +356,15 @@ def differentiate(
     """
     slave, master = pairing.slave, received_facets(pairing, u)
     x = coordinates(slave, u)
-    facets, (d, n) = facets_at(slave, x), (x.shape[1], len(x))
+    facets, d, n = facets_at(slave, x), x.shape[1], len(x)
     directions = (
         nodal_normals(slave, x)[slave.facets] if d == 2 else np.zeros((len(facets.x), 0, 3))
     )
     used = np.unique(segments.pair)
     surfaces = _surfaces(pairing, u, smooth, used)
     bases = [find_duals(pairing, segments, keep)]
-    closed, partly = np.ones(len(facets.x)), np.full(len(facets.x), -1)
+    closed: Floats = np.ones(len(facets.x))
+    partly: Longs = np.full(len(facets.x), -1)
     if sharing is not None:
         bases.append(find_duals(pairing, segments, keep | sharing.silent))
         closed, partly = sharing.closed, widest_openings(pairing, segments, u, sharing)
@@ -571,16 +391,16 @@ def differentiate(
             np.zeros((len(s), 0)) if segments.reach is None else segments.reach[s],
         )
         both = [bases[0], bases[-1]]
-        basis = _Basis(
+        basis = Basis(
             np.stack([absorbing(slave.element.shares, one.kept[s]) for one in both], axis=1),
             np.stack([one.inverse[s] for one in both], axis=1),
             np.stack([one.kept[s] for one in both], axis=1),
             closed[s],
         )
-        fixed = _Fixed(given.tractions[own], given.normals[own], normals[group.nodes])
+        fixed = Fixed(given.tractions[own], given.normals[own], normals[group.nodes])
         z = d * (k + lines + m)
         shapes = (k + m, d, z), (k, z), (k, d, z), (k, k), (k, m)
-        found = _Results(*(np.zeros((len(s), *shape)) for shape in shapes))
+        found = Results(*(np.zeros((len(s), *shape)) for shape in shapes))
         at = sides, _some(surfaces, group.pairs), tables, basis, fixed, edges.SUNK, found
         _LOOPS[d](*at)
         _add_parts(parts, found, given, sides, own, n + group.nodes)
@@ -594,24 +414,29 @@ def _surfaces(
     used: Ints,
 ) -> _Surfaces:
     """Return the heights of pairs (P,); collective."""
-    types, none = (pairing.slave.element, pairing.master.element), np.empty((len(used), 0))
-    c_s, c_m, arcs = none, none, np.empty((len(used), 2, 2))
+    slave, master = pairing.slave.element, pairing.master.element
+    c_s: Floats = np.empty((len(used), 0))
+    c_m, arcs = c_s, np.empty((len(used), 2, 2))
     if smooth is not None:
-        c_s, c_m, arcs = pair_sagittas(pairing, u, smooth, used)
-    ends = (
-        np.array(node_pairs(height_element(one, c)), dtype=np.int64)
-        for one, c in zip(types, (c_s, c_m), strict=True)
+        c_s, c_m, arcs[:] = pair_sagittas(pairing, u, smooth, used)
+    of_s, of_m = height_element(slave, c_s), height_element(master, c_m)
+    return _Surfaces(
+        c_s,
+        c_m,
+        arcs,
+        slave.degree == 1,
+        height_table(slave, c_s.shape[1]),
+        height_table(master, c_m.shape[1]),
+        np.array(node_pairs(of_s), dtype=np.int64),
+        np.array(node_pairs(of_m), dtype=np.int64),
+        (len(slave.vertices), len(master.vertices)),
     )
-    tables = (height_table(one, c.shape[1]) for one, c in zip(types, (c_s, c_m), strict=True))
-    first = types[0].degree == 1
-    corners = len(types[0].vertices), len(types[1].vertices)
-    return _Surfaces(c_s, c_m, arcs, first, *tables, *ends, corners)
 
 
 def _some(surfaces: _Surfaces, pairs: Longs) -> _Surfaces:
     """Return the heights of some pairs."""
-    parts = (np.ascontiguousarray(v[pairs]) for v in surfaces[:3])
-    return _Surfaces(*parts, *surfaces[3:])
+    c_s, c_m, arcs = (np.ascontiguousarray(v[pairs]) for v in surfaces[:3])
+    return surfaces._replace(c_s=c_s, c_m=c_m, arcs=arcs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -646,7 +471,7 @@ def _groups(pairing: Pairing, used: Ints) -> list[_Group]:
 
 def _add_parts(
     parts: dict[str, list[Blocks]],
-    found: _Results,
+    found: Results,
     given: Tractions,
     sides: _Sides,
     own: Ints,
