@@ -62,7 +62,7 @@ def errors(rough, directions=None):
 def accurate(monkeypatch):
     """Integrals that are accurate: derivatives are those of integrals, by fewer points."""
     monkeypatch.setattr(area, "_least_degree", lambda slave, master: 20)
-    monkeypatch.setattr(area, "_TANGENT", 20)
+    monkeypatch.setattr(area, "_degree_of_moments", lambda slave, master: 20)
 
 
 UNDER = (-0.5, 1.6, -0.5, 1.5)

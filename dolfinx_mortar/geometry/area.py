@@ -58,13 +58,6 @@ from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 _HIGHEST = 24
 """Highest degree of the quadrature, which limits it on facets of low quality, as said above."""
-_TANGENT = 4
-"""Highest degree of the derivatives' quadrature.
-
-Errors, in parts of the largest entry, on facets that noise warps and distorts: hexahedra 7e-4, of
-second order 1e-3, tetrahedra of second order 1e-4; with degree 8, of nearly three times the points,
-7e-7, 2e-5 and 2e-9. None on flat triangles.
-"""
 
 
 @cache
@@ -442,8 +435,18 @@ def tables(slave: FacetElement, master: FacetElement) -> Tables:
         on_reference(master),
         (part_s.bilinear, part_m.bilinear),
         slave.size / (count(slave) * part_s.size) if second else 0.0,
-        *triangle_rule(min(_least_degree(slave, master), _TANGENT)),
+        *triangle_rule(_degree_of_moments(slave, master)),
     )
+
+
+def _degree_of_moments(slave: FacetElement, master: FacetElement) -> int:
+    """Return the degree of the quadrature of `moments`, of which derivatives are taken.
+
+    Errors of these, in parts of the largest entry, on facets that noise warps and distorts:
+    hexahedra 7e-4, of second order 1e-3, tetrahedra of second order 1e-4; with degree 8, of nearly
+    three times the points, 7e-7, 2e-5 and 2e-9. None on flat triangles of first order.
+    """
+    return min(_least_degree(slave, master), 4)
 
 
 @numba.njit(**INNER)
