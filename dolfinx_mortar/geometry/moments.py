@@ -17,7 +17,7 @@ import numpy as np
 
 from dolfinx_mortar.arrays import EPS
 
-STEP = EPS**2
+STEP = EPS * EPS
 """Imaginary part of a coordinate: its square is nothing beside the round-off of any other one."""
 KERNEL = {"cache": True, "error_model": "numpy", "fastmath": {"contract"}}
 INNER = {**KERNEL, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}

@@ -329,7 +329,7 @@ def differentiate_whole(
     return found.F.reshape(p, k, d, k, d), found.G.reshape(p, k, k, d), found.D
 
 
-_LOOPS = {2: _loop(_evaluator(line.moments)), 3: _loop(_evaluator(area.moments))}
+_IN_PLANE, _IN_SPACE = (_loop(_evaluator(of.moments)) for of in (line, area))
 
 
 @timed("~Mortar: derivatives")
@@ -402,7 +402,7 @@ def differentiate(
         shapes = (k + m, d, z), (k, z), (k, d, z), (k, k), (k, m)
         found = Results(*(np.zeros((len(s), *shape)) for shape in shapes))
         at = sides, _some(surfaces, group.pairs), tables, basis, fixed, edges.SUNK, found
-        _LOOPS[d](*at)
+        (_IN_PLANE if d == 2 else _IN_SPACE)(*at)
         _add_parts(parts, found, given, sides, own, n + group.nodes)
     return Derivatives(**parts)
 
