@@ -8,7 +8,7 @@ may depend on facets of other ranks.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -200,81 +200,82 @@ def _coordinate(sides, f, a, i):  # type: ignore[no-untyped-def]
     return sides.n[f, a - k, i] if a < k + lines else sides.y[f, a - k - lines, i]
 
 
-def _evaluator(moments: Any) -> Any:
-    """Return the compiled moments of one slave facet, by `line.moments` or `area.moments`."""
-
-    @numba.njit(inline="always")
-    def evaluate(v, f, some, sides, surfaces, tables, positive, S, R, H):  # type: ignore[no-untyped-def]
-        """Write the moments of facet f and some of its masters at v; R (k, m) by their nodes."""
-        k, lines, c, smooth = len(S), sides.n.shape[1], len(some), surfaces.c_s.shape[1] > 0
-        x, n, l_m, d = v[:k], v[k : k + lines], sides.place.shape[1], v.shape[1]
-        Y, each = np.empty((c, l_m, d), v.dtype), np.zeros((c, k, l_m), v.dtype)
-        Q_s, Q_m = np.empty((c * smooth, k, k), v.dtype), np.empty((c * smooth, l_m, l_m), v.dtype)
-        heights, deepest = (Q_s, Q_m, np.empty((c * smooth, 2, 2))), np.empty(c)
-        clear(S)
-        clear(R)
-        for j in range(k):
-            H[j] = 0.0
-        for r in range(c):
-            deepest[r] = sides.deepest[some[r]]
-            for a in range(l_m):
-                for i in range(d):
-                    Y[r, a, i] = v[k + lines + sides.place[some[r], a], i]
-        _fill_heights(x, Y, some, surfaces, heights)
-        reach = np.empty(sides.reach.shape[1] // 2 * (d + 2), v.dtype)
-        _fill_reach(x, surfaces.corners[0], sides.reach[f], reach)
-        at = reach, sides.factor[f], heights, positive, tables
-        hidden = moments(x, n, Y, deepest, *at, S, each, H)
-        for r in range(c):
-            for a in range(l_m):
-                for j in range(k):
-                    R[j, sides.place[some[r], a]] += each[r, j, a]
-        return hidden
-
-    return evaluate
+def _moments(x, n, Y, deepest, reach, factor, heights, positive, tables, S, R, H):  # type: ignore[no-untyped-def]
+    """Stands for `line.moments` or `area.moments`, which the type of their tables decides."""
+    raise NotImplementedError
 
 
-def _loop(evaluate: Any) -> Any:
-    """Return the compiled loop over slave facets, with moments of `_evaluator`."""
+@numba.extending.overload(_moments)
+def _of_dimension(x, n, Y, deepest, reach, factor, heights, positive, tables, S, R, H):  # type: ignore[no-untyped-def]
+    """Return what is compiled."""
+    return (line if tables.instance_class is line.Tables else area).moments.py_func
 
-    @numba.njit(**KERNEL)
-    def differentiate(sides, surfaces, tables, basis, fixed, sunk, found):  # type: ignore[no-untyped-def]
-        """Write the derivatives of all facets."""
-        (p, k, d), lines, m = sides.x.shape, sides.n.shape[1], sides.y.shape[1]
-        size, v = d * (k + lines + m), np.empty((k + lines + m, d), np.complex128)
-        S, R, H = np.empty((k, k), v.dtype), np.empty((k, m), v.dtype), np.empty(k, v.dtype)
-        S0, R0, H0 = np.empty((k, k)), np.empty((k, m)), np.empty(k)
-        dS, dR, dH = np.empty((size, k, k)), np.empty((size, k, m)), np.empty((size, k))
-        C, dC, shares = np.empty((k, k)), np.empty((size, k, k)), np.zeros(size)
-        every = np.empty(len(sides.place), np.int64)
-        for f in range(p):
-            first, last, hidden = sides.start[f], sides.start[f + 1], False
-            for z in range(size):
-                v[z // d, z % d] = _coordinate(sides, f, z // d, z % d)
-            for z in range(size):
-                a, node = z // d, -1
-                if a >= k + lines and not hidden:  # pairs do not know of each other
-                    node = a - k - lines
-                v[a, z % d] += 1j * STEP
-                for positive in range(2 if sides.partly[f] >= 0 else 1):
-                    count = _at_node(sides.place, first, last, -1 if positive else node, every)
-                    # fmt: off
-                    hidden = evaluate(v, f, every[:count], sides, surfaces, tables, positive > 0,
-                                      S, R, H) or hidden
-                    # fmt: on
-                    if positive:
-                        j = sides.partly[f], surfaces.corners[0], sunk
-                        shares[z] = _share(v[:k], v[k + lines :], S, R, *j).imag / STEP
-                        continue
-                    if z == 0:
-                        _real(S, R, H, S0, R0, H0)
-                    _parts(S, R, H, dS[z], dR[z], dH[z])
-                v[a, z % d] = v[a, z % d].real
-            all_duals(S0, dS, basis, f, shares, C, dC)
-            apply(S0, R0, H0, dS, dR, dH, C, dC, fixed, sides.x[f], sides.y[f], f, found)
-            move(fixed.n[f], found.D[f], found.M[f], d * (k + lines), found.G[f])
 
-    return differentiate
+@numba.njit(**INNER)
+def _evaluate(v, f, some, sides, surfaces, tables, positive, S, R, H):  # type: ignore[no-untyped-def]
+    """Write the moments of facet f and some of its masters at v; R (k, m) by their nodes."""
+    k, lines, c, smooth = len(S), sides.n.shape[1], len(some), surfaces.c_s.shape[1] > 0
+    x, n, l_m, d = v[:k], v[k : k + lines], sides.place.shape[1], v.shape[1]
+    Y, each = np.empty((c, l_m, d), v.dtype), np.zeros((c, k, l_m), v.dtype)
+    Q_s, Q_m = np.empty((c * smooth, k, k), v.dtype), np.empty((c * smooth, l_m, l_m), v.dtype)
+    heights, deepest = (Q_s, Q_m, np.empty((c * smooth, 2, 2))), np.empty(c)
+    clear(S)
+    clear(R)
+    for j in range(k):
+        H[j] = 0.0
+    for r in range(c):
+        deepest[r] = sides.deepest[some[r]]
+        for a in range(l_m):
+            for i in range(d):
+                Y[r, a, i] = v[k + lines + sides.place[some[r], a], i]
+    _fill_heights(x, Y, some, surfaces, heights)
+    reach = np.empty(sides.reach.shape[1] // 2 * (d + 2), v.dtype)
+    _fill_reach(x, surfaces.corners[0], sides.reach[f], reach)
+    at = reach, sides.factor[f], heights, positive, tables
+    hidden = _moments(x, n, Y, deepest, *at, S, each, H)
+    for r in range(c):
+        for a in range(l_m):
+            for j in range(k):
+                R[j, sides.place[some[r], a]] += each[r, j, a]
+    return hidden
+
+
+@numba.njit(**KERNEL)
+def _differentiate(sides, surfaces, tables, basis, fixed, sunk, found):  # type: ignore[no-untyped-def]
+    """Write the derivatives of all facets."""
+    (p, k, d), lines, m = sides.x.shape, sides.n.shape[1], sides.y.shape[1]
+    size, v = d * (k + lines + m), np.empty((k + lines + m, d), np.complex128)
+    S, R, H = np.empty((k, k), v.dtype), np.empty((k, m), v.dtype), np.empty(k, v.dtype)
+    S0, R0, H0 = np.empty((k, k)), np.empty((k, m)), np.empty(k)
+    dS, dR, dH = np.empty((size, k, k)), np.empty((size, k, m)), np.empty((size, k))
+    C, dC, shares = np.empty((k, k)), np.empty((size, k, k)), np.zeros(size)
+    every = np.empty(len(sides.place), np.int64)
+    for f in range(p):
+        first, last, hidden = sides.start[f], sides.start[f + 1], False
+        for z in range(size):
+            v[z // d, z % d] = _coordinate(sides, f, z // d, z % d)
+        for z in range(size):
+            a, node = z // d, -1
+            if a >= k + lines and not hidden:  # pairs do not know of each other
+                node = a - k - lines
+            v[a, z % d] += 1j * STEP
+            for positive in range(2 if sides.partly[f] >= 0 else 1):
+                count = _at_node(sides.place, first, last, -1 if positive else node, every)
+                # fmt: off
+                hidden = _evaluate(v, f, every[:count], sides, surfaces, tables, positive > 0,
+                                  S, R, H) or hidden
+                # fmt: on
+                if positive:
+                    j = sides.partly[f], surfaces.corners[0], sunk
+                    shares[z] = _share(v[:k], v[k + lines :], S, R, *j).imag / STEP
+                    continue
+                if z == 0:
+                    _real(S, R, H, S0, R0, H0)
+                _parts(S, R, H, dS[z], dR[z], dH[z])
+            v[a, z % d] = v[a, z % d].real
+        all_duals(S0, dS, basis, f, shares, C, dC)
+        apply(S0, R0, H0, dS, dR, dH, C, dC, fixed, sides.x[f], sides.y[f], f, found)
+        move(fixed.n[f], found.D[f], found.M[f], d * (k + lines), found.G[f])
 
 
 @numba.njit(**KERNEL)
@@ -327,9 +328,6 @@ def differentiate_whole(
     )
     _differentiate_whole(facets.x, by_x, rule, weights, phi, basis, fixed, found)
     return found.F.reshape(p, k, d, k, d), found.G.reshape(p, k, k, d), found.D
-
-
-_IN_PLANE, _IN_SPACE = (_loop(_evaluator(of.moments)) for of in (line, area))
 
 
 @timed("~Mortar: derivatives")
@@ -401,8 +399,8 @@ def differentiate(
         z = d * (k + lines + m)
         shapes = (k + m, d, z), (k, z), (k, d, z), (k, k), (k, m)
         found = Results(*(np.zeros((len(s), *shape)) for shape in shapes))
-        at = sides, _some(surfaces, group.pairs), tables, basis, fixed, edges.SUNK, found
-        (_IN_PLANE if d == 2 else _IN_SPACE)(*at)
+        heights = _some(surfaces, group.pairs)
+        _differentiate(sides, heights, tables, basis, fixed, edges.SUNK, found)
         _add_parts(parts, found, given, sides, own, n + group.nodes)
     return Derivatives(**parts)
 
