@@ -147,13 +147,22 @@ def sort_in_space(x: Floats) -> Longs:
     return order
 
 
-def _enclose(centre: Floats, radius: Floats) -> tuple[Floats, Floats]:
-    """Return balls (centre, radius) around groups of 2^d successive balls."""
-    first = np.arange(0, len(radius), 2 ** centre.shape[1])
-    count = np.diff(np.append(first, len(radius)))
-    middle = np.add.reduceat(centre, first) / count[:, None]
-    reach = np.linalg.norm(centre - np.repeat(middle, count, axis=0), axis=1) + radius
-    return middle, np.maximum.reduceat(reach, first) * (1 + HALF_OF_DIGITS)
+@numba.njit(cache=True)
+def _enclose(ball, rho, start):  # type: ignore[no-untyped-def]
+    """Fill in the balls of all levels but the first: see `_meeting`."""
+    branches, d = 2 ** ball.shape[1], ball.shape[1]
+    for level in range(1, len(start) - 1):
+        for k in range(start[level], start[level + 1]):
+            first = start[level - 1] + (k - start[level]) * branches
+            last = min(first + branches, start[level])
+            for j in range(first, last):
+                for i in range(d):
+                    ball[k, i] += ball[j, i] / (last - first)
+            for j in range(first, last):
+                square = 0.0
+                for i in range(d):
+                    square += (ball[j, i] - ball[k, i]) ** 2
+                rho[k] = max(rho[k], (np.sqrt(square) + rho[j]) * (1 + HALF_OF_DIGITS))
 
 
 def find_meeting(cones: Cones, centre: Floats, radius: Floats, order: Longs | None = None) -> Ints:
@@ -166,11 +175,13 @@ def find_meeting(cones: Cones, centre: Floats, radius: Floats, order: Longs | No
     if len(cones.radius) == 0 or n == 0:
         return np.empty((0, 2), dtype=np.int32)
     order = sort_in_space(centre) if order is None else order
-    levels = [(centre[order], radius[order])]
-    while len(levels[-1][1]) > 1:
-        levels.append(_enclose(*levels[-1]))
-    start = np.cumsum([0] + [len(rho) for _, rho in levels])
-    balls, radii = (np.concatenate([level[i] for level in levels]) for i in range(2))
+    sizes = [n]
+    while sizes[-1] > 1:
+        sizes.append(-(-sizes[-1] // 2 ** centre.shape[1]))
+    start = np.cumsum([0, *sizes])
+    balls, radii = np.zeros((start[-1], centre.shape[1])), np.zeros(start[-1])
+    balls[:n], radii[:n] = centre[order], radius[order]
+    _enclose(balls, radii, start)
     pairs = _meeting(cones.centre, cones.axis, cones.radius, cones.slope, balls, radii, start)
     keys = np.sort(pairs[:, 0].astype(np.int64) * n + order[pairs[:, 1]])
     return np.stack(np.divmod(keys, n), axis=1).astype(np.int32)

@@ -362,7 +362,8 @@ def outside_margin(
         missing = has_changed(pairing.roles, slave, master, pairs)
     else:
         fresh, known = (p[:, 0].astype(np.int64) * count + p[:, 1] for p in (pairs, pairing.pairs))
-        missing = not np.isin(fresh, known, assume_unique=True).all()
+        at = np.searchsorted(known, fresh)
+        missing = not np.array_equal(np.append(known, -1)[at], fresh)
     missing = missing or not (np.isfinite(slave.x).all() and np.isfinite(master.x).all())
     if comm.size > 1:
         own = facets_at(pairing.master, coordinates(pairing.master, u))
