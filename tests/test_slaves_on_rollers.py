@@ -221,6 +221,18 @@ def test_sliding_past(name):
     assert (found["status"][on_rollers] == 2).all()
 
 
+def test_a_body_that_is_wedged_fast():
+    """Driven against its rollers by a slope of 60 degrees with mu tan 60 > 1: nothing slides."""
+    case = Hydrostatic(deg(60), cell="quadrilateral")
+    t = np.array([case.normal[1], -case.normal[0]])
+    problem = case.problem(case.interface(CONTACT, friction=0.6), geometry="reference")
+    dm.newton(problem)
+    problem.commit()
+    case.exact.x.array[:] -= 0.3 * np.tile(t, len(case.exact.x.array) // 2)
+    with pytest.raises(dm.NewtonNotConverged, match="wedges a body fast"):
+        dm.newton(problem)
+
+
 def test_a_tool_that_a_force_presses():
     """Its load balances the friction of nodes on rollers, too, while it slides along the slave."""
     case, mu = Hydrostatic(deg(-25)), 0.2

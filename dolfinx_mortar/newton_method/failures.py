@@ -28,9 +28,11 @@ AS_BEFORE = (
 # First sentence where only friction holds a body, under loads and without.
 TOO_MUCH = {
     True: "the loads may exceed what friction carries (then prescribe displacements instead of "
-    "forces), or the step is too large for it (then take smaller ones)",
+    "forces), the step may be too large for it (then take smaller ones), or friction of at least "
+    "the cotangent of an angle between sides and supports wedges a body fast (then release it)",
     False: "the step may be too large for friction (then take smaller ones), or drag a body that "
-    "friction does not hold (then support it)",
+    "friction does not hold (then support it) or wedges fast between sides and supports at an "
+    "angle (then release it)",
 }
 # What to do about tangents that are indefinite, as beyond a limit point, under loads and without.
 UNSTABLE = {
