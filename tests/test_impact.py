@@ -392,10 +392,10 @@ def test_a_belt_takes_a_block_along():
 
 
 class Pushed:
-    """A free block, and a plane tool above it that a force of 10 drives from the start."""
+    """A free block, and a tool above it that a force of 10 drives from the start."""
 
-    def __init__(self, gap=0.0):
-        """Make them, with a gap between them."""
+    def __init__(self, gap=0.0, shape=None):
+        """Make them, with a gap between them; the tool is plane if no shape is given."""
         domain = dolfinx_mesh.create_rectangle(
             COMM, [[0.0, 0.0], [1.0, 1.0]], [4, 6], dolfinx_mesh.CellType.quadrilateral
         )
@@ -405,7 +405,7 @@ class Pushed:
         solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.0))
         plane = dm.shapes.Plane([0.5, 1.0 + gap], [0.0, -1.0])
         self.force = fem.Constant(domain, -10.0)
-        self.tool = dm.Obstacle(tags, slave=1, shape=plane, load={"y": self.force})
+        self.tool = dm.Obstacle(tags, slave=1, shape=shape or plane, load={"y": self.force})
         self.inertia = dm.Inertia(solid, 1.0)
         self.problem = dm.ContactProblem(solid, [self.tool], terms=[self.inertia])
 
@@ -425,6 +425,18 @@ def test_the_load_of_a_tool_that_jumps(gap):
         assert case.tool.tool_force == pytest.approx([0.0, -now], abs=1e-8)
         assert case.inertia.momentum()[1] == pytest.approx(momentum, rel=1e-8)
         assert abs(step.report.ledger.defect) < 1e-10
+
+
+@pytest.mark.parametrize("middle", [0.5, 0.47])
+def test_a_round_tool_without_mass_hands_on_its_load(middle):
+    """One node or two meet it, which takes energy, but nobody gives an impulse beside the load."""
+    disc = dm.shapes.Cylinder([middle, 1.5], 0.5)
+    case, dt = Pushed(shape=disc), 2.5e-3
+    for step in steps(case.problem, dt * np.arange(1, 21)):
+        assert case.inertia.momentum()[1] == pytest.approx(-10.0 * step.time, rel=1e-8)
+        assert case.inertia.momentum() == pytest.approx(step.report.ledger.impulses[0], abs=1e-8)
+        assert abs(step.report.ledger.defect) < 0.02
+        assert not any("in this step contact has" in note for note in step.report.notes)
 
 
 def test_a_tool_without_mass_does_not_cross_a_gap():

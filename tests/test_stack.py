@@ -185,6 +185,7 @@ def test_slave_and_master_divided_at_different_places(kind, end, between):
     said = [note for note in said if "divide slave and master at the same place" in note]
     assert len(said) == (between is not None)
     assert all(note.startswith(repr(both[between - 20])) for note in said)
+    assert all(repr(one) in note for note in said for one in both)
 
 
 @pytest.mark.mpi

@@ -23,7 +23,11 @@ too, node by node and with M alone: then a stiff body that is hit cannot
 give back its energy, which is in its motion as a whole). Of the two roots the smaller one is taken;
 if more energy is to be taken than the impulse can, it takes all it can, and the defect shows the
 rest. On tools that move, what they do to the bodies is taken from the works of contact and
-friction and counts as that of supports; w and K are then those for who moves with them.
+friction and counts as that of supports; w and K are then those for who moves with them. Tools that
+loads drive have no mass, and exert these loads: no impulse acts at their nodes, whose work is part
+of the defect. (With an impulse the momentum of a block that a disc pushes misses F t by up to 10 %.
+Without it the defect is .2 % where two nodes or more meet the disc, 1 % with one; with 13 nodes .2,
+.05 and .02 % in steps of 1, 1/2 and 1/4.)
 
 Where an eigenstrain or parameters of laws change in a step, the potential changes without the
 forces' motion: by Psi - Psi_n - 1/2 (F + F_n).(u - u_n), F the internal forces, each at the data of
@@ -261,13 +265,18 @@ class EnergyLedger:
             work[name] -= share
             work["supports"] += share
         gain = work["contact"] + max(work["friction"], 0.0)
+        forces = [
+            np.where(self._driven, 0.0, getattr(before, name) + getattr(after, name))
+            for name in ("contact", "friction")
+        ]
+        takes, slides = (self._sum(0.5 * f * (du - way)) for f in forces)
         terms = self._sum(np.abs((before.contact + after.contact) * du))
         if self.conserve:
             motion = self._turned(motion, before, after, self._on_tools)
-        left, unsolved, owed, restored = 0.0, False, self.last.owed + gain, 0.0
+        left, unsolved, restored = 0.0, False, 0.0
+        owed = self.last.owed + takes + max(slides, 0.0)
         least = max(ROUND_OFF * terms, report.rtol * self.last.largest)
         if self.conserve and abs(owed) > least:
-            forces = before.contact + after.contact, before.friction + after.friction
             found = self._responses(forces, report.rtol, linear)
             motion, share, dragged, left, restored = self._restored(
                 motion, found, forces, way, -owed
@@ -368,6 +377,15 @@ class EnergyLedger:
         return on
 
     @cached_property
+    def _driven(self) -> Bools:
+        """Which nodes (owned nodes, 1) are on sides that may meet tools that loads drive."""
+        on = np.zeros((len(self.inertia.mass.X), 1), dtype=bool)
+        for side, interface in zip(self.problem.system.sides, self.problem.interfaces, strict=True):
+            if interface.driven() is not None:
+                on[side.nodes] = True
+        return on
+
+    @cached_property
     def _free(self) -> list[Bools]:
         """Marks (owned nodes,) of what meets or is tied, where no support or tool may hold it."""
         return self._groups(self._held | self._tools)
@@ -428,7 +446,7 @@ class EnergyLedger:
         return way
 
     def _responses(
-        self, forces: tuple[Floats, Floats], rtol: float, linear: LinearSolver
+        self, forces: Sequence[Floats], rtol: float, linear: LinearSolver
     ) -> tuple[Floats, Floats] | None:
         """Return how far forces of contact and of friction move the bodies; None if not solved."""
         contact, friction = forces
@@ -442,7 +460,7 @@ class EnergyLedger:
         self,
         motion: Motion,
         responses: tuple[Floats, Floats] | None,
-        forces: tuple[Floats, Floats],
+        forces: Sequence[Floats],
         way: Floats,
         energy: float,
     ) -> tuple[Motion, float, float, float, float]:
