@@ -55,7 +55,10 @@ Find = Callable[
 
 
 def _means(link: Link, u: fem.Function | None, find: Find) -> Floats:
-    """Return the means (n, ..) at the slave nodes of what sides have at points; collective."""
+    """Return the means (n,) at the slave nodes of what sides have at points; collective.
+
+    Values (q,), or (q, k) for each node of the facets.
+    """
     (pairing, operators), sides = link.mortar, link.sides
     smooth = link.pattern.smooth or link.pattern.nearby
     assert smooth is not None, "of contacts only"
@@ -63,9 +66,9 @@ def _means(link: Link, u: fem.Function | None, find: Find) -> Floats:
     kept[: sides.slave.owned] = link.coupling.kept[:, 0]
     Phi = weighted_duals(pairing, operators.segments, accumulate(sides.slave, kept) > 0)
     at_points = find(pairing, operators.segments, u, smooth)
-    given = pairing, operators.segments, Phi, operators.weight[:, 0]
-    means = [mean_values(*given, column) for column in np.atleast_2d(at_points.T)]
-    return np.column_stack(means) if at_points.ndim > 1 else means[0]
+    if at_points.ndim > 1:
+        Phi, at_points = Phi * at_points, np.ones(len(Phi))
+    return mean_values(pairing, operators.segments, Phi, operators.weight[:, 0], at_points)
 
 
 def missed_gaps(link: Link, u: fem.Function | None) -> Floats:
@@ -86,12 +89,11 @@ def missed_gaps(link: Link, u: fem.Function | None) -> Floats:
         v -= points_of(slave, segments.slave, segments.xi_s)
         N = pairing.slave.element.shape_functions(segments.xi_s)
         at_nodes = normals[pairing.slave.facets[segments.slave]]
-        n = unit(np.einsum("qk,qki->qi", N, at_nodes))
-        missed = missed_heights(pairing, segments, *rest)
-        return np.column_stack([v, missed - (n * v).sum(axis=1)])
+        n = unit((N[:, None] @ at_nodes)[:, 0])
+        missed = missed_heights(pairing, segments, *rest) - (n * v).sum(axis=1)
+        return np.asarray((at_nodes @ v[:, :, None])[:, :, 0] + missed[:, None])
 
-    means = _means(link, u, find)
-    return np.asarray((means[:, :-1] * own).sum(axis=1) + means[:, -1])
+    return _means(link, u, find)
 
 
 def _are_flat(link: Link, sides: tuple[SmoothSide, SmoothSide]) -> bool:
