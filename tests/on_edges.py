@@ -10,6 +10,7 @@ import numpy as np
 
 import dolfinx_mortar as dm
 from dolfinx import fem
+from dolfinx_mortar import compat
 from dolfinx_mortar.interfaces import mortar_interface
 from dolfinx_mortar.mortar import integrals
 from dolfinx_mortar.mortar.edges import find_sharing
@@ -76,7 +77,7 @@ def wavy(X, phase):
 def raise_upper(problem, by):
     """Move the upper block up, so that it is open: what is shared out depends on how far."""
     V, d = problem.V, problem.d
-    x = V.mesh.geometry.x[V.mesh.geometry.dofmap].mean(axis=1)
+    x = V.mesh.geometry.x[compat.cell_nodes(V.mesh)].mean(axis=1)
     nodes = np.unique(V.dofmap.list[x[:, d - 1] > 0.0])
     problem.owned_u.reshape(-1, d)[nodes[nodes < problem.n], d - 1] += by
 

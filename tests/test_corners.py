@@ -9,6 +9,7 @@ import dolfinx
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
+from dolfinx_mortar import compat
 from tests.meshes import BOTTOM as BOTTOM_TAG
 from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, UPPER, skins, two_blocks
 from tests.meshes import TOP as TOP_TAG
@@ -102,7 +103,7 @@ def friction_of_a_drawn_corner(slave, tilt, whole=False, friction=0.3, push=0.01
     """Draw a block that stands on its corner over another one; return |Ft/Fn|."""
     ends = {"x_lower": (0.0, 2.0), "x_upper": (0.6, 1.2)}
     domain, cells, facets = two_blocks(COMM, (20, 10), (6, 10), cell="quadrilateral", **ends)
-    upper = np.unique(domain.geometry.dofmap[cells.indices[cells.values == UPPER]])
+    upper = np.unique(compat.cell_nodes(domain)[cells.indices[cells.values == UPPER]])
     turn = np.array([[np.cos(tilt), -np.sin(tilt)], [np.sin(tilt), np.cos(tilt)]])
     x = domain.geometry.x
     x[upper, :2] = (x[upper, :2] - (0.6, 0.0)) @ turn.T + (0.6, 0.0)
