@@ -31,7 +31,7 @@ from dolfinx_mortar.arrays import SAME, Floats, Ints, Longs
 from dolfinx_mortar.geometry import plane
 from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls
-from dolfinx_mortar.geometry.moments import INNER, add_point, fill_functions
+from dolfinx_mortar.geometry.moments import KERNEL, add_point, fill_functions
 from dolfinx_mortar.geometry.parts import (
     along,
     carry,
@@ -72,7 +72,7 @@ def _rules() -> tuple[Floats, Floats, Longs]:
     return np.concatenate(points), np.concatenate(weights), np.array(start, dtype=np.int64)
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _depth(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
     """Return how far the projected facet M lies below S at (x, y)."""
     xi, eta, _ = inverse(S, bilinear[0], x, y)
@@ -80,7 +80,7 @@ def _depth(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
     return (height_at(S, bilinear[0], xi, eta) - height_at(M, bilinear[1], r, s)).real
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _overlap(P, Q):  # type: ignore[no-untyped-def]
     """Tell whether two projected facets share more than a line."""
     p, q = P.shape[0], Q.shape[0]
@@ -90,7 +90,7 @@ def _overlap(P, Q):  # type: ignore[no-untyped-def]
     return not plane.is_beside(Q, q, P, p, plane.orientation(Q, q), -64 * ROUND_OFF)
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _any_overlap(M, count):  # type: ignore[no-untyped-def]
     """Tell whether any of the first `count` projected facets overlap."""
     low, high = np.empty(count), np.empty(count)
@@ -104,7 +104,7 @@ def _any_overlap(M, count):  # type: ignore[no-untyped-def]
     return False
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _is_hidden(S, M, bilinear, i, j, pieces, sizes, common, spare):  # type: ignore[no-untyped-def]
     """Tell whether facet j is nearer to the slave than facet i where their projections overlap.
 
@@ -127,14 +127,14 @@ def _is_hidden(S, M, bilinear, i, j, pieces, sizes, common, spare):  # type: ign
 # Loops in place of slices: each array assignment takes a second to compile.
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _copy(P, n, Q):  # type: ignore[no-untyped-def]
     """Copy the first n points of P to Q."""
     for i in range(n):
         Q[i, 0], Q[i, 1] = P[i, 0], P[i, 1]
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _doubled(a):  # type: ignore[no-untyped-def]
     """Return an array of twice the length that begins with the contiguous array a."""
     result = np.empty((2 * len(a),) + a.shape[1:], a.dtype)  # noqa: RUF005
@@ -144,7 +144,7 @@ def _doubled(a):  # type: ignore[no-untyped-def]
     return result
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyped-def]
     """Return the parts of polygon i that no other of the n facets hides: points, sizes, number.
 
@@ -181,7 +181,7 @@ def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyp
     return pieces, sizes, count
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _is_far(middle, radius, centre, axes):  # type: ignore[no-untyped-def]
     """Tell whether the projection of a ball is beside that of the slave facet's own ball."""
     x = y = square = 0.0
@@ -191,7 +191,7 @@ def _is_far(middle, radius, centre, axes):  # type: ignore[no-untyped-def]
     return x * x + y * y > (1.0 + radius * np.sqrt(square)) ** 2
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _clip(  # type: ignore[no-untyped-def]
     S, x_m, balls, bilinear, pairs, deepest, first, last, centre, axes, M, pieces, sizes, row
 ):
@@ -221,7 +221,7 @@ def _clip(  # type: ignore[no-untyped-def]
     return count
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
     """Append the triangles of a polygon that are larger than round-off; return the new arrays."""
     if t + VERTICES > len(which):
@@ -239,7 +239,7 @@ def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
     return which, corners, t
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _split(S, x_m, balls, bilinear, pairs, deepest, first, last, centre, axes, which, corners, t):  # type: ignore[no-untyped-def]
     """Append the triangles of the segments of one slave facet.
 
@@ -281,7 +281,7 @@ def _triangulate(x_s, x_m, balls, bilinear, pairs, deepest, centre, axes):  # ty
     return which[:t], corners[:t]
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _changes(P, bilinear, corners):  # type: ignore[no-untyped-def]
     """Return changes of a projected facet over a triangle, by its values at the corners.
 
@@ -365,7 +365,7 @@ def _place(  # type: ignore[no-untyped-def]
     return pair, xi_s, xi_m, weight
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _maps(P, bilinear):  # type: ignore[no-untyped-def]
     """Return the three maps of `plane.bilinear_map`, made once for a pair; zeros if affine."""
     if bilinear:
@@ -375,7 +375,7 @@ def _maps(P, bilinear):  # type: ignore[no-untyped-def]
     return none, none, none
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _point(S, M, of_S, of_M, bilinear, c, r, s):  # type: ignore[no-untyped-def]
     """Return xi_s, xi_m and the slave's plane Jacobian at a point of the triangle c (3, 2)."""
     x = c[0, 0] + r * (c[1, 0] - c[0, 0]) + s * (c[2, 0] - c[0, 0])
@@ -391,14 +391,14 @@ def _point(S, M, of_S, of_M, bilinear, c, r, s):  # type: ignore[no-untyped-def]
     return xi, eta, r0, r1, J
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _area(c):  # type: ignore[no-untyped-def]
     """Return the area of a triangle (3, 2)."""
     ux, uy, vx, vy = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[2, 0] - c[0, 0], c[2, 1] - c[0, 1]
     return (ux * vy - uy * vx) / 2
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _jacobian(maps, bilinear, J, xi, eta):  # type: ignore[no-untyped-def]
     """Return the area of a facet per reference area, J being that of its projection."""
     if not bilinear:
@@ -449,7 +449,7 @@ def _degree_of_moments(slave: FacetElement, master: FacetElement) -> int:
     return min(_least_degree(slave, master), 4)
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _coefficients(x, table, c):  # type: ignore[no-untyped-def]
     """Write the coefficients (3, 9) of a facet x (k, 3), see `parts.coefficients`."""
     for i in range(3):
@@ -459,7 +459,7 @@ def _coefficients(x, table, c):  # type: ignore[no-untyped-def]
                 c[i, a] += table[j, a] * x[j, i]
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _ball(x, middle):  # type: ignore[no-untyped-def]
     """Write the centre (3,) of a ball around a facet x (k, 3); return its radius."""
     square = 0.0
@@ -475,7 +475,7 @@ def _ball(x, middle):  # type: ignore[no-untyped-def]
     return np.sqrt(square)
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _fill_parts(x, nodes, parts):  # type: ignore[no-untyped-def]
     """Write the parts (a, v, 3) of a facet x (k, 3)."""
     for a in range(nodes.shape[0]):
@@ -484,7 +484,7 @@ def _fill_parts(x, nodes, parts):  # type: ignore[no-untyped-def]
                 parts[a, v, i] = x[nodes[a, v], i]
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def moments(x, n, Y, deepest, reach, factor, heights, positive, tables, S, R, H):  # type: ignore[no-untyped-def]
     """Add the moments of a slave facet x (k, 3) and its masters Y (c, l, 3) to S, R (c, k, l), H.
 

@@ -64,7 +64,7 @@ from dolfinx_mortar.geometry.facets import (
     facet_normals,
     scaled_normals,
 )
-from dolfinx_mortar.geometry.moments import INNER, KERNEL
+from dolfinx_mortar.geometry.moments import KERNEL
 
 
 @dataclass(frozen=True)
@@ -273,7 +273,7 @@ def curvatures(facets: Facets, sagitta: Floats) -> Floats:
     return K
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _cross(a, b, c):  # type: ignore[no-untyped-def]
     """Write the unit vector along a x b into c."""
     square = 0.0 * a[0]
@@ -286,7 +286,7 @@ def _cross(a, b, c):  # type: ignore[no-untyped-def]
         c[i] *= scale
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _frame(x, B):  # type: ignore[no-untyped-def]
     """Write two tangents and the mean normal of a first-order facet x (v, 3) into the rows of B."""
     bilinear = len(x) == 4
@@ -300,7 +300,7 @@ def _frame(x, B):  # type: ignore[no-untyped-def]
     _cross(B[1], B[2], B[0])
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _solve(N, r, k):  # type: ignore[no-untyped-def]
     """Write the solution of the symmetric, positive N k = r (3,) into k."""
     a, b = N[0, 1] / N[0, 0], N[0, 2] / N[0, 0]
@@ -312,7 +312,7 @@ def _solve(N, r, k):  # type: ignore[no-untyped-def]
     k[0] = r[0] / N[0, 0] - a * k[1] - b * k[2]
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def fill_curvature(x, v, c, first, last, K):  # type: ignore[no-untyped-def]
     """Write K (d, d) of a facet x (k, d) with v vertices and c_ab (e,), see `curvatures`."""
     if x.shape[1] == 2:  # c_ab e e^T / |e|^4, of the ends
@@ -358,7 +358,7 @@ def _fill_curvatures(x, v, c, first, last, K):  # type: ignore[no-untyped-def]
         fill_curvature(x[f], v, c[f], first, last, K[f])
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def fill_heights(x, c, shared, K, first, last, table, Q):  # type: ignore[no-untyped-def]
     """Write Q (k, k) of the heights N.Q N over a facet x (k, d).
 

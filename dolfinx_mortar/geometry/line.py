@@ -22,17 +22,17 @@ import numpy.typing as npt
 from dolfinx_mortar.arrays import EPS, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.moments import INNER, add_point, fill_functions
+from dolfinx_mortar.geometry.moments import KERNEL, add_point, fill_functions
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _at(v, xi, i):  # type: ignore[no-untyped-def]
     """Return component i of the polynomial v (3, 2) at xi."""
     return v[0, i] + xi * (v[1, i] + xi * v[2, i])
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _moment(x, n, y0, y1, xi):  # type: ignore[no-untyped-def]
     """Return (x(xi) - y) x n(xi) and its derivative."""
     p0, p1 = _at(x, xi, 0) - y0, _at(x, xi, 1) - y1
@@ -42,7 +42,7 @@ def _moment(x, n, y0, y1, xi):  # type: ignore[no-untyped-def]
     return p0 * n1 - p1 * n0, dx0 * n1 - dx1 * n0 + p0 * dn1 - p1 * dn0
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
     """Return xi in [-1, 1] of the slave facet whose normal meets y; beyond an end, that end.
 
@@ -73,7 +73,7 @@ def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
     return zero + xi - (f / slope if slope.real < 0.0 else zero)
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _opposite(x, n, y, xi):  # type: ignore[no-untyped-def]
     """Return eta on the master facet y (3, 2) that the normal of the slave facet meets at xi.
 
@@ -91,7 +91,7 @@ def _opposite(x, n, y, xi):  # type: ignore[no-untyped-def]
     return eta if abs(eta.real) <= 1.0 else 0.0 * eta + (1.0 if eta.real > 0.0 else -1.0)
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _distances(x, n, y, xi):  # type: ignore[no-untyped-def]
     """Return the distance along n(xi) to the master facet y, and how far y lies behind the slave.
 
@@ -103,7 +103,7 @@ def _distances(x, n, y, xi):  # type: ignore[no-untyped-def]
     return np.sqrt(p0 * p0 + p1 * p1), (p0 * t1 - p1 * t0) / np.sqrt(t0 * t0 + t1 * t1)
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _nearest(x, n, x_m, master, deepest, low, high, a, b):  # type: ignore[no-untyped-def]
     """Return the candidate that covers [a, b] at the smallest distance, -1 if there is none."""
     best, least = -1, np.inf
@@ -115,7 +115,7 @@ def _nearest(x, n, x_m, master, deepest, low, high, a, b):  # type: ignore[no-un
     return best
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _insert(cuts, count, value):  # type: ignore[no-untyped-def]
     """Insert a value into the first `count` ascending ones."""
     while count > 0 and cuts[count - 1].real > value.real:
@@ -124,7 +124,7 @@ def _insert(cuts, count, value):  # type: ignore[no-untyped-def]
     cuts[count] = value
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _clip_facet(x, n, x_m, ends_m, pairs, deepest, first, last, which, ends, q):  # type: ignore[no-untyped-def]
     """Append the segments of one slave facet, of pairs first to last; return how many there are.
 
@@ -174,7 +174,7 @@ def _clip(x_s, n_s, x_m, ends_m, pairs, deepest):  # type: ignore[no-untyped-def
     return which[:q], ends[:q]
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _point(x, n, y, low, high, t):  # type: ignore[no-untyped-def]
     """Return xi, eta and the length per t at t in [-1, 1] of a segment."""
     half = (high - low) / 2
@@ -198,7 +198,7 @@ def _place(x_s, n_s, x_m, pairs, which, ends, points, weights):  # type: ignore[
     return xi_s, xi_m, weight
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _polynomial(v, table, result):  # type: ignore[no-untyped-def]
     """Write the coefficients (3, 2) of the field with nodal values v (k, 2), see `_polynomials`."""
     for a in range(3):
@@ -223,7 +223,7 @@ def tables(slave: FacetElement, master: FacetElement) -> Tables:
     return Tables(slave.table, master.table, *rule)
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def moments(x, n, Y, deepest, reach, factor, heights, positive, tables, S, R, H):  # type: ignore[no-untyped-def]
     """Add the moments of a slave facet x (k, 2) and its masters Y (c, l, 2) to S, R (c, k, l), H.
 

@@ -20,8 +20,7 @@ from dolfinx_mortar.arrays import EPS
 STEP = EPS * EPS
 """Imaginary part of a coordinate: its square is nothing beside the round-off of any other one."""
 KERNEL = {"cache": True, "error_model": "numpy", "fastmath": {"contract"}}
-INNER = {**KERNEL, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-SUMS = {**INNER, "fastmath": {"contract", "nsz", "nnan", "reassoc"}}
+SUMS = {**KERNEL, "fastmath": {"contract", "nsz", "nnan", "reassoc"}}
 
 
 @numba.njit(**SUMS)
@@ -97,7 +96,7 @@ def add_point(N, M, w, c, x, y, reach, factor, heights, positive, S, R, H):  # t
         H[j] += v * h
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def add_whole(x, by_x, start, rule, weights, phi, S, H):  # type: ignore[no-untyped-def]
     """Add those of a whole facet x (k, d), with minus int N_j phi, to S (k, k) and H (k,).
 

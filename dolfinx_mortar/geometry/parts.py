@@ -15,7 +15,7 @@ import numpy as np
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
-from dolfinx_mortar.geometry.moments import INNER, KERNEL
+from dolfinx_mortar.geometry.moments import KERNEL
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 
@@ -108,7 +108,7 @@ def coefficients(facets: Facets) -> Floats:
 # They are generic in the number type, see `moments`.
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
     """Return component i of a point of facet m, and of its tangents, at (r, s)."""
     c1, c2, c4, c5, c7, c8 = c[m, i, 1], c[m, i, 2], c[m, i, 4], c[m, i, 5], c[m, i, 7], c[m, i, 8]
@@ -117,7 +117,7 @@ def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
     return c[m, i, 0] + s * (c1 + s * c2) + r * (mid + r * high), mid + 2 * r * high, along
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _point(c, m, r, s):  # type: ignore[no-untyped-def]
     """Return a point of facet m, three numbers, and the area there per reference area."""
     x0, a0, b0 = _component(c, m, 0, r, s)
@@ -127,13 +127,13 @@ def _point(c, m, r, s):  # type: ignore[no-untyped-def]
     return x0, x1, x2, np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _on_facet(c, r, s):  # type: ignore[no-untyped-def]
     """Return reference coordinates on the facet of a point of a part c (3, 9): an affine map."""
     return c[0, 0] + s * c[0, 1] + r * c[0, 3], c[1, 0] + s * c[1, 1] + r * c[1, 3]
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def along(c, m, axes, P):  # type: ignore[no-untyped-def]
     """Write the coefficients of facet m along the tangents of a plane into P (1, 2, 9)."""
     for a in range(2):
@@ -143,7 +143,7 @@ def along(c, m, axes, P):  # type: ignore[no-untyped-def]
                 P[0, a, k] += axes[a, j] * c[m, j, k]
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
     """Return where a facet projected on a plane, P (1, 2, 9), has the point (x, y), or NaN.
 
@@ -165,7 +165,7 @@ def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
     return np.nan * r, np.nan * s
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def carry(slave, f, axes, P, of_slave, of_master, at):  # type: ignore[no-untyped-def]
     """Return xi_s and xi_m on two facets of a point on parts of them, and the Jacobian there.
 

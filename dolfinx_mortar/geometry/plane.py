@@ -16,7 +16,7 @@ import numpy as np
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls
-from dolfinx_mortar.geometry.moments import INNER
+from dolfinx_mortar.geometry.moments import KERNEL
 from dolfinx_mortar.geometry.parts import count, pairs_of_parts, parts_of
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
@@ -27,7 +27,7 @@ Two quadrilaterals have 8 in common; each cut adds one, and polygons are halved 
 """
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def cut(P, n, ax, ay, bx, by, Q):  # type: ignore[no-untyped-def]
     """Write the part of P on the left of the line from a to b into Q; return its size."""
     dx, dy = bx - ax, by - ay
@@ -52,7 +52,7 @@ def cut(P, n, ax, ay, bx, by, Q):  # type: ignore[no-untyped-def]
     return m
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def halve(P, n, Q):  # type: ignore[no-untyped-def]
     """Leave one half of P on this side of a diagonal, write the other into Q; return the sizes."""
     half = n // 2
@@ -62,7 +62,7 @@ def halve(P, n, Q):  # type: ignore[no-untyped-def]
     return half + 1, n - half + 1
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def measure(P, n):  # type: ignore[no-untyped-def]
     """Return area and centroid (the mean of the vertices where there is no area) of P."""
     area, x, y, mx, my = 0.0, 0.0, 0.0, P[0, 0].real, P[0, 1].real
@@ -81,7 +81,7 @@ def measure(P, n):  # type: ignore[no-untyped-def]
     return area, mx, my
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def is_thin(P, n):  # type: ignore[no-untyped-def]
     """Tell whether P is as narrow as the errors of some cuts, or no polygon at all."""
     if n < 3:
@@ -93,7 +93,7 @@ def is_thin(P, n):  # type: ignore[no-untyped-def]
     return measure(P, n)[0] <= 8 * ROUND_OFF * np.sqrt(square)
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def orientation(P, n):  # type: ignore[no-untyped-def]
     """Return 1 or -1 for an anticlockwise or clockwise convex polygon, 0 for anything else.
 
@@ -112,7 +112,7 @@ def orientation(P, n):  # type: ignore[no-untyped-def]
     return -1 if most < -HALF_OF_DIGITS * whole else 0
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def intersect(P, n, Q, m, sign, out, spare):  # type: ignore[no-untyped-def]
     """Write P cut by the convex Q of the given orientation into out; return its size."""
     for i in range(n):
@@ -128,7 +128,7 @@ def intersect(P, n, Q, m, sign, out, spare):  # type: ignore[no-untyped-def]
     return n
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def is_beside(P, n, Q, m, sign, distance):  # type: ignore[no-untyped-def]
     """Tell whether some edge of P, of the given orientation, has all of Q beyond a distance."""
     for i in range(n):
@@ -146,7 +146,7 @@ def is_beside(P, n, Q, m, sign, distance):  # type: ignore[no-untyped-def]
     return False
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def subtract(P, n, Q, m, sign, pieces, sizes, count, spare):  # type: ignore[no-untyped-def]
     """Append the convex pieces of P without Q, of the given orientation; return the new count.
 
@@ -191,7 +191,7 @@ def _fill_axes(x, radius, axes):  # type: ignore[no-untyped-def]
         fill_axes(x[f], radius[f], axes[f])
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def fill_axes(x, radius, axes):  # type: ignore[no-untyped-def]
     """Write the axes of the plane of a facet x (k, 3), see `create_planes`."""
     last = len(x) - 1  # of triangles the same corner as the one before
@@ -212,7 +212,7 @@ def fill_axes(x, radius, axes):  # type: ignore[no-untyped-def]
         n[i] /= radius
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _scale(v, size):  # type: ignore[no-untyped-def]
     """Divide v (3,) by its length and a size."""
     square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
@@ -222,7 +222,7 @@ def _scale(v, size):  # type: ignore[no-untyped-def]
             v[i] *= factor
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def project(x, centre, axes, P):  # type: ignore[no-untyped-def]
     """Write the facet x (k, 3) in the coordinates of a plane into P: tangents, then height."""
     for j in range(x.shape[0]):
@@ -232,14 +232,14 @@ def project(x, centre, axes, P):  # type: ignore[no-untyped-def]
                 P[j, i] += axes[i, h] * (x[j, h] - centre[h])
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def bilinear_map(P, i):  # type: ignore[no-untyped-def]
     """Return m, a, b, c of component i of a bilinear map m + xi a + eta b + xi eta c."""
     p, q, r, s = P[0, i], P[1, i], P[2, i], P[3, i]
     return (p + q + r + s) / 4, (q + r - p - s) / 4, (r + s - p - q) / 4, (p + r - q - s) / 4
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
     """Return xi, eta and the size of the Jacobian where the projected facet P meets (x, y).
 
@@ -258,7 +258,7 @@ def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
     return inverse_of(bilinear_map(P, 0), bilinear_map(P, 1), x, y)
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def inverse_of(first, second, x, y):  # type: ignore[no-untyped-def]
     """See `inverse`, of a bilinear map with such components."""
     (m0, a0, b0, c0), (m1, a1, b1, c1) = first, second
@@ -279,7 +279,7 @@ def inverse_of(first, second, x, y):  # type: ignore[no-untyped-def]
     return xi, eta, J
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def height_at(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
     """Return the height of the point (xi, eta) of a facet over the plane."""
     if not bilinear:
@@ -288,7 +288,7 @@ def height_at(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
     return m + xi * a + eta * (b + xi * c)
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
     """Return the two slopes of a facet against the plane at (xi, eta): minus those of its normal.
 
@@ -299,7 +299,7 @@ def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
     return slopes_of(bilinear_map(P, 0), bilinear_map(P, 1), bilinear_map(P, 2), xi, eta)
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def slopes_of(first, second, height, xi, eta):  # type: ignore[no-untyped-def]
     """See `slopes`, of a bilinear map with such components."""
     (_, a0, b0, c0), (_, a1, b1, c1), (_, a2, b2, c2) = first, second, height

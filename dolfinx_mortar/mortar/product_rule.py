@@ -23,7 +23,7 @@ import numba
 import numpy as np
 
 from dolfinx_mortar.arrays import Bools, Floats
-from dolfinx_mortar.geometry.moments import INNER, KERNEL
+from dolfinx_mortar.geometry.moments import KERNEL
 
 
 class Basis(NamedTuple):
@@ -53,7 +53,7 @@ class Results(NamedTuple):
     M: Floats  # (p, k, m)
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _add_product(factor, A, B, turned, C):  # type: ignore[no-untyped-def]
     """Add a factor times A B, or A B^T, to C."""
     for i in range(C.shape[0]):
@@ -64,7 +64,7 @@ def _add_product(factor, A, B, turned, C):  # type: ignore[no-untyped-def]
             C[i, j] += factor * total
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def clear(A):  # type: ignore[no-untyped-def]
     """Set a matrix to zero."""
     for i in range(A.shape[0]):
@@ -72,7 +72,7 @@ def clear(A):  # type: ignore[no-untyped-def]
             A[i, j] = 0.0
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _duals(S, T, inverse, kept, A, spare, C):  # type: ignore[no-untyped-def]
     """Write C (k, k) for the moments S, and A = diag(d) m^-1."""
     for i in range(2):
@@ -88,7 +88,7 @@ def _duals(S, T, inverse, kept, A, spare, C):  # type: ignore[no-untyped-def]
     _close(spare[1], T, kept, True, C)
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _close(A, T, kept, whole, C):  # type: ignore[no-untyped-def]
     """Write (A - mean of its rows) T, and 1 / count of the nodes kept (k,) if whole; A is lost."""
     count = 0
@@ -105,7 +105,7 @@ def _close(A, T, kept, whole, C):  # type: ignore[no-untyped-def]
     _add_product(1.0, A, T, False, C)
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _dual_changes(dS, T, inverse, kept, A, spare, dC):  # type: ignore[no-untyped-def]
     """Write the derivatives of C for those of the moments, dS."""
     for i in range(4):
@@ -147,7 +147,7 @@ def all_duals(S, dS, basis, f, shares, C, dC):  # type: ignore[no-untyped-def]
                     dC[z, j, b] += shares[z] * apart
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def apply(S, R, H, dS, dR, dH, C, dC, fixed, x, y, f, found):  # type: ignore[no-untyped-def]
     """Write the derivatives of facet f but for those of x and y at fixed D and M."""
     k, m = R.shape
@@ -167,7 +167,7 @@ def apply(S, R, H, dS, dR, dH, C, dC, fixed, x, y, f, found):  # type: ignore[no
                 found.G[f, j, z] -= dC[z, j, b] * H[b] + C[j, b] * dH[z, b]
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _contract(dD, dM, fixed, x, y, f, z, found):  # type: ignore[no-untyped-def]
     """Add what dD and dM give to the derivatives of facet f by z."""
     c, n, n_m, (k, m) = fixed.c[f], fixed.n[f], fixed.n_m[f], dM.shape
@@ -184,7 +184,7 @@ def _contract(dD, dM, fixed, x, y, f, z, found):  # type: ignore[no-untyped-def]
             found.G[f, j, z] += n[j, i] * moved
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def move(n, D, M, others, G):  # type: ignore[no-untyped-def]
     """Add n_j.(M_jl dy_l - D_jk dx_k) to G (k, z); the nodes of masters are the last columns."""
     k, d = n.shape

@@ -26,7 +26,7 @@ from dolfinx_mortar.geometry.curvature import (
     node_pairs,
 )
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.moments import INNER, KERNEL, STEP, add_whole
+from dolfinx_mortar.geometry.moments import KERNEL, STEP, add_whole
 from dolfinx_mortar.geometry.plane import fill_axes
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar import edges
@@ -94,7 +94,7 @@ class _Surfaces(NamedTuple):
     corners: tuple[int, int]
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _fill_normal(x, corners, n):  # type: ignore[no-untyped-def]
     """Write the mean normal of a facet into the last row of n (3, 3)."""
     if x.shape[1] == 3:
@@ -105,7 +105,7 @@ def _fill_normal(x, corners, n):  # type: ignore[no-untyped-def]
     n[2, 0], n[2, 1] = t1 / length, -t0 / length
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _fill_reach(x, corners, given, reach):  # type: ignore[no-untyped-def]
     """Write what `moments.add_point` needs into reach (d + 2,), if there is any."""
     if len(reach):
@@ -116,7 +116,7 @@ def _fill_reach(x, corners, given, reach):  # type: ignore[no-untyped-def]
             reach[2 + i] = n[2, i]
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _share(x, y, S, R, j, corners, sunk):  # type: ignore[no-untyped-def]
     """Return 1 - o_j / (sunk L), see `edges`, from the moments of the positive part of N_j."""
     k, d = x.shape
@@ -138,7 +138,7 @@ def _share(x, y, S, R, j, corners, sunk):  # type: ignore[no-untyped-def]
     return 1.0 - gap / (weight * sunk * 2.0 * np.sqrt(size))
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _fill_heights(x, Y, which, surfaces, heights):  # type: ignore[no-untyped-def]
     """Write the heights over a slave facet and masters Y (c, l, d), see `moments.add_point`."""
     Q_s, Q_m, arcs = heights
@@ -156,7 +156,7 @@ def _fill_heights(x, Y, which, surfaces, heights):  # type: ignore[no-untyped-de
                 arcs[r, i, j] = surfaces.arcs[which[r], i, j]
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _at_node(place, first, last, node, some):  # type: ignore[no-untyped-def]
     """Write the pairs from first to last whose masters have a node (-1: all); return the count."""
     count = 0
@@ -169,7 +169,7 @@ def _at_node(place, first, last, node, some):  # type: ignore[no-untyped-def]
     return count
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _parts(S, R, H, dS, dR, dH):  # type: ignore[no-untyped-def]
     """Write the derivatives that complex moments hold."""
     for i in range(R.shape[0]):
@@ -180,7 +180,7 @@ def _parts(S, R, H, dS, dR, dH):  # type: ignore[no-untyped-def]
             dR[i, j] = R[i, j].imag / STEP
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _real(S, R, H, S0, R0, H0):  # type: ignore[no-untyped-def]
     """Write the real parts of moments."""
     for i in range(R.shape[0]):
@@ -191,7 +191,7 @@ def _real(S, R, H, S0, R0, H0):  # type: ignore[no-untyped-def]
             R0[i, j] = R[i, j].real
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _coordinate(sides, f, a, i):  # type: ignore[no-untyped-def]
     """Return coordinate i of node, direction or master's node a of facet f."""
     k, lines = sides.x.shape[1], sides.n.shape[1]
@@ -211,7 +211,7 @@ def _of_dimension(x, n, Y, deepest, reach, factor, heights, positive, tables, S,
     return (line if tables.instance_class is line.Tables else area).moments.py_func
 
 
-@numba.njit(**INNER)
+@numba.njit(**KERNEL)
 def _evaluate(v, f, some, sides, surfaces, tables, positive, S, R, H):  # type: ignore[no-untyped-def]
     """Write the moments of facet f and some of its masters at v; R (k, m) by their nodes."""
     k, lines, c, smooth = len(S), sides.n.shape[1], len(some), surfaces.c_s.shape[1] > 0
