@@ -13,7 +13,12 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.materials import DruckerPrager, Elastic, VonMisesVoce
-from dolfinx_mortar.solid.kinematics import kinematics_of_dimension, plane_strain, spatial
+from dolfinx_mortar.solid.kinematics import (
+    axisymmetric,
+    kinematics_of_dimension,
+    plane_strain,
+    spatial,
+)
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.supports.bodies import find_bodies, free_motions, rigid_motions
 from tests.choice import quick
@@ -216,6 +221,15 @@ def test_interfaces_refuse_a_weight_that_is_none(weight, message):
     solid = dm.Solid(u, LAW, kinematics=weighing(weight))
     with pytest.raises(ValueError, match=message):
         dm.ContactProblem(solid, [contact])
+
+
+def test_round_off_of_an_axis_has_no_weight():
+    """Nodes on the axis may be beyond it by their round-off; what is further is an error."""
+    points = np.array([[-1e-17, 0.3], [2.0, 0.4]])
+    assert axisymmetric.weights_at(points) == pytest.approx([0.0, 4 * math.pi], abs=0.0)
+    assert axisymmetric.weights_at(points[:1]) == 0.0
+    with pytest.raises(ValueError, match="negative or NaN at 1 of 2 points"):
+        axisymmetric.weights_at(points - [1e-6, 0.0])
 
 
 def along_the_axis(x):

@@ -92,7 +92,7 @@ class Kinematics:
         return self.weight is _unit
 
     def weights_at(self, points: Floats) -> Floats:
-        """Return the weight (q,) at points (q, d).
+        """Return the weight (q,) at points (q, d); 0 where it is the round-off of an axis.
 
         Raises:
             ValueError: if the weight does not work with NumPy arrays, or is negative or NaN.
@@ -105,12 +105,14 @@ class Kinematics:
                 f"kinematics {self.name!r}: the weight raised {type(error).__name__}; it has to "
                 "work with UFL and with NumPy coordinates (d, q), such as 2 * pi * x[0]"
             ) from error
-        if not (weights >= 0.0).all():
+        sizes = np.abs(weights).max(initial=0.0), np.abs(points).max(initial=0.0)
+        good = weights >= -ROUND_OFF * max(sizes)
+        if not good.all():
             raise ValueError(
                 f"kinematics {self.name!r}: the weight is negative or NaN at "
-                f"{int((~(weights >= 0.0)).sum())} of {len(points)} points; it is a volume"
+                f"{int((~good).sum())} of {len(points)} points; it is a volume"
             )
-        return weights
+        return np.maximum(weights, 0.0)
 
 
 def _symmetric_gradient(u: Expr) -> Expr:
