@@ -31,7 +31,13 @@ from dolfinx_mortar.arrays import SAME, Floats, Ints, Longs
 from dolfinx_mortar.geometry import plane
 from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls
-from dolfinx_mortar.geometry.moments import KERNEL, add_point, fill_functions
+from dolfinx_mortar.geometry.moments import (
+    KERNEL,
+    add_point,
+    fill_functions,
+    reciprocal,
+    root,
+)
 from dolfinx_mortar.geometry.parts import (
     along,
     carry,
@@ -404,7 +410,7 @@ def _jacobian(maps, bilinear, J, xi, eta):  # type: ignore[no-untyped-def]
     if not bilinear:
         return J  # in its own plane
     s0, s1 = slopes_of(*maps, xi, eta)
-    return J * np.sqrt(1 + s0 * s0 + s1 * s1)
+    return J * root(1 + s0 * s0 + s1 * s1)
 
 
 class Tables(NamedTuple):
@@ -553,7 +559,7 @@ def _add_part(i, facet, Y, sides, balls, deepest, tables, given):  # type: ignor
         for q in range(len(tables.weights)):
             point = corners[t], tables.points[q, 0], tables.points[q, 1]
             r0, r1, s0, s1, J = _point(P, Q, of_P, of_Q, bilinear, *point)
-            w = tables.weights[q] * size / J
+            w = tables.weights[q] * size * reciprocal(J)
             if second:
                 places = tables.of_slave[i], tables.of_master[r % b], (r0, r1, s0, s1)
                 r0, r1, s0, s1, J = carry(of_s, 0, axes, seen, *places)

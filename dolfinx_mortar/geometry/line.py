@@ -22,7 +22,13 @@ import numpy.typing as npt
 from dolfinx_mortar.arrays import EPS, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.moments import KERNEL, add_point, fill_functions
+from dolfinx_mortar.geometry.moments import (
+    KERNEL,
+    add_point,
+    fill_functions,
+    reciprocal,
+    root,
+)
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 
@@ -85,9 +91,8 @@ def _opposite(x, n, y, xi):  # type: ignore[no-untyped-def]
     C = (y[0, 0] - _at(x, xi, 0)) * n1 - (y[0, 1] - _at(x, xi, 1)) * n0
     B = y[1, 0] * n1 - y[1, 1] * n0
     A = y[2, 0] * n1 - y[2, 1] * n0
-    square = B * B - 4 * A * C
-    root = np.sqrt(square if square.real > 0.0 else 0.0 * square)  # the form that does not cancel
-    eta = -2 * C / (B + root) if B.real > 0.0 else -2 * C / (B - root)
+    r = root(B * B - 4 * A * C)  # the form that does not cancel
+    eta = -2 * C * reciprocal(B + r if B.real > 0.0 else B - r)
     return eta if abs(eta.real) <= 1.0 else 0.0 * eta + (1.0 if eta.real > 0.0 else -1.0)
 
 
@@ -180,7 +185,7 @@ def _point(x, n, y, low, high, t):  # type: ignore[no-untyped-def]
     half = (high - low) / 2
     xi = (low + high) / 2 + half * t
     dx0, dx1 = x[1, 0] + 2 * xi * x[2, 0], x[1, 1] + 2 * xi * x[2, 1]
-    return xi, _opposite(x, n, y, xi), half * np.sqrt(dx0 * dx0 + dx1 * dx1)
+    return xi, _opposite(x, n, y, xi), half * root(dx0 * dx0 + dx1 * dx1)
 
 
 @numba.njit(cache=True)

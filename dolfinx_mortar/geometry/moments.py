@@ -24,6 +24,20 @@ SUMS = {**KERNEL, "fastmath": {"contract", "nsz", "nnan", "reassoc"}}
 
 
 @numba.njit(**SUMS)
+def root(z):  # type: ignore[no-untyped-def]
+    """Return the square root, exact to first order: that of the real part and a step of Heron."""
+    r = np.sqrt(max(z.real, 0.0))
+    return 0.0 * z if r == 0.0 else r + (0.5 / r) * (z - r * r)
+
+
+@numba.njit(**SUMS)
+def reciprocal(z):  # type: ignore[no-untyped-def]
+    """Return 1 / z, exact to first order: of the real part, and a step of Newton's method."""
+    r = 1.0 / z.real
+    return r + r * (1.0 - z * r)
+
+
+@numba.njit(**SUMS)
 def fill_functions(table, xi, eta, N):  # type: ignore[no-untyped-def]
     """Write N_j = sum_ab table[j, 3 a + b] xi^a eta^b into N (k,); in the plane eta is 0."""
     x2, y2 = xi * xi, eta * eta

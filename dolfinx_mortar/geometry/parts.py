@@ -15,7 +15,7 @@ import numpy as np
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
-from dolfinx_mortar.geometry.moments import KERNEL
+from dolfinx_mortar.geometry.moments import KERNEL, reciprocal, root
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 
@@ -124,7 +124,7 @@ def _point(c, m, r, s):  # type: ignore[no-untyped-def]
     x1, a1, b1 = _component(c, m, 1, r, s)
     x2, a2, b2 = _component(c, m, 2, r, s)
     n0, n1, n2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
-    return x0, x1, x2, np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+    return x0, x1, x2, root(n0 * n0 + n1 * n1 + n2 * n2)
 
 
 @numba.njit(**KERNEL)
@@ -156,7 +156,7 @@ def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
     for _ in range(LIMIT):
         y0, a0, b0 = _component(P, 0, 0, r, s)
         y1, a1, b1 = _component(P, 0, 1, r, s)
-        e0, e1, inverse = x - y0, y - y1, 1.0 / (a0 * b1 - a1 * b0)
+        e0, e1, inverse = x - y0, y - y1, reciprocal(a0 * b1 - a1 * b0)
         dr, ds = (e0 * b1 - e1 * b0) * inverse, (a0 * e1 - a1 * e0) * inverse
         r, s = r + dr, s + ds
         if found:

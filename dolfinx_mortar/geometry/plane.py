@@ -16,7 +16,7 @@ import numpy as np
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls
-from dolfinx_mortar.geometry.moments import KERNEL
+from dolfinx_mortar.geometry.moments import KERNEL, reciprocal, root
 from dolfinx_mortar.geometry.parts import count, pairs_of_parts, parts_of
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
@@ -251,9 +251,9 @@ def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
         a0, a1, b0, b1 = P[1, 0] - P[0, 0], P[1, 1] - P[0, 1], P[2, 0] - P[0, 0], P[2, 1] - P[0, 1]
         J = a0 * b1 - a1 * b0
         p0, p1 = x - P[0, 0], y - P[0, 1]
-        xi = (p0 * b1 - p1 * b0) / J
+        xi = (p0 * b1 - p1 * b0) * reciprocal(J)
         # by projection on b: on slivers xi is inexact, but the point stays where it is
-        eta = ((p0 - xi * a0) * b0 + (p1 - xi * a1) * b1) / (b0 * b0 + b1 * b1)
+        eta = ((p0 - xi * a0) * b0 + (p1 - xi * a1) * b1) * reciprocal(b0 * b0 + b1 * b1)
         return xi, eta, J if J.real > 0.0 else -J
     return inverse_of(bilinear_map(P, 0), bilinear_map(P, 1), x, y)
 
@@ -268,14 +268,13 @@ def inverse_of(first, second, x, y):  # type: ignore[no-untyped-def]
     B = centre + p0 * c1 - p1 * c0
     C = p0 * b1 - p1 * b0
     sign = 1.0 if centre.real > 0.0 else -1.0
-    square = B * B - 4 * A * C
-    J = np.sqrt(square if square.real > 0.0 else 0.0 * square)
+    J = root(B * B - 4 * A * C)
     if sign * B.real > 0.0:  # the form that does not cancel
-        xi = -2 * C / (B + sign * J)
+        xi = -2 * C * reciprocal(B + sign * J)
     else:
-        xi = (sign * J - B) / (2 * A)
+        xi = (sign * J - B) * reciprocal(2 * A)
     d0, d1 = b0 + xi * c0, b1 + xi * c1
-    eta = -((p0 + xi * a0) * d0 + (p1 + xi * a1) * d1) / (d0 * d0 + d1 * d1)
+    eta = -((p0 + xi * a0) * d0 + (p1 + xi * a1) * d1) * reciprocal(d0 * d0 + d1 * d1)
     return xi, eta, J
 
 
@@ -305,8 +304,8 @@ def slopes_of(first, second, height, xi, eta):  # type: ignore[no-untyped-def]
     (_, a0, b0, c0), (_, a1, b1, c1), (_, a2, b2, c2) = first, second, height
     a0, a1, a2 = a0 + eta * c0, a1 + eta * c1, a2 + eta * c2
     b0, b1, b2 = b0 + xi * c0, b1 + xi * c1, b2 + xi * c2
-    n2 = a0 * b1 - a1 * b0
-    return (a2 * b1 - a1 * b2) / n2, (a0 * b2 - a2 * b0) / n2
+    scale = reciprocal(a0 * b1 - a1 * b0)
+    return (a2 * b1 - a1 * b2) * scale, (a0 * b2 - a2 * b0) * scale
 
 
 @numba.njit(cache=True)

@@ -33,7 +33,7 @@ from dolfinx_mortar.mortar import edges
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, pair_sagittas
 from dolfinx_mortar.mortar.duals import Duals, absorbing, find_duals
 from dolfinx_mortar.mortar.edges import Sharing, widest_openings
-from dolfinx_mortar.mortar.pairing import Pairing, Weight, received_facets
+from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.product_rule import Basis, Fixed, Results, all_duals, apply, clear, move
 from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals
 
@@ -368,7 +368,7 @@ def differentiate(
         closed, partly = sharing.closed, widest_openings(pairing, segments, u, sharing)
     factor = np.ones(slave.facets.shape)
     if pairing.weight is not None:
-        factor = _at_nodes(pairing.weight, slave.X[slave.facets])
+        factor = pairing.weight(slave.X)[slave.facets]
     normals = np.zeros_like(pairing.master_X) if normals is None else normals
     y = np.empty_like(pairing.master_X)
     y[pairing.master_facets] = master.x
@@ -403,13 +403,6 @@ def differentiate(
         _differentiate(sides, heights, tables, basis, fixed, edges.SUNK, found)
         _add_parts(parts, found, given, sides, own, n + group.nodes)
     return Derivatives(**parts)
-
-
-def _at_nodes(weight: Weight, X: Floats) -> Floats:
-    """Return a linear weight (m, k) at the nodes X (m, k, d) of facets, known inside of these."""
-    middle, d = X.mean(axis=1, keepdims=True), X.shape[2]
-    inside, mean = weight(((X + middle) / 2).reshape(-1, d)), weight(middle.reshape(-1, d))
-    return np.asarray(2.0 * inside.reshape(X.shape[:2]) - mean[:, None])
 
 
 def _surfaces(
