@@ -11,6 +11,7 @@ import numpy as np
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar import compat
+from dolfinx_mortar.geometry import area
 from dolfinx_mortar.interfaces import mortar_interface
 from dolfinx_mortar.mortar import integrals
 from dolfinx_mortar.mortar.edges import find_sharing
@@ -61,6 +62,12 @@ def linear_normals(problem):
         yield
     finally:
         mortar_interface.common_normals = found
+
+
+def integrate_accurately(monkeypatch):
+    """Integrate in space with many points: derivatives are those of integrals, by fewer points."""
+    monkeypatch.setattr(area, "_least_degree", lambda slave, master: 20)
+    monkeypatch.setattr(area, "_degree_of_moments", lambda slave, master: 20)
 
 
 def count_all_parts(monkeypatch):

@@ -11,7 +11,6 @@ import dolfinx_mortar.steps.newton as newton_module
 from dolfinx import fem
 from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.geometry import area
 from dolfinx_mortar.mortar import curvature_correction
 from dolfinx_mortar.mortar.integrals import (
     find_segments,
@@ -60,9 +59,8 @@ def errors(rough, directions=None):
 
 @pytest.fixture
 def accurate(monkeypatch):
-    """Integrals that are accurate: derivatives are those of integrals, by fewer points."""
-    monkeypatch.setattr(area, "_least_degree", lambda slave, master: 20)
-    monkeypatch.setattr(area, "_degree_of_moments", lambda slave, master: 20)
+    """See `on_edges.integrate_accurately`."""
+    on_edges.integrate_accurately(monkeypatch)
 
 
 UNDER = (-0.5, 1.6, -0.5, 1.5)
