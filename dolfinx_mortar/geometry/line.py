@@ -131,11 +131,11 @@ def _insert(cuts, count, value):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _clip_facet(x, n, x_m, ends_m, pairs, deepest, first, last, which, ends, q):  # type: ignore[no-untyped-def]
-    """Append the segments of one slave facet, of pairs first to last; return how many there are.
+    """Append the segments of one slave facet, of pairs first to last; no part of it occurs twice.
 
-    No part of the facet occurs twice.
+    Return how many there are, and whether masters hide others.
     """
-    p, c, start = last - first, 0, q
+    p, c, start, hidden = last - first, 0, q, False
     low, high, cuts = np.empty(p, x.dtype), np.empty(p, x.dtype), np.empty(2 * p, x.dtype)
     index, master, most = np.empty(p, np.int32), np.empty(p, np.int32), np.empty(p)
     for r in range(first, last):
@@ -146,6 +146,9 @@ def _clip_facet(x, n, x_m, ends_m, pairs, deepest, first, last, which, ends, q):
         if (b - a).real > 8 * ROUND_OFF:
             low[c], high[c], index[c], master[c] = a, b, r, pairs[r, 1]
             most[c] = deepest[r]
+            for i in range(c):
+                common = min(high[i].real, b.real) - max(low[i].real, a.real)
+                hidden = hidden or common > 8 * ROUND_OFF
             _insert(cuts, 2 * c, a)
             _insert(cuts, 2 * c + 1, b)
             c += 1
@@ -161,7 +164,7 @@ def _clip_facet(x, n, x_m, ends_m, pairs, deepest, first, last, which, ends, q):
             continue
         which[q], ends[q, 0], ends[q, 1] = index[best], a, b
         q += 1
-    return q
+    return q, hidden
 
 
 @numba.njit(cache=True)
@@ -175,7 +178,7 @@ def _clip(x_s, n_s, x_m, ends_m, pairs, deepest):  # type: ignore[no-untyped-def
         while last < p and pairs[last, 0] == s:
             last += 1
         at = x_s[s], n_s[s], x_m, ends_m, pairs, deepest, first, last
-        q = _clip_facet(*at, which, ends, q)
+        q, _ = _clip_facet(*at, which, ends, q)
     return which[:q], ends[:q]
 
 
@@ -250,7 +253,7 @@ def moments(x, n, Y, deepest, reach, factor, heights, positive, tables, S, R, H)
     for r in range(c):
         _polynomial(Y[r], tables.master, p_m[r])
         pairs[r, 0], pairs[r, 1] = 0, r
-    count = _clip_facet(p_s, p_n, p_m, Y, pairs, deepest, 0, c, which, ends, 0)
+    count, hidden = _clip_facet(p_s, p_n, p_m, Y, pairs, deepest, 0, c, which, ends, 0)
     for i in range(count):
         r = which[i]
         for q in range(len(tables.points)):
@@ -258,7 +261,7 @@ def moments(x, n, Y, deepest, reach, factor, heights, positive, tables, S, R, H)
             fill_functions(tables.slave, xi, 0.0, N)
             fill_functions(tables.master, eta, 0.0, M)
             add_point(N, M, tables.weights[q] * size, r, x, Y[r], *given)
-    return True
+    return hidden
 
 
 def _polynomials(element: FacetElement, v: Floats) -> Floats:
