@@ -449,10 +449,11 @@ def _degree_of_moments(slave: FacetElement, master: FacetElement) -> int:
     """Return the degree of the quadrature of `moments`, of which derivatives are taken.
 
     Errors of these, in parts of the largest entry, on facets that noise warps and distorts:
-    hexahedra 7e-4, of second order 1e-3, tetrahedra of second order 1e-4; with degree 8, of nearly
-    three times the points, 7e-7, 2e-5 and 2e-9. None on flat triangles of first order.
+    hexahedra 7e-4 (degree 4; with 8, of nearly three times the points, 7e-7), of second order 2e-4
+    (degree 6; with 4 1e-3, which costs iterations), tetrahedra of second order 1e-4 (degree 4).
+    None on flat triangles of first order.
     """
-    return min(_least_degree(slave, master), 4)
+    return min(_least_degree(slave, master), 4 if slave.degree == 1 else 6)
 
 
 @numba.njit(**KERNEL)

@@ -19,7 +19,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.arrays import EPS, Floats, Ints
+from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.geometry.moments import (
@@ -75,6 +75,8 @@ def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
         if not (low <= new <= high and abs(new - xi) <= max(step / 2, 2 * EPS)):
             new = (low + high) / 2
         step, xi = abs(new - xi), new
+    if x.itemsize > 8 and abs(xi) > 1.0 - HALF_OF_DIGITS:  # derivatives where sides end together
+        return zero + (1.0 if xi > 0.0 else -1.0)
     f, slope = _moment(x, n, y0, y1, xi)  # by one more step in full: exact to first order
     return zero + xi - (f / slope if slope.real < 0.0 else zero)
 

@@ -29,7 +29,12 @@ Two quadrilaterals have 8 in common; each cut adds one, and polygons are halved 
 
 @numba.njit(**KERNEL)
 def cut(P, n, ax, ay, bx, by, Q):  # type: ignore[no-untyped-def]
-    """Write the part of P on the left of the line from a to b into Q; return its size."""
+    """Write the part of P on the left of the line from a to b into Q; return its size.
+
+    Of complex numbers, of which derivatives are asked for, edges that coincide to half of their
+    digits run along each other: where sides end together, that is where the slave's edge is.
+    """
+    near = HALF_OF_DIGITS if P.itemsize > 8 else ROUND_OFF
     dx, dy = bx - ax, by - ay
     scale = 1.0 / np.sqrt(dx.real**2 + dy.real**2)
     dx, dy = scale * dx, scale * dy
@@ -39,13 +44,13 @@ def cut(P, n, ax, ay, bx, by, Q):  # type: ignore[no-untyped-def]
     for i in range(n):
         d1 = dx * (P[i, 1] - ay) - dy * (P[i, 0] - ax)
         a, b = d0.real, d1.real
-        apart = (a < -ROUND_OFF and b > ROUND_OFF) or (a > ROUND_OFF and b < -ROUND_OFF)
+        apart = (a < -near and b > near) or (a > near and b < -near)
         if apart and m < VERTICES:
             t = d0 / (d0 - d1)
             Q[m, 0] = P[before, 0] + t * (P[i, 0] - P[before, 0])
             Q[m, 1] = P[before, 1] + t * (P[i, 1] - P[before, 1])
             m += 1
-        if b >= -ROUND_OFF and m < VERTICES:
+        if b >= -near and m < VERTICES:
             Q[m, 0], Q[m, 1] = P[i, 0], P[i, 1]
             m += 1
         before, d0 = i, d1
