@@ -35,8 +35,8 @@ from tests import (
 ROOT = Path(__file__).resolve().parent.parent
 NUMBERS = [
     "BLUR", "CHUNK", "EPS", "FACING", "HALF_OF_DIGITS", "JUMP", "LEAST_COVERAGE", "LEAST_WEIGHT",
-    "LIMIT", "PROJECTIONS", "QUARTER_OF_DIGITS", "REACH", "ROUND_OFF", "SAME", "STAYS", "SUNK",
-    "THROUGH", "TINY", "TURN", "VERTICES", "area._HIGHEST", "segments._SLIDING",
+    "LIMIT", "PROJECTIONS", "QUARTER_OF_DIGITS", "REACH", "ROUND_OFF", "SAME", "STAYS", "STEP",
+    "SUNK", "THROUGH", "TINY", "TURN", "VERTICES", "area._HIGHEST", "segments._SLIDING",
     "surface._MOST_WARPED",
 ]  # fmt: skip
 # Numbers that its cases do not reach: absurd values, and tests that fail with them. LEAST_WEIGHT is
