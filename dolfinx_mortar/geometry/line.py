@@ -75,7 +75,9 @@ def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
         if not (low <= new <= high and abs(new - xi) <= max(step / 2, 2 * EPS)):
             new = (low + high) / 2
         step, xi = abs(new - xi), new
-    if x.itemsize > 8 and abs(xi) > 1.0 - HALF_OF_DIGITS:  # derivatives where sides end together
+    if x.itemsize == 8:
+        return zero + xi
+    if abs(xi) > 1.0 - HALF_OF_DIGITS:  # where sides end together
         return zero + (1.0 if xi > 0.0 else -1.0)
     f, slope = _moment(x, n, y0, y1, xi)  # by one more step in full: exact to first order
     return zero + xi - (f / slope if slope.real < 0.0 else zero)

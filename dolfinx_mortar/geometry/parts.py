@@ -150,7 +150,7 @@ def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
     By Newton's method from (r, s), where the point is on a part of the facet. It converges
     quadratically from within the part's sagitta times its slope: in two or three steps where the
     normal of a part changes by a tenth of a radian, in one where facets are straight. One more step
-    in full makes it exact to first order, too.
+    makes complex numbers exact to first order, too.
     """
     found = False
     for _ in range(LIMIT):
@@ -159,9 +159,10 @@ def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
         e0, e1, inverse = x - y0, y - y1, reciprocal(a0 * b1 - a1 * b0)
         dr, ds = (e0 * b1 - e1 * b0) * inverse, (a0 * e1 - a1 * e0) * inverse
         r, s = r + dr, s + ds
-        if found:
+        small = max(abs(dr.real), abs(ds.real)) <= HALF_OF_DIGITS  # the next one is round-off
+        if small and (found or P.itemsize == 8):
             return r, s
-        found = max(abs(dr.real), abs(ds.real)) <= HALF_OF_DIGITS  # the next one is round-off
+        found = small
     return np.nan * r, np.nan * s
 
 
