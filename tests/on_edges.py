@@ -67,7 +67,7 @@ def linear_normals(problem):
 def integrate_accurately(monkeypatch):
     """Integrate in space with many points: derivatives are those of integrals, by fewer points."""
     monkeypatch.setattr(area, "_least_degree", lambda slave, master: 20)
-    monkeypatch.setattr(area, "_degree_of_moments", lambda slave, master: 20)
+    monkeypatch.setattr(area, "_degree_of_moments", lambda slave, master, smooth: 20)
 
 
 def count_all_parts(monkeypatch):

@@ -360,7 +360,7 @@ def _place(  # type: ignore[no-untyped-def]
             of_S, of_M = _maps(S, bilinear[0]), _maps(M, bilinear[1])
         size = _area(corners[t])
         for i in range(start[rule[t]], start[rule[t] + 1]):
-            at = corners[t], points[i, 0], points[i, 1]
+            at = _inside(corners[t], points[i, 0], points[i, 1])
             r0, r1, s0, s1, J = _point(S, M, of_S, of_M, bilinear, *at)
             xi_s[q, 0], xi_s[q, 1], xi_m[q, 0], xi_m[q, 1] = r0, r1, s0, s1
             weight[q] = weights[i] * size / J
@@ -382,10 +382,15 @@ def _maps(P, bilinear):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def _point(S, M, of_S, of_M, bilinear, c, r, s):  # type: ignore[no-untyped-def]
-    """Return xi_s, xi_m and the slave's plane Jacobian at a point of the triangle c (3, 2)."""
+def _inside(c, r, s):  # type: ignore[no-untyped-def]
+    """Return the point (r, s) of the triangle c (3, 2)."""
     x = c[0, 0] + r * (c[1, 0] - c[0, 0]) + s * (c[2, 0] - c[0, 0])
-    y = c[0, 1] + r * (c[1, 1] - c[0, 1]) + s * (c[2, 1] - c[0, 1])
+    return x, c[0, 1] + r * (c[1, 1] - c[0, 1]) + s * (c[2, 1] - c[0, 1])
+
+
+@numba.njit(**KERNEL)
+def _point(S, M, of_S, of_M, bilinear, x, y):  # type: ignore[no-untyped-def]
+    """Return xi_s, xi_m and the slave's plane Jacobian at a point of the plane."""
     if bilinear[0]:
         xi, eta, J = inverse_of(of_S[0], of_S[1], x, y)
     else:
@@ -426,12 +431,16 @@ class Tables(NamedTuple):
     scale: float  # area of the reference facet over that of the parts' ones, 0 for first order
     points: Floats  # (q, 2)
     weights: Floats  # (q,)
+    ends: Floats  # (2, g) points and weights of a rule on [0, 1]; none where `points` are exact
 
 
-def tables(slave: FacetElement, master: FacetElement) -> Tables:
-    """Return the tables of two types."""
+def tables(slave: FacetElement, master: FacetElement, smooth: bool) -> Tables:
+    """Return the tables of two types, of smooth surfaces with their heights."""
     part_s, part_m = slave.part or slave, master.part or master
     second = slave.part is not None or master.part is not None
+    flat = not (second or part_s.bilinear or part_m.bilinear)
+    degree = _degree_of_moments(slave, master, smooth)
+    t, weights = np.polynomial.legendre.leggauss(degree // 2 + 1)
     return Tables(
         slave.table,
         master.table,
@@ -441,19 +450,20 @@ def tables(slave: FacetElement, master: FacetElement) -> Tables:
         on_reference(master),
         (part_s.bilinear, part_m.bilinear),
         slave.size / (count(slave) * part_s.size) if second else 0.0,
-        *triangle_rule(_degree_of_moments(slave, master)),
+        *triangle_rule(degree),
+        np.empty((2, 0)) if flat else np.stack([(1.0 + t) / 2, weights / 2]),
     )
 
 
-def _degree_of_moments(slave: FacetElement, master: FacetElement) -> int:
+def _degree_of_moments(slave: FacetElement, master: FacetElement, smooth: bool) -> int:
     """Return the degree of the quadrature of `moments`, of which derivatives are taken.
 
     Errors of these, in parts of the largest entry, on facets that noise warps and distorts:
-    hexahedra 7e-4 (degree 4; with 8, of nearly three times the points, 7e-7), of second order 2e-4
-    (degree 6; with 4 1e-3, which costs iterations), tetrahedra of second order 1e-4 (degree 4).
-    None on flat triangles of first order.
+    hexahedra 7e-4, of second order 1e-3, tetrahedra of second order 1e-4; with degree 6, of twice
+    the points, 2e-5, 2e-4 and 1e-7. None on flat triangles of first order: functions have degree 1,
+    heights 2.
     """
-    return min(_least_degree(slave, master), 4 if slave.degree == 1 else 6)
+    return max(2 + smooth, min(_least_degree(slave, master), 4))
 
 
 @numba.njit(**KERNEL)
@@ -523,6 +533,53 @@ def moments(x, n, Y, deepest, reach, factor, heights, positive, tables, S, R, H)
     return hidden
 
 
+@numba.njit(**KERNEL)
+def _is_next(corners, which, t, n):  # type: ignore[no-untyped-def]
+    """Tell whether triangle t of n shares the edge between corners 0 and 1 with the one before."""
+    if t == 0 or t == n or which[t - 1] != which[t]:
+        return False
+    same = True
+    for h in range(2):
+        same = same and corners[t - 1, 0, h] == corners[t, 0, h]
+        same = same and corners[t - 1, 2, h] == corners[t, 1, h]
+    return same
+
+
+@numba.njit(**KERNEL)
+def _fill_points(c, before, after, tables, x, w):  # type: ignore[no-untyped-def]
+    """Write points (q, 2) of the plane and their weights for a triangle c (3, 2); return q.
+
+    Where the rule is not exact, points stay where they are: corners move fast along edges that are
+    nearly parallel, and errors would with them. What they move across edges is added there, as the
+    strips between; not on edges that the triangles before and after have, too.
+    """
+    q = len(tables.weights)
+    if tables.ends.shape[1] == 0:
+        for k in range(q):
+            x[k, 0], x[k, 1] = _inside(c, tables.points[k, 0], tables.points[k, 1])
+            w[k] = tables.weights[k] * _area(c)
+        return q
+    still = np.empty((3, 2))
+    for i in range(3):
+        still[i, 0], still[i, 1] = c[i, 0].real, c[i, 1].real
+    for k in range(q):
+        x[k, 0], x[k, 1] = _inside(still, tables.points[k, 0], tables.points[k, 1])
+        w[k] = tables.weights[k] * _area(still)
+    for i in range(3):
+        if (i == 0 and before) or (i == 2 and after):
+            continue
+        j = (i + 1) % 3
+        dx, dy = still[j, 0] - still[i, 0], still[j, 1] - still[i, 1]
+        a = (c[i, 0] - still[i, 0]) * dy - (c[i, 1] - still[i, 1]) * dx
+        b = (c[j, 0] - still[j, 0]) * dy - (c[j, 1] - still[j, 1]) * dx
+        for g in range(tables.ends.shape[1]):
+            t, weight = tables.ends[0, g], tables.ends[1, g]
+            x[q, 0], x[q, 1] = still[i, 0] + t * dx, still[i, 1] + t * dy
+            w[q] = weight * (a + t * (b - a))
+            q += 1
+    return q
+
+
 @numba.njit(inline="always")
 def _add_part(i, facet, Y, sides, balls, deepest, tables, given):  # type: ignore[no-untyped-def]
     """Add the moments of part i of a slave facet; return whether parts of masters hide others."""
@@ -541,7 +598,8 @@ def _add_part(i, facet, Y, sides, balls, deepest, tables, given):  # type: ignor
             centre[h] += x[j, h] / len(x)
     fill_axes(x, radius, axes)
     project(x, centre, axes, P)
-    limits = np.empty(c)
+    limits, most = np.empty(c), len(tables.weights) + 3 * tables.ends.shape[1]
+    points, weights = np.empty((most, 2), kind), np.empty(most, kind)
     for r in range(c):
         pairs[r, 1], limits[r] = r, deepest[r] / radius
     at = pairs, limits, np.int64(0), c, centre, axes
@@ -556,11 +614,11 @@ def _add_part(i, facet, Y, sides, balls, deepest, tables, given):  # type: ignor
             of_Q = _maps(Q, bilinear[1])
             if second:
                 along(of_m, r // b, axes, seen)
-        size = _area(corners[t])
-        for q in range(len(tables.weights)):
-            point = corners[t], tables.points[q, 0], tables.points[q, 1]
+        before, after = _is_next(corners, which, t, n), _is_next(corners, which, t + 1, n)
+        for q in range(_fill_points(corners[t], before, after, tables, points, weights)):
+            point = points[q, 0], points[q, 1]
             r0, r1, s0, s1, J = _point(P, Q, of_P, of_Q, bilinear, *point)
-            w = tables.weights[q] * size * reciprocal(J)
+            w = weights[q] * reciprocal(J)
             if second:
                 places = tables.of_slave[i], tables.of_master[r % b], (r0, r1, s0, s1)
                 r0, r1, s0, s1, J = carry(of_s, 0, axes, seen, *places)

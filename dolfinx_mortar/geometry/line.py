@@ -229,8 +229,8 @@ class Tables(NamedTuple):
     weights: Floats  # (q,)
 
 
-def tables(slave: FacetElement, master: FacetElement) -> Tables:
-    """Return the tables of two types."""
+def tables(slave: FacetElement, master: FacetElement, smooth: bool) -> Tables:
+    """Return the tables of two types, the same for smooth surfaces."""
     rule = gauss_points(2 * max(slave.degree, master.degree) + 1)
     return Tables(slave.table, master.table, *rule)
 

@@ -202,15 +202,14 @@ class ContactDerivatives(LinkDerivatives):
         self, link: CoupledSides, u: fem.Function, segments: Segments, keep: Bools, given: Tractions
     ) -> Derivatives:
         """Return the derivatives on this rank; collective."""
-        pairing, master, edges = link.mortar[0], link.sides.master, link.sides.edges
-        assert master is not None
+        pairing, common, edges = link.mortar[0], link.coupling.common, link.sides.edges
+        assert common is not None
         sharing = None
         if edges is not None:
             banned = link.banned[link.sides.slave.nodes]
             sharing = find_sharing(pairing, segments, u, keep, edges, banned)
-        normals = receive(pairing, nodal_normals(master, coordinates(master, u)))
         at = pairing, u, segments, keep, given, link.pattern.smooth, sharing
-        return differentiate(*at, normals)
+        return differentiate(*at, receive(pairing, common.of_master))
 
     def slips(
         self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec

@@ -210,6 +210,7 @@ class CommonNormals:
     """The normals at the owned slave nodes, and their derivatives by the averaged ones."""
 
     n: Floats  # (n, d)
+    of_master: Floats  # (m, d) n_l at the owned nodes of the master
     differentiate: Callable[[], tuple[Floats, Floats]]  # returns what follows
 
     @cached_property
@@ -287,7 +288,7 @@ def common_normals(
         by_slave[met] = turning @ by_a @ by_averaged[met]
         return by_slave, np.where(across[:, :, None], 0.0, by_master)
 
-    return CommonNormals(n, differentiate)
+    return CommonNormals(n, values[nodes, :d], differentiate)
 
 
 def in_planes(n: Floats, mirrors: Bools) -> tuple[Floats, Floats]:

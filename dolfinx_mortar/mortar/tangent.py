@@ -201,8 +201,9 @@ def _coordinate(sides, f, a, i):  # type: ignore[no-untyped-def]
 
 
 def _moments(x, n, Y, deepest, reach, factor, heights, positive, tables, S, R, H):  # type: ignore[no-untyped-def]
-    """Stands for `line.moments` or `area.moments`, which the type of their tables decides."""
-    raise NotImplementedError
+    """Return `line.moments` or `area.moments`, by the type of their tables."""
+    of = line if isinstance(tables, line.Tables) else area
+    return of.moments(x, n, Y, deepest, reach, factor, heights, positive, tables, S, R, H)
 
 
 @numba.extending.overload(_moments)
@@ -372,7 +373,8 @@ def differentiate(
     normals = np.zeros_like(pairing.master_X) if normals is None else normals
     y = np.empty_like(pairing.master_X)
     y[pairing.master_facets] = master.x
-    tables = (line if d == 2 else area).tables(facets.element, master.element)
+    types = facets.element, master.element
+    tables = (line if d == 2 else area).tables(*types, smooth is not None)
     parts: dict[str, list[Blocks]] = {field.name: [] for field in fields(Derivatives)}
     for group in _groups(pairing, used):
         s, k, m = group.facets, slave.element.nodes, group.nodes.shape[1]
