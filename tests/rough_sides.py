@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from dolfinx_mortar.geometry.facets import points_of
+from dolfinx_mortar.mortar import edges
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides, point_heights
 from dolfinx_mortar.mortar.duals import default_keep, node_weights, weighted_duals
 from dolfinx_mortar.mortar.integrals import find_segments
@@ -34,7 +35,7 @@ def summed(parts, shape):
 class RoughSides:
     """Both sides at a displacement, in the plane or in space; the upper side of below is slave."""
 
-    def __init__(self, u, facets, turn, rng, *, sagittas=None, weight=None):
+    def __init__(self, u, facets, turn, rng, *, sagittas=None, weight=None, shared=True):
         """Find the sides.
 
         Args:
@@ -44,8 +45,12 @@ class RoughSides:
             rng: of sagittas and tractions.
             sagittas: range of those of smooth surfaces, None for facets.
             weight: of the integrals.
+            shared: whether functions of nodes without multiplier are shared out, or in part, as
+                beside open edges: by the opening, which a wide `edges.SUNK` lets be anywhere
+                between.
         """
         V, self.u, self.turn, self.d = u.function_space, u, turn, len(turn)
+        self.shared = shared
         tags = (TOP_OF_LOWER, "slave"), (BOTTOM_OF_UPPER, "master")
         self.slave, self.master = (create_surface(V, facets, *tag) for tag in tags)
         self.pairing = create_pairing(V, self.slave, self.master, u, weight=weight)
@@ -60,9 +65,17 @@ class RoughSides:
         self.keep = default_keep(self.pairing, segments, *node_weights(self.pairing, segments))
         self.nodes = np.concatenate([self.slave.nodes, self.pairing.master_nodes])
 
+    def sharing(self, segments):
+        """Return what is shared out at the present displacement."""
+        closed = np.ones(len(self.slave.facets))
+        if not self.shared:
+            closed = edges._closed(self.pairing, segments, self.u, ~self.keep)
+        return edges.Sharing(~self.keep, closed)
+
     def duals(self, segments):
         """Return the weighted dual functions."""
-        return weighted_duals(self.pairing, segments, self.keep)
+        Phi = weighted_duals(self.pairing, segments, self.keep)
+        return edges.open_duals(self.pairing, segments, Phi, self.keep, self.sharing(segments))
 
     def given(self, n):
         """Return normals and tractions for averaged normals."""
@@ -93,10 +106,11 @@ class RoughSides:
         np.add.at(G, nodes, Phi * gap)
         return F.ravel(), G
 
-    def derivatives(self, sharing=None):
+    def derivatives(self):
         """Return those of the forces and the weighted gaps by the coordinates of both sides."""
         segments, n = find_segments(self.pairing, self.u)
-        at = self.pairing, self.u, segments, self.keep, self.given(n), self.smooth, sharing
+        at = self.pairing, self.u, segments, self.keep, self.given(n), self.smooth
+        at = *at, self.sharing(segments)
         found, N = differentiate(*at), self.normals_by_nodes()
         F, G = self.d * len(self.nodes), len(n)
         return tuple(

@@ -16,7 +16,6 @@ from dolfinx import fem
 from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.interfaces.constraints import Constraints
 from dolfinx_mortar.mortar import edges, integrals
-from dolfinx_mortar.mortar.edges import Sharing, open_duals
 from dolfinx_mortar.mortar.integrals import (
     find_segments,
 )
@@ -39,11 +38,7 @@ class Rough(RoughSides):
     """Two rough, bent sides that cover each other in part, with random tractions."""
 
     def __init__(self, degree, *, smooth, rings, shared, seed):
-        """Create them; the degree is that of the displacement.
-
-        Functions of nodes without multiplier are shared out, or in part, as beside open edges: by
-        the opening, which a wide `edges.SUNK` lets be anywhere between.
-        """
+        """Create them; the degree is that of the displacement."""
         rng = np.random.default_rng(seed)
         mesh, _, facets = meshes.two_blocks(
             COMM, n_lower=(7, 1), n_upper=(4, 1), x_lower=(0.5, 1.5), x_upper=(1.0, 2.0)
@@ -54,24 +49,7 @@ class Rough(RoughSides):
         u.x.array[1::2] -= 0.2 * (X[:, 0] - 1.3) ** 2
         weight = (lambda x: 2 * np.pi * x[..., 0]) if rings else None
         sagittas = (0.05, 0.1) if smooth else None
-        super().__init__(u, facets, TURN, rng, sagittas=sagittas, weight=weight)
-        self.shared = shared
-
-    def sharing(self, segments):
-        """Return what is shared out at the present displacement."""
-        closed = np.ones(len(self.slave.facets))
-        if not self.shared:
-            closed = edges._closed(self.pairing, segments, self.u, ~self.keep)
-        return Sharing(~self.keep, closed)
-
-    def duals(self, segments):
-        """Return the weighted dual functions."""
-        Phi = super().duals(segments)
-        return open_duals(self.pairing, segments, Phi, self.keep, self.sharing(segments))
-
-    def derivatives(self):
-        """Return those of the forces and the weighted gaps by the coordinates of both sides."""
-        return super().derivatives(self.sharing(find_segments(self.pairing, self.u)[0]))
+        super().__init__(u, facets, TURN, rng, sagittas=sagittas, weight=weight, shared=shared)
 
 
 @pytest.mark.parametrize("shared", [False, True])

@@ -11,7 +11,7 @@ import dolfinx_mortar.steps.newton as newton_module
 from dolfinx import fem
 from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.mortar import curvature_correction
+from dolfinx_mortar.mortar import curvature_correction, edges
 from dolfinx_mortar.mortar.integrals import (
     find_segments,
 )
@@ -44,6 +44,7 @@ class Rough(RoughSides):
         order=1,
         noise=0.03,
         jitter=0.2,
+        shared=True,
     ):
         """Create them; the slave is the upper side of the lower box."""
         rng = np.random.default_rng(seed)
@@ -56,7 +57,8 @@ class Rough(RoughSides):
         u.x.array[:] = noise * rng.standard_normal(u.x.array.size)
         u.x.array[2::3] -= 0.2 * (X[:, 0] - 0.4) ** 2 - 0.1 * X[:, 0] * X[:, 1]
         turn = meshes_3d.rotation((1.0, 2.0, 3.0), 0.7)
-        super().__init__(u, facets, turn, rng, sagittas=(0.02, 0.05) if smooth else None)
+        sagittas = (0.02, 0.05) if smooth else None
+        super().__init__(u, facets, turn, rng, sagittas=sagittas, shared=shared)
 
 
 def errors(rough, directions=None):
@@ -105,6 +107,16 @@ def test_derivatives_are_those_of_forces_and_gaps(cell, accurate):
     """Of random tractions on sides that cover each other in part; to 1e-8 of the largest entry."""
     rough = Rough(cell, (3, 3), (2, 3), upper=PARTLY, seed=3)
     assert 0 < rough.keep.sum() < len(rough.keep)
+    assert max(errors(rough)) < 1e-8
+
+
+def test_derivatives_where_facets_are_open_closed_and_between(monkeypatch):
+    """Beside open edges, one after the other."""
+    on_edges.count_all_parts(monkeypatch)
+    rough = Rough("tetrahedron", (3, 3), (2, 3), upper=PARTLY, seed=3, shared=False)
+    closed = rough.sharing(find_segments(rough.pairing, rough.u)[0]).closed
+    between = (closed > 0.0) & (closed < 1.0)
+    assert between.any() and (closed[between.argmax() :] == 0.0).any()
     assert max(errors(rough)) < 1e-8
 
 

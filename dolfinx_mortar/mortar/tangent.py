@@ -256,7 +256,7 @@ def _differentiate(sides, surfaces, tables, basis, fixed, sunk, found):  # type:
         for z in range(size):
             v[z // d, z % d] = _coordinate(sides, f, z // d, z % d)
         for z in range(size):
-            a, node = z // d, -1
+            a, node, shares[z] = z // d, -1, 0.0
             if a >= k + lines and not hidden:  # pairs do not know of each other
                 node = a - k - lines
             v[a, z % d] += 1j * STEP
