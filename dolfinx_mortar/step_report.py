@@ -194,6 +194,14 @@ class StepReport:
         elif not self.friction.endswith(linearisation):
             self.friction += f", from iteration {number} on {linearisation}"
 
+    def begin_anew(self) -> None:
+        """Note that Newton's method has led nowhere from what the last step promised."""
+        self.notes.append(
+            f"the motion of the last step led nowhere in {len(self.iterations)} iterations: this "
+            "one began without it"
+        )
+        self.iterations.clear()
+
     def quote(self, number: int, text: str) -> None:
         """Note what the QP backend says in an iteration, once for all that say the same."""
         if not text:

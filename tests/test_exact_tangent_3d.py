@@ -11,7 +11,7 @@ import dolfinx_mortar.steps.newton as newton_module
 from dolfinx import fem
 from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.mortar import curvature_correction, edges
+from dolfinx_mortar.mortar import curvature_correction
 from dolfinx_mortar.mortar.integrals import (
     find_segments,
 )

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.qp import interior_point, schur
-from dolfinx_mortar.qp.linear import Applied
+from dolfinx_mortar.qp.dense import Dense
 from dolfinx_mortar.qp.operator import FreePart
 from dolfinx_mortar.report.energy_ledger import EnergyLedger
 from dolfinx_mortar.steps import newton as newton_module
@@ -347,7 +347,7 @@ def test_a_load_step_that_is_stopped_when_it_is_committed():
 
 
 CALLED_BY_PETSC = {
-    "active-set": [(schur._Product, "apply"), (FreePart, "mult"), (Applied, "apply")],
+    "active-set": [(schur._Product, "apply"), (Dense, "mult"), (FreePart, "mult")],
     "interior-point": [(interior_point, "check")],
 }
 

@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: MIT
-r"""Tools driven by forces: their motions in a Newton step, with which each carries its load.
+r"""Tools driven by forces: their motions as unknowns of the QPs of a Newton step.
 
-With the motions e_a (in the frames of the nodes) of the unknowns q_a of the tools, a QP with its
-bounds and slips taken relative to the moved tools,
+The motions e_a (in the frames of the nodes) of the unknowns q_a of the tools carry the bounds and
+slips of nodes along,
 
     w_n <= g + e_n.q,    slip = slip_0 + w_t - e_t.q,
 
-has reactions z(q), and q solves the m equations F_a + e_a.z(q) = 0. Without friction these are the
-derivatives of a convex function, piecewise linear in q: of one unknown they are solved by secants,
-which begin with the diagonal of K^ at the closed nodes, of several by Newton's method with
-differences. All QPs have one matrix; on one rank they have one factorisation, too.
+and with the reactions z(q) they solve F_a + e_a.z(q) = 0: they are scalars of the QP, see
+`qp.scalars`.
 
 Nodes of a rigid side follow it, w = w_0 + e.q, and are eliminated: q changes the right-hand side,
 and z = r^ - K^ y there. The arms of moments turn with the side, e = e_0 + De q. The term De q.z_0
@@ -32,7 +30,6 @@ import numpy as np
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import (
     HALF_OF_DIGITS,
-    LIMIT,
     QUARTER_OF_DIGITS,
     ROUND_OFF,
     SAME,
@@ -55,20 +52,14 @@ from dolfinx_mortar.newton_method.linearisation import (
     to_reduced,
 )
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.qp import QPSolution
+from dolfinx_mortar.qp import QPSolution, Scalars, moved
 
-OVERSHOOT = 0.5
-"""Largest force at the end of a step in the opposite direction, as a share of that at its start.
+DISTINCT = 0.5
+"""What tells apart, in three messages, shares that are far apart in test_driven_tools.
 
-A force that changes linearly from 1 to -s vanishes at 1 / (1 + s) of the step, here at two thirds.
-Of five plates, four discs and a disc that rolls over facets, 0.05 to 2 give the same, 0.05 and 0.1
-in up to twice as many QPs; with 5 the disc that rolls is not found. The half serves three messages,
-too, whose cases in test_driven_tools are far apart: factors of tools that hardly anything resists
-are 1.1 to 4.2, others 0.23 and less; parts of a motion 0.88 to 1, or 0.03 and less; and shares of
-nodes that a motion closes -1, or 0 to 0.24.
+Factors of tools that hardly anything resists are 1.1 to 4.2, others 0.23 and less; parts of a
+motion 0.88 to 1, or 0.03 and less; shares of nodes that a motion closes -1, or 0 to 0.24.
 """
-
-Solve = Callable[[Linearisation], QPSolution]
 
 
 @dataclass(frozen=True)
@@ -93,6 +84,7 @@ class Drives:
     tools: list[tuple[Interface, Driven]]
     motions: Floats  # (m, n) e, of the owned unknowns of y
     loads: Floats  # (m,) F
+    reach: Floats  # (m,) largest motion of a slave node by each unknown, in any direction
     held: Ints  # (k,) owned unknowns of y that follow rigid sides
     follows: Bools  # (m,) which motions are theirs
     moved: Callable[[Floats], Floats]  # q (m,) -> e (m, n) there, to first order
@@ -139,30 +131,6 @@ class Drives:
         """Return tolerances (m,) of loads on rigid sides for one of forces; collective."""
         return np.where(self.follows, force * self.arms(), 0.0)
 
-    def shifted(self, lin: Linearisation, travel: Floats) -> Linearisation:
-        """Return the QP with the tools moved by q (m,)."""
-        way, bounds = travel @ self.motions, lin.balance.bounds
-        upper, law = lin.qp.upper.copy(), lin.qp.friction
-        shifted = bounds.upper + way[bounds.dofs]
-        upper.array[bounds.dofs] = np.minimum(shifted, PETSc.INFINITY)
-        if law is not None and lin.balance.limits is not None:
-            law = replace(law, rest=-lin.balance.limits.slip + law.pick(way))
-        found = replace(lin, qp=replace(lin.qp, upper=upper, friction=law))
-        return self._carried_along(found, way) if self.follows.any() else found
-
-    def _carried_along(self, lin: Linearisation, way: Floats) -> Linearisation:
-        """Return the QP with the eliminated nodes of rigid sides moved (n,); collective."""
-        equal, held = lin.balance.equal, np.zeros(len(way))
-        held[self.held] = way[self.held]
-        motion = lin.qp.b.duplicate()
-        motion.array[:] = held
-        b = lin.qp.b.copy()
-        b.axpy(-1.0, self.product(motion))
-        values = equal.upper + held[equal.dofs]
-        b.array[equal.dofs] = lin.qp.A.getDiagonal().array_r[equal.dofs] * values
-        balance = replace(lin.balance, equal=replace(equal, lower=values, upper=values))
-        return replace(lin, qp=replace(lin.qp, b=b), balance=balance)
-
     def check_gaps(self, balance: Balance, active: Bools, facet_length: float) -> None:
         """Raise an error if a gap is between a body and a tool with a load; collective.
 
@@ -192,61 +160,6 @@ class Drives:
                     "mesh the tool as a body with mass"
                 )
             first = end
-
-    def reactions(self, lin: Linearisation, solved: QPSolution) -> Floats:
-        """Return the reactions (n,) at the closed nodes."""
-        z, dofs = solved.z.array_r, lin.balance.bounds.dofs
-        carried, on = np.zeros(len(z)), solved.active > 0
-        carried[dofs[on]] = z[dofs[on]]
-        if (law := lin.qp.friction) is not None:
-            law.put(carried, law.pick(z) * law.acts(on[law.normal])[:, None])
-        if self.follows.any():
-            inner = self.product(solved.x).array_r
-            carried[self.held] = (lin.balance.reduced.array_r - inner)[self.held]
-        return carried
-
-    def carried(
-        self, lin: Linearisation, solved: QPSolution, travel: Floats
-    ) -> tuple[Floats, Floats, Floats, bool]:
-        """Return reactions (n,) at closed nodes, missing loads, their sizes, and if any acts."""
-        found, turned = self.reactions(lin, solved), np.zeros_like(self.motions)
-        touches = self.comm.allreduce(bool((self.motions * found).any()), op=MPI.LOR)
-        if self.follows.any():
-            before = lin.balance.reduced.array_r[self.held]
-            turned[:, self.held] = (self.moved(travel) - self.motions)[:, self.held] * before
-        return found, *self.missing(found, turned), bool(touches or self.follows.any())
-
-    def stiffness(self, lin: Linearisation, carried: Floats) -> Floats:
-        """Return sum_j e_aj^2 K^_jj (m,) over the nodes that carry, or the largest; collective."""
-        parts = self.motions**2 * np.abs(lin.diagonal.array_r)
-        on = self.comm.allreduce((parts * (carried != 0.0)).sum(axis=1), op=MPI.SUM)
-        most = maximum(self.comm, *parts.max(axis=1, initial=0.0))
-        return np.where(on > 0.0, on, most)
-
-    def until_touching(self, lin: Linearisation, solved: QPSolution, way: Floats) -> float:
-        """Return how far along a motion (m,) the first gap closes, inf if none does; collective."""
-        dofs = lin.balance.bounds.dofs
-        closing = -(way @ self.motions)[dofs]
-        left = np.maximum(lin.qp.upper.array_r[dofs] - solved.x.array_r[dofs], 0.0)
-        ends = np.divide(left, closing, out=np.full(len(dofs), np.inf), where=closing > 0.0)
-        return float(self.comm.allreduce(ends.min(initial=np.inf), op=MPI.MIN))
-
-
-@dataclass(frozen=True)
-class _Try:
-    """A QP with the tools moved, its solution, and the residual of their loads."""
-
-    lin: Linearisation
-    solved: QPSolution
-    travel: Floats  # (m,)
-    carried: Floats  # (n,)
-    missing: Floats  # (m,)
-    size: Floats  # (m,)
-    touches: bool
-
-    def far(self, diagonal: Floats) -> float:
-        """Return the norm of the residual of the loads."""
-        return float(np.linalg.norm(self.missing / np.sqrt(diagonal)))
 
 
 def find_drives(problem: ContactProblem, known: Floats | None = None) -> Drives | None:
@@ -290,23 +203,27 @@ def find_drives(problem: ContactProblem, known: Floats | None = None) -> Drives 
         T = problem.system.transformation
         return to_reduced(T, problem.K * to_displacement(T, y))
 
+    start = [_ways(problem, link, tool, x, np.zeros(len(tool.names))) for link, tool in parts]
+    lengths = [np.linalg.norm(way, axis=2).max(axis=1, initial=0.0) for way in start]
     loads = np.concatenate([tool.loads() for _, tool in parts])
     if known is not None:
         given = [
             np.einsum(
                 "mni,ni->m",
-                _ways(problem, link, tool, x, np.zeros(len(tool.names))),
+                way,
                 np.where(link.constrained[:, :1], known[link.nodes], 0.0),
             )
-            for link, tool in parts
+            for way, (link, _) in zip(start, parts, strict=True)
         ]
         loads = loads + problem.comm.allreduce(np.concatenate(given), op=MPI.SUM)
+    reach = maximum(problem.comm, *np.concatenate(lengths))
     follows = np.repeat([tool.holds for _, tool in parts], counts)
     held = [_unknowns(link, problem.d) for link, tool in parts if tool.holds]
     return Drives(
         tools=[(link.interface, tool) for link, tool in parts],
         motions=moved(np.zeros(len(loads))),
         loads=loads,
+        reach=np.where(reach > 0.0, reach, 1.0),
         held=np.concatenate([np.zeros(0, dtype=np.int32), *held]),
         follows=follows,
         moved=moved,
@@ -337,149 +254,81 @@ def _mean(problem: ContactProblem, link: Link, motion: Floats) -> Floats:
     return np.asarray(relative_motions(link, e)[0])
 
 
-def settle(
-    drives: Drives,
-    lin: Linearisation,
-    solve: Solve,
-    rtol: float,
-    stiffness: Floats | None,
-    begun: float,
-    extent: float,
-) -> Settled:
-    """Find the motions with which the tools carry their loads; collective.
+def as_scalars(drives: Drives, lin: Linearisation, rtol: float, begun: float) -> Scalars:
+    """Return the motions, as scalars of the QP of an iterate; collective.
+
+    Each is the largest motion of a node, so that all are lengths. Nodes of a rigid side are
+    eliminated: there the reaction is r^ - K^ y, and arms turn with the side.
 
     Args:
         drives: the tools at the iterate.
         lin: the QP with the tools where they are.
-        solve: solves it, and those with other bounds.
         rtol: largest share of the forces on a tool that may be missing.
-        stiffness: (m, m) to begin with; None for the diagonal of K^.
         begun: largest force at the start of the step, of which rigid sides may miss as much, where
             loads are taken off.
+    """
+    e, held, equal = drives.motions.copy(), drives.held, lin.balance.equal
+    m, inverse = len(e), 1.0 / drives.reach
+    loads: Floats = drives.loads.copy()
+    columns, rows = np.zeros_like(e), np.zeros_like(e)
+    block: Floats = np.zeros((m, m))
+    e[:, held] = 0.0
+    if drives.follows.any():
+        before, parts = lin.balance.reduced.array_r, np.zeros((m, m + 1))
+        turned = np.stack([drives.moved(unit) for unit in np.eye(m)]) - drives.motions
+        scale = lin.qp.diagonal.array_r[held]
+        for a in np.flatnonzero(drives.follows):
+            side, vector = drives.motions[a, held], lin.qp.b.duplicate()
+            vector.array[held] = side
+            product = drives.product(vector).array_r
+            parts[a, m] = side @ before[held] - product[equal.dofs] @ equal.upper
+            parts[a, :m] = (
+                drives.motions[:, held] @ product[held] - turned[:, a, held] @ before[held]
+            )
+            rows[a] = product
+            rows[a, equal.dofs] = 0.0
+            columns[a] = rows[a]
+            columns[a, held] = -scale * side
+        parts = drives.comm.allreduce(parts, op=MPI.SUM)
+        loads, block = loads + parts[:, m], parts[:, :m]
+    noise = drives.noise(lin.balance) + drives.allowed(rtol * begun)
+    block = block * np.outer(inverse, inverse)
+    each = inverse[:, None]
+    forces = loads * inverse, columns * each, rows * each, block, noise * inverse
+    return Scalars(e * each, *forces, rtol)
+
+
+def settle(drives: Drives, lin: Linearisation, solved: QPSolution, extent: float) -> Settled:
+    """Return the solution of a QP with the tools moved; collective.
+
+    Args:
+        drives: the tools at the iterate.
+        lin: the QP, with their motions as scalars.
+        solved: its solution.
         extent: size of the model.
 
     Raises:
-        StepFailed: if nothing resists the load of a tool, or it is not found.
+        Unresisted: if hardly anything resists one of them.
     """
-    here = _try(drives, lin, solve, np.zeros(len(drives.loads)))
-    diagonal = drives.stiffness(lin, here.carried)
-    if not diagonal.all():
-        raise Unresisted(_unresisted(drives, lin, diagonal == 0.0))
-    B: Floats = np.diag(diagonal) if stiffness is None else stiffness
-    noise = drives.noise(lin.balance) + drives.allowed(rtol * begun)
-    shrink, far = 1.0, 0.0
-    only_sides = bool(drives.follows.all())
-    secants = len(diagonal) == 1 and not only_sides
-    for _ in range(LIMIT):  # with secants it takes 3 to 8 QPs
-        if (np.abs(here.missing) <= rtol * here.size + noise).all():
-            return Settled(here.lin, here.solved, here.travel, B, drives)
-        if here.touches:
-            before, far = far, here.far(diagonal)
-            converges = only_sides and far < QUARTER_OF_DIGITS * before
-            # the nodes that touch change, and B with them
-            if shrink == 1.0 and not (secants or converges):
-                B = _measured(drives, here, solve, lin, diagonal)
-            way = shrink * _resisted(drives, lin, B, here.missing, extent)
-        else:
-            way = _beyond_the_gap(drives, lin, here, diagonal)
-        q = here.travel + way
-        there = _try(drives, drives.shifted(lin, q), solve, q)
-        if here.touches and there.touches and secants:
-            slope = (here.missing - there.missing) / way
-            B = np.diag(slope) if slope[0] > 0.0 else B
-        if _overshoots(here, there, way):
-            shrink = 0.5 * shrink
-        else:
-            here, shrink = there, 1.0
-    raise StepFailed(_not_met(drives, lin, here))
-
-
-def _try(drives: Drives, at: Linearisation, solve: Solve, travel: Floats) -> _Try:
-    """Solve the QP in which the tools are moved by q (m,)."""
-    solved = solve(at)
-    return _Try(at, solved, travel, *drives.carried(at, solved, travel))
-
-
-def _beyond_the_gap(drives: Drives, lin: Linearisation, here: _Try, diagonal: Floats) -> Floats:
-    """Return the way (m,) of tools that touch nothing: until a gap closes, and once more beyond.
-
-    How far beyond is what the diagonal of K^ asks for.
-    """
-    way = here.missing / diagonal
-    touching = drives.until_touching(here.lin, here.solved, way)
-    if not np.isfinite(touching):
-        raise Unresisted(_unresisted(drives, lin, here.missing != 0.0))
-    return np.asarray(way * (touching + 1.0))
-
-
-def _overshoots(here: _Try, there: _Try, way: Floats) -> bool:
-    """Tell whether a step has gone far beyond the minimum along its way (m,).
-
-    It has where the tool touches nothing at its end: what is missing then is not linear in the way.
-    """
-    gain = here.missing @ way  # none towards a saddle point, of sides that forces turn
-    most = OVERSHOOT * gain if there.touches else 0.0
-    return bool(here.touches and gain > 0.0 and there.missing @ way < -most)
-
-
-def _not_met(drives: Drives, lin: Linearisation, here: _Try) -> str:
-    """Say which load is not balanced, and what to do."""
-    worst = int(np.argmax(np.abs(here.missing) / np.maximum(here.size, TINY)))
-    name, _ = _names(drives)[worst]
-    remedy = "take smaller steps, or prescribe the position"
-    if lin.qp.friction is not None and len(drives.loads) > 1:
-        remedy = (
-            "friction carries loads along the side up to its limit only, and a step in which the "
-            "tool is first pressed on finds no such equilibrium: give the force that presses it "
-            "in an earlier step"
-        )
-    return (
-        f"the loads of {', '.join(repr(owner) for owner, _ in drives.tools)} are not met in "
-        f"{LIMIT} tries: {here.missing[worst]:.3g} of {name!r} is missing; {remedy}"
+    assert solved.travel is not None and solved.resistance is not None and lin.qp.scalars
+    scale = drives.reach
+    q, B = solved.travel / scale, solved.resistance * np.outer(scale, scale)
+    size = np.sqrt(lin.qp.scalars.sizes(lin.qp))
+    values, vectors = np.linalg.eig(solved.resistance / np.outer(size, size))
+    least = int(np.argmin(np.abs(values)))
+    if drives.follows.all() and np.abs(values[least]) <= SAME:
+        weakest = np.abs(vectors[:, least])
+        raise unresisted(drives, lin, np.asarray(weakest == weakest.max()))
+    if not QUARTER_OF_DIGITS * np.abs(solved.travel).max() <= extent:  # nothing holds a body
+        raise unresisted(drives, lin, np.abs(solved.travel))
+    equal, held = lin.balance.equal, np.zeros(len(solved.x.array_r))
+    held[drives.held] = (q @ drives.motions)[drives.held]
+    values = equal.upper + held[equal.dofs]
+    solved.x.array[equal.dofs] = values
+    balance = replace(lin.balance, equal=replace(equal, lower=values, upper=values))
+    return Settled(
+        replace(lin, qp=moved(lin.qp, solved.travel), balance=balance), solved, q, B, drives
     )
-
-
-def _measured(
-    drives: Drives, here: _Try, solve: Solve, lin: Linearisation, diagonal: Floats
-) -> Floats:
-    """Return -d(missing)/dq by differences, with a part of the diagonal that makes it regular.
-
-    A plate that touches with one node may turn about it.
-    """
-    part = 1.0 if drives.follows.all() else QUARTER_OF_DIGITS  # linear unless contacts change
-    small = part * here.far(diagonal) / np.sqrt(diagonal)
-    small = np.maximum(small, HALF_OF_DIGITS * here.size / diagonal)  # beyond round-off of QPs
-    small = np.maximum(small, HALF_OF_DIGITS * np.abs(here.travel))  # and of what is added
-    columns = []
-    for a, step in enumerate(small):
-        q = here.travel.copy()
-        q[a] += np.copysign(step, here.missing[a])
-        at = drives.shifted(lin, q)
-        _, missing, _, _ = drives.carried(at, solve(at), q)
-        columns.append((here.missing - missing) / (q[a] - here.travel[a]))
-    found = np.stack(columns, axis=1)
-    if drives.follows.all():  # moments that turn with a side have no symmetric tangent
-        size = np.sqrt(diagonal)
-        values, vectors = np.linalg.eig(found / np.outer(size, size))
-        least = int(np.argmin(np.abs(values)))
-        if np.abs(values[least]) <= SAME:  # of the stiffness of the nodes themselves
-            weakest = np.abs(vectors[:, least])
-            raise Unresisted(_unresisted(drives, lin, np.asarray(weakest == weakest.max())))
-        return found
-    if lin.qp.friction is None:  # with friction it is not symmetric
-        found = (found + found.T) / 2
-    return found + QUARTER_OF_DIGITS * np.diag(np.where(drives.follows, 0.0, diagonal))
-
-
-def _resisted(
-    drives: Drives, lin: Linearisation, B: Floats, missing: Floats, extent: float
-) -> Floats:
-    """Return B^-1 (F + e.z) (m,), the way at whose end loads are met, unless it is far too long."""
-    way = np.asarray(np.linalg.solve(B, missing), dtype=np.float64)
-    length = np.abs(way) * drives.arms()
-    if not QUARTER_OF_DIGITS * length.max() <= extent:  # as of bodies that nothing holds
-        raise Unresisted(_unresisted(drives, lin, length))
-    return way
 
 
 def _names(drives: Drives) -> list[tuple[str, Interface]]:
@@ -487,8 +336,8 @@ def _names(drives: Drives) -> list[tuple[str, Interface]]:
     return [(name, owner) for owner, tool in drives.tools for name in tool.names]
 
 
-def _unresisted(drives: Drives, lin: Linearisation, which: Floats) -> str:
-    """Say which load of which tool nothing resists; collective."""
+def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> Unresisted:
+    """Return the error that says which load (m,) of which tool nothing resists; collective."""
     k = int(np.argmax(which))
     name, owner = _names(drives)[k]
     closing = -np.sign(drives.loads[k]) * drives.motions[k][lin.balance.bounds.dofs]
@@ -497,18 +346,18 @@ def _unresisted(drives: Drives, lin: Linearisation, which: Floats) -> str:
         remedy = "hold the body against it"
     elif "moment" in name:
         remedy = "a tool that is round about that axis turns freely without friction; leave it out"
-    elif sums[0] < -OVERSHOOT * sums[1]:
+    elif sums[0] < -DISTINCT * sums[1]:
         remedy = "the force on a tool has to press it on the body; change its sign"
-    elif sums[0] > OVERSHOOT * sums[1]:
+    elif sums[0] > DISTINCT * sums[1]:
         remedy = "the other motions of the step take the tool off the side; take smaller steps"
     elif lin.qp.friction is None:
         remedy = f"along {name} the side carries nothing without friction; give friction"
     else:
         remedy = (
-            f"along {name} friction carries a load only where another force presses the tool on "
-            "the body; give that force in an earlier step"
+            f"along {name} friction carries a load up to its limit only, where another force "
+            "presses the tool on the body; give that force in an earlier step"
         )
-    return (
+    return Unresisted(
         f"nothing resists the load {name!r} = {drives.loads[k]:g} on {owner!r}: {remedy}, or "
         "prescribe the position"
     )
@@ -548,7 +397,7 @@ def loose_motion(
         first = end
     factors, ways = np.linalg.eig(np.linalg.solve(stiffness, drives.comm.allreduce(G)))
     most = int(np.argmax(factors.real))
-    if factors[most].real <= OVERSHOOT:
+    if factors[most].real <= DISTINCT:
         return ""
     length, names = np.abs(ways[:, most]) * drives.arms(), _names(drives)
     owner = names[int(np.argmax(length))][1]
@@ -557,7 +406,7 @@ def loose_motion(
 
 def _describe_way(owner: Interface, names: Sequence[str], length: Floats) -> str:
     """Say that hardly anything resists a motion, with the lengths (m,) of its parts, by name."""
-    on = length >= OVERSHOOT * length.max()
+    on = length >= DISTINCT * length.max()
     along = [name for name, some in zip(names, on, strict=True) if some]
     turns = ["moment" in name for name in along]
     does, remedy = "moves", "prescribe its position, or give friction if it slides"

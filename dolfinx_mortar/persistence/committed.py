@@ -55,6 +55,15 @@ class Turns:
 
 
 @dataclass(frozen=True)
+class Gained:
+    """What Newton's iterations have added in a step to the motion with which it began."""
+
+    by: Floats  # (n,) displacement
+    travel: Floats  # (m,) motions of tools that forces drive
+    duration: float  # by how much the level has risen
+
+
+@dataclass(frozen=True)
 class StepOutcome:
     """Results of a converged step that `Committed.commit` takes."""
 
@@ -69,6 +78,7 @@ class StepOutcome:
     ended: Sequence[Any] = ()  # of the interfaces, see `Interface.ended`
     turns: Sequence[Turns | None] = ()  # of the interfaces, () for none
     level: float | None = None  # at which the step ends; None for that of the committed state
+    gained: Gained | None = None  # None without a level
     before: Before | None = None  # the last commit; None for a step of a checkpoint
 
 
@@ -90,6 +100,7 @@ class Committed:
     turns: Sequence[Turns | None] = ()  # of the interfaces, () for none
     walk: Walk | None = None  # the last call of `load_steps`, the only one that may continue
     supports: SupportForces | None = None  # of the last step that has converged
+    gained: Gained | None = None  # in the last step, see `ContactProblem.begin_step`
 
     @property
     def last_walk(self) -> list[LoadStep]:
@@ -98,11 +109,11 @@ class Committed:
 
     def commit(self, u: Floats, outcome: StepOutcome | None) -> None:
         """Commit the displacement (n,), with the outcome of the step that has ended there."""
-        self.begun, self.displacement = True, u.copy()
+        self.begun, self.displacement, self.gained = True, u.copy(), None
         if outcome is None:
             return
         self.active, self.sliding, self.paired = outcome.active, outcome.sliding, outcome.paired
-        self.turns = outcome.turns
+        self.turns, self.gained = outcome.turns, outcome.gained
         if outcome.level is not None:
             self.level = outcome.level
         if outcome.slips is not None:

@@ -76,6 +76,7 @@ def _columns(state: ProblemState, table: str) -> dict[str, tuple[int, bool]]:
         if state.system.has_friction:
             columns["committed"] = d, False
         columns |= {f"{UNCOMMITTED}active": (1, True), f"{UNCOMMITTED}sliding": (d, True)}
+        columns |= {"gained": (d, True), f"{UNCOMMITTED}gained": (d, True)}
         return columns | {"sliding": (d, True), "supports": (2 * d, True), "paired": (d, True)}
     if table == POINTS:
         fields = state.solid.lasting_fields().items()
@@ -114,6 +115,8 @@ def check_about(state: ProblemState, about: Mapping[str, Any], present: Mapping[
             raise ValueError(f"{name} has {len(about[name])} entries, but there are {n} interfaces")
     for k in range(n):
         _check_interface(state, k, about["interfaces"][k], about["found"][k])
+    for k, gained in enumerate(about.get("gained", [])):
+        _check_gained(f"gained[{k}]", gained)
     for k, step in enumerate(about["steps"]):
         _check_step(state, f"steps[{k}]", step)
     walked, steps = about["walked"], len(about["steps"])
@@ -137,6 +140,16 @@ def _check_interface(state: ProblemState, k: int, resultants: Any, found: Any) -
         )
     for name, values in own.items():
         _check_numbers(f"found[{k}].{name}", found[name], (len(values),))
+
+
+def _check_gained(name: str, gained: Any) -> None:
+    """Check what a step has gained, None for nothing."""
+    if gained is not None:
+        travel = gained["travel"]
+        _check_numbers(f"{name}.travel", travel, (len(travel),))
+        _check_numbers(f"{name}.duration", gained["duration"])
+        if gained["duration"] == 0.0:
+            raise ValueError(f"{name}.duration is 0")
 
 
 def _check_step(state: ProblemState, name: str, step: Any) -> None:

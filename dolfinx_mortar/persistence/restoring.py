@@ -17,6 +17,7 @@ from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.interfaces.interface import Resultants, check_owned
 from dolfinx_mortar.interfaces.system import Paired
 from dolfinx_mortar.persistence.committed import (
+    Gained,
     ProblemState,
     Slips,
     StepOutcome,
@@ -84,6 +85,7 @@ class Saved:
         for k, resultants in enumerate(self.about["interfaces"]):
             _take(state, k, slips, resultants, self.tables.get(name_of(k), {}))
         committed.paired, committed.turns = self._paired(), self._turns("")
+        committed.gained = self._gained(0, "")
         committed.begun = self.about["begun"]
         committed.level, committed.walked = self.about["level"], self.about["walked"]
         walk = self.about["walk"]
@@ -93,7 +95,17 @@ class Saved:
         u = self.tables[NODES]["displacement"].flatten()
         last = UNCOMMITTED if f"{UNCOMMITTED}active" in self.tables[NODES] else ""
         turns = self._turns(last)
-        return StepOutcome(u, *self._contacts(last), committed.paired, slips, turns=turns)
+        gained = self._gained(1, UNCOMMITTED) if last else committed.gained
+        contacts = self._contacts(last)
+        return StepOutcome(u, *contacts, committed.paired, slips, turns=turns, gained=gained)
+
+    def _gained(self, k: int, prefix: str) -> Gained | None:
+        """Return what a step has gained; None where that is not known, as in files of before."""
+        rates = [*self.about.get("gained", []), None, None][k]
+        by = self.tables[NODES].get(f"{prefix}gained")
+        if rates is None or by is None:
+            return None
+        return Gained(by.flatten(), np.array(rates["travel"], float), float(rates["duration"]))
 
     def _contacts(self, prefix: str) -> tuple[Bools, Floats | None]:
         """Return closed contacts and slip directions; without a column, steps begin stuck."""

@@ -49,6 +49,7 @@ def save(state: ProblemState, path: str | os.PathLike[str], outcome: StepOutcome
         "walk": None if committed.walk is None else dataclasses.asdict(committed.walk),
         "steps": [step.as_dict() for step in committed.history],
         "interfaces": results,
+        "gained": [_rates(committed), _rates(outcome)],
         "found": [ask(state.comm, interface, "found") for interface in state.interfaces],
     }
     places = places_of(state, [result is not None for result in results])
@@ -101,7 +102,17 @@ def _contacts(state: ProblemState, last: StepOutcome | Committed) -> dict[str, F
     found = {"active": last.active[:, None].astype(float)}
     if state.system.has_friction and last.sliding is not None:
         found["sliding"] = last.sliding
+    if last.gained is not None:
+        found["gained"] = last.gained.by.reshape(len(last.active), -1)
     return found
+
+
+def _rates(last: StepOutcome | Committed | None) -> dict[str, Any] | None:
+    """Return what a step has gained that is not nodal, None for nothing."""
+    gained = None if last is None else last.gained
+    if gained is None:
+        return None
+    return {"travel": gained.travel.tolist(), "duration": gained.duration}
 
 
 def _at_points(state: ProblemState) -> dict[str, Floats]:

@@ -271,20 +271,26 @@ class ContactProblem:
         """Raise a ValueError if a problem made later uses one of the interfaces."""
         check_owned(self.interfaces, self.supports)
 
-    def begin_step(self, level: float | None = None, *, audit: bool = True) -> StepData:
+    def begin_step(
+        self, level: float | None = None, *, audit: bool = True, predict: bool = False
+    ) -> StepData:
         """Read loads, Dirichlet values and jumps, predict u, pair the surfaces; collective.
 
         The prediction moves every body, or tied group of bodies, as a whole by the mean of its
         prescribed increments, without strain. Without it the forces of the first QP would be forty
         times the contact force in the paper's problem, and a disc that is pressed down by many
         facet lengths would be paired where it was before. The deformation of a body over which
-        another one slides is moved along, see `convected`. The surfaces are paired again if they
-        have slid out of the margin of the last search. A step is a function of the displacement
-        and the committed state: failed steps, audits or output before it have no influence.
+        another one slides is moved along, see `convected`. At finite strain what Newton's
+        iterations added in the last step is added again, in proportion to the lengths of the steps,
+        as are motions of tools: a deep drawing takes 153 iterations for 458. The surfaces are
+        paired again if they have slid out of the margin of the last search. A step is a function of
+        the displacement and the committed state: failed steps, audits or output before it have no
+        influence.
 
         Args:
             level: load level of the step, for its terms; None for that of the committed state.
             audit: whether a step from the initial state begins with an audit.
+            predict: whether what the last step has gained is added.
 
         Raises:
             ValueError: for NaN or infinity in the data, the displacement, the potential or the
@@ -298,6 +304,9 @@ class ContactProblem:
         self.owned_u[:] += carried
         self.u.x.scatter_forward()
         self._convect(carried, before)
+        data = replace(data, begun=self.owned_u.copy())
+        if predict and not data.flows:
+            data = replace(data, travel=self._go_on(level))
         audit = audit and not self.committed.begun
         if audit:
             self._check_mesh()
@@ -401,6 +410,28 @@ class ContactProblem:
                     break
                 self.owned_u[:] = at
                 self.u.x.scatter_forward()
+
+    def _go_on(self, level: float | None) -> Floats | None:
+        """Add what the last step has gained, for this one; collective.
+
+        Returns:
+            By how much tools were moved (m,); None where nothing is added, as where steps
+            turn back or grow, or other motions are driven.
+        """
+        gained, tools = self.committed.gained, [i.driven() for i in self.interfaces]
+        if gained is None or level is None or self.solid.strain == "small":
+            return None
+        driven = [tool for tool in tools if tool is not None]
+        share = (level - self.committed.level) / gained.duration
+        counts = [len(tool.names) for tool in driven]
+        if not 0.0 < share <= 2.0 or sum(counts) != len(gained.travel):
+            return None
+        travel = share * gained.travel
+        self.owned_u[:] += share * np.where(self.supports.owned.ravel(), 0.0, gained.by)
+        self.u.x.scatter_forward()
+        for tool, end in zip(driven, np.cumsum(counts), strict=True):
+            tool.move(travel[end - len(tool.names) : end])
+        return travel
 
     def _stuck(self) -> Bools:
         """Return which slave nodes (owned nodes,) of contacts with friction did not slide."""

@@ -28,3 +28,5 @@ class StepData:
     partners: Sequence[Partners | None] = ()
     # whether what has changed makes bodies flow, so that the committed state is linearised
     flows: bool = False
+    begun: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) u before it was predicted
+    travel: Floats | None = None  # (m,) by which tools were moved then; None where u was not

@@ -5,11 +5,20 @@ For min 1/2 x'Ax - b'x over lower <= x <= upper, with friction, and the linear s
 Uses PETSc matrices, vectors and options; imports nothing of meshes, forms or contact.
 """
 
-from dolfinx_mortar.qp.bound_qp import KKT, BoundQP, QPNotSolved, QPSolution, UnusableQP, check
+from dolfinx_mortar.qp.bound_qp import (
+    KKT,
+    BoundQP,
+    QPNotSolved,
+    QPSolution,
+    Scalars,
+    UnusableQP,
+    check,
+)
 from dolfinx_mortar.qp.friction import Friction, Sliders
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 from dolfinx_mortar.qp.multigrid import Change, Preconditioning, Unknowns
 from dolfinx_mortar.qp.options import MULTIGRID, check_options
+from dolfinx_mortar.qp.scalars import NoResistance, moved
 from dolfinx_mortar.qp.solver import available, check_friction, check_name, solve
 
 __all__ = [
@@ -20,9 +29,11 @@ __all__ = [
     "Friction",
     "LinearSolveFailed",
     "LinearSolver",
+    "NoResistance",
     "Preconditioning",
     "QPNotSolved",
     "QPSolution",
+    "Scalars",
     "Sliders",
     "Unknowns",
     "UnusableQP",
@@ -31,5 +42,6 @@ __all__ = [
     "check_friction",
     "check_name",
     "check_options",
+    "moved",
     "solve",
 ]

@@ -8,7 +8,7 @@ it. Without friction and with a definite matrix, the interior point takes over a
 after a set that leaves a body unconstrained.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 from petsc4py import PETSc
@@ -16,12 +16,15 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.errors import from_callbacks
-from dolfinx_mortar.arrays import LIMIT
+from dolfinx_mortar.algebra.parallel import ratio
+from dolfinx_mortar.arrays import EPS, LIMIT, Bools, Floats
 from dolfinx_mortar.qp import condensed, interior_point
-from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check
+from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check, reaction
+from dolfinx_mortar.qp.dense import Condensed, condenses, select
 from dolfinx_mortar.qp.descent import descend
-from dolfinx_mortar.qp.held import HeldProblem, State
+from dolfinx_mortar.qp.held import HeldProblem, Solver, State
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver, NotDefinite
+from dolfinx_mortar.qp.scalars import Bordered, NoResistance, moved
 from dolfinx_mortar.qp.updates import LOOSE, TIGHT, Outcome, update
 
 # How friction was linearised: limits of the pressure of the solution, or of a solution before it
@@ -55,12 +58,12 @@ def solve(
     Raises:
         QPNotSolved: if the interior point, called after a cycle or a failed solve, fails too.
     """
+    if qp.friction is not None or qp.scalars is not None:
+        return solve_states(qp, linear, start, rtol, guess)
     x = qp.b.duplicate()
     x.set(0.0)
     if guess is not None:
         guess.copy(x)
-    if qp.friction is not None:
-        return _solve_frictional(qp, linear, x, start, rtol)
     definite = True
     try:
         level, first = LOOSE, start
@@ -95,28 +98,152 @@ def solve(
     return replace(solution, note=note, definite=definite)
 
 
-def _solve_frictional(
-    qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, start: State, rtol: float
+@dataclass(frozen=True)
+class _Found:
+    """A solution with friction or scalars."""
+
+    x: Floats  # (n,)
+    q: Floats  # (m,)
+    state: State
+    updates: int
+    how: str  # friction was linearised
+    visited: Bools  # (k,) which bounds were active on the way
+    resistance: Floats | None  # (m, m) against q
+
+
+def solve_states(
+    qp: BoundQP, linear: LinearSolver, start: State, rtol: float, guess: PETSc.Vec | None = None
 ) -> QPSolution:
+    """Solve a QP with friction or scalars; condensed where that serves; see `solve`."""
+    find = _find_condensed if condenses(qp, linear) else _find
+    found = find(qp, linear, start, rtol, guess)
+    at = qp if qp.scalars is None else moved(qp, found.q)
+    x = qp.b.duplicate()
+    x.array[:] = found.x
+    z, law, state = reaction(at, x), qp.friction, found.state
+    directions = None
+    if law is not None:
+        directions = np.where(state.slips(law)[:, None], state.directions, 0.0)
+    return QPSolution(
+        *(x, z, state.active, check(at, x, z), found.updates, 0, 0, "active-set"),
+        sliding=directions,
+        linearisation="" if law is None else found.how,
+        travel=None if qp.scalars is None else found.q,
+        resistance=found.resistance,
+    )
+
+
+def _find_condensed(
+    qp: BoundQP, linear: LinearSolver, start: State, rtol: float, _: PETSc.Vec | None
+) -> _Found:
+    """Solve by a dense matrix, with those bounds that are candidates; see `_find`.
+
+    These are active in the initial state, or were in a state of the QP before, or are missed by a
+    solution without them.
+    """
+    law = qp.friction
+    candidates: Bools = (start.active != 0) | np.isin(qp.bounded, linear.visited)
+    if law is not None:
+        candidates[law.normal[law.cohesion > 0.0]] = True
+    if not candidates.any() or linear.setup.preconditioner.schur is not None:
+        candidates[:] = True
+    while True:
+        last = linear.condensed
+        if not (isinstance(last, Condensed) and last.is_of(qp)):
+            last = None
+        part, some = select(qp, candidates | (False if last is None else last.holds(qp)))
+        try:
+            if last is None or not last.serves(part):
+                last = linear.condensed = Condensed(part, linear)
+            on = np.isin(qp.bounded, part.bounded)
+            begin = State(start.active[on], start.directions[some], start.stiffness[some])
+            small = last.select(part)
+            found = _find(small, last.dense, begin, rtol)
+        except (LinearSolveFailed, QPNotSolved, NoResistance):
+            if candidates.all():
+                raise
+            candidates[:] = True
+            continue
+        x = last.expand(found.x, found.q)
+        lower, upper = (qp if qp.scalars is None else moved(qp, found.q)).bounds()
+        beyond = np.maximum(x[qp.bounded] - upper, lower - x[qp.bounded])
+        beyond[on] = 0.0
+        if not (deepest := beyond.max(initial=0.0)) > 0.0:
+            break
+        candidates |= on | (x[qp.bounded] > upper - deepest) | (x[qp.bounded] < lower + deepest)
+    linear.beyond = last.dense.negative(found.state.held(small))
+    linear.visited = part.bounded[found.visited]
+    state = State(0 * start.active, 0.0 * start.directions, 0.0 * start.stiffness)
+    state.active[on] = found.state.active
+    state.directions[some], state.stiffness[some] = found.state.directions, found.state.stiffness
+    return replace(found, x=x, state=state)
+
+
+def _find(
+    qp: BoundQP, linear: Solver, start: State, rtol: float, guess: PETSc.Vec | None = None
+) -> _Found:
+    """Solve with friction or scalars.
+
+    Raises:
+        QPNotSolved: if no way converges.
+        NoResistance: if nothing resists a scalar.
+    """
+    border = None if qp.scalars is None else Bordered(qp, linear)
+    at: tuple[BoundQP, Solver] = qp, linear
+    if border is not None:
+        at = border.qp, border
+        rtol *= min(1.0, ratio(qp.b.norm(), border.qp.b.norm()))  # of the forces on x alone
+    visited = np.zeros(len(start.active), dtype=bool)
+
+    def touch(state: State) -> State:
+        state = state if border is None else border.touch(state)
+        visited[state.active != 0] = True
+        return state
+
+    x, state, before = at[0].b.duplicate(), touch(start), np.inf
+    left: Floats = np.zeros(0)
+    x.set(0.0)
+    if guess is not None:
+        x.array[: guess.local_size] = guess.array_r
+    for _ in range(LIMIT):
+        problem = HeldProblem(*at, x, rtol, touch)
+        outcome, how = _solve_law(problem, state)
+        state = outcome.state
+        ended = state, outcome.updates, how, visited
+        if border is None:
+            return _Found(x.array_r, np.zeros(0), *ended, None)
+        values, q = border.at(x.array_r)
+        if not border.rho.any() or border.is_met(q):
+            return _Found(values, q, *ended, border.resistance() + np.diag(border.proximal()))
+        left = border.force_of_term(q)
+        if not left.max() <= 0.5 * before:  # the load moves its tool on and on, or until it touches
+            border.share /= 16.0
+        if border.share < EPS:
+            break
+        before = left.max()
+        border.hold(None)
+    raise NoResistance(left)
+
+
+def _solve_law(problem: HeldProblem, start: State) -> tuple[Outcome[State], str]:
     """Solve with friction: by consistent linearisation, or else by iteration over given limits.
 
     Raises:
         QPNotSolved: if neither converges.
     """
-    problem = HeldProblem(qp, linear, x, rtol)
     outcome = _update_frictional(problem, start, LOOSE)
     if not outcome.reason:
-        return replace(problem.solution(outcome, "active-set"), linearisation=EXACT)
+        return outcome, EXACT
     try:
-        found = _solve_given(problem, problem.best.state if problem.best else State.holding(qp))
+        found = _solve_given(problem, problem.best.state if problem.best else start)
     except LinearSolveFailed:
         found = None
     if found is None:
         raise QPNotSolved(f"Active set with friction: {outcome.reason}")
-    return replace(found, linearisation=GIVEN)
+    return found, GIVEN
 
 
-def _solve_given(problem: HeldProblem, state: State) -> QPSolution | None:
+def _solve_given(problem: HeldProblem, state: State) -> Outcome[State] | None:
     """Solve for the friction limits of the last solution until they agree; None if they do not."""
     qp, law = problem.qp, problem.qp.friction
     assert law is not None
@@ -125,15 +252,15 @@ def _solve_given(problem: HeldProblem, state: State) -> QPSolution | None:
         pressing = np.where(state.active > 0, problem.z.array_r[qp.bounded], 0.0)
         limits = law.limit(pressing[law.normal])
         given = replace(law, coefficient=0.0 * limits, cohesion=limits)
-        problem = HeldProblem(replace(qp, friction=given), problem.linear, problem.x, problem.rtol)
+        at = problem.linear, problem.x, problem.rtol, problem.touch
+        problem = HeldProblem(replace(qp, friction=given), *at)
         convex = law.plane and qp.definite
         found = (descend if convex else _update_frictional)(problem, state, TIGHT)
         if found.reason:
             return None
         state = found.state
-        kkt = check(qp, problem.x, problem.z)
-        if kkt.satisfied(problem.rtol):
-            return replace(problem.solution(found, "active-set"), kkt=kkt)
+        if check(qp, problem.x, problem.z).satisfied(problem.rtol):
+            return found
     return None
 
 
@@ -150,7 +277,7 @@ def _update_frictional(problem: HeldProblem, start: State, level: int) -> Outcom
         try:
             hold = partial(problem.hold, worst=worst)
             outcome = update(hold, first, problem.qp.comm, level=level)
-            if not outcome.reason or law.plane:
+            if not outcome.reason:
                 return outcome
             first = problem.best.state if problem.best else start
         except LinearSolveFailed as error:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Quadratic program with bounds and friction: its data, its solution, the check of optimality."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, fields
 from functools import cached_property
 
@@ -11,8 +13,31 @@ import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm, ratio
-from dolfinx_mortar.arrays import ROUND_OFF, TINY, Actives, Bools, Floats, Ints
+from dolfinx_mortar.arrays import EPS, ROUND_OFF, TINY, Actives, Bools, Floats, Ints
 from dolfinx_mortar.qp.friction import Friction, Sliders
+
+
+@dataclass(frozen=True)
+class Scalars:
+    """Unknowns q (m,) beside x, with which bounds and right-hand side move; see `qp.scalars`.
+
+    They are lengths, of the size of the motions e q of what moves.
+    """
+
+    motions: Floats  # (m, n) e: bounds and rests of slips are those of x - e.q
+    loads: Floats  # (m,) F
+    columns: Floats  # (m, n) C = -d(b - A x)/dq
+    rows: Floats  # (m, n) R
+    block: Floats  # (m, m) Q
+    noise: Floats  # (m,) forces that count as zero
+    rtol: float  # of the forces on each
+
+    def sizes(self, qp: BoundQP) -> Floats:
+        """Return the largest stiffness of a node against each (m,), 0 for round-off; collective."""
+        parts = np.vstack([self.motions**2 * qp.stiffness, EPS * qp.stiffness])
+        tops = np.array(maximum(qp.comm, *parts.max(axis=1, initial=0.0)))
+        found = np.where(tops[:-1] > tops[-1], tops[:-1], 0.0)
+        return np.where(found > 0.0, found, np.abs(np.diag(self.block)))
 
 
 @dataclass(frozen=True)
@@ -38,6 +63,7 @@ class BoundQP:
     product: CongruentOperator | None = None  # A, where it is not formed but to be factorised
     near: PETSc.Mat | None = None  # definite, of which multigrid preconditions A as well
     extent: float = 0.0  # size of the coordinates whose differences the bounds are
+    scalars: Scalars | None = None  # on all ranks or on none
 
     @property
     def comm(self) -> MPI.Comm:
@@ -51,6 +77,13 @@ class BoundQP:
         lower[lower <= PETSc.NINFINITY] = -np.inf
         upper[upper >= PETSc.INFINITY] = np.inf
         return lower, upper
+
+    @property
+    def held(self) -> Ints:
+        """Owned unknowns with bounds or friction, ascending."""
+        law = self.friction
+        found = [] if law is None else [law.tangential[law.some]]
+        return np.unique(np.concatenate([self.bounded, *found])).astype(np.int32)
 
     @cached_property
     def diagonal(self) -> PETSc.Vec:
@@ -171,6 +204,8 @@ class QPSolution:
     linearisation: str = ""  # of friction
     changes: int | None = None  # unknowns in which the active set differs from the initial one
     definite: bool = True  # False if A was seen not to be so on the unknowns that were free
+    travel: Floats | None = None  # (m,) q, with which bounds, b and slips are those of `moved`
+    resistance: Floats | None = None  # (m, m) by which the forces on them resist q
 
 
 class QPNotSolved(RuntimeError):

@@ -119,7 +119,7 @@ class _Descent:
         problem, most = self.problem, most_solves(self.qp)
         for updates in range(1, most + 1):
             atol = problem.solve(self.state, self.level)
-            atol = max(atol, problem.linear.setup.operator.round_off(problem.x))
+            atol = max(atol, problem.linear.round_off(problem.x))
             if self.advance(atol):
                 continue
             if self.release(atol) == 0:

@@ -103,6 +103,15 @@ class Sliding:
         return np.asarray(limit[:, None] * d + self.stiffness[:, None] * across)
 
 
+def state_of(held: Ints, sliding: Sliding | None) -> bytes:
+    """Return what tells the matrices of two states apart, never empty."""
+    found = b"state" + held.tobytes()
+    if sliding is not None:
+        found += sliding.normal.tobytes() + sliding.direction.tobytes()
+        found += sliding.stiffness.tobytes()
+    return found
+
+
 @dataclass(frozen=True)
 class Sliders:
     """Primal-dual iterate on the nodes with friction."""

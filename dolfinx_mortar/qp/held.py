@@ -7,8 +7,10 @@ reaction of the law takes the place of 0.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Protocol
 
 from petsc4py import PETSc
 
@@ -27,7 +29,7 @@ from dolfinx_mortar.qp.bound_qp import (
     reaction,
 )
 from dolfinx_mortar.qp.friction import Friction, Sliding
-from dolfinx_mortar.qp.linear import LinearSolver
+from dolfinx_mortar.qp.linear import GoOn
 from dolfinx_mortar.qp.updates import LOOSE, TIGHT, Found, Outcome
 
 # Solves are this much more accurate than the check, whose scale may decrease meanwhile. Five plane
@@ -88,6 +90,13 @@ class State:
         acts = law.acts(self.active[law.normal] > 0)
         return np.asarray((acts & ~self.directions.any(axis=1))[:, None] & law.some)
 
+    def held(self, qp: BoundQP) -> Ints:
+        """Return the unknowns that are fixed, by active bounds and where nodes stick, ascending."""
+        found, law = qp.bounded[self.active != 0], qp.friction
+        if law is not None:
+            found = np.concatenate([found, law.tangential[self.sticks(law)]])
+        return np.sort(found)
+
     def towards(self, new: State, active: Bools, sides: Bools) -> State:
         """Return this state with that of bounds (k,) and nodes (m,) in the masks from another."""
         directions = np.where(sides[:, None], new.directions, self.directions)
@@ -103,6 +112,30 @@ class Best:
     error: float  # a force
 
 
+class Solver(Protocol):
+    """Solves linear systems with held unknowns; see `LinearSolver`."""
+
+    @property
+    def direct(self) -> bool:
+        """Tell whether it factorises."""
+
+    def round_off(self, x: PETSc.Vec) -> float:
+        """Return the round-off of A x; collective."""
+
+    def solve(
+        self,
+        b: PETSc.Vec,
+        x: PETSc.Vec,
+        held: Ints,
+        *,
+        atol: float,
+        z: PETSc.Vec | None = None,
+        sliding: Sliding | None = None,
+        go_on: GoOn | None = None,
+    ) -> PETSc.Vec:
+        """Solve for what is not held in place, return b - A x; collective."""
+
+
 class HeldProblem:
     """The QP with a given active set, for `updates.update`.
 
@@ -113,11 +146,19 @@ class HeldProblem:
 
     Args:
         x: (n,) in: initial guess; out: the last solution.
+        touch: what a state has to be changed to before it is solved.
     """
 
-    def __init__(self, qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, rtol: float) -> None:
+    def __init__(
+        self,
+        qp: BoundQP,
+        linear: Solver,
+        x: PETSc.Vec,
+        rtol: float,
+        touch: Callable[[State], State] | None = None,
+    ) -> None:
         self.qp, self.linear, self.x, self.rtol = qp, linear, x, rtol
-        self.bounds = qp.bounds()
+        self.touch = touch or self.stay
         self.z = reaction(qp, x)
         self.guessed = self.z.norm()
         self.reactions: float | None = None  # at the bounds; unknown before the first solve
@@ -125,6 +166,16 @@ class HeldProblem:
         self.level = LOOSE  # of the last solve
         self.asked = np.inf  # its tolerance
         self._checked: tuple[PETSc.Vec, KKT] | None = None  # z of the last check, its residuals
+
+    @property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Lower and upper bounds (k,)."""
+        return self.qp.bounds()
+
+    @staticmethod
+    def stay(state: State) -> State:
+        """Return the state as it is."""
+        return state
 
     @property
     def continued(self) -> bool:
@@ -157,7 +208,7 @@ class HeldProblem:
             return Found(state, 0, satisfied=True)
         law = self.qp.friction
         found = on_bounded(self.qp, self.x, self.z)
-        atol = max(atol, self.linear.setup.operator.round_off(self.x))
+        atol = max(atol, self.linear.round_off(self.x))
         new = State(found.predicted(), state.directions, state.stiffness)
         strength = found.strength(state.active, new.active)
         changes = int((strength > atol).sum())
@@ -174,6 +225,7 @@ class HeldProblem:
             if worst:
                 new = state.towards(new, strength >= largest, missing >= largest)
         changes = int(self.qp.comm.allreduce(changes))
+        new = self.touch(new)
         satisfied = changes == 0 and self.level >= TIGHT and self._is_accurate(self.level)
         if self.continued and self.level >= TIGHT and changes == 0 and not satisfied:
             # more digits of the same set would not help where weakly active unknowns are wrong

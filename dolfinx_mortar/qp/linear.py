@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import LinAlgError
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.arrays import EPS, LIMIT, QUARTER_OF_DIGITS, ROUND_OFF, Ints
+from dolfinx_mortar.arrays import EPS, LIMIT, QUARTER_OF_DIGITS, ROUND_OFF, Floats, Ints
 from dolfinx_mortar.qp.friction import Sliding
 from dolfinx_mortar.qp.multigrid import Unknowns
 from dolfinx_mortar.qp.negative_eigenvalues import (
@@ -146,6 +146,9 @@ class LinearSolver:
         self._setups: dict[bool, MatrixSetup] = {}  # by whether the matrix is definite
         self._kind = True  # of the present matrix
         self._order = 0  # of the last matrix, 0 before any
+        self.beyond = 0  # negative eigenvalues of the last condensed matrix, see `dense`
+        self.visited: Ints = np.zeros(0, dtype=np.int32)  # bounded unknowns of the QP before
+        self.condensed: object = None  # the last `dense.Condensed`, for QPs of the same matrix
 
     @property
     def _setup(self) -> MatrixSetup | None:
@@ -311,7 +314,7 @@ class LinearSolver:
             return 0
         multigrid = self._setup.preconditioner.multigrid
         if multigrid is None:
-            return negative_pivots(self._setup.preconditioner.pc)
+            return negative_pivots(self._setup.preconditioner.pc) + self.beyond
         if multigrid.negative and self._operator.held is not None:
             self.factorise(self._operator.held)  # an old one is of another matrix
         return multigrid.negative
@@ -326,6 +329,10 @@ class LinearSolver:
     def _operator(self) -> Operator:
         return self.setup.operator
 
+    def round_off(self, x: PETSc.Vec) -> float:
+        """Return the round-off of A x, see `Operator.round_off`; collective."""
+        return self._operator.round_off(x)
+
     def factorise(self, held: Ints) -> None:
         """Factorise A with these unknowns held, unless that is the present one (collective).
 
@@ -335,6 +342,7 @@ class LinearSolver:
         self._operator.hold(held)
         if self.setup.preconditioner.is_of(held):
             return
+        self.beyond = 0
         begin = perf_counter()
         failure = self.setup.preconditioner.renew(held, self.counts)
         self.counts.seconds_factor += perf_counter() - begin
@@ -366,8 +374,24 @@ class LinearSolver:
             return meets_negative_curvature(setup.operator, setup.ksp.getPC(), setup.max_iterations)
         self.factorise(held)
         if counts_pivots(setup.preconditioner.pc):
-            return negative_pivots(setup.preconditioner.pc) > 0
+            return negative_pivots(setup.preconditioner.pc) + self.beyond > 0
         return count_negative(setup.operator.matrix) > 0
+
+    def solve_many(self, right: Floats) -> Floats:
+        """Return A^-1 right for rows (r, n) by the present factorisation, on one rank."""
+        begin, shape = perf_counter(), right.shape[::-1]
+        given = PETSc.Mat().createDense(shape, comm=PETSc.COMM_SELF)
+        given.setUp()
+        given.getDenseArray()[:] = right.T
+        given.assemble()
+        found = given.duplicate()
+        found.assemble()
+        self.setup.preconditioner.pc.getFactorMatrix().matSolve(given, found)
+        result = found.getDenseArray(readonly=True).T.copy()
+        given.destroy()
+        found.destroy()
+        self.counts.seconds_solve += perf_counter() - begin
+        return result
 
     def apply(self, r: PETSc.Vec, x: PETSc.Vec) -> None:
         """Apply the present factorisation or preconditioner once: x = F^-1 r."""

@@ -39,15 +39,15 @@ _at = ctypes.byref
 def set_apart(qp: BoundQP, options: SolverOptions) -> Ints | None:
     """Return the unknowns that a factorisation may leave for last; None for an ordinary one.
 
-    These are the bounded ones, and those of C if A is a product, ascending, on one rank, without
-    friction (which holds others, too), if S has no more entries than A, and if PETSc's library
-    shows the function.
+    These are those with bounds or friction, and those of C if A is a product, ascending, on one
+    rank, without scalars, if S has no more entries than A, and if PETSc's library shows the
+    function.
     """
-    if qp.friction is not None or not qp.definite:
+    if qp.scalars is not None or not qp.definite:
         return None
     if qp.product is not None:
         return interface_unknowns(qp.product.K, qp.product.C, options)
-    return _few(qp.A, np.sort(qp.bounded), options)
+    return _few(qp.A, qp.held, options)
 
 
 def interface_unknowns(K: PETSc.Mat, C: PETSc.Mat | None, options: SolverOptions) -> Ints | None:

@@ -2,13 +2,14 @@
 """Solve a bound-constrained QP with a backend chosen by name, and check the solution."""
 
 from dataclasses import replace
+from functools import partial
 
 from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx_mortar.arguments import is_name
-from dolfinx_mortar.arrays import Actives, Floats
+from dolfinx_mortar.arrays import Actives, Floats, Ints
 from dolfinx_mortar.qp import active_set, interior_point
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check, validate
 from dolfinx_mortar.qp.held import State, nearest
@@ -43,6 +44,15 @@ def check_friction(backend: str, friction: bool) -> None:
     if friction and backend != ACTIVE_SET:
         raise ValueError(
             f"qp is {backend!r}, which is for bounds only: with friction choose {ACTIVE_SET!r}"
+        )
+
+
+def check_scalars(backend: str, scalars: bool) -> None:
+    """Raise ValueError if forces drive tools or sides, and a backend is for bounds only."""
+    if scalars and backend != ACTIVE_SET:
+        raise ValueError(
+            f"qp is {backend!r}, which is for bounds only: with tools or sides that forces drive "
+            f"choose {ACTIVE_SET!r}"
         )
 
 
@@ -88,13 +98,14 @@ def solve(
     if not isinstance(qp, BoundQP):
         raise ValueError(f"qp is {qp!r}: give a BoundQP")
     check_friction(backend, qp.friction is not None)
+    check_scalars(backend, qp.scalars is not None)
     if backend == INTERIOR_POINT and not qp.definite:
         raise ValueError(
             f"qp is {backend!r}, which needs a symmetric positive definite matrix: choose "
             f"{ACTIVE_SET!r}"
         )
     validate(qp)
-    if (trivial := _nothing_to_do(qp, backend)) is not None:
+    if qp.scalars is None and (trivial := _nothing_to_do(qp, backend)) is not None:
         return trivial
     if linear is None:
         linear = LinearSolver(qp.comm, prefix="dolfinx_mortar_qp_")
@@ -102,25 +113,15 @@ def solve(
     start = _possible(qp, start)
     before = replace(linear.counts)
     try:
+        first = State.create(qp, start, start_sliding, start_kappa)
+        run = partial(_run, qp, backend, linear, first, changes, rtol, guess)
         apart = set_apart(qp, linear.options) if backend == ACTIVE_SET else None
-        if apart is None and qp.product is not None:  # another method needs the matrix itself
-            qp = replace(qp, A=qp.A.duplicate(copy=True), product=None)
-        bounded = np.sort(qp.bounded)
-        linear.set_matrix(
-            qp.A,
-            definite=qp.definite,
-            apart=apart,
-            product=qp.product,
-            bounded=bounded,
-            near=qp.near,
-        )
-        if backend == INTERIOR_POINT:
-            solution = interior_point.solve(qp, linear, rtol=rtol)
-        else:
-            first = State.create(qp, start, start_sliding, start_kappa)
-            solution = active_set.solve(
-                qp, linear, start=first, changes=changes, rtol=rtol, guess=guess
-            )
+        try:
+            solution = run(apart)
+        except np.linalg.LinAlgError:  # an indefinite matrix has no Schur complement
+            if apart is None:
+                raise
+            solution = run(None)
     except FAILURES as error:
         if not isinstance(error, LinearSolveFailed):
             linear.abandon()
@@ -138,6 +139,32 @@ def solve(
             solution,
         )
     return solution
+
+
+def _run(
+    qp: BoundQP,
+    backend: str,
+    linear: LinearSolver,
+    start: State,
+    changes: int | None,
+    rtol: float,
+    guess: PETSc.Vec | None,
+    apart: Ints | None,
+) -> QPSolution:
+    """Solve by a backend; the unknowns that a factorisation leaves for last, None for none."""
+    if apart is None and qp.product is not None:  # another method needs the matrix itself
+        qp = replace(qp, A=qp.A.duplicate(copy=True), product=None)
+    linear.set_matrix(
+        qp.A,
+        definite=qp.definite,
+        apart=apart,
+        product=qp.product,
+        bounded=qp.held,
+        near=qp.near,
+    )
+    if backend == INTERIOR_POINT:
+        return interior_point.solve(qp, linear, rtol=rtol)
+    return active_set.solve(qp, linear, start=start, changes=changes, rtol=rtol, guess=guess)
 
 
 def _cause(error: Exception, linear: LinearSolver) -> str:

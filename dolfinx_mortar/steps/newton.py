@@ -16,10 +16,13 @@ motion of the surfaces is linearised, too, where that saves iterations (`Watch.i
 balance at finite strain, and where the fixed point fails; then Newton's method is quadratic.
 """
 
+from __future__ import annotations
+
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -69,7 +72,7 @@ from dolfinx_mortar.newton_method.watch import (
     normal_forces,
     tangential_forces,
 )
-from dolfinx_mortar.persistence.committed import Before, StepOutcome
+from dolfinx_mortar.persistence.committed import Before, Gained, StepOutcome
 from dolfinx_mortar.problem.checks import check_controls, check_problem
 from dolfinx_mortar.problem.jumps import TooFar, tighten
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -90,6 +93,8 @@ from dolfinx_mortar.terms.inertia import Inertia
 from dolfinx_mortar.terms.sum import Energy, VolumeStep
 
 log = logging.getLogger(__name__)
+
+FAILED = failures.StepFailed, backends.QPNotSolved, backends.UnusableQP
 
 # Relative residual of forces below which an indefinite tangent is used as it is, see `linearise`.
 # With shifted ones it stays above 3e-3 and 6e-3 where a cube of metal of 4^3 cells is pressed to
@@ -176,17 +181,16 @@ def solve_step(
     problem.go_back()
     last = problem.ended_here()
     before, earlier = Before(problem.state, problem.outcome), dict(problem.timings.seconds)
-    step: _Step | None = None
+    tries = _Tries(linear)
     try:
         with problem.timings("total"), from_callbacks():
             try:
-                data = problem.begin_step(level, audit=audit)
-                step = _Step(problem, report, data, overlap, linear)
-                step.run(max_it)
+                step = _solve(problem, report, tries, before, max_it, (level, audit, overlap))
                 assert problem.outcome is not None
                 start = before if last is None or last.before is None else last.before
-                problem.outcome = replace(problem.outcome, level=level, before=start)
-            except (failures.StepFailed, backends.QPNotSolved, backends.UnusableQP) as error:
+                gained = step.gained(level)
+                problem.outcome = replace(problem.outcome, level=level, before=start, gained=gained)
+            except FAILED as error:
                 reached = problem.u.x.array.copy()
                 problem.undo(before)
                 problem.raise_failed()  # the cause
@@ -200,7 +204,7 @@ def solve_step(
                 raise
     finally:
         report.seconds = problem.timings.since(earlier)
-        solver = linear if step is None else step.solver
+        solver = tries.solver if tries.last is None else tries.last.solver
         report.linear_solver += solver.description  # to those that another one took over from
         unread = [option for option in linear.options.unread() if option in solver.options.unread()]
         if report.converged and unread:
@@ -210,6 +214,40 @@ def solve_step(
             )
         report.notes += [note for note in problem.system.notes if note not in report.notes]
     return report
+
+
+@dataclass
+class _Tries:
+    """The linear solver of a step, and what has been made of the step last."""
+
+    solver: LinearSolver
+    last: _Step | None = None
+
+
+def _solve(
+    problem: ContactProblem,
+    report: StepReport,
+    tries: _Tries,
+    before: Before,
+    max_it: int,
+    how: tuple[float | None, bool, float],
+) -> _Step:
+    """Solve a step from where the last one promises; if that fails, without; collective."""
+    level, audit, overlap = how
+    predict = not any(isinstance(term, Inertia) for _, term in problem.terms.named)
+    for predicted in (predict, False):
+        data = problem.begin_step(level, audit=audit, predict=predicted)
+        step = tries.last = _Step(problem, report, data, overlap, tries.solver)
+        try:
+            step.run(max_it)
+        except (*FAILED, NewtonNotConverged):
+            if data.travel is None:
+                raise
+            problem.undo(before)
+            report.begin_anew()
+        else:
+            break
+    return step
 
 
 @dataclass(frozen=True)
@@ -266,7 +304,7 @@ class _Step:
         solver: LinearSolver,
     ) -> None:
         self.problem, self.report, self.data, self.overlap = problem, report, data, overlap
-        self.linear, self.solver = problem.terms.linear, solver
+        self.solver = solver
         if solver.direct:  # a step that was tried has left another factorisation
             solver.forget(keep_definite=self.linear)
         self.direction = fem.Function(problem.V)  # du, for its norm
@@ -275,6 +313,12 @@ class _Step:
         self.start = problem.owned_u.copy()
         self.expected = np.nan  # norm of the first step
         self.stiffness: Floats | None = None  # of driven tools, found by the last iteration
+        self.travel = np.zeros(0) if data.travel is None else data.travel  # of driven tools
+
+    @property
+    def linear(self) -> bool:
+        """Whether all laws and terms are."""
+        return bool(self.problem.terms.linear)
 
     @property
     def may_be_exact(self) -> bool:
@@ -296,6 +340,14 @@ class _Step:
         """Whether tools are driven by forces, and move in every iteration."""
         return any(interface.driven() is not None for interface in self.problem.interfaces)
 
+    def gained(self, level: float | None) -> Gained | None:
+        """Return what the iterations have added, at the end of a step to a level."""
+        now = self.problem.committed.level
+        if level is None or level == now:
+            return None
+        by = self.problem.owned_u - self.data.begun
+        return Gained(by, self.travel, level - now)
+
     def run(self, max_it: int) -> None:
         """Iterate until convergence; set the results and the certificate."""
         problem = self.problem
@@ -303,13 +355,21 @@ class _Step:
         iterate, start = self.first()
         begun, residuals = iterate, list[Residuals]()
         for number in range(1, max_it + 1):
+            place, old = self.place(), iterate
             try:
                 iterate, watch, residual = self.iterate(number, iterate, start, watch, residuals)
             except failures.StepFailed as error:
                 raise self.told(error, iterate) from error
-            residuals.append(residual)
             if problem.comm.rank == 0:
                 log.info("%s", self.report.iterations[-1])
+            if self.leads_away(residual, residuals):
+                self.go_back(place)
+                iterate = replace(old, balance=self.balance(old.contacts))
+                watch = replace(watch, barred=DIGIT * self.missed(residuals[-1]), exact=False)
+                start = iterate.start
+                residuals.append(residuals[-1])
+                continue
+            residuals.append(residual)
             if residual.excess <= 1.0:
                 if self.geometry_is_complete():
                     self.check_passing()
@@ -319,6 +379,27 @@ class _Step:
             start = iterate.start
         end = failures.StepFailed(f"Newton did not converge in max_it={max_it} iterations")
         raise self.told(end, iterate)
+
+    def leads_away(self, residual: Residuals, residuals: list[Residuals]) -> bool:
+        """Tell whether the last iteration, with the exact tangent, has raised the residual."""
+        if not self.report.iterations[-1].exact_tangent or residual.excess <= 1.0:
+            return False
+        return not self.missed(residual) <= self.missed(residuals[-1])
+
+    def place(self) -> tuple[Floats, list[Any], tuple[Any, ...]]:
+        """Return where the iterate is, for `go_back`."""
+        kept = [interface.keep() for interface in self.problem.interfaces]
+        how = self.shifted, self.negative, self.stiffness, self.travel
+        return self.problem.owned_u.copy(), kept, how
+
+    def go_back(self, place: tuple[Floats, list[Any], tuple[Any, ...]]) -> None:
+        """Undo the last iteration; collective."""
+        u, kept, (self.shifted, self.negative, self.stiffness, self.travel) = place
+        self.problem.owned_u[:] = u
+        self.problem.u.x.scatter_forward()
+        for interface, before in zip(self.problem.interfaces, kept, strict=True):
+            interface.put_back(before)
+        self.problem.follow_geometry()
 
     def told(self, error: failures.StepFailed, last: Iterate) -> failures.StepFailed:
         """Return the error with causes that tools and corners may be; collective.
@@ -473,7 +554,9 @@ class _Step:
         volumes = problem.solid.volume_step(self.as_function(du))
         length, halvings, energy = self.move(found, du, largest, old, volumes)
         if found.driven is not None:
-            found.driven.drives.move(length * found.driven.travel)
+            moved = length * found.driven.travel
+            self.travel = self.travel + moved if len(self.travel) else moved
+            found.driven.drives.move(moved)
         pressure = None if volumes is None else volumes.pressure_at(length)
         return _Moved(du, length, halvings, energy, pressure)
 
@@ -507,22 +590,31 @@ class _Step:
         self, lin: Linearisation, solved: QPSolution, old: Iterate
     ) -> tuple[Linearisation, QPSolution, driven_tools.Settled | None]:
         """Return the QP in which tools carry their loads, its solution, and their motions."""
+        if solved.travel is None:
+            return lin, solved, None
+        drives = self.drives(old)
+        assert drives is not None
+        found = driven_tools.settle(drives, lin, solved, old.scales.extent)
+        self.stiffness = found.stiffness
+        return found.lin, found.solved, found
+
+    def drives(self, old: Iterate) -> driven_tools.Drives | None:
+        """Return the motions of the tools that forces drive, at an iterate; collective."""
         given = None if old.balance.friction is None else old.contacts.multipliers
         known = None if given is None else old.balance.known(given)
         drives = driven_tools.find_drives(self.problem, known)
+        inertia = any(isinstance(term, Inertia) for _, term in self.problem.terms.named)
+        if drives is not None and inertia:
+            drives.check_gaps(old.balance, old.contacts.active, old.scales.facet_length)
+        return drives
+
+    def with_scalars(self, lin: Linearisation, old: Iterate) -> Linearisation:
+        """Return the QP with the motions of tools as unknowns; collective."""
+        drives = self.drives(old)
         if drives is None:
-            return lin, solved, None
-        if any(isinstance(term, Inertia) for _, term in self.problem.terms.named):
-            drives.check_gaps(lin.balance, old.contacts.active, old.scales.facet_length)
-        rtol = DIGIT * self.report.rtol
-
-        def again(at: Linearisation) -> QPSolution:
-            return self.solve(at, solved.active, old, tightest(self.report.rtol))
-
-        at = self.stiffness, old.scales.begun, old.scales.extent
-        found = driven_tools.settle(drives, lin, again, rtol, *at)
-        self.stiffness = found.stiffness
-        return found.lin, found.solved, found
+            return lin
+        at = lin, DIGIT * self.report.rtol, old.scales.begun
+        return replace(lin, qp=replace(lin.qp, scalars=driven_tools.as_scalars(drives, *at)))
 
     def linearise(
         self,
@@ -597,7 +689,7 @@ class _Step:
             pressure=old.pressure,
             linear=self.solver,
         )
-        self.shifted = k
+        self.shifted, lin = k, self.with_scalars(lin, old)
         return lin, self.solve(lin, start, old, accuracy(lin))
 
     def is_loose(
@@ -696,6 +788,7 @@ class _Step:
         at = self.problem, old.balance, self.data.partners
         pressure, solver = old.pressure, self.solver
         lin = linearise_all(*at, *given, tangent=tangent, pressure=pressure, linear=solver)
+        lin = self.with_scalars(lin, old)
         rtol = self.accuracy(lin, watch, residuals)
         try:
             solved = first = self.solve(lin, start, old, rtol)
@@ -751,19 +844,28 @@ class _Step:
             # Where it slides, diag(A) is a hundred times too large: a ball dragged over a block (50
             # thousand unknowns) had eigenvalues with a negative real part, and GMRES stood still.
             kappa = old.contacts.kappa(limits)
+        if lin.qp.scalars is not None:
+            rtol = min(rtol, tightest(self.report.rtol))  # they are met by each QP
         with self.problem.timings("linear_solves"):
-            solved = backends.solve(
-                lin.qp,
-                self.report.backend,
-                self.solver,
-                start_active=start,
-                start_sliding=old.contacts.directions(limits),
-                start_kappa=kappa,
-                # a linear law has its set after the first QP: geometries change it hardly
-                changes=0 if self.linear and old.changes is not None else old.changes,
-                guess=guess,
-                rtol=rtol,
-            )
+            try:
+                solved = backends.solve(
+                    lin.qp,
+                    self.report.backend,
+                    self.solver,
+                    start_active=start,
+                    start_sliding=old.contacts.directions(limits),
+                    start_kappa=kappa,
+                    # a linear law has its set after the first QP: geometries change it hardly
+                    changes=0 if self.linear and old.changes is not None else old.changes,
+                    guess=guess,
+                    rtol=rtol,
+                )
+            except backends.NoResistance as error:
+                drives = self.drives(old)
+                assert drives is not None
+                raise driven_tools.unresisted(drives, lin, error.which) from error
+        if solved.travel is not None:  # see `driven_tools.settle`
+            return solved
         # supports and ties are satisfied exactly, also by an iterative solver
         equal = lin.balance.equal
         solved.x.array[equal.dofs] = equal.upper

@@ -1,0 +1,329 @@
+# SPDX-License-Identifier: MIT
+"""Scalar unknowns of a QP, such as the motions of rigid tools that forces drive.
+
+Unknowns x_j that are measured from tools are w_j = x_j - e_j.q, so that bounds and slips of w do
+not depend on the motions q (m,). With the reactions z = b - C q - A x the rows of q are
+
+    F - R x - Q q + e.z = 0,
+
+where C, R and Q are of nodes that follow a rigid side and have been eliminated. In (w, q) all this
+is one QP with the same bounds: its matrix has the rows A x + C q and R x + Q q + e.(A x + C q).
+Where q is free in a state, as of a plate on one node, a proximal term rho (q - q_0) holds it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import (
+    HALF_OF_DIGITS,
+    LIMIT,
+    QUARTER_OF_DIGITS,
+    ROUND_OFF,
+    SAME,
+    TINY,
+    Floats,
+    Ints,
+)
+from dolfinx_mortar.qp.bound_qp import BoundQP, Scalars
+from dolfinx_mortar.qp.friction import Friction, Sliding, state_of
+from dolfinx_mortar.qp.held import Solver, State
+
+
+class NoResistance(RuntimeError):
+    """Nothing resists the load of a scalar.
+
+    Attributes:
+        which: (m,) how much of each is not resisted.
+    """
+
+    def __init__(self, which: Floats) -> None:
+        super().__init__("nothing resists the load of a scalar unknown")
+        self.which = which
+
+
+def moved(qp: BoundQP, q: Floats) -> BoundQP:
+    """Return the QP of x for given scalars q (m,)."""
+    scalars = qp.scalars
+    assert scalars is not None
+    way, upper, b, law = q @ scalars.motions, qp.upper.copy(), qp.b.copy(), qp.friction
+    lower = qp.lower.copy()
+    for bound, none in ((upper, PETSc.INFINITY), (lower, PETSc.NINFINITY)):
+        some = qp.bounded[bound.array_r[qp.bounded] != none]
+        bound.array[some] += way[some]
+    b.array[:] -= q @ scalars.columns
+    if law is not None:
+        law = replace(law, rest=law.rest + law.pick(way))
+    return replace(qp, b=b, lower=lower, upper=upper, friction=law, scalars=None)
+
+
+class Bordered:
+    """A QP with scalars as one in (w, q), and the solver of its linear systems.
+
+    The last rank has q after its part of w. With x for given q from the solver of A, and the
+    solutions X of its homogeneous equations for unit q, q is the solution of m equations.
+
+    Attributes:
+        qp: the QP in (w, q).
+        share: of the stiffness of nodes, that of the proximal term.
+        rho: (m,) of the term, zero where a state resists.
+        centre: (m,) its q_0.
+    """
+
+    def __init__(self, inner: BoundQP, linear: Solver) -> None:
+        self.inner, self.linear = inner, linear
+        self.rho, self.centre = np.zeros((2, len(self.scalars.loads)))
+        self.share = QUARTER_OF_DIGITS
+        self.weights = self.scalars.sizes(inner)
+        if not self.weights.all():
+            raise NoResistance((self.weights == 0.0).astype(np.float64))
+        self._X = np.zeros_like(self.scalars.motions)
+        self._state, self._stiffness = b"", np.zeros_like(self.scalars.block)
+        self._last: tuple[Ints, Sliding | None] = np.zeros(0, np.int32), None
+        law = inner.friction or no_friction()
+        size = inner.b.getLocalSize() + self.last
+        A = PETSc.Mat().createPython([(size, None)] * 2, self, inner.b.comm)
+        b, lower, upper = A.createVecRight(), A.createVecRight(), A.createVecRight()
+        none = np.full_like(self.rho, PETSc.INFINITY)
+        b.array[:] = self.join(inner.b.array_r, self._loads())
+        lower.array[:] = self.join(inner.lower.array_r, -none)
+        upper.array[:] = self.join(inner.upper.array_r, none)
+        definite = inner.definite and self._is_symmetric()
+        bounds = lower, upper, inner.bounded, law
+        self.qp = BoundQP(A, b, *bounds, definite=definite, extent=inner.extent)
+
+    @property
+    def scalars(self) -> Scalars:
+        """The data of q."""
+        assert self.inner.scalars is not None
+        return self.inner.scalars
+
+    @property
+    def comm(self) -> MPI.Comm:
+        """The ranks."""
+        return self.inner.comm
+
+    @property
+    def last(self) -> int:
+        """How many of q this rank has."""
+        return len(self.scalars.loads) if self.comm.rank == self.comm.size - 1 else 0
+
+    def join(self, w: Floats, q: Floats) -> Floats:
+        """Return this rank's part of (w, q)."""
+        return np.concatenate([w, q[: self.last]])
+
+    def split(self, values: Floats) -> tuple[Floats, Floats]:
+        """Return w (n,) and q (m,) of this rank's part of a vector; collective."""
+        n = len(values) - self.last
+        return values[:n], self.comm.bcast(values[n:], root=self.comm.size - 1)
+
+    def at(self, values: Floats) -> tuple[Floats, Floats]:
+        """Return x (n,) and q (m,); collective."""
+        w, q = self.split(values)
+        return w + q @ self.scalars.motions, q
+
+    def _sum(self, values: Floats) -> Floats:
+        return np.asarray(self.comm.allreduce(values, op=MPI.SUM))
+
+    def _is_symmetric(self) -> bool:
+        """Tell whether the matrix of (w, q) is, but for round-off; collective."""
+        given = self.scalars
+        off = np.abs(given.rows - given.columns).max(initial=0.0)
+        tops = maximum(self.comm, off, np.abs(given.rows).max(initial=0.0))
+        block = np.abs(given.block - given.block.T).max() <= SAME * np.abs(given.block).max()
+        return bool(block and tops[0] <= SAME * tops[1])
+
+    def _loads(self) -> Floats:
+        """Return the right-hand side of the rows of q; collective."""
+        own = self.scalars.motions @ self.inner.b.array_r
+        return self.scalars.loads + self._sum(own) + self.rho * self.centre
+
+    # -- the matrix, called by PETSc -------------------------------------------------------------
+
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Set y to the product with (w, q)."""
+        at, q = self.at(x.array_r)
+        given, product = self.inner.b.duplicate(), self.inner.b.duplicate()
+        given.array[:] = at
+        self.inner.A.mult(given, product)
+        top = product.array_r + q @ self.scalars.columns
+        below = self._sum(self.scalars.rows @ at + self.scalars.motions @ top)
+        y.array[:] = self.join(top, below + self.scalars.block @ q + self.rho * q)
+
+    def getDiagonal(self, mat: PETSc.Mat, y: PETSc.Vec) -> None:
+        """Set y to the diagonal of A, and to the weights of the scalars."""
+        y.array[:] = self.join(self.inner.diagonal.array_r, self.weights)
+
+    # -- the solver, see `held.Solver` -----------------------------------------------------------
+
+    @property
+    def direct(self) -> bool:
+        """Tell whether the solver of A is."""
+        return self.linear.direct
+
+    def round_off(self, x: PETSc.Vec) -> float:
+        """Return that of A x."""
+        at = self.inner.b.duplicate()
+        at.array[:] = self.at(x.array_r)[0]
+        return self.linear.round_off(at)
+
+    def solve(
+        self,
+        b: PETSc.Vec,
+        x: PETSc.Vec,
+        held: Ints,
+        *,
+        atol: float,
+        z: PETSc.Vec | None = None,
+        sliding: Sliding | None = None,
+        go_on: object = None,
+    ) -> PETSc.Vec:
+        """Solve for what is not held, in place; see `LinearSolver.solve`; collective."""
+        at, q = self.at(x.array_r)
+        y, right, E = self.inner.b.duplicate(), self.inner.b.duplicate(), self.scalars.motions
+        y.array[:] = at
+        before, missing, self._last = np.inf, 0.0 * q, (held, sliding)
+        for _ in range(LIMIT):
+            y.array[held] = x.array_r[held] + (q @ E)[held]
+            right.array[:] = self.inner.b.array_r - q @ self.scalars.columns
+            law = None if sliding is None else _shifted(sliding, q @ E, 1.0)
+            found = self.linear.solve(right, y, held, atol=atol, sliding=law).array_r.copy()
+            missing, size = self._missing(y.array_r, found, q)
+            least = np.maximum(self.scalars.noise, ROUND_OFF * size)
+            least = np.maximum(np.minimum(atol, self.scalars.rtol * size), least)
+            worst = float((np.abs(missing) / np.maximum(least, TINY)).max())
+            if worst <= 1.0 or not worst < before:
+                break
+            before = worst
+            step = self._step(q, missing)
+            y.array[:] += step @ self._X
+            q = q + step
+        x.array[:] = self.join(y.array_r - q @ E, q)
+        result = x.duplicate()
+        result.array[:] = self.join(found, missing)
+        return result
+
+    def _missing(self, x: Floats, z: Floats, q: Floats) -> tuple[Floats, Floats]:
+        """Return F - R x - Q q + e.z (m,), and the sizes of the forces in it; collective."""
+        parts = self.scalars.motions * z - self.scalars.rows * x
+        total, size = self._sum(np.stack([parts.sum(axis=1), np.abs(parts).sum(axis=1)]))
+        size = np.maximum(size, np.abs(self.scalars.loads))
+        spring = self.rho * (self.centre - q)
+        return self.scalars.loads + total - self.scalars.block @ q + spring, size
+
+    def resistance(self) -> Floats:
+        """Return what resists q in the last state (m, m), -d(F - R x - Q q + e.z)/dq; collective.
+
+        It is made with dx/dq and dz/dq (m, n).
+        """
+        held, sliding = self._last
+        state = state_of(held, sliding)
+        if not self.comm.allreduce(state == self._state, op=MPI.LAND):
+            self._state = state
+            Z, E, R = np.zeros_like(self._X), self.scalars.motions, self.scalars.rows
+            for a in range(len(Z)):
+                self._X[a], Z[a] = self._column(a, held, sliding)
+            self._stiffness = self._sum(R @ self._X.T - E @ Z.T) + self.scalars.block
+        return self._stiffness
+
+    def _column(self, a: int, held: Ints, sliding: Sliding | None) -> tuple[Floats, Floats]:
+        """Return dx/dq_a (n,) and dz/dq_a (n,); collective."""
+        right, y = self.inner.b.duplicate(), self.inner.b.duplicate()
+        right.array[:] = -self.scalars.columns[a]
+        y.array[held] = self.scalars.motions[a][held]
+        law = None if sliding is None else _shifted(sliding, self.scalars.motions[a], 0.0)
+        z = right.copy()
+        self.inner.A.mult(y, z)
+        z.aypx(-1.0, right)
+        size = z.norm()
+        if size > 0.0 or law is not None:
+            values = y.array_r[held].copy()
+            y.array[:] = self._X[a]  # of another state, a guess
+            y.array[held] = values
+            atol = HALF_OF_DIGITS * max(size, np.sqrt(TINY))
+            z = self.linear.solve(right, y, held, atol=atol, sliding=law)
+        return y.array_r.copy(), z.array_r.copy()
+
+    def _step(self, q: Floats, missing: Floats) -> Floats:
+        """Return the change of q (m,) that meets what is missing (m,)."""
+        if not self.rho.any() and self.proximal().any():
+            self.hold(q)
+        scale = 1.0 / np.sqrt(self.weights)
+        relative = (self.resistance() + np.diag(self.rho)) * np.outer(scale, scale)
+        return np.asarray(scale * np.linalg.solve(relative, scale * missing))
+
+    def proximal(self) -> Floats:
+        """Return the rho (m,) that the last state needs, zero where it resists; collective."""
+        if self.rho.any():
+            return self.rho
+        scale = 1.0 / np.sqrt(self.weights)
+        relative = self.resistance() * np.outer(scale, scale)
+        singular = np.linalg.svd(relative, compute_uv=False).min() <= HALF_OF_DIGITS
+        return self.share * singular * self.weights
+
+    def hold(self, q: Floats | None) -> None:
+        """Add a proximal term about q, none for None."""
+        self.rho = 0.0 * self.rho if q is None else self.proximal()
+        self.centre = 0.0 * self.rho if q is None else q.copy()
+        self.qp.b.array[self.inner.b.getLocalSize() :] = self._loads()[: self.last]
+
+    # -- states ----------------------------------------------------------------------------------
+
+    def touch(self, state: State) -> State:
+        """Return the state with a node closed of each tool that touches nothing; collective.
+
+        It is the node whose gap the load closes first.
+
+        Raises:
+            NoResistance: if no node can close.
+        """
+        qp, E = self.inner, self.scalars.motions[:, self.inner.bounded]
+        upper, active = qp.bounds()[1], state.active
+        for a, load in enumerate(self.scalars.loads):
+            e = E[a]
+            acts = [e.any(), (e[active > 0] != 0.0).any()]
+            if self.comm.allreduce(np.array(acts, dtype=int), op=MPI.SUM).tolist()[1] or not (
+                self.comm.allreduce(int(acts[0]))
+            ):
+                continue
+            closing = -np.sign(load) * e
+            can = (closing > 0.0) & np.isfinite(upper)
+            gap = np.divide(upper, closing, out=np.full(len(e), np.inf), where=can)
+            least = float(gap.min(initial=np.inf))
+            first, rank = self.comm.allreduce((least, self.comm.rank), op=MPI.MINLOC)
+            if not np.isfinite(first):
+                if load != 0.0:
+                    raise NoResistance(np.eye(len(E))[a])
+                continue
+            if rank == self.comm.rank:
+                active = active.copy()
+                active[int(np.argmin(gap))] = 1
+        return replace(state, active=active)
+
+    def is_met(self, q: Floats) -> bool:
+        """Tell whether the proximal term carries nothing that the tolerance would not allow."""
+        least = np.maximum(self.scalars.noise, self.scalars.rtol * np.abs(self.scalars.loads))
+        return bool((np.abs(self.rho * (q - self.centre)) <= least).all())
+
+    def force_of_term(self, q: Floats) -> Floats:
+        """Return the forces of the proximal term (m,), relative to the weights."""
+        return np.asarray(np.abs(self.rho * (q - self.centre)) / np.sqrt(self.weights))
+
+
+def no_friction() -> Friction:
+    """Return friction at no node."""
+    none, flat = np.zeros((0, 1)), np.zeros(0)
+    return Friction(flat.astype(np.int32), none.astype(np.int32), none, flat, flat)
+
+
+def _shifted(sliding: Sliding, way: Floats, given: float) -> Sliding:
+    """Return the law of slips from points that move along a way (n,), or of their rates."""
+    law = sliding.law
+    rest = given * law.rest + law.pick(way)
+    return replace(sliding, law=replace(law, rest=rest, cohesion=given * law.cohesion))
