@@ -121,11 +121,16 @@ def solve_states(
     x = qp.b.duplicate()
     x.array[:] = found.x
     z, law, state = reaction(at, x), qp.friction, found.state
+    kkt, last = check(at, x, z), linear.condensed
+    if isinstance(last, Condensed) and not kkt.satisfied(rtol):  # by its round-off
+        x.array[:] += last.inner(z.array_r)
+        z = reaction(at, x)
+        kkt = check(at, x, z)
     directions = None
     if law is not None:
         directions = np.where(state.slips(law)[:, None], state.directions, 0.0)
     return QPSolution(
-        *(x, z, state.active, check(at, x, z), found.updates, 0, 0, "active-set"),
+        *(x, z, state.active, kkt, found.updates, 0, 0, "active-set"),
         sliding=directions,
         linearisation="" if law is None else found.how,
         travel=None if qp.scalars is None else found.q,

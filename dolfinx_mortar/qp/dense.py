@@ -171,7 +171,7 @@ class Condensed:
         self.whole, self.linear, scalars = whole, linear, whole.scalars
         self.G = G = whole.held
         linear.factorise(G)
-        self._y = self._inner(whole.b.array_r)
+        self._y = self.inner(whole.b.array_r)
         self._state = whole.A.stateGet()
         place = np.full(len(self._y) + 1, -1, dtype=np.int32)  # the last one is that of none
         place[G] = np.arange(G.size)
@@ -209,7 +209,7 @@ class Condensed:
         found[..., self.G] = 0.0
         return found
 
-    def _inner(self, values: Floats) -> Floats:
+    def inner(self, values: Floats) -> Floats:
         """Return A_II^-1 times values (n,), zero in G."""
         right, found = self.whole.b.duplicate(), self.whole.b.duplicate()
         right.array[:] = self._inside(values)
@@ -253,7 +253,7 @@ class Condensed:
             at, z = self.whole.b.duplicate(), self.whole.b.duplicate()
             at.array[self.G] = x
             self.whole.A.mult(at, z)
-            found = self._y - self._inner(z.array_r)
+            found = self._y - self.inner(z.array_r)
         else:
             found = self._y - x @ self._Y
             if self._scalars is not None:
