@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The QP condensed to its bounded unknowns: the dense model, and where it breaks down."""
+"""The QP condensed to its bounded unknowns, by MUMPS's Schur complement or by columns."""
 
 from dataclasses import replace
 
@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from programs import from_arrays, gathered, membrane
-from scipy.linalg import LinAlgError, cholesky
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.qp import LinearSolver, QPNotSolved, condensed, solve
-from dolfinx_mortar.qp.condensed import SchurModel, half_laplacian, on_root, solve_dense
-from dolfinx_mortar.qp.linear import LinearSolveFailed
+from dolfinx_mortar.qp import LinearSolver, QPNotSolved, active_set, solve
+from dolfinx_mortar.qp.dense import Condensed, Dense, on_root
+from dolfinx_mortar.qp.linear import LinearSolveFailed, NotDefinite
 from dolfinx_mortar.qp.schur import set_apart
 
 COMM, COMM_SELF = MPI.COMM_WORLD, MPI.COMM_SELF
@@ -26,44 +25,11 @@ INF = np.inf
 def test_all_ranks_raise_what_the_first_one_raises() -> None:
     with pytest.raises(np.linalg.LinAlgError, match="Singular"):
         on_root(COMM, lambda: np.linalg.inv(np.zeros((2, 2))))
-    assert on_root(COMM, lambda: 3) == (3 if COMM.rank == 0 else None)
+    assert on_root(COMM, lambda: 3) == 3
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("name", ["half_laplacian", "solve_dense"])
-def test_a_model_that_breaks_down_is_only_a_lost_guess(
-    monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
-    qp = membrane(16)
-    expected = gathered(solve(qp).x)
-    if COMM.rank == 0:
-        monkeypatch.setattr(condensed, name, lambda *_: np.linalg.inv(np.zeros((2, 2))))
-    np.testing.assert_allclose(gathered(solve(qp).x), expected, atol=1e-9)
-
-
-@pytest.mark.mpi
-def test_a_step_that_would_raise_the_energy_ends_at_its_minimum() -> None:
-    qp, linear = membrane(12, force=1.0), LinearSolver(COMM, prefix="minimum_")
-    linear.set_matrix(qp.A)
-    own = qp.bounded
-    everywhere = condensed.Everywhere(COMM, own, np.array(COMM.allgather(own.size)))
-    linear.factorise(own)
-    x = qp.b.duplicate()
-    x.set(0.0)
-    reduced = condensed._Reduced(qp, linear, everywhere, x)
-    w = np.zeros(12)
-    rho = reduced.force(w)
-    near = w + 0.01 * rho
-    w, rho = reduced.move(w, near, rho, None)
-    assert w is near  # a whole step that lowers the energy
-    far = w + 100.0 * rho
-    reached, after = reduced.move(w, far, rho, None)
-    assert abs(after @ (far - w)) < 1e-9 * abs(rho @ (far - w))
-    np.testing.assert_allclose(gathered(x)[-12:], reached, atol=1e-12 * np.abs(reached).max())
-
-
-@pytest.mark.mpi
-def test_a_guess_depends_on_the_program_alone() -> None:
+def test_a_solution_depends_on_the_program_alone() -> None:
     """Not on other programs that the linear solver has seen before: to the last bit on one rank.
 
     On several ranks MUMPS adds up in the order in which messages come.
@@ -79,60 +45,12 @@ def test_a_guess_depends_on_the_program_alone() -> None:
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize(("changes", "guessed"), [(None, True), (0, False), (10**6, True)])
-def test_a_set_is_guessed_where_many_changes_are_expected(
-    monkeypatch: pytest.MonkeyPatch, changes: int | None, guessed: bool
-) -> None:
-    """A solution says how many there were; it is the same with and without."""
-    asked, predict = [], condensed.predict
-    monkeypatch.setattr(
-        condensed, "predict", lambda *a, **b: (asked.append(1), predict(*a, **b))[1]
-    )
-    qp = membrane(16)
-    start = np.ones(qp.bounded.size, dtype=np.int8)
-    first = solve(qp, start_active=start, changes=changes, rtol=1e-12)
-    assert bool(asked) == guessed
-    active = COMM.allreduce(int((first.active != start).sum()))
-    assert first.changes == active > 0
-    assert solve(qp, start_active=first.active, rtol=1e-12).changes == 0
-
-
-@pytest.mark.mpi
 def test_all_updates_cost_two_factorisations() -> None:
     linear = LinearSolver(COMM, prefix="one_")
     qp = membrane(48)
     solution = solve(qp, linear=linear)
     assert solution.factorisations <= 2
     assert solution.linear_iterations <= 12
-
-
-def test_model_reproduces_conjugate_pairs(rng: np.random.Generator) -> None:
-    """Eigenvectors of S, from any initial model; the model stays positive definite."""
-    S = np.cov(rng.standard_normal((6, 30)))
-    seen = np.linalg.eigh(S)[1][:, :4]
-    model = SchurModel(np.diag(np.arange(1.0, 7.0)))
-    for v in seen.T:
-        model.learn(v, S @ v)
-    np.testing.assert_allclose(model.M @ seen, S @ seen, atol=1e-10)
-    assert np.linalg.eigvalsh(model.M)[0] > 0.0
-    before = model.M.copy()
-    model.learn(0.0 * v, 0.0 * v)  # nothing new
-    assert np.array_equal(model.M, before)
-
-
-def test_first_model_is_close_to_the_schur_complement_on_any_mesh() -> None:
-    """The ratio of the two stays within a factor of six, two octaves of the mesh size apart."""
-    for n in (12, 48):
-        qp = membrane(n, comm=MPI.COMM_SELF)
-        A = _dense(qp.A)
-        B, rest = np.arange(n * (n - 1), n * n), np.arange(n * (n - 1))
-        S = A[np.ix_(B, B)] - A[np.ix_(B, rest)] @ np.linalg.solve(
-            A[np.ix_(rest, rest)], A[np.ix_(rest, B)]
-        )
-        M = half_laplacian(A[np.ix_(B, B)])
-        L = cholesky(M, lower=True)
-        ratio = np.linalg.eigvalsh(np.linalg.solve(L, np.linalg.solve(L, S).T))
-        assert ratio[-1] / ratio[0] < 6.0
 
 
 def _dense(A: PETSc.Mat) -> np.ndarray:
@@ -149,21 +67,9 @@ def test_memory_that_ends_on_the_first_rank_ends_the_solve_on_all(
     def full(*_: object, **__: object) -> None:
         raise MemoryError("full")
 
-    if COMM.rank == 0:
-        monkeypatch.setattr(condensed, "SchurModel", full)
+    monkeypatch.setattr(active_set, "_find", full)  # which rank 0 calls
     with pytest.raises(QPNotSolved, match="MemoryError, full"):
         solve(membrane(16))
-
-
-@pytest.mark.mpi
-def test_residuals_have_a_rate_within_one_set_only() -> None:
-    """The first set holds all, so that nothing is left to balance; the next ones release a node."""
-    A = np.array([[11.0, 7.0, 7.0], [7.0, 7.0, 7.0], [7.0, 7.0, 23.0]])
-    b, upper = np.array([7.0, 0.0, -7.0]), np.array([0.75, 0.25, INF])
-    qp = from_arrays(A, b, np.full(3, -INF), upper, COMM)
-    linear = LinearSolver(COMM, prefix="rate_", refactor_after=2)
-    start = np.zeros(qp.bounded.size, dtype=np.int8)
-    assert solve(qp, linear=linear, start_active=start).note == ""
 
 
 @pytest.mark.mpi
@@ -359,15 +265,33 @@ def test_other_bounds_have_another_complement() -> None:
         assert (again.active == alone.active).all()
 
 
-def test_a_body_that_contact_alone_holds_has_a_singular_model(rng):
+@pytest.mark.mpi
+def test_columns_give_the_complement_of_mumps() -> None:
+    """On any number of ranks: A y = b where bounds hold, and x where the others are free."""
+    qp, linear = membrane(12, force=1.0), LinearSolver(COMM, prefix="columns_")
+    linear.set_matrix(qp.A)
+    by_columns = Condensed(qp, linear)
+    alone = membrane(12, comm=COMM_SELF, force=1.0)
+    apart = LinearSolver(COMM_SELF, prefix="mumps_")
+    apart.set_matrix(alone.A, apart=alone.held, bounded=alone.held)
+    by_mumps = Condensed(alone, apart)
+    assert apart.setup.preconditioner.schur is not None
+    S = by_mumps.dense.S
+    np.testing.assert_allclose(by_columns.dense.S, S, atol=1e-11 * np.abs(S).max())
+    given, none = np.arange(float(len(S))), np.zeros(0)
+    found = [one.expand(given, none) for one in (by_columns, by_mumps)]
+    whole = np.concatenate(COMM.allgather(found[0]))
+    np.testing.assert_allclose(whole, found[1], atol=1e-11 * np.abs(whole).max())
+
+
+def test_a_body_that_contact_alone_holds_has_a_singular_complement(rng):
     """Round-off leaves a pivot that may be positive; the answer would be any number."""
-    none, far = np.zeros(6, dtype=np.int8), np.full(6, 9.0)
     for _ in range(20):
         weights = np.triu(rng.random((6, 6)), 1)
         weights += weights.T
         laplacian = np.diag(weights.sum(axis=1)) - weights
-        with pytest.raises(LinAlgError):
-            solve_dense(laplacian, rng.random(6), -far, far, none)
-    held, upper = np.ones(2, dtype=np.int8), np.zeros(2)
-    with pytest.raises(LinAlgError):  # also where all bounds hold
-        solve_dense(np.diag([1.0, -1e-14]), np.ones(2), np.full(2, -np.inf), upper, held)
+        dense = Dense(laplacian, np.diag(laplacian))
+        b = dense.matrix.createVecRight()
+        b.array[:] = rng.random(6)
+        with pytest.raises(NotDefinite):
+            dense.solve(b, b.duplicate(), np.zeros(0, dtype=np.int32), atol=0.0)

@@ -55,7 +55,6 @@ def respond(
             lin.qp,
             linear=linear,
             start_active=np.zeros(len(contacts.dofs), dtype=np.int8),
-            changes=0,
             rtol=tightest(rtol),
         )
     except (backends.QPNotSolved, backends.UnusableQP):

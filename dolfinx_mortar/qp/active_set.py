@@ -3,9 +3,9 @@
 
 With friction also on z_t = q min(1, s / |q|), see `qp.friction`.
 
-If there are few bounded unknowns, the `condensed` QP predicts the active set, and the updates check
-it. Without friction and with a definite matrix, the interior point takes over after a cycle, and
-after a set that leaves a body unconstrained.
+Where a factorisation serves and few unknowns have bounds, the QP is condensed to these, see
+`dense`: the updates are the same. Without friction and with a definite matrix, the interior point
+takes over after a cycle, and after a set that leaves a body unconstrained.
 """
 
 from dataclasses import dataclass, replace
@@ -16,15 +16,15 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.errors import from_callbacks
-from dolfinx_mortar.algebra.parallel import ratio
+from dolfinx_mortar.algebra.parallel import any_rank, maximum, ratio
 from dolfinx_mortar.arrays import EPS, LIMIT, Bools, Floats
-from dolfinx_mortar.qp import condensed, interior_point
+from dolfinx_mortar.qp import interior_point
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check, reaction
-from dolfinx_mortar.qp.dense import Condensed, condenses, select
+from dolfinx_mortar.qp.dense import Condensed, condenses, on_root, select
 from dolfinx_mortar.qp.descent import descend
 from dolfinx_mortar.qp.held import HeldProblem, Solver, State
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver, NotDefinite
-from dolfinx_mortar.qp.scalars import Bordered, NoResistance, moved
+from dolfinx_mortar.qp.scalars import Bordered, NoResistance, moved, no_friction
 from dolfinx_mortar.qp.updates import LOOSE, TIGHT, Outcome, update
 
 # How friction was linearised: limits of the pressure of the solution, or of a solution before it
@@ -37,7 +37,6 @@ def solve(
     linear: LinearSolver,
     *,
     start: State,
-    changes: int | None,
     rtol: float,
     guess: PETSc.Vec | None = None,
 ) -> QPSolution:
@@ -45,10 +44,6 @@ def solve(
 
     Args:
         start: initial active set and directions of slip.
-        changes: bounded unknowns in which the solution is expected to differ from the initial set;
-            None for any number. Each may cost an iteration. If they cost more than a factorisation,
-            the condensed QP predicts the set (always to predict it would take plastic steps of
-            benchmarks/hertz_2d.py with 50 thousand unknowns 4 more factorisations).
         guess: (n,) first x, 0 by default.
 
     Returns:
@@ -60,27 +55,24 @@ def solve(
     """
     if qp.friction is not None or qp.scalars is not None:
         return solve_states(qp, linear, start, rtol, guess)
-    x = qp.b.duplicate()
-    x.set(0.0)
-    if guess is not None:
-        guess.copy(x)
     definite = True
     try:
-        level, first = LOOSE, start
-        if condensed.is_worthwhile(qp, linear):
-            level = TIGHT
-            if changes is None or changes > linear.setup.renewal.after:
-                guess = condensed.predict(qp, linear, x, start.active, rtol=rtol)
-                first = replace(start, active=guess)
+        if condenses(qp, linear):
+            return solve_states(qp, linear, start, rtol)
+        x = qp.b.duplicate()
+        x.set(0.0)
+        if guess is not None:
+            guess.copy(x)
         problem = HeldProblem(qp, linear, x, rtol)
-        outcome = update(problem.hold, first, qp.comm, level=level)
+        outcome = update(problem.hold, start, qp.comm, level=LOOSE)
         if not outcome.reason:
-            found = problem.solution(outcome, "active-set")
-            return replace(found, changes=problem.count_changes(start, outcome.state))
+            return problem.solution(outcome, "active-set")
         reason = outcome.reason
     except LinearSolveFailed as error:
         reason = f"an active set could not be solved ({error})"
         definite = not isinstance(error, NotDefinite)
+    except QPNotSolved as error:
+        reason = str(error)
     if not qp.definite:
         raise QPNotSolved(
             f"Active set: {reason}. Where few nodes touch, as at a corner or on a coarse mesh, "
@@ -146,11 +138,12 @@ def _find_condensed(
     These are active in the initial state, or were in a state of the QP before, or are missed by a
     solution without them.
     """
-    law = qp.friction
+    law, comm = qp.friction, qp.comm
     candidates: Bools = (start.active != 0) | np.isin(qp.bounded, linear.visited)
     if law is not None:
         candidates[law.normal[law.cohesion > 0.0]] = True
-    if not candidates.any() or linear.setup.preconditioner.schur is not None:
+    whole = linear.setup.preconditioner.schur is not None
+    if whole or not any_rank(comm, candidates.any())[0]:
         candidates[:] = True
     while True:
         last = linear.condensed
@@ -162,26 +155,49 @@ def _find_condensed(
                 last = linear.condensed = Condensed(part, linear)
             on = np.isin(qp.bounded, part.bounded)
             begin = State(start.active[on], start.directions[some], start.stiffness[some])
-            small = last.select(part)
-            found = _find(small, last.dense, begin, rtol)
+            found = _solve_dense(last, part, begin, rtol)
         except (LinearSolveFailed, QPNotSolved, NoResistance):
-            if candidates.all():
+            if not any_rank(comm, not candidates.all())[0]:
                 raise
             candidates[:] = True
             continue
         x = last.expand(found.x, found.q)
+        at = x[qp.bounded]
         lower, upper = (qp if qp.scalars is None else moved(qp, found.q)).bounds()
-        beyond = np.maximum(x[qp.bounded] - upper, lower - x[qp.bounded])
-        beyond[on] = 0.0
-        if not (deepest := beyond.max(initial=0.0)) > 0.0:
+        beyond = np.where(on, 0.0, np.maximum(at - upper, lower - at))
+        deepest = float(maximum(comm, beyond.max(initial=0.0))[0])
+        if not deepest > 0.0:
             break
-        candidates |= on | (x[qp.bounded] > upper - deepest) | (x[qp.bounded] < lower + deepest)
-    linear.beyond = last.dense.negative(found.state.held(small))
+        candidates |= on | (at > upper - deepest) | (at < lower + deepest)
     linear.visited = part.bounded[found.visited]
     state = State(0 * start.active, 0.0 * start.directions, 0.0 * start.stiffness)
     state.active[on] = found.state.active
     state.directions[some], state.stiffness[some] = found.state.directions, found.state.stiffness
     return replace(found, x=x, state=state)
+
+
+def _solve_dense(condensed: Condensed, part: BoundQP, start: State, rtol: float) -> _Found:
+    """Solve the condensed QP on rank 0; return x of all ranks, and this rank's state; collective.
+
+    Args:
+        condensed: the dense matrix.
+        part: the QP of its unknowns.
+        start: initial state.
+        rtol: tolerance.
+    """
+    small, gather, dense = condensed.select(part), condensed.gather, condensed.dense
+    begin = State(gather(start.active), gather(start.directions), gather(start.stiffness))
+
+    def solve() -> tuple[_Found, int]:
+        found = _find(small, dense, begin, rtol)
+        return found, dense.negative(found.state.held(small))
+
+    found, condensed.linear.beyond = on_root(part.comm, solve)
+    state, counts = found.state, (len(start.active), len(start.directions))
+    before = np.array(part.comm.allgather(counts))[: part.comm.rank].sum(axis=0, dtype=int)
+    bounds, nodes = (slice(n, n + count) for n, count in zip(before, counts, strict=True))
+    own = State(state.active[bounds], state.directions[nodes], state.stiffness[nodes])
+    return replace(found, state=own, visited=found.visited[bounds])
 
 
 def _find(
@@ -194,6 +210,7 @@ def _find(
         NoResistance: if nothing resists a scalar.
     """
     border = None if qp.scalars is None else Bordered(qp, linear)
+    qp = replace(qp, friction=qp.friction or no_friction())
     at: tuple[BoundQP, Solver] = qp, linear
     if border is not None:
         at = border.qp, border
@@ -206,11 +223,10 @@ def _find(
         return state
 
     x, state, before = at[0].b.duplicate(), touch(start), np.inf
-    left: Floats = np.zeros(0)
     x.set(0.0)
     if guess is not None:
         x.array[: guess.local_size] = guess.array_r
-    for _ in range(LIMIT):
+    while True:
         problem = HeldProblem(*at, x, rtol, touch)
         outcome, how = _solve_law(problem, state)
         state = outcome.state
@@ -224,10 +240,9 @@ def _find(
         if not left.max() <= 0.5 * before:  # the load moves its tool on and on, or until it touches
             border.share /= 16.0
         if border.share < EPS:
-            break
+            raise NoResistance(left)
         before = left.max()
         border.hold(None)
-    raise NoResistance(left)
 
 
 def _solve_law(problem: HeldProblem, start: State) -> tuple[Outcome[State], str]:
@@ -244,7 +259,7 @@ def _solve_law(problem: HeldProblem, start: State) -> tuple[Outcome[State], str]
     except LinearSolveFailed:
         found = None
     if found is None:
-        raise QPNotSolved(f"Active set with friction: {outcome.reason}")
+        raise QPNotSolved(f"active set with friction: {outcome.reason}")
     return found, GIVEN
 
 

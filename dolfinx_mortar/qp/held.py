@@ -251,6 +251,7 @@ class HeldProblem:
             self.reactions = max(self.guessed, self.z.norm())
         self.asked = self._tolerance(level)
         go_on = partial(self._go_on, state, held) if self.continued else None
+        reached = self.asked
         for _ in range(LIMIT):  # until the tolerance holds with the reactions of the solution
             solved = self.linear.solve(
                 qp.b, self.x, held, atol=SHARE * self.asked, z=self.z, sliding=sliding, go_on=go_on
@@ -303,12 +304,6 @@ class HeldProblem:
             directions = np.where(state.slips(law)[:, None], state.directions, 0.0)
         counts = outcome.updates, 0, 0
         return QPSolution(self.x, self.z, state.active, kkt, *counts, name, sliding=directions)
-
-    def count_changes(self, start: State, end: State) -> int:
-        """Return in how many bounds two sets differ, without weakly active ones; collective."""
-        found = on_bounded(self.qp, self.x, self.z)
-        strong = found.strong(start.active, end.active, self.rtol * self.z.norm())
-        return int(self.qp.comm.allreduce(int(strong.sum())))
 
     def _accuracy(self, level: int) -> float:
         return float(max(self.rtol ** (2.0 ** (level - TIGHT)), ROUND_OFF))

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import LinAlgError
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.arrays import EPS, LIMIT, QUARTER_OF_DIGITS, ROUND_OFF, Floats, Ints
+from dolfinx_mortar.arrays import EPS, LIMIT, QUARTER_OF_DIGITS, ROUND_OFF, Ints
 from dolfinx_mortar.qp.friction import Sliding
 from dolfinx_mortar.qp.multigrid import Unknowns
 from dolfinx_mortar.qp.negative_eigenvalues import (
@@ -225,6 +225,7 @@ class LinearSolver:
                     schur.bounded = bounded
                 self._describe()
                 return
+        self.condensed = None
         self._drop(definite)  # so that no matrix is set if an option raises an error
         if self.direct and self.options["pc_factor_mat_solver_type"] == ALONE:
             self._drop(not definite)
@@ -377,21 +378,11 @@ class LinearSolver:
             return negative_pivots(setup.preconditioner.pc) + self.beyond > 0
         return count_negative(setup.operator.matrix) > 0
 
-    def solve_many(self, right: Floats) -> Floats:
-        """Return A^-1 right for rows (r, n) by the present factorisation, on one rank."""
-        begin, shape = perf_counter(), right.shape[::-1]
-        given = PETSc.Mat().createDense(shape, comm=PETSc.COMM_SELF)
-        given.setUp()
-        given.getDenseArray()[:] = right.T
-        given.assemble()
-        found = given.duplicate()
-        found.assemble()
-        self.setup.preconditioner.pc.getFactorMatrix().matSolve(given, found)
-        result = found.getDenseArray(readonly=True).T.copy()
-        given.destroy()
-        found.destroy()
+    def solve_many(self, right: PETSc.Mat, found: PETSc.Mat) -> None:
+        """Set the columns of a dense matrix to A^-1 times those of another; collective."""
+        begin = perf_counter()
+        self.setup.preconditioner.pc.getFactorMatrix().matSolve(right, found)
         self.counts.seconds_solve += perf_counter() - begin
-        return result
 
     def apply(self, r: PETSc.Vec, x: PETSc.Vec) -> None:
         """Apply the present factorisation or preconditioner once: x = F^-1 r."""

@@ -44,8 +44,11 @@ class NoResistance(RuntimeError):
     """
 
     def __init__(self, which: Floats) -> None:
-        super().__init__("nothing resists the load of a scalar unknown")
+        super().__init__(which)  # with which ranks send it
         self.which = which
+
+    def __str__(self) -> str:
+        return f"nothing resists the load of a scalar unknown, by shares: {self.which}"
 
 
 def moved(qp: BoundQP, q: Floats) -> BoundQP:

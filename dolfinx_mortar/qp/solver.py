@@ -64,7 +64,6 @@ def solve(
     start_active: Actives | None = None,
     start_sliding: Floats | None = None,
     start_kappa: Floats | None = None,
-    changes: int | None = None,
     guess: PETSc.Vec | None = None,
     rtol: float = 1e-10,
 ) -> QPSolution:
@@ -79,9 +78,6 @@ def solve(
             by default everywhere.
         start_kappa: (m,) forces over slips there, by which nodes resist a change of their direction
             to begin with; by default, and at most, the diagonal of the matrix.
-        changes: bounded unknowns in which the solution is expected to differ from ``start_active``,
-            such as `QPSolution.changes` of the Newton iteration before; by default any number. It
-            affects the cost only.
         guess: (n,) with which the active set's first linear solve begins; 0 by default.
         rtol: tolerance of the KKT check, relative; round-off is the limit.
 
@@ -114,7 +110,7 @@ def solve(
     before = replace(linear.counts)
     try:
         first = State.create(qp, start, start_sliding, start_kappa)
-        run = partial(_run, qp, backend, linear, first, changes, rtol, guess)
+        run = partial(_run, qp, backend, linear, first, rtol, guess)
         apart = set_apart(qp, linear.options) if backend == ACTIVE_SET else None
         try:
             solution = run(apart)
@@ -146,7 +142,6 @@ def _run(
     backend: str,
     linear: LinearSolver,
     start: State,
-    changes: int | None,
     rtol: float,
     guess: PETSc.Vec | None,
     apart: Ints | None,
@@ -164,7 +159,7 @@ def _run(
     )
     if backend == INTERIOR_POINT:
         return interior_point.solve(qp, linear, rtol=rtol)
-    return active_set.solve(qp, linear, start=start, changes=changes, rtol=rtol, guess=guess)
+    return active_set.solve(qp, linear, start=start, rtol=rtol, guess=guess)
 
 
 def _cause(error: Exception, linear: LinearSolver) -> str:

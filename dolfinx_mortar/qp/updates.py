@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Loop of the active-set methods: solve with an active set, update it, until it is unchanged.
 
-The solve is an argument: of the large problem (`held.HeldProblem`), or of a small dense one
-(`condensed.solve_dense`).
+The solve is an argument, see `held.HeldProblem`.
 """
 
 from collections.abc import Callable

@@ -261,7 +261,6 @@ class Iterate:
     norm: float  # |u|_e
     largest: float  # largest multiplier so far
     stiffness: PETSc.Vec  # diagonal of the last K^
-    changes: int | None = None  # bounds that the last QP has changed in the active set
     pressure: Floats | None = None  # (owned cells,) mean stresses by the last linearisation
 
     @property
@@ -504,7 +503,6 @@ class _Step:
             norm,
             largest,
             lin.diagonal,
-            solved.changes,
             moved.pressure,
         )
         return iterate, watch, residual
@@ -791,7 +789,7 @@ class _Step:
         lin = self.with_scalars(lin, old)
         rtol = self.accuracy(lin, watch, residuals)
         try:
-            solved = first = self.solve(lin, start, old, rtol)
+            solved = self.solve(lin, start, old, rtol)
             corrections = Corrections()
             for _ in range(CORRECTIONS):
                 lin, left = corrections.apply(lin, solved)
@@ -811,7 +809,7 @@ class _Step:
         if self.shifted and not curvature > 0.0:  # it leads to what is not stable
             return None, None, "without the exact tangent, which is indefinite"
         self.shifted = 0
-        return lin, replace(solved, changes=first.changes), ""
+        return lin, solved, ""
 
     def accuracy(self, lin: Linearisation, watch: Watch, residuals: list[Residuals]) -> float:
         """Return the relative tolerance of the next QP."""
@@ -855,8 +853,6 @@ class _Step:
                     start_active=start,
                     start_sliding=old.contacts.directions(limits),
                     start_kappa=kappa,
-                    # a linear law has its set after the first QP: geometries change it hardly
-                    changes=0 if self.linear and old.changes is not None else old.changes,
                     guess=guess,
                     rtol=rtol,
                 )
