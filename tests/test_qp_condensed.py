@@ -270,11 +270,11 @@ def test_columns_give_the_complement_of_mumps() -> None:
     """On any number of ranks: A y = b where bounds hold, and x where the others are free."""
     qp, linear = membrane(12, force=1.0), LinearSolver(COMM, prefix="columns_")
     linear.set_matrix(qp.A)
-    by_columns = Condensed(qp, linear)
+    by_columns = Condensed(qp, linear, qp.bounded[:0], np.zeros(0))
     alone = membrane(12, comm=COMM_SELF, force=1.0)
     apart = LinearSolver(COMM_SELF, prefix="mumps_")
     apart.set_matrix(alone.A, apart=alone.held, bounded=alone.held)
-    by_mumps = Condensed(alone, apart)
+    by_mumps = Condensed(alone, apart, alone.bounded[:0], np.zeros(0))
     assert apart.setup.preconditioner.schur is not None
     S = by_mumps.dense.S
     np.testing.assert_allclose(by_columns.dense.S, S, atol=1e-11 * np.abs(S).max())

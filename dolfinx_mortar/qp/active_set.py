@@ -151,10 +151,15 @@ def _find_condensed(
             last = None
         part, some = select(qp, candidates | (False if last is None else last.holds(qp)))
         try:
-            if last is None or not last.serves(part):
-                last = linear.condensed = Condensed(part, linear)
             on = np.isin(qp.bounded, part.bounded)
             begin = State(start.active[on], start.directions[some], start.stiffness[some])
+            if last is None or not last.serves(part):
+                held, bound = (
+                    begin.active != 0,
+                    np.where(begin.active > 0, *reversed(part.bounds())),
+                )
+                at = part.bounded[held], bound[held]
+                last = linear.condensed = Condensed(part, linear, *at)
             found = _solve_dense(last, part, begin, rtol)
         except (LinearSolveFailed, QPNotSolved, NoResistance):
             if not any_rank(comm, not candidates.all())[0]:
@@ -162,13 +167,13 @@ def _find_condensed(
             candidates[:] = True
             continue
         x = last.expand(found.x, found.q)
-        at = x[qp.bounded]
+        w = x[qp.bounded]
         lower, upper = (qp if qp.scalars is None else moved(qp, found.q)).bounds()
-        beyond = np.where(on, 0.0, np.maximum(at - upper, lower - at))
+        beyond = np.where(on, 0.0, np.maximum(w - upper, lower - w))
         deepest = float(maximum(comm, beyond.max(initial=0.0))[0])
         if not deepest > 0.0:
             break
-        candidates |= on | (at > upper - deepest) | (at < lower + deepest)
+        candidates |= on | (w > upper - deepest) | (w < lower + deepest)
     linear.visited = part.bounded[found.visited]
     state = State(0 * start.active, 0.0 * start.directions, 0.0 * start.stiffness)
     state.active[on] = found.state.active

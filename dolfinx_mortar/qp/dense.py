@@ -20,9 +20,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import LinAlgError, lapack
 
-from dolfinx_mortar.arrays import EPS, ROUND_OFF, Actives, Bools, Floats, Ints, Longs
+from dolfinx_mortar.algebra.parallel import norm
+from dolfinx_mortar.arrays import EPS, ROUND_OFF, SAME, Actives, Bools, Floats, Ints, Longs
 from dolfinx_mortar.qp.bound_qp import BoundQP, Scalars
 from dolfinx_mortar.qp.friction import Friction, Sliding, state_of
 from dolfinx_mortar.qp.linear import LinearSolver, NotDefinite
@@ -175,8 +176,14 @@ def _slipping(S: Floats, sliding: Sliding) -> Floats:
 class Condensed:
     """A QP condensed to its unknowns with bounds or friction; collective.
 
-    Attributes:
+    Args:
         whole: the QP.
+        linear: solver of A.
+        held: unknowns that an initial state holds,
+        values: and where.
+
+    Attributes:
+        whole: as above.
         G: (k,) those unknowns of this rank.
         dense: the solver of the condensed linear systems, on all ranks.
 
@@ -185,19 +192,34 @@ class Condensed:
         LinAlgError: if that leaves MUMPS's S without an inverse.
     """
 
-    def __init__(self, whole: BoundQP, linear: LinearSolver) -> None:
+    def __init__(self, whole: BoundQP, linear: LinearSolver, held: Ints, values: Floats) -> None:
         self.whole, self.linear, self.G = whole, linear, whole.held
         counts = whole.comm.allgather(self.G.size)
         self._first = sum(counts[: whole.comm.rank])
         linear.factorise(self.G)
-        self._y, self._state = self.inner(whole.b.array_r), whole.A.stateGet()
-        self._g = self.gather(self._product(self._y, whole.b)[self.G])
-        diagonal, schur = self.gather(whole.diagonal.array_r[self.G]), self._schur
+        self._y, self._state = self._begin(held, values), whole.A.stateGet()
+        own = self._product(self._y, whole.b)[self.G], self._y[self.G], whole.stiffness[self.G]
+        force, w, diagonal = self.gather(np.stack(own, axis=1)).T
+        schur = self._schur
         self._Y: Floats = np.zeros((0, len(self._y)))
         self._Yq: Floats = np.zeros((0, len(self._y)))
         S = schur.model() if schur is not None else self._columns(sum(counts))
-        self.dense = Dense(S, diagonal)
+        self.dense, self._g = Dense(S, diagonal), force + S @ w
         self._scalars = None if whole.scalars is None else self._condense(whole.scalars)
+
+    def _begin(self, held: Ints, values: Floats) -> Floats:
+        """Return x (n,) in a state; with G held at 0 where that is not of use; collective.
+
+        MUMPS's S serves all states, of which the first one is the last one most often.
+        """
+        at: Floats = np.zeros(self.whole.b.getLocalSize())
+        if self._schur is None or self.whole.friction is not None:
+            return self.inner(self.whole.b.array_r)
+        at[held] = values
+        try:
+            return at + self.inner(self._product(at, self.whole.b), held)
+        except LinAlgError:  # nothing holds a body in that state
+            return self.inner(self.whole.b.array_r)
 
     @property
     def _schur(self) -> SchurComplement | None:
@@ -218,13 +240,15 @@ class Condensed:
         self.whole.A.mult(at, z)
         return np.asarray(b.array_r - z.array_r)
 
-    def inner(self, values: Floats) -> Floats:
-        """Return A_II^-1 times values (n,), zero in G; collective."""
+    def inner(self, values: Floats, held: Ints | None = None) -> Floats:
+        """Return A_II^-1 times values (n,), zero in G or what else is held; collective."""
+        held = self.G if held is None else held
         right, found = self.whole.b.duplicate(), self.whole.b.duplicate()
         right.array[:] = values
-        right.array[self.G] = 0.0
+        right.array[held] = 0.0
+        self.linear.factorise(held)
         self.linear.apply(right, found)
-        found.array[self.G] = 0.0
+        found.array[held] = 0.0
         return np.asarray(found.array_r)
 
     def _columns(self, k: int) -> Floats:
@@ -315,12 +339,20 @@ class Condensed:
         own = x[self._first : self._first + self.G.size]
         if self._schur is None:
             found = self._y - x @ self._Y - q[: len(self._Yq)] @ self._Yq
-        else:
-            at = np.zeros(len(self._y))
-            at[self.G] = own
+        elif self._moves(own):
+            at: Floats = np.zeros(len(self._y))
+            at[self.G] = own - self._y[self.G]
             found = self._y + self.inner(self._product(at, self.whole.b.duplicate()))
+        else:
+            return self._y
         found[self.G] = own
         return np.asarray(found)
+
+    def _moves(self, own: Floats) -> bool:
+        """Tell whether unknowns in G differ from what they began with; collective."""
+        stiffness = self.whole.stiffness[self.G]
+        change = norm(self.whole.comm, stiffness * (own - self._y[self.G]))
+        return change > SAME * norm(self.whole.comm, stiffness * own)
 
 
 def on_root(comm: MPI.Comm, function: Callable[[], T]) -> T:
