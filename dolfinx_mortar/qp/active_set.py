@@ -106,18 +106,20 @@ class _Found:
 def solve_states(
     qp: BoundQP, linear: LinearSolver, start: State, rtol: float, guess: PETSc.Vec | None = None
 ) -> QPSolution:
-    """Solve a QP with friction or scalars; condensed where that serves; see `solve`."""
-    find = _find_condensed if condenses(qp, linear) else _find
-    found = find(qp, linear, start, rtol, guess)
-    at = qp if qp.scalars is None else moved(qp, found.q)
-    x = qp.b.duplicate()
-    x.array[:] = found.x
-    z, law, state = reaction(at, x), qp.friction, found.state
-    kkt, last = check(at, x, z), linear.condensed
-    if isinstance(last, Condensed) and not kkt.satisfied(rtol):  # by its round-off
-        x.array[:] += last.inner(z.array_r)
-        z = reaction(at, x)
+    """Solve a QP with friction or scalars; condensed where that serves; see `solve`.
+
+    What round-off leaves of a condensed solution is solved with the whole matrix.
+    """
+    found, law = None, qp.friction
+    if condenses(qp, linear):
+        found = _find_condensed(qp, linear, start, rtol)
+        at, x, z = _of_whole(qp, found)
+        start, kkt = found.state, check(at, x, z)
+    if found is None or not kkt.satisfied(rtol):
+        found = _find(qp, linear, start, rtol, guess)
+        at, x, z = _of_whole(qp, found)
         kkt = check(at, x, z)
+    state = found.state
     directions = None
     if law is not None:
         directions = np.where(state.slips(law)[:, None], state.directions, 0.0)
@@ -130,9 +132,15 @@ def solve_states(
     )
 
 
-def _find_condensed(
-    qp: BoundQP, linear: LinearSolver, start: State, rtol: float, _: PETSc.Vec | None
-) -> _Found:
+def _of_whole(qp: BoundQP, found: _Found) -> tuple[BoundQP, PETSc.Vec, PETSc.Vec]:
+    """Return the QP with the scalars that are found, x, and b - A x there; collective."""
+    at = qp if qp.scalars is None else moved(qp, found.q)
+    x = qp.b.duplicate()
+    x.array[:] = found.x
+    return at, x, reaction(at, x)
+
+
+def _find_condensed(qp: BoundQP, linear: LinearSolver, start: State, rtol: float) -> _Found:
     """Solve by a dense matrix, with those bounds that are candidates; see `_find`.
 
     These are active in the initial state, or were in a state of the QP before, or are missed by a

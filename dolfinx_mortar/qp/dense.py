@@ -26,7 +26,7 @@ from dolfinx_mortar.algebra.parallel import norm
 from dolfinx_mortar.arrays import EPS, ROUND_OFF, SAME, Actives, Bools, Floats, Ints, Longs
 from dolfinx_mortar.qp.bound_qp import BoundQP, Scalars
 from dolfinx_mortar.qp.friction import Friction, Sliding, state_of
-from dolfinx_mortar.qp.linear import LinearSolver, NotDefinite
+from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver, NotDefinite
 from dolfinx_mortar.qp.schur import SchurComplement
 
 MOST = 1500
@@ -205,6 +205,8 @@ class Condensed:
         self._Yq: Floats = np.zeros((0, len(self._y)))
         S = schur.model() if schur is not None else self._columns(sum(counts))
         self.dense, self._g = Dense(S, diagonal), force + S @ w
+        if not np.isfinite(self._g).all():
+            raise LinearSolveFailed("The linear solver gave NaN or infinity: check its options.")
         self._scalars = None if whole.scalars is None else self._condense(whole.scalars)
 
     def _begin(self, held: Ints, values: Floats) -> Floats:
@@ -310,7 +312,8 @@ class Condensed:
     def select(self, part: BoundQP) -> BoundQP:
         """Return the condensed QP of one with other bounds or friction, on all ranks; collective.
 
-        Its unknowns, bounds and nodes with friction are those of all ranks, in their order.
+        Its unknowns, bounds and nodes with friction are those of all ranks, in their order. It has
+        no extent: signs are found below the round-off of bounds, too.
         """
         A, G, law = self.dense.matrix, self.G, part.friction
         b, lower, upper = (A.createVecRight() for _ in range(3))
@@ -330,7 +333,6 @@ class Condensed:
         bounded = self.gather(place[part.bounded])
         return BoundQP(
             *(A, b, lower, upper, bounded, law, part.definite),
-            extent=part.extent,
             scalars=self._scalars,
         )
 
@@ -357,13 +359,13 @@ class Condensed:
 
 def on_root(comm: MPI.Comm, function: Callable[[], T]) -> T:
     """Call a function on rank 0 and return its value on all; raise its error on all; collective."""
-    answer, error = None, None
+    answer, own = None, None
     if comm.rank == 0:
         try:
             answer = function()
         except Exception as caught:
-            error = caught
-    answer, error = comm.bcast((answer, error))
+            own = caught
+    answer, error = comm.bcast((answer, own))
     if error is not None:
-        raise error
+        raise own or error  # with its cause, where that is
     return cast(T, answer)
