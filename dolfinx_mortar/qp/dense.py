@@ -22,6 +22,7 @@ from petsc4py import PETSc
 import numpy as np
 from scipy.linalg import LinAlgError, lapack
 
+from dolfinx_mortar.algebra.errors import from_callbacks
 from dolfinx_mortar.algebra.parallel import norm
 from dolfinx_mortar.arrays import EPS, ROUND_OFF, SAME, Actives, Bools, Floats, Ints, Longs
 from dolfinx_mortar.qp.bound_qp import BoundQP, Scalars
@@ -362,8 +363,9 @@ def on_root(comm: MPI.Comm, function: Callable[[], T]) -> T:
     answer, own = None, None
     if comm.rank == 0:
         try:
-            answer = function()
-        except Exception as caught:
+            with from_callbacks():
+                answer = function()
+        except BaseException as caught:
             own = caught
     answer, error = comm.bcast((answer, own))
     if error is not None:
