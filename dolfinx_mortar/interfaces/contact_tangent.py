@@ -320,7 +320,7 @@ def _neighbours(slave: Surface, marked: Bools) -> Bools:
 def incidence(facets: Ints, nodes: Ints, shape: tuple[int, int]) -> sparse.csr_array:
     """Return which nodes (p, k) belong to facets (p,)."""
     rows = np.repeat(facets, nodes.shape[1])
-    ones = np.ones(len(rows), dtype=np.int8)
+    ones = np.ones(len(rows), dtype=bool)  # sums of small integers may overflow to 0
     return sparse.coo_array((ones, (rows, nodes.ravel())), shape=shape).tocsr()
 
 
