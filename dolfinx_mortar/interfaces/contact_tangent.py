@@ -23,7 +23,7 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.coupling import CoupledSides, node_motions
 from dolfinx_mortar.interfaces.slip_partners import Partners
-from dolfinx_mortar.mortar.common_normals import in_planes
+from dolfinx_mortar.mortar.common_normals import carried, in_planes
 from dolfinx_mortar.mortar.edges import find_sharing
 from dolfinx_mortar.mortar.integrals import some_points
 from dolfinx_mortar.mortar.pairing import receive
@@ -280,9 +280,12 @@ class _Normals:
 
 def _in_planes(link: CoupledSides, x: Floats) -> Floats:
     """Return the derivatives of the master's normals, those on planes of symmetry in these."""
-    master, spreads = link.sides.master, link.sides.spreads
-    assert master is not None and spreads is not None
-    _, by_n = in_planes(nodal_normals(master, x), spreads.mirrors[master.nodes])
+    master, spreads, common = link.sides.master, link.sides.spreads, link.coupling.common
+    assert master is not None and spreads is not None and common is not None
+    n, by_n = in_planes(nodal_normals(master, x), spreads.mirrors[master.nodes])
+    own = np.zeros_like(x)
+    own[: master.owned] = common.of_master
+    by_n = carried(n, accumulate(master, own)) @ by_n
     terms = normal_derivatives(master, x)
     return np.einsum("mkij,mkjla->mkila", by_n[master.facets], terms, optimize=True)
 

@@ -262,7 +262,7 @@ def common_normals(
     n_m = nodal_normals(master, coordinates(master, u))[: len(nodes)]
     (n, by_averaged), (n_m, _) = in_planes(averaged[: len(own)], across), in_planes(n_m, across_m)
     of_slave, of_master = _facing(pairing, segments, u, *(_edged(S, limit) for S in (S_s, S_m)))
-    S_s, S_m = S_s[: len(own)], S_m[: len(nodes)]
+    S_s, S_m, n_s = S_s[: len(own)], S_m[: len(nodes)], n.copy()
     a = _of_side(n, np.where(across, 0.0, of_slave), S_s, limit)
     values = np.zeros((V.dofmap.index_map.size_local, d + d * d))
     values[nodes, :d] = _of_side(n_m, np.where(across_m, 0.0, of_master), S_m, limit)
@@ -285,7 +285,7 @@ def common_normals(
         turning = _across(n[met]) / np.linalg.norm(mean[met], axis=1)[:, None, None]
         by_a, by_b = _mean_slopes(a[met], b[met], S_s[met], S_b[met])
         by_master[met] = -turning @ by_b @ _across(b[met]) / size[met, None, None]
-        by_slave[met] = turning @ by_a @ by_averaged[met]
+        by_slave[met] = turning @ by_a @ carried(n_s[met], a[met]) @ by_averaged[met]
         return by_slave, np.where(across[:, :, None], 0.0, by_master)
 
     return CommonNormals(n, values[nodes, :d], differentiate)
@@ -306,6 +306,12 @@ def in_planes(n: Floats, mirrors: Bools) -> tuple[Floats, Floats]:
     by_m = _across(n[some]) / np.where(size > 0.0, size, np.inf)
     by_n[some] = np.where(mirrors[some, None], 0.0, by_m)
     return n, by_n
+
+
+def carried(n: Floats, a: Floats) -> Floats:
+    """Return the derivatives (n, d, d) of unit vectors a that turn with others n, without spin."""
+    along = (n * a).sum(axis=1)[:, None, None]
+    return np.asarray(along * np.eye(n.shape[1]) - n[:, :, None] * a[:, None])
 
 
 def _across(n: Floats) -> Floats:
