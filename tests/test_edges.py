@@ -13,7 +13,7 @@ from dolfinx import fem
 from dolfinx_mortar.geometry.curvature import unit
 from dolfinx_mortar.geometry.elements import LINE2, LINE3, QUAD4, QUAD9, TRI3, TRI6
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
-from dolfinx_mortar.mortar.common_normals import _mean, _mean_slopes
+from dolfinx_mortar.mortar.common_normals import _mean
 from dolfinx_mortar.report.overlaps import notes_on_overlaps, opposite
 from tests.ball_case import create_problem
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER, skins, two_blocks
@@ -90,20 +90,6 @@ def test_normals_of_contact_point_out_of_both_sides(slave):
     coupling = link.coupling
     along = (coupling.normals * coupling.operators.normals).sum(axis=1)
     assert (along[coupling.kept[:, 0]] > 0.0).all()
-
-
-def test_derivatives_of_the_normal_of_both_sides():
-    """By complex differences along any direction; spreads turn with their normals."""
-    rng = np.random.default_rng(7)
-    a, b, da, db = rng.uniform(-1.0, 1.0, (4, 1, 3))
-    S = [v @ np.swapaxes(v, 1, 2) for v in rng.uniform(-0.5, 0.5, (2, 1, 3, 3))]
-    by_a, by_b = _mean_slopes(a, b, *S)
-    found = by_a @ da[:, :, None] + by_b @ db[:, :, None]
-    h = 1e-30j
-    for k, (v, dv) in enumerate(((a, da), (b, db))):
-        W = dv[:, :, None] * v[:, None] - v[:, :, None] * dv[:, None]
-        S[k] = S[k] + h * (W @ S[k] - S[k] @ W)
-    assert np.allclose(found[..., 0], _mean(a + h * da, b + h * db, *S).imag / h.imag)
 
 
 STACKS = {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The exact tangent of moving geometry in 2D: its derivatives, its rate, and when it is used."""
+"""The exact tangent of moving geometry in 2D: its rate, and when it is used."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -12,72 +12,17 @@ import pytest
 
 import dolfinx_mortar as dm
 import dolfinx_mortar.steps.newton as newton_module
-from dolfinx import fem
 from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.interfaces.constraints import Constraints
-from dolfinx_mortar.mortar import edges, integrals
-from dolfinx_mortar.mortar.integrals import (
-    find_segments,
-)
 from dolfinx_mortar.newton_method.linearisation import Corrections, Linearisation
 from dolfinx_mortar.newton_method.residuals import Residuals
 from dolfinx_mortar.newton_method.watch import DIGIT, MOST_RISES, Watch
 from dolfinx_mortar.qp import BoundQP
-from tests import meshes, on_edges
 from tests.choice import quick
 from tests.finite_sliding import indentation, walk
 from tests.hertz_case import ELASTIC, create_case, create_mesh
-from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
-from tests.rough_sides import RoughSides
 
-COMM, COMM_WORLD = MPI.COMM_SELF, MPI.COMM_WORLD
-TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
-
-
-class Rough(RoughSides):
-    """Two rough, bent sides that cover each other in part, with random tractions."""
-
-    def __init__(self, degree, *, smooth, rings, shared, seed):
-        """Create them; the degree is that of the displacement."""
-        rng = np.random.default_rng(seed)
-        mesh, _, facets = meshes.two_blocks(
-            COMM, n_lower=(7, 1), n_upper=(4, 1), x_lower=(0.5, 1.5), x_upper=(1.0, 2.0)
-        )
-        V = fem.functionspace(mesh, ("Lagrange", degree, (2,)))
-        u, X = fem.Function(V), V.tabulate_dof_coordinates()
-        u.x.array[:] = 0.03 * rng.standard_normal(u.x.array.size)
-        u.x.array[1::2] -= 0.2 * (X[:, 0] - 1.3) ** 2
-        weight = (lambda x: 2 * np.pi * x[..., 0]) if rings else None
-        sagittas = (0.05, 0.1) if smooth else None
-        super().__init__(u, facets, TURN, rng, sagittas=sagittas, weight=weight, shared=shared)
-
-
-@pytest.mark.parametrize("shared", [False, True])
-@pytest.mark.parametrize("rings", [False, True])
-@pytest.mark.parametrize(("degree", "smooth"), [(1, False), (1, True), (2, False)])
-def test_derivatives_are_those_of_forces_and_gaps(degree, smooth, rings, shared, monkeypatch):
-    """Of random tractions on sides that cover each other in part; to 1e-9 of the largest entry."""
-    monkeypatch.setattr(edges, "SUNK", 2.0)
-    on_edges.count_all_parts(monkeypatch)
-    # Seeds whose partly open facet of degree 2 is covered by 5 % and less amplify round-off: the
-    # functions of all its nodes need a matrix whose condition is the covered part to the power -4.
-    rough = Rough(degree, smooth=smooth, rings=rings, shared=shared, seed=38 if degree == 2 else 3)
-    assert 0 < rough.keep.sum() < len(rough.keep)
-    closed = rough.sharing(find_segments(rough.pairing, rough.u)[0]).closed
-    assert ((closed > 0.0) & (closed < 1.0)).any() != shared
-    for found, expected in zip(rough.derivatives(), rough.differences(), strict=True):
-        assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()
-
-
-@pytest.mark.parametrize("degree", [1, 2])
-def test_derivatives_of_weights_that_fall_with_the_gap(degree, monkeypatch):
-    """Of what stands back, at given levels."""
-    levels = lambda slave, least, sums, size: np.tile([-0.1, 1.0], (len(size), 1))  # noqa: E731
-    monkeypatch.setattr(integrals, "_reaches", levels)
-    rough = Rough(degree, smooth=False, rings=False, shared=True, seed=5)
-    assert find_segments(rough.pairing, rough.u)[0].reach is not None
-    for found, expected in zip(rough.derivatives(), rough.differences(), strict=True):
-        assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()
+COMM = MPI.COMM_SELF
 
 
 def rolled(**options):
@@ -173,81 +118,6 @@ def test_a_tangent_without_solution_gives_way_to_the_fixed_point(monkeypatch):
     assert not any(i.exact_tangent for i in report.iterations)
     assert any("without the exact tangent (no solution)" in note for note in report.notes)
     assert np.abs(case.contact.force - expected).max() < 1e-8 * np.abs(expected).max()
-
-
-@pytest.fixture(scope="module")
-def dragged():
-    """A half ring with friction, pressed on a block and dragged, in the course of a step."""
-    case = indentation(n=((24, 5), (16, 2)), radius=1.0, length=6.0, height=2.0, friction=0.3)
-    walk(case, lambda t: (0.1 * max(t - 1.0, 0.0), -0.2 * min(t, 1.0)), [0.5, 1.0, 1.5])
-    case.held.value[:] = 0.1, -0.2
-    return case.problem, case.problem.begin_step()
-
-
-def test_rows_of_gaps_and_slips_are_their_derivatives(dragged, monkeypatch):
-    """The trial rows of T_g, with what lumping leaves to the bounds; differences agree to 1e-8."""
-    on_edges.count_all_parts(monkeypatch)
-    problem, data = dragged
-    rng, u = np.random.default_rng(5), problem.owned_u
-    u += 1e-3 * rng.standard_normal(u.shape)  # far from balance, so that all terms count
-    start, du = u.copy(), rng.standard_normal(u.shape)
-
-    def at(step):
-        u[:] = start + step * du
-        problem.u.x.scatter_forward()
-        problem.follow_geometry()
-        (link,) = problem.system.unilateral
-        since = problem.vector(u - problem.committed.displacement)
-        slip = data.partners[0].slip(link, since)[:, 1]
-        gaps = link.coupling.weight[:, 0] * link.gaps(problem.positions())
-        return link, since, gaps, slip
-
-    at(0.0)
-    with on_edges.linear_normals(problem):
-        (_, _, *above), (_, _, *below) = at(1e-6), at(-1e-6)
-    link, since, *_ = at(0.0)
-    given = np.zeros(problem.n), np.zeros((problem.n, 2)), (since, data.partners)
-    closing = problem.system.linearise_geometry(problem.u, *given).closing(problem.vector(du))
-    near = link.near & link.coupling.kept[:, 0] & data.partners[0].known
-    found = closing.reshape(-1, 2)[link.nodes[near]]
-    for column, sign, over, a, b in zip(
-        found.T, (-1.0, 1.0), (link.coupling.weight[near, 0], 1.0), above, below, strict=True
-    ):
-        expected = sign * (a - b)[near] / 2e-6 / over
-        largest = problem.comm.allreduce(np.abs(expected).max(initial=0.0), op=MPI.MAX)
-        assert np.abs(column - expected).max(initial=0.0) < 1e-8 * largest
-    assert problem.comm.allreduce(int(near.sum())) > 5
-
-
-PRESSED = {
-    "corners of the slave": ((6, 4), (4, 4), BOTTOM_OF_UPPER, TOP_OF_LOWER, 0.0, 0.0),
-    "edge on edge": ((6, 4), (5, 4), BOTTOM_OF_UPPER, TOP_OF_LOWER, 0.4, 0.0),
-    "edge on edge, swapped": ((6, 4), (5, 4), TOP_OF_LOWER, BOTTOM_OF_UPPER, 0.4, 0.0),
-    "open": ((6, 4), (5, 4), BOTTOM_OF_UPPER, TOP_OF_LOWER, 0.735, 0.005),
-    "open, swapped": ((6, 4), (5, 4), TOP_OF_LOWER, BOTTOM_OF_UPPER, 0.735, 0.005),
-    "open, second order": ((6, 4), (5, 4), TOP_OF_LOWER, BOTTOM_OF_UPPER, 0.745, 0.003),
-}
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize(
-    ("name", "degree"),
-    [
-        *((name, 1) for name in PRESSED if "second" not in name),
-        *quick([(name, 2) for name in PRESSED if name not in ("open", "open, swapped")]),
-    ],
-)
-def test_derivatives_at_edges_are_those_of_forces_gaps_and_slips(name, degree):
-    """With the normals of edges, and what open facets share out; to 1e-8 of the largest entry."""
-    n_lower, n_upper, slave, master, right, up = PRESSED[name]
-    x_upper = (0.23 + right, 0.77 + right)
-    mesh = meshes.two_blocks(COMM_WORLD, n_lower=n_lower, n_upper=n_upper, x_upper=x_upper)
-    problem, data = on_edges.begin(*mesh, degree, slave, master)
-    on_edges.raise_upper(problem, up)
-    tangent = on_edges.Tangent(problem, data)
-    assert tangent.on_edges > 0
-    assert not up or tangent.open_in_part() > 0
-    assert max(tangent.errors) < 1e-8
 
 
 @pytest.mark.parametrize("to", [(0.15, -0.2), (0.12, -0.3)])
@@ -357,9 +227,10 @@ def test_where_updates_of_the_geometry_lead_nowhere(gaps, held, forces, strain, 
 
 
 @pytest.mark.parametrize("strain", ["small", "finite"])
-def test_nodes_that_get_or_lose_multipliers_are_seen_at_finite_strain(dragged, strain):
+def test_nodes_that_get_or_lose_multipliers_are_seen_at_finite_strain(strain):
     """Of any node of a side; at small strain the fixed point goes on there."""
-    problem, _ = dragged
+    problem = indentation(n=((6, 2), (8, 1)), radius=1.0, length=6.0, height=2.0).problem
+    problem.begin_step()
     solid = SimpleNamespace(strain=strain)
     parts = SimpleNamespace(solid=solid, system=problem.system, comm=problem.comm)
     step = SimpleNamespace(problem=parts, carrying=lambda: [link.coupling.kept for link in links])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The exact tangent of moving geometry in 3D: its derivatives, its rate, and when it is used."""
+"""The exact tangent of moving geometry in 3D: its rate, and when it is used."""
 
 from mpi4py import MPI
 
@@ -11,346 +11,11 @@ import dolfinx_mortar.steps.newton as newton_module
 from dolfinx import fem
 from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.mortar import curvature_correction
-from dolfinx_mortar.mortar.integrals import (
-    find_segments,
-)
-from dolfinx_mortar.mortar.tangent import differentiate
-from dolfinx_mortar.newton_method.contacts import Contacts
-from dolfinx_mortar.newton_method.watch import contact_forces
-from tests import meshes_3d, on_edges
+from tests import meshes_3d
 from tests.ball_case import STEEL, create_mesh
-from tests.choice import crosswise, quick
-from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
-from tests.rough_sides import RoughSides, summed
+from tests.choice import crosswise
 
-COMM = MPI.COMM_SELF
 FACTORISED = {"pc_type": "cholesky"}
-
-
-class Rough(RoughSides):
-    """Two rough, bent sides, with random tractions."""
-
-    def __init__(
-        self,
-        cell,
-        n_lower,
-        n_upper,
-        *,
-        upper,
-        seed,
-        smooth=False,
-        degree=1,
-        order=1,
-        noise=0.03,
-        jitter=0.2,
-        shared=True,
-    ):
-        """Create them; the slave is the upper side of the lower box."""
-        rng = np.random.default_rng(seed)
-        sizes, kind = ((*n_lower, 1), (*n_upper, 1)), {"cell": cell, "order": order}
-        mesh, _, facets = meshes_3d.two_boxes(
-            COMM, *sizes, upper=upper, jitter=jitter, seed=seed, **kind
-        )
-        V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
-        u, X = fem.Function(V), V.tabulate_dof_coordinates()
-        u.x.array[:] = noise * rng.standard_normal(u.x.array.size)
-        u.x.array[2::3] -= 0.2 * (X[:, 0] - 0.4) ** 2 - 0.1 * X[:, 0] * X[:, 1]
-        turn = meshes_3d.rotation((1.0, 2.0, 3.0), 0.7)
-        sagittas = (0.02, 0.05) if smooth else None
-        super().__init__(u, facets, turn, rng, sagittas=sagittas, shared=shared)
-
-
-def errors(rough, directions=None):
-    """Return the errors of the derivatives, over the largest entries."""
-    found = rough.derivatives()
-    if directions is not None:
-        found = [A @ directions.reshape(len(directions), -1).T for A in found]
-    both = zip(found, rough.differences(directions), strict=True)
-    return [np.abs(found - expected).max() / np.abs(expected).max() for found, expected in both]
-
-
-@pytest.fixture
-def accurate(monkeypatch):
-    """See `on_edges.integrate_accurately`."""
-    on_edges.integrate_accurately(monkeypatch)
-
-
-UNDER = (-0.5, 1.6, -0.5, 1.5)
-UNIT = (0.0, 1.0, 0.0, 1.0)
-PARTLY = (0.2, 1.3, -0.1, 0.7)
-
-
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("upper", [UNDER, PARTLY])
-@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
-def test_derivatives_of_one_pair(cell, upper, seed, accurate):
-    """Of one facet (two triangles) a side, which lies under the master or reaches beyond it."""
-    rough = Rough(cell, (1, 1), (1, 1), upper=upper, seed=seed)
-    assert max(errors(rough)) < 1e-8
-
-
-@pytest.mark.parametrize(
-    ("upper", "degree", "order"), crosswise([(UNDER,), (PARTLY,)], [(1, 1), (2, 1), (2, 2)])
-)
-def test_derivatives_of_smooth_heights(upper, degree, order, accurate, monkeypatch):
-    """Strains, by which heights of second order change, are held."""
-    held = lambda surface, u: np.ones(len(surface.nodes))  # noqa: E731
-    monkeypatch.setattr(curvature_correction, "thickness_stretches", held)
-    options = {"smooth": True, "degree": degree, "order": order}
-    rough = Rough("hexahedron", (1, 1), (1, 1), upper=upper, seed=3, **options)
-    assert max(errors(rough)) < 1e-8
-
-
-@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
-def test_derivatives_are_those_of_forces_and_gaps(cell, accurate):
-    """Of random tractions on sides that cover each other in part; to 1e-8 of the largest entry."""
-    rough = Rough(cell, (3, 3), (2, 3), upper=PARTLY, seed=3)
-    assert 0 < rough.keep.sum() < len(rough.keep)
-    assert max(errors(rough)) < 1e-8
-
-
-def test_derivatives_where_facets_are_open_closed_and_between(monkeypatch):
-    """Beside open edges, one after the other."""
-    on_edges.count_all_parts(monkeypatch)
-    rough = Rough("tetrahedron", (3, 3), (2, 3), upper=PARTLY, seed=3, shared=False)
-    closed = rough.sharing(find_segments(rough.pairing, rough.u)[0]).closed
-    between = (closed > 0.0) & (closed < 1.0)
-    assert between.any() and (closed[between.argmax() :] == 0.0).any()
-    assert max(errors(rough)) < 1e-8
-
-
-@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
-def test_derivatives_where_edges_nearly_coincide(cell):
-    """Corners of segments move a thousand times as fast as nodes, errors of quadrature do not."""
-    rough = Rough(cell, (2, 2), (2, 2), upper=UNIT, seed=4, smooth=True, noise=2e-3, jitter=0.0)
-    directions = np.random.default_rng(0).standard_normal((3, len(rough.nodes), 3))
-    assert max(errors(rough, 1e-2 * directions)) < 2e-3
-
-
-@pytest.mark.parametrize(("order", "cell"), crosswise([1, 2], ["tetrahedron", "hexahedron"]))
-@pytest.mark.parametrize("upper", [UNDER, PARTLY])
-def test_derivatives_in_second_order(cell, order, upper, accurate):
-    """Of straight and of curved cells, in random directions.
-
-    Where facets meet, what one of them gains the other one does not lose: their common edge is
-    clipped as a straight line, beside which both are continued.
-    """
-    second = {"degree": 2, "order": order, "noise": 0.01}
-    rough = Rough(cell, (2, 3), (3, 2), upper=upper, seed=2, **second)
-    assert rough.keep.all() == (upper == UNDER)
-    directions = np.random.default_rng(0).standard_normal((2, len(rough.nodes), 3))
-    assert max(errors(rough, directions)) < 1e-8
-
-
-@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
-def test_derivatives_of_what_faces_a_node(cell, accurate):
-    """Of sum_l M_jl n_l, n_l fixed."""
-    rough = Rough(cell, (2, 3), (1, 1), upper=UNDER, seed=1, noise=0.01)
-    rng, own, pairing = np.random.default_rng(0), len(rough.slave.nodes), rough.pairing
-    n, v = (rng.standard_normal((len(of), 3)) for of in (pairing.master_nodes, rough.nodes))
-
-    def facing(size):
-        before = rough.u.x.array.copy()
-        rough.u.x.array.reshape(-1, 3)[rough.nodes] += size * v
-        segments, _ = find_segments(pairing, rough.u)
-        N = pairing.master.element.shape_functions(segments.xi_m)
-        at = np.einsum("ql,qli->qi", N, n[pairing.master_facets[segments.master]])
-        result, Phi = np.zeros((own, 3)), rough.duals(segments)
-        np.add.at(result, rough.slave.facets[segments.slave], Phi[:, :, None] * at[:, None])
-        rough.u.x.array[:] = before
-        return result.ravel()
-
-    segments, normals = find_segments(pairing, rough.u)
-    at = pairing, rough.u, segments, rough.keep, rough.given(normals)
-    found = summed(differentiate(*at, normals=n).b_x, (3 * own, 3 * len(rough.nodes))) @ v.ravel()
-    expected = (facing(1e-5) - facing(-1e-5)) / 2e-5
-    assert rough.keep.all()
-    assert np.allclose(found, expected, rtol=0.0, atol=1e-7 * np.abs(expected).max())
-
-
-def wavy(X, phase):
-    """Return vectors at points, the same on all ranks."""
-    parts = [np.sin(X @ np.array(k) + phase + i) for i, k in enumerate([(9, 7, 5), (5, 9, 8)])]
-    return np.stack([parts[0], parts[1], parts[0] * parts[1]], axis=1)
-
-
-def partly_covered(cell, friction, degree):
-    """Return a problem of two boxes that cover each other in part."""
-    mesh, _, facets = meshes_3d.two_boxes(
-        MPI.COMM_WORLD, (4, 4, 1), (3, 5, 1), upper=PARTLY, cell=cell, jitter=0.2
-    )
-    V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
-    bcs = []
-    for tag in (meshes_3d.BOTTOM, meshes_3d.TOP):
-        dofs = fem.locate_dofs_topological(V, 2, facets.find(tag))
-        bcs.append(fem.dirichletbc(fem.Constant(mesh, (0.0, 0.0, 0.0)), dofs, V))
-    sides = {"slave": meshes_3d.TOP_OF_LOWER, "master": meshes_3d.BOTTOM_OF_UPPER}
-    contact = dm.Contact(facets, **sides, surface="facets", friction=friction or None)
-    solid = dm.Solid(fem.Function(V), dm.Elastic(E=1.0, nu=0.3))
-    return dm.ContactProblem(solid, [contact], bcs=bcs, geometry="updated")
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize(
-    ("cell", "friction", "degree"),
-    [
-        ("tetrahedron", 0.0, 1),
-        ("tetrahedron", 0.3, 1),
-        ("hexahedron", 0.0, 1),
-        ("hexahedron", 0.3, 1),
-        ("tetrahedron", 0.3, 2),
-    ],
-)
-def test_tangent_of_a_problem_is_that_of_its_forces_and_gaps(cell, friction, degree, accurate):
-    """On any number of ranks: in a direction, with tractions that vary from node to node."""
-    problem = partly_covered(cell, friction, degree)
-    solid, mesh, X = problem.solid, problem.V.mesh, problem.V.tabulate_dof_coordinates()
-    u, v = (scale * wavy(X, phase).ravel() for scale, phase in ((0.03, 0.0), (1.0, 2.0)))
-    solid.u.x.array[:] = u
-    problem.begin_step(audit=False)
-    solid.u.x.array[:] = u
-    problem.follow_geometry()
-    (link,) = problem.system.unilateral
-    on = link.near & link.coupling.kept[:, 0]
-    lam = np.zeros(problem.n)
-    lam[link.nodes[on]] = 1.0 + 0.5 * wavy(X, 1.0)[link.nodes[on], 0]
-
-    def tangential(link):
-        """Return vectors that turn with the surface."""
-        if not friction:
-            return None
-        vectors, n = wavy(X, 3.0)[: problem.n], np.zeros((problem.n, 3))
-        n[link.nodes] = link.coupling.normals
-        for normal in (first, n):
-            vectors = vectors - (vectors * normal).sum(axis=1)[:, None] * normal
-        vectors[lam == 0.0] = 0.0
-        return vectors
-
-    first = np.zeros((problem.n, 3))
-    first[link.nodes] = link.coupling.normals
-
-    def moved(step):
-        solid.u.x.array[:] = u + step * v
-        problem.follow_geometry()
-        (link,) = problem.system.unilateral
-        forces = contact_forces(problem, Contacts(lam > 0.0, lam, tangential(link)))
-        return forces, (link.gaps(problem.positions()) * link.coupling.weight[:, 0])[on]
-
-    found = problem.system.linearise_geometry(
-        solid.u, lam, tangential(link), (problem.vector(), ())
-    )
-    (H,) = found.forces
-    direction = problem.vector(v[: 3 * problem.n])
-    by_force, by_gap = np.array((H * direction).array_r), found.closing(direction)
-    by_gap = (-by_gap[3 * link.nodes] * link.coupling.weight[:, 0])[on]
-    with on_edges.linear_normals(problem):
-        high, low = moved(2e-6), moved(-2e-6)  # errors are of the second order
-    for tangent, a, b in zip((by_force, by_gap), high, low, strict=True):
-        difference = (a - b) / 4e-6
-        errors = np.abs(tangent - difference).max(initial=0.0), np.abs(difference).max(initial=0.0)
-        error, size = maximum(mesh.comm, *errors)
-        assert error < 1e-8 * size
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize(
-    ("slave", "cell"), crosswise(["ball", "block"], ["hexahedron", "tetrahedron"])
-)
-def test_rows_of_gaps_and_slips_are_their_derivatives(slave, cell, accurate, monkeypatch):
-    """The trial rows of T_g, with what lumping leaves to the bounds; differences agree to 1e-8.
-
-    They are extrapolated: of warped facets a simple one has an error of 6e-7. Slips are vectors:
-    their components along tangents that do not spin about the normal.
-    """
-    on_edges.count_all_parts(monkeypatch)
-    case = Sliding(slave, cell=cell, friction=0.3, options=None)
-    problem = case.problem
-    for along in (0.0, 0.1):
-        case.step(along, rtol=1e-6)
-    case.motion[1].value = 0.3
-    data, X = problem.begin_step(), problem.X
-    u = problem.owned_u
-    u += 3e-3 * wavy(X, 0.0).ravel()  # far from balance, so that all terms count
-    start, du = u.copy(), wavy(X, 1.0).ravel()
-
-    def at(step):
-        u[:] = start + step * du
-        problem.u.x.scatter_forward()
-        problem.follow_geometry()
-        (link,) = problem.system.unilateral
-        since = problem.vector(u - problem.committed.displacement)
-        slip = data.partners[0].slip(link, since)[:, 1:]
-        slip = np.einsum("nij,nj->ni", link.coupling.R[:, :, 1:], slip)
-        gaps = link.coupling.weight[:, 0] * link.gaps(problem.positions())
-        return link, since, gaps, slip
-
-    at(0.0)
-    with on_edges.linear_normals(problem):
-        long, short = (
-            [(a - b) / (2 * step) for a, b in zip(at(step)[2:], at(-step)[2:], strict=True)]
-            for step in (2e-5, 1e-5)
-        )
-    gap, slip = ((4 * a - b) / 3 for a, b in zip(short, long, strict=True))
-    link, since, *_ = at(0.0)
-    near = link.near & link.coupling.kept[:, 0] & data.partners[0].known
-    multipliers = np.zeros(problem.n)
-    multipliers[link.nodes[near]] = 1.0
-    given = multipliers, np.zeros((problem.n, 3)), (since, data.partners)
-    closing = problem.system.linearise_geometry(problem.u, *given).closing(problem.vector(du))
-    found = closing.reshape(-1, 3)[link.nodes]
-    in_frames = np.einsum("nij,ni->nj", link.coupling.R[:, :, 1:], slip)
-    closed = found[:, 0] * link.coupling.weight[:, 0]
-    for error, size in ((closed + gap, gap), (found[:, 1:] - in_frames, in_frames)):
-        largest = maximum(problem.comm, *(np.abs(v[near]).max(initial=0.0) for v in (error, size)))
-        assert largest[0] < 1e-8 * largest[1]
-    assert problem.comm.allreduce(int(near.sum())) > 5
-
-
-SMALL, BESIDE, CORNER, LITTLE = (
-    (0.23, 0.77, 0.21, 0.75),
-    (0.43, 1.37, -0.1, 1.12),
-    (0.43, 1.37, 0.38, 1.41),
-    (0.97, 1.87, 0.38, 1.41),
-)
-ON_EDGES = {
-    "corners of the slave": (SMALL, BOTTOM_OF_UPPER, TOP_OF_LOWER, 0.0),
-    "edge on edge": (BESIDE, BOTTOM_OF_UPPER, TOP_OF_LOWER, 0.0),
-    "edge on edge, swapped": (BESIDE, TOP_OF_LOWER, BOTTOM_OF_UPPER, 0.0),
-    "corner on corner": (CORNER, BOTTOM_OF_UPPER, TOP_OF_LOWER, 0.0),
-    "corner on corner, swapped": (CORNER, TOP_OF_LOWER, BOTTOM_OF_UPPER, 0.0),
-    "open": (LITTLE, BOTTOM_OF_UPPER, TOP_OF_LOWER, 0.004),
-    "open, swapped": (LITTLE, TOP_OF_LOWER, BOTTOM_OF_UPPER, 0.004),
-}
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize(
-    ("name", "cell", "degree"),
-    quick(
-        [
-            (name, cell, degree)
-            for name in ON_EDGES
-            for cell in ("tetrahedron", "hexahedron")
-            for degree in (1, 2)
-        ],
-        ("edge on edge", "tetrahedron", 1),
-        ("corner on corner, swapped", "hexahedron", 1),
-        ("open", "tetrahedron", 1),
-        ("open, swapped", "hexahedron", 1),
-    ),
-)
-def test_derivatives_at_edges_are_those_of_forces_gaps_and_slips(name, cell, degree, accurate):
-    """With the normals of edges, and what open facets share out; to 1e-8 of the largest entry."""
-    upper, slave, master, up = ON_EDGES[name]
-    n = ((4, 4, 1), (3, 3, 1)) if upper == SMALL else ((3, 3, 1), (3, 3, 1))
-    mesh = meshes_3d.two_boxes(MPI.COMM_WORLD, *n, upper=upper, cell=cell, jitter=0.15)
-    problem, data = on_edges.begin(*mesh, degree, slave, master, surface="facets")
-    on_edges.raise_upper(problem, up)
-    tangent = on_edges.Tangent(problem, data, noise=1e-3)
-    assert tangent.on_edges > 0
-    assert not up or tangent.open_in_part() > 0
-    assert max(tangent.errors) < 1e-8
 
 
 class Sliding:
@@ -365,7 +30,6 @@ class Sliding:
         degree=1,
         h=0.5,
         options=FACTORISED,
-        **friction,
     ):
         """Create the problem."""
         m = create_mesh(h, cell)
@@ -379,14 +43,14 @@ class Sliding:
             dofs = fem.locate_dofs_topological(W, 2, m.facet_tags.find(tag))
             bcs.append(fem.dirichletbc(value, dofs, W))
         sides = dict(zip(("slave", "master"), (3, 4) if slave == "block" else (4, 3), strict=True))
-        self.contact = dm.Contact(m.facet_tags, **sides, surface=surface, **friction)
+        self.contact = dm.Contact(m.facet_tags, **sides, surface=surface)
         solid = dm.Solid(fem.Function(V), STEEL)
         self.problem = dm.ContactProblem(solid, [self.contact], bcs=bcs, petsc_options=options)
 
-    def step(self, along, rtol=1e-10):
+    def step(self, along):
         """Return the report of a step to a depth of 0.2 and a place along the block."""
         self.motion[1].value, self.motion[2].value = along, -0.2
-        report = dm.newton(self.problem, rtol=rtol)
+        report = dm.newton(self.problem, rtol=1e-10)
         self.problem.commit()
         return report
 

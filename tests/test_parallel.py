@@ -26,8 +26,8 @@ ON_TWO = """
     point_terms progress regions results summary tags terms written_results
 """.split()
 SLOW_ON_THREE = """
-    convected driven_tools exact_tangent exact_tangent_3d finite_sliding friction_path load_steps
-    mortar_3d pairs patch rigid_side same_sums slaves_on_rollers
+    convected driven_tools exact_tangent_3d finite_sliding friction_path load_steps
+    mortar_3d pairs patch rigid_side same_sums slaves_on_rollers tangent
 """.split()
 AT_NIGHT = """
     audit axisymmetric_contact axisymmetric_patch axisymmetry bending certificate checkpoint

@@ -14,12 +14,11 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from tests import meshes, meshes_3d, on_edges
+from tests import meshes, meshes_3d
 from tests.choice import crosswise
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, LOWER, RIGHT, TOP, TOP_OF_LOWER, UPPER
 from tests.meshes_3d import BACK, FRONT
 from tests.rings import SIDES, largest, tubes
-from tests.test_tool_tangent import turned
 
 COMM = MPI.COMM_WORLD
 E, NU, P = 1000.0, 0.3, 2.0
@@ -301,86 +300,6 @@ def test_a_try_leaves_no_friction_behind_in_a_checkpoint(tmp_path):
     restored.problem.restore(file)
     (right, *others) = (case.push_by(-0.002)[0] for case in (straight, tried, restored))
     assert right < 0.0 and others == pytest.approx([right, right], rel=1e-8)
-
-
-class Differences:
-    """Forces, weighted gaps and slips of a contact with friction, at given tractions."""
-
-    def __init__(self, case):
-        """Press, begin another step, and move nodes far from balance."""
-        interface = case.interface(CONTACT, **ROUGH, surface="facets")
-        self.problem = case.problem(interface, geometry="updated")
-        dm.newton(self.problem)
-        self.problem.commit()
-        (self.partners,) = self.problem.begin_step().partners
-        X = self.problem.V.tabulate_dof_coordinates()[: self.problem.n]
-        fields = [on_edges.wavy(X, phase)[:, : case.d] for phase in range(4)]
-        u = self.problem.owned_u
-        u += 3e-3 * (fields[0] * ~self.problem.supports.owned).ravel()
-        self.start, self.du = u.copy(), (fields[1] * ~self.problem.supports.owned).ravel()
-        self.old = self.at(0.0).coupling
-        nodes, on = self.at(0.0).nodes, self.old.directions
-        self.multipliers, self.tangential = 0.75 + 0.25 * fields[2][:, 0], 0.0 * fields[3]
-        self.along = fields[3][nodes, 1:] * on[:, 1:]
-        self.tangential[nodes] = np.einsum("nk,nki->ni", self.along, self.tangents(self.old))
-
-    def at(self, step):
-        """Return the link at a displacement."""
-        problem = self.problem
-        problem.owned_u[:] = self.start + step * self.du
-        problem.u.x.scatter_forward()
-        problem.follow_geometry()
-        (link,) = problem.system.unilateral
-        return link
-
-    def since(self):
-        """Return the displacement since the last commit."""
-        return self.problem.vector(self.problem.owned_u - self.problem.committed.displacement)
-
-    def tangents(self, coupling):
-        """Return tangents without spin, where an axis is prescribed those normal to it."""
-        rows = np.swapaxes(self.old.rows[:, 1:], 0, 1)
-        free = np.stack([turned(row, self.old.normals, coupling.normals) for row in rows], axis=1)
-        held = (self.old.slot >= 0).any(axis=1) & self.old.kept[:, 0]
-        return np.where(held[:, None, None], coupling.rows[:, 1:], free)
-
-    def values(self, step):
-        """Return forces, gaps and slips."""
-        link = self.at(step)
-        coupling, t = link.coupling, self.tangents(link.coupling)
-        traction = self.multipliers[link.nodes, None] * coupling.normals
-        traction += np.einsum("nk,nki->ni", self.along, t)
-        forces = np.add(*link.transpose(coupling.weight * traction))
-        gaps = coupling.weight[:, 0] * link.gaps(self.problem.positions())
-        slips = np.einsum("nki,ni->nk", t, self.partners.motion(link, self.since()))
-        return forces, gaps, slips
-
-    def derivatives(self):
-        """Return what the exact tangent says."""
-        link, du = self.at(0.0), self.problem.vector(self.du)
-        given = self.multipliers, self.tangential, (self.since(), [self.partners])
-        found = self.problem.system.linearise_geometry(self.problem.u, *given)
-        closing = found.closing(du).reshape(-1, self.problem.d)[link.nodes]
-        forces = (found.forces[0] * du).array_r.reshape(-1, self.problem.d)
-        return forces, -closing[:, 0] * link.coupling.weight[:, 0], closing[:, 1:]
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("slope", [deg(30), pytest.param(deg(30, -20), id="space")])
-def test_exact_tangent(slope, monkeypatch):
-    """Derivatives with tangents that stay normal to prescribed axes, to 1e-8 of the differences."""
-    on_edges.integrate_accurately(monkeypatch)
-    case = Differences(Hydrostatic(slope))
-    with on_edges.linear_normals(case.problem):
-        ends = [case.values(way * 1e-5) for way in (2.0, 1.0, -1.0, -2.0)]
-    exact, on = case.derivatives(), case.old.directions
-    assert largest((case.old.slot >= 0) & case.old.kept) > 0
-    for kind, (far, near, back, further) in enumerate(zip(*ends, strict=True)):
-        difference, found = (8.0 * (near - back) - (far - further)) / 12e-5, exact[kind]
-        if kind > 0:
-            mask = on[:, 0] if kind == 1 else on[:, 1:]
-            difference, found = difference[mask], found[mask]
-        assert largest(found - difference) < 1e-8 * largest(found), kind
 
 
 def push_cone(n, slave, sign, degree):

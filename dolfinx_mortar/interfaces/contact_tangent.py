@@ -226,8 +226,9 @@ class ContactDerivatives(LinkDerivatives):
 class _Normals:
     """Derivatives of the normals of contact, Y_s dn_j + Y_m sum_l (dM_jl n_l + M_jl dn_l).
 
-    n_j and n_l are the averaged normals of the slave and of the master, with which spreads turn.
-    Left out is how M weights spreads, and in space how the weights of M_jl change.
+    n_j and n_l turn with the averaged normals of the slave and of the master, and so do spreads.
+    Left out is how M weights spreads, and that at edges normals and spreads are those of facets
+    of which some are, and others are not, in the averaged normal.
     """
 
     def __init__(self, link: CoupledSides, x: BlockEntries, y: BlockEntries, N: PETSc.Mat) -> None:

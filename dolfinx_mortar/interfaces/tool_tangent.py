@@ -4,7 +4,7 @@
 The tractions t_j = lambda_j n_j + tau_j turn with n_j, dn_j = -(I - n n^T) Hess phi dx_j, and their
 tangents as in `moving_geometry`. For phi stands what `point_gaps` has there: of distances of nodes
 their interpolation. The change of heights of second order by the strain of the bodies along the
-normal is left out.
+normal is left out, and that of arcs in the plane by the length of their chords.
 """
 
 from __future__ import annotations

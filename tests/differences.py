@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: MIT
+"""The exact tangent of an interface far from balance, beside differences of what Newton uses."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import cycle
+from unittest.mock import patch
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx import fem, la
+from dolfinx_mortar.geometry import area
+from dolfinx_mortar.interfaces.system import InterfaceSystem
+from dolfinx_mortar.mortar import common_normals, curvature_correction, edges, integrals
+from dolfinx_mortar.mortar.surface import accumulate
+
+FAR = 1e3  # all nodes are near
+
+
+def wavy(X, phase):
+    """Return vectors (n, d) at points, the same on all ranks."""
+    a, b = (np.sin(X @ k[: X.shape[1]] + phase + i) for i, k in enumerate(([9, 7, 5], [5, 9, 8])))
+    return np.stack([a, b, a * b], axis=1)[:, : X.shape[1]]
+
+
+def rotations(old, new):
+    """Return the rotations (n, d, d) without spin from unit vectors to others."""
+    both, cosine = old + new, (old * new).sum(axis=1)[:, None, None]
+    R = np.eye(old.shape[1]) - both[:, :, None] * both[:, None] / (1.0 + cosine)
+    return R + 2.0 * new[:, :, None] * old[:, None]
+
+
+@contextmanager
+def held() -> Iterator[None]:
+    """Hold what the tangent leaves out on purpose as it is at the first call.
+
+    That is how far facets beside a facet let it reach, strains in heights of second order, how M
+    weights spreads of normals, and that these and normals at edges turn with the averaged normals.
+    """
+    first, sides = {}, cycle(("slave", "master"))
+    mean, of_side = common_normals._mean, common_normals._of_side
+
+    def once(module, name):
+        f = getattr(module, name)
+
+        def found(surface, *rest):
+            if (name, id(surface)) not in first:
+                first[name, id(surface)] = f(surface, *rest)
+            return first[name, id(surface)]
+
+        return patch.object(module, name, found)
+
+    def turned_mean(*given):
+        at = first.setdefault("mean", given)
+        R = [rotations(*vectors) for vectors in zip(at[:2], given[:2], strict=True)]
+        return mean(*given[:2], *(r @ S @ r.swapaxes(1, 2) for r, S in zip(R, at[2:], strict=True)))
+
+    def turned_side(averaged, *rest):
+        old, a = first.setdefault(next(sides), (averaged.copy(), of_side(averaged, *rest)))
+        return (rotations(old, averaged) @ a[:, :, None])[:, :, 0]
+
+    with (
+        once(integrals, "_reaches"),
+        once(curvature_correction, "thickness_stretches"),
+        patch.object(common_normals, "_mean", turned_mean),
+        patch.object(common_normals, "_of_side", turned_side),
+    ):
+        yield
+
+
+@contextmanager
+def accurate() -> Iterator[None]:
+    """Integrate in space with many points: derivatives are those of integrals, by fewer points."""
+    with (
+        patch.object(area, "_least_degree", lambda slave, master: 16),
+        patch.object(area, "_degree_of_moments", lambda slave, master, smooth: 16),
+    ):
+        yield
+
+
+class Differences:
+    """Forces, weighted gaps and slips of an interface as functions of u, at given tractions."""
+
+    def __init__(self, V, interface, noise=0.03, *, fixed=None, weight=None, open=False):
+        """Move the surfaces in waves; partners are those of other waves.
+
+        Args:
+            noise: Height of the waves.
+            fixed: Returns which components (n, d) at points are prescribed.
+            weight: Of the integrals.
+            open: Whether all slave nodes are on edges.
+        """
+        self.V, self.d, self.comm = V, V.dofmap.index_map_bs, V.mesh.comm
+        self.X = X = V.tabulate_dof_coordinates()[:, : self.d]
+        free = np.ones(X.shape, dtype=bool) if fixed is None else ~fixed(X)
+        interface.take(self, V)
+        interface.check_kinematics(self.d, weight is not None, "small")
+        self.system, self.u = InterfaceSystem(V, [interface], ~free, weight), fem.Function(V)
+        if open:
+            (sides,) = self.system.sides
+            self.system.sides = [replace(sides, edges=np.ones(len(sides.slave.nodes), dtype=bool))]
+        self.start, self.du = noise * wavy(X, 0.0) * free, wavy(X, 2.0) * free
+        self.before = self.start - 0.3 * noise * wavy(X, 4.0) * free
+        self.u.x.array[:] = self.before.ravel()
+        x = self._vector(X + self.before)
+        self.system.enter(self.system.at(self.u), x, FAR)
+        (self.partners,) = self.system.present.partners(x, frozen=False)
+
+    def _vector(self, values):
+        vector = la.create_petsc_vector(self.V.dofmap.index_map, self.d)
+        vector.array[:] = values.ravel()[: vector.local_size]
+        return vector
+
+    def _at(self, u):
+        self.u.x.array[:] = u.ravel()
+        self.system.follow(self.u, self._vector(self.X + u))
+        (self.link,) = self.system.unilateral
+        return self.link, self.link.coupling
+
+    def _tangents(self, coupling):
+        """Return tangents that turn without spin, but stay normal to prescribed axes."""
+        held = (self.old.slot >= 0).any(axis=1) & self.old.kept[:, 0]
+        R = rotations(self.old.normals, coupling.normals)
+        free = self.old.rows[:, 1:] @ R.swapaxes(1, 2)
+        return np.where(held[:, None, None], coupling.rows[:, 1:], free)
+
+    def _values(self, u):
+        link, coupling = self._at(u)
+        t = self._tangents(coupling)
+        traction = self.normal[link.nodes, None] * coupling.normals
+        traction += np.einsum("nk,nki->ni", self.along, t)
+        forces = np.add(*link.transpose(coupling.weight[:, :1] * traction))
+        gaps = coupling.weight[:, 0] * link.gaps(self._vector(self.X + u))
+        if self.partners is None:
+            return forces, gaps[self.on], np.zeros(0)
+        motion = self.partners.motion(link, self._vector(u - self.before))
+        return forces, gaps[self.on], (t @ motion[:, :, None])[self.slides, 0]
+
+    def _derivatives(self):
+        link, du = self.link, self._vector(self.du)
+        tangential, slips = None, (du, ())
+        if self.partners is not None:
+            tangential = np.zeros((len(self.normal), self.d))
+            tangential[link.nodes] = np.einsum("nk,nki->ni", self.along, self.old.rows[:, 1:])
+            slips = self._vector(self.start - self.before), [self.partners]
+        found = self.system.linearise_geometry(self.u, self.normal, tangential, slips)
+        forces = (found.forces[0] * du).array_r.reshape(-1, self.d)
+        closing = found.closing(du).reshape(-1, self.d)[link.nodes]
+        gaps = -closing[:, 0] * link.coupling.weight[:, 0]
+        return forces, gaps[self.on], closing[:, 1:][self.slides]
+
+    def errors(self, hold=held, h=1e-5):
+        """Return those of forces, gaps and slips along a direction, over the largest entries."""
+        with hold():
+            link, self.old = self._at(self.start)
+            own = self.X[: self.V.dofmap.index_map.size_local]
+            self.on, across = link.coupling.kept[:, 0], self.old.directions[:, 1:]
+            known = False if self.partners is None else self.partners.known
+            self.slides = across & (self.on & known)[:, None]
+            self.normal = 0.75 + 0.25 * wavy(own, 1.0)[:, 0]
+            self.along = wavy(own, 3.0)[link.nodes, 1:] * across
+            self.seen = self._features()
+            found = self._derivatives()
+            ends = [self._values(self.start + way * h * self.du) for way in (2, 1, -1, -2)]
+        errors = []
+        for one, (far, near, back, further) in zip(found, zip(*ends, strict=True), strict=True):
+            expected = (8.0 * (near - back) - (far - further)) / (12.0 * h)
+            most = [np.abs(v).max(initial=0.0) for v in (one - expected, expected)]
+            error, size = (self.comm.allreduce(v, op=MPI.MAX) for v in most)
+            errors.append(error / (size or 1.0))
+        return errors
+
+    def _features(self):
+        """Return what the case contains; collective."""
+        link, slave = self.link, self.link.sides.slave
+        found = {
+            "partly": not self.on.all(),
+            "held": ((self.old.slot >= 0).any(axis=1) & self.on).any(),
+            "smooth": link.pattern.smooth is not None,
+        }
+        if (operators := self.old.operators) is not None:
+            found["step"] = operators.segments.reach is not None
+        if (on_edges := link.sides.edges) is not None:
+            found["edges"] = (on_edges[: slave.owned] & self.on).any()
+            kept = np.zeros((len(slave.nodes), 1))
+            kept[: slave.owned, 0] = self.on
+            keep = accumulate(slave, kept)[:, 0] > 0.0
+            at = link.pairing, operators.segments, self.u, keep, on_edges, link.banned[slave.nodes]
+            if (sharing := edges.find_sharing(*at)) is not None:
+                found["open"] = ((sharing.closed > 0.0) & (sharing.closed < 1.0)).any()
+        return {name for name, here in found.items() if self.comm.allreduce(bool(here), op=MPI.LOR)}
