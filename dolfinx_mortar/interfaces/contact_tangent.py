@@ -6,7 +6,6 @@ See `moving_geometry` for the system that they belong to.
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
@@ -47,16 +46,16 @@ class Unknowns:
 
 @dataclass(frozen=True)
 class SlipRows:
-    """Rows of the slips of a contact, s.(du_j - P du) + m.dt + t.dm, m being the motion so far.
+    """Rows of the slips of a contact, s.(du_j - P du) + m.dt, m being the motion so far.
 
-    P is that of the partners, see `slip_partners`; the tangents t turn with the averaged normal. s
-    is t, but on tools, along whose surface the motion is taken.
+    P is that of the partners, see `slip_partners`; the tangents t turn with the normal. s is t, but
+    on tools, along whose surface the motion is taken, which there depends on the normal: + t.dm.
     """
 
     link: CoupledSides
     partners: Partners
-    turning: Floats  # (n, d - 1, d) m.dt + t.dm by the averaged normals
-    normals: PETSc.Mat  # derivatives of these, on edges of the normals there
+    turning: Floats  # (n, d - 1, d) m.dt + t.dm by the normals
+    normals: PETSc.Mat  # derivatives of these
     along: Floats  # (n, d - 1, d) s
 
     @property
@@ -182,7 +181,7 @@ class ContactDerivatives(LinkDerivatives):
         """
         slave, (_, operators) = link.sides.slave, link.mortar
         x = coordinates(slave, u)
-        given, keep = tractions_of(link, _turning(link), multipliers, tangential)
+        given, keep = tractions_of(link, multipliers, tangential)
         asked, loaded = self.asked, np.asarray(given.tractions.any(axis=1))
         known: Bools = np.ones_like(loaded)
         if _in_space(link):
@@ -217,9 +216,7 @@ class ContactDerivatives(LinkDerivatives):
         """Return the rows of slips at the iterate that was differentiated last; collective."""
         tangents = link.coupling.rows[:, 1:]
         along = (partners.motion(link, since) * link.coupling.R[:, :, 0]).sum(axis=1)
-        by_n = partners.motion_by_normals(link) - along[:, None, None] * np.eye(tangents.shape[2])
-        by_n[~partners.known] = 0.0
-        turned = tangents @ by_n @ _turning(link)
+        turned = -along[:, None, None] * tangents  # what turns with n changes along n only
         return SlipRows(link, partners, turned, self.normals.zero(), tangents)
 
 
@@ -334,50 +331,25 @@ def layout_of(V: fem.FunctionSpace) -> Unknowns:
     return Unknowns(d * index_map.size_local, d * index_map.size_global)
 
 
-def _turning(link: CoupledSides) -> Floats:
-    """Return dn_j/dn (n, d, d) of the normals of the owned slave nodes, 0 where not kept.
-
-    By the normals of contact with the directions that mirror planes take.
-    """
-    assert link.coupling.common is not None
-    kept, n = link.coupling.kept[:, 0], link.coupling.normals
-    free = ~link.sides.mirrors[link.nodes]
-    left = np.linalg.norm(link.coupling.common.n * free, axis=1)
-    turning = (np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :]) * free[:, None, :]
-    turning /= np.where(kept, left, 1.0)[:, None, None]
-    turning[~kept] = 0.0
-    return np.asarray(turning)
-
-
 def tractions_of(
-    link: CoupledSides, turning: Floats, multipliers: Floats, tangential: Floats | None
+    link: CoupledSides, multipliers: Floats, tangential: Floats | None
 ) -> tuple[Tractions, Bools]:
     """Return normals, tractions, and which local slave nodes are kept; collective.
 
     Args:
-        turning: derivatives (n, d, d) of the normals, by what the tractions shall be.
         multipliers: lambda_j (owned nodes,).
         tangential: tangential tractions (owned nodes, d), None without friction.
     """
-    slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
-    nodes, kept = link.nodes, link.coupling.kept[:, 0]
-    n = np.where(kept[:, None], link.coupling.normals, 0.0)
-    at = multipliers[nodes] * kept
-    traction, change = at[:, None] * n, at[:, None, None] * turning
+    slave, nodes, kept = link.sides.slave, link.nodes, link.coupling.kept[:, :1]
+    n = np.where(kept, link.coupling.normals, 0.0)
+    at, d = multipliers[nodes, None], n.shape[1]
+    traction, change = at * n, at[:, :, None] * np.eye(d)
     if tangential is not None:
         along = tangential[nodes] - (tangential[nodes] * n).sum(axis=1)[:, None] * n
-        along *= kept[:, None]
-        traction += along
-        change -= link.coupling.R[:, :, :1] * (along[:, None] @ turning)  # as tangents turn
-    parts = n, turning, traction, change, kept
-    d = n.shape[1]
-    columns = np.zeros((len(slave.nodes), 2 * d + 2 * d * d + 1))
-    widths = [math.prod(part.shape[1:]) for part in parts]  # a rank may have no node
-    columns[own] = np.concatenate(
-        [part.reshape(len(nodes), k) for part, k in zip(parts, widths, strict=True)], axis=1
-    )
-    ends = np.cumsum([d, d * d, d, d * d])
-    n, turning, traction, change, mark = np.split(accumulate(slave, columns), ends, axis=1)
-    square = (-1, d, d)
-    found = Tractions(n, turning.reshape(square), traction, change.reshape(square))
-    return found, mark[:, 0] > 0
+        traction += kept * along
+        change -= link.coupling.R[:, :, :1] * along[:, None]  # as tangents turn
+    columns = np.zeros((len(slave.nodes), 2 * d + d * d + 1))
+    columns[: slave.owned] = np.hstack([n, traction, change.reshape(len(n), d * d), kept])
+    ends = np.cumsum([d, d, d * d])
+    n, traction, change, mark = np.split(accumulate(slave, columns), ends, axis=1)
+    return Tractions(n, traction, change.reshape(-1, d, d)), mark[:, 0] > 0

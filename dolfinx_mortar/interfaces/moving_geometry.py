@@ -11,11 +11,11 @@ The test functions are those of T, as for surfaces that do not move; du = T_g y,
 rows of T_g the parts of neighbouring slave nodes are lumped on node j, so that they are rows of one
 node. What that neglects is some per cent; it is known once du is, and belongs to the bounds then.
 
-With friction y_t is the change of the slip t.m, t.(du_j - P du) + m.dt + t.(dm/dn dn), with P of
-the partners, see `slip_partners`, and the motion m so far; the tangents do not spin about the
-normal and stay normal to prescribed axes, dt = -r (t.dn) with the first column r of R, which is n
-where nothing is prescribed. Its law holds for tractions lambda and tau, which are reactions over
-D_jj in the geometry of the iterate.
+With friction y_t is the change of the slip t.m, t.(du_j - P du) + m.dt, with P of the partners,
+see `slip_partners`, and the motion m so far; the tangents do not spin about the normal and stay
+normal to prescribed axes, dt = -r (t.dn) with the first column r of R, which is n where nothing is
+prescribed; what turns with n in m changes along n only. The law of friction holds for tractions
+lambda and tau, which are reactions over D_jj in the geometry of the iterate.
 """
 
 from __future__ import annotations

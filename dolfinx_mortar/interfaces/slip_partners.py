@@ -69,15 +69,6 @@ class Partners:
         whole = node_motions(link, self.P, moved) + self.apart[:, None] * self.normals
         return np.asarray(whole + tilt[:, None] * both)
 
-    def motion_by_normals(self, link: CoupledSides) -> Floats:
-        """Return the derivatives (n, d, d) of the motion by the normals of the moment."""
-        n = link.coupling.normals
-        room = np.maximum(1.0 + (self.normals * n).sum(axis=1), EPS)[:, None]
-        tilt = (self.along * n).sum(axis=1)[:, None] / room
-        by_n = (self.along - tilt * self.normals) / room
-        both = (self.normals + n)[:, :, None] * by_n[:, None]
-        return np.asarray(both + tilt[:, :, None] * np.eye(n.shape[1]))
-
     def slip(self, link: CoupledSides, moved: PETSc.Vec) -> Floats:
         """Return the motion (n, d) since the last commit, in the frames of the moment; collective.
 

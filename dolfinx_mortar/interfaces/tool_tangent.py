@@ -16,7 +16,7 @@ from scipy import sparse
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.block_sums import BlockEntries, Blocks, BlockSums
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.arrays import TINY, Bools, Floats
 from dolfinx_mortar.geometry.facets import scaled_normals
 from dolfinx_mortar.interfaces.contact_tangent import (
     LinkDerivatives,
@@ -34,6 +34,7 @@ from dolfinx_mortar.mortar.duals import find_duals
 from dolfinx_mortar.mortar.surface import coordinates, facets_at
 from dolfinx_mortar.mortar.tangent import differentiate_whole
 from dolfinx_mortar.mortar.whole_side import WholeSide, rule_of, whole_facets
+from dolfinx_mortar.shapes.shape import unit_vectors
 
 
 class ToolDerivatives(LinkDerivatives):
@@ -66,7 +67,7 @@ class ToolDerivatives(LinkDerivatives):
         """Return those of forces, and of gaps in the rows w_n, and which of these; collective."""
         slave, side, x = link.sides.slave, self.side, coordinates(link.sides.slave, u)
         pose, shape, d = self.tool.pose(), self.tool.asked, x.shape[1]
-        given, keep = tractions_of(link, self._turning(link, x), multipliers, tangential)
+        given, keep = tractions_of(link, multipliers, tangential)
         facing = self.asked & find_facing(side, pose, shape, x)
         segments, points = whole_facets(side, x, facing)
         assert isinstance(link.pattern, SidePattern)
@@ -83,7 +84,7 @@ class ToolDerivatives(LinkDerivatives):
         duals = find_duals(side, segments, keep).of(which)
         at = per_point, phi.reshape(per_point.shape), by_x.reshape(*per_point.shape, k, d)
         forces, gaps, D = differentiate_whole(facets, xi, *at, duals, given.tractions[nodes])
-        forces += np.einsum("fjl,fjic->flijc", D, given.changes[nodes])
+        forces += np.einsum("fjl,fjic->flijc", D, (given.changes @ self._turning(x))[nodes])
         known = np.ones(slave.owned, dtype=bool)
         F = self.F.fill([Blocks(nodes, nodes, forces)])
         return F, self.G.fill([Blocks(nodes, nodes, gaps[:, :, None])]), known
@@ -92,26 +93,21 @@ class ToolDerivatives(LinkDerivatives):
         self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
     ) -> SlipRows:
         """Return the rows of slips; collective."""
-        slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
-        x = coordinates(slave, u)
+        slave, x = link.sides.slave, coordinates(link.sides.slave, u)
         assert isinstance(partners, ToolPartners)
         by_x, by_n = partners.derivatives(link, since)
         along = (partners.motion(link, since) * link.coupling.R[:, :, 0]).sum(axis=1)
         by_n -= along[:, None, None] * np.eye(by_n.shape[1])
         tangents = link.coupling.rows[:, 1:]
-        turned = np.zeros((len(slave.nodes), *by_n.shape[1:]))
-        turned[own] = self._turning(link, x)
+        turned = self._turning(x)
+        turned[slave.owned :] = 0.0
         alone = np.arange(len(turned))[:, None]
         N = self.N.fill([Blocks(alone, alone, turned[:, None, :, None])])
         return SlipRows(link, partners, tangents @ by_n, N, tangents @ by_x)
 
-    def _turning(self, link: CoupledSides, x: Floats) -> Floats:
-        """Return dn_j/dx_j (n, d, d) of the owned slave nodes, 0 where not kept."""
-        own = slice(None, link.sides.slave.owned)
-        kept, n = link.coupling.kept[:, 0], link.coupling.normals
-        found = self.tool.pose().distance(self.tool.asked, x[own])
-        size = np.linalg.norm(found.gradient, axis=1)
-        across = np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :]
-        across /= np.where(kept & (size > 0.0), size, 1.0)[:, None, None]
-        across[~kept] = 0.0
-        return -across @ found.hessian
+    def _turning(self, x: Floats) -> Floats:
+        """Return dn_j/dx_j (n, d, d) of nodes at x (n, d), n being -grad phi / |grad phi|."""
+        found = self.tool.pose().distance(self.tool.asked, x)
+        size, g = unit_vectors(found.gradient)
+        across = np.eye(x.shape[1]) - g[:, :, None] * g[:, None]
+        return np.asarray(-across @ found.hessian / np.maximum(size, TINY)[:, None, None])

@@ -44,9 +44,8 @@ class Tractions:
     """Constraint normals and tractions at the local slave nodes, as functions of the normals."""
 
     normals: Floats  # (n, d) n_j of gaps; zero where no multiplier is carried
-    turning: Floats  # (n, d, d) dn_j/dn of the normals n before Dirichlet data restrict them
     tractions: Floats  # (n, d) c_j
-    changes: Floats  # (n, d, d) dc_j/dn
+    changes: Floats  # (n, d, d) dc_j/dn_j
 
 
 @dataclass(frozen=True, eq=False)
@@ -496,6 +495,6 @@ def _add_parts(
     forces = np.einsum("pjr,pjih->prijh", by_c, given.changes[own])
     parts["F_n"].append(Blocks(both, own, forces))
     v = found.M @ sides.y - found.D @ sides.x
-    gaps = (v[:, :, None] @ given.turning[own]).reshape(-1, 1, 1, 1, d)
+    gaps = v.reshape(-1, 1, 1, 1, d)
     each = own.reshape(-1, 1)  # a gap depends on the normal of its own node
     parts["G_n"].append(Blocks(each, each, gaps))
