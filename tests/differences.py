@@ -84,7 +84,18 @@ def accurate() -> Iterator[None]:
 class Differences:
     """Forces, weighted gaps and slips of an interface as functions of u, at given tractions."""
 
-    def __init__(self, V, interface, noise=0.03, *, fixed=None, weight=None, open=False):
+    def __init__(
+        self,
+        V,
+        interface,
+        noise=0.03,
+        *,
+        fixed=None,
+        weight=None,
+        open=False,
+        slid=0.0,
+        loaded=np.inf,
+    ):
         """Move the surfaces in waves; partners are those of other waves.
 
         Args:
@@ -92,8 +103,10 @@ class Differences:
             fixed: Returns which components (n, d) at points are prescribed.
             weight: Of the integrals.
             open: Whether all slave nodes are on edges.
+            slid: How far what lies above 0 has been moved along x since the partners were found.
+            loaded: Nodes beyond this x have no tractions, and no rows but those beside the others.
         """
-        self.V, self.d, self.comm = V, V.dofmap.index_map_bs, V.mesh.comm
+        self.V, self.d, self.comm, self.loaded = V, V.dofmap.index_map_bs, V.mesh.comm, loaded
         self.X = X = V.tabulate_dof_coordinates()[:, : self.d]
         free = np.ones(X.shape, dtype=bool) if fixed is None else ~fixed(X)
         interface.take(self, V)
@@ -104,6 +117,7 @@ class Differences:
             self.system.sides = [replace(sides, edges=np.ones(len(sides.slave.nodes), dtype=bool))]
         self.start, self.du = noise * wavy(X, 0.0) * free, wavy(X, 2.0) * free
         self.before = self.start - 0.3 * noise * wavy(X, 4.0) * free
+        self.before[X[:, -1] > 0.005, 0] -= slid
         self.u.x.array[:] = self.before.ravel()
         x = self._vector(X + self.before)
         self.system.enter(self.system.at(self.u), x, FAR)
@@ -135,9 +149,10 @@ class Differences:
         forces = np.add(*link.transpose(coupling.weight[:, :1] * traction))
         gaps = coupling.weight[:, 0] * link.gaps(self._vector(self.X + u))
         if self.partners is None:
-            return forces, gaps[self.on], np.zeros(0)
+            return forces, gaps[self.on]
         motion = self.partners.motion(link, self._vector(u - self.before))
-        return forces, gaps[self.on], (t @ motion[:, :, None])[self.slides, 0]
+        slips = (t @ motion[:, :, None])[:, :, 0] * self.partners.known[:, None]
+        return forces, gaps[self.on], slips[self.slides], slips[self.slides & self.known]
 
     def _derivatives(self):
         link, du = self.link, self._vector(self.du)
@@ -145,23 +160,32 @@ class Differences:
         if self.partners is not None:
             tangential = np.zeros((len(self.normal), self.d))
             tangential[link.nodes] = np.einsum("nk,nki->ni", self.along, self.old.rows[:, 1:])
+            tangential[link.nodes] += self.old.normals  # has no part in it
             slips = self._vector(self.start - self.before), [self.partners]
         found = self.system.linearise_geometry(self.u, self.normal, tangential, slips)
         forces = (found.forces[0] * du).array_r.reshape(-1, self.d)
         closing = found.closing(du).reshape(-1, self.d)[link.nodes]
         gaps = -closing[:, 0] * link.coupling.weight[:, 0]
-        return forces, gaps[self.on], closing[:, 1:][self.slides]
+        results = forces, gaps[self.on], closing[:, 1:][self.slides]
+        if self.partners is None:
+            return results[:2]
+        ((slips,), whole) = found.slips, np.concatenate(self.comm.allgather(du.array_r))
+        rows = np.stack([slips.rows(t) @ whole for t in range(self.d - 1)], axis=1)
+        return *results, rows[self.slides & self.known]
 
     def errors(self, hold=held, h=1e-5):
-        """Return those of forces, gaps and slips along a direction, over the largest entries."""
+        """Return those of forces, gaps, slips and their rows along du, over the largest entries."""
         with hold():
             link, self.old = self._at(self.start)
             own = self.X[: self.V.dofmap.index_map.size_local]
-            self.on, across = link.coupling.kept[:, 0], self.old.directions[:, 1:]
-            known = False if self.partners is None else self.partners.known
-            self.slides = across & (self.on & known)[:, None]
-            self.normal = 0.75 + 0.25 * wavy(own, 1.0)[:, 0]
-            self.along = wavy(own, 3.0)[link.nodes, 1:] * across
+            x, across = own[link.nodes, 0], self.old.directions[:, 1:]
+            self.on = link.coupling.kept[:, 0] & (x < self.loaded + 0.3)
+            self.known = np.zeros((len(x), 1), dtype=bool)
+            if self.partners is not None:
+                self.known[:, 0] = self.partners.known
+            self.slides = across & self.on[:, None]
+            self.normal = (0.75 + 0.25 * wavy(own, 1.0)[:, 0]) * (own[:, 0] < self.loaded)
+            self.along = wavy(own, 3.0)[link.nodes, 1:] * across * (x < self.loaded)[:, None]
             self.seen = self._features()
             found = self._derivatives()
             ends = [self._values(self.start + way * h * self.du) for way in (2, 1, -1, -2)]
@@ -180,6 +204,7 @@ class Differences:
             "partly": not self.on.all(),
             "held": ((self.old.slot >= 0).any(axis=1) & self.on).any(),
             "smooth": link.pattern.smooth is not None,
+            "lost": (self.slides & ~self.known).any(),
         }
         if (operators := self.old.operators) is not None:
             found["step"] = operators.segments.reach is not None
