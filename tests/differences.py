@@ -151,43 +151,41 @@ class Differences:
         if self.partners is None:
             return forces, gaps[self.on]
         motion = self.partners.motion(link, self._vector(u - self.before))
-        slips = (t @ motion[:, :, None])[:, :, 0] * self.partners.known[:, None]
-        return forces, gaps[self.on], slips[self.slides], slips[self.slides & self.known]
+        known = self.partners.known[:, None]
+        slips = np.where(known, (t @ motion[:, :, None])[:, :, 0], 0.0)
+        return forces, gaps[self.on], slips[self.slides], slips[self.slides & known]
 
-    def _derivatives(self):
-        link, du = self.link, self._vector(self.du)
+    def derivatives(self):
+        """Return those of forces, gaps, slips and their rows along du as the tangent has them."""
+        link, self.old = self._at(self.start)
+        own, du = self.X[: self.V.dofmap.index_map.size_local], self._vector(self.du)
+        x, across = own[link.nodes, 0], self.old.directions[:, 1:]
+        self.on = self.old.kept[:, 0] & (x < self.loaded + 0.3)
+        self.slides = across & self.on[:, None]
+        self.normal = (0.75 + 0.25 * wavy(own, 1.0)[:, 0]) * (own[:, 0] < self.loaded)
+        self.along = wavy(own, 3.0)[link.nodes, 1:] * across * (x < self.loaded)[:, None]
         tangential, slips = None, (du, ())
         if self.partners is not None:
-            tangential = np.zeros((len(self.normal), self.d))
+            tangential = np.zeros(own.shape)
             tangential[link.nodes] = np.einsum("nk,nki->ni", self.along, self.old.rows[:, 1:])
             tangential[link.nodes] += self.old.normals  # has no part in it
             slips = self._vector(self.start - self.before), [self.partners]
         found = self.system.linearise_geometry(self.u, self.normal, tangential, slips)
         forces = (found.forces[0] * du).array_r.reshape(-1, self.d)
         closing = found.closing(du).reshape(-1, self.d)[link.nodes]
-        gaps = -closing[:, 0] * link.coupling.weight[:, 0]
-        results = forces, gaps[self.on], closing[:, 1:][self.slides]
+        results = forces, -(closing[:, 0] * self.old.weight[:, 0])[self.on]
         if self.partners is None:
-            return results[:2]
+            return results
         ((slips,), whole) = found.slips, np.concatenate(self.comm.allgather(du.array_r))
         rows = np.stack([slips.rows(t) @ whole for t in range(self.d - 1)], axis=1)
-        return *results, rows[self.slides & self.known]
+        known = self.partners.known[:, None]
+        return *results, closing[:, 1:][self.slides], rows[self.slides & known]
 
     def errors(self, hold=held, h=1e-5):
-        """Return those of forces, gaps, slips and their rows along du, over the largest entries."""
+        """Return those of the derivatives, over the largest entries."""
         with hold():
-            link, self.old = self._at(self.start)
-            own = self.X[: self.V.dofmap.index_map.size_local]
-            x, across = own[link.nodes, 0], self.old.directions[:, 1:]
-            self.on = link.coupling.kept[:, 0] & (x < self.loaded + 0.3)
-            self.known = np.zeros((len(x), 1), dtype=bool)
-            if self.partners is not None:
-                self.known[:, 0] = self.partners.known
-            self.slides = across & self.on[:, None]
-            self.normal = (0.75 + 0.25 * wavy(own, 1.0)[:, 0]) * (own[:, 0] < self.loaded)
-            self.along = wavy(own, 3.0)[link.nodes, 1:] * across * (x < self.loaded)[:, None]
+            found = self.derivatives()
             self.seen = self._features()
-            found = self._derivatives()
             ends = [self._values(self.start + way * h * self.du) for way in (2, 1, -1, -2)]
         errors = []
         for one, (far, near, back, further) in zip(found, zip(*ends, strict=True), strict=True):
@@ -204,7 +202,7 @@ class Differences:
             "partly": not self.on.all(),
             "held": ((self.old.slot >= 0).any(axis=1) & self.on).any(),
             "smooth": link.pattern.smooth is not None,
-            "lost": (self.slides & ~self.known).any(),
+            "lost": self.partners is not None and self.on[~self.partners.known].any(),
         }
         if (operators := self.old.operators) is not None:
             found["step"] = operators.segments.reach is not None

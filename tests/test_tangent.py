@@ -103,9 +103,20 @@ def inclined(x):
     return moved(x, (x[:, :-1] - 0.5) @ np.tan(np.radians([30, -20]))[: x.shape[1] - 1])
 
 
-def stepped(x):
-    """Raise a part of the upper body by far."""
-    return moved(x, (x[:, -1] > 0.005) & (x[:, 0] > (1.3 if x.shape[1] == 2 else 0.8)))
+def overhanging(x):
+    """Raise a part of the upper body, and move it over the rest."""
+    way = np.array([-0.2, 0.3] if x.shape[1] == 2 else [-0.5, 0.0, 0.3])
+    return x + np.outer(beyond(x), way)
+
+
+def sunk(x):
+    """Sink a part of the upper body beyond the middle of the lower one."""
+    return moved(x, -0.8 * beyond(x))
+
+
+def beyond(x):
+    """Tell which points belong to a part of the upper body."""
+    return (x[:, -1] > 0.005) & (x[:, 0] > (1.3 if x.shape[1] == 2 else 0.5))
 
 
 def moved(x, rise):
@@ -134,9 +145,14 @@ BLOCKS = {"n_lower": (7, 1), "n_upper": (4, 1), "x_lower": (0.5, 1.5), "x_upper"
 BOXES = {"n_lower": (3, 3, 1), "n_upper": (2, 3, 1), "upper": PARTLY, "jitter": 0.2}
 OVER = {"upper": UNDER}
 SMOOTH = {"surface": "smooth", "transform": bent, "gap": 0.01}
-STEP = {"transform": stepped, "gap": 0.01}
+HIDING = {"transform": overhanging, "gap": 0.01}
+BEHIND = {"transform": sunk, "gap": 0.01, "noise": 0.01}
 OPEN = {"open": True, "noise": 2e-3, "gap": 0.003}
-BEHIND = {**OPEN, "x_lower": (0.5, 1.65), "x_upper": (1.12, 2.12)}  # little of two facets faces
+LITTLE_FACES = {
+    **OPEN,
+    "x_lower": (0.5, 1.65),
+    "x_upper": (1.12, 2.12),
+}  # little of two facets faces
 ALIKE = {"n_lower": (4, 1), "n_upper": (3, 1), "x_lower": (0.0, 1.0), "x_upper": (0.0, 1.1)}
 SKINS = {"part": "skins", "noise": 1e-3}
 BESIDE = {"n_lower": (6, 4), "n_upper": (5, 4), "x_lower": (0.0, 1.0), "x_upper": (0.63, 1.17)}
@@ -160,11 +176,12 @@ ROWS = [  # cell, degree, what it has to contain, options
     ("triangle", 2, "partly smooth", {**SMOOTH, "order": 2}),
     ("triangle", 1, "partly smooth", {**SMOOTH, "weight": around}),
     ("triangle", 2, "partly smooth", {**SMOOTH, "weight": around, "swap": True}),
-    ("triangle", 1, "step", STEP),
-    ("triangle", 2, "step", {**STEP, "noise": 0.01}),
+    ("triangle", 1, "step", HIDING),
+    ("triangle", 2, "step", {**HIDING, "noise": 0.01}),
+    ("triangle", 1, "partly", BEHIND),
     ("triangle", 1, "lost", {"slid": -0.2, "gap": 0.01}),
-    ("triangle", 1, "edges open", BEHIND),
-    ("triangle", 2, "edges open", {**BEHIND, "weight": around, "swap": True}),
+    ("triangle", 1, "edges open", LITTLE_FACES),
+    ("triangle", 2, "edges open", {**LITTLE_FACES, "weight": around, "swap": True}),
     ("triangle", 1, "held", {**ROLLERS, **ALIKE}),
     ("triangle", 1, "held", {**ROLLERS, **ALIKE, "x_upper": (-0.4, 1.1), "n_upper": (2, 1)}),
     ("triangle", 2, "held", {**MIRRORS, **ALIKE, "order": 2}),
@@ -176,7 +193,8 @@ ROWS = [  # cell, degree, what it has to contain, options
     ("tetrahedron", 1, "partly", {"friction": None, "swap": True}),
     ("tetrahedron", 1, "partly smooth", SMOOTH),
     ("tetrahedron", 1, "partly", {"loaded": 0.2}),
-    ("tetrahedron", 1, "step", STEP),
+    ("tetrahedron", 1, "step", {**HIDING, "noise": 0.01}),
+    ("tetrahedron", 1, "partly", BEHIND),
     ("tetrahedron", 1, "edges open", OPEN),
     ("tetrahedron", 2, "partly", {"noise": 0.01, "swap": True}),  # 256 pairs around a node
     ("tetrahedron", 2, "", {**OVER, "noise": 0.01, "order": 2}),
@@ -244,6 +262,23 @@ def test_nothing_is_held_in_the_middle_of_faces(cell, degree, n):
     with accurate():
         case = bodies(cell, degree, part="middles", **whole, **sizes)
         assert max(case.errors(nullcontext)) < 1e-7
+
+
+@pytest.mark.parametrize("cell", ["triangle", "tetrahedron"])
+def test_sides_that_end_together_do_not_cut_each_other(cell):
+    """Whichever of them ends beyond the other one by the residual of a solution."""
+    sides = (
+        {"x_lower": (0.0, 1.0), "x_upper": (0.0, 1.0)} if cell == "triangle" else {"upper": UNIT}
+    )
+    found = []
+    for longer in (1e-10, -1e-10):
+        case = bodies(cell, 1, **sides)
+        slave = case.system.sides[0].slave.nodes
+        case.start[slave, :-1] += longer * np.sign(case.X[slave, :-1] - 0.5)
+        case.du[slave] *= 2.0
+        found.append(case.derivatives())
+    for one, other in zip(*found, strict=True):
+        assert np.abs(one - other).max() < 1e-6 * np.abs(one).max()
 
 
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
