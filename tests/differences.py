@@ -167,8 +167,9 @@ class Differences:
         tangential, slips = None, (du, ())
         if self.partners is not None:
             tangential = np.zeros(own.shape)
-            tangential[link.nodes] = np.einsum("nk,nki->ni", self.along, self.old.rows[:, 1:])
-            tangential[link.nodes] += self.old.normals  # has no part in it
+            given = np.einsum("nk,nki->ni", self.along, self.old.rows[:, 1:])
+            given += self.normal[link.nodes, None] * self.old.normals  # which has no part in it
+            tangential[link.nodes] = given
             slips = self._vector(self.start - self.before), [self.partners]
         found = self.system.linearise_geometry(self.u, self.normal, tangential, slips)
         forces = (found.forces[0] * du).array_r.reshape(-1, self.d)

@@ -346,7 +346,7 @@ def tractions_of(
     traction, change = at * n, at[:, :, None] * np.eye(d)
     if tangential is not None:
         along = tangential[nodes] - (tangential[nodes] * n).sum(axis=1)[:, None] * n
-        traction += kept * along
+        traction += along
         change -= link.coupling.R[:, :, :1] * along[:, None]  # as tangents turn
     columns = np.zeros((len(slave.nodes), 2 * d + d * d + 1))
     columns[: slave.owned] = np.hstack([n, traction, change.reshape(len(n), d * d), kept])
