@@ -215,4 +215,5 @@ class Differences:
             at = link.pairing, operators.segments, self.u, keep, on_edges, link.banned[slave.nodes]
             if (sharing := edges.find_sharing(*at)) is not None:
                 found["open"] = ((sharing.closed > 0.0) & (sharing.closed < 1.0)).any()
+                found["wide"] = (sharing.closed == 0.0).any()
         return {name for name, here in found.items() if self.comm.allreduce(bool(here), op=MPI.LOR)}

@@ -114,6 +114,11 @@ def raised(x):
     return moved(x, 1.0 * beyond(x, 0.8))
 
 
+def tilted(x):
+    """Let the gap between the bodies grow."""
+    return moved(x, 0.05 * x[:, 0] * (x[:, -1] > 0.0))
+
+
 def sunk(x):
     """Sink a part of the upper body beyond the middle of the lower one."""
     return moved(x, -0.8 * beyond(x))
@@ -203,7 +208,7 @@ ROWS = [  # cell, degree, what it has to contain, options
     ("tetrahedron", 1, "partly", HIDING),
     ("tetrahedron", 1, "step", STEP),
     ("tetrahedron", 1, "partly", BEHIND),
-    ("tetrahedron", 1, "edges open", OPEN),
+    ("tetrahedron", 1, "edges open wide", {**OPEN, "transform": tilted}),
     ("tetrahedron", 2, "partly", {"noise": 0.01, "swap": True}),  # 256 pairs around a node
     ("tetrahedron", 2, "", {**OVER, "noise": 0.01, "order": 2}),
     ("tetrahedron", 2, "edges open", OPEN),
