@@ -181,6 +181,7 @@ CURVED = {"shape": dm.shapes.Triangles(ball(1, 2.0, (0.1, 0.2, 2.0)), crease=45.
 ROWS = [  # cell, degree, what it has to contain, options
     ("triangle", 1, "partly", {}),
     ("triangle", 2, "partly", {}),
+    ("triangle", 1, "partly", {"fixed": lambda X: X[:, :1] > [1.2, 1.2]}),  # facets without nodes
     ("triangle", 1, "partly", {"friction": None, "swap": True}),
     ("triangle", 1, "partly smooth", SMOOTH),
     ("triangle", 2, "partly smooth", SMOOTH),
