@@ -278,6 +278,7 @@ def test_nothing_is_held_in_the_middle_of_faces(cell, degree, n):
         assert max(case.errors(nullcontext)) < 1e-7
 
 
+@pytest.mark.serial
 @pytest.mark.parametrize("cell", ["triangle", "tetrahedron"])
 def test_sides_that_end_together_do_not_cut_each_other(cell):
     """Whichever of them ends beyond the other one by the residual of a solution."""
