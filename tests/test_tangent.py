@@ -111,7 +111,7 @@ def overhanging(x):
 
 def raised(x):
     """Raise a part of the upper body by far."""
-    return moved(x, 1.0 * beyond(x, 0.8))
+    return moved(x, (0.6 if x.shape[1] == 2 else 1.0) * beyond(x, 0.8))
 
 
 def tilted(x):
