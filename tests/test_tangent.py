@@ -115,8 +115,8 @@ def raised(x):
 
 
 def tilted(x):
-    """Let the gap between the bodies grow."""
-    return moved(x, 0.05 * x[:, 0] * (x[:, -1] > 0.0))
+    """Let the gap between the bodies shrink along x: facets are partly open, then open, or not."""
+    return moved(x, 0.02 * (1.3 - x[:, 0]) * (x[:, -1] > 0.0))
 
 
 def sunk(x):
