@@ -461,17 +461,9 @@ def arcs_of_chords(facets: Facets, sagitta: Floats) -> Floats:
     k L / 2.
     """
     a, b = facets.element.vertices
-    square = ((facets.x[:, b] - facets.x[:, a]) ** 2).sum(axis=1)
-    k = sagitta[:, 0] / np.maximum(square, TINY)
-    return np.stack([k, np.maximum(1.0 - k * sagitta[:, 0] / 4, TINY)], axis=1)
-
-
-@numba.njit(**KERNEL)
-def fill_arc(x, c, arc):  # type: ignore[no-untyped-def]
-    """Write the same (2,) of one line x (k, 2) with one c_ab, vertices first."""
-    e0, e1 = x[1, 0] - x[0, 0], x[1, 1] - x[0, 1]
-    arc[0] = c / (e0 * e0 + e1 * e1)
-    arc[1] = 1.0 - arc[0] * c / 4
+    chord = np.linalg.norm(facets.x[:, b] - facets.x[:, a], axis=1)
+    k = sagitta[:, 0] / np.maximum(chord**2, TINY)
+    return np.stack([k, np.maximum(1.0 - (k * chord / 2) ** 2, TINY)], axis=1)
 
 
 def heights_of_arcs(arcs: Floats, h: Floats) -> Floats:

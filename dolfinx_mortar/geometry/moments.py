@@ -86,8 +86,7 @@ def add_point(N, M, w, c, x, y, reach, factor, heights, positive, S, R, H):  # t
         x: (k, d) nodes of the slave facet, y: (l, d) of the master.
         reach: of `_remaining`; empty where nothing falls.
         factor: (k,) that of the weight at the nodes, interpolated.
-        heights: Q of both facets, (c, k, k) and (c, l, l), and arcs (c, 2, 2) of `fill_arc`, 0
-            and 1 for none; empty without.
+        heights: Q of both facets, (c, k, k) and (c, l, l), and arcs (c, 2, 2); empty without.
         positive: whether of the first N_j only what is positive counts.
     """
     Q_s, Q_m, arcs = heights

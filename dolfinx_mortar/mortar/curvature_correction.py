@@ -372,15 +372,12 @@ def point_heights(
         sides: the smooth surfaces at X.
     """
     pairs, of = _meeting(segments)
-    c_s, c_m, arched = pair_sagittas(pairing, u, sides, pairs)
+    c_s, c_m, arcs = pair_sagittas(pairing, u, sides, pairs)
     a, b = find_curved(pairing, u, sides, pairs)
     if pairing.slave.element.degree == 1:
         c_s, c_m = common_sagittas(a.facets, c_s, b.K), common_sagittas(b.facets, c_m, a.K)
-    total = np.zeros(len(of))
-    for side, c, xi in ((a, c_s, segments.xi_s), (b, c_m, segments.xi_m)):
-        h = heights(side.facets, c, of, xi)
-        total += heights_of_arcs(arcs_of_chords(side.facets, c)[of], h) if arched else h
-    return total
+    h_s = heights_of_arcs(arcs[of, 0], heights(a.facets, c_s, of, segments.xi_s))
+    return h_s + heights_of_arcs(arcs[of, 1], heights(b.facets, c_m, of, segments.xi_m))
 
 
 def pair_sagittas(
@@ -388,19 +385,21 @@ def pair_sagittas(
     u: dolfinx.fem.Function | None,
     sides: tuple[SmoothSide, SmoothSide],
     pairs: Ints,
-) -> tuple[Floats, Floats, bool]:
-    """Return the own c_ab (p, e) of both facets of pairs (p,), and whether of arcs; collective.
+) -> tuple[Floats, Floats, Floats]:
+    """Return the own c_ab (p, e) of both facets of pairs (p,), and arcs (p, 2, 2); collective.
 
     Those of second order with the strain along the normal, see `point_heights`. Where facets are
-    straight lines of second order at X, which have become curved, see `arcs_of_chords`.
+    straight lines of second order at X, which have become curved, arcs are those of
+    `arcs_of_chords`; others have the curvature 0.
     """
     a, b = find_curved(pairing, u, sides, pairs)
-    c, arched = [a.sagitta, b.sagitta], False
+    c, arcs = [a.sagitta, b.sagitta], np.tile([0.0, 1.0], (len(pairs), 2, 1))
     if pairing.slave.element.degree > 1 and u is not None:
         both = zip(c, facet_stretches(pairing, u), pairing.pairs[pairs].T, strict=True)
         c = [own * stretch[which] for own, stretch, which in both]
-        arched = pairing.slave.X.shape[1] == 2 and not pairing.slave.curved
-    return c[0], c[1], arched
+        if pairing.slave.X.shape[1] == 2 and not pairing.slave.curved:
+            arcs[:, 0], arcs[:, 1] = arcs_of_chords(a.facets, c[0]), arcs_of_chords(b.facets, c[1])
+    return c[0], c[1], arcs
 
 
 def missed_heights(

@@ -19,7 +19,6 @@ from dolfinx_mortar.algebra.block_sums import Blocks
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry import area, line
 from dolfinx_mortar.geometry.curvature import (
-    fill_arc,
     fill_curvature,
     fill_heights,
     height_element,
@@ -85,7 +84,7 @@ class _Surfaces(NamedTuple):
 
     c_s: Floats  # (P, e) c_ab; (P, 0) without
     c_m: Floats  # (P, e')
-    arched: bool  # whether of arcs, see `fill_arc`
+    arcs: Floats  # (P, 2, 2) see `moments.add_point`
     shared: bool  # whether both sides share one surface
     table_s: Floats  # (e, k, k)
     table_m: Floats
@@ -151,10 +150,9 @@ def _fill_heights(x, Y, which, surfaces, heights):  # type: ignore[no-untyped-de
             fill_curvature(Y[r], surfaces.corners[1], c_m, p_m[0], p_m[1], K[1])
         fill_heights(x, c_s, shared, K[1], p_s[0], p_s[1], surfaces.table_s, Q_s[r])
         fill_heights(Y[r], c_m, shared, K[0], p_m[0], p_m[1], surfaces.table_m, Q_m[r])
-        arcs[r, :, 0], arcs[r, :, 1] = 0.0, 1.0
-        if surfaces.arched:
-            fill_arc(x, c_s[0], arcs[r, 0])
-            fill_arc(Y[r], c_m[0], arcs[r, 1])
+        for i in range(2):
+            for j in range(2):
+                arcs[r, i, j] = surfaces.arcs[which[r], i, j]
 
 
 @numba.njit(**KERNEL)
@@ -220,7 +218,7 @@ def _evaluate(v, f, some, sides, surfaces, tables, positive, S, R, H):  # type: 
     x, n, l_m, d = v[:k], v[k : k + lines], sides.place.shape[1], v.shape[1]
     Y, each = np.empty((c, l_m, d), v.dtype), np.zeros((c, k, l_m), v.dtype)
     Q_s, Q_m = np.empty((c * smooth, k, k), v.dtype), np.empty((c * smooth, l_m, l_m), v.dtype)
-    heights, deepest = (Q_s, Q_m, np.empty((c * smooth, 2, 2), v.dtype)), np.empty(c)
+    heights, deepest = (Q_s, Q_m, np.empty((c * smooth, 2, 2))), np.empty(c)
     clear(S)
     clear(R)
     for j in range(k):
@@ -417,14 +415,14 @@ def _surfaces(
     """Return the heights of pairs (P,); collective."""
     slave, master = pairing.slave.element, pairing.master.element
     c_s: Floats = np.empty((len(used), 0))
-    c_m, arched = c_s, False
+    c_m, arcs = c_s, np.empty((len(used), 2, 2))
     if smooth is not None:
-        c_s, c_m, arched = pair_sagittas(pairing, u, smooth, used)
+        c_s, c_m, arcs[:] = pair_sagittas(pairing, u, smooth, used)
     of_s, of_m = height_element(slave, c_s), height_element(master, c_m)
     return _Surfaces(
         c_s,
         c_m,
-        arched,
+        arcs,
         slave.degree == 1,
         height_table(slave, c_s.shape[1]),
         height_table(master, c_m.shape[1]),
@@ -436,8 +434,8 @@ def _surfaces(
 
 def _some(surfaces: _Surfaces, pairs: Longs) -> _Surfaces:
     """Return the heights of some pairs."""
-    c_s, c_m = (np.ascontiguousarray(v[pairs]) for v in surfaces[:2])
-    return surfaces._replace(c_s=c_s, c_m=c_m)
+    c_s, c_m, arcs = (np.ascontiguousarray(v[pairs]) for v in surfaces[:3])
+    return surfaces._replace(c_s=c_s, c_m=c_m, arcs=arcs)
 
 
 @dataclass(frozen=True, eq=False)
