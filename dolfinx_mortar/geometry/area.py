@@ -27,19 +27,26 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.arrays import SAME, Floats, Ints, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, SAME, Floats, Ints, Longs
 from dolfinx_mortar.geometry import plane
 from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls
 from dolfinx_mortar.geometry.moments import (
+    INNER,
     KERNEL,
-    add_point,
+    add_heights,
+    add_row,
+    begin_point,
+    create_point,
+    fill_area,
     fill_functions,
-    reciprocal,
-    root,
+    fill_rows,
+    fill_slopes,
+    fill_turns,
+    gather,
+    move_to,
 )
 from dolfinx_mortar.geometry.parts import (
-    along,
     carry,
     count,
     first_order,
@@ -83,7 +90,7 @@ def _depth(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
     """Return how far the projected facet M lies below S at (x, y)."""
     xi, eta, _ = inverse(S, bilinear[0], x, y)
     r, s, _ = inverse(M, bilinear[1], x, y)
-    return (height_at(S, bilinear[0], xi, eta) - height_at(M, bilinear[1], r, s)).real
+    return height_at(S, bilinear[0], xi, eta) - height_at(M, bilinear[1], r, s)
 
 
 @numba.njit(**KERNEL)
@@ -101,9 +108,9 @@ def _any_overlap(M, count):  # type: ignore[no-untyped-def]
     """Tell whether any of the first `count` projected facets overlap."""
     low, high = np.empty(count), np.empty(count)
     for i in range(count):
-        low[i] = high[i] = M[i, 0, 0].real
+        low[i] = high[i] = M[i, 0, 0]
         for k in range(1, M.shape[1]):
-            low[i], high[i] = min(low[i], M[i, k, 0].real), max(high[i], M[i, k, 0].real)
+            low[i], high[i] = min(low[i], M[i, k, 0]), max(high[i], M[i, k, 0])
         for j in range(i):
             if high[j] > low[i] and high[i] > low[j] and _overlap(M[i], M[j]):
                 return True
@@ -157,9 +164,9 @@ def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyp
     The polygon is cut by the edges of the projected facets that hide it, not by those of other
     polygons, which can be as short as round-off and then have no direction.
     """
-    pieces = np.empty((2 * VERTICES, VERTICES, 2), given.dtype)
+    pieces = np.empty((2 * VERTICES, VERTICES, 2))
     sizes = np.empty(2 * VERTICES, np.int64)
-    common, spare = np.empty((VERTICES, 2), given.dtype), np.empty((VERTICES, 2), given.dtype)
+    common, spare = np.empty((VERTICES, 2)), np.empty((VERTICES, 2))
     _copy(given[i], given_sizes[i], pieces[0])
     sizes[0], count = given_sizes[i], 1
     for j in range(n):
@@ -192,8 +199,8 @@ def _is_far(middle, radius, centre, axes):  # type: ignore[no-untyped-def]
     """Tell whether the projection of a ball is beside that of the slave facet's own ball."""
     x = y = square = 0.0
     for i in range(3):
-        offset, along = middle[i] - centre[i].real, axes[0, i].real
-        x, y, square = x + along * offset, y + axes[1, i].real * offset, square + along**2
+        offset, along = middle[i] - centre[i], axes[0, i]
+        x, y, square = x + along * offset, y + axes[1, i] * offset, square + along**2
     return x * x + y * y > (1.0 + radius * np.sqrt(square)) ** 2
 
 
@@ -202,7 +209,7 @@ def _clip(  # type: ignore[no-untyped-def]
     S, x_m, balls, bilinear, pairs, deepest, first, last, centre, axes, M, pieces, sizes, row
 ):
     """Fill M, pieces, sizes and row (of the pair) for one slave facet; return the count."""
-    spare = np.empty((VERTICES, 2), S.dtype)
+    spare = np.empty((VERTICES, 2))
     count = 0
     k, n = S.shape[0], x_m.shape[1]
     if plane.orientation(S, k) <= 0:
@@ -236,7 +243,7 @@ def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
     for v in range(1, n - 1):
         ux, uy = P[v, 0] - P[0, 0], P[v, 1] - P[0, 1]
         vx, vy = P[v + 1, 0] - P[0, 0], P[v + 1, 1] - P[0, 1]
-        if (ux * vy - uy * vx).real > least:
+        if (ux * vy - uy * vx) > least:
             which[t] = pair
             for h in range(2):
                 corners[t, 0, h], corners[t, 1, h] = P[0, h], P[v, h]
@@ -252,8 +259,8 @@ def _split(S, x_m, balls, bilinear, pairs, deepest, first, last, centre, axes, w
     Return the pair (t,) and the corners (t, 3, 2) of all triangles, and whether pairs hide others.
     """
     n = last - first
-    M, row = np.empty((n, x_m.shape[1], 3), S.dtype), np.empty(n, np.int64)
-    pieces, sizes = np.empty((n, VERTICES, 2), S.dtype), np.empty(n, np.int64)
+    M, row = np.empty((n, x_m.shape[1], 3)), np.empty(n, np.int64)
+    pieces, sizes = np.empty((n, VERTICES, 2)), np.empty(n, np.int64)
     c, a = centre, axes
     n = _clip(S, x_m, balls, bilinear, pairs, deepest, first, last, c, a, M, pieces, sizes, row)
     overlap = _any_overlap(M, n)
@@ -376,8 +383,7 @@ def _maps(P, bilinear):  # type: ignore[no-untyped-def]
     """Return the three maps of `plane.bilinear_map`, made once for a pair; zeros if affine."""
     if bilinear:
         return bilinear_map(P, 0), bilinear_map(P, 1), bilinear_map(P, 2)
-    zero = 0.0 * P[0, 0]
-    none = zero, zero, zero, zero
+    none = 0.0, 0.0, 0.0, 0.0
     return none, none, none
 
 
@@ -415,7 +421,7 @@ def _jacobian(maps, bilinear, J, xi, eta):  # type: ignore[no-untyped-def]
     if not bilinear:
         return J  # in its own plane
     s0, s1 = slopes_of(*maps, xi, eta)
-    return J * root(1 + s0 * s0 + s1 * s1)
+    return J * np.sqrt(1 + s0 * s0 + s1 * s1)
 
 
 class Tables(NamedTuple):
@@ -423,35 +429,39 @@ class Tables(NamedTuple):
 
     slave: Floats  # (k, 9) coefficients of functions, see `moments.fill_functions`
     master: Floats  # (l, 9)
-    nodes_s: Ints  # (a, v) nodes of the parts
-    nodes_m: Ints
+    part: Floats  # (v, 9) those of the slave's parts
+    nodes_s: Longs  # (a, v) nodes of the parts
+    nodes_m: Longs
     of_slave: Floats  # (a, 3, 9) the parts on the reference facet
     of_master: Floats
     bilinear: tuple[bool, bool]
-    scale: float  # area of the reference facet over that of the parts' ones, 0 for first order
+    second: bool  # whether points are carried from parts to facets
+    scale: float  # area of the reference facet over that of the parts' ones
+    corners: int  # of a slave facet
     points: Floats  # (q, 2)
     weights: Floats  # (q,)
-    ends: Floats  # (2, g) points and weights of a rule on [0, 1]; none where `points` are exact
+    ends: Floats  # (2, g) points and weights of a rule on [0, 1]
 
 
 def tables(slave: FacetElement, master: FacetElement, smooth: bool) -> Tables:
     """Return the tables of two types, of smooth surfaces with their heights."""
     part_s, part_m = slave.part or slave, master.part or master
-    second = slave.part is not None or master.part is not None
-    flat = not (second or part_s.bilinear or part_m.bilinear)
     degree = _degree_of_moments(slave, master, smooth)
-    t, weights = np.polynomial.legendre.leggauss(degree // 2 + 1)
+    t, weights = np.polynomial.legendre.leggauss((degree + 3) // 2)
     return Tables(
         slave.table,
         master.table,
-        np.array(slave.sub_facets, dtype=np.int32),
-        np.array(master.sub_facets, dtype=np.int32),
+        part_s.table,
+        np.array(slave.sub_facets, dtype=np.int64),
+        np.array(master.sub_facets, dtype=np.int64),
         on_reference(slave),
         on_reference(master),
         (part_s.bilinear, part_m.bilinear),
-        slave.size / (count(slave) * part_s.size) if second else 0.0,
+        slave.part is not None or master.part is not None,
+        slave.size / (count(slave) * part_s.size),
+        len(slave.vertices),
         *triangle_rule(degree),
-        np.empty((2, 0)) if flat else np.stack([(1.0 + t) / 2, weights / 2]),
+        np.stack([(1.0 + t) / 2, weights / 2]),
     )
 
 
@@ -467,7 +477,23 @@ def _degree_of_moments(slave: FacetElement, master: FacetElement, smooth: bool) 
 
 
 @numba.njit(**KERNEL)
-def _coefficients(x, table, c):  # type: ignore[no-untyped-def]
+def _ball(x, middle):  # type: ignore[no-untyped-def]
+    """Write the centre (3,) of a ball around a facet x (k, 3); return its radius."""
+    square = 0.0
+    for i in range(3):
+        middle[i] = 0.0
+        for j in range(len(x)):
+            middle[i] += x[j, i] / len(x)
+    for j in range(len(x)):
+        distance = 0.0
+        for i in range(3):
+            distance += (x[j, i] - middle[i]) ** 2
+        square = max(square, distance)
+    return np.sqrt(square)
+
+
+@numba.njit(**KERNEL)
+def _fill_coefficients(x, table, c):  # type: ignore[no-untyped-def]
     """Write the coefficients (3, 9) of a facet x (k, 3), see `parts.coefficients`."""
     for i in range(3):
         for a in range(9):
@@ -477,66 +503,239 @@ def _coefficients(x, table, c):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def _ball(x, middle):  # type: ignore[no-untyped-def]
-    """Write the centre (3,) of a ball around a facet x (k, 3); return its radius."""
-    square = 0.0
-    for i in range(3):
-        middle[i] = 0.0
-        for j in range(len(x)):
-            middle[i] += x[j, i].real / len(x)
-    for j in range(len(x)):
-        distance = 0.0
+def _fill_tangents(x, df, row, first, T):  # type: ignore[no-untyped-def]
+    """Write the tangents (2, 3) of a facet x (k, 3), of derivatives df[row, first] and so on."""
+    for h in range(2):
         for i in range(3):
-            distance += (x[j, i].real - middle[i]) ** 2
-        square = max(square, distance)
-    return np.sqrt(square)
+            T[h, i] = 0.0
+            for j in range(len(x)):
+                T[h, i] += df[row + h, first + j] * x[j, i]
 
 
 @numba.njit(**KERNEL)
-def _fill_parts(x, nodes, parts):  # type: ignore[no-untyped-def]
-    """Write the parts (a, v, 3) of a facet x (k, 3)."""
-    for a in range(nodes.shape[0]):
-        for v in range(nodes.shape[1]):
-            for i in range(3):
-                parts[a, v, i] = x[nodes[a, v], i]
+def _invert(T, K):  # type: ignore[no-untyped-def]
+    """Write dxi/dx (2, 2) of the map to the plane with tangents T (2, 3)."""
+    scale = 1.0 / (T[0, 0] * T[1, 1] - T[0, 1] * T[1, 0])
+    K[0, 0], K[0, 1], K[1, 0], K[1, 1] = T[1, 1], -T[1, 0], -T[0, 1], T[0, 0]
+    for h in range(2):
+        for i in range(2):
+            K[h, i] *= scale
 
 
 @numba.njit(**KERNEL)
-def moments(x, n, Y, deepest, reach, factor, heights, positive, tables, S, R, H):  # type: ignore[no-untyped-def]
-    """Add the moments of a slave facet x (k, 3) and its masters Y (c, l, 3) to S, R (c, k, l), H.
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    """Return a.b of vectors (3,)."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
-    Return whether masters hide others. For the other arguments see `moments.add_point`.
+
+class _Sides(NamedTuple):
+    """Slave facet, its part, and a part of a master, in the plane; lengths over the part's size."""
+
+    x: Floats  # (k, 3)
+    y: Floats  # (l, 3)
+    P: Floats  # (v, 3)
+    Q: Floats  # (v', 3)
+    C_s: Floats  # (1, 3, 9) coefficients of the facets
+    C_m: Floats  # (1, 3, 9)
+    n: Floats  # (3,) normal, along which distances are those of the facets
+
+
+class _Maps(NamedTuple):
+    """Maps to the plane at a point."""
+
+    N: Floats  # (v,) functions of the slave's part
+    dN: Floats  # (2, v)
+    V: Floats  # (2, 3) its tangents
+    K: Floats  # (2, 2) dxi/dx of the part
+    T: Floats  # (2, 3) tangents of the slave facet
+    U: Floats  # (2, 3) of the master
+    G: Floats  # (2, 2) dxi/dx of the master
+    by_T: Floats  # (2, 3) those of the logarithm of the area by T
+    apart: Floats  # (3,) from the slave's point to the master's
+    shares: Floats  # (k,) functions of the part at the nodes of the facet
+    rates: Floats  # (k, 3) of the logarithm of the weight by these
+    unit: Floats  # (3, 3)
+
+
+@numba.njit(**KERNEL)
+def _create_maps(v, k):  # type: ignore[no-untyped-def]
+    """Return room for the maps of a part with v nodes of a facet with k."""
+    V, T, U, by_T = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
+    K, G = np.empty((2, 2)), np.empty((2, 2))
+    at = np.empty(3), np.empty(k), np.empty((k, 3)), np.eye(3)
+    return _Maps(np.empty(v), np.empty((2, v)), V, K, T, U, G, by_T, *at)
+
+
+@numba.njit(**INNER)
+def _place_at(x, y, i, j, sides, of_P, of_Q, tables, p, m):  # type: ignore[no-untyped-def]
+    """Write the point over (x, y) of parts i and j; return area over that in the plane, or NaN."""
+    k, last, n, C = len(sides.x), len(p.f) - 1, m.apart, sides.C_s
+    r, s, t, u, J = _point(sides.P, sides.Q, of_P, of_Q, tables.bilinear, x, y)
+    if tables.second:
+        fill_functions(tables.part, r, s, m.N, 0)
+        fill_slopes(tables.part, r, s, m.dN, 0, 0)
+        _fill_tangents(sides.P, m.dN, 0, 0, m.V)
+        places = tables.of_slave[i], tables.of_master[j], (r, s, t, u)
+        r, s, t, u, _ = carry(C, 0, m.unit, sides.C_m, *places)
+    for a in range(k, last):
+        p.df[0, a] = p.df[1, a] = 0.0
+    fill_functions(tables.slave, r, s, p.f, 0)
+    fill_slopes(tables.slave, r, s, p.df, 0, 0)
+    fill_functions(tables.master, t, u, p.f, k)
+    fill_slopes(tables.master, t, u, p.df, 2, k)
+    _fill_tangents(sides.x, p.df, 0, 0, m.T)
+    _fill_tangents(sides.y, p.df, 2, k, m.U)
+    _invert(m.U, m.G)
+    _invert(m.V if tables.second else m.T, m.K)
+    area = fill_area(m.T, n, m.by_T)
+    p.by_weight[0] = p.by_weight[1] = p.by_weight[2] = p.by_weight[3] = 0.0
+    for h in range(3):
+        rr = 2.0 * (C[0, h, 6] + s * (C[0, h, 7] + s * C[0, h, 8]))
+        rs = C[0, h, 4] + 2.0 * (s * C[0, h, 5] + r * (C[0, h, 7] + 2.0 * s * C[0, h, 8]))
+        ss = 2.0 * (C[0, h, 2] + r * (C[0, h, 5] + r * C[0, h, 8]))
+        p.by_weight[0] += m.by_T[0, h] * rr + m.by_T[1, h] * rs
+        p.by_weight[1] += m.by_T[0, h] * rs + m.by_T[1, h] * ss
+        m.apart[h] = 0.0
+        for b in range(k, last):
+            m.apart[h] += p.f[b] * sides.y[b - k, h]
+        for a in range(k):
+            m.apart[h] -= p.f[a] * sides.x[a, h]
+    return tables.scale * area / J if np.isfinite(t) else np.nan
+
+
+@numba.njit(**INNER)
+def _fall(reach, sides, m, p):  # type: ignore[no-untyped-def]
+    """Return the part of a weight that its gap leaves, and its logarithm's rate; add it by xi.
 
     Args:
-        n: of no use in space.
-        deepest: (c,) see `place_points`.
-        tables: of `tables`.
+        reach: (2,) the gap from which on weights fall, and how fast; empty where nothing falls.
     """
-    c, a, b = len(Y), len(tables.nodes_s), len(tables.nodes_m)
-    parts_s = np.empty((a, tables.nodes_s.shape[1], 3), x.dtype)
-    parts_m = np.empty((c * b, tables.nodes_m.shape[1], 3), x.dtype)
-    of_s, of_m = np.empty((1, 3, 9), x.dtype), np.empty((c, 3, 9), x.dtype)
-    balls, most = (np.empty((c * b, 3)), np.empty(c * b)), np.empty(c * b)
-    _fill_parts(x, tables.nodes_s, parts_s)
-    if tables.scale > 0.0:
-        _coefficients(x, tables.slave, of_s[0])
-        for r in range(c):
-            _coefficients(Y[r], tables.master, of_m[r])
-    for r in range(c):
-        _fill_parts(Y[r], tables.nodes_m, parts_m[b * r : b * (r + 1)])
-        for j in range(b * r, b * (r + 1)):
-            balls[1][j], most[j] = _ball(parts_m[j], balls[0][j]), deepest[r]
-    given, hidden = (reach, factor, heights, positive, S, R, H), False
-    for i in range(a):
-        at = parts_s, parts_m, of_s, of_m
-        hidden = _add_part(i, x, Y, at, balls, most, tables, given) or hidden
-    return hidden
+    if len(reach) == 0:
+        return 1.0, 0.0
+    part = 1.0 - reach[1] * (_dot(sides.n, m.apart) - reach[0])
+    if part >= 1.0 or part <= 0.0:
+        return min(max(part, 0.0), 1.0), 0.0
+    rate = -reach[1] / part
+    for h in range(2):
+        p.by_weight[h] -= rate * _dot(sides.n, m.T[h])
+        p.by_weight[2 + h] += rate * _dot(sides.n, m.U[h])
+    return part, rate
+
+
+@numba.njit(**INNER)
+def _combine(p, h, a, b):  # type: ignore[no-untyped-def]
+    """Replace two derivatives by two combinations of them."""
+    for i in range(p.df.shape[1]):
+        x, y = p.df[h, i], p.df[h + 1, i]
+        p.df[h, i], p.df[h + 1, i] = a[0] * x + a[1] * y, b[0] * x + b[1] * y
+    x, y = p.by_weight[h], p.by_weight[h + 1]
+    p.by_weight[h], p.by_weight[h + 1] = a[0] * x + a[1] * y, b[0] * x + b[1] * y
+
+
+@numba.njit(**INNER)
+def _number(ids, a):  # type: ignore[no-untyped-def]
+    """Return where a is among some numbers (v,), v if it is none of them."""
+    v = 0
+    while v < len(ids) and ids[v] != a:
+        v += 1
+    return v
+
+
+@numba.njit(**INNER)
+def _find_rates(p, m, i, of_P, sides, ids_s, tables, rate):  # type: ignore[no-untyped-def]
+    """Write the changes of a point that stays where it is in the plane.
+
+    Those of the logarithm of its weight by the slave's nodes at fixed xi, and in place of
+    derivatives by xi those by places in the plane: where nodes of the part move by dx, its xi
+    change by -K dx, those of the facet with them, and those of the master by G times what the
+    slave's point moves more than the master's.
+    """
+    K, G, T, L, (c0, c1) = m.K, m.G, m.T, tables.of_slave, (of_P[0][3], of_P[1][3])
+    curved = tables.second or tables.bilinear[0]
+    for a in range(len(sides.x)):
+        v, m.shares[a] = _number(ids_s, a), 0.0
+        for t in range(3):
+            m.rates[a, t] = -rate * p.f[a] * sides.n[t]
+            if curved:
+                m.rates[a, t] += p.df[0, a] * m.by_T[0, t] + p.df[1, a] * m.by_T[1, t]
+        if v < len(ids_s):
+            N, N0, N1 = p.f[a], p.df[0, a], p.df[1, a]
+            if tables.second:
+                N, N0, N1 = m.N[v], m.dN[0, v], m.dN[1, v]
+            m.shares[a] = N
+            for t in range(2 if curved else 0):  # the Jacobian of the part
+                m.rates[a, t] -= N0 * K[0, t] + N1 * K[1, t]
+                m.rates[a, t] += N * K[0, t] * (K[1, 0] * c0 + K[1, 1] * c1)
+                m.rates[a, t] += N * K[1, t] * (K[0, 0] * c0 + K[0, 1] * c1)
+    _combine(p, 2, (G[0, 0], G[1, 0]), (G[0, 1], G[1, 1]))
+    if not tables.second:
+        _combine(p, 0, (K[0, 0], K[1, 0]), (K[0, 1], K[1, 1]))
+        return
+    l0, l1, l2, l3 = L[i, 0, 3], L[i, 0, 1], L[i, 1, 3], L[i, 1, 1]
+    B00, B01 = l0 * K[0, 0] + l1 * K[1, 0], l0 * K[0, 1] + l1 * K[1, 1]
+    B10, B11 = l2 * K[0, 0] + l3 * K[1, 0], l2 * K[0, 1] + l3 * K[1, 1]
+    _combine(p, 0, (B00, B10), (B01, B11))
+    for h in range(2):
+        _add_motion(p, h, T[0, h] * B00 + T[1, h] * B10, T[0, h] * B01 + T[1, h] * B11)
+
+
+@numba.njit(**INNER)
+def _add_motion(p, h, a, b):  # type: ignore[no-untyped-def]
+    """Add multiples of a derivative by places over the master to those by motions of the part."""
+    p.by_weight[0] += a * p.by_weight[2 + h]
+    p.by_weight[1] += b * p.by_weight[2 + h]
+    for q in range(p.df.shape[1]):
+        p.df[0, q] += a * p.df[2 + h, q]
+        p.df[1, q] += b * p.df[2 + h, q]
+
+
+@numba.njit(**INNER)
+def _add_changes(p, m, rate, sides, place, pair, tables, totals):  # type: ignore[no-untyped-def]
+    """Add the derivatives of a point that stays where it is in the plane, see `_find_rates`."""
+    k, n = len(sides.x), sides.n
+    for a in range(k):
+        for t in range(2):
+            add_row(p, t, -m.shares[a], totals, 3 * a + t)
+            if tables.second:
+                add_row(p, 2 + t, p.f[a], totals, 3 * a + t)
+        for t in range(3):
+            add_row(p, 4, m.rates[a, t], totals, 3 * a + t)
+    for b in range(place.shape[1]):
+        z, one = 3 * (k + place[pair, b]), p.f[k + b]
+        for t in range(2):
+            add_row(p, 2 + t, -one, totals, z + t)
+        for t in range(3):
+            add_row(p, 4, rate * one * n[t], totals, z + t)
+    for t in range(3):
+        add_row(p, 4, rate * m.apart[t], totals, len(totals) - 4 + t)
 
 
 @numba.njit(**KERNEL)
-def _is_next(corners, which, t, n):  # type: ignore[no-untyped-def]
-    """Tell whether triangle t of n shares the edge between corners 0 and 1 with the one before."""
-    if t == 0 or t == n or which[t - 1] != which[t]:
+def _nearest_line(c, e, X, ids, first, best):  # type: ignore[no-untyped-def]
+    """Return how far edge e of a triangle is from the edges of a polygon, and which, if nearer.
+
+    Args:
+        c: (3, 2) the triangle.
+        X: (n, 3) nodes.
+        ids: (v,) those of the polygon, less first.
+        best: distance, and nodes of an edge found before.
+    """
+    f = (e + 1) % 3
+    for v in range(len(ids)):
+        a, b = first + ids[v], first + ids[(v + 1) % len(ids)]
+        dx, dy = X[b, 0] - X[a, 0], X[b, 1] - X[a, 1]
+        one = dx * (c[e, 1] - X[a, 1]) - dy * (c[e, 0] - X[a, 0])
+        two = dx * (c[f, 1] - X[a, 1]) - dy * (c[f, 0] - X[a, 0])
+        distance = max(abs(one), abs(two)) / np.sqrt(dx * dx + dy * dy)
+        if distance < best[0]:
+            best = distance, a, b
+    return best
+
+
+@numba.njit(**KERNEL)
+def _is_next(corners, which, t):  # type: ignore[no-untyped-def]
+    """Tell whether triangle t shares the edge between corners 0 and 1 with the one before."""
+    if t == 0 or t == len(corners) or which[t - 1] != which[t]:
         return False
     same = True
     for h in range(2):
@@ -546,90 +745,189 @@ def _is_next(corners, which, t, n):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def _fill_points(c, before, after, tables, x, w):  # type: ignore[no-untyped-def]
-    """Write points (q, 2) of the plane and their weights for a triangle c (3, 2); return q.
+def _add_coordinates(radius, part, facet, X, axes, ids, falls, by_X, by_x):  # type: ignore[no-untyped-def]
+    """Add derivatives by_X (3 n, ..) of coordinates in a plane to by_x (3 (n - 1), ..) in space.
 
-    Where the rule is not exact, points stay where they are: corners move fast along edges that are
-    nearly parallel, and errors would with them. What they move across edges is added there, as the
-    strips between; not on edges that the triangles before and after have, too.
+    They do not change with a motion of all nodes in the plane and along its normal; it tilts with
+    the nodes of the part. The last of the n vectors is the normal of the facet, if weights fall.
     """
-    q = len(tables.weights)
-    if tables.ends.shape[1] == 0:
-        for k in range(q):
-            x[k, 0], x[k, 1] = _inside(c, tables.points[k, 0], tables.points[k, 1])
-            w[k] = tables.weights[k] * _area(c)
-        return q
-    still = np.empty((3, 2))
-    for i in range(3):
-        still[i, 0], still[i, 1] = c[i, 0].real, c[i, 1].real
-    for k in range(q):
-        x[k, 0], x[k, 1] = _inside(still, tables.points[k, 0], tables.points[k, 1])
-        w[k] = tables.weights[k] * _area(still)
-    for i in range(3):
-        if (i == 0 and before) or (i == 2 and after):
-            continue
-        j = (i + 1) % 3
-        dx, dy = still[j, 0] - still[i, 0], still[j, 1] - still[i, 1]
-        a = (c[i, 0] - still[i, 0]) * dy - (c[i, 1] - still[i, 1]) * dx
-        b = (c[j, 0] - still[j, 0]) * dy - (c[j, 1] - still[j, 1]) * dx
-        for g in range(tables.ends.shape[1]):
-            t, weight = tables.ends[0, g], tables.ends[1, g]
-            x[q, 0], x[q, 1] = still[i, 0] + t * dx, still[i, 1] + t * dy
-            w[q] = weight * (a + t * (b - a))
-            q += 1
-    return q
+    n, width, tilted = len(X), by_X.shape[1], np.empty((1, by_X.shape[1]))
+    for z in range(9 * (n - 1)):
+        a, i, t = z // 9, z // 3 % 3, z % 3
+        for q in range(width):
+            by_x[3 * a + i, q] += axes[t, i] * by_X[3 * a + t, q]
+    for s in range(2):
+        for q in range(width):
+            tilted[0, q] = 0.0
+        for a in range(n):
+            for q in range(width):
+                tilted[0, q] += X[a, s] * by_X[3 * a + 2, q] - X[a, 2] * by_X[3 * a + s, q]
+        _add_turned(radius, axes[s], part, ids, tilted, 0, by_x)
+    for t in range(3 if falls else 0):
+        _add_turned(radius**2, axes[t], facet, np.arange(len(facet)), by_X, 3 * (n - 1) + t, by_x)
 
 
-@numba.njit(inline="always")
-def _add_part(i, facet, Y, sides, balls, deepest, tables, given):  # type: ignore[no-untyped-def]
-    """Add the moments of part i of a slave facet; return whether parts of masters hide others."""
-    parts_s, parts_m, of_s, of_m = sides
-    kind, c, b, bilinear = parts_s.dtype, len(parts_m), len(tables.nodes_m), tables.bilinear
-    N, M = np.empty(len(tables.slave), kind), np.empty(len(tables.master), kind)
-    P, Q = np.empty(parts_s.shape[1:], kind), np.empty(parts_m.shape[1:], kind)
-    centre, axes, seen = np.empty(3, kind), np.empty((3, 3), kind), np.empty((1, 2, 9), kind)
-    corners, middle = np.empty((4 * c + 64, 3, 2), kind), np.empty(3)
-    pairs, which = np.zeros((c, 2), np.int32), np.empty(len(corners), np.int64)
-    x, second = parts_s[i], tables.scale > 0.0
-    radius = _ball(x, middle)
-    for h in range(3):
-        centre[h] = 0.0
-        for j in range(len(x)):
-            centre[h] += x[j, h] / len(x)
-    fill_axes(x, radius, axes)
-    project(x, centre, axes, P)
-    limits, most = np.empty(c), len(tables.weights) + 3 * tables.ends.shape[1]
-    points, weights = np.empty((most, 2), kind), np.empty(most, kind)
+@numba.njit(**KERNEL)
+def _add_turned(factor, axis, x, ids, by_turn, row, by_x):  # type: ignore[no-untyped-def]
+    """Add derivatives by axis.n, in a row, to those by the nodes x (v, 3) with the normal n."""
+    turns = np.empty(x.shape)
+    fill_turns(axis, x, turns)
+    for v in range(len(x)):
+        for i in range(3):
+            for q in range(by_x.shape[1]):
+                by_x[3 * ids[v] + i, q] += factor * turns[v, i] * by_turn[row, q]
+
+
+@numba.njit(**KERNEL)
+def moments(x, n, y, start, place, deepest, reach, factor, heights, positive, tables, found):  # type: ignore[no-untyped-def]
+    """Add the moments of slave facets x (p, k, 3) and their masters, and derivatives.
+
+    Args:
+        n: of no use in space.
+        y: (p, m, 3) the different nodes of the masters.
+        start: (p + 1,) first pairs of the facets.
+        place: (c, l) nodes of the pairs' masters.
+        deepest: (c,) see `place_points`.
+        reach: (p, 2) see `_fall`.
+        factor: (p, k) of `moments.begin_point`, as heights.
+        positive: of `moments.fill_rows`.
+        tables: of `tables`.
+        found: `moments.Sums`, by the coordinates of x and y.
+    """
+    b, v = tables.nodes_m.shape
+    for f in range(len(x)):
+        first, c = start[f], start[f + 1] - start[f]
+        parts, ids = np.empty((c * b, v, 3)), np.empty((c * b, v), np.int64)
+        balls, most = (np.empty((c * b, 3)), np.empty(c * b)), np.empty(c * b)
+        for r in range(c * b):
+            for j in range(v):
+                ids[r, j] = place[first + r // b, tables.nodes_m[r % b, j]]
+            gather(y[f], ids[r], parts[r])
+            balls[1][r], most[r] = _ball(parts[r], balls[0][r]), deepest[first + r // b]
+        masters, given = (first, place, ids, parts, balls, most), (reach[f], factor[f], heights)
+        for i in range(len(tables.nodes_s)):
+            _add_part(i, f, x[f], y[f], masters, given, positive, tables, found)
+
+
+@numba.njit(**KERNEL)
+def _add_part(i, f, x, y, masters, given, positive, tables, found):  # type: ignore[no-untyped-def]
+    """Add the moments of part i of slave facet f, and their derivatives."""
+    (first, place, ids_m, parts, balls, deepest), ids_s = masters, tables.nodes_s[i]
+    k, m, c, v, l = len(x), len(y), len(parts), len(ids_s), place.shape[1]  # noqa: E741
+    part, centre, axes, X = (np.empty((v, 3)), np.empty(3), np.empty((3, 3)),
+                             np.zeros((k + m + 1, 3)))  # fmt: skip
+    gather(x, ids_s, part)
+    radius, facet, n = _ball(part, centre), x[: tables.corners], np.empty((3, 3))
+    fill_axes(part, radius, axes)
+    project(x, centre, axes, X[:k])
+    project(y, centre, axes, X[k : k + m])
+    fill_axes(facet, 1.0 / radius**2, n)
+    for t in range(3):
+        X[k + m, t] = _dot(axes[t], n[2])
+    sides = _Sides(X[:k], np.empty((l, 3)), np.empty((v, 3)), np.empty(parts[0].shape),
+                   np.empty((1, 3, 9)), np.empty((1, 3, 9)), X[k + m])  # fmt: skip
+    gather(X, ids_s, sides.P)
+    _fill_coefficients(sides.x, tables.slave, sides.C_s[0])
+    pairs, limits = np.zeros((c, 2), np.int32), np.empty(c)
     for r in range(c):
         pairs[r, 1], limits[r] = r, deepest[r] / radius
-    at = pairs, limits, np.int64(0), c, centre, axes
-    which, corners, n, hidden = _split(
-        P, parts_m, balls, bilinear, *at, which, corners, np.int64(0)
+    corners, which, zero = np.empty((4 * c + 64, 3, 2)), np.empty(4 * c + 64, np.int64), np.int64(0)
+    limited = pairs, limits, zero, c, centre, axes, which, corners, zero
+    which, corners, count, hidden = _split(sides.P, parts, balls, tables.bilinear, *limited)
+    at, of = _list_points(corners[:count], which, X, ids_s, ids_m, k, hidden, tables)
+    z = 3 * (k + m + 1)
+    by_X, size = np.zeros((z, k, k + m + 1)), k * (k + m + 1)
+    to = sides, hidden, given, positive, tables, by_X, found
+    _add_points(i, f, first, at, of, X, radius**2, ids_m, place, *to)
+    plane = radius, part, facet, X, axes, ids_s, len(given[0]) > 0
+    _add_coordinates(*plane, by_X.reshape(z, size), found.changes[f].reshape(z - 3, size))
+
+
+@numba.njit(**KERNEL)
+def _list_points(corners, which, X, ids_s, ids_m, k, hidden, tables):  # type: ignore[no-untyped-def]
+    """Return the points of triangles (t, 3, 2), and those on the edges that move with nodes.
+
+    Returns:
+        Place, weight and edge turned outwards (q, 5); part of a master, and two nodes (q, 3), less
+        than 0 inside.
+    """
+    t, g = len(tables.weights), tables.ends.shape[1]
+    at, of = (
+        np.empty((len(corners) * (t + 3 * g), 5)),
+        np.empty((len(corners) * (t + 3 * g), 3), np.int64),
     )
-    of_P = of_Q = _maps(P, bilinear[0])
-    for t in range(n):
-        r = which[t]
-        if t == 0 or which[t - 1] != r:
-            project(parts_m[r], centre, axes, Q)
-            of_Q = _maps(Q, bilinear[1])
-            if second:
-                along(of_m, r // b, axes, seen)
-        before, after = _is_next(corners, which, t, n), _is_next(corners, which, t + 1, n)
-        for q in range(_fill_points(corners[t], before, after, tables, points, weights)):
-            point = points[q, 0], points[q, 1]
-            r0, r1, s0, s1, J = _point(P, Q, of_P, of_Q, bilinear, *point)
-            w = weights[q] * reciprocal(J)
-            if second:
-                places = tables.of_slave[i], tables.of_master[r % b], (r0, r1, s0, s1)
-                r0, r1, s0, s1, J = carry(of_s, 0, axes, seen, *places)
-                w = w * tables.scale * J
+    n = 0
+    for s in range(len(corners)):
+        c, size = corners[s], _area(corners[s])
+        for q in range(t):
+            at[n, 0], at[n, 1] = _inside(c, tables.points[q, 0], tables.points[q, 1])
+            at[n, 2], of[n, 0], of[n, 1] = tables.weights[q] * size, which[s], -1
+            n += 1
+        for e in range(3):
+            if e != 1 and _is_next(corners, which, s + e // 2):
+                continue
+            line = _nearest_line(c, e, X, ids_s, 0, (HALF_OF_DIGITS, -1, -1))
+            if line[1] < 0:
+                line = _nearest_line(c, e, X, ids_m[which[s]], k, line)
+            for r in range(len(ids_m) if hidden and line[1] < 0 else 0):
+                line = _nearest_line(c, e, X, ids_m[r], k, line)
+            dx, dy = c[(e + 1) % 3, 0] - c[e, 0], c[(e + 1) % 3, 1] - c[e, 1]
+            for q in range(g if line[1] >= 0 else 0):
+                at[n, 0], at[n, 1] = (
+                    c[e, 0] + tables.ends[0, q] * dx,
+                    c[e, 1] + tables.ends[0, q] * dy,
+                )
+                at[n, 2], at[n, 3], at[n, 4] = tables.ends[1, q], dy, -dx
+                of[n, 0], of[n, 1], of[n, 2] = which[s], line[1], line[2]
+                n += 1
+    return at[:n], of[:n]
+
+
+@numba.njit(**KERNEL)
+def _add_points(  # type: ignore[no-untyped-def]
+    i, f, first, at, of, X, unit, ids_m, place, sides, hidden, given, positive, tables, by_X, found
+):  # fmt: skip
+    """Add the moments of points of part i of slave facet f, and their derivatives."""
+    (reach, factor, heights), k, l, b = given, len(sides.x), place.shape[1], len(tables.nodes_m)  # noqa: E741
+    of_P = of_Q = _maps(sides.P, tables.bilinear[0])
+    p, maps, ids_s = create_point(k, l), _create_maps(len(sides.P), k), tables.nodes_s[i]
+    last, values = len(by_X), found.values[f]
+    totals = np.zeros((last + 1, k * (k + l + 1)))  # of a pair; values are the last
+    for q in range(len(at)):
+        r = of[q, 0]
+        pair = first + r // b
+        if q == 0 or of[q - 1, 0] != r:
+            gather(X[k:], ids_m[r], sides.Q)
+            gather(X[k:], place[pair], sides.y)
+            _fill_coefficients(sides.y, tables.master, sides.C_m[0])
+            of_Q = _maps(sides.Q, tables.bilinear[1])
+        x, y, w = at[q, 0], at[q, 1], at[q, 2]
+        w *= unit * _place_at(x, y, i, r % b, sides, of_P, of_Q, tables, p, maps)
+        if np.isfinite(w):
+            scale, e_s, e_m = begin_point(p, factor, pair, heights)
+            left, rate = _fall(reach, sides, maps, p)
+            if of[q, 1] < 0:
+                _find_rates(p, maps, i, of_P, sides, ids_s, tables, rate)
+                fill_rows(p, k, w * scale * left, positive, True)
+                add_row(p, 4, 1.0, totals, last)
+                add_heights(p, k, pair, e_s, e_m, found)
+                _add_changes(p, maps, rate, sides, place, pair, tables, totals)
             else:
-                w = w * radius**2 * _jacobian(of_P, bilinear[0], J, r0, r1)
-            if np.isfinite(s0.real):
-                fill_functions(tables.slave, r0, r1, N)
-                fill_functions(tables.master, s0, s1, M)
-                add_point(N, M, w, r // b, facet, Y[r // b], *given)
-    return hidden
+                fill_rows(p, k, w * scale * left, positive, False)
+                v, o = of[q, 1], of[q, 2]
+                dx, dy = X[o, 0] - X[v, 0], X[o, 1] - X[v, 1]
+                share = ((x - X[v, 0]) * dx + (y - X[v, 1]) * dy) / (dx * dx + dy * dy)
+                for t in range(2):
+                    add_row(p, 4, (1.0 - share) * at[q, 3 + t], totals, 3 * v + t)
+                    add_row(p, 4, share * at[q, 3 + t], totals, 3 * o + t)
+        if q + 1 == len(at) or of[q + 1, 0] != r:
+            move_to(totals, last, k, place, pair, values)
+            for a in range(last // 3 if hidden else k + l + 1):
+                n = a if hidden or a < k else last // 3 - 1
+                if not hidden and k <= a < k + l:
+                    n = k + place[pair, a - k]
+                for t in range(3):
+                    move_to(totals, 3 * n + t, k, place, pair, by_X[3 * n + t])
 
 
 def place_points(

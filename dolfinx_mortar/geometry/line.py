@@ -9,7 +9,7 @@ Second-order facets are clipped as parabolas, not as two chords: the ends of a s
 normals of the curved slave facet meet the ends of the curved master facet, so that no function has
 a kink inside a segment. With chords, ends and normals are off by a share of the sagitta, and the
 master's functions are extrapolated beyond their ends. The kernels take the coefficients of
-a + b xi + c xi^2; straight facets have c = 0. They are generic in the number type, see `moments`.
+a + b xi + c xi^2; straight facets have c = 0.
 """
 
 from functools import cache
@@ -24,10 +24,17 @@ from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.geometry.moments import (
     KERNEL,
-    add_point,
+    add_heights,
+    add_row,
+    begin_point,
+    create_point,
     fill_functions,
-    reciprocal,
-    root,
+    fill_rows,
+    fill_slopes,
+    fill_turns,
+    gather,
+    move_to,
+    take_row,
 )
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
@@ -57,30 +64,24 @@ def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
     bracketed: the interval is halved unless Newton's step stays in it and is at most half of the
     last step, so that the loop ends whatever f is.
     """
-    zero = 0.0 * (x[0, 0] + n[0, 0] + y0)
-    first, last = _moment(x, n, y0, y1, -1.0)[0].real, _moment(x, n, y0, y1, 1.0)[0].real
+    first, last = _moment(x, n, y0, y1, -1.0)[0], _moment(x, n, y0, y1, 1.0)[0]
     if first <= 0.0 or last >= 0.0:
         if first <= 0.0 and last >= 0.0:
-            return zero + np.nan
-        return zero + (-1.0 if first <= 0.0 else 1.0)
+            return np.nan
+        return -1.0 if first <= 0.0 else 1.0
     low, high, step = -1.0, 1.0, 2.0
     xi = (first + last) / (first - last)  # of the chord of f
     while step > 2 * EPS:
         f, slope = _moment(x, n, y0, y1, xi)
-        if f.real > 0.0:
+        if f > 0.0:
             low = xi
         else:
             high = xi
-        new = xi - f.real / slope.real if slope.real < 0.0 else np.inf
+        new = xi - f / slope if slope < 0.0 else np.inf
         if not (low <= new <= high and abs(new - xi) <= max(step / 2, 2 * EPS)):
             new = (low + high) / 2
         step, xi = abs(new - xi), new
-    if x.itemsize == 8:
-        return zero + xi
-    if abs(xi) > 1.0 - HALF_OF_DIGITS:  # where sides end together
-        return zero + (1.0 if xi > 0.0 else -1.0)
-    f, slope = _moment(x, n, y0, y1, xi)  # by one more step in full: exact to first order
-    return zero + xi - (f / slope if slope.real < 0.0 else zero)
+    return xi
 
 
 @numba.njit(**KERNEL)
@@ -95,9 +96,9 @@ def _opposite(x, n, y, xi):  # type: ignore[no-untyped-def]
     C = (y[0, 0] - _at(x, xi, 0)) * n1 - (y[0, 1] - _at(x, xi, 1)) * n0
     B = y[1, 0] * n1 - y[1, 1] * n0
     A = y[2, 0] * n1 - y[2, 1] * n0
-    r = root(B * B - 4 * A * C)  # the form that does not cancel
-    eta = -2 * C * reciprocal(B + r if B.real > 0.0 else B - r)
-    return eta if abs(eta.real) <= 1.0 else 0.0 * eta + (1.0 if eta.real > 0.0 else -1.0)
+    r = np.sqrt(max(B * B - 4 * A * C, 0.0))  # the form that does not cancel
+    eta = -2 * C / (B + r if B > 0.0 else B - r)
+    return min(max(eta, -1.0), 1.0)
 
 
 @numba.njit(**KERNEL)
@@ -108,7 +109,7 @@ def _distances(x, n, y, xi):  # type: ignore[no-untyped-def]
     """
     eta = _opposite(x, n, y, xi)
     p0, p1 = _at(x, xi, 0) - _at(y, eta, 0), _at(x, xi, 1) - _at(y, eta, 1)
-    p0, p1, t0, t1 = p0.real, p1.real, x[1, 0].real, x[1, 1].real
+    t0, t1 = x[1, 0], x[1, 1]
     return np.sqrt(p0 * p0 + p1 * p1), (p0 * t1 - p1 * t0) / np.sqrt(t0 * t0 + t1 * t1)
 
 
@@ -117,7 +118,7 @@ def _nearest(x, n, x_m, master, deepest, low, high, a, b):  # type: ignore[no-un
     """Return the candidate that covers [a, b] at the smallest distance, -1 if there is none."""
     best, least = -1, np.inf
     for c in range(len(master)):
-        if low[c].real <= a.real and high[c].real >= b.real:
+        if low[c] <= a and high[c] >= b:
             distance, depth = _distances(x, n, x_m[master[c]], (a + b) / 2)
             if distance < least and depth <= deepest[c]:
                 best, least = c, distance
@@ -127,7 +128,7 @@ def _nearest(x, n, x_m, master, deepest, low, high, a, b):  # type: ignore[no-un
 @numba.njit(**KERNEL)
 def _insert(cuts, count, value):  # type: ignore[no-untyped-def]
     """Insert a value into the first `count` ascending ones."""
-    while count > 0 and cuts[count - 1].real > value.real:
+    while count > 0 and cuts[count - 1] > value:
         cuts[count] = cuts[count - 1]
         count -= 1
     cuts[count] = value
@@ -140,30 +141,30 @@ def _clip_facet(x, n, x_m, ends_m, pairs, deepest, first, last, which, ends, q):
     Return how many there are, and whether masters hide others.
     """
     p, c, start, hidden = last - first, 0, q, False
-    low, high, cuts = np.empty(p, x.dtype), np.empty(p, x.dtype), np.empty(2 * p, x.dtype)
+    low, high, cuts = np.empty(p), np.empty(p), np.empty(2 * p)
     index, master, most = np.empty(p, np.int32), np.empty(p, np.int32), np.empty(p)
     for r in range(first, last):
         y = ends_m[pairs[r, 1]]
         # the two sides are passed in opposite directions
         a = _project_node(x, n, y[1, 0], y[1, 1])
         b = _project_node(x, n, y[0, 0], y[0, 1])
-        if (b - a).real > 8 * ROUND_OFF:
+        if (b - a) > 8 * ROUND_OFF:
             low[c], high[c], index[c], master[c] = a, b, r, pairs[r, 1]
             most[c] = deepest[r]
             for i in range(c):
-                common = min(high[i].real, b.real) - max(low[i].real, a.real)
+                common = min(high[i], b) - max(low[i], a)
                 hidden = hidden or common > 8 * ROUND_OFF
             _insert(cuts, 2 * c, a)
             _insert(cuts, 2 * c + 1, b)
             c += 1
     for i in range(2 * c - 1):
         a, b = cuts[i], cuts[i + 1]
-        if (b - a).real <= 8 * ROUND_OFF:
+        if (b - a) <= 8 * ROUND_OFF:
             continue
         best = _nearest(x, n, x_m, master[:c], most, low, high, a, b)
         if best < 0:
             continue
-        if q > start and which[q - 1] == index[best] and ends[q - 1, 1].real == a.real:
+        if q > start and which[q - 1] == index[best] and ends[q - 1, 1] == a:
             ends[q - 1, 1] = b
             continue
         which[q], ends[q, 0], ends[q, 1] = index[best], a, b
@@ -192,7 +193,7 @@ def _point(x, n, y, low, high, t):  # type: ignore[no-untyped-def]
     half = (high - low) / 2
     xi = (low + high) / 2 + half * t
     dx0, dx1 = x[1, 0] + 2 * xi * x[2, 0], x[1, 1] + 2 * xi * x[2, 1]
-    return xi, _opposite(x, n, y, xi), half * root(dx0 * dx0 + dx1 * dx1)
+    return xi, _opposite(x, n, y, xi), half * np.sqrt(dx0 * dx0 + dx1 * dx1)
 
 
 @numba.njit(cache=True)
@@ -236,36 +237,158 @@ def tables(slave: FacetElement, master: FacetElement, smooth: bool) -> Tables:
 
 
 @numba.njit(**KERNEL)
-def moments(x, n, Y, deepest, reach, factor, heights, positive, tables, S, R, H):  # type: ignore[no-untyped-def]
-    """Add the moments of a slave facet x (k, 2) and its masters Y (c, l, 2) to S, R (c, k, l), H.
-
-    Return whether masters hide others. For the other arguments see `moments.add_point`.
+def moments(x, n, y, start, place, deepest, reach, factor, heights, positive, tables, found):  # type: ignore[no-untyped-def]
+    """Add the moments of slave facets x (p, k, 2) and their masters, and derivatives.
 
     Args:
-        n: (k, 2) directions of projection.
+        n: (p, k, 2) directions of projection.
+        y: (p, m, 2) the different nodes of the masters.
+        start: (p + 1,) first pairs of the facets.
+        place: (c, l) nodes of the pairs' masters.
         deepest: (c,) see `place_points`.
+        reach: (p, 2) the gap from which on weights fall, and how fast; (p, 0) where nothing falls.
+        factor: (p, k) of `moments.begin_point`, as heights.
+        positive: of `moments.fill_rows`.
         tables: of `tables`.
+        found: `moments.Sums`, by the coordinates of x, n and y.
     """
-    c, zero = len(Y), x.dtype
-    p_s, p_n, p_m = np.empty((3, 2), zero), np.empty((3, 2), zero), np.empty((c, 3, 2), zero)
-    N, M = np.empty(len(x), zero), np.empty(Y.shape[1], zero)
-    pairs, which = np.empty((c, 2), np.int32), np.empty(2 * c, np.int32)
-    ends = np.empty((2 * c, 2), zero)
-    given = reach, factor, heights, positive, S, R, H
-    _polynomial(x, tables.slave, p_s)
-    _polynomial(n, tables.slave, p_n)
-    for r in range(c):
-        _polynomial(Y[r], tables.master, p_m[r])
-        pairs[r, 0], pairs[r, 1] = 0, r
-    count, hidden = _clip_facet(p_s, p_n, p_m, Y, pairs, deepest, 0, c, which, ends, 0)
-    for i in range(count):
-        r = which[i]
-        for q in range(len(tables.points)):
-            xi, eta, size = _point(p_s, p_n, p_m[r], ends[i, 0], ends[i, 1], tables.points[q])
-            fill_functions(tables.slave, xi, 0.0, N)
-            fill_functions(tables.master, eta, 0.0, M)
-            add_point(N, M, tables.weights[q] * size, r, x, Y[r], *given)
-    return hidden
+    (k, d), m, l = x.shape[1:], y.shape[1], place.shape[1]  # noqa: E741
+    p, p_s, p_n = create_point(k, l), np.empty((3, d)), np.empty((3, d))
+    last = d * (2 * k + m)  # the values themselves, then derivatives by both ends
+    turns, totals = np.zeros((2, d)), np.zeros((last + 3, k * (k + l + 1)))
+    for f in range(len(x)):
+        first, c, facet = start[f], start[f + 1] - start[f], x[f, :2]
+        which, ends = np.empty(2 * c, np.int32), np.empty((2 * c, 2))
+        p_m, Y, pairs = np.empty((c, 3, d)), np.empty((c, l, d)), np.zeros((c, 2), np.int32)
+        _polynomial(x[f], tables.slave, p_s)
+        _polynomial(n[f], tables.slave, p_n)
+        for r in range(c):
+            gather(y[f], place[first + r], Y[r])
+            _polynomial(Y[r], tables.master, p_m[r])
+            pairs[r, 1] = r
+        least, zero = deepest[first : start[f + 1]], np.int64(0)
+        count, _ = _clip_facet(p_s, p_n, p_m, Y, pairs, least, zero, c, which, ends, zero)
+        for i in range(count):
+            r, half = which[i], (ends[i, 1] - ends[i, 0]) / 2
+            at = p_s, p_n, p_m[r], p, facet, turns, reach[f], factor[f], heights, first + r
+            for q in range(len(tables.points)):
+                t = tables.points[q]
+                w, e_s, e_m, motion = _weigh_at(ends[i, 0] + half * (1.0 + t), *at, tables)
+                fill_rows(p, k, tables.weights[q] * half * w, positive, True)
+                add_row(p, 4, 1.0, totals, last)
+                add_heights(p, k, first + r, e_s, e_m, found)
+                _add_changes(p, k, motion, turns, place[first + r], p.f[k : k + l], totals)
+                for j in range(2):
+                    sign = 1.0 if j == 1 else -1.0
+                    add_row(p, 0, (1.0 + sign * t) / 2, totals, last + 1 + j)
+                    add_row(p, 4, sign / (2.0 * half), totals, last + 1 + j)
+            for j in range(2):
+                take_row(p, 4, totals, last + 1 + j)
+                if abs(ends[i, j]) < 1.0 - HALF_OF_DIGITS:  # otherwise sides end together
+                    masters = y[f], place[first : start[f + 1]], r
+                    _add_end(ends[i, j], p_s, p_n, *masters, p, k, turns, tables, totals)
+            for z in range(last):
+                move_to(totals, z, k, place, first + r, found.changes[f, z])
+            move_to(totals, last, k, place, first + r, found.values[f])
+
+
+@numba.njit(**KERNEL)
+def _add_end(xi, x, n, y, place, r, p, k, turns, tables, totals):  # type: ignore[no-untyped-def]
+    """Add the derivatives by an end of a segment of pair r, which the last row holds."""
+    node = _node_at(x, n, y, place, r, xi)
+    fill_functions(tables.slave, xi, 0.0, p.f, 0)
+    _, slope = _moment(x, n, y[node, 0], y[node, 1], xi)
+    p0, p1 = _at(x, xi, 0) - y[node, 0], _at(x, xi, 1) - y[node, 1]
+    n0, n1 = _at(n, xi, 0), _at(n, xi, 1)
+    motion = n0, n1, p0, p1, 0.0, -1.0 / slope, 0.0, 0.0, 0.0, 0.0, 0.0
+    _add_changes(p, k, motion, turns, np.full(1, node), np.ones(1), totals)
+
+
+@numba.njit(**KERNEL)
+def _node_at(x, n, y, place, r, xi):  # type: ignore[no-untyped-def]
+    """Return the end of a master, of r first, that the normal of the slave facet meets at xi."""
+    best, least = -1, np.inf
+    for c in range(len(place)):
+        for b in range(2):
+            i = place[(r + c) % len(place), b]
+            f, slope = _moment(x, n, y[i, 0], y[i, 1], xi)
+            if abs(f) < least:
+                best, least = i, abs(f)
+        if least <= HALF_OF_DIGITS * abs(slope):
+            break
+    return best
+
+
+@numba.njit(**KERNEL)
+def _weigh_at(xi, x, n, y, p, facet, turns, reach, factor, heights, c, tables):  # type: ignore[no-untyped-def]
+    """Place a point of pair c; return its weight per xi, dh/d(N.Q N), and how it moves.
+
+    The latter are n(xi) and the offset x - y, whose cross product eta keeps at 0, the derivatives
+    by that product of eta and of xi, those of the logarithm of the length by the tangent, and of
+    that of the weight by the gap along a normal, which `turns`. Derivatives by xi of the slave
+    facet are those with eta.
+    """
+    k, eta = len(factor), _opposite(x, n, y, xi)
+    for i in range(len(p.f)):
+        p.df[0, i] = 0.0
+    fill_functions(tables.slave, xi, 0.0, p.f, 0)
+    fill_slopes(tables.slave, xi, 0.0, p.df, 0, 0)
+    fill_functions(tables.master, eta, 0.0, p.f, k)
+    fill_slopes(tables.master, eta, 0.0, p.df, 2, k)
+    p.by_weight[0] = p.by_weight[1] = p.by_weight[2] = p.by_weight[3] = 0.0
+    scale, e_s, e_m = begin_point(p, factor, c, heights)
+    t0, t1 = x[1, 0] + 2 * xi * x[2, 0], x[1, 1] + 2 * xi * x[2, 1]
+    e0, e1 = y[1, 0] + 2 * eta * y[2, 0], y[1, 1] + 2 * eta * y[2, 1]
+    n0, n1, square = _at(n, xi, 0), _at(n, xi, 1), t0 * t0 + t1 * t1
+    p0, p1 = _at(x, xi, 0) - _at(y, eta, 0), _at(x, xi, 1) - _at(y, eta, 1)
+    rate = 1.0 / (e0 * n1 - e1 * n0) if abs(eta) < 1.0 else 0.0  # held at an end
+    part, fall, m0, m1 = 1.0, 0.0, facet[1, 1] - facet[0, 1], facet[0, 0] - facet[1, 0]
+    length = np.sqrt(m0 * m0 + m1 * m1)
+    m0, m1 = m0 / length, m1 / length
+    if len(reach):
+        part = 1.0 + reach[1] * (p0 * m0 + p1 * m1 + reach[0])
+        if 0.0 < part < 1.0:
+            fall = -reach[1] / part
+            p.by_weight[2] += fall * (e0 * m0 + e1 * m1)
+            fill_turns(np.array([-p0, -p1]), facet, turns)
+        part = min(max(part, 0.0), 1.0)
+    along = 2.0 * (t0 * x[2, 0] + t1 * x[2, 1]) / square - fall * (t0 * m0 + t1 * m1)
+    slope = rate * _moment(x, n, _at(y, eta, 0), _at(y, eta, 1), xi)[1]
+    p.by_weight[0] += along + slope * p.by_weight[2]
+    for i in range(len(p.f)):
+        p.df[0, i] += slope * p.df[2, i]
+    motion = n0, n1, p0, p1, rate, 0.0, t0 / square, t1 / square, fall * m0, fall * m1, fall
+    return scale * part * np.sqrt(square), e_s, e_m, motion
+
+
+@numba.njit(**KERNEL)
+def _add_changes(p, k, motion, turns, nodes, shares, totals):  # type: ignore[no-untyped-def]
+    """Add the derivatives of a point, or of what an end of a segment moves across.
+
+    Args:
+        motion: of `_weigh_at`, or of an end, where the second derivative is that of xi.
+        turns: (2, 2) derivatives of the gap by the ends of the slave facet, as its normal turns.
+        nodes: those of the master that move the point, with shares.
+        totals: (z, ..) derivatives.
+    """
+    n0, n1, p0, p1, eta, end, t0, t1, m0, m1, fall = motion
+    for a in range(k):
+        for i in range(2):
+            F, rate = p.f[a] * (n1 if i == 0 else -n0), p.df[0, a] * (t0 if i == 0 else t1)
+            rate += end * F - p.f[a] * (m0 if i == 0 else m1)
+            if fall != 0.0 and a < 2:
+                rate += fall * turns[a, i]
+            add_row(p, 2, eta * F, totals, 2 * a + i)
+            add_row(p, 4, rate, totals, 2 * a + i)
+            F = p.f[a] * (-p1 if i == 0 else p0)
+            add_row(p, 2, eta * F, totals, 2 * (k + a) + i)
+            add_row(p, 4, end * F, totals, 2 * (k + a) + i)
+    for b in range(len(nodes)):
+        for i in range(2):
+            F, z = -shares[b] * (n1 if i == 0 else -n0), 2 * (2 * k + nodes[b]) + i
+            rate = end * F + shares[b] * (m0 if i == 0 else m1)
+            add_row(p, 2, eta * F, totals, z)
+            add_row(p, 4, rate, totals, z)
 
 
 def _polynomials(element: FacetElement, v: Floats) -> Floats:

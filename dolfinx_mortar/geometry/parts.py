@@ -15,7 +15,7 @@ import numpy as np
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
-from dolfinx_mortar.geometry.moments import KERNEL, reciprocal, root
+from dolfinx_mortar.geometry.moments import KERNEL
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 
@@ -105,7 +105,6 @@ def coefficients(facets: Facets) -> Floats:
 
 
 # Facets by number: a view of each would cost as much as a point.
-# They are generic in the number type, see `moments`.
 
 
 @numba.njit(**KERNEL)
@@ -124,7 +123,7 @@ def _point(c, m, r, s):  # type: ignore[no-untyped-def]
     x1, a1, b1 = _component(c, m, 1, r, s)
     x2, a2, b2 = _component(c, m, 2, r, s)
     n0, n1, n2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
-    return x0, x1, x2, root(n0 * n0 + n1 * n1 + n2 * n2)
+    return x0, x1, x2, np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
 
 
 @numba.njit(**KERNEL)
@@ -149,21 +148,17 @@ def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
 
     By Newton's method from (r, s), where the point is on a part of the facet. It converges
     quadratically from within the part's sagitta times its slope: in two or three steps where the
-    normal of a part changes by a tenth of a radian, in one where facets are straight. One more step
-    makes complex numbers exact to first order, too.
+    normal of a part changes by a tenth of a radian, in one where facets are straight.
     """
-    found = False
     for _ in range(LIMIT):
         y0, a0, b0 = _component(P, 0, 0, r, s)
         y1, a1, b1 = _component(P, 0, 1, r, s)
-        e0, e1, inverse = x - y0, y - y1, reciprocal(a0 * b1 - a1 * b0)
+        e0, e1, inverse = x - y0, y - y1, 1.0 / (a0 * b1 - a1 * b0)
         dr, ds = (e0 * b1 - e1 * b0) * inverse, (a0 * e1 - a1 * e0) * inverse
         r, s = r + dr, s + ds
-        small = max(abs(dr.real), abs(ds.real)) <= HALF_OF_DIGITS  # the next one is round-off
-        if small and (found or P.itemsize == 8):
+        if max(abs(dr), abs(ds)) <= HALF_OF_DIGITS:  # the next one is round-off
             return r, s
-        found = small
-    return np.nan * r, np.nan * s
+    return np.nan, np.nan
 
 
 @numba.njit(**KERNEL)

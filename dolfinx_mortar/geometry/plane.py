@@ -5,9 +5,6 @@ Lengths in a plane are relative: the slave facet has radius 1. A polygon is an a
 anticlockwise, of which the first `n` count. Vertices that are nearer to a line than ROUND_OFF are
 taken to lie on it.
 
-All kernels are generic in the number type: of complex numbers real parts decide, and imaginary ones
-are derivatives, see `moments`.
-
 Numba's cache of a caller in another file does not notice changes here: touch that file, too.
 """
 
@@ -16,7 +13,7 @@ import numpy as np
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls
-from dolfinx_mortar.geometry.moments import KERNEL, reciprocal, root
+from dolfinx_mortar.geometry.moments import KERNEL
 from dolfinx_mortar.geometry.parts import count, pairs_of_parts, parts_of
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
@@ -29,28 +26,22 @@ Two quadrilaterals have 8 in common; each cut adds one, and polygons are halved 
 
 @numba.njit(**KERNEL)
 def cut(P, n, ax, ay, bx, by, Q):  # type: ignore[no-untyped-def]
-    """Write the part of P on the left of the line from a to b into Q; return its size.
-
-    Of complex numbers, of which derivatives are asked for, edges that coincide to half of their
-    digits run along each other: where sides end together, that is where the slave's edge is.
-    """
-    near = HALF_OF_DIGITS if P.itemsize > 8 else ROUND_OFF
+    """Write the part of P on the left of the line from a to b into Q; return its size."""
     dx, dy = bx - ax, by - ay
-    scale = 1.0 / np.sqrt(dx.real**2 + dy.real**2)
+    scale = 1.0 / np.sqrt(dx**2 + dy**2)
     dx, dy = scale * dx, scale * dy
     m = 0
     before = n - 1
     d0 = dx * (P[before, 1] - ay) - dy * (P[before, 0] - ax)
     for i in range(n):
         d1 = dx * (P[i, 1] - ay) - dy * (P[i, 0] - ax)
-        a, b = d0.real, d1.real
-        apart = (a < -near and b > near) or (a > near and b < -near)
+        apart = min(d0, d1) < -ROUND_OFF and max(d0, d1) > ROUND_OFF
         if apart and m < VERTICES:
             t = d0 / (d0 - d1)
             Q[m, 0] = P[before, 0] + t * (P[i, 0] - P[before, 0])
             Q[m, 1] = P[before, 1] + t * (P[i, 1] - P[before, 1])
             m += 1
-        if b >= -near and m < VERTICES:
+        if d1 >= -ROUND_OFF and m < VERTICES:
             Q[m, 0], Q[m, 1] = P[i, 0], P[i, 1]
             m += 1
         before, d0 = i, d1
@@ -70,14 +61,14 @@ def halve(P, n, Q):  # type: ignore[no-untyped-def]
 @numba.njit(**KERNEL)
 def measure(P, n):  # type: ignore[no-untyped-def]
     """Return area and centroid (the mean of the vertices where there is no area) of P."""
-    area, x, y, mx, my = 0.0, 0.0, 0.0, P[0, 0].real, P[0, 1].real
+    area, x, y, mx, my = 0.0, 0.0, 0.0, P[0, 0], P[0, 1]
     for i in range(1, n):
-        mx, my = mx + P[i, 0].real, my + P[i, 1].real
+        mx, my = mx + P[i, 0], my + P[i, 1]
     mx, my = mx / n, my / n
     for i in range(n):
         j = i + 1 if i + 1 < n else 0
-        ux, uy = P[i, 0].real - mx, P[i, 1].real - my
-        vx, vy = P[j, 0].real - mx, P[j, 1].real - my
+        ux, uy = P[i, 0] - mx, P[i, 1] - my
+        vx, vy = P[j, 0] - mx, P[j, 1] - my
         part = (ux * vy - uy * vx) / 2
         area += part
         x, y = x + part * (ux + vx) / 3, y + part * (uy + vy) / 3
@@ -93,7 +84,7 @@ def is_thin(P, n):  # type: ignore[no-untyped-def]
         return True
     square = 0.0
     for i in range(1, n):
-        dx, dy = (P[i, 0] - P[0, 0]).real, (P[i, 1] - P[0, 1]).real
+        dx, dy = (P[i, 0] - P[0, 0]), (P[i, 1] - P[0, 1])
         square = max(square, dx * dx + dy * dy)
     return measure(P, n)[0] <= 8 * ROUND_OFF * np.sqrt(square)
 
@@ -110,7 +101,7 @@ def orientation(P, n):  # type: ignore[no-untyped-def]
         j, h = (i + 1) % n, (i + n - 1) % n
         ux, uy = P[j, 0] - P[i, 0], P[j, 1] - P[i, 1]
         vx, vy = P[h, 0] - P[i, 0], P[h, 1] - P[i, 1]
-        corner = (ux * vy - uy * vx).real
+        corner = ux * vy - uy * vx
         least, most, whole = min(least, corner), max(most, corner), whole + abs(corner)
     if least > HALF_OF_DIGITS * whole:
         return 1
@@ -138,11 +129,11 @@ def is_beside(P, n, Q, m, sign, distance):  # type: ignore[no-untyped-def]
     """Tell whether some edge of P, of the given orientation, has all of Q beyond a distance."""
     for i in range(n):
         j = i + 1 if i + 1 < n else 0
-        dx, dy = sign * (P[j, 0] - P[i, 0]).real, sign * (P[j, 1] - P[i, 1]).real
+        dx, dy = sign * (P[j, 0] - P[i, 0]), sign * (P[j, 1] - P[i, 1])
         length = np.sqrt(dx * dx + dy * dy)
         beside = length > 0.0
         for k in range(m):
-            d = dx * (Q[k, 1] - P[i, 1]).real - dy * (Q[k, 0] - P[i, 0]).real
+            d = dx * (Q[k, 1] - P[i, 1]) - dy * (Q[k, 0] - P[i, 0])
             if d > -distance * length:
                 beside = False
                 break
@@ -157,7 +148,7 @@ def subtract(P, n, Q, m, sign, pieces, sizes, count, spare):  # type: ignore[no-
 
     Each edge of Q cuts off a piece beyond it; the next edge cuts the rest.
     """
-    rest = np.empty((VERTICES, 2), P.dtype)
+    rest = np.empty((VERTICES, 2))
     for i in range(n):
         rest[i, 0], rest[i, 1] = P[i, 0], P[i, 1]
     for i in range(m):
@@ -221,7 +212,7 @@ def fill_axes(x, radius, axes):  # type: ignore[no-untyped-def]
 def _scale(v, size):  # type: ignore[no-untyped-def]
     """Divide v (3,) by its length and a size."""
     square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-    if square.real > 0.0:
+    if square > 0.0:
         factor = 1.0 / (np.sqrt(square) * size)
         for i in range(3):
             v[i] *= factor
@@ -256,10 +247,10 @@ def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
         a0, a1, b0, b1 = P[1, 0] - P[0, 0], P[1, 1] - P[0, 1], P[2, 0] - P[0, 0], P[2, 1] - P[0, 1]
         J = a0 * b1 - a1 * b0
         p0, p1 = x - P[0, 0], y - P[0, 1]
-        xi = (p0 * b1 - p1 * b0) * reciprocal(J)
+        xi = (p0 * b1 - p1 * b0) / J
         # by projection on b: on slivers xi is inexact, but the point stays where it is
-        eta = ((p0 - xi * a0) * b0 + (p1 - xi * a1) * b1) * reciprocal(b0 * b0 + b1 * b1)
-        return xi, eta, J if J.real > 0.0 else -J
+        eta = ((p0 - xi * a0) * b0 + (p1 - xi * a1) * b1) / (b0 * b0 + b1 * b1)
+        return xi, eta, abs(J)
     return inverse_of(bilinear_map(P, 0), bilinear_map(P, 1), x, y)
 
 
@@ -272,14 +263,14 @@ def inverse_of(first, second, x, y):  # type: ignore[no-untyped-def]
     centre = a0 * b1 - a1 * b0
     B = centre + p0 * c1 - p1 * c0
     C = p0 * b1 - p1 * b0
-    sign = 1.0 if centre.real > 0.0 else -1.0
-    J = root(B * B - 4 * A * C)
-    if sign * B.real > 0.0:  # the form that does not cancel
-        xi = -2 * C * reciprocal(B + sign * J)
+    sign = 1.0 if centre > 0.0 else -1.0
+    J = np.sqrt(max(B * B - 4 * A * C, 0.0))
+    if sign * B > 0.0:  # the form that does not cancel
+        xi = -2 * C / (B + sign * J)
     else:
-        xi = (sign * J - B) * reciprocal(2 * A)
+        xi = (sign * J - B) / (2 * A)
     d0, d1 = b0 + xi * c0, b1 + xi * c1
-    eta = -((p0 + xi * a0) * d0 + (p1 + xi * a1) * d1) * reciprocal(d0 * d0 + d1 * d1)
+    eta = -((p0 + xi * a0) * d0 + (p1 + xi * a1) * d1) / (d0 * d0 + d1 * d1)
     return xi, eta, J
 
 
@@ -299,7 +290,7 @@ def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
     The area of the facet per area in the plane is sqrt(1 + s_0^2 + s_1^2).
     """
     if not bilinear:
-        return 0.0 * xi, 0.0 * xi
+        return 0.0, 0.0
     return slopes_of(bilinear_map(P, 0), bilinear_map(P, 1), bilinear_map(P, 2), xi, eta)
 
 
@@ -309,8 +300,8 @@ def slopes_of(first, second, height, xi, eta):  # type: ignore[no-untyped-def]
     (_, a0, b0, c0), (_, a1, b1, c1), (_, a2, b2, c2) = first, second, height
     a0, a1, a2 = a0 + eta * c0, a1 + eta * c1, a2 + eta * c2
     b0, b1, b2 = b0 + xi * c0, b1 + xi * c1, b2 + xi * c2
-    scale = reciprocal(a0 * b1 - a1 * b0)
-    return (a2 * b1 - a1 * b2) * scale, (a0 * b2 - a2 * b0) * scale
+    J = a0 * b1 - a1 * b0
+    return (a2 * b1 - a1 * b2) / J, (a0 * b2 - a2 * b0) / J
 
 
 @numba.njit(cache=True)

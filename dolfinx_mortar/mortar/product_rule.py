@@ -148,40 +148,56 @@ def all_duals(S, dS, basis, f, shares, C, dC):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def apply(S, R, H, dS, dR, dH, C, dC, fixed, x, y, f, found):  # type: ignore[no-untyped-def]
-    """Write the derivatives of facet f but for those of x and y at fixed D and M."""
-    k, m = R.shape
-    _add_product(1.0, C, S, False, found.D[f])
-    _add_product(1.0, C, R, False, found.M[f])
-    dD, dM = np.empty((k, k)), np.empty((k, m))
-    for z in range(len(dS)):
-        clear(dD)
-        clear(dM)
-        _add_product(1.0, dC[z], S, False, dD)
-        _add_product(1.0, C, dS[z], False, dD)
-        _add_product(1.0, dC[z], R, False, dM)
-        _add_product(1.0, C, dR[z], False, dM)
-        _contract(dD, dM, fixed, x, y, f, z, found)
+def apply(moments, changes, basis, shares, fixed, x, y, others, found):  # type: ignore[no-untyped-def]
+    """Write the derivatives of facets, whose share in all shared out has the derivatives shares.
+
+    Args:
+        moments: (p, k, k + m + 1) S, R and H side by side.
+        changes: (p, z, k, k + m + 1) their derivatives.
+        basis: dual functions.
+        shares: (p, z).
+        fixed: what does not change.
+        x: (p, k, d) nodes of the slave facets.
+        y: (p, m, d) those of the masters.
+        others: number of the first coordinate of a master.
+        found: the result.
+    """
+    (p, k, _), m, size = x.shape, y.shape[1], changes.shape[1]
+    C, dC, all_of = np.empty((k, k)), np.empty((size, k, k)), np.empty((k, k + m + 1))
+    for f in range(p):
+        all_duals(moments[f], changes[f], basis, f, shares[f], C, dC)
+        clear(all_of)
+        _add_product(1.0, C, moments[f], False, all_of)
         for j in range(k):
-            for b in range(k):
-                found.G[f, j, z] -= dC[z, j, b] * H[b] + C[j, b] * dH[z, b]
+            for a in range(k):
+                found.D[f, j, a] = all_of[j, a]
+            for a in range(m):
+                found.M[f, j, a] = all_of[j, k + a]
+        for z in range(size):
+            clear(all_of)
+            _add_product(1.0, dC[z], moments[f], False, all_of)
+            _add_product(1.0, C, changes[f, z], False, all_of)
+            _contract(all_of, fixed, x[f], y[f], f, z, found)
+        move(fixed.n[f], found.D[f], found.M[f], others, found.G[f])
 
 
 @numba.njit(**KERNEL)
-def _contract(dD, dM, fixed, x, y, f, z, found):  # type: ignore[no-untyped-def]
-    """Add what dD and dM give to the derivatives of facet f by z."""
-    c, n, n_m, (k, m) = fixed.c[f], fixed.n[f], fixed.n_m[f], dM.shape
+def _contract(changes, fixed, x, y, f, z, found):  # type: ignore[no-untyped-def]
+    """Add what those of D, M and C H by z give to the derivatives of facet f."""
+    c, n, n_m, (k, d), m = fixed.c[f], fixed.n[f], fixed.n_m[f], x.shape, len(y)
     for j in range(k):
-        for i in range(x.shape[1]):
+        for i in range(d):
             moved = 0.0
             for a in range(k):
-                found.F[f, a, i, z] += dD[j, a] * c[j, i]
-                moved -= dD[j, a] * x[a, i]
+                found.F[f, a, i, z] += changes[j, a] * c[j, i]
+                moved -= changes[j, a] * x[a, i]
             for a in range(m):
-                found.F[f, k + a, i, z] -= dM[j, a] * c[j, i]
-                found.b[f, j, i, z] += dM[j, a] * n_m[a, i]
-                moved += dM[j, a] * y[a, i]
+                dM = changes[j, k + a]
+                found.F[f, k + a, i, z] -= dM * c[j, i]
+                found.b[f, j, i, z] += dM * n_m[a, i]
+                moved += dM * y[a, i]
             found.G[f, j, z] += n[j, i] * moved
+        found.G[f, j, z] -= changes[j, k + m]
 
 
 @numba.njit(**KERNEL)

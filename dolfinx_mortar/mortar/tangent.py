@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Derivatives of contact forces and weighted gaps by the coordinates of both sides.
 
-Those of the moments of slave facets are taken by the complex step (`geometry.moments`), all others
-by the `product_rule`. Those by the normals n_j, and of these by the coordinates, are apart: they
+Those of the moments of slave facets are those of `geometry.moments`, all others follow by the
+`product_rule`. Those by the normals n_j, and of these by the coordinates, are apart: they
 may depend on facets of other ranks.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ import numpy as np
 import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.block_sums import Blocks
-from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import CHUNK, EPS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry import area, line
 from dolfinx_mortar.geometry.curvature import (
     fill_curvature,
@@ -26,16 +26,25 @@ from dolfinx_mortar.geometry.curvature import (
     node_pairs,
 )
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.moments import KERNEL, STEP, add_whole
-from dolfinx_mortar.geometry.plane import fill_axes
+from dolfinx_mortar.geometry.moments import (
+    KERNEL,
+    Sums,
+    add_whole,
+    fill_turns,
+    gather,
+)
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar import edges
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, pair_sagittas
 from dolfinx_mortar.mortar.duals import Duals, absorbing, find_duals
 from dolfinx_mortar.mortar.edges import Sharing, widest_openings
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
-from dolfinx_mortar.mortar.product_rule import Basis, Fixed, Results, all_duals, apply, clear, move
+from dolfinx_mortar.mortar.product_rule import Basis, Fixed, Results, apply
 from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals
+
+STEP = EPS * EPS
+"""Imaginary part of a coordinate, whose square is nothing beside round-off (complex step: Squire
+and Trapp, SIAM Review 40, 1998)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,213 +103,145 @@ class _Surfaces(NamedTuple):
 
 
 @numba.njit(**KERNEL)
-def _fill_normal(x, corners, n):  # type: ignore[no-untyped-def]
-    """Write the mean normal of a facet into the last row of n (3, 3)."""
-    if x.shape[1] > 2:
-        fill_axes(x[:corners], 1.0, n)
-        return
-    t0, t1 = x[1, 0] - x[0, 0], x[1, 1] - x[0, 1]
-    length = np.sqrt(t0 * t0 + t1 * t1)
-    n[2, 0], n[2, 1] = t1 / length, -t0 / length
+def _fill_heights(x, y, c_s, c_m, surfaces, Q_s, Q_m):  # type: ignore[no-untyped-def]
+    """Write Q of the heights N.Q N over a slave facet (k, d) and a master (l, d) with such c_ab."""
+    p_s, p_m, d = surfaces.pairs_s, surfaces.pairs_m, x.shape[1]
+    K_s, K_m = np.zeros((d, d), x.dtype), np.zeros((d, d), y.dtype)
+    if surfaces.shared:
+        fill_curvature(x, surfaces.corners[0], c_s, p_s[0], p_s[1], K_s)
+        fill_curvature(y, surfaces.corners[1], c_m, p_m[0], p_m[1], K_m)
+    fill_heights(x, c_s, surfaces.shared, K_m, p_s[0], p_s[1], surfaces.table_s, Q_s)
+    fill_heights(y, c_m, surfaces.shared, K_s, p_m[0], p_m[1], surfaces.table_m, Q_m)
 
 
 @numba.njit(**KERNEL)
-def _fill_reach(x, corners, given, reach):  # type: ignore[no-untyped-def]
-    """Write what `moments.add_point` needs into reach (d + 2,), if there is any."""
-    if len(reach):
-        n = np.empty((3, 3), x.dtype)
-        _fill_normal(x, corners, n)
-        reach[0], reach[1] = given[0], given[1]
-        for i in range(x.shape[1]):
-            reach[2 + i] = n[2, i]
+def _fill_all_heights(sides, surfaces, heights):  # type: ignore[no-untyped-def]
+    """Write the heights of all pairs."""
+    Q_s, Q_m, _ = heights
+    y = np.empty((sides.place.shape[1], sides.x.shape[2]))
+    for f in range(len(sides.x)):
+        for r in range(sides.start[f], sides.start[f + 1]):
+            gather(sides.y[f], sides.place[r], y)
+            c_ab = surfaces.c_s[r], surfaces.c_m[r]
+            _fill_heights(sides.x[f], y, *c_ab, surfaces, Q_s[r], Q_m[r])
 
 
 @numba.njit(**KERNEL)
-def _share(x, y, S, R, j, corners, sunk):  # type: ignore[no-untyped-def]
-    """Return 1 - o_j / (sunk L), see `edges`, from the moments of the positive part of N_j."""
-    k, d = x.shape
-    n = np.empty((3, 3), x.dtype)
-    _fill_normal(x, corners, n)
-    weight, gap, size = 0.0 * x[0, 0], 0.0 * x[0, 0], 0.0 * x[0, 0]
-    for a in range(k):
-        weight, square = weight + S[j, a], 0.0 * x[0, 0]
-        for i in range(d):
-            gap -= S[j, a] * x[a, i] * n[2, i]
-            offset = x[a, i]
-            for b in range(k):
-                offset -= x[b, i] / k
-            square += offset * offset
-        size = square if square.real > size.real else size
-    for a in range(len(y)):
-        for i in range(d):
-            gap += R[j, a] * y[a, i] * n[2, i]
-    return 1.0 - gap / (weight * sunk * 2.0 * np.sqrt(size))
+def _add_motions_of_heights(sides, surfaces, sums):  # type: ignore[no-untyped-def]
+    """Add the derivatives of H by those of the heights' Q, taken by the complex step."""
+    (k, d), (_, l), m = sides.x.shape[1:], sides.place.shape, sides.y.shape[1]  # noqa: E741
+    others, last = d * (k + sides.n.shape[1]), k + m
+    x, y = np.empty((k, d), np.complex128), np.empty((l, d), np.complex128)
+    Q_s, Q_m = np.empty((k, k), x.dtype), np.empty((l, l), x.dtype)
+    for f in range(len(sides.x)):
+        for z in range(d * k):
+            x[z // d, z % d] = sides.x[f, z // d, z % d]
+        for r in range(sides.start[f], sides.start[f + 1]):
+            gather(sides.y[f], sides.place[r], y)
+            for z in range(d * (k + l)):
+                a, i = z // d, z % d
+                at, node = (x, a) if a < k else (y, a - k)
+                at[node, i] += 1j * STEP
+                _fill_heights(x, y, surfaces.c_s[r], surfaces.c_m[r], surfaces, Q_s, Q_m)
+                at[node, i] = at[node, i].real
+                by = z if a < k else others + d * sides.place[r, node] + i
+                for j in range(k):
+                    change = _product(sums.E_s, r, j, Q_s) + _product(sums.E_m, r, j, Q_m)
+                    sums.changes[f, by, j, last] += change / STEP
 
 
 @numba.njit(**KERNEL)
-def _fill_heights(x, Y, which, surfaces, heights):  # type: ignore[no-untyped-def]
-    """Write the heights over a slave facet and masters Y (c, l, d), see `moments.add_point`."""
-    Q_s, Q_m, arcs = heights
-    p_s, p_m, shared, d = surfaces.pairs_s, surfaces.pairs_m, surfaces.shared, x.shape[1]
-    K = np.zeros((2, d, d), x.dtype)
-    for r in range(len(Q_s)):
-        c_s, c_m = surfaces.c_s[which[r]], surfaces.c_m[which[r]]
-        if shared:
-            fill_curvature(x, surfaces.corners[0], c_s, p_s[0], p_s[1], K[0])
-            fill_curvature(Y[r], surfaces.corners[1], c_m, p_m[0], p_m[1], K[1])
-        fill_heights(x, c_s, shared, K[1], p_s[0], p_s[1], surfaces.table_s, Q_s[r])
-        fill_heights(Y[r], c_m, shared, K[0], p_m[0], p_m[1], surfaces.table_m, Q_m[r])
-        for i in range(2):
-            for j in range(2):
-                arcs[r, i, j] = surfaces.arcs[which[r], i, j]
+def _product(E, r, j, Q):  # type: ignore[no-untyped-def]
+    """Return the sum of E[r, j] times the imaginary part of Q."""
+    total = 0.0
+    for a in range(len(Q)):
+        for b in range(len(Q)):
+            total += E[r, j, a, b] * Q[a, b].imag
+    return total
 
 
 @numba.njit(**KERNEL)
-def _at_node(place, first, last, node, some):  # type: ignore[no-untyped-def]
-    """Write the pairs from first to last whose masters have a node (-1: all); return the count."""
-    count = 0
-    for r in range(first, last):
-        has = node < 0
-        for a in range(place.shape[1]):
-            has = has or place[r, a] == node
-        if has:
-            some[count], count = r, count + 1
-    return count
+def _fill_shares(f, sides, corners, sunk, sums, shares):  # type: ignore[no-untyped-def]
+    """Write the derivatives (z,) of 1 - o_j / (sunk L), see `edges`, of facet f.
+
+    Args:
+        f: the facet.
+        sides: all facets.
+        corners: of a slave facet.
+        sunk: of `edges`.
+        sums: (1, ..) moments of the positive part of N_j.
+        shares: the result.
+    """
+    x, y, j, row = sides.x[f], sides.y[f], sides.partly[f], sums.values[0, sides.partly[f]]
+    (k, d), m, weight = x.shape, len(y), row[: len(x)].sum()
+    others, turns = d * (k + sides.n.shape[1]), np.empty((corners, d))
+    axis, n, gap, middle = np.zeros(d), np.zeros(d), np.zeros(d), np.zeros(d)
+    for i in range(d):
+        axis[i] = 1.0
+        n[i] = fill_turns(axis, x[:corners], turns)
+        axis[i] = 0.0
+        gap[i] = (row[k : k + m] * y[:, i]).sum() - (row[:k] * x[:, i]).sum()
+        middle[i] = x[:, i].sum() / k
+    far = ((x - middle) ** 2).sum(axis=1).argmax()
+    offset = x[far] - middle
+    square = (offset**2).sum()
+    scale = 1.0 / (weight * sunk * 2.0 * np.sqrt(square))
+    opening = scale * fill_turns(gap, x[:corners], turns)
+    for z in range(len(shares)):
+        change, own = sums.changes[0, z, j], d * k > z
+        a, i = (z if own else z - others) // d, z % d
+        shares[z] = opening * change[:k].sum() / weight
+        for h in range(d):
+            moved = (change[k : k + m] * y[:, h]).sum() - (change[:k] * x[:, h]).sum()
+            shares[z] -= scale * n[h] * moved
+        if own:
+            shares[z] += scale * row[a] * n[i]
+            shares[z] += opening * offset[i] * ((a == far) - 1.0 / k) / square
+            shares[z] -= scale * turns[a, i] if a < corners else 0.0
+        elif z >= others:
+            shares[z] -= scale * row[k + a] * n[i]
 
 
-@numba.njit(**KERNEL)
-def _parts(S, R, H, dS, dR, dH):  # type: ignore[no-untyped-def]
-    """Write the derivatives that complex moments hold."""
-    for i in range(R.shape[0]):
-        dH[i] = H[i].imag / STEP
-        for j in range(R.shape[0]):
-            dS[i, j] = S[i, j].imag / STEP
-        for j in range(R.shape[1]):
-            dR[i, j] = R[i, j].imag / STEP
+def _differentiate(
+    sides: _Sides, surfaces: _Surfaces, tables: NamedTuple, basis: Basis, fixed: Fixed
+) -> Results:
+    """Return the derivatives of all facets."""
+    (p, k, d), m, (c, l) = sides.x.shape, sides.y.shape[1], sides.place.shape  # noqa: E741
+    of, others, smooth = (
+        (line if d == 2 else area),
+        d * (k + sides.n.shape[1]),
+        surfaces.c_s.size > 0,
+    )
+    z = others + d * m
+    heights = np.empty((c * smooth, k, k)), np.empty((c * smooth, l, l)), surfaces.arcs
+    E_s, E_m = (np.zeros((c * (smooth and surfaces.shared), k, v, v)) for v in (k, l))
+    sums = Sums(np.zeros((p, k, k + m + 1)), np.zeros((p, z, k, k + m + 1)), E_s, E_m)
+    at = sides.place, sides.deepest
+    if smooth:
+        _fill_all_heights(sides, surfaces, heights)
+    given = sides.reach, sides.factor, heights
+    of.moments(sides.x, sides.n, sides.y, sides.start, *at, *given, False, tables, sums)
+    if len(E_s):
+        _add_motions_of_heights(sides, surfaces, sums)
+    shares = np.zeros((p, z))
+    for f in np.flatnonzero(sides.partly >= 0):
+        one = slice(f, f + 1)
+        part = Sums(
+            np.zeros_like(sums.values[one]), np.zeros_like(sums.changes[one]), E_s[:0], E_m[:0]
+        )
+        given = sides.reach[one], sides.factor[one], heights
+        where = sides.x[one], sides.n[one], sides.y[one], sides.start[f : f + 2]
+        of.moments(*where, *at, *given, True, tables, part)
+        _fill_shares(f, sides, surfaces.corners[0], edges.SUNK, part, shares[f])
+    found = _results(p, k, m, d, z)
+    apply(sums.values, sums.changes, basis, shares, fixed, sides.x, sides.y, others, found)
+    return found
 
 
-@numba.njit(**KERNEL)
-def _real(S, R, H, S0, R0, H0):  # type: ignore[no-untyped-def]
-    """Write the real parts of moments."""
-    for i in range(R.shape[0]):
-        H0[i] = H[i].real
-        for j in range(R.shape[0]):
-            S0[i, j] = S[i, j].real
-        for j in range(R.shape[1]):
-            R0[i, j] = R[i, j].real
-
-
-@numba.njit(**KERNEL)
-def _coordinate(sides, f, a, i):  # type: ignore[no-untyped-def]
-    """Return coordinate i of node, direction or master's node a of facet f."""
-    k, lines = sides.x.shape[1], sides.n.shape[1]
-    if a < k:
-        return sides.x[f, a, i]
-    return sides.n[f, a - k, i] if a < k + lines else sides.y[f, a - k - lines, i]
-
-
-def _moments(x, n, Y, deepest, reach, factor, heights, positive, tables, S, R, H):  # type: ignore[no-untyped-def]
-    """Return `line.moments` or `area.moments`, by the type of their tables."""
-    of = line if isinstance(tables, line.Tables) else area
-    return of.moments(x, n, Y, deepest, reach, factor, heights, positive, tables, S, R, H)
-
-
-@numba.extending.overload(_moments)
-def _of_dimension(x, n, Y, deepest, reach, factor, heights, positive, tables, S, R, H):  # type: ignore[no-untyped-def]
-    """Return what is compiled."""
-    return (line if tables.instance_class is line.Tables else area).moments.py_func
-
-
-@numba.njit(**KERNEL)
-def _evaluate(v, f, some, sides, surfaces, tables, positive, S, R, H):  # type: ignore[no-untyped-def]
-    """Write the moments of facet f and some of its masters at v; R (k, m) by their nodes."""
-    k, lines, c, smooth = len(S), sides.n.shape[1], len(some), surfaces.c_s.shape[1] > 0
-    x, n, l_m, d = v[:k], v[k : k + lines], sides.place.shape[1], v.shape[1]
-    Y, each = np.empty((c, l_m, d), v.dtype), np.zeros((c, k, l_m), v.dtype)
-    Q_s, Q_m = np.empty((c * smooth, k, k), v.dtype), np.empty((c * smooth, l_m, l_m), v.dtype)
-    heights, deepest = (Q_s, Q_m, np.empty((c * smooth, 2, 2))), np.empty(c)
-    clear(S)
-    clear(R)
-    for j in range(k):
-        H[j] = 0.0
-    for r in range(c):
-        deepest[r] = sides.deepest[some[r]]
-        for a in range(l_m):
-            for i in range(d):
-                Y[r, a, i] = v[k + lines + sides.place[some[r], a], i]
-    _fill_heights(x, Y, some, surfaces, heights)
-    reach = np.empty(sides.reach.shape[1] // 2 * (d + 2), v.dtype)
-    _fill_reach(x, surfaces.corners[0], sides.reach[f], reach)
-    at = reach, sides.factor[f], heights, positive, tables
-    hidden = _moments(x, n, Y, deepest, *at, S, each, H)
-    for r in range(c):
-        for a in range(l_m):
-            for j in range(k):
-                R[j, sides.place[some[r], a]] += each[r, j, a]
-    return hidden
-
-
-@numba.njit(**KERNEL)
-def _differentiate(sides, surfaces, tables, basis, fixed, sunk, found):  # type: ignore[no-untyped-def]
-    """Write the derivatives of all facets."""
-    (p, k, d), lines, m = sides.x.shape, sides.n.shape[1], sides.y.shape[1]
-    size, v = d * (k + lines + m), np.empty((k + lines + m, d), np.complex128)
-    S, R, H = np.empty((k, k), v.dtype), np.empty((k, m), v.dtype), np.empty(k, v.dtype)
-    S0, R0, H0 = np.empty((k, k)), np.empty((k, m)), np.empty(k)
-    dS, dR, dH = np.empty((size, k, k)), np.empty((size, k, m)), np.empty((size, k))
-    C, dC, shares = np.empty((k, k)), np.empty((size, k, k)), np.zeros(size)
-    every = np.empty(len(sides.place), np.int64)
-    for f in range(p):
-        first, last, hidden = sides.start[f], sides.start[f + 1], False
-        for z in range(size):
-            v[z // d, z % d] = _coordinate(sides, f, z // d, z % d)
-        for z in range(size):
-            a, node, shares[z] = z // d, -1, 0.0
-            if a >= k + lines and not hidden:  # pairs do not know of each other
-                node = a - k - lines
-            v[a, z % d] += 1j * STEP
-            for positive in range(2 if sides.partly[f] >= 0 else 1):
-                count = _at_node(sides.place, first, last, -1 if positive else node, every)
-                # fmt: off
-                hidden = _evaluate(v, f, every[:count], sides, surfaces, tables, positive > 0,
-                                  S, R, H) or hidden
-                # fmt: on
-                if positive:
-                    j = sides.partly[f], surfaces.corners[0], sunk
-                    shares[z] = _share(v[:k], v[k + lines :], S, R, *j).imag / STEP
-                    continue
-                if z == 0:
-                    _real(S, R, H, S0, R0, H0)
-                _parts(S, R, H, dS[z], dR[z], dH[z])
-            v[a, z % d] = v[a, z % d].real
-        all_duals(S0, dS, basis, f, shares, C, dC)
-        apply(S0, R0, H0, dS, dR, dH, C, dC, fixed, sides.x[f], sides.y[f], f, found)
-        move(fixed.n[f], found.D[f], found.M[f], d * (k + lines), found.G[f])
-
-
-@numba.njit(**KERNEL)
-def _differentiate_whole(x, by_x, rule, factor, phi, basis, fixed, found):  # type: ignore[no-untyped-def]
-    """Write the derivatives of whole facets, see `differentiate_whole`."""
-    p, k, d = x.shape
-    size, shares, at = d * k, np.zeros(d * k), np.empty((k, d), np.complex128)
-    S, H, R = np.empty((k, k), at.dtype), np.empty(k, at.dtype), np.empty((k, 0), at.dtype)
-    S0, R0, H0 = np.empty((k, k)), np.empty((k, 0)), np.empty(k)
-    dS, dR, dH = np.empty((size, k, k)), np.empty((size, k, 0)), np.empty((size, k))
-    C, dC, y = np.empty((k, k)), np.empty((size, k, k)), np.empty((0, d))
-    for f in range(p):
-        for z in range(size):
-            at[z // d, z % d] = x[f, z // d, z % d]
-        for z in range(size):
-            at[z // d, z % d] += 1j * STEP
-            clear(S)
-            for j in range(k):
-                H[j] = 0.0
-            add_whole(at, by_x[f], x[f], rule, factor[f], phi[f], S, H)
-            _parts(S, R, H, dS[z], dR[z], dH[z])
-            at[z // d, z % d] = x[f, z // d, z % d]
-        _real(S, R, H, S0, R0, H0)
-        all_duals(S0, dS, basis, f, shares, C, dC)
-        apply(S0, R0, H0, dS, dR, dH, C, dC, fixed, x[f], y, f, found)
+def _results(p: int, k: int, m: int, d: int, z: int) -> Results:
+    """Return results that are zero."""
+    shapes = (k + m, d, z), (k, z), (k, d, z), (k, k), (k, m)
+    return Results(*(np.zeros((p, *shape)) for shape in shapes))
 
 
 def differentiate_whole(
@@ -321,12 +262,14 @@ def differentiate_whole(
     T = absorbing(element.shares, kept)
     basis = Basis(T[:, None], duals.inverse[:, None], kept[:, None], np.ones(p))
     fixed = Fixed(c, np.zeros((p, k, d)), np.zeros((p, 0, d)))
-    shapes = (k, d, k * d), (k, k * d), (k, d, k * d), (k, k), (k, 0)
-    found = Results(*(np.zeros((p, *shape)) for shape in shapes))
     rule = tuple(
         np.ascontiguousarray(f(xi)) for f in (element.shape_functions, element.derivatives)
     )
-    _differentiate_whole(facets.x, by_x, rule, weights, phi, basis, fixed, found)
+    size = k * d
+    moments, changes = np.zeros((p, k, k + 1)), np.zeros((p, size, k, k + 1))
+    add_whole(facets.x, by_x, rule, weights, phi, moments, changes)
+    found, shares, y = _results(p, k, 0, d, size), np.zeros((p, size)), np.empty((p, 0, d))
+    apply(moments, changes, basis, shares, fixed, facets.x, y, size, found)
     return found.F.reshape(p, k, d, k, d), found.G.reshape(p, k, k, d), found.D
 
 
@@ -373,11 +316,11 @@ def differentiate(
     y = np.empty_like(pairing.master_X)
     y[pairing.master_facets] = master.x
     types = facets.element, master.element
-    tables = (line if d == 2 else area).tables(*types, smooth is not None)
+    tables = (line if d == 2 else area).tables(*types, surfaces.c_s.shape[1] > 0)
     parts: dict[str, list[Blocks]] = {field.name: [] for field in fields(Derivatives)}
     for group in _groups(pairing, used):
-        s, k, m = group.facets, slave.element.nodes, group.nodes.shape[1]
-        own, lines = slave.facets[s], directions.shape[1]
+        s = group.facets
+        own = slave.facets[s]
         sides = _Sides(
             facets.x[s],
             directions[s],
@@ -397,11 +340,7 @@ def differentiate(
             closed[s],
         )
         fixed = Fixed(given.tractions[own], given.normals[own], normals[group.nodes])
-        z = d * (k + lines + m)
-        shapes = (k + m, d, z), (k, z), (k, d, z), (k, k), (k, m)
-        found = Results(*(np.zeros((len(s), *shape)) for shape in shapes))
-        heights = _some(surfaces, group.pairs)
-        _differentiate(sides, heights, tables, basis, fixed, edges.SUNK, found)
+        found = _differentiate(sides, _some(surfaces, group.pairs), tables, basis, fixed)
         _add_parts(parts, found, given, sides, own, n + group.nodes)
     return Derivatives(**parts)
 
@@ -459,13 +398,21 @@ def _groups(pairing: Pairing, used: Ints) -> list[_Group]:
     of = np.searchsorted(facets, s)
     place = place.reshape(nodes.shape) - first[of][:, None]
     groups = []
-    for m in np.unique(count):
-        which = np.flatnonzero(count == m)
-        pairs = np.flatnonzero(count[of] == m)
+    for which in _parts(count, pairing):
+        m, pairs = count[which[0]], np.flatnonzero(np.isin(of, which))
         start = np.searchsorted(s[pairs], np.append(facets[which], np.iinfo(np.int64).max))
         all_nodes = (keys % size)[first[which][:, None] + np.arange(m)]
         groups.append(_Group(facets[which], all_nodes.astype(np.int32), pairs, start, place[pairs]))
     return groups
+
+
+def _parts(count: Longs, pairing: Pairing) -> Iterator[Longs]:
+    """Return facets with as many master nodes each, as many as fit into some MB."""
+    k, d = pairing.slave.element.nodes, pairing.slave.X.shape[1]
+    for m in np.unique(count):
+        which = np.flatnonzero(count == m)
+        rows = d * (2 * k + m) * k * len(which)
+        yield from np.array_split(which, min(rows // CHUNK + 1, len(which)))
 
 
 def _add_parts(
