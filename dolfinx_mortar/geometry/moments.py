@@ -25,7 +25,6 @@ import numpy as np
 from dolfinx_mortar.arrays import Floats
 
 KERNEL = {"cache": True, "error_model": "numpy", "fastmath": {"contract"}}
-SUMS = {**KERNEL, "fastmath": {"contract", "nsz", "nnan", "reassoc"}}
 INNER = {
     "error_model": "numpy",
     "fastmath": {"contract", "nsz", "reassoc"},
@@ -34,7 +33,7 @@ INNER = {
     "no_cfunc_wrapper": True,
     "_nrt": False,
 }
-"""Of functions within loops that make no array: counting references takes longer than a point."""
+"""Of functions in loops that make no array: to count references takes longer than a point."""
 
 
 # Arrays with numbers of rows: a view of each would cost as much as a point.
@@ -193,7 +192,7 @@ def add_heights(p, k, c, e_s, e_m, found):  # type: ignore[no-untyped-def]
                 found.E_m[c, j, a - k, b - k] += e_m * p.rows[4, n * j + a] * p.f[b]
 
 
-@numba.njit(**SUMS)
+@numba.njit(**KERNEL)
 def move_to(totals, z, k, place, r, by):  # type: ignore[no-untyped-def]
     """Add totals[z] of pair r, k (k + l + 1), to those of a facet (k, k + m + 1); clear them."""
     n = totals.shape[1] // k
