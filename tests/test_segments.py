@@ -76,6 +76,7 @@ def test_any_coverage_at_any_distance(t, distance):
     o = assemble([[0, 0], [1, 0]], [[t, -distance], [-1, -distance]])
     assert o.covered[0] == pytest.approx(t, rel=1e-9)
     assert o.points.xi_m.max() < 1
+    assert o.points.slave.flags.c_contiguous  # as where there are none: compiled once
 
 
 def test_coincident_nodes_leave_neither_holes_nor_slivers():

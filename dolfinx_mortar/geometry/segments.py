@@ -304,5 +304,5 @@ def create_segments(
     else:
         which, xi_s, xi_m, weight = area.place_points(slave, *partners)
     pair = facing[which].astype(np.int32)
-    s, m = pairs[pair].T
+    s, m = np.ascontiguousarray(pairs[pair].T)  # kernels compile anew for each layout
     return Segments(pair, s, m, xi_s, xi_m, weight, tributary_weights(slave))
