@@ -67,6 +67,7 @@ class Point(NamedTuple):
     df: Floats  # (4, k + l + 1) their derivatives by xi_s, eta_s, xi_m and eta_m
     by_weight: Floats  # (4,) those of the logarithm of the weight
     by_height: Floats  # (k + l + 1,) those of h by N
+    by_chord: Floats  # (2,) those of h by the logarithms of the chords' lengths, of arcs
     rows: Floats  # (5, k (k + l + 1)) derivatives of N_j f w, and w N_j f itself
 
 
@@ -77,13 +78,15 @@ class Sums(NamedTuple):
     changes: Floats  # (p, z, k, k + m + 1) their derivatives
     E_s: Floats  # (c, k, k, k) dH_j by Q_ab of heights over the slave facet; (0, ..) if not asked
     E_m: Floats  # (c, k, l, l) over the master
+    chords: Floats  # (c, k, 2) dH_j by the logarithms of both chords' lengths; (0, ..) without arcs
 
 
 @numba.njit(**KERNEL)
 def create_point(k, l):  # type: ignore[no-untyped-def] # noqa: E741
     """Return room for a point."""
     n = k + l + 1
-    return Point(np.zeros(n), np.zeros((4, n)), np.zeros(4), np.zeros(n), np.empty((5, k * n)))
+    by = np.zeros(4), np.zeros(n), np.zeros(2)
+    return Point(np.zeros(n), np.zeros((4, n)), *by, np.empty((5, k * n)))
 
 
 @numba.njit(**INNER)
@@ -99,12 +102,17 @@ def _height(p, first, Q, arcs, c, side):  # type: ignore[no-untyped-def]
             by[first + i] += 2.0 * Q[c, i, j] * p.f[first + j]
         h += 0.5 * p.f[first + i] * by[first + i]
     curvature, square = arcs[c, side, 0], arcs[c, side, 1]
+    p.by_chord[side] = 0.0
     if curvature == 0.0:
         return h, 1.0
     across = np.sqrt(square + 2.0 * curvature * h)
     for i in range(n):
         by[first + i] /= across
-    return 2.0 * h / (np.sqrt(square) + across), 1.0 / across
+    both = np.sqrt(square) + across
+    left = 1.0 - square  # curvature is c / L^2, left a quarter of c times that
+    rate = left / np.sqrt(square) + (left - 2.0 * curvature * h) / across
+    p.by_chord[side] = -2.0 * h / both**2 * rate
+    return 2.0 * h / both, 1.0 / across
 
 
 @numba.njit(**INNER)
@@ -181,8 +189,12 @@ def gather(x, ids, P):  # type: ignore[no-untyped-def]
 
 @numba.njit(**INNER)
 def add_heights(p, k, c, e_s, e_m, found):  # type: ignore[no-untyped-def]
-    """Add the derivatives of H by the heights' Q of pair c."""
+    """Add the derivatives of H by the heights' Q of pair c, and by the chords of arcs."""
     n = len(p.f)
+    for j in range(k if len(found.chords) else 0):
+        for a in range(k):  # their sum is w N_j
+            found.chords[c, j, 0] += p.by_chord[0] * p.rows[4, n * j + a]
+            found.chords[c, j, 1] += p.by_chord[1] * p.rows[4, n * j + a]
     for j in range(k if len(found.E_s) else 0):
         for a in range(k):
             for b in range(k):

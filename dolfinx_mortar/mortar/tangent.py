@@ -151,6 +151,26 @@ def _add_motions_of_heights(sides, surfaces, sums):  # type: ignore[no-untyped-d
 
 
 @numba.njit(**KERNEL)
+def _add_motions_of_chords(sides, sums):  # type: ignore[no-untyped-def]
+    """Add the derivatives of H by the lengths of the chords of arcs, whose vertices are first."""
+    (k, d), m = sides.x.shape[1:], sides.y.shape[1]
+    for f in range(len(sides.x)):
+        for r in range(sides.start[f], sides.start[f + 1]):
+            for side in range(2):
+                nodes = sides.x[f] if side == 0 else sides.y[f]
+                a, b = (0, 1) if side == 0 else (sides.place[r, 0], sides.place[r, 1])
+                first, square = (0 if side == 0 else d * (k + sides.n.shape[1])), 0.0
+                for i in range(d):
+                    square += (nodes[b, i] - nodes[a, i]) ** 2
+                for i in range(d):
+                    rate = (nodes[b, i] - nodes[a, i]) / square
+                    for j in range(k):
+                        change = rate * sums.chords[r, j, side]
+                        sums.changes[f, first + d * b + i, j, k + m] += change
+                        sums.changes[f, first + d * a + i, j, k + m] -= change
+
+
+@numba.njit(**KERNEL)
 def _product(E, r, j, Q):  # type: ignore[no-untyped-def]
     """Return the sum of E[r, j] times the imaginary part of Q."""
     total = 0.0
@@ -215,7 +235,8 @@ def _differentiate(
     z = others + d * m
     heights = np.empty((c * smooth, k, k)), np.empty((c * smooth, l, l)), surfaces.arcs
     E_s, E_m = (np.zeros((c * (smooth and surfaces.shared), k, v, v)) for v in (k, l))
-    sums = Sums(np.zeros((p, k, k + m + 1)), np.zeros((p, z, k, k + m + 1)), E_s, E_m)
+    chords = np.zeros((c * bool(smooth and surfaces.arcs[:, :, 0].any()), k, 2))
+    sums = Sums(np.zeros((p, k, k + m + 1)), np.zeros((p, z, k, k + m + 1)), E_s, E_m, chords)
     at = sides.place, sides.deepest
     if smooth:
         _fill_all_heights(sides, surfaces, heights)
@@ -223,12 +244,13 @@ def _differentiate(
     of.moments(sides.x, sides.n, sides.y, sides.start, *at, *given, False, tables, sums)
     if len(E_s):
         _add_motions_of_heights(sides, surfaces, sums)
+    if len(chords):
+        _add_motions_of_chords(sides, sums)
     shares = np.zeros((p, z))
     for f in np.flatnonzero(sides.partly >= 0):
         one = slice(f, f + 1)
-        part = Sums(
-            np.zeros_like(sums.values[one]), np.zeros_like(sums.changes[one]), E_s[:0], E_m[:0]
-        )
+        empty = np.zeros_like(sums.values[one]), np.zeros_like(sums.changes[one])
+        part = Sums(*empty, E_s[:0], E_m[:0], chords[:0])
         given = sides.reach[one], sides.factor[one], heights
         where = sides.x[one], sides.n[one], sides.y[one], sides.start[f : f + 2]
         of.moments(*where, *at, *given, True, tables, part)

@@ -24,8 +24,18 @@ from scipy.linalg import LinAlgError, lapack
 
 from dolfinx_mortar.algebra.errors import from_callbacks
 from dolfinx_mortar.algebra.parallel import norm
-from dolfinx_mortar.arrays import EPS, ROUND_OFF, SAME, Actives, Bools, Floats, Ints, Longs
-from dolfinx_mortar.qp.bound_qp import BoundQP, Scalars
+from dolfinx_mortar.arrays import (
+    EPS,
+    HALF_OF_DIGITS,
+    ROUND_OFF,
+    SAME,
+    Actives,
+    Bools,
+    Floats,
+    Ints,
+    Longs,
+)
+from dolfinx_mortar.qp.bound_qp import BoundQP, Scalars, reaction
 from dolfinx_mortar.qp.friction import Friction, Sliding, state_of
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver, NotDefinite
 from dolfinx_mortar.qp.schur import SchurComplement
@@ -220,9 +230,15 @@ class Condensed:
             return self.inner(self.whole.b.array_r)
         at[held] = values
         try:
-            return at + self.inner(self._product(at, self.whole.b), held)
+            at += self.inner(self._product(at, self.whole.b), held)
         except LinAlgError:  # nothing holds a body in that state
             return self.inner(self.whole.b.array_r)
+        x = self.whole.b.duplicate()
+        x.array[:] = at
+        force = max(self.whole.b.norm(), reaction(self.whole, x).norm())
+        if self.linear.round_off(x) <= HALF_OF_DIGITS * force:
+            return at
+        return self.inner(self.whole.b.array_r)  # hardly anything holds it
 
     @property
     def _schur(self) -> SchurComplement | None:
