@@ -27,6 +27,7 @@ from dolfinx_mortar.algebra.parallel import norm
 from dolfinx_mortar.arrays import (
     EPS,
     HALF_OF_DIGITS,
+    QUARTER_OF_DIGITS,
     ROUND_OFF,
     SAME,
     Actives,
@@ -132,6 +133,9 @@ class Dense:
             step, _ = lapack.dgetrs(self._lu, self._pivots, rest[free] * self.scale[free])
             values[free] += step * self.scale[free]
             found = right - self.S @ values
+            force = max(np.linalg.norm(right), np.linalg.norm(found))
+            if self.round_off(x) > QUARTER_OF_DIGITS * force > 0.0:
+                raise NotDefinite("hardly anything holds a body: round-off is near the forces")
         result.array[:] = found
         return result
 
