@@ -12,6 +12,7 @@ import dolfinx_mortar as dm
 from dolfinx import default_real_type, fem
 from dolfinx_mortar.interfaces.tool import SPACE, Tool, motions_in
 from dolfinx_mortar.qp import scalars
+from dolfinx_mortar.steps import newton
 from tests.choice import quick
 from tests.meshes import two_blocks
 from tests.pressed_blocks import rejected
@@ -481,3 +482,93 @@ def test_a_stack_pressed_by_a_force_at_finite_strain():
     moved.position.value[1] += tool.travel[1]
     dm.newton(other)
     assert moved.tool_force[1] == pytest.approx(1.875, rel=1e-5)
+
+
+LEVELS = np.arange(1, 6) / 5
+
+
+def pressed_in_steps(levels=LEVELS, restored=None):
+    """Press the stack by a force that grows with the level; return tool, problem and steps."""
+    load = fem.Constant(pressed_stack({})[1].V.mesh, default_real_type(0.0))
+    tool, problem = pressed_stack({"y": load})
+    if restored is not None:
+        problem.restore(restored)
+    ramp = {load: [(0.0, 0.0), (1.0, -1.2)]}
+    return tool, problem, list(dm.load_steps(problem, levels, ramp=ramp, rtol=1e-9))
+
+
+def total(steps):
+    """Return all Newton iterations."""
+    return sum(step.report.newton_iterations for step in steps)
+
+
+def test_a_step_goes_on_as_the_last_one_did(monkeypatch):
+    """Tool and bodies start where the last step points to: fewer iterations, the same balance."""
+    tool, problem, steps = pressed_in_steps()
+    with monkeypatch.context() as patch:
+        patch.setattr(dm.ContactProblem, "_go_on", lambda *_: None)
+        other, without, plain = pressed_in_steps()
+    assert total(steps) < total(plain)
+    size = np.abs(without.u.x.array).max()
+    assert np.abs(problem.u.x.array - without.u.x.array).max() < 1e-7 * size
+    assert tool.travel == pytest.approx(other.travel, rel=1e-7)
+    gained = problem.committed.gained
+    assert gained.travel == pytest.approx(tool.travel[1] * np.ones(1) / 5, rel=0.2)
+    assert gained.duration == pytest.approx(0.2)
+
+
+def test_what_the_last_step_gained_is_in_checkpoints(tmp_path):
+    """A restored run takes the same iterations, and ends in the same place."""
+    path = COMM.bcast(tmp_path / "state.h5")
+    whole, _, steps = pressed_in_steps()
+    _, problem, _ = pressed_in_steps(LEVELS[:3])
+    problem.save(path)
+    tool, problem, rest = pressed_in_steps(LEVELS[3:], restored=path)
+    assert total(rest) == total(steps[3:])
+    assert tool.travel == pytest.approx(whole.travel, rel=1e-10)
+
+
+def test_a_step_that_fails_from_there_begins_without(monkeypatch):
+    """It is told, and ends like one that began without."""
+    tool, problem, _ = pressed_in_steps(LEVELS[:2])
+    run, travels = newton._Step.run, []
+
+    def failing(step, max_it):
+        travels.append(tool.travel[1])
+        if step.data.travel is not None:
+            raise newton.failures.StepFailed("no luck")
+        run(step, max_it)
+
+    monkeypatch.setattr(newton._Step, "run", failing)
+    begun = tool.travel[1]
+    report = dm.newton(problem, level=0.6)
+    assert travels[0] < begun == travels[1] == pytest.approx(tool.travel[1], rel=0.5)
+    assert any("led nowhere in 0 iterations" in note for note in report.notes)
+    assert len(report.iterations) == report.newton_iterations > 0
+
+
+def test_an_exact_iteration_that_leads_away_is_undone(monkeypatch):
+    """Of which the solution is twenty times too long: u and the tool are where they were."""
+    tool, problem = pressed_stack({"y": -1.875})
+    dm.newton(problem)
+    right, (tool, problem) = tool.travel, pressed_stack({"y": -1.875})
+    solve, spoilt, back = newton._Step.solve_exact, [], newton._Step.go_back
+
+    def too_long(step, *given):
+        lin, solved, rejected = solve(step, *given)
+        if solved is not None and not spoilt:
+            spoilt.append((tool.travel, problem.u.x.array.copy()))
+            solved.x.scale(20.0)
+        return lin, solved, rejected
+
+    def undone(step, place):
+        back(step, place)
+        spoilt.append((tool.travel, problem.u.x.array.copy()))
+
+    monkeypatch.setattr(newton._Step, "solve_exact", too_long)
+    monkeypatch.setattr(newton._Step, "go_back", undone)
+    dm.newton(problem)
+    assert len(spoilt) >= 2
+    for before, after in zip(*spoilt[:2], strict=True):
+        assert np.array_equal(before, after)
+    assert tool.travel == pytest.approx(right, rel=1e-5)
