@@ -204,7 +204,7 @@ class Condensed:
 
     Raises:
         LinearSolveFailed: if A is singular with all of them held.
-        LinAlgError: if that leaves MUMPS's S without an inverse.
+        numpy.linalg.LinAlgError: if that leaves MUMPS's S without an inverse.
     """
 
     def __init__(self, whole: BoundQP, linear: LinearSolver, held: Ints, values: Floats) -> None:
