@@ -191,6 +191,8 @@ def _slipping(S: Floats, sliding: Sliding) -> Floats:
 class Condensed:
     """A QP condensed to its unknowns with bounds or friction; collective.
 
+    MUMPS's S of an indefinite matrix may have no inverse, which numpy says.
+
     Args:
         whole: the QP.
         linear: solver of A.
@@ -204,7 +206,6 @@ class Condensed:
 
     Raises:
         LinearSolveFailed: if A is singular with all of them held.
-        numpy.linalg.LinAlgError: if that leaves MUMPS's S without an inverse.
     """
 
     def __init__(self, whole: BoundQP, linear: LinearSolver, held: Ints, values: Floats) -> None:
