@@ -8,10 +8,11 @@ from itertools import cycle
 from unittest.mock import patch
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx import fem, la
+from dolfinx import fem
 from dolfinx_mortar.geometry import area
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar import common_normals, curvature_correction, edges, integrals
@@ -124,8 +125,9 @@ class Differences:
         (self.partners,) = self.system.present.partners(x, frozen=False)
 
     def _vector(self, values):
-        vector = la.create_petsc_vector(self.V.dofmap.index_map, self.d)
-        vector.array[:] = values.ravel()[: vector.local_size]
+        size = self.d * self.V.dofmap.index_map.size_local
+        vector = PETSc.Vec().createMPI((size, None), bsize=self.d, comm=self.V.mesh.comm)
+        vector.array[:] = values.ravel()[:size]
         return vector
 
     def _at(self, u):
