@@ -133,7 +133,7 @@ class Dense:
             step, _ = lapack.dgetrs(self._lu, self._pivots, rest[free] * self.scale[free])
             values[free] += step * self.scale[free]
             found = right - self.S @ values
-            force = max(np.linalg.norm(right), np.linalg.norm(found))
+            force = max(float(np.linalg.norm(v)) for v in (right, found))
             if self.round_off(x) > QUARTER_OF_DIGITS * force > 0.0:
                 raise NotDefinite("hardly anything holds a body: round-off is near the forces")
         result.array[:] = found

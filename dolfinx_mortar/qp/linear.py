@@ -225,7 +225,6 @@ class LinearSolver:
                     schur.bounded = bounded
                 self._describe()
                 return
-        self.condensed = None
         self._drop(definite)  # so that no matrix is set if an option raises an error
         if self.direct and self.options["pc_factor_mat_solver_type"] == ALONE:
             self._drop(not definite)
@@ -289,11 +288,12 @@ class LinearSolver:
 
     def abandon(self) -> None:
         """Use no matrix of before, as an error may have left it locked; without communication."""
-        self._setups = {}  # freed when PETSc collects its garbage
+        self._setups, self.condensed = {}, None  # freed when PETSc collects its garbage
         self.options.grown.pop(OF_AGGREGATES, None)
 
     def _drop(self, kind: bool) -> None:
         """Free one of them, and what has its preconditioner; collective."""
+        self.condensed = None
         beside = self._setups.get(False)
         if kind and beside is not None and beside.shared:
             self._drop(False)
@@ -302,6 +302,7 @@ class LinearSolver:
 
     def forget(self, *, keep_definite: bool = False) -> None:
         """Renew the numeric factorisations at the next solves, perhaps not that of a definite A."""
+        self.visited = np.zeros(0, dtype=np.int32)
         for definite, setup in self._setups.items():
             if not (definite and keep_definite):
                 setup.preconditioner.held = None
