@@ -19,7 +19,14 @@ from dolfinx_mortar.algebra.errors import from_callbacks
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, ratio
 from dolfinx_mortar.arrays import EPS, LIMIT, Bools, Floats
 from dolfinx_mortar.qp import interior_point
-from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check, reaction
+from dolfinx_mortar.qp.bound_qp import (
+    BoundQP,
+    QPNotSolved,
+    QPSolution,
+    check,
+    is_noise,
+    reaction,
+)
 from dolfinx_mortar.qp.dense import Condensed, condenses, on_root, select
 from dolfinx_mortar.qp.descent import descend
 from dolfinx_mortar.qp.held import HeldProblem, Solver, State
@@ -119,12 +126,14 @@ def solve_states(
         found = _find(qp, linear, start, rtol, guess)
         at, x, z = _of_whole(qp, found)
         kkt = check(at, x, z)
-    state = found.state
-    directions = None
+    state, directions = found.state, None
+    active = state.active
+    if is_noise(at, x, z):  # of which either sign is as good as none
+        active = np.where(active * z.array_r[qp.bounded] < 0.0, 0, active).astype(np.int8)
     if law is not None:
         directions = np.where(state.slips(law)[:, None], state.directions, 0.0)
     return QPSolution(
-        *(x, z, state.active, kkt, found.updates, 0, 0, "active-set"),
+        *(x, z, active, kkt, found.updates, 0, 0, "active-set"),
         sliding=directions,
         linearisation="" if law is None else found.how,
         travel=None if qp.scalars is None else found.q,
@@ -162,11 +171,10 @@ def _find_condensed(qp: BoundQP, linear: LinearSolver, start: State, rtol: float
             on = np.isin(qp.bounded, part.bounded)
             begin = State(start.active[on], start.directions[some], start.stiffness[some])
             if last is None or not last.serves(part):
-                held, bound = (
-                    begin.active != 0,
-                    np.where(begin.active > 0, *reversed(part.bounds())),
-                )
-                at = part.bounded[held], bound[held]
+                held, (lower, upper) = begin.active != 0, part.bounds()
+                if not any_rank(comm, linear.visited.size > 0)[0]:  # a guess, perhaps far away
+                    held[:] = False
+                at = part.bounded[held], np.where(begin.active > 0, upper, lower)[held]
                 last = linear.condensed = Condensed(part, linear, *at)
             found = _solve_dense(last, part, begin, rtol)
         except (LinearSolveFailed, QPNotSolved, NoResistance):

@@ -127,13 +127,14 @@ class Dense:
             law = sliding.law
             law.put(rest, law.pick(found) - sliding.reaction(values, found))
         rest[held] = 0.0
-        if np.linalg.norm(rest) > self.round_off(x):
+        first = float(np.linalg.norm(rest))
+        if first > self.round_off(x):
             self._factorise(held, sliding)
             free = self._free
             step, _ = lapack.dgetrs(self._lu, self._pivots, rest[free] * self.scale[free])
             values[free] += step * self.scale[free]
             found = right - self.S @ values
-            force = max(float(np.linalg.norm(v)) for v in (right, found))
+            force = max(first, *(float(np.linalg.norm(v)) for v in (right, found)))
             if self.round_off(x) > QUARTER_OF_DIGITS * force > 0.0:
                 raise NotDefinite("hardly anything holds a body: round-off is near the forces")
         result.array[:] = found
@@ -231,17 +232,19 @@ class Condensed:
         MUMPS's S serves all states, of which the first one is the last one most often.
         """
         at: Floats = np.zeros(self.whole.b.getLocalSize())
-        if self._schur is None or self.whole.friction is not None:
+        if self._schur is None or self.whole.friction is not None or not self._any(held):
             return self.inner(self.whole.b.array_r)
         at[held] = values
+        right = self._product(at, self.whole.b)
         try:
-            at += self.inner(self._product(at, self.whole.b), held)
+            at += self.inner(right, held)
         except LinAlgError:  # nothing holds a body in that state
             return self.inner(self.whole.b.array_r)
         x = self.whole.b.duplicate()
         x.array[:] = at
-        force = max(self.whole.b.norm(), reaction(self.whole, x).norm())
-        if self.linear.round_off(x) <= HALF_OF_DIGITS * force:
+        forces = right, self.whole.b.array_r, reaction(self.whole, x).array_r
+        largest = max(norm(self.whole.comm, force) for force in forces)
+        if self.linear.round_off(x) <= HALF_OF_DIGITS * largest:
             return at
         return self.inner(self.whole.b.array_r)  # hardly anything holds it
 
@@ -252,6 +255,9 @@ class Condensed:
     def gather(self, values: Array) -> Array:
         """Return the values (.., ...) of all ranks, in their order; collective."""
         return cast(Array, np.concatenate(self.whole.comm.allgather(values)))
+
+    def _any(self, held: Ints) -> bool:
+        return bool(self.whole.comm.allreduce(held.size))
 
     def _sum(self, values: Floats) -> Floats:
         return np.asarray(self.whole.comm.allreduce(values, op=MPI.SUM))
@@ -334,8 +340,7 @@ class Condensed:
     def select(self, part: BoundQP) -> BoundQP:
         """Return the condensed QP of one with other bounds or friction, on all ranks; collective.
 
-        Its unknowns, bounds and nodes with friction are those of all ranks, in their order. It has
-        no extent: signs are found below the round-off of bounds, too.
+        Its unknowns, bounds and nodes with friction are those of all ranks, in their order.
         """
         A, G, law = self.dense.matrix, self.G, part.friction
         b, lower, upper = (A.createVecRight() for _ in range(3))
@@ -355,6 +360,7 @@ class Condensed:
         bounded = self.gather(place[part.bounded])
         return BoundQP(
             *(A, b, lower, upper, bounded, law, part.definite),
+            extent=part.extent,
             scalars=self._scalars,
         )
 
@@ -365,8 +371,8 @@ class Condensed:
             found = self._y - x @ self._Y - q[: len(self._Yq)] @ self._Yq
         elif self._moves(own):
             at: Floats = np.zeros(len(self._y))
-            at[self.G] = own - self._y[self.G]
-            found = self._y + self.inner(self._product(at, self.whole.b.duplicate()))
+            at[self.G] = own
+            found = self.inner(self._product(at, self.whole.b)).copy()
         else:
             return self._y
         found[self.G] = own
