@@ -828,9 +828,9 @@ class _Step:
         # bent with K/mu = 5000 took 7 to 48 iterations, and metal failed; with 1e-3 it takes 5 to
         # 32, with 1e-4 4 to 6, as with a factorisation, in a tenth of the time. With friction too
         # loose a solution slips elsewhere: three steps of the bolted tee take 53 iterations with
-        # 1e-2, 26, 27, 24 with 1e-3, 1e-4, 1e-6, and .39, .48, .63 of the time; balls pushed along
-        # a block as many or fewer, in .9 of the time.
-        return max(tightest(self.report.rtol), min(found, QUARTER_OF_DIGITS))
+        # 1e-2, 26, 27, 24 with 1e-3, 1e-4, 1e-6, and .39, .48, .63 of the time.
+        most = QUARTER_OF_DIGITS if stiff else DIGIT**3
+        return max(tightest(self.report.rtol), min(found, most))
 
     def solve(
         self,
