@@ -281,7 +281,7 @@ class ContactProblem:
         times the contact force in the paper's problem, and a disc that is pressed down by many
         facet lengths would be paired where it was before. The deformation of a body over which
         another one slides is moved along, see `convected`. At finite strain what Newton's
-        iterations added in the last step is added again, in proportion to the lengths of the steps,
+        iterations added to bodies that flow is added again, in proportion to the lengths of steps,
         as are motions of tools: a deep drawing takes 153 iterations for 458. The surfaces are
         paired again if they have slid out of the margin of the last search. A step is a function of
         the displacement and the committed state: failed steps, audits or output before it have no
@@ -416,7 +416,9 @@ class ContactProblem:
 
         Returns:
             By how much tools were moved (m,); None where nothing is added, as where steps
-            turn back or grow, or other motions are driven.
+            turn back or grow, or other motions are driven. Elastic bodies are left as they are:
+            forces of what is nearly incompressible would be far from balance (rubber pressed by
+            a plane took 130 iterations for 66).
         """
         gained, tools = self.committed.gained, [i.driven() for i in self.interfaces]
         if gained is None or level is None or self.solid.strain == "small":
@@ -426,8 +428,12 @@ class ContactProblem:
         counts = [len(tool.names) for tool in driven]
         if not 0.0 < share <= 2.0 or sum(counts) != len(gained.travel):
             return None
-        travel = share * gained.travel
-        self.owned_u[:] += share * np.where(self.supports.owned.ravel(), 0.0, gained.by)
+        elastic = elastic_groups(self.solid, self.bodies)
+        flows = ~elastic[self.bodies.groups[self.bodies.label]]
+        if not any_rank(self.comm, flows.any())[0]:
+            return None
+        travel, free = share * gained.travel, flows[:, None] & ~self.supports.owned
+        self.owned_u[:] += share * np.where(free.ravel(), gained.by, 0.0)
         self.u.x.scatter_forward()
         for tool, end in zip(driven, np.cumsum(counts), strict=True):
             tool.move(travel[end - len(tool.names) : end])
