@@ -172,8 +172,6 @@ def _find_condensed(qp: BoundQP, linear: LinearSolver, start: State, rtol: float
             begin = State(start.active[on], start.directions[some], start.stiffness[some])
             if last is None or not last.serves(part):
                 held, (lower, upper) = begin.active != 0, part.bounds()
-                if not any_rank(comm, linear.visited.size > 0)[0]:  # a guess, perhaps far away
-                    held[:] = False
                 at = part.bounded[held], np.where(begin.active > 0, upper, lower)[held]
                 last = linear.condensed = Condensed(part, linear, *at)
             found = _solve_dense(last, part, begin, rtol)
