@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """QPs with friction and scalars: by a dense matrix, by the large one, and by all states in turn."""
 
+import gc
+import weakref
 from dataclasses import replace
 from itertools import product
 
@@ -21,6 +23,8 @@ from dolfinx_mortar.qp import (
     moved,
     solve,
 )
+from dolfinx_mortar.qp.dense import Dense
+from dolfinx_mortar.qp.scalars import Bordered
 
 FREE, CLOSED, STUCK, LEFT, RIGHT = range(5)
 SIGNS = {LEFT: -1.0, RIGHT: 1.0}
@@ -189,3 +193,19 @@ def test_corrections_of_bounds_use_the_same_dense_matrix(monkeypatch):
     alone = solve(other)
     assert np.abs(again.x.array_r - alone.x.array_r).max() < 1e-12
     assert alone.kkt == check(moved(other, alone.travel), alone.x, alone.z)
+
+
+def test_nothing_of_a_problem_stays(monkeypatch):
+    """PETSc keeps the contexts of its matrices: none of them may keep a matrix."""
+    made = []
+    for kind in (Bordered, Dense):
+        begin = kind.__init__
+
+        def init(self, *given, begin=begin):
+            begin(self, *given)
+            made.append(weakref.ref(self))
+
+        monkeypatch.setattr(kind, "__init__", init)
+    solve(Problem(1).qp())
+    gc.collect()
+    assert len(made) == 2 and not any(one() for one in made)

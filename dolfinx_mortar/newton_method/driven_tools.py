@@ -69,7 +69,7 @@ class Settled:
     lin: Linearisation
     solved: QPSolution
     travel: Floats  # (m,) q
-    stiffness: Floats  # (m, m) -d(e.z)/dq, where the next Newton iteration begins
+    stiffness: Floats  # (m, m) -d(e.z)/dq
     drives: Drives
 
     def curve(self, t: float) -> Floats:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -73,6 +74,7 @@ class Linearisation:
     balance: Balance
     diagonal: PETSc.Vec  # (n,) of K^ before the elimination
     geometry: GeometryTangent | None = None  # where the motion of the surfaces is linearised
+    drives: Any = None  # `driven_tools.Drives`, whose motions are the scalars of the QP
 
 
 def find_extent(mesh: Mesh, displacement: Floats) -> float:

@@ -39,6 +39,7 @@ from dolfinx_mortar.arrays import (
 from dolfinx_mortar.qp.bound_qp import BoundQP, Scalars
 from dolfinx_mortar.qp.friction import Friction, Sliding, state_of
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver, NotDefinite
+from dolfinx_mortar.qp.operator import ContextOf
 from dolfinx_mortar.qp.schur import SchurComplement
 
 MOST = 1500
@@ -90,18 +91,17 @@ class Dense:
     def __init__(self, S: Floats, diagonal: Floats) -> None:
         self.S, self.diagonal = S, diagonal
         self.scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diag(S)), EPS * np.abs(diagonal)))
-        self.matrix = PETSc.Mat().createPython(S.shape, self, PETSc.COMM_SELF)
-        self.states = 0
+        self.matrix = PETSc.Mat().createPython(S.shape, ContextOf(self), PETSc.COMM_SELF)
         self._key = b""
         self._free: Longs = np.zeros(0, dtype=np.int64)
         self._lu = self._pivots = np.zeros(0)
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with x (called by PETSc)."""
+        """Set y to the product with x."""
         y.array[:] = self.S @ x.array_r
 
     def getDiagonal(self, mat: PETSc.Mat, y: PETSc.Vec) -> None:
-        """Set y to the diagonal of A (called by PETSc)."""
+        """Set y to the diagonal of A."""
         y.array[:] = self.diagonal
 
     def round_off(self, x: PETSc.Vec) -> float:
@@ -115,9 +115,8 @@ class Dense:
         held: Ints,
         *,
         atol: float,
-        z: PETSc.Vec | None = None,
         sliding: Sliding | None = None,
-        go_on: object = None,
+        **others: object,
     ) -> PETSc.Vec:
         """Solve for what is not held, in place; see `LinearSolver.solve`."""
         values, right, result = x.array, b.array_r, b.duplicate()
@@ -149,7 +148,6 @@ class Dense:
         key = state_of(held, sliding)
         if key == self._key:
             return
-        self.states += 1
         free = np.ones(len(self.S), dtype=bool)
         free[held] = False
         self._free = np.flatnonzero(free)
@@ -232,7 +230,7 @@ class Condensed:
         MUMPS's S serves all states, of which the first one is the last one most often.
         """
         at: Floats = np.zeros(self.whole.b.getLocalSize())
-        if self._schur is None or self.whole.friction is not None or not self._any(held):
+        if self._schur is None or self.whole.friction is not None or not self._sum(held.size):
             return self.inner(self.whole.b.array_r)
         at[held] = values
         try:
@@ -253,10 +251,7 @@ class Condensed:
         """Return the values (.., ...) of all ranks, in their order; collective."""
         return cast(Array, np.concatenate(self.whole.comm.allgather(values)))
 
-    def _any(self, held: Ints) -> bool:
-        return bool(self.whole.comm.allreduce(held.size))
-
-    def _sum(self, values: Floats) -> Floats:
+    def _sum(self, values: Floats | int) -> Floats:
         return np.asarray(self.whole.comm.allreduce(values, op=MPI.SUM))
 
     def _product(self, x: Floats, b: PETSc.Vec) -> Floats:

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: MIT
 """The matrix of a linear system with fixed unknowns and slipping nodes, and its residuals."""
 
+import weakref
+from typing import Any
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -34,6 +37,24 @@ class FreePart:
         """Set y = A^T x, zero at held unknowns; without slipping nodes (called by PETSc)."""
         self.A.multTranspose(x, y)
         y.array[self.held] = 0.0
+
+
+class ContextOf:
+    """Context of a PETSc Mat of type python whose products its owner forms.
+
+    PETSc keeps contexts where Python cannot see that: Mat and owner would keep each other for ever.
+    """
+
+    def __init__(self, owner: Any) -> None:
+        self._owner = weakref.ref(owner)
+
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Set y to the product with x (called by PETSc)."""
+        self._owner().mult(mat, x, y)  # type: ignore[union-attr]
+
+    def getDiagonal(self, mat: PETSc.Mat, y: PETSc.Vec) -> None:
+        """Set y to the diagonal (called by PETSc)."""
+        self._owner().getDiagonal(mat, y)  # type: ignore[union-attr]
 
 
 class Operator:

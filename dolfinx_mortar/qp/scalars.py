@@ -20,7 +20,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import (
     HALF_OF_DIGITS,
     LIMIT,
@@ -34,6 +34,7 @@ from dolfinx_mortar.arrays import (
 from dolfinx_mortar.qp.bound_qp import BoundQP, Scalars
 from dolfinx_mortar.qp.friction import Friction, Sliding, state_of
 from dolfinx_mortar.qp.held import Solver, State
+from dolfinx_mortar.qp.operator import ContextOf
 
 
 class NoResistance(RuntimeError):
@@ -91,7 +92,7 @@ class Bordered:
         self._last: tuple[Ints, Sliding | None] = np.zeros(0, np.int32), None
         law = inner.friction or no_friction()
         size = inner.b.getLocalSize() + self.last
-        A = PETSc.Mat().createPython([(size, None)] * 2, self, inner.b.comm)
+        A = PETSc.Mat().createPython([(size, None)] * 2, ContextOf(self), inner.b.comm)
         b, lower, upper = A.createVecRight(), A.createVecRight(), A.createVecRight()
         none = np.full_like(self.rho, PETSc.INFINITY)
         b.array[:] = self.join(inner.b.array_r, self._loads())
@@ -121,15 +122,11 @@ class Bordered:
         """Return this rank's part of (w, q)."""
         return np.concatenate([w, q[: self.last]])
 
-    def split(self, values: Floats) -> tuple[Floats, Floats]:
-        """Return w (n,) and q (m,) of this rank's part of a vector; collective."""
-        n = len(values) - self.last
-        return values[:n], self.comm.bcast(values[n:], root=self.comm.size - 1)
-
     def at(self, values: Floats) -> tuple[Floats, Floats]:
-        """Return x (n,) and q (m,); collective."""
-        w, q = self.split(values)
-        return w + q @ self.scalars.motions, q
+        """Return x (n,) and q (m,) of this rank's part of (w, q); collective."""
+        n = len(values) - self.last
+        q = self.comm.bcast(values[n:], root=self.comm.size - 1)
+        return values[:n] + q @ self.scalars.motions, q
 
     def _sum(self, values: Floats) -> Floats:
         return np.asarray(self.comm.allreduce(values, op=MPI.SUM))
@@ -183,9 +180,8 @@ class Bordered:
         held: Ints,
         *,
         atol: float,
-        z: PETSc.Vec | None = None,
         sliding: Sliding | None = None,
-        go_on: object = None,
+        **others: object,
     ) -> PETSc.Vec:
         """Solve for what is not held, in place; see `LinearSolver.solve`; collective."""
         at, q = self.at(x.array_r)
@@ -290,10 +286,8 @@ class Bordered:
         upper, active = qp.bounds()[1], state.active
         for a, load in enumerate(self.scalars.loads):
             e = E[a]
-            acts = [e.any(), (e[active > 0] != 0.0).any()]
-            if self.comm.allreduce(np.array(acts, dtype=int), op=MPI.SUM).tolist()[1] or not (
-                self.comm.allreduce(int(acts[0]))
-            ):
+            reaches, touches = any_rank(self.comm, e.any(), e[active > 0].any())
+            if touches or not reaches:
                 continue
             closing = -np.sign(load) * e
             can = (closing > 0.0) & np.isfinite(upper)

@@ -386,8 +386,8 @@ class _Step:
         return not self.missed(residual) <= self.missed(residuals[-1])
 
     def place(self) -> tuple[Floats, list[Any], tuple[Any, ...]]:
-        """Return where the iterate is, for `go_back`."""
-        kept = [interface.keep() for interface in self.problem.interfaces]
+        """Return where the iterate and the tools that forces drive are, for `go_back`."""
+        kept = [(i, i.keep()) for i in self.problem.interfaces if i.driven() is not None]
         how = self.shifted, self.negative, self.stiffness, self.travel
         return self.problem.owned_u.copy(), kept, how
 
@@ -396,7 +396,7 @@ class _Step:
         u, kept, (self.shifted, self.negative, self.stiffness, self.travel) = place
         self.problem.owned_u[:] = u
         self.problem.u.x.scatter_forward()
-        for interface, before in zip(self.problem.interfaces, kept, strict=True):
+        for interface, before in kept:
             interface.put_back(before)
         self.problem.follow_geometry()
 
@@ -590,29 +590,22 @@ class _Step:
         """Return the QP in which tools carry their loads, its solution, and their motions."""
         if solved.travel is None:
             return lin, solved, None
-        drives = self.drives(old)
-        assert drives is not None
-        found = driven_tools.settle(drives, lin, solved, old.scales.extent)
+        found = driven_tools.settle(lin.drives, lin, solved, old.scales.extent)
         self.stiffness = found.stiffness
         return found.lin, found.solved, found
 
-    def drives(self, old: Iterate) -> driven_tools.Drives | None:
-        """Return the motions of the tools that forces drive, at an iterate; collective."""
+    def with_scalars(self, lin: Linearisation, old: Iterate) -> Linearisation:
+        """Return the QP with the motions of tools that forces drive as unknowns; collective."""
         given = None if old.balance.friction is None else old.contacts.multipliers
         known = None if given is None else old.balance.known(given)
         drives = driven_tools.find_drives(self.problem, known)
-        inertia = any(isinstance(term, Inertia) for _, term in self.problem.terms.named)
-        if drives is not None and inertia:
-            drives.check_gaps(old.balance, old.contacts.active, old.scales.facet_length)
-        return drives
-
-    def with_scalars(self, lin: Linearisation, old: Iterate) -> Linearisation:
-        """Return the QP with the motions of tools as unknowns; collective."""
-        drives = self.drives(old)
         if drives is None:
             return lin
+        if any(isinstance(term, Inertia) for _, term in self.problem.terms.named):
+            drives.check_gaps(old.balance, old.contacts.active, old.scales.facet_length)
         at = lin, DIGIT * self.report.rtol, old.scales.begun
-        return replace(lin, qp=replace(lin.qp, scalars=driven_tools.as_scalars(drives, *at)))
+        scalars = driven_tools.as_scalars(drives, *at)
+        return replace(lin, qp=replace(lin.qp, scalars=scalars), drives=drives)
 
     def linearise(
         self,
@@ -861,9 +854,7 @@ class _Step:
                     rtol=rtol,
                 )
             except backends.NoResistance as error:
-                drives = self.drives(old)
-                assert drives is not None
-                raise driven_tools.unresisted(drives, lin, error.which) from error
+                raise driven_tools.unresisted(lin.drives, lin, error.which) from error
         if solved.travel is not None:  # see `driven_tools.settle`
             return solved
         # supports and ties are satisfied exactly, also by an iterative solver
