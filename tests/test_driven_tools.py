@@ -528,13 +528,20 @@ def test_a_step_goes_on_as_the_last_one_did(monkeypatch):
 
 
 def test_what_the_last_step_gained_is_in_checkpoints(tmp_path):
-    """A restored run takes the same iterations, and ends in the same place."""
+    """A restored run has it to the last bit, takes as many iterations, and ends in the same place.
+
+    On three ranks MUMPS adds up in the order of messages: one iteration more or less.
+    """
     path = COMM.bcast(tmp_path / "state.h5")
     whole, _, steps = pressed_in_steps()
     _, problem, _ = pressed_in_steps(LEVELS[:3])
     problem.save(path)
+    _, other, _ = pressed_in_steps(LEVELS[:0], restored=path)
+    saved, restored = problem.committed.gained, other.committed.gained
+    assert np.array_equal(restored.by, saved.by) and restored.duration == saved.duration
+    assert np.array_equal(restored.travel, saved.travel)
     tool, problem, rest = pressed_in_steps(LEVELS[3:], restored=path)
-    assert total(rest) == total(steps[3:])
+    assert abs(total(rest) - total(steps[3:])) <= (COMM.size > 2)
     assert tool.travel == pytest.approx(whole.travel, rel=1e-10)
 
 

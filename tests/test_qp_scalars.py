@@ -24,6 +24,7 @@ from dolfinx_mortar.qp import (
     solve,
 )
 from dolfinx_mortar.qp.dense import Dense
+from dolfinx_mortar.qp.friction import Sliding
 from dolfinx_mortar.qp.scalars import Bordered
 
 FREE, CLOSED, STUCK, LEFT, RIGHT = range(5)
@@ -209,3 +210,28 @@ def test_nothing_of_a_problem_stays(monkeypatch):
     solve(Problem(1).qp())
     gc.collect()
     assert len(made) == 2 and not any(one() for one in made)
+
+
+def test_columns_are_derivatives_of_solutions_that_slip(rng):
+    """In space, where a slip resists across its direction: the solution is linear in q."""
+    B, E = rng.standard_normal((5, 5)), np.zeros((1, 5))
+    E[0, :3] = rng.standard_normal(3)
+    dense = Dense(B @ B.T + np.eye(5), np.ones(5))
+    b, lower, upper = (dense.matrix.createVecRight() for _ in range(3))
+    b.array[:] = rng.standard_normal(5)
+    lower.set(PETSc.NINFINITY)
+    upper.set(PETSc.INFINITY)
+    normal, rest, part = np.zeros(1, np.int32), np.array([[0.1, -0.2]]), np.full(1, 0.3)
+    law = Friction(normal, np.array([[1, 2]], np.int32), rest, part, part)
+    none = np.zeros((1, 5)), np.zeros((1, 5)), np.zeros((1, 1)), np.zeros(1)
+    scalars = Scalars(E, np.ones(1), *none, 1e-12)
+    border = Bordered(BoundQP(dense.matrix, b, lower, upper, normal, law, scalars=scalars), dense)
+    sliding = Sliding(normal, law, np.array([[0.6, 0.8]]), np.array([2.0]))
+    ends = []
+    for q in (0.0, 1.0):
+        x = b.duplicate()
+        x.array[0] = q * E[0, 0]
+        slips = replace(law, rest=rest + q * E[0, 1:3])
+        dense.solve(b, x, normal, atol=0.0, sliding=replace(sliding, law=slips))
+        ends.append(x.array_r.copy())
+    np.testing.assert_allclose(border._column(0, normal, sliding)[0], ends[1] - ends[0], atol=1e-13)

@@ -234,21 +234,15 @@ def _find(
     if border is not None:
         at = border.qp, border
         rtol *= min(1.0, ratio(qp.b.norm(), border.qp.b.norm()))  # of the forces on x alone
-    visited = np.zeros(len(start.active), dtype=bool)
-
-    def touch(state: State) -> State:
-        state = state if border is None else border.touch(state)
-        visited[state.active != 0] = True
-        return state
-
-    x, state, before = at[0].b.duplicate(), touch(start), np.inf
+    x, state, before = at[0].b.duplicate(), start, np.inf
+    visited: Bools = start.active != 0
     x.set(0.0)
     if guess is not None:
         x.array[: guess.local_size] = guess.array_r
     while True:
-        problem = HeldProblem(*at, x, rtol, touch)
+        problem = HeldProblem(*at, x, rtol)
         outcome, how = _solve_law(problem, state)
-        state = outcome.state
+        state, visited = outcome.state, visited | problem.visited
         ended = state, outcome.updates, how, visited
         if border is None:
             return _Found(x.array_r, np.zeros(0), *ended, None)
@@ -291,7 +285,7 @@ def _solve_given(problem: HeldProblem, state: State) -> Outcome[State] | None:
         pressing = np.where(state.active > 0, problem.z.array_r[qp.bounded], 0.0)
         limits = law.limit(pressing[law.normal])
         given = replace(law, coefficient=0.0 * limits, cohesion=limits)
-        at = problem.linear, problem.x, problem.rtol, problem.touch
+        at = problem.linear, problem.x, problem.rtol
         problem = HeldProblem(replace(qp, friction=given), *at)
         convex = law.plane and qp.definite
         found = (descend if convex else _update_frictional)(problem, state, TIGHT)

@@ -7,7 +7,6 @@ reaction of the law takes the place of 0.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Protocol
@@ -146,7 +145,6 @@ class HeldProblem:
 
     Args:
         x: (n,) in: initial guess; out: the last solution.
-        touch: what a state has to be changed to before it is solved.
     """
 
     def __init__(
@@ -155,10 +153,9 @@ class HeldProblem:
         linear: Solver,
         x: PETSc.Vec,
         rtol: float,
-        touch: Callable[[State], State] | None = None,
     ) -> None:
         self.qp, self.linear, self.x, self.rtol = qp, linear, x, rtol
-        self.touch = touch or self.stay
+        self.visited = np.zeros(qp.bounded.size, dtype=bool)  # active in a state
         self.z = reaction(qp, x)
         self.guessed = self.z.norm()
         self.reactions: float | None = None  # at the bounds; unknown before the first solve
@@ -171,11 +168,6 @@ class HeldProblem:
     def bounds(self) -> tuple[Floats, Floats]:
         """Lower and upper bounds (k,)."""
         return self.qp.bounds()
-
-    @staticmethod
-    def stay(state: State) -> State:
-        """Return the state as it is."""
-        return state
 
     @property
     def continued(self) -> bool:
@@ -201,6 +193,7 @@ class HeldProblem:
         Raises:
             LinearSolveFailed: if the state leaves a body unconstrained.
         """
+        self.visited |= state.active != 0
         if level > self.level:  # smaller errors become visible
             self.level, self.best = level, self.best and replace(self.best, error=np.inf)
         atol = self.solve(state, self.level)
@@ -225,7 +218,6 @@ class HeldProblem:
             if worst:
                 new = state.towards(new, strength >= largest, missing >= largest)
         changes = int(self.qp.comm.allreduce(changes))
-        new = self.touch(new)
         satisfied = changes == 0 and self.level >= TIGHT and self._is_accurate(self.level)
         if self.continued and self.level >= TIGHT and changes == 0 and not satisfied:
             # more digits of the same set would not help where weakly active unknowns are wrong

@@ -8,7 +8,8 @@ not depend on the motions q (m,). With the reactions z = b - C q - A x the rows 
 
 where C, R and Q are of nodes that follow a rigid side and have been eliminated. In (w, q) all this
 is one QP with the same bounds: its matrix has the rows A x + C q and R x + Q q + e.(A x + C q).
-Where q is free in a state, as of a plate on one node, a proximal term rho (q - q_0) holds it.
+Where q is free in a state, as of a tool that touches nothing or a plate on one node, a proximal
+term rho (q - q_0) holds it.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import (
     HALF_OF_DIGITS,
     LIMIT,
@@ -33,7 +34,7 @@ from dolfinx_mortar.arrays import (
 )
 from dolfinx_mortar.qp.bound_qp import BoundQP, Scalars
 from dolfinx_mortar.qp.friction import Friction, Sliding, state_of
-from dolfinx_mortar.qp.held import Solver, State
+from dolfinx_mortar.qp.held import Solver
 from dolfinx_mortar.qp.operator import ContextOf
 
 
@@ -271,37 +272,6 @@ class Bordered:
         self.rho = 0.0 * self.rho if q is None else self.proximal()
         self.centre = 0.0 * self.rho if q is None else q.copy()
         self.qp.b.array[self.inner.b.getLocalSize() :] = self._loads()[: self.last]
-
-    # -- states ----------------------------------------------------------------------------------
-
-    def touch(self, state: State) -> State:
-        """Return the state with a node closed of each tool that touches nothing; collective.
-
-        It is the node whose gap the load closes first.
-
-        Raises:
-            NoResistance: if no node can close.
-        """
-        qp, E = self.inner, self.scalars.motions[:, self.inner.bounded]
-        upper, active = qp.bounds()[1], state.active
-        for a, load in enumerate(self.scalars.loads):
-            e = E[a]
-            reaches, touches = any_rank(self.comm, e.any(), e[active > 0].any())
-            if touches or not reaches:
-                continue
-            closing = -np.sign(load) * e
-            can = (closing > 0.0) & np.isfinite(upper)
-            gap = np.divide(upper, closing, out=np.full(len(e), np.inf), where=can)
-            least = float(gap.min(initial=np.inf))
-            first, rank = self.comm.allreduce((least, self.comm.rank), op=MPI.MINLOC)
-            if not np.isfinite(first):
-                if load != 0.0:
-                    raise NoResistance(np.eye(len(E))[a])
-                continue
-            if rank == self.comm.rank:
-                active = active.copy()
-                active[int(np.argmin(gap))] = 1
-        return replace(state, active=active)
 
     def is_met(self, q: Floats) -> bool:
         """Tell whether the proximal term carries nothing that the tolerance would not allow."""
