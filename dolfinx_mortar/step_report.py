@@ -104,7 +104,7 @@ class Certificate:
     left_out_work: float = 0.0  # share of rotations, left out, in the work of a body's stresses
     left_out_lengths: float = 0.0  # mean of |H^T H| / 2 in a body
     rotation: float = 0.0  # largest rotation, radians
-    pretension: float = 0.0  # force of a tie less its pretension, over the larger at the start
+    loads: float = 0.0  # share of the load of a bolt, tool or rigid side that is missed
     crossing: float = 0.0  # depth over the facet where bodies cross that no interface couples
     # at finite strain: moment at X + u of the internal forces of a body, over forces times arms
     internal_moment: float = 0.0

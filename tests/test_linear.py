@@ -369,6 +369,9 @@ def test_multigrid_is_renewed_for_the_sum_of_what_an_old_one_has_cost() -> None:
     assert renewal.is_far(0)
     renewal.learn([1.0, 1e-1, 1e-2], stale=False)
     assert not renewal.is_far(0)
+    renewal.learn([1.0], stale=False)  # nothing to solve tells nothing
+    renewal.learn(10.0 ** np.arange(0.0, -2.6, -0.5), stale=True)
+    assert renewal.excess == pytest.approx(2.5)
 
 
 def test_a_class_is_small() -> None:

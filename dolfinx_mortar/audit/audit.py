@@ -3,6 +3,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -24,7 +25,6 @@ from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.coupling import relative_motions
 from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.pretension import describe_shear
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import (
@@ -143,7 +143,7 @@ def create_audit(
             "bcs, interfaces: nothing holds the bodies against "
             + "; ".join(loose)
             + ". Prescribe these motions (bcs), or check slave and master tags"
-            + (PRETENSION_HINT if system.pretensions else "")
+            + (PRETENSION_HINT if any(_bolt(link) is not None for link in links) else "")
             + "".join(reach.hint for reach in reaches)
             + "".join(f". {one}" for one in empty)
         )
@@ -156,8 +156,6 @@ def create_audit(
         warnings.append(
             f"contact alone holds {'; '.join(by_contact)}: the loads must press the sides together"
         )
-    shears = [describe_shear(links[one.number], one.axis) for one in system.pretensions]
-    warnings += [shear for shear in shears if shear]
     for link, i in zip(links, found, strict=True):
         warnings += _warnings(i)
         taken = ask(bodies.V.mesh.comm, link.interface, "configuration", at)
@@ -194,13 +192,28 @@ def _held_motions(
 ) -> list[Motion]:
     """Return the motions that supports, springs and ties resist."""
     held: list[Motion] = [lambda v: v.array_r[supports.owned.ravel()], springs]
-    released = {pretension.number: pretension for pretension in system.pretensions}
-    for k, link in enumerate(system.links):
-        if k in released:
-            held.append(released[k].held_motion(link))
-        else:
-            held.append(link.held_motion)
+    for link in system.links:
+        bolt = _bolt(link)
+        held.append(link.held_motion if bolt is None else _held_but(link, bolt.axis))
     return held
+
+
+def _bolt(link: Link) -> Any:
+    """Return the overlap that a pretension drives, None for none."""
+    return None if link.interface.tightening is None else link.interface.driven()
+
+
+def _held_but(link: Link, axis: Floats) -> Motion:
+    """Return the motion that a tie resists whose overlap along an axis (d,) is free; collective."""
+    moved = link.spread(np.tile(axis, (len(link.nodes), 1)))
+    e, comm = link.constrained_motion(moved), moved.comm.tompi4py()
+    size = comm.allreduce(float(e @ e))
+
+    def motion(v: PETSc.Vec) -> Floats:
+        w = link.constrained_motion(v)
+        return np.asarray(w - e * comm.allreduce(float(e @ w)) / size) if size > 0.0 else w
+
+    return motion
 
 
 def _facet_motion(link: Link) -> Motion:

@@ -10,8 +10,7 @@ T = (I - Q)^-1 W with W = blockdiag(R_j). Where Q refers to no slave node, T = W
 an interface refers to slave nodes of another one (bodies in a stack), T is the product of the
 interfaces' own matrices in topological order. Where the dual functions of mid-side nodes couple
 with those of the vertices (six-node triangles), the side has two matrices, that of the mid-side
-nodes on the left. A tie with a pretension has one unknown more, which takes the place of one of its
-w: T S for T, see `pretension`.
+nodes on the left.
 """
 
 from collections.abc import Sequence
@@ -27,7 +26,6 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.claims import Claims
 from dolfinx_mortar.interfaces.coupling import create_blocks
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.pretension import Pretension, find_pretensions
 
 
 class Transformation:
@@ -39,8 +37,6 @@ class Transformation:
 
     Attributes:
         claims: as given.
-        pretensions: the unknown overlaps of ties with a pretension.
-        released: directions of these, of all interfaces; None for those that have none.
     """
 
     def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], claims: Claims) -> None:
@@ -48,17 +44,10 @@ class Transformation:
         self.claims = claims
         groups = [[i] for i in claims.order] if self.chained else [claims.order]
         self.links = links
-        self.released = [link.interface.released for link in links]
-        self.pretensions = find_pretensions(links)
         dependent = any_rank(V.mesh.comm, any(link.sides.dependent.any() for link in links))[0]
         levels = (True, False) if dependent else (None,)
         parts = [(group, level) for group in groups for level in levels]
-        # T is their product. No factor on the right of a tie's refers to its slave nodes, so that S
-        # may stand in the last one.
-        last = [()] * (len(parts) - 1) + [self.pretensions]
-        self.factors = [
-            _Factor(V, links, *part, overlaps) for part, overlaps in zip(parts, last, strict=True)
-        ]
+        self.factors = [_Factor(V, links, *part) for part in parts]  # T is their product
         self._congruences: list[Congruence] = []
 
     @property
@@ -133,8 +122,6 @@ class Transformation:
         """Return y with T y = u; collective."""
         for factor in self.factors:
             u = factor.inverse(self.links, u)
-        for pretension in self.pretensions:
-            pretension.lower(u)
         return u
 
     @property
@@ -167,7 +154,6 @@ class _Factor:
         links: Sequence[Link],
         members: list[int],
         dependent: bool | None = None,
-        pretensions: Sequence[Pretension] = (),
     ) -> None:
         first, n = V.dofmap.index_map.local_range[0], V.dofmap.index_map.size_local
         taken = np.zeros(n, dtype=bool)
@@ -186,10 +172,6 @@ class _Factor:
             rows += [link.nodes[mine], link.nodes[p.row[on]]]
             columns += [link.nodes[mine].astype(np.int64) + first, p.column[on]]
         self.V = V
-        self._overlaps = [pretension.entries(V.dofmap.index_map_bs) for pretension in pretensions]
-        for nodes, column, _ in self._overlaps:
-            rows.append(nodes)
-            columns.append(column)
         self._blocks = create_blocks(V, np.concatenate(rows), np.concatenate(columns))
         self.C = self._blocks.matrix
 
@@ -200,14 +182,12 @@ class _Factor:
             link = links[k]
             turn = link.frames[mine] - np.eye(link.frames.shape[1])
             values += [turn, link.coupling.blocks[near[link.pattern.row]]]
-        values += [blocks for _, _, blocks in self._overlaps]
         self._blocks.fill(np.concatenate(values))
 
     def uncouple(self, links: Sequence[Link], held: Ints) -> tuple[PETSc.Mat, PETSc.Mat]:
         """Return C of constraints at held unknowns only, without stored zeros, and E; collective.
 
-        A direction that is not held is free: contact is open, or slips. Without the columns of
-        pretensions, whose unknowns multigrid leaves to the iteration.
+        A direction that is not held is free: contact is open, or slips.
         """
         V, d = self.V, self.V.dofmap.index_map_bs
         first, n = V.dofmap.index_map.local_range[0], V.dofmap.index_map.size_local

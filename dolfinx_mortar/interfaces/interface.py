@@ -141,6 +141,7 @@ class Interface(ABC):
     lasts: ClassVar[bool] = False  # whether couple() at X returns the same while pairs last
     near_only: ClassVar[bool] = False  # partners have to lie within reach
     within: float | None = None  # how far that is, as its user has given it
+    tightening: Floats | None = None  # (d,) by which sides are apart beside their jump
     moved_by_loads: ClassVar[bool] = False  # whether what the side meets moves with the load level
 
     def __init__(self, facet_tags: MeshTags, *, slave: int | str) -> None:
@@ -290,11 +291,6 @@ class Interface(ABC):
         """Whether it acts at slave nodes that are not closed, too."""
         return not self.unilateral
 
-    @property
-    def released(self) -> tuple[float, ...] | None:
-        """Direction along which sides overlap under a given force; None where there is none."""
-        return None
-
     def measured(self, x: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
         """Return the quantity that is constrained: positions x or displacements u."""
         return x
@@ -374,12 +370,12 @@ class Interface(ABC):
         """Return the displacement (n, d) that is no relative motion; None for none; collective."""
         return None
 
-    def given_force(self) -> float | None:
-        """Return the resultant that is given along the direction ``released``; None for none."""
-        return None
-
-    def tighten(self, way: Floats) -> None:
-        """Keep by how much (d,) a step has let the sides overlap."""
+    def apart_at(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
+        """Return the same with the tightening."""
+        jump, way = self.jump_at(V, nodes), self.tightening
+        if way is None or not way.any():
+            return jump
+        return np.tile(way, (len(nodes), 1)) if jump is None else jump + way
 
     def ended(self) -> Any:
         """Return what `commit` takes of the end of a step, whatever is set after it."""
@@ -601,6 +597,7 @@ _RETURNS: Mapping[str, tuple[type, ...]] = {
     "constraints": (Constraints,),
     "limits": (np.ndarray, NoneType),
     "slip_limits": (SlipLimits,),
+    "apart_at": (np.ndarray, NoneType),
     "jump_at": (np.ndarray, NoneType),
     "found": (dict,),
     "shown": (np.ndarray,),

@@ -56,17 +56,30 @@ class Link(CoupledSides):
             return np.asarray(closed[self.nodes] & some)
         return np.asarray(self.coupling.kept.any(axis=1))
 
-    def shown_gap(self, gap: Floats, jump: PETSc.Vec | None) -> Floats:
+    def apart(self, v: PETSc.Vec, jump: PETSc.Vec | None) -> PETSc.Vec:
+        """Return a displacement v (n,) less the jump (n,), None for none, and the tightening."""
+        found, way, sides = v if jump is None else v - jump, self.interface.tightening, self.sides
+        if way is None or not way.any():
+            return found
+        alone = ~(sides.on_slave & sides.on_master)[self.nodes]
+        return found - self.spread(way * alone[:, None])
+
+    def spread(self, way: Floats) -> PETSc.Vec:
+        """Return a motion (n, d) of the slave nodes as a displacement, 0 at others."""
+        v = self.Q.createVecRight()
+        v.array.reshape(-1, way.shape[1])[self.nodes] = way
+        return v
+
+    def shown_gap(self, gap: Floats, none: PETSc.Vec, jump: PETSc.Vec | None) -> Floats:
         """Return the gap (n,) that results show: how far a jump opens what cannot open itself.
 
         Args:
             gap: (owned nodes,) of what can open.
-            jump: (n,) displacement that is no relative motion; None for none.
+            none: (n,) zero.
+            jump: as for `apart`.
         """
         normals = self.coupling.normals
         if self.interface.unilateral:
             return np.asarray(gap[self.nodes])
-        if jump is None:
-            return np.zeros(len(normals))
-        values = jump.array_r.reshape(-1, normals.shape[1])[self.nodes]
-        return np.asarray(-(values * normals).sum(axis=1))
+        values = self.apart(none, jump).array_r.reshape(-1, normals.shape[1])[self.nodes]
+        return np.asarray((values * normals).sum(axis=1))

@@ -45,7 +45,6 @@ from dolfinx_mortar.interfaces.interface import (
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent, MovingGeometry
 from dolfinx_mortar.interfaces.near import find_reach, touches_far_nodes
-from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.splits import notes_on_splits
 from dolfinx_mortar.mortar.common_normals import find_spreads
@@ -99,7 +98,7 @@ class Configuration:
         missed: list[Floats] = [np.zeros(0)]
         for k, link in enumerate(self.links):
             if not link.interface.unilateral:
-                missed.append(link.relative(_without(u, jumps, k))[link.constrained])
+                missed.append(link.relative(link.apart(u, jumps.get(k)))[link.constrained])
         largest = np.abs(np.concatenate(missed)).max(initial=0.0)
         return float(maximum(u.comm.tompi4py(), largest)[0])
 
@@ -536,31 +535,12 @@ class InterfaceSystem:
         comm, parts = self.V.mesh.comm, []
         for k, link in enumerate(self.links):
             measured = ask(comm, link.interface, "measured", x, u)
-            slip = link.relative(_without(measured, jumps, k))
+            slip = link.relative(link.apart(measured, jumps.get(k) if jumps else None))
             slip[:, 0] += link.coupling.heights
             at = link.nodes, link.constrained, slip, link.coupling.weight
-            found = ask(comm, link.interface, "constraints", *at)
-            for pretension in self.pretensions:
-                if pretension.number == k:
-                    found, _ = pretension.free(found)
-            parts.append(found)
+            parts.append(ask(comm, link.interface, "constraints", *at))
         none: Floats = np.zeros(0)
         return join([*parts, Constraints(np.zeros(0, dtype=np.int32), none, none, none)])
-
-    @property
-    def pretensions(self) -> list[Pretension]:
-        """The unknown overlaps of ties with a pretension, in the order of the interfaces."""
-        return [] if self.transformation is None else self.transformation.pretensions
-
-    def overlap(
-        self, pretension: Pretension, u: PETSc.Vec, jumps: Mapping[int, PETSc.Vec]
-    ) -> float:
-        """Return by how much the sides of a tie overlap beyond its jump; collective."""
-        link = self.links[pretension.number]
-        slip = link.relative(_without(u, jumps, pretension.number))
-        at = link.nodes, link.constrained, slip, link.coupling.weight
-        found = ask(self.V.mesh.comm, link.interface, "constraints", *at)
-        return pretension.free(found)[1]
 
     @property
     def has_friction(self) -> bool:
@@ -643,12 +623,5 @@ def _pattern_of(links: Sequence[Link]) -> list[Any]:
     """Return what the pattern of T depends on, beside the claims; collective."""
     held: list[Any] = []
     for link in links:
-        released = link.interface.released
         held += [link.pattern.row, link.pattern.column, link.near, link.banned]
-        held.append((released is not None, *(released or ())))
     return held
-
-
-def _without(v: PETSc.Vec, jumps: Mapping[int, PETSc.Vec] | None, k: int) -> PETSc.Vec:
-    """Return v less the jump of interface k, v itself where it has none."""
-    return v if not jumps or k not in jumps else v - jumps[k]

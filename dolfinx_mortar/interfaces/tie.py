@@ -14,12 +14,23 @@ from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import Constraints, equalities
+from dolfinx_mortar.interfaces.coupling import CoupledSides, Sides
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
 from dolfinx_mortar.interfaces.jump import Jump, check_jump, nodal_function, values_at
 from dolfinx_mortar.interfaces.mortar_interface import Frame, MortarInterface
 from dolfinx_mortar.interfaces.nodal import check_mesh
-from dolfinx_mortar.interfaces.pretension import Direction, Force, check_direction, check_force
+from dolfinx_mortar.interfaces.pretension import (
+    Bolt,
+    Direction,
+    Force,
+    check_direction,
+    check_force,
+    describe_shear,
+    find_axis,
+    mean_normal,
+)
 from dolfinx_mortar.mortar.operators import SmoothSides
+from dolfinx_mortar.mortar.pairing import Weight
 
 # Unless the user says how far, ties reach from the least distance of their sides to this part of
 # the larger facet more. Facets that stand for one smooth surface, or two at a constant distance,
@@ -115,6 +126,7 @@ class Tie(MortarInterface):
         self.jump = jump
         self.pretension, self.direction = pretension, direction
         self.tightening: Floats = np.zeros(self._components)
+        self.normal: Floats = np.zeros(self._components)
 
     @property
     def _components(self) -> int:
@@ -157,13 +169,6 @@ class Tie(MortarInterface):
         unit = None if value is None else check_direction(value, self._components)
         self._direction: Direction = unit
 
-    @property
-    def released(self) -> tuple[float, ...] | None:
-        """Unit vector of the pretension, () for the mean normal; None where the jump is held."""
-        if self.pretension is None:
-            return None
-        return () if self.direction is None else tuple(map(float, self.direction))
-
     def given(self) -> dict[str, Any]:
         """Return what all ranks have to give the same, by name; see `agreement`."""
         return super().given() | {
@@ -186,6 +191,12 @@ class Tie(MortarInterface):
         """Show what `keep` has returned; without communication."""
         shown, self.tightening = kept
         super().put_back(shown)
+
+    def find_sides(self, V: fem.FunctionSpace, fixed: Bools, weight: Weight | None = None) -> Sides:
+        """Return both surfaces in V, see `Interface.find_sides`; collective."""
+        sides = super().find_sides(V, fixed, weight)
+        self.normal = mean_normal(sides.slave)
+        return sides
 
     def check(self, V: fem.FunctionSpace) -> None:
         """Raise a ValueError for a jump on another mesh than V's."""
@@ -230,7 +241,7 @@ class Tie(MortarInterface):
         return equalities(dofs, -slip[node, axis], D[node, axis])
 
     def jump_at(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
-        """Return jump and tightening (n, d) at slave nodes; None for none; collective.
+        """Return the jump (n, d) at slave nodes; None for none; collective.
 
         Raises:
             ValueError: on all ranks, if the jump lives on another mesh, or has another shape than a
@@ -239,22 +250,37 @@ class Tie(MortarInterface):
         comm = V.mesh.comm
         with raised_together(comm):
             self.check(V)
-        if self.jump is None and not self.tightening.any():
+        if self.jump is None:
             return None
         given = nodal_function(self.jump, V)
         with raised_together(comm):
-            return values_at(given, V, nodes) + self.tightening
+            return values_at(given, V, nodes)
 
-    def given_force(self) -> float | None:
-        """Return the pretension; None for none.
+    def driven(self) -> Bolt | None:
+        """Return the overlap that a pretension drives; None where the jump is held.
 
         Raises:
-            ValueError: on all ranks, if the value of a Constant is NaN or infinite.
+            ValueError: if a direction is needed and the side has none, or it points into the side.
         """
         if self.pretension is None:
             return None
-        given = self.pretension
-        force = float(given.value if isinstance(given, fem.Constant) else given)
+        axis = find_axis(self.normal, self.direction, str(self))
+        return Bolt(axis, self._force, self.tighten, str(self))
+
+    def warnings(self, link: CoupledSides, x: PETSc.Vec) -> list[str]:
+        """Return one on a pretension that shears; collective."""
+        bolt = self.driven()
+        shear = "" if bolt is None else describe_shear(self.normal, bolt.axis, str(self))
+        return [*super().warnings(link, x), *([shear] if shear else [])]
+
+    def _force(self) -> float:
+        """Return the pretension.
+
+        Raises:
+            ValueError: if the value of a Constant is NaN or infinite.
+        """
+        given: Any = self.pretension
+        force = float(getattr(given, "value", given))
         if not np.isfinite(force):
             raise ValueError(
                 f"pretension of {self} is {force}: set the Constant to a finite number"
@@ -262,7 +288,7 @@ class Tie(MortarInterface):
         return force
 
     def tighten(self, way: Floats) -> None:
-        """Add the overlap (d,) of a step to the tightening."""
+        """Add an overlap (d,) to the tightening."""
         self.tightening = self.tightening + way
 
     def found(self) -> dict[str, list[float]]:

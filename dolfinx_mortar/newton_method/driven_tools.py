@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-r"""Tools driven by forces: their motions as unknowns of the QPs of a Newton step.
+r"""Bolts, rigid sides and tools driven by forces: unknowns of the QPs of a Newton step.
 
 The motions e_a (in the frames of the nodes) of the unknowns q_a of the tools carry the bounds and
 slips of nodes along,
@@ -9,12 +9,12 @@ slips of nodes along,
 and with the reactions z(q) they solve F_a + e_a.z(q) = 0: they are scalars of the QP, see
 `qp.scalars`.
 
-Nodes of a rigid side follow it, w = w_0 + e.q, and are eliminated: q changes the right-hand side,
-and z = r^ - K^ y there. The arms of moments turn with the side, e = e_0 + De q. The term De q.z_0
-with the reactions z_0 of the iterate belongs to the equations, so that Newton's method is
-quadratic. A step t q rotates the side as a rigid body: its nodes move on arcs, not to u_0 + t e.q,
-so that no increment remains to be prescribed. The energy less the work of the loads decreases along
-this path, so it can limit the length of the step.
+Nodes of a rigid side follow it, w = w_0 + e.q, as those of a bolt's cut do, and are eliminated:
+q changes the right-hand side, and z = r^ - K^ y there. The arms of moments turn with the side,
+e = e_0 + De q. The term De q.z_0 with the reactions z_0 of the iterate belongs to the equations, so
+that Newton's method is quadratic. A step t q rotates the side as a rigid body: its nodes move on
+arcs, not to u_0 + t e.q, so that no increment remains to be prescribed. The energy less the work of
+the loads decreases along this path, so it can limit the length of the step.
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ from dolfinx_mortar.newton_method.linearisation import (
     to_displacement,
     to_reduced,
 )
+from dolfinx_mortar.newton_method.residuals import Residuals
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution, Scalars, moved
 
@@ -85,8 +86,9 @@ class Drives:
     motions: Floats  # (m, n) e, of the owned unknowns of y
     loads: Floats  # (m,) F
     reach: Floats  # (m,) largest motion of a slave node by each unknown, in any direction
-    held: Ints  # (k,) owned unknowns of y that follow rigid sides
+    held: Ints  # (k,) owned unknowns of y that follow rigid sides and bolts
     follows: Bools  # (m,) which motions are theirs
+    sides: Bools  # (m,) which motions are those of rigid sides
     moved: Callable[[Floats], Floats]  # q (m,) -> e (m, n) there, to first order
     curve: Callable[[Floats], Floats]  # q (m,) -> what rotations of sides add to e.q (n,)
     product: Callable[[PETSc.Vec], PETSc.Vec]  # y -> K^ y; collective
@@ -100,18 +102,13 @@ class Drives:
             tool.move(travel[first:end])
             first = end
 
-    def missing(self, reactions: Floats, turned: Floats | float = 0.0) -> tuple[Floats, Floats]:
-        """Return F + e.z (m,) for reactions (n,), and the size of its terms (m,); collective.
-
-        Args:
-            reactions: z.
-            turned: (m, n) terms that are added to those of e.z.
-        """
-        parts = self.motions * reactions + turned
+    def missing(self, reactions: Floats) -> tuple[Floats, Floats]:
+        """Return F + e.z (m,) for reactions z (n,), and the size of its terms (m,); collective."""
+        parts = self.motions * reactions
         sums = np.stack([parts.sum(axis=1), np.abs(parts).sum(axis=1)])
         total, size = self.comm.allreduce(sums, op=MPI.SUM)
         size = np.maximum(size, np.abs(self.loads))
-        if (on := self.follows).any():  # none of its forces is more accurate than the largest
+        if (on := self.sides).any():  # none of its forces is more accurate than the largest
             arms = np.maximum(self.arms(), TINY)
             size[on] = (size[on] / arms[on]).max() * arms[on]
         return self.loads + total, size
@@ -129,7 +126,7 @@ class Drives:
 
     def allowed(self, force: float) -> Floats:
         """Return tolerances (m,) of loads on rigid sides for one of forces; collective."""
-        return np.where(self.follows, force * self.arms(), 0.0)
+        return np.where(self.sides, force * self.arms(), 0.0)
 
     def check_gaps(self, balance: Balance, active: Bools, facet_length: float) -> None:
         """Raise an error if a gap is between a body and a tool with a load; collective.
@@ -176,21 +173,20 @@ def find_drives(problem: ContactProblem, known: Floats | None = None) -> Drives 
     parts = [(link, tool) for link, tool in offered if tool is not None]
     if not parts:
         return None
-    x = problem.X
-    if problem.configuration is not None:
-        x = problem.positions().array_r.reshape(x.shape)
+    x = problem.X if problem.configuration is None else problem.positions().array_r
+    x = x.reshape(problem.X.shape)
     counts = [len(tool.names) for _, tool in parts]
     ends = np.cumsum(counts)[:-1]
 
     def moved(travel: Floats) -> Floats:
-        rows = []
-        for (link, tool), q in zip(parts, np.split(travel, ends), strict=True):
-            ways = _ways(problem, link, tool, x, q)
-            in_frames = np.einsum("nij,mnj->mni", link.coupling.rows, ways) * link.constrained
-            e = np.zeros((len(q), problem.n, problem.d))
-            e[:, link.nodes] = in_frames
-            rows.append(e.reshape(len(q), -1))
-        return np.concatenate(rows)
+        e = np.zeros((len(travel), problem.n, problem.d))
+        for (link, tool), own, q in zip(
+            parts, np.split(e, ends), np.split(travel, ends), strict=True
+        ):
+            ways = tool.motions(x[link.nodes], problem.X[link.nodes], q)
+            own[:, link.nodes] = [link.relative(link.spread(way)) for way in ways]
+            own[:, link.nodes] *= link.constrained
+        return e.reshape(len(travel), -1)
 
     def curve(travel: Floats) -> Floats:
         beside = np.zeros((problem.n, problem.d))
@@ -203,29 +199,22 @@ def find_drives(problem: ContactProblem, known: Floats | None = None) -> Drives 
         T = problem.system.transformation
         return to_reduced(T, problem.K * to_displacement(T, y))
 
-    start = [_ways(problem, link, tool, x, np.zeros(len(tool.names))) for link, tool in parts]
-    lengths = [np.linalg.norm(way, axis=2).max(axis=1, initial=0.0) for way in start]
-    loads = np.concatenate([tool.loads() for _, tool in parts])
-    if known is not None:
-        given = [
-            np.einsum(
-                "mni,ni->m",
-                way,
-                np.where(link.constrained[:, :1], known[link.nodes], 0.0),
-            )
-            for way, (link, _) in zip(start, parts, strict=True)
-        ]
-        loads = loads + problem.comm.allreduce(np.concatenate(given), op=MPI.SUM)
+    loads, none = _loads(problem, parts, x, known), np.zeros(sum(counts))
+    motions, whole = moved(none), [_ways(problem, *part, x) for part in parts]
+    lengths = [np.linalg.norm(ways, axis=2).max(axis=1, initial=0.0) for ways in whole]
     reach = maximum(problem.comm, *np.concatenate(lengths))
-    follows = np.repeat([tool.holds for _, tool in parts], counts)
+    arms = maximum(problem.comm, *np.abs(motions).max(axis=1, initial=0.0))
+    for (link, tool), own in zip(parts, np.split(np.asarray(arms), ends), strict=True):
+        tool.check_motion(link.sides, float(own.max()))
     held = [_unknowns(link, problem.d) for link, tool in parts if tool.holds]
     return Drives(
         tools=[(link.interface, tool) for link, tool in parts],
-        motions=moved(np.zeros(len(loads))),
+        motions=motions,
         loads=loads,
         reach=np.where(reach > 0.0, reach, 1.0),
         held=np.concatenate([np.zeros(0, dtype=np.int32), *held]),
-        follows=follows,
+        follows=np.repeat([tool.holds for _, tool in parts], counts),
+        sides=np.repeat([tool.holds and not link.interface.lasts for link, tool in parts], counts),
         moved=moved,
         curve=curve,
         product=product,
@@ -233,25 +222,34 @@ def find_drives(problem: ContactProblem, known: Floats | None = None) -> Drives 
     )
 
 
-def _ways(problem: ContactProblem, link: Link, tool: Driven, x: Floats, q: Floats) -> Floats:
-    """Return the motions (m, n, d) at the slave nodes of each unit of q (m,); collective."""
-    ways = tool.motions(x[link.nodes], problem.X[link.nodes], q)
-    if tool.holds:
-        return ways
-    return np.array([_mean(problem, link, way) for way in ways])
+def _ways(problem: ContactProblem, link: Link, tool: Driven, x: Floats) -> Floats:
+    """Return the motions (m, n, d) at the slave nodes of unit amounts."""
+    return tool.motions(x[link.nodes], problem.X[link.nodes], np.zeros(len(tool.names)))
+
+
+def _loads(
+    problem: ContactProblem,
+    parts: Sequence[tuple[Link, Driven]],
+    x: Floats,
+    known: Floats | None,
+) -> Floats:
+    """Return the loads (m,), with what given reactions do on unit motions; collective."""
+    loads = np.concatenate([tool.loads() for _, tool in parts])
+    if known is None:
+        return loads
+    given = []
+    for link, tool in parts:
+        acting = np.where(link.constrained[:, :1], known[link.nodes], 0.0)
+        for way in _ways(problem, link, tool, x):
+            mean = relative_motions(link, link.spread(way))[0]
+            given.append(float((mean * acting).sum()))
+    return np.asarray(loads + problem.comm.allreduce(np.array(given), op=MPI.SUM))
 
 
 def _unknowns(link: Link, d: int) -> Ints:
     """Return the owned unknowns of y that a link constrains."""
     node, axis = np.nonzero(link.constrained)
     return (d * link.nodes[node] + axis).astype(np.int32)
-
-
-def _mean(problem: ContactProblem, link: Link, motion: Floats) -> Floats:
-    """Return sum_l D_jl e_l / D_jj (n, d) of a motion (n, d) at the slave nodes; collective."""
-    e = problem.vector()
-    e.array.reshape(problem.n, problem.d)[link.nodes] = motion
-    return np.asarray(relative_motions(link, e)[0])
 
 
 def as_scalars(drives: Drives, lin: Linearisation, rtol: float, begun: float) -> Scalars:
@@ -331,20 +329,22 @@ def settle(drives: Drives, lin: Linearisation, solved: QPSolution, extent: float
     )
 
 
-def _names(drives: Drives) -> list[tuple[str, Interface]]:
-    """Return the unknowns (m,) by name and owner."""
-    return [(name, owner) for owner, tool in drives.tools for name in tool.names]
+def _names(drives: Drives) -> list[tuple[str, Interface, Driven]]:
+    """Return the unknowns (m,) by name, owner and what moves."""
+    return [(name, owner, tool) for owner, tool in drives.tools for name in tool.names]
 
 
 def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> Unresisted:
     """Return the error that says which load (m,) of which tool nothing resists; collective."""
     k = int(np.argmax(which))
-    name, owner = _names(drives)[k]
+    name, owner, tool = _names(drives)[k]
+    if tool.holds:
+        return Unresisted(
+            f"nothing resists the load {name!r} = {drives.loads[k]:g} on {owner!r}: {tool.remedy}"
+        )
     closing = -np.sign(drives.loads[k]) * drives.motions[k][lin.balance.bounds.dofs]
     sums = drives.comm.allreduce(np.array([closing.sum(), np.abs(closing).sum()]))
-    if drives.follows[k]:
-        remedy = "hold the body against it"
-    elif "moment" in name:
+    if "moment" in name:
         remedy = "a tool that is round about that axis turns freely without friction; leave it out"
     elif sums[0] < -DISTINCT * sums[1]:
         remedy = "the force on a tool has to press it on the body; change its sign"
@@ -401,7 +401,7 @@ def loose_motion(
         return ""
     length, names = np.abs(ways[:, most]) * drives.arms(), _names(drives)
     owner = names[int(np.argmax(length))][1]
-    return _describe_way(owner, [name for name, _ in names], length)
+    return _describe_way(owner, [name for name, *_ in names], length)
 
 
 def _describe_way(owner: Interface, names: Sequence[str], length: Floats) -> str:
@@ -475,24 +475,50 @@ def _loose_on_a_facet(link: Link, contacts: Contacts, x: Floats) -> str:
     return _describe_way(link.interface, tool.names, np.abs(parts[-1]))
 
 
-def miss(problem: ContactProblem, balance: Balance, contacts: Contacts, limit: float) -> float:
-    """Return by which share of their forces loads of tools are missed at most; collective.
+def find_carried(
+    problem: ContactProblem, balance: Balance, contacts: Contacts
+) -> tuple[Drives, Floats, Floats] | None:
+    """Return what loads drive, F + e.z (m,), and the sizes of its terms; collective.
 
     Args:
         balance: forces at an iterate.
         contacts: the multipliers there.
-        limit: what may be missing in the balance of forces, and of rigid sides.
     """
     drives = find_drives(problem, balance.known(contacts.multipliers))
     if drives is None:
-        return 0.0
+        return None
     carried = np.zeros(drives.motions.shape[1])
     carried[balance.bounds.dofs] = contacts.reactions(balance)
     if (limits := balance.limits) is not None:
         carried[limits.tangential[limits.some]] = contacts.tangential_reactions(limits)[limits.some]
     carried[drives.held] = balance.reduced.array_r[drives.held]
-    missing, size = drives.missing(carried)
-    least = drives.noise(balance) + drives.allowed(limit)
-    beyond = np.maximum(np.abs(missing) - least, 0.0)
-    share = np.divide(beyond, size, out=np.zeros_like(size), where=size > 0.0)
-    return float(share.max())
+    return drives, *drives.missing(carried)
+
+
+def miss(
+    problem: ContactProblem,
+    balance: Balance,
+    contacts: Contacts,
+    residual: Residuals,
+    begun: Floats,
+    rtol: float,
+) -> Residuals:
+    """Return the residuals with those of the loads of bolts, tools and rigid sides; collective.
+
+    Args:
+        balance: forces at an iterate.
+        contacts: the multipliers there.
+        residual: of forces and contact.
+        begun: sizes (m,) of the terms of F + e.z at the start of the step.
+        rtol: tolerance of the step.
+    """
+    found = find_carried(problem, balance, contacts)
+    if found is None:
+        return residual
+    drives, missing, size = found
+    size = np.maximum(size, begun)
+    least = np.where(drives.follows & ~drives.sides, residual.floor, drives.noise(balance))
+    beyond = np.maximum(np.abs(missing) - least - drives.allowed(residual.limit), 0.0)
+    share = np.divide(beyond, size, out=np.zeros_like(size), where=size > 0.0).max()
+    shown = np.divide(np.abs(missing), size, out=np.zeros_like(size), where=size > 0.0).max()
+    return replace(residual, excess=max(residual.excess, float(share) / rtol), loads=float(shown))

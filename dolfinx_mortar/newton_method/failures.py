@@ -105,12 +105,6 @@ def _look_at(problem: ContactProblem, u: Floats) -> tuple[str, str]:
 
 def _with_loose_motions(problem: ContactProblem, message: str) -> str:
     """Return a message that names motions that nothing resists, or contact alone; collective."""
-    if problem.system.pretensions and (loose := problem.loose_motions()):
-        return (
-            f"nothing resists the overlap of a tie with a pretension, against {'; '.join(loose)}: "
-            "supports, ties or contacts have to hold both ends of the bolt along tie.direction, "
-            f"which points out of the slave side for tension. {message}"
-        )
     if not (held := problem.held_by_contact()):
         return message
     if problem.system.has_friction:  # solvers report this cause in several ways

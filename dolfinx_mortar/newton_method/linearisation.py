@@ -24,7 +24,6 @@ from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, equalities, join
 from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent
-from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.problem.circumference import growth
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -44,7 +43,6 @@ class Balance:
     elements: float  # norm of the unassembled element forces
     external: float  # largest norm of the forces of a term, of dead loads for one
     limits: SlipLimits | None = None  # of friction
-    pretensions: tuple[tuple[Pretension, float], ...] = ()  # of ties, and their forces
     from_committed: bool = False  # whether forces of bodies are linearised about that state
     friction: Floats | None = None  # (n,) that of prescribed slips, as it is in r
 
@@ -127,10 +125,7 @@ def find_balance(
         bounds = replace(bounds, upper=bounds.upper + overlap)
     supported = join([asked, equal])
     forces = elements, external
-    pretensions = problem.pretensions
-    return Balance(
-        r, reduced, supported, bounds, *forces, limits, pretensions, from_committed, friction
-    )
+    return Balance(r, reduced, supported, bounds, *forces, limits, from_committed, friction)
 
 
 def _known_friction(
@@ -203,7 +198,7 @@ def linearise(
     # steps of 5 and 47 thousand unknowns take .75 and .9 of the time without it). And S has to be
     # definite, which tangents of terms are not always.
     lasting = problem.terms.linear and problem.terms.convex
-    driven = any(interface.driven() is not None for interface in problem.interfaces)
+    driven = any(one.driven() is not None and not one.lasts for one in problem.interfaces)
     if direct and lasting and not driven:
         formed = interface_unknowns(problem.K, change, linear.options) is None
     if formed and T is not None and not T.formed:

@@ -10,7 +10,7 @@ u = 0, with K/mu from 2 to 1e5: residuals of .1 to .7 EPS |diag(K) h|, where ROU
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -42,7 +42,7 @@ class Scales:
     first: float = 0.0  # norm of the first QP's right-hand side
     work: float = 0.0  # |u|_e^2 at the start of the step
     extent: float = np.inf  # size of the mesh plus the largest prescribed displacement
-    tensions: tuple[float, ...] = ()  # larger one of force and pretension, of each, at the start
+    carried: Floats = field(default_factory=lambda: np.zeros(0))  # (m,) of scalars, at the start
     cells: Floats | float = 0.0  # size of the cells around each owned dof, 0 at small strain
 
 
@@ -54,7 +54,8 @@ class Residuals:
     contact: float  # penetration and complementarity, on their scales
     excess: float  # largest residual over its tolerance
     limit: float  # tolerance of the norm of forces
-    pretension: float = 0.0  # force of a tie less its pretension, over the larger at the start
+    floor: float  # round-off of forces, which no tolerance is below
+    loads: float = 0.0  # largest share of the load of a bolt, tool or rigid side that is missed
 
 
 def round_off(
@@ -81,18 +82,6 @@ def largest_force(comm: MPI.Comm, balance: Balance, z: Floats) -> float:
     """Return the largest norm of external, contact, support and element forces; collective."""
     supports = balance.reduced.array_r[balance.equal.dofs]
     return max(balance.external, balance.elements, norm(comm, z), norm(comm, supports))
-
-
-def missed_tensions(balance: Balance) -> list[float]:
-    """Return by how much the forces of ties miss their pretensions; collective."""
-    return [p.missing(balance.reduced) for p, _ in balance.pretensions]
-
-
-def find_tensions(balance: Balance) -> tuple[float, ...]:
-    """Return the larger one of force and pretension of each tie that has one; collective."""
-    missing = missed_tensions(balance)
-    given = [force for _, force in balance.pretensions]
-    return tuple(max(abs(F), abs(F - left)) for F, left in zip(given, missing, strict=True))
 
 
 def measure(
@@ -153,11 +142,7 @@ def measure(
     widest = float(maximum(comm, off.max(initial=0.0))[0]) / scales.facet_length
     excess = max(ratio(forces, limit), ratio(pull, limit), ratio(work, rtol * whole), widest / rtol)
     contact = max(ratio(pull, scale), ratio(work, whole))
-    tension_off = 0.0
-    for left, tension in zip(missed_tensions(balance), scales.tensions, strict=True):
-        tension_off = max(tension_off, ratio(abs(left), tension))
-        excess = max(excess, ratio(abs(left), max(rtol * tension, floor)))
-    return Residuals(ratio(forces, scale), contact, excess, limit, tension_off)
+    return Residuals(ratio(forces, scale), contact, excess, limit, floor)
 
 
 def tightest(rtol: float) -> float:

@@ -27,7 +27,6 @@ from dolfinx_mortar.arrays import ROUND_OFF, TINY, Bools, Floats
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_free_motions
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from dolfinx_mortar.interfaces.interface import Interface, Outline, ask, check_owned
-from dolfinx_mortar.interfaces.pretension import Pretension
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
@@ -40,7 +39,7 @@ from dolfinx_mortar.problem.convected import (
     find_slides,
     overlap,
 )
-from dolfinx_mortar.problem.jumps import Pretensions, read_jumps
+from dolfinx_mortar.problem.jumps import read_jumps
 from dolfinx_mortar.problem.preconditioning import UnknownsOfBodies
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.qp import LinearSolver, check_options
@@ -56,8 +55,6 @@ from dolfinx_mortar.terms.sum import Terms, check_terms
 from dolfinx_mortar.terms.weak_forms import DeadLoads, WeakForm, check_form
 
 log = logging.getLogger(__name__)
-
-PRETENSION = "pretension"  # name of the term of ties
 
 
 class ContactProblem:
@@ -130,9 +127,6 @@ class ContactProblem:
             self.system = InterfaceSystem(self.V, sides, self.supports.fixed, at_points)
             for interface in sides:
                 ask(self.comm, interface, "take", self.supports, self.V)
-        if self.ties:
-            pretensions = Pretensions(solid.u, self.system)
-            self.terms = replace(self.terms, named=[*self.terms.named, (PRETENSION, pretensions)])
         bodies = find_bodies(self.V, kinematics.rigid_motions)
         self.bodies: Bodies = with_ties(bodies, self.system.tied)
         can_open = self.system.can_open[: self.n]
@@ -231,12 +225,6 @@ class ContactProblem:
     def configuration(self) -> fem.Function | None:
         """The displacement at which normals and segments are taken, None for X."""
         return self.u if self.geometry == "updated" else None
-
-    @property
-    def pretensions(self) -> tuple[tuple[Pretension, float], ...]:
-        """The unknown overlaps in T, with the forces of the step."""
-        term: Any = dict(self.terms.named).get(PRETENSION)
-        return () if term is None else term.given()
 
     def vector(self, values: Floats | None = None) -> PETSc.Vec:
         """Return a new vector of owned dofs, zero or with values."""
@@ -541,14 +529,6 @@ class ContactProblem:
         new = warning not in self._logged
         self._logged.add(warning)
         return new
-
-    def loose_motions(self) -> list[str]:
-        """Return the names of rigid-body modes without resistance at present; collective.
-
-        The overlaps of ties with a pretension are free.
-        """
-        springs = self._resistance_of_potential()
-        return find_free_motions(self.bodies, self.system, self.supports, springs)[0]
 
     def held_by_contact(self) -> list[str]:
         """Return the names of the bodies that contact alone holds at present; collective."""

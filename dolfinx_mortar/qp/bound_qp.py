@@ -13,7 +13,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm, ratio
-from dolfinx_mortar.arrays import EPS, ROUND_OFF, TINY, Actives, Bools, Floats, Ints
+from dolfinx_mortar.arrays import EPS, ROUND_OFF, TINY, Actives, Floats, Ints
 from dolfinx_mortar.qp.friction import Friction, Sliders
 
 
@@ -64,6 +64,9 @@ class BoundQP:
     near: PETSc.Mat | None = None  # definite, of which multigrid preconditions A as well
     extent: float = 0.0  # size of the coordinates whose differences the bounds are
     scalars: Scalars | None = None  # on all ranks or on none
+    taken: float = (
+        0.0  # norm of the forces that scalars have taken off b, which has their round-off
+    )
 
     @property
     def comm(self) -> MPI.Comm:
@@ -133,16 +136,11 @@ class Bounded:
         active[self.z + self.stiffness * (self.x - self.lower) < 0.0] = -1
         return active
 
-    def strong(self, active: Actives, new: Actives, atol: float) -> Bools:
-        """Tell which unknowns differ between two sets and are not weakly active.
-
-        An unknown is weakly active if its reaction and its distance to the bound, times the
-        stiffness, are together at most atol: then either state is correct.
-        """
-        return np.asarray(self.strength(active, new) > atol)
-
     def strength(self, active: Actives, new: Actives) -> Floats:
-        """Return |z| + c |x - bound| of unknowns that differ between two sets, 0 at others."""
+        """Return |z| + c |x - bound| of unknowns that differ between two sets, 0 at others.
+
+        Where it is at most the tolerance, they are weakly active: either state is correct.
+        """
         side = np.where((active > 0) | (new > 0), self.upper, self.lower)
         side = np.where(np.isfinite(side), side, self.x)
         strength = np.abs(self.z) + self.stiffness * np.abs(self.x - side)
@@ -347,6 +345,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     squares = qp.comm.allreduce(np.array([v @ v for v in parts]))
     b2, zb2, free2, off2, wrong2, zt2 = np.sqrt(squares)
     force, length = b2 + np.hypot(zb2, zt2), max(x_top, bound_top)
+    off2 = off2 + qp.taken
     # One of the two must vanish; their product would mix distant bounds with round-off in z.
     # Forces whose squares underflow (1e-170 in a step without loads) count as zero.
     forces = np.abs(zb) / force if force > 0.0 else np.zeros_like(zb)

@@ -94,7 +94,7 @@ class Renewal:
         if its > 0 and norms[0] > 0.0:
             reached = float(np.log(max(norms[-1] / norms[0], TINY)))
         if not stale:
-            self.fresh_rate, self.excess = reached / max(its, 1), 0.0
+            self.fresh_rate, self.excess = reached / its if its else self.fresh_rate, 0.0
         elif self.fresh_rate < 0.0:
             self.excess += its - reached / self.fresh_rate
 

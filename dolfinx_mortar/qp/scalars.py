@@ -21,7 +21,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import maximum, norm
 from dolfinx_mortar.arrays import (
     HALF_OF_DIGITS,
     LIMIT,
@@ -62,10 +62,12 @@ def moved(qp: BoundQP, q: Floats) -> BoundQP:
     for bound, none in ((upper, PETSc.INFINITY), (lower, PETSc.NINFINITY)):
         some = qp.bounded[bound.array_r[qp.bounded] != none]
         bound.array[some] += way[some]
-    b.array[:] -= q @ scalars.columns
+    taken = q @ scalars.columns
+    b.array[:] -= taken
     if law is not None:
         law = replace(law, rest=law.rest + law.pick(way))
-    return replace(qp, b=b, lower=lower, upper=upper, friction=law, scalars=None)
+    bounds = {"b": b, "lower": lower, "upper": upper, "taken": norm(qp.comm, taken)}
+    return replace(qp, friction=law, scalars=None, **bounds)
 
 
 class Bordered:
@@ -196,7 +198,7 @@ class Bordered:
             found = self.linear.solve(right, y, held, atol=atol, sliding=law).array_r.copy()
             missing, size = self._missing(y.array_r, found, q)
             least = np.maximum(self.scalars.noise, ROUND_OFF * size)
-            least = np.maximum(np.minimum(atol, self.scalars.rtol * size), least)
+            least = np.maximum(atol, least)
             worst = float((np.abs(missing) / np.maximum(least, TINY)).max())
             if worst <= 1.0 or not worst < before:
                 break

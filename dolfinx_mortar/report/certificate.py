@@ -118,7 +118,7 @@ def create_certificate(
         left_out_work=left_out.work,
         left_out_lengths=left_out.lengths,
         rotation=left_out.rotation,
-        pretension=residual.pretension,
+        loads=residual.loads,
         crossing=crossing.share,
         **_finite_strain(problem),
         **({} if sliders is None else _friction(problem.comm, sliders, length)),

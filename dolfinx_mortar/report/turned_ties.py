@@ -60,7 +60,7 @@ def _turned_tie(problem: ContactProblem, tie: Tie, last: Turns | None) -> Turned
     """
     link = problem.system.link(tie)
     R = _turned(problem, link)
-    jump = ask(problem.comm, tie, "jump_at", problem.solid.V, link.nodes)
+    jump = ask(problem.comm, tie, "apart_at", problem.solid.V, link.nodes)
     lengths = np.zeros(0) if jump is None else np.linalg.norm(jump, axis=1)
     longest = float(maximum(problem.comm, lengths.max(initial=0.0))[0])
     if jump is None or not longest:

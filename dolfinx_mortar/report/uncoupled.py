@@ -179,7 +179,7 @@ def _longest_jumps(problem: ContactProblem) -> Floats:
     lengths = np.zeros(len(problem.system.interfaces))
     for tie in problem.ties:
         link = problem.system.link(tie)
-        jump = ask(problem.comm, tie, "jump_at", problem.V, link.nodes)
+        jump = ask(problem.comm, tie, "apart_at", problem.V, link.nodes)
         if jump is not None:
             longest = np.linalg.norm(jump, axis=1).max(initial=0.0)
             lengths[problem.system.interfaces.index(tie)] = maximum(problem.comm, longest)[0]

@@ -184,9 +184,8 @@ def _check(problem: ContactProblem, tie: Any, force: Any, direction: Any) -> Flo
 
 def _check_axis(problem: ContactProblem, tie: Tie, n: Floats) -> None:
     """Raise a ValueError if a tie cannot be tightened along a unit vector; collective."""
-    link = problem.system.link(tie)
-    find_axis(link, n)
-    shear = describe_shear(link, n)
+    find_axis(tie.normal, n, str(tie))
+    shear = describe_shear(tie.normal, n, str(tie))
     if shear and problem.comm.rank == 0:
         log.warning("%s", shear)
 
