@@ -54,7 +54,7 @@ class Residuals:
     contact: float  # penetration and complementarity, on their scales
     excess: float  # largest residual over its tolerance
     limit: float  # tolerance of the norm of forces
-    floor: float  # round-off of forces, which no tolerance is below
+    floor: float = 0.0  # round-off of forces, which no tolerance is below
     loads: float = 0.0  # largest share of the load of a bolt, tool or rigid side that is missed
 
 
