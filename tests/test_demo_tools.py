@@ -85,9 +85,12 @@ def test_the_hardness_as_the_gallery_shows_it():
 
 
 @pytest.mark.slow
-@pytest.mark.nightly
 def test_a_cup_is_drawn():
-    found = read(shown("deep_drawing"))["found"]
+    summary = read(shown("deep_drawing"))
+    found, steps = summary["found"], summary["steps"]
+    # 144 in 35 steps; loads of tools that a QP misses by its own tolerance take four times as many
+    assert sum(step["newton_iterations"] for step in steps) <= 160
+    assert not any("parts" in note for step in steps for note in step["notes"])
     # a rim that nothing pulls: uniaxial compression around the axis (Hill 1950)
     assert found["thickness_of_rim"] == pytest.approx(found["thickness_hill"], rel=0.01)
     # what Siebel's estimate of the force is worth
