@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx import default_real_type, fem
+from dolfinx import default_real_type, fem, mesh
+from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.interfaces.tool import SPACE, Tool, motions_in
 from dolfinx_mortar.qp import scalars
 from dolfinx_mortar.steps import newton
@@ -22,6 +23,7 @@ COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi
 NUMBERS = ("QUARTER_OF_DIGITS", "HALF_OF_DIGITS")
 DISC = dm.shapes.Cylinder([0.0, R], R)
+QUADRILATERAL = mesh.CellType.quadrilateral
 STEEL = dm.VonMises(E, 0.3, 0.3, 10.0)
 
 
@@ -525,6 +527,35 @@ def test_a_step_goes_on_as_the_last_one_did(monkeypatch):
     assert gained.duration == pytest.approx(0.2)
     _, elastic, _ = pressed_in_steps(LEVELS[:2], law=RUBBER)
     assert elastic.begin_step(0.6, predict=True).travel is None
+
+
+def test_supports_lead_what_goes_on():
+    """A clamped bar of metal is stretched and sheared at one rate: a step begins near its end.
+
+    Clamped ends are where they have to be, so that no cell beside them is distorted.
+    """
+    bar = mesh.create_rectangle(COMM, [(0.0, 0.0), (3.0, 1.0)], (6, 2), QUADRILATERAL)
+    V = fem.functionspace(bar, ("Lagrange", 1, (2,)))
+    pull = fem.Constant(bar, np.zeros(2, dtype=default_real_type))
+    ends = [
+        fem.locate_dofs_geometrical(V, lambda x, end=end: np.isclose(x[0], end)) for end in (0, 3)
+    ]
+    bcs = [fem.dirichletbc(np.zeros(2), ends[0], V), fem.dirichletbc(pull, ends[1], V)]
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), METAL, strain="finite"), bcs=bcs)
+    ramp = {pull: [(0.0, (0.0, 0.0)), (1.0, (0.6, 0.3))]}
+    walk = dm.load_steps(problem, [0.1, 0.2, 0.3], ramp=ramp, progress=False)
+    next(walk), next(walk)
+    before = problem.owned_u.copy()
+    pull.value[:] = 0.18, 0.09
+    problem.begin_step(0.3, predict=True)
+    begun = problem.owned_u.copy()
+    problem.owned_u[:] = before
+    problem.u.x.scatter_forward()
+    report = next(walk).report
+    way = problem.owned_u - before
+    off, size = maximum(COMM, *(np.abs(v).max(initial=0.0) for v in (begun - before - way, way)))
+    assert off < 0.02 * size
+    assert report.newton_iterations <= 3
 
 
 def test_what_the_last_step_gained_is_in_checkpoints(tmp_path):

@@ -270,7 +270,9 @@ class ContactProblem:
         facet lengths would be paired where it was before. The deformation of a body over which
         another one slides is moved along, see `convected`. At finite strain what Newton's
         iterations added to bodies that flow is added again, in proportion to the lengths of steps,
-        as are motions of tools: a deep drawing takes 153 iterations for 458. The surfaces are
+        as are motions of tools: a deep drawing takes 153 iterations for 458. Their supports are
+        where they lead: a stretched bar takes 2 iterations, 7 if cells beside them are distorted
+        and 4 without all this. The surfaces are
         paired again if they have slid out of the margin of the last search. A step is a function of
         the displacement and the committed state: failed steps, audits or output before it have no
         influence.
@@ -294,7 +296,7 @@ class ContactProblem:
         self._convect(carried, before)
         data = replace(data, begun=self.owned_u.copy())
         if predict and not data.flows:
-            data = replace(data, travel=self._go_on(level))
+            data = replace(data, travel=self._go_on(level, data.target))
         audit = audit and not self.committed.begun
         if audit:
             self._check_mesh()
@@ -399,7 +401,7 @@ class ContactProblem:
                 self.owned_u[:] = at
                 self.u.x.scatter_forward()
 
-    def _go_on(self, level: float | None) -> Floats | None:
+    def _go_on(self, level: float | None, target: Floats) -> Floats | None:
         """Add what the last step has gained, for this one; collective.
 
         Returns:
@@ -420,8 +422,9 @@ class ContactProblem:
         flows = ~elastic[self.bodies.groups[self.bodies.label]]
         if not any_rank(self.comm, flows.any())[0]:
             return None
-        travel, free = share * gained.travel, flows[:, None] & ~self.supports.owned
-        self.owned_u[:] += share * np.where(free.ravel(), gained.by, 0.0)
+        travel, held = share * gained.travel, self.supports.owned.ravel()
+        by = np.where(held, target - self.owned_u, share * gained.by)
+        self.owned_u[:] += flows.repeat(self.supports.owned.shape[1]) * by
         self.u.x.scatter_forward()
         for tool, end in zip(driven, np.cumsum(counts), strict=True):
             tool.move(travel[end - len(tool.names) : end])
