@@ -117,6 +117,25 @@ def test_what_stays_at_X_is_coupled_once_a_search(coupled):
     assert forces[0] == pytest.approx(forces[2], rel=1e-9) and forces[0] < forces[1]
 
 
+@pytest.mark.mpi
+def test_sides_that_have_slid_are_coupled_where_they_are(coupled):
+    """Not where they were, with the partners that they have left."""
+    case = create_case(meshing.hertz(COMM, kind="paper"), ELASTIC)
+    case.press(0.02)
+    newton(case.problem)
+    case.problem.commit()
+    problem, system = case.problem, case.problem.system
+    label = problem.bodies.label
+    problem.owned_u.reshape(-1, 2)[label == 0, 0] += 3.0
+    problem.u.x.scatter_forward()
+    for pairs in (1, 2):  # the second time those of the last step have to be found again
+        before = system.searches
+        coupled.clear()
+        found = system.begin(problem.configuration, problem.committed.paired)
+        assert (len(coupled), system.searches - before) == (1, pairs)
+        assert np.array_equal(found.paired.at, problem.owned_u)
+
+
 @pytest.mark.parametrize("nearest", [-0.02, 0.03])
 def test_the_first_guess_of_a_ball_that_is_pressed_in(monkeypatch, nearest):
     """By Hertz a ball that overlaps by delta touches within a = (delta R)^(1/2).

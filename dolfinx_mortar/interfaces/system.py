@@ -282,6 +282,13 @@ class InterfaceSystem:
         """
         if not self.interfaces:
             return Configuration()
+        self._pair(u)
+        near = [np.ones(len(sides.nodes), dtype=bool) for sides in self.sides]
+        links, reused = self._coupled(u, near, before), self._reused
+        return Configuration(links, reused.claims, paired_at=reused.paired_at, searched=True)
+
+    def _pair(self, u: fem.Function | None) -> None:
+        """Pair the surfaces at X + u and settle the claims; collective."""
         self.searches += 1
         comm = self.V.mesh.comm
         displacements = [ask(comm, i, "configuration", u) for i in self.interfaces]
@@ -312,9 +319,6 @@ class InterfaceSystem:
         claims = replace(claims, notes=claims.notes + notes)
         at = np.zeros(0) if u is None else u.x.array[: self.n * self.V.dofmap.bs].copy()
         self._reused = replace(self._reused, pairs=found, claims=claims, at_X={}, paired_at=at)
-        near = [np.ones(len(sides.nodes), dtype=bool) for sides in self.sides]
-        links = self._coupled(u, near, before)
-        return Configuration(links, claims, paired_at=at, searched=True)
 
     def _coupled(
         self, u: fem.Function | None, near: Sequence[Bools], before: Configuration | None = None
@@ -383,11 +387,12 @@ class InterfaceSystem:
             self._reused.paired_at, known.at
         )
         if not self.V.mesh.comm.allreduce(same, op=MPI.LAND):
-            self.at(None if u is None else with_values(self.V, known.at))
-        links = self._coupled(u, known.near)
-        claims = self._reused.claims
+            self._pair(None if u is None else with_values(self.V, known.at))
+        if self._slid(u):
+            return self.at(u)
+        links, claims = self._coupled(u, known.near), self._reused.claims
         assert claims is not None
-        if self._slid(links, u, everywhere=True) or self._are_outdated(claims, links):
+        if self._are_outdated(claims, links):
             return self.at(u)
         return Configuration(links, claims, paired_at=known.at)
 
@@ -428,7 +433,7 @@ class InterfaceSystem:
         before = self.present
         if not self.interfaces:
             return False
-        if self._slid(before.links, u, everywhere=everywhere):
+        if self._slid(u, None if everywhere else [link.near for link in before.links]):
             return self.enter(self.at(u, before), x, before.increment)
         links = [self._followed(k, link, u) for k, link in enumerate(before.links)]
         assert before.claims is not None and before.transformation is not None
@@ -457,13 +462,18 @@ class InterfaceSystem:
         self.present = replace(found, links=links, transformation=T)
         return T is not reused.transformation
 
-    def _slid(self, links: Sequence[Link], u: fem.Function | None, *, everywhere: bool) -> bool:
-        """Tell whether sides slid out of the margins of their pairings; collective."""
+    def _slid(self, u: fem.Function | None, near: Sequence[Bools] | None = None) -> bool:
+        """Tell whether sides slid out of the margins of the last search; collective.
+
+        Args:
+            u: displacement.
+            near: slave nodes of each interface where that counts; all if not given.
+        """
         comm, slid = self.V.mesh.comm, []
-        for link in links:
-            if ask(comm, link.interface, "configuration", u) is not None:
-                of = link.sides, link.pairing, u, None if everywhere else link.near
-                slid.append(ask(comm, link.interface, "has_slid", *of))
+        for k, (interface, sides) in enumerate(zip(self.interfaces, self.sides, strict=True)):
+            if ask(comm, interface, "configuration", u) is not None:
+                of = sides, self._reused.pairs[k][0], u, None if near is None else near[k]
+                slid.append(ask(comm, interface, "has_slid", *of))
         return any(slid)
 
     def _are_outdated(self, claims: Claims, links: Sequence[Link]) -> bool:
@@ -494,7 +504,7 @@ class InterfaceSystem:
         """
         if not self.links:
             return True
-        slid = u is not None and self._slid(self.links, u, everywhere=True)
+        slid = u is not None and self._slid(u)
         return not slid and not touches_far_nodes(self.links, x, self.n)
 
     def linearise_geometry(

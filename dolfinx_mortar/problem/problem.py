@@ -442,7 +442,7 @@ class ContactProblem:
     def _overlap(self) -> float:
         """Return how much sides of contacts overlap at u; collective."""
         with self.timings("mortar"):
-            found = self.system.begin(self.configuration, self.committed.paired)
+            found = self.system.at(self.configuration)
             return overlap(found.links, self.positions(), self.n)
 
     def _committed_positions(self) -> PETSc.Vec:
