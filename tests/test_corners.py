@@ -352,3 +352,30 @@ def test_a_cantilever_slides_down_another_one(top, slave):
     assert np.abs(np.array(forces)[smooth + 1] / slopes[smooth] - 1.0).max() < 0.01
     rises = np.diff(forces[30:42]) / forces[30:41]
     assert np.abs(rises[1:-1] - (rises[:-2] + rises[2:]) / 2).max() < 0.02
+
+
+@pytest.mark.parametrize("slave", [TOP_OF_LOWER, BOTTOM_OF_UPPER])
+def test_a_corner_between_the_nodes_of_a_face(slave):
+    """It presses where it is as the slave; else at a node of the face, and the note says so."""
+    corner = 0.63  # nodes of the face are .1 apart
+    ends = {"x_lower": (0.0, 2.0), "x_upper": (corner, corner + 0.6)}
+    domain, cells, facets = two_blocks(COMM, (20, 10), (6, 10), cell="quadrilateral", **ends)
+    upper = np.unique(compat.cell_nodes(domain)[cells.indices[cells.values == UPPER]])
+    x, place = domain.geometry.x, np.array([corner, 0.0])
+    x[upper, :2] = (x[upper, :2] - place) @ np.array([[0.9, 0.3], [-0.3, 0.9]]) + place
+    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    values = (BOTTOM_TAG, np.zeros(2)), (TOP_TAG, np.array([0.0, -1e-3]))
+    bcs = [
+        fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, facets.find(tag)), V)
+        for tag, value in values
+    ]
+    (master,) = {BOTTOM_OF_UPPER, TOP_OF_LOWER} - {slave}
+    contact = dm.Contact(facets, slave=slave, master=master)
+    problem = dm.ContactProblem(dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3)), [contact], bcs=bcs)
+    report = dm.newton(problem)
+    support = dm.reaction(problem, bcs[0])
+    at_node = slave == TOP_OF_LOWER
+    at = 0.6 if at_node else corner
+    assert support.moment / support.force[1] == pytest.approx(at, abs=2e-3)
+    (note,) = (note for note in report.notes if "not resolved" in note)
+    assert (f"exchange slave and master: an edge or a corner of {master}" in note) == at_node

@@ -211,6 +211,7 @@ class CommonNormals:
 
     n: Floats  # (n, d)
     of_master: Floats  # (m, d) n_l at the owned nodes of the master
+    below_edges: Bools  # (n,) coupled to an edge of the master, and on none
     differentiate: Callable[[], tuple[Floats, Floats]]  # returns what follows
 
     @cached_property
@@ -288,7 +289,9 @@ def common_normals(
         by_slave[met] = turning @ by_a @ carried(n_s[met], a[met]) @ by_averaged[met]
         return by_slave, np.where(across[:, :, None], 0.0, by_master)
 
-    return CommonNormals(n, values[nodes, :d], differentiate)
+    sharp = _edged(facing[:, d:].reshape(-1, d, d), limit) & (M != 0.0)
+    below = (np.bincount(row, sharp, minlength=len(own)) > 0.0) & ~_edged(S_s, limit)
+    return CommonNormals(n, values[nodes, :d], below, differentiate)
 
 
 def in_planes(n: Floats, mirrors: Bools) -> tuple[Floats, Floats]:
