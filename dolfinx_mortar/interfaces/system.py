@@ -282,13 +282,13 @@ class InterfaceSystem:
         """
         if not self.interfaces:
             return Configuration()
-        self._pair(u)
+        at = self._pair(u)
         near = [np.ones(len(sides.nodes), dtype=bool) for sides in self.sides]
-        links, reused = self._coupled(u, near, before), self._reused
-        return Configuration(links, reused.claims, paired_at=reused.paired_at, searched=True)
+        links = self._coupled(u, near, before)
+        return Configuration(links, self._reused.claims, paired_at=at, searched=True)
 
-    def _pair(self, u: fem.Function | None) -> None:
-        """Pair the surfaces at X + u and settle the claims; collective."""
+    def _pair(self, u: fem.Function | None) -> Floats:
+        """Pair the surfaces at X + u, and settle the claims; return u (n,) there; collective."""
         self.searches += 1
         comm = self.V.mesh.comm
         displacements = [ask(comm, i, "configuration", u) for i in self.interfaces]
@@ -319,6 +319,7 @@ class InterfaceSystem:
         claims = replace(claims, notes=claims.notes + notes)
         at = np.zeros(0) if u is None else u.x.array[: self.n * self.V.dofmap.bs].copy()
         self._reused = replace(self._reused, pairs=found, claims=claims, at_X={}, paired_at=at)
+        return at
 
     def _coupled(
         self, u: fem.Function | None, near: Sequence[Bools], before: Configuration | None = None

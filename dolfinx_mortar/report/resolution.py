@@ -61,13 +61,14 @@ def note_on_resolution(link: Link, contacts: Contacts, sure: bool = True) -> str
             )
     if not 0 < count < NODES[d]:
         return ""
-    common, told = link.coupling.common, ""
+    slave, master = link.sides.slave, link.sides.surfaces[-1]
+    common, told = link.coupling.common if master is not slave else None, ""
     below = common is not None and (contacts.active[link.nodes] & common.below_edges).any()
     if any_rank(comm, below)[0]:
         told = (
-            f", or exchange slave and master: an edge or a corner of {link.sides.master.label} "
-            f"presses between nodes of slave={link.sides.slave.label}, and its force acts at one "
-            "of these, up to a facet beside it"
+            f", or exchange slave and master: an edge or a corner of {master.label} presses "
+            f"between nodes of slave={slave.label}, and its force acts at one of these, up to a "
+            "facet beside it"
         )
     return (
         f"{link.interface}: the largest pressure is not resolved: its patch has {count} nodes in "
