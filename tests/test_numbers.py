@@ -26,10 +26,10 @@ from tests import (
     test_dual,
     test_edges,
     test_margin,
+    test_passing,
     test_segments_3d,
     test_self_contact,
     test_surface,
-    test_swept,
 )
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -76,7 +76,7 @@ FELT = {
         (0.1,),
         test_self_contact.test_parts_that_come_near_ask_for_a_search,
     ),
-    "TURN": (turning, (1e9,), lambda: test_swept.test_corners_move_along_arcs(2, 0.0)),
+    "TURN": (turning, (1e9,), lambda: test_passing.test_a_hub_may_turn_in_a_ring(90.0, 2)),
     "_MOST_WARPED": (
         surface,
         (0.0, 0.9),

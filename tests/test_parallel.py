@@ -39,7 +39,7 @@ AT_NIGHT = """
     own_interface parameters passing patch_3d plane_stress plotting plotting_space pointwise
     polyline preload preload_direction preload_restart preload_several pretension qp_definite
     qp_descent ramp reaction resolution rubber skins small_strain smooth_3d smooth_contact
-    smooth_second smooth_tie solid solid_state stack stand_off stress_laws sweep swept taylor_bar
+    smooth_second smooth_tie solid solid_state stack stand_off stress_laws sweep taylor_bar
     tie_reach tool_files tool_friction tool_pictures triangles turned_ties tying undone user_laws
     volumetric
 """.split()

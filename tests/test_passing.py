@@ -12,6 +12,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import meshtags
 from dolfinx_mortar.geometry.sweep import find_passing
+from dolfinx_mortar.geometry.turning import RigidMotion
 from dolfinx_mortar.interfaces import tool as tool_poses
 from dolfinx_mortar.mortar import passing
 from dolfinx_mortar.newton_method import failures, tunnelling
@@ -216,6 +217,17 @@ def test_bodies_may_turn_together(degrees):
 
 
 @pytest.mark.mpi
+def test_a_screw_is_made_in_equal_parts():
+    """Three thirds of a motion that turns and shifts along its axis are the whole, with its way."""
+    x, axis = np.array([[1.0, 0.0, 2.0], [0.0, -3.0, 1.0]]), np.array([1.0, 2.0, 2.0]) / 3.0
+    whole = RigidMotion(rotation(axis, 2.0), np.array([0.3, 0.1, -0.7]))
+    third, at = whole.part(1 / 3), [x]
+    for _ in range(3):
+        at.append(third.at(at[-1]))
+    assert np.allclose(at[-1], whole.at(x), atol=1e-12)
+    assert np.allclose(np.diff(np.array(at), axis=0) @ axis, whole.c @ axis / 3, atol=1e-12)
+
+
 @pytest.mark.parametrize("degrees", [45.0, 90.0, -150.0])
 @pytest.mark.parametrize("slave", [2, 3])
 def test_a_hub_may_turn_in_a_ring(degrees, slave):

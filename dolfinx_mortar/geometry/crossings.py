@@ -105,13 +105,13 @@ def near_pairs(x: Floats, group: Longs, apart: Bools) -> Longs:
     """Return pairs (p, 2) of facets whose boxes meet, each once.
 
     Args:
-        x: points (m, k, d) whose boxes hold the facets, such as vertices at two times.
+        x: vertices (m, k, d).
         group: number (m,) of the group of each.
-        apart: (groups, groups) which of them to compare, symmetric, such as other bodies.
+        apart: (groups, groups) which of them to compare, symmetric.
 
     Facets are sorted into classes of size, each twice the last, so that a small one is not compared
     with all small ones within the reach of the largest. In each direction distances are measured in
-    the largest extents there: where all slide in one direction, boxes are long and thin.
+    the largest extents there: boxes of flat facets are thin.
     """
     low, high = bounds(x)
     centre, half = (low + high) / 2, (high - low) / 2

@@ -37,10 +37,6 @@ class RigidMotion:
         """Return where points (.., d) come from."""
         return np.asarray((x - self.c) @ self.R)
 
-    def about(self, origin: Floats) -> "RigidMotion":
-        """Return the motion of points that are measured from an origin."""
-        return RigidMotion(self.R, self.c + origin - self.R @ origin)
-
     def seen_from(self, other: "RigidMotion") -> "RigidMotion":
         """Return the motion as seen from what makes another one."""
         return RigidMotion(other.R.T @ self.R, other.back(self.c))

@@ -26,7 +26,6 @@ from dolfinx_mortar.report.overlaps import notes_on_overlaps
 from dolfinx_mortar.report.pulls import notes_on_pulls
 from dolfinx_mortar.report.resolution import note_on_resolution, notes_on_rims
 from dolfinx_mortar.report.small_strain import LeftOut, notes_on_lost_stress, notes_on_small_strain
-from dolfinx_mortar.report.swept import notes_on_swept
 from dolfinx_mortar.report.turned_ties import TurnedTie, notes_on_turned_ties
 from dolfinx_mortar.report.uncoupled import Crossing, notes_on_crossings
 
@@ -98,7 +97,6 @@ DIAGNOSES: tuple[Diagnosis, ...] = (
         end.unilateral, end.problem.system.boundary, end.problem.u, end.contacts.active
     ),
     lambda end: notes_on_crossings(end.problem, end.crossing),
-    lambda end: notes_on_swept(end.problem, end.crossing),
     lambda end: notes_on_small_strain(end.problem, end.left_out),
     lambda end: notes_on_lost_stress(end.problem),
     lambda end: notes_on_turned_ties(end.problem, end.ties),

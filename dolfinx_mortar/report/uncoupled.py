@@ -3,7 +3,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Self
 
 from mpi4py import MPI
 
@@ -30,40 +29,10 @@ from dolfinx_mortar.mortar.surface import cells_of, coordinates, facets_at, noda
 from dolfinx_mortar.problem.problem import ContactProblem
 
 
-@dataclass(frozen=True)
-class FacetParts:
-    """Arrays of m facets, which subclasses add to."""
-
-    body: Longs  # (m,)
-    sides: Bools  # (m, 2, interfaces) whether they belong to its slave and its master side
-
-    def vertices(self) -> Floats:
-        """Return the points (m, k, d) whose box holds what is looked at."""
-        raise TypeError(f"{type(self).__name__} has no vertices")
-
-    def part(self, which: Bools | Longs) -> Self:
-        """Return some of the facets."""
-        return type(self)(**{f.name: getattr(self, f.name)[which] for f in fields(self)})
-
-    def received(self, comm: MPI.Comm) -> Self:
-        """Return the own facets, and those of other ranks that their box meets; collective."""
-        if comm.size == 1:
-            return self
-        low, high = bounds(self.vertices())
-        box = low.min(axis=0, initial=np.inf), high.max(axis=0, initial=-np.inf)
-        sent = [
-            self.part(((low <= most) & (high >= least)).all(axis=1) & (rank != comm.rank))
-            for rank, (least, most) in enumerate(comm.allgather(box))
-        ]
-        parts = [self, *comm.alltoall(sent)]
-        joined = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(self)}
-        return type(self)(**joined)
-
-
-def point(x: Floats) -> str:
+def _point(x: Floats) -> str:
     """Write a point for a note.
 
-    >>> point(np.array([0.5, -2.0]))
+    >>> _point(np.array([0.5, -2.0]))
     '(0.5, -2)'
     """
     return f"({', '.join(f'{c:.4g}' for c in x)})"
@@ -80,16 +49,31 @@ class Crossing:
 
 
 @dataclass(frozen=True)
-class _Skin(FacetParts):
-    """Those near other bodies."""
+class _Skin:
+    """Facets near other bodies."""
 
+    body: Longs  # (m,)
+    sides: Bools  # (m, 2, interfaces) whether they belong to its slave and its master side
     x: Floats  # (m, d, d)
     on: Bools  # (m, d, 2, interfaces) whether their vertices belong to its slave and master side
     sagitta: Floats  # (m,) of the sides of interfaces to which they belong, or which they touch
 
-    def vertices(self) -> Floats:
-        """Return the vertices."""
-        return self.x
+    def part(self, which: Bools | Longs) -> "_Skin":
+        """Return some of the facets."""
+        return _Skin(*(getattr(self, f.name)[which] for f in fields(self)))
+
+    def received(self, comm: MPI.Comm) -> "_Skin":
+        """Return the own facets, and those of other ranks that their box meets; collective."""
+        if comm.size == 1:
+            return self
+        low, high = bounds(self.x)
+        box = low.min(axis=0, initial=np.inf), high.max(axis=0, initial=-np.inf)
+        sent = [
+            self.part(((low <= most) & (high >= least)).all(axis=1) & (rank != comm.rank))
+            for rank, (least, most) in enumerate(comm.allgather(box))
+        ]
+        parts = [self, *comm.alltoall(sent)]
+        return _Skin(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(self)))
 
     def apart(self, pairs: Longs) -> Longs:
         """Return those of pairs (p, 2) that are no two sides of one interface facing each other."""
@@ -240,7 +224,7 @@ def notes_on_crossings(problem: ContactProblem, found: Crossing) -> list[str]:
     if found.share <= SUNK:
         return []
     centres = problem.bodies.centre[list(found.bodies)]
-    where, *around = (point(x) for x in (np.array(found.place), *centres))
+    where, *around = (_point(x) for x in (np.array(found.place), *centres))
     if len(set(found.bodies)) == 1:
         return [
             f"the surface of the body around {around[0]} lies in itself around {where}, by "
@@ -249,7 +233,7 @@ def notes_on_crossings(problem: ContactProblem, found: Crossing) -> list[str]:
         ]
     remedy = "give them a Contact, or add these facets to the sides of one"
     pair = min(found.bodies), max(found.bodies)
-    if any(pair in coupled_bodies(problem, link) for link in problem.system.unilateral):
+    if any(pair in _coupled_bodies(problem, link) for link in problem.system.unilateral):
         remedy = (
             "their contact has no pairs there: add these facets to its sides, or where its sides "
             "run around a body that is thinner than twice the overlap, tag only faces that touch"
@@ -261,7 +245,7 @@ def notes_on_crossings(problem: ContactProblem, found: Crossing) -> list[str]:
     ]
 
 
-def coupled_bodies(problem: ContactProblem, link: Link) -> set[tuple[int, int]]:
+def _coupled_bodies(problem: ContactProblem, link: Link) -> set[tuple[int, int]]:
     """Return the pairs of bodies on the two sides of an interface; collective."""
     if link.sides.master is None:
         return set()
