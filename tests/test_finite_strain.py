@@ -2,10 +2,8 @@
 """Finite strain through the whole package: patch, turns, derivatives, bifurcation, volumes."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -14,9 +12,7 @@ from scipy.optimize import brentq
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem, mesh
-from dolfinx_mortar.newton_method.snapping import notes_on_snapping
 from dolfinx_mortar.steps import newton
-from dolfinx_mortar.terms.sum import Energy
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
 from tests.pressed_blocks import COMM, rejected
 from tests.solid_case import create_displacement, create_domain, residual, set_wave
@@ -155,8 +151,6 @@ def test_forces_and_tangent_are_derivatives(cell, kinematics, law, volumetric):
 
 def dm_max():
     """Return the operation of the largest value."""
-    from mpi4py import MPI
-
     return MPI.MAX
 
 
@@ -259,10 +253,9 @@ def test_limit_points_pass_under_displacement_control():
     forces = []
     for depth in (0.03, 0.06, 0.1, 0.2):
         down.value = -depth
-        report = dm.newton(problem)
+        dm.newton(problem)
         problem.commit()
         forces.append(-dm.reaction(problem, bcs[1]).force[1])
-        assert not any("snapped" in note for note in report.notes)
     assert forces[0] < forces[1] > forces[2] < forces[3]
 
 
@@ -307,7 +300,7 @@ def test_what_no_shift_holds_stays(monkeypatch):
 
 
 def test_loads_that_turn_a_limit_point():
-    """The arch under its weight: it snaps through between .03 and .04, and only there it is told.
+    """The arch under its weight: it snaps through between .03 and .04.
 
     The balance found is that of a walk down from a larger load.
     """
@@ -316,32 +309,14 @@ def test_loads_that_turn_a_limit_point():
     loads = -20.0 * weight * ufl.TestFunction(u.function_space)[1] * ufl.dx
     solid = dm.Solid(u, RUBBER, strain="finite")
     problem = dm.ContactProblem(solid, [], bcs=[support], loads=loads)
-    lowest, snapped = {}, {}
+    lowest = []
     for q in (0.02, 0.03, 0.04, 0.05, 0.1, 0.04):
         weight.value = q
-        report = dm.newton(problem, rtol=1e-9)
+        dm.newton(problem, rtol=1e-9)
         problem.commit()
-        lows = COMM.allgather(u.x.array.min(initial=0.0))
-        snapped[len(lowest)] = any("snapped through" in note for note in report.notes)
-        lowest[len(lowest)] = min(lows)
-    assert [k for k, told in snapped.items() if told] == [2]
+        lowest.append(min(COMM.allgather(u.x.array.min(initial=0.0))))
     assert lowest[1] > -0.06 and lowest[2] < -0.15
     assert lowest[5] == pytest.approx(lowest[2], rel=1e-5)
-
-
-@pytest.mark.parametrize("walk", [(0.02, 0.04), (0.01, 0.05), (0.04,), (0.02, 0.03)])
-def test_a_large_step_beyond_a_limit_point(walk):
-    """The same arch, in a step after which it had more energy under the loads at the start."""
-    domain, u, support = shallow_arch()
-    weight = fem.Constant(domain, default_scalar_type(0.0))
-    loads = -20.0 * weight * ufl.TestFunction(u.function_space)[1] * ufl.dx
-    solid = dm.Solid(u, RUBBER, strain="finite")
-    problem = dm.ContactProblem(solid, [], bcs=[support], loads=loads)
-    for q in walk:
-        weight.value = q
-        notes = dm.newton(problem).notes
-        problem.commit()
-        assert any("snapped through" in note for note in notes) == (q > 0.035)
 
 
 def test_what_finite_strain_does_not_go_with():
@@ -352,19 +327,3 @@ def test_what_finite_strain_does_not_go_with():
         dm.Solid(u, RUBBER, strain="finite", eigenstrain=0.01)
     with rejected("NeoHooke", "strain='finite'"):
         dm.Solid(u, RUBBER)
-
-
-@pytest.mark.parametrize("digits, told", [(1e2, False), (1e4, True)])
-def test_round_off_of_energies_is_no_limit_point(digits, told):
-    """A drop of the energy by so many round-offs of the terms that are added up."""
-    terms = 7.0
-    end = Energy(3.0 - digits * np.finfo(float).eps * terms, terms)
-    problem = SimpleNamespace(
-        comm=MPI.COMM_SELF,
-        owned_u=np.zeros(2),
-        solid=SimpleNamespace(state={"p": ()}),
-        terms=SimpleNamespace(energy=lambda: end),
-    )
-    residual = PETSc.Vec().createWithArray(np.zeros(2), comm=MPI.COMM_SELF)
-    notes = notes_on_snapping(problem, np.zeros(2), residual, Energy(3.0, terms), np.nan)
-    assert any("limit point" in note for note in notes) == told

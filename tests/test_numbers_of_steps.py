@@ -58,9 +58,8 @@ OTHERS = {
     "interfaces.pretension",
     "report.interface_results",
     "report.small_strain",
-    # in test_exact_tangent and test_failures; in test_finite_strain
+    # in test_exact_tangent and test_failures
     "interfaces.moving_geometry",
-    "newton_method.snapping",
     "newton_method.watch",
     "steps.newton",
     "report.energy_ledger",  # in test_dynamics

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Ties of bodies with large rotations: notes on jumps and distances that do not rotate.
+"""Ties of bodies with large rotations: jumps and distances do not rotate.
 
 A body under forces that turn with it carries the same stress in each direction: whatever a tie
 changes under a rotation is its error.
 """
-
-import re
 
 from mpi4py import MPI
 
@@ -20,7 +18,6 @@ from tests.pressed_blocks import COMM
 pytestmark = pytest.mark.mpi
 
 RUBBER = dm.NeoHooke(E=10.0, nu=0.3)
-KEPT, APART, UNCOUPLED = "has kept its direction", "apart at X", "lie in each other"
 
 
 def rotation(angle):
@@ -63,24 +60,14 @@ class Turned:
         return float(self.tie.force @ rotation(angle) @ [0.0, -1.0])
 
 
-def told(report, word):
-    """Return how many notes have a word."""
-    return sum(word in note for note in report.notes)
-
-
-def test_a_bolt_whose_jump_does_not_turn_loses_force_and_is_told():
+def test_a_bolt_whose_jump_does_not_turn_loses_force():
     case = Turned()
     dm.preload(case.problem, case.tie, 0.3, direction=[0.0, -1.0])
-    slight, far = case.walk([1.0, 60.0])
+    case.walk([60.0])
     assert case.along(np.pi / 3) < 0.2
-    assert [told(report, KEPT) for report in (slight, far)] == [0, 1]
-    (note,) = (note for note in far.notes if KEPT in note)
-    (degrees,) = re.findall(r"turned by (\d+) degrees", note)
-    assert abs(int(degrees) - 60) <= 2  # the middle of the bar is a little behind
-    assert "tie.tightening" in note
 
 
-def test_a_bolt_whose_jump_is_turned_keeps_its_force_without_a_note():
+def test_a_bolt_whose_jump_is_turned_keeps_its_force():
     case = Turned()
     dm.preload(case.problem, case.tie, 0.3, direction=[0.0, -1.0])
     start = case.tie.tightening.copy()
@@ -88,43 +75,8 @@ def test_a_bolt_whose_jump_is_turned_keeps_its_force_without_a_note():
     def turn_bolt(angle):
         case.tie.tightening = rotation(angle) @ start
 
-    for report in case.walk([10.0, 60.0], turn_bolt):
-        assert not told(report, KEPT)
+    case.walk([10.0, 60.0], turn_bolt)
     assert case.along(np.pi / 3) == pytest.approx(0.3, rel=1e-6)
-
-
-def test_a_bolt_that_is_tightened_after_a_turn_counts_from_there():
-    case = Turned()
-    case.walk([60.0])
-    axis = rotation(np.pi / 3) @ [0.0, -1.0]
-    tight = dm.preload(case.problem, case.tie, 0.3, direction=axis)
-    assert not told(tight.report, KEPT)
-    assert told(case.walk([90.0])[-1], KEPT)
-
-
-def test_since_when_a_jump_has_its_direction_is_state(tmp_path):
-    """It is saved, and what is not committed does not change it."""
-    case, again = Turned(), Turned()
-    case.walk([60.0])
-    dm.preload(case.problem, case.tie, 0.3, direction=rotation(np.pi / 3) @ [0.0, -1.0])
-    path = COMM.bcast(tmp_path) / "tight.h5"
-    case.problem.save(path)
-    tight, u = case.tie.tightening, case.solid.u.x.array.copy()
-    case.tie.tightening = rotation(np.pi / 9) @ tight
-    case.turn(np.radians(80.0))
-    dm.newton(case.problem)  # and no commit
-    case.tie.tightening, case.solid.u.x.array[:] = tight, u
-    again.problem.restore(path)
-    for one in (case, again):
-        (note,) = (note for note in one.walk([90.0])[-1].notes if KEPT in note)
-        (degrees,) = re.findall(r"turned by (\d+) degrees", note)
-        assert abs(int(degrees) - 30) <= 1
-
-
-def test_small_strain_has_its_own_notes():
-    case = Turned(strain="small", law=dm.Elastic(10.0, 0.3))
-    dm.preload(case.problem, case.tie, 0.3, direction=[0.0, -1.0])
-    assert not told(case.walk([10.0])[-1], KEPT)
 
 
 @pytest.mark.parametrize(
@@ -132,15 +84,12 @@ def test_small_strain_has_its_own_notes():
 )
 def test_sides_that_are_apart_do_not_turn_that_far(surface, left_out):
     case = Turned(held=[BOTTOM], gap=0.1, tie={"surface": surface})
-    slight, far = case.walk([1.0, 60.0])
+    case.walk([60.0])
     x = case.solid.V.tabulate_dof_coordinates()[:, :2]
     error = case.solid.u.x.array.reshape(-1, 2) - x @ (rotation(np.pi / 3).T - np.eye(2))
     lengths = np.linalg.norm(error, axis=1)
     largest = COMM.allreduce(lengths.max(initial=0.0), op=MPI.MAX)
     assert largest == pytest.approx(0.1 * left_out, rel=1e-6)
-    assert [told(report, APART) for report in (slight, far)] == [0, 1]
-    (note,) = (note for note in far.notes if APART in note)
-    assert f"up to {0.1 * left_out:.3g}" in note
 
 
 def test_sides_that_fit_turn_as_far_as_they_like():
@@ -154,18 +103,4 @@ def test_a_tight_bolt_does_not_lie_in_itself(strain):
     case = Turned(strain=strain, law=RUBBER if strain == "finite" else dm.Elastic(10.0, 0.3))
     tight = dm.preload(case.problem, case.tie, 0.3, direction=[0.0, -1.0])
     assert tight.jump[1] < -0.05  # a sixth of the upper facets
-    assert not told(tight.report, UNCOUPLED)
     assert tight.report.certificate.crossing < 0.01
-
-
-def test_a_rigid_side_that_turns_is_no_tie():
-    """All of it moves with the plate: nothing to tell."""
-    case = Turned(held=[BOTTOM])
-    plate = dm.RigidSide(case.tie.facet_tags, TOP, reference=(0.5, 1.0))
-    problem = dm.ContactProblem(case.solid, [case.tie, plate], bcs=case.problem.bcs)
-    case.turn(np.pi / 6)
-    plate.rotation.value = np.pi / 6
-    plate.position.value[:] = rotation(np.pi / 6) @ [0.5, 1.0]
-    report = dm.newton(problem)
-    assert not told(report, KEPT)
-    assert not told(report, APART)

@@ -102,7 +102,8 @@ class Obstacle(Movable, Unilateral):
 
     A node of several interfaces belongs to the first one that it faces; it faces a tool within two
     facet lengths of it. Facets at 78 degrees or more to the tool's surface, as on the flanks of a
-    body beside it, are not in contact.
+    body beside it, are not in contact. Facets that are not tagged never meet the tool: where a body
+    folds onto it, as an upset cylinder does, tag the flank, too.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.

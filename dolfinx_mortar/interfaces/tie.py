@@ -46,9 +46,12 @@ class Tie(MortarInterface):
     then the overlap s along the unit vector n is one unknown more, and the equation that belongs to
     it is ``force @ n == pretension``. P = D^-1 M is always that at X, as in the paper: tied sides
     keep the partners that they had at the start. Directions with Dirichlet data are left to those
-    data. ``force`` is the resultant exerted on the slave side; ``pressure`` the normal traction per
-    area at X, positive in compression; ``gap`` the normal part of the jump, positive where it opens
-    the sides, negative where they overlap, zero without a jump.
+    data. Jumps, tightenings and directions do not turn with the bodies: where these rotate by R,
+    set them in each step to R times their values before, or a bolt loses force. The vector between
+    sides that are apart at X turns with ``surface="smooth"`` as by a small rotation, with "facets"
+    not at all. ``force`` is the resultant exerted on the slave side; ``pressure`` the normal
+    traction per area at X, positive in compression; ``gap`` the normal part of the jump, positive
+    where it opens the sides, negative where they overlap, zero without a jump.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.

@@ -47,14 +47,6 @@ class Slips:
 
 
 @dataclass(frozen=True)
-class Turns:
-    """Since when the jump of a tie has had its direction, at the owned slave nodes."""
-
-    along: Floats  # (n, d) jump over the length of the longest
-    since: Floats  # (n, d, d) rotation of the slave side then since X
-
-
-@dataclass(frozen=True)
 class Gained:
     """What Newton's iterations have added in a step to the motion with which it began."""
 
@@ -76,7 +68,6 @@ class StepOutcome:
     normal: Floats | None = None
     tangential: Floats | None = None
     ended: Sequence[Any] = ()  # of the interfaces, see `Interface.ended`
-    turns: Sequence[Turns | None] = ()  # of the interfaces, () for none
     level: float | None = None  # at which the step ends; None for that of the committed state
     gained: Gained | None = None  # None without a level
     before: Before | None = None  # the last commit; None for a step of a checkpoint
@@ -97,7 +88,6 @@ class Committed:
     history: list[LoadStep] = field(default_factory=list)  # all steps of `load_steps`
     brought: int = 0  # how many of them a checkpoint has restored
     walked: int = 0  # how many of them belong to the last call
-    turns: Sequence[Turns | None] = ()  # of the interfaces, () for none
     walk: Walk | None = None  # the last call of `load_steps`, the only one that may continue
     supports: SupportForces | None = None  # of the last step that has converged
     gained: Gained | None = None  # in the last step, see `ContactProblem.begin_step`
@@ -113,7 +103,7 @@ class Committed:
         if outcome is None:
             return
         self.active, self.sliding, self.paired = outcome.active, outcome.sliding, outcome.paired
-        self.turns, self.gained = outcome.turns, outcome.gained
+        self.gained = outcome.gained
         if outcome.level is not None:
             self.level = outcome.level
         if outcome.slips is not None:

@@ -21,7 +21,6 @@ from dolfinx_mortar.step_report import Ledger
 
 NODES, POINTS = "nodes", "points"
 SLIPS = ("slid", "dissipated")
-TURNS = ("jump along", "jump since")  # see `committed.Turns`
 RESULTANTS = ("force", "moment", "master_force", "master_moment", "place")
 UNCOMMITTED = "uncommitted "  # before what a step has found that has not been committed
 FLAGS = ("active", f"{UNCOMMITTED}active", "carries", "near")  # columns of zeros and ones
@@ -85,8 +84,6 @@ def _columns(state: ProblemState, table: str) -> dict[str, tuple[int, bool]]:
     (interface,) = (i for k, i in enumerate(state.interfaces) if name_of(k) == table)
     columns = {f.name: (f.function_space.dofmap.bs, False) for f in interface.functions}
     columns |= dict.fromkeys(SLIPS if interface.rough else (), (1, False))
-    turns = dict(zip(TURNS, ((d, True), (d * d, True)), strict=True))
-    columns |= turns | {f"{UNCOMMITTED}{name}": column for name, column in turns.items()}
     multipliers = interface.shown(np.zeros((1, d))).size
     return columns | {"multiplier": (multipliers, False), "carries": (1, False), "near": (1, True)}
 

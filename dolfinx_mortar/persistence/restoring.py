@@ -22,7 +22,6 @@ from dolfinx_mortar.persistence.committed import (
     Slips,
     StepOutcome,
     SupportForces,
-    Turns,
     Walk,
 )
 from dolfinx_mortar.persistence.contents import (
@@ -30,7 +29,6 @@ from dolfinx_mortar.persistence.contents import (
     POINTS,
     RESULTANTS,
     SLIPS,
-    TURNS,
     UNCOMMITTED,
     check_about,
     check_values,
@@ -84,7 +82,7 @@ class Saved:
         slips = Slips(*np.zeros((2, *committed.slid.shape)))
         for k, resultants in enumerate(self.about["interfaces"]):
             _take(state, k, slips, resultants, self.tables.get(name_of(k), {}))
-        committed.paired, committed.turns = self._paired(), self._turns("")
+        committed.paired = self._paired()
         committed.gained = self._gained(0, "")
         committed.begun = self.about["begun"]
         committed.level, committed.walked = self.about["level"], self.about["walked"]
@@ -94,10 +92,9 @@ class Saved:
         state.system.faced = True
         u = self.tables[NODES]["displacement"].flatten()
         last = UNCOMMITTED if f"{UNCOMMITTED}active" in self.tables[NODES] else ""
-        turns = self._turns(last)
         gained = self._gained(1, UNCOMMITTED) if last else committed.gained
         contacts = self._contacts(last)
-        return StepOutcome(u, *contacts, committed.paired, slips, turns=turns, gained=gained)
+        return StepOutcome(u, *contacts, committed.paired, slips, gained=gained)
 
     def _gained(self, k: int, prefix: str) -> Gained | None:
         """Return what a step has gained; None where that is not known, as in files of before."""
@@ -124,16 +121,6 @@ class Saved:
             for interface, before in zip(interfaces, kept, strict=True):
                 interface.put_back(before)
             raise
-
-    def _turns(self, prefix: str) -> list[Turns | None]:
-        """Return since when the jumps of ties have had their directions; None where not known."""
-        d, found = self.state.solid.V.dofmap.index_map_bs, []
-        for k in range(len(self.state.interfaces)):
-            values = self.tables.get(name_of(k), {})
-            given = [values[prefix + name] for name in TURNS if prefix + name in values]
-            known = len(given) == len(TURNS)
-            found.append(Turns(given[0], given[1].reshape(-1, d, d)) if known else None)
-        return found
 
     def _paired(self) -> Paired | None:
         """Return where the surfaces were paired; None where that is not known."""

@@ -27,7 +27,6 @@ from dolfinx_mortar.persistence.contents import (
     POINTS,
     RESULTANTS,
     SLIPS,
-    TURNS,
     UNCOMMITTED,
     check_values,
     name_of,
@@ -56,13 +55,7 @@ def save(state: ProblemState, path: str | os.PathLike[str], outcome: StepOutcome
     values = {NODES: _nodal(state, outcome), POINTS: _at_points(state)}
     for k, interface in enumerate(state.interfaces):
         if results[k] is not None:
-            values[name_of(k)] = (
-                _on_interface(interface)
-                | _slips(state, k)
-                | _near(state, k)
-                | _turns(committed, k)
-                | _turns(outcome, k, UNCOMMITTED)
-            )
+            values[name_of(k)] = _on_interface(interface) | _slips(state, k) | _near(state, k)
     with raised_together(state.comm):  # no restart could read what is not finite
         for name in places:
             check_values(state, name, values[name])
@@ -138,15 +131,6 @@ def _near(state: ProblemState, k: int) -> dict[str, Floats]:
     """Return which owned slave nodes are transformed by T, nothing before the first commit."""
     paired = state.committed.paired
     return {} if paired is None else {"near": paired.near[k][:, None].astype(float)}
-
-
-def _turns(last: StepOutcome | Committed | None, k: int, prefix: str = "") -> dict[str, Floats]:
-    """Return since when the jump of a tie has had its direction, nothing where it has none."""
-    turns = last.turns[k] if last is not None and last.turns else None
-    if turns is None:
-        return {}
-    values = turns.along, turns.since.reshape(-1, turns.along.shape[1] ** 2)
-    return {f"{prefix}{name}": column for name, column in zip(TURNS, values, strict=True)}
 
 
 def _slips(state: ProblemState, k: int) -> dict[str, Floats]:

@@ -16,7 +16,6 @@ from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import Balance
 from dolfinx_mortar.newton_method.residuals import gap_round_off
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.report.beside_tools import notes_beside_tools
 from dolfinx_mortar.report.interface_results import (
     notes_on_missed_tools,
     notes_on_sliding,
@@ -26,7 +25,6 @@ from dolfinx_mortar.report.overlaps import notes_on_overlaps
 from dolfinx_mortar.report.pulls import notes_on_pulls
 from dolfinx_mortar.report.resolution import note_on_resolution, notes_on_rims
 from dolfinx_mortar.report.small_strain import LeftOut, notes_on_lost_stress, notes_on_small_strain
-from dolfinx_mortar.report.turned_ties import TurnedTie, notes_on_turned_ties
 from dolfinx_mortar.report.uncoupled import Crossing, notes_on_crossings
 
 log = logging.getLogger(__name__)
@@ -44,7 +42,6 @@ class StepEnd:
     left_out: LeftOut
     crossing: Crossing
     pull: float  # of contacts, see `find_pull`
-    ties: Sequence[TurnedTie | None]
     rtol: float  # of the step
     limit: float  # norm of the forces that it may leave out of balance
 
@@ -93,13 +90,9 @@ DIAGNOSES: tuple[Diagnosis, ...] = (
     _pressures,
     lambda end: notes_on_rims(end.links),
     _overlaps,
-    lambda end: notes_beside_tools(
-        end.unilateral, end.problem.system.boundary, end.problem.u, end.contacts.active
-    ),
     lambda end: notes_on_crossings(end.problem, end.crossing),
     lambda end: notes_on_small_strain(end.problem, end.left_out),
     lambda end: notes_on_lost_stress(end.problem),
-    lambda end: notes_on_turned_ties(end.problem, end.ties),
 )
 
 

@@ -60,7 +60,6 @@ from dolfinx_mortar.newton_method.residuals import (
     next_tolerance,
     tightest,
 )
-from dolfinx_mortar.newton_method.snapping import notes_on_snapping
 from dolfinx_mortar.newton_method.tunnelling import describe_passing
 from dolfinx_mortar.newton_method.watch import (
     MOST_RISES,
@@ -85,7 +84,6 @@ from dolfinx_mortar.report.notes import StepEnd, find_notes
 from dolfinx_mortar.report.pulls import find_pull
 from dolfinx_mortar.report.reaction import support_forces
 from dolfinx_mortar.report.small_strain import find_left_out
-from dolfinx_mortar.report.turned_ties import find_turned_ties
 from dolfinx_mortar.report.uncoupled import find_crossing
 from dolfinx_mortar.step_report import Iteration, NewtonNotConverged, StepReport
 from dolfinx_mortar.terms.inertia import Inertia
@@ -309,7 +307,6 @@ class _Step:
         self.negative = False  # whether the last tangent that was used is indefinite
         self.shifted = 0  # the entry of SHIFTS that the last tangent needed
         self.start = problem.owned_u.copy()
-        self.expected = np.nan  # norm of the first step
         self.stiffness: Floats | None = None  # of driven tools, found by the last iteration
         self.travel = np.zeros(0) if data.travel is None else data.travel  # of driven tools
 
@@ -351,7 +348,7 @@ class _Step:
         problem = self.problem
         watch = Watch(problem.geometry == "updated" and bool(problem.contacts))  # ties stay at X
         iterate, start = self.first()
-        begun, residuals = iterate, list[Residuals]()
+        residuals = list[Residuals]()
         for number in range(1, max_it + 1):
             place, old = self.place(), iterate
             try:
@@ -371,7 +368,7 @@ class _Step:
             if residual.excess <= 1.0:
                 if self.geometry_is_complete():
                     self.check_passing()
-                    self.finish(iterate, residual, begun)
+                    self.finish(iterate, residual)
                     return
                 iterate = replace(iterate, balance=self.balance(iterate.contacts))  # another T
             start = iterate.start
@@ -466,7 +463,7 @@ class _Step:
         largest = max(old.largest, float(multiplier))
         scales = replace(old.scales, first=self.first_forces(lin)) if first else old.scales
 
-        moved = self.take_step(first, found, largest, old)
+        moved = self.take_step(found, largest, old)
         norm = problem.solid.elastic_norm(problem.u)
         increment = self.elastic_norm(moved.du)
         increment = increment / (old.norm + norm) if old.norm + norm > 0.0 else 0.0
@@ -534,11 +531,10 @@ class _Step:
             lin, solved = self.linearise(old, start, tangent, accuracy, near=near)
         return _Solution(*self.drive(lin, solved, old), exact, rejected), watch
 
-    def take_step(self, first: bool, found: _Solution, largest: float, old: Iterate) -> _Moved:
+    def take_step(self, found: _Solution, largest: float, old: Iterate) -> _Moved:
         """Move u, and tools that forces drive, along the solution of the QP; collective.
 
         Args:
-            first: whether it is the first iteration of the step.
             found: the QP and its solution.
             largest: largest multiplier so far.
             old: the iterate before.
@@ -547,8 +543,6 @@ class _Step:
         T = problem.system.transformation if lin.geometry is None else lin.geometry.trial
         du = to_displacement(T, found.solved.x)
         self.check_distance(du, old.scales.extent)
-        if first and not self.shifted:
-            self.expected = du.norm()
         volumes = problem.solid.volume_step(self.as_function(du))
         length, halvings, energy = self.move(found, du, largest, old, volumes)
         if found.driven is not None:
@@ -965,8 +959,8 @@ class _Step:
         if passed:  # other causes need not be looked for
             raise NewtonNotConverged(f"{passed}{failures.AS_BEFORE}", self.report)
 
-    def finish(self, iterate: Iterate, residual: Residuals, begun: Iterate) -> None:
-        """Set the results of the step, which has begun with an iterate."""
+    def finish(self, iterate: Iterate, residual: Residuals) -> None:
+        """Set the results of the step."""
         problem, report = self.problem, self.report
         contacts = iterate.contacts
         with problem.timings("results"):
@@ -980,14 +974,11 @@ class _Step:
             sliders = find_sliders(limits, contacts, iterate.stiffness, noise)
         left_out, crossing = find_left_out(problem), find_crossing(problem)
         stiffness = iterate.stiffness.array_r
-        ties = find_turned_ties(problem)
         pull = find_pull(problem, contacts)
-        how = self.overlap, left_out, crossing, pull, ties, report.rtol, residual.limit
+        how = self.overlap, left_out, crossing, pull, report.rtol, residual.limit
         end = StepEnd(problem, iterate.balance, contacts, stiffness, *how)
         self.negative = self.negative or self.ends_indefinite()
-        report.notes += (
-            find_notes(end) + self.notes_on_shifts() + self.notes_on_snapping(begun, contacts)
-        )
+        report.notes += find_notes(end) + self.notes_on_shifts()
         if self.driven:
             found = self.stiffness, iterate.balance, contacts
             report.notes += driven_tools.notes_on_loose_tools(problem, *found)
@@ -999,9 +990,8 @@ class _Step:
         at, paired = problem.owned_u.copy(), problem.system.present.paired
         forces = -normal_forces(problem, contacts), -tangential_forces(problem, contacts)
         ended = problem.ends_of_interfaces()
-        turns = [None if tie is None else tie.turns for tie in ties]
         closed = contacts.active, contacts.sliding
-        outcome = StepOutcome(at, *closed, paired, slips, *forces, ended, turns)
+        outcome = StepOutcome(at, *closed, paired, slips, *forces, ended)
         problem.outcome, problem.committed.supports = outcome, supports
         report.converged = True
 
@@ -1023,15 +1013,6 @@ class _Step:
         if notes:
             notes[-1] += failures.describe_cells(self.problem)
         return notes
-
-    def notes_on_snapping(self, begun: Iterate, contacts: Contacts) -> list[str]:
-        """Return a note if bodies have snapped through, where that can be told; collective."""
-        problem, energy = self.problem, begun.energy
-        touching = problem.comm.allreduce(int(contacts.active.sum() + begun.contacts.active.sum()))
-        moved = self.data.increment > 0.0 or touching > 0 or problem.terms.have_tangent
-        if problem.solid.strain == "small" or moved or energy is None:
-            return []
-        return notes_on_snapping(problem, self.start, begun.balance.r, energy, self.expected)
 
     def as_function(self, du: PETSc.Vec) -> fem.Function:
         """Return du as the Function `direction`; collective."""
