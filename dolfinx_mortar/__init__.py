@@ -39,7 +39,6 @@ from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.step_report import Ledger, LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.load_steps import load_steps
 from dolfinx_mortar.steps.newton import newton
-from dolfinx_mortar.steps.preload import Preload, PreloadNotReached, preload
 from dolfinx_mortar.steps.time_steps import time_steps
 from dolfinx_mortar.tags import Tags
 from dolfinx_mortar.terms.inertia import Damping, Inertia
@@ -70,8 +69,6 @@ __all__ = [
     "Pairs",
     "PointForce",
     "PointSpring",
-    "Preload",
-    "PreloadNotReached",
     "Pressure",
     "QPNotSolved",
     "Reaction",
@@ -94,7 +91,6 @@ __all__ = [
     "meshing",
     "newton",
     "plotting",
-    "preload",
     "reaction",
     "segments",
     "shapes",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A bolted joint of springs: a bolt between two plates, for tests of preload."""
+"""A bolted joint of springs: a bolt between two plates, for tests of pretensions."""
 
 from mpi4py import MPI
 

@@ -8,8 +8,6 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.problem import jumps
-from dolfinx_mortar.steps import preload as preload_module
 from tests.block_piles import ABOVE, BELOW, COMM, Blocks
 from tests.friction_case import create
 
@@ -149,30 +147,3 @@ def test_a_failed_step_leaves_the_directions():
     with pytest.raises(dm.NewtonNotConverged):
         dm.newton(case.problem, max_it=1, rtol=1e-12)
     assert np.array_equal(case.problem.committed.sliding, kept)
-
-
-def test_a_preload_begins_with_them(monkeypatch):
-    """And they are put back with the rest where its step leads too far."""
-    b = Blocks([(0.0, 1.0, 0.0, 1.0, 4, 2), (0.0, 1.0, 1.0, 1.2, 5, 1), (0.0, 1.0, 1.2, 1.4, 4, 1)])
-    glue = dm.Tie(b.facets, slave=20 + BELOW, master=10 + ABOVE)
-    rough = dm.Contact(b.facets, slave=20 + ABOVE, master=30 + BELOW, friction=0.3)
-    top = fem.Constant(b.mesh, np.array([0.0, -PRESS]))
-    problem = b.problem([glue, rough], [b.fix(1, BELOW), b.fix(3, ABOVE, value=top)])
-    for way in (0.0, 0.02):
-        top.value[0] = way
-        dm.newton(problem)
-        problem.commit()
-    kept = problem.committed.sliding
-    assert COMM.allreduce(bool(kept.any()), op=MPI.LOR)
-    solve, begun = preload_module.solve_step, []
-
-    def watched(problem, **options):
-        begun.append(problem.committed.sliding is kept)
-        return solve(problem, **options)
-
-    monkeypatch.setattr(preload_module, "solve_step", watched)
-    monkeypatch.setattr(jumps, "diagonal", lambda V: 1e-9)
-    with pytest.raises(dm.PreloadNotReached):
-        dm.preload(problem, glue, -0.5, [0.0, -1.0])
-    assert begun == [True]
-    assert problem.committed.sliding is kept and problem.outcome is None

@@ -138,7 +138,7 @@ def test_a_first_step_is_the_same_whatever_came_before_it(first, folder):
 
 
 def test_results_of_a_try_are_put_back():
-    """As a preload does after its last try: nothing of it may be committed."""
+    """Nothing of it may be committed."""
     case = create(friction=0.3)
     walk(case, PATH[:2])
     u, kept, before = case.problem.u.x.array.copy(), case.contact.keep(), numbers(case)

@@ -43,7 +43,7 @@ NUMBERS = {
     "newton_method.residuals": ("FORCING", "DIGIT"),
 }
 # judged below, in test_smooth_second, test_stand_off, test_resolution, in
-# test_edges, in those of checkpoints, in test_preload, in test_friction_bodies, in
+# test_edges, in those of checkpoints, in test_bolts, in test_friction_bodies, in
 # test_tie_reach, in test_small_strain, and in test_ramp
 OTHERS = {
     "interfaces.constraints",  # in test_friction_bodies

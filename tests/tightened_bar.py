@@ -48,3 +48,16 @@ def loaded(**options):
     dm.newton(problem)
     problem.commit()
     return case, problem
+
+
+def tighten(problem, forces, direction, **options):
+    """Give ties their forces in one step, commit it and hold their overlaps; return its report."""
+    for tie, force in forces.items():
+        tie.pretension, tie.direction = force, direction
+    try:
+        report = dm.newton(problem, **{"rtol": 1e-7} | options)
+    finally:
+        for tie in forces:
+            tie.pretension = None
+    problem.commit()
+    return report

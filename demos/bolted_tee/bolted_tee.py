@@ -5,7 +5,7 @@
 #
 # This demo computes the tension zone of a bolted end plate, in 3D. It shows how to
 #
-# - preload a bolt: `dm.Tie` with a jump, which `dm.preload` determines for a given force,
+# - preload a bolt: `dm.Tie` with a pretension, and then with the jump found for it,
 # - combine several contacts and a tie on non-matching meshes,
 # - compare with a design rule, EN 1993-1-8 (6.2.4).
 #
@@ -142,9 +142,12 @@ def main(options: argparse.Namespace) -> None:
     # slave side of the tie; the direction of the pretension points out of it, upwards. The ends of
     # the webs are held during this step, with a small reaction.
 
-    tight = dm.preload(problem, cut, 500.0 * options.preload, [0.0, 0.0, 1.0], rtol=RTOL)
+    cut.pretension, cut.direction = 500.0 * options.preload, [0.0, 0.0, 1.0]
+    tight = dm.newton(problem, rtol=RTOL)
+    problem.commit()
+    cut.pretension = None
     shown = figures.Section(problem, sides)
-    rows = [measure(problem, sides, 0.0) | {"iterations": tight.report.newton_iterations}]
+    rows = [measure(problem, sides, 0.0) | {"iterations": tight.newton_iterations}]
     frames = [shown.gather()]
 
     # ## Pull
@@ -186,7 +189,7 @@ def main(options: argparse.Namespace) -> None:
         options.output / "summary.json",
         *(problem, rows),
         options=vars(options),
-        jump=tight.jump[2],
+        jump=cut.tightening[2],
         modes=[limits.mode_1, limits.mode_2, limits.mode_3],
         knee=knee,
     )

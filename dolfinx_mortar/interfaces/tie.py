@@ -67,7 +67,7 @@ class Tie(MortarInterface):
             Constant, read at the start of every step, like loads; positive is tension. Half a bolt
             on a plane of symmetry has half the force. None holds the jump and the tightening; so
             does setting it to None after steps with a pretension: the bolt is then tight, and later
-            loads change its force.
+            loads change its force. Steps of several ties with pretensions meet all their forces.
         direction: d numbers of any length, along which the sides overlap under a pretension: the
             axis of the bolt, out of the slave side. None is the mean normal of the slave side.
         surface: "facets" ties points of facets, u_s = P u_m as in the paper; "smooth" the surfaces
@@ -94,7 +94,7 @@ class Tie(MortarInterface):
         pretension: as given; setting it checks it.
         direction: a unit vector, or None; setting it checks it.
         tightening: (d,) what is added to the jump everywhere: s n, set by every step with a
-            pretension and by `preload`; zero before.
+            pretension; zero before.
     """
 
     spoilt = "curved sides", "of ties of degree 2 scatter by some per cent on any mesh", False

@@ -259,9 +259,7 @@ class ContactProblem:
         """Raise a ValueError if a problem made later uses one of the interfaces."""
         check_owned(self.interfaces, self.supports)
 
-    def begin_step(
-        self, level: float | None = None, *, audit: bool = True, predict: bool = False
-    ) -> StepData:
+    def begin_step(self, level: float | None = None, *, predict: bool = False) -> StepData:
         """Read loads, Dirichlet values and jumps, predict u, pair the surfaces; collective.
 
         The prediction moves every body, or tied group of bodies, as a whole by the mean of its
@@ -279,7 +277,6 @@ class ContactProblem:
 
         Args:
             level: load level of the step, for its terms; None for that of the committed state.
-            audit: whether a step from the initial state begins with an audit.
             predict: whether what the last step has gained is added.
 
         Raises:
@@ -297,7 +294,7 @@ class ContactProblem:
         data = replace(data, begun=self.owned_u.copy())
         if predict and not data.flows:
             data = replace(data, travel=self._go_on(level, data.target))
-        audit = audit and not self.committed.begun
+        audit = not self.committed.begun
         if audit:
             self._check_mesh()
         partners = self._partners(data.target) if data.limits else [None]

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Drivers: one load step (`newton`), load levels (`load_steps`), bolts (`preload`)."""
+"""Drivers: one load step (`newton`), load levels (`load_steps`), time (`time_steps`)."""

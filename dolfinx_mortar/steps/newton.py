@@ -154,7 +154,6 @@ def solve_step(
     max_it: int,
     overlap: float = 0.0,
     level: float | None = None,
-    audit: bool = True,
     linear: LinearSolver | None = None,
 ) -> StepReport:
     """Solve one load step; see `newton`.
@@ -166,7 +165,6 @@ def solve_step(
         max_it: as in `newton`.
         overlap: depth by which the sides may still overlap at the end, if they do at the start.
         level: as in `newton`.
-        audit: whether the first step of the problem begins with an audit.
         linear: linear solver of the step; that of the problem by default.
     """
     problem.check_ranks(qp=qp, rtol=rtol, max_it=max_it, level=level)
@@ -182,7 +180,7 @@ def solve_step(
     try:
         with problem.timings("total"), from_callbacks():
             try:
-                step = _solve(problem, report, tries, before, max_it, (level, audit, overlap))
+                step = _solve(problem, report, tries, before, max_it, (level, overlap))
                 assert problem.outcome is not None
                 start = before if last is None or last.before is None else last.before
                 gained = step.gained(level)
@@ -227,13 +225,13 @@ def _solve(
     tries: _Tries,
     before: Before,
     max_it: int,
-    how: tuple[float | None, bool, float],
+    how: tuple[float | None, float],
 ) -> _Step:
     """Solve a step from where the last one promises; if that fails, without; collective."""
-    level, audit, overlap = how
+    level, overlap = how
     predict = not any(isinstance(term, Inertia) for _, term in problem.terms.named)
     for predicted in (predict, False):
-        data = problem.begin_step(level, audit=audit, predict=predicted)
+        data = problem.begin_step(level, predict=predicted)
         step = tries.last = _Step(problem, report, data, overlap, tries.solver)
         try:
             step.run(max_it)
@@ -842,7 +840,7 @@ class _Step:
             raise failures.StepFailed(
                 f"a Newton step is {farthest:.1e} long in a model of size {extent:.1e}: the "
                 "tangent is singular, because nothing holds a body or nothing resists its plastic "
-                "flow"
+                "flow, or a load or pretension is too large for the stiffness (check units of both)"
             )
 
     def move(

@@ -9,6 +9,7 @@ import pytest
 import dolfinx_mortar as dm
 from tests.block_piles import ABOVE, BELOW, COMM, Blocks
 from tests.pressed_blocks import rejected
+from tests.tightened_bar import tighten
 
 E = 1000.0
 SOUGHT = 1e-6
@@ -69,16 +70,13 @@ def test_all_forces_hold_together(gasket):
     """On a soft gasket each bolt unloads the others: one by one would take hundreds of passes."""
     flange, forces = Flange(3, gasket=gasket), [3.0, 5.0, 4.0]
     wanted = dict(zip(flange.bolts, forces, strict=True))
-    found = dm.preload(flange.problem, wanted, direction=[0.0, -1.0])
+    report = tighten(flange.problem, wanted, [0.0, -1.0])
     assert flange.tensions() == pytest.approx(forces, rel=2 * SOUGHT)
-    assert [found[bolt].force for bolt in flange.bolts] == pytest.approx(forces, rel=2 * SOUGHT)
-    first = found[flange.bolts[0]]
-    assert first.report.converged and first.report.newton_iterations <= 6
-    assert all(found[bolt].report is first.report for bolt in flange.bolts)  # one step
-    assert all((found[bolt].jump == bolt.tightening).all() for bolt in flange.bolts)
-    again = dm.preload(flange.problem, wanted, direction=dict.fromkeys(wanted, (0, -2)))
-    for bolt in flange.bolts:  # they are there already
-        assert np.allclose(again[bolt].jump, found[bolt].jump, rtol=1e-6, atol=0.0)
+    assert report.newton_iterations <= 6
+    found = [bolt.tightening for bolt in flange.bolts]
+    tighten(flange.problem, wanted, [0, -2])
+    for bolt, jump in zip(flange.bolts, found, strict=True):  # they are there already
+        assert np.allclose(bolt.tightening, jump, rtol=1e-6, atol=0.0)
     dm.newton(flange.problem, rtol=1e-9)  # and stay
     assert flange.tensions() == pytest.approx(forces, rel=10 * SOUGHT)
 
@@ -87,14 +85,12 @@ def test_bolts_that_yield():
     """As one step with the jumps that were found."""
     law = dm.VonMises(E, 0.0, 5.0, 50.0)
     flange, forces = Flange(2, law=law), [7.0, 6.5]
-    found = dm.preload(
-        flange.problem, dict(zip(flange.bolts, forces, strict=True)), direction=[0.0, -1.0]
-    )
+    tighten(flange.problem, dict(zip(flange.bolts, forces, strict=True)), [0.0, -1.0])
     assert flange.tensions() == pytest.approx(forces, rel=2 * SOUGHT)
     flown = flange.problem.solid.state["plastic_strain"].x.array.copy()
     other = Flange(2, law=law)
     for bolt, old in zip(other.bolts, flange.bolts, strict=True):
-        bolt.tightening = found[old].jump
+        bolt.tightening = old.tightening
     dm.newton(other.problem, rtol=1e-9)
     other.problem.commit()
     now = other.problem.solid.state["plastic_strain"].x.array
@@ -105,37 +101,9 @@ def test_bolts_that_yield():
 @pytest.mark.mpi
 def test_a_failure_leaves_all_as_it_was():
     flange = Flange(2, law=dm.VonMises(E, 0.0, 5.0, 50.0))
-    dm.preload(flange.problem, dict.fromkeys(flange.bolts, 1.0), direction=[0.0, -1.0])
+    tighten(flange.problem, dict.fromkeys(flange.bolts, 1.0), [0.0, -1.0])
     before = shown(flange.problem, flange.bolts)
     wanted = dict(zip(flange.bolts, (2.0, 9.0), strict=True))
-    words = ("force 2 along", "9 along", "max_it=1 iterations", "tighten in parts")
-    with rejected(*words, error=dm.PreloadNotReached):
-        dm.preload(flange.problem, wanted, direction=[0.0, -1.0], max_it=1)
+    with rejected("max_it=1 iterations", "as before", error=dm.NewtonNotConverged):
+        tighten(flange.problem, wanted, [0.0, -1.0], max_it=1)
     assert all(map(np.array_equal, before, shown(flange.problem, flange.bolts)))
-    assert all(bolt.pretension is None and bolt.direction is None for bolt in flange.bolts)
-
-
-@pytest.mark.mpi
-def test_arguments_that_are_none():
-    flange, other = Flange(2), Flange(1)
-    problem, (left, right) = flange.problem, flange.bolts
-    down = [0.0, -1.0]
-    for words, wanted, options in (
-        (("tie is an empty",), {}, {"direction": down}),
-        (("force is [0.0, -1.0]", "direction=..."), {left: 1.0}, {"force": down}),
-        (("direction is None", "2 finite components"), {left: 1.0}, {}),
-        (("direction has", "one for all"), {left: 1.0, right: 1.0}, {"direction": {left: down}}),
-        (("tie is ", "problem.ties"), {left: 1.0, other.bolts[0]: 1.0}, {"direction": down}),
-        (("force is 'x'", "finite number"), {left: 1.0, right: "x"}, {"direction": down}),
-        (("into the slave side",), {left: 1.0, right: 1.0}, {"direction": [0.0, 1.0]}),
-    ):
-        with rejected(*words):
-            dm.preload(problem, wanted, **options)
-    if COMM.size > 1:
-        with rejected("tie[0]", "differs between the ranks"):
-            dm.preload(problem, {(left, right)[COMM.rank > 0]: 1.0}, direction=down)
-        with rejected("tie is an empty dictionary"):
-            dm.preload(problem, {} if COMM.rank == 1 else {left: 1.0}, direction=down)
-    unhashable = [left]
-    with rejected("tie is [", "problem.ties"):
-        dm.preload(problem, unhashable, 1.0, down)

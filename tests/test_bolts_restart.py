@@ -10,6 +10,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from tests.bolted_joint import Joint
+from tests.tightened_bar import tighten
 
 COMM = MPI.COMM_WORLD
 F0, LEVELS = 6.0, [3.0, 6.0, 12.0]
@@ -23,9 +24,9 @@ def folder(tmp_path):
 
 
 def tightened(comm=COMM, force=F0):
-    """Return a joint with its preload."""
+    """Return a joint with its pretension."""
     joint = Joint(comm=comm)
-    dm.preload(joint.problem, joint.bolt, force, joint.direction)
+    tighten(joint.problem, {joint.bolt: force}, joint.direction)
     return joint
 
 
@@ -74,11 +75,10 @@ def test_what_is_restored_is_tightened_from_where_it_is(folder):
     joint, fresh = tightened(), Joint()
     joint.problem.save(folder / "tight.h5")
     fresh.problem.restore(folder / "tight.h5")
-    same = dm.preload(fresh.problem, fresh.bolt, F0, fresh.direction)
-    assert same.report.newton_iterations == 1
-    assert np.allclose(same.jump, joint.bolt.tightening, rtol=1e-7, atol=0.0)
-    more = dm.preload(fresh.problem, fresh.bolt, 2.0 * F0, fresh.direction)
-    assert np.allclose(more.jump, 2.0 * same.jump, rtol=1e-4, atol=0.0)
+    assert tighten(fresh.problem, {fresh.bolt: F0}, fresh.direction).newton_iterations == 1
+    assert np.allclose(fresh.bolt.tightening, joint.bolt.tightening, rtol=1e-7, atol=0.0)
+    tighten(fresh.problem, {fresh.bolt: 2.0 * F0}, fresh.direction)
+    assert np.allclose(fresh.bolt.tightening, 2.0 * joint.bolt.tightening, rtol=1e-4, atol=0.0)
 
 
 @pytest.mark.mpi
@@ -88,7 +88,7 @@ def test_a_state_from_before_lets_the_bolt_go(folder):
     joint.problem.save(folder / "loose.h5")
     joint.bolt.tightening = [0.0, -1e-3]
     joint.problem.save(folder / "set.h5")
-    dm.preload(joint.problem, joint.bolt, F0, joint.direction)
+    tighten(joint.problem, {joint.bolt: F0}, joint.direction)
     joint.problem.restore(folder / "loose.h5")
     assert np.array_equal(joint.bolt.tightening, [0.0, 0.0])
     joint.problem.restore(folder / "set.h5")
