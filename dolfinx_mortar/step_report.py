@@ -135,8 +135,7 @@ class Ledger:
     largest: float  # of all these energies and works, so far
     owed: float = 0.0  # what contact has given and not yet taken back; it waits until it matters
     # of each of problem.interfaces that can open: (d,) on the slave side since the start, by the
-    # trapezoidal rule and with what restored the energy, which `force` does not have; else None;
-    # empty after a checkpoint of a version without it
+    # trapezoidal rule and with what restored the energy, which `force` does not have; else None
     impulses: list[list[float] | None] = field(default_factory=list)
 
     @property

@@ -21,7 +21,7 @@ import numpy as np
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.checkpoint import writing
+from dolfinx_mortar.checkpoint import tables
 from dolfinx_mortar.output.numbers import Numbers
 from tests.meshes import BOTTOM, TOP, two_blocks
 
@@ -113,10 +113,10 @@ def main(path, result, steps, moment=""):
         if writer is not None:
             writer.write(step.number)
         if made == [1, 2, 3] and moment == "write":
-            writing.CHUNK, writing.seal = 8, die
+            tables.CHUNK, tables.seal = 8, die
         if made == [1, 2, 3] and moment == "send":
-            writing.CHUNK = 8
-            writing._parts = mortal(writing._parts)
+            tables.CHUNK = 8
+            tables._parts = mortal(tables._parts)
         if made == [1, 2, 3] and moment == "replace":
             Path.replace = die
     numbers = press.numbers() | {"made": made}

@@ -13,8 +13,8 @@ import h5py
 import numpy as np
 import pytest
 
-from dolfinx_mortar.checkpoint import Table, read_about, read_tables, reading, write
-from dolfinx_mortar.checkpoint.seal import HEAD
+from dolfinx_mortar.checkpoint import Table, read_about, read_tables, tables, write
+from dolfinx_mortar.checkpoint.tables import HEAD
 from tests.checkpoint_program import LEVELS, Press
 from tests.pressed_blocks import rejected
 
@@ -52,7 +52,7 @@ def refuse(file, monkeypatch):
         raise AssertionError("HDF5 was given a damaged file")
 
     with monkeypatch.context() as patch:
-        patch.setattr(reading, "_opened", never)
+        patch.setattr(tables, "_opened", never)
         with rejected(f"path is {str(file)!r}, "):
             read_about(COMM, file)
 
@@ -112,7 +112,7 @@ def test_other_programs_read_it(good):
         found = opened["tables/x/places"][:]
     assert np.array_equal(found[np.lexsort(found.T)], PLACES[np.lexsort(PLACES.T)])
     first, second, rest = content.split(b"\n", 2)
-    assert first == b"dolfinx_mortar checkpoint, format 6" and set(rest[:100]) == {0}
+    assert first == b"dolfinx_mortar checkpoint, format 7" and set(rest[:100]) == {0}
     told = subprocess.run(["sha256sum"], input=rest, capture_output=True, check=True).stdout
     assert second == b"sha256 of what follows: " + told.split()[0]
 
@@ -140,17 +140,17 @@ SPACE_CASES = [(1, 1, 10, 1), (1, 1, 0, 1), (3, 5, 100, 2), (3, 20, 7, 3), (30, 
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize(("tables", "fields", "rows", "width"), SPACE_CASES)
+@pytest.mark.parametrize(("count", "fields", "rows", "width"), SPACE_CASES)
 @pytest.mark.parametrize("text", [10, 50_000])
-def test_the_space_asked_for(tmp_path, monkeypatch, tables, fields, rows, width, text):
+def test_the_space_asked_for(tmp_path, monkeypatch, count, fields, rows, width, text):
     """It is enough, and hardly more than the file takes: 8 kB per array, and for the file."""
     asked = []
     monkeypatch.setattr(
-        "dolfinx_mortar.checkpoint.writing.demand_space", lambda file, size: asked.append(size)
+        "dolfinx_mortar.checkpoint.tables.demand_space", lambda file, size: asked.append(size)
     )
     file, places = tmp_path / "x.h5", np.ones((rows, 4))
     values = {f"committed/plastic_strain_{k}": np.ones((rows, width)) for k in range(fields)}
-    given = {f"table {k}": Table(places, values) for k in range(tables)}
+    given = {f"table {k}": Table(places, values) for k in range(count)}
     write(MPI.COMM_SELF, file, {"text": "x" * text}, given)
     size = os.path.getsize(file)
-    assert size <= asked[0] <= size + 8192 * (tables * (fields + 1) + 1)
+    assert size <= asked[0] <= size + 8192 * (count * (fields + 1) + 1)

@@ -16,8 +16,8 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar import disk
-from dolfinx_mortar.checkpoint import writing
-from dolfinx_mortar.checkpoint.seal import HEAD, seal
+from dolfinx_mortar.checkpoint import tables
+from dolfinx_mortar.checkpoint.tables import HEAD, seal
 from dolfinx_mortar.persistence.identity import describe, differences, material_numbers
 from dolfinx_mortar.shapes import Cylinder
 from tests import tool_case
@@ -79,11 +79,11 @@ def test_no_file(press, folder):
 
 
 def test_another_kind_of_file(press, good, folder):
-    refused(press, folder, "no checkpoint: no file")
+    refused(press, folder, "no checkpoint")
     text = changed(good, folder, lambda file: file.write_text("time, force\n"))
-    refused(press, text, "no checkpoint: a file of another kind")
+    refused(press, text, "no checkpoint")
     other = changed(good, folder, lambda file: h5py.File(file, "w").close())
-    refused(press, other, "no checkpoint: an HDF5 file of another kind, or written by a version be")
+    refused(press, other, "no checkpoint")
 
 
 def test_a_file_that_is_not_complete(press, good, folder):
@@ -107,15 +107,15 @@ def test_another_version(press, good, folder):
     refused(press, changed(good, folder, older), *words)
 
 
-@pytest.mark.parametrize("number", [5, 7, 10**20])
+@pytest.mark.parametrize("number", [6, 8, 10**20])
 def test_another_format(press, good, folder, number):
     """Known from the first line, whatever the lines behind it may then mean."""
 
     def other(file):
         content = file.read_bytes()
-        file.write_bytes(content.replace(b"format 6", f"format {number}".encode(), 1))
+        file.write_bytes(content.replace(b"format 7", f"format {number}".encode(), 1))
 
-    words = f"a checkpoint of format {number}", "reads format 6", "the version that has written"
+    words = f"a checkpoint of format {number}", "reads format 7", "the version that has written"
     refused(press, changed(good, folder, other), *words)
 
 
@@ -206,7 +206,7 @@ def test_the_same_materials_in_other_cells(folder, monkeypatch):
     for k, at in enumerate(first):
         numbers[at] = 1 - k
     monkeypatch.setattr(
-        "dolfinx_mortar.persistence.restoring.material_numbers", lambda solid: numbers
+        "dolfinx_mortar.persistence.checkpoints.material_numbers", lambda solid: numbers
     )
     count = COMM.bcast(sum(map(len, first)))
     with rejected(f"another problem: solid: {count} integration points have another material"):
@@ -348,7 +348,7 @@ def test_a_writer_and_a_checkpoint_of_one_name(good, folder, resume):
         words = str(file), "no checkpoint, and would be replaced", "choose a file in"
         with rejected(*words, error=OSError):
             press.problem.save(file)
-        with rejected(str(file), "no checkpoint: an HDF5 file of another kind"):
+        with rejected(str(file), "no checkpoint"):
             next(press.walk(LEVELS, checkpoint=file))
         assert file.read_bytes() == content
     COMM.barrier()
@@ -369,7 +369,7 @@ def test_what_fails_on_rank_0_alone(press, folder, monkeypatch, broken):
     def fail(*_, **options):
         raise ValueError("as some of Python's functions do")
 
-    monkeypatch.setattr(f"dolfinx_mortar.checkpoint.writing.{broken}", fail)
+    monkeypatch.setattr(f"dolfinx_mortar.checkpoint.tables.{broken}", fail)
     with rejected("x.h5", "as some of Python's functions do", error=OSError):
         press.problem.save(folder / "x.h5")
 
@@ -395,7 +395,7 @@ def test_a_folder_that_has_become_read_only(good, monkeypatch):
         names.append(path.name)
         raise PermissionError(errno.EACCES, "Permission denied", str(path))
 
-    monkeypatch.setattr(writing.Path, "touch", refuse)
+    monkeypatch.setattr(tables.Path, "touch", refuse)
     press = Press()
     with rejected("which cannot be written", "existing, writable folder", error=OSError):
         next(press.walk([*LEVELS, 1.0], checkpoint=good))
@@ -416,8 +416,8 @@ def test_a_disk_that_fails(good, folder, monkeypatch, work):
     def fail(*_):
         raise OSError("no space left on device")
 
-    monkeypatch.setattr(writing, "CHUNK", 3)  # many parts, also after the first error
-    monkeypatch.setattr(writing, work, fail)
+    monkeypatch.setattr(tables, "CHUNK", 3)  # many parts, also after the first error
+    monkeypatch.setattr(tables, work, fail)
     with rejected("could not be written", "no space left", error=OSError):
         press.problem.save(file)
     assert file.read_bytes() == good.read_bytes()
@@ -432,11 +432,11 @@ def test_a_disk_that_takes_nothing_any_more(press, folder, monkeypatch):
     """As file systems that meet an error become read-only: not even the draft can be removed."""
 
     def fail(*_, **options):
-        monkeypatch.setattr(writing.Path, "unlink", fail)
+        monkeypatch.setattr(tables.Path, "unlink", fail)
         # whatever it is: on rank 0 alone, it must not keep the others waiting
         raise ValueError("read-only file system")
 
-    monkeypatch.setattr(writing, "_append", fail)
+    monkeypatch.setattr(tables, "_append", fail)
     with rejected("x.h5", "could not be written", "read-only", error=OSError):
         press.problem.save(folder / "x.h5")
 

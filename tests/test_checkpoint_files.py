@@ -13,10 +13,9 @@ from dolfinx_mortar.checkpoint import (
     find_places,
     read_about,
     read_tables,
-    reading,
     size_of,
+    tables,
     write,
-    writing,
 )
 from tests.meshes import two_blocks
 from tests.solid_case import CELLS, create_domain
@@ -44,12 +43,12 @@ def values_at(places):
 @pytest.mark.mpi
 @pytest.mark.parametrize("rows", [7, 2**15])
 def test_rows_are_dealt_out_anew(file, rng, monkeypatch, rows):
-    monkeypatch.setattr(writing, "CHUNK", rows)
+    monkeypatch.setattr(tables, "CHUNK", rows)
     places = rng.uniform(-1.0, 1.0, (101, 4))
     written, wanted = share(places, rng), share(rng.permutation(places), rng)
     none = np.zeros((0, 4))
-    tables = {"x": Table(written, values_at(written)), "none": Table(none, {"a": none})}
-    write(COMM, file, {"text": "ä", "numbers": [0.1, np.float64(1 / 3), np.inf]}, tables)
+    given = {"x": Table(written, values_at(written)), "none": Table(none, {"a": none})}
+    write(COMM, file, {"text": "ä", "numbers": [0.1, np.float64(1 / 3), np.inf]}, given)
     assert read_about(COMM, file) == {"text": "ä", "numbers": [0.1, 1 / 3, np.inf]}
     found, differ = read_tables(COMM, file, {"x": wanted, "none": none}, 1.0)
     assert not differ
@@ -61,13 +60,13 @@ def test_rows_are_dealt_out_anew(file, rng, monkeypatch, rows):
 @pytest.mark.mpi
 def test_a_rank_reads_what_is_near_only(file, monkeypatch):
     """Pieces are boxes: of those that are elsewhere no row is read."""
-    monkeypatch.setattr(writing, "CHUNK", 10)
+    monkeypatch.setattr(tables, "CHUNK", 10)
     places = np.linspace(0.0, 1.0, 100)[:, None] * np.ones(2)
     own = places[COMM.rank :: COMM.size] if COMM.size == 1 else places[:0]
     write(COMM, file, {}, {"x": Table(own if COMM.size == 1 else _block(places), {})})
     asked = []
-    near = reading._near
-    monkeypatch.setattr(reading, "_near", lambda *a: [asked.append(1) or p for p in near(*a)])
+    near = tables._near
+    monkeypatch.setattr(tables, "_near", lambda *a: [asked.append(1) or p for p in near(*a)])
     mine = places[:10] if COMM.rank == 0 else places[:0]
     _, differ = read_tables(COMM, file, {"x": mine}, 1.0)
     assert len(asked) <= 2 and "in the checkpoint 100" in differ["x"]

@@ -31,7 +31,7 @@ SLOW_ON_THREE = """
 """.split()
 AT_NIGHT = """
     audit axisymmetric_contact axisymmetric_patch axisymmetry bending bolts bolts_restart
-    bolts_several certificate checkpoint checkpoint_damage checkpoint_edits checkpoint_errors
+    bolts_several certificate checkpoint checkpoint_damage checkpoint_errors checkpoint_whole
     corners crossings curvature_jumps demo_meshes dynamics edges eigenstrain energies failures
     finite_in_space finite_loads finite_plane_stress folds friction_state heat_in_time impact jump
     jump_errors kinematics law_contact linear linearisation loads locking logarithmic_solid

@@ -7,8 +7,7 @@ h5py without MPI is enough.
 """
 
 from dolfinx_mortar.checkpoint.places import find_places, size_of
-from dolfinx_mortar.checkpoint.reading import read_about, read_tables
-from dolfinx_mortar.checkpoint.writing import Table, check_folder, write
+from dolfinx_mortar.checkpoint.tables import Table, check_folder, read_about, read_tables, write
 
 __all__ = [
     "Table",

@@ -35,7 +35,7 @@ class Walk:
 
     start: float  # level at which it began
     ramp: list[list[list[float]]]  # tables, see `steps.ramp`
-    settings: dict[str, Any] | None = None  # of its steps by name; None in files of before
+    settings: dict[str, Any]  # of its steps by name
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from mpi4py import MPI
 
 import numpy as np
 
+from dolfinx import fem
 from dolfinx_mortar import compat
 from dolfinx_mortar.arguments import as_numbers
 from dolfinx_mortar.arrays import SAME, Floats, Ints
-from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.materials.ranges import named_parameters
 from dolfinx_mortar.persistence.committed import ProblemState
 from dolfinx_mortar.solid.solid import Solid
@@ -59,7 +59,11 @@ def describe(state: ProblemState) -> dict[str, dict[str, Any]]:
         "problem": {
             "geometry": state.geometry,
             "interfaces": ", ".join(map(repr, state.interfaces)),
-            "terms": [f"{name}: {', '.join(sorted(found))}" for name, found in states if found],
+            "terms": [
+                f"{name}: {', '.join(sorted(map(_column, found.items())))}"
+                for name, found in states
+                if found
+            ],
         },
     } | {
         f"material {k}, {type(material).__name__}": _describe_material(material) | {"cells": count}
@@ -67,13 +71,14 @@ def describe(state: ProblemState) -> dict[str, dict[str, Any]]:
     }
     of_parts = dict(zip(names, state.ask_terms("identity"), strict=True))
     for k, interface in enumerate(state.interfaces):
-        of_parts[subject_of(k, interface)] = dict(interface.identity)
+        of_parts[f"interfaces[{k}], {interface!r}"] = dict(interface.identity)
     return identity | {subject: own for subject, own in of_parts.items() if own}
 
 
-def subject_of(k: int, interface: Interface) -> str:
-    """Return how differences of an interface are named."""
-    return f"interfaces[{k}], {interface!r}"
+def _column(state: tuple[str, fem.Function]) -> str:
+    """Return name and size of a state of a term."""
+    name, f = state
+    return f"{name} ({f.function_space.dofmap.bs})"
 
 
 def _parts(solid: Solid) -> list[tuple[Any, Ints]]:
@@ -100,18 +105,16 @@ def material_numbers(solid: Solid) -> Floats:
 def differences(saved: Identity, present: Identity) -> list[str]:
     """Return in words how the problem of a checkpoint differs from the present one.
 
-    Only subjects that both have; which materials there are is an entry of "solid".
-
     Args:
         saved: what `describe` has returned for that problem.
         present: the same for this one.
     """
     return [
         f"{subject}: {name} {told}"
-        for subject, new in present.items()
-        if subject in saved
-        for name in {**saved[subject], **new}
-        if (told := _difference(saved[subject].get(name, "missing"), new.get(name, "missing")))
+        for subject in {**present, **saved}
+        for old, new in [(saved.get(subject, {}), present.get(subject, {}))]
+        for name in {**old, **new}
+        if (told := _difference(old.get(name, "missing"), new.get(name, "missing")))
     ]
 
 

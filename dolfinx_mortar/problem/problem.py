@@ -30,7 +30,7 @@ from dolfinx_mortar.interfaces.interface import Interface, Outline, ask, check_o
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
-from dolfinx_mortar.persistence import restoring, saving
+from dolfinx_mortar.persistence import checkpoints
 from dolfinx_mortar.persistence.committed import Before, Committed, ProblemState, StepOutcome
 from dolfinx_mortar.problem.checks import check_arguments
 from dolfinx_mortar.problem.convected import (
@@ -684,7 +684,7 @@ class ContactProblem:
                 "before it: call problem.commit() before save()"
             )
         with self.timings("checkpoint"):
-            saving.save(self.state, path, self.ended_here())
+            checkpoints.save(self.state, path, self.ended_here())
 
     def restore(self, path: str | os.PathLike[str]) -> None:
         """Restore the state of a checkpoint, written on any number of ranks; collective.
@@ -702,7 +702,7 @@ class ContactProblem:
                 version or another problem; the message names the differences. Nothing is changed.
         """
         with self.timings("checkpoint"):
-            self.outcome = restoring.read(self.state, path).put()
+            self.outcome = checkpoints.read(self.state, path).put()
 
     def output_fields(self) -> dict[str, fem.Function]:
         """Return the Functions for output by name; collective.

@@ -116,7 +116,6 @@ class EnergyLedger:
                 impulses=[None] * len(problem.interfaces),
                 **zeros,
             )
-        self._told = len(last.impulses) == len(problem.interfaces)  # or said that they are unknown
         self._acting = self._resultants()
         self.last, self._potential = last, stored
         self._before: Ends | None = None
@@ -136,7 +135,7 @@ class EnergyLedger:
         ]
 
     def _impulses(self, restored: float) -> list[list[float] | None]:
-        """Return those of the contacts until the end of the step; nothing where they are unknown.
+        """Return those of the contacts until the end of the step.
 
         Args:
             restored: time for which the sum of the forces at its start and end has restored the
@@ -144,14 +143,11 @@ class EnergyLedger:
         """
         before, self._acting = self._acting, self._resultants()
         time = 0.5 * self.inertia.start.dt + restored
-        sums = self.last.impulses
-        if len(sums) != len(before):  # of a checkpoint that has none
-            return []
         return [
             None
             if start is None or end is None
             else [*map(float, time * (start + end) + (0.0 if sum_ is None else np.array(sum_)))]
-            for start, end, sum_ in zip(before, self._acting, sums, strict=True)
+            for start, end, sum_ in zip(before, self._acting, self.last.impulses, strict=True)
         ]
 
     def _forces(self, named: Sequence[tuple[str, Term]]) -> Floats:
@@ -309,12 +305,6 @@ class EnergyLedger:
         self.last = report.ledger = _balanced(ledger)
         if report.certificate is not None:
             report.certificate = replace(report.certificate, energy_defect=self.last.defect)
-        if not self._told:
-            report.notes.append(
-                "Ledger.impulses stays empty: what contacts gave before this step is not in the "
-                "checkpoint, which is of an earlier version; start the motion anew for it"
-            )
-            self._told = True
         left = float(ratio(left, self.last.largest))
         if abs(left) > report.rtol:
             report.notes.append(_not_restored(left, unsolved=unsolved))

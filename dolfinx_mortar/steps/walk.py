@@ -31,8 +31,8 @@ from dolfinx_mortar.arrays import SAME
 from dolfinx_mortar.checkpoint import check_folder
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.newton_method.failures import AS_BEFORE
+from dolfinx_mortar.persistence.checkpoints import Saved, read
 from dolfinx_mortar.persistence.committed import Walk
-from dolfinx_mortar.persistence.restoring import Saved, read
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import LinearSolver, QPNotSolved
 from dolfinx_mortar.report.reaction import reactions
@@ -265,8 +265,9 @@ def _continue(
     walk = saved.walk
     _check_walked(levels, walk, file)
     _check_tables(loading.ramps, saved, file)
-    settings = (saved.about["walk"] or {}).get("settings") if walk else None
-    _check_settings(solves.settings(), settings, f"the checkpoint {str(file)!r}")
+    if walk:
+        settings = saved.about["walk"]["settings"]
+        _check_settings(solves.settings(), settings, f"the checkpoint {str(file)!r}")
     if len(walk) < len(levels):  # an error now rather than after the next step
         check_folder(problem.comm, file)
     problem.outcome = saved.put()
@@ -295,12 +296,8 @@ def _check_walked(levels: list[float], walk: list[float], file: Path) -> None:
             )
 
 
-def _check_settings(
-    present: Mapping[str, Any], before: Mapping[str, Any] | None, where: str
-) -> None:
-    """Raise a ValueError unless the settings of steps are those before, where these are known."""
-    if before is None:
-        return
+def _check_settings(present: Mapping[str, Any], before: Mapping[str, Any], where: str) -> None:
+    """Raise a ValueError unless the settings of steps are those before."""
     for name in {**present, **before}:
         if present.get(name) != before.get(name):
             raise ValueError(

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: MIT
+"""Checkpoints are restored as a whole or not at all."""
+
+import shutil
+
+from mpi4py import MPI
+
+import h5py
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+from dolfinx import fem
+from dolfinx_mortar.checkpoint.tables import seal
+from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
+from tests.pressed_blocks import PressedBlocks, rejected
+
+COMM = MPI.COMM_WORLD
+pytestmark = pytest.mark.mpi
+LAW = dm.VonMises(E=1000.0, nu=0.3, Y=8.0, a=50.0)
+SIDES = {"slave": TOP_OF_LOWER, "master": BOTTOM_OF_UPPER}
+MADE = {}  # a problem in some state, the file of another state, and all of the first, by kind
+
+
+class Memory(dm.Term):
+    """No force, but a state."""
+
+    def __init__(self, V, value):
+        """Keep a scalar everywhere."""
+        self.kept = fem.Function(V.sub(0).collapse()[0])
+        self.kept.x.array[:] = value
+
+    @property
+    def state(self):
+        return {"kept": self.kept}
+
+    def add_forces(self, F):
+        pass
+
+    def add_tangent(self, K):
+        pass
+
+
+def walked(kind, way):
+    """Return a problem with a history, slips or a tightening, plastic strain and a term's state."""
+    case = PressedBlocks(jitter=0.2)
+    side = dm.Contact(case.facets, **SIDES, friction=0.3)
+    if kind == "tie":
+        side = dm.Tie(case.facets, **SIDES)
+        side.tightening = np.array([0.0, way / 10])
+    problem = case.problem([side], law=LAW, terms=[Memory(case.V, way)])
+    table = [(t, (way * t, -way * t)) for t in (0.0, 1.0)]
+    list(dm.load_steps(problem, [0.5, 1.0], ramp={case.top: table}, progress=False))
+    return problem
+
+
+@pytest.fixture(params=["contact", "tie"])
+def made(request, tmp_path_factory):
+    kind = request.param
+    if kind not in MADE:
+        good = COMM.bcast(tmp_path_factory.mktemp(kind)) / "good.h5"
+        problem = walked(kind, 0.01)
+        walked(kind, 0.02).save(good)
+        MADE[kind] = problem, good, state_of(problem)
+    return MADE[kind]
+
+
+def state_of(problem):
+    """Return all that a step starts from and all that is shown, bit for bit."""
+    committed, fields = problem.committed, [problem.u, *problem.solid.lasting_fields().values()]
+    fields += problem.state.states_of_terms.values()
+    arrays = [committed.active, committed.displacement, committed.slid, committed.dissipated]
+    arrays += [committed.paired.at, *committed.paired.near, committed.supports.forces]
+    arrays += [np.zeros(0) if committed.sliding is None else committed.sliding]
+    for interface in problem.interfaces:
+        fields += interface.functions
+        arrays += [*vars(interface.resultants).values()]
+        arrays += [getattr(interface, name, 0.0) for name in ("tightening", "dissipated")]
+    bits = [np.asarray(array).tobytes() for array in [*(f.x.array for f in fields), *arrays]]
+    steps = [(step.number, step.time, step.forces) for step in committed.history], committed.walk
+    return (
+        bits,
+        repr(steps),
+        committed.begun,
+        committed.level,
+        committed.walked,
+        problem.system.faced,
+    )
+
+
+def test_a_whole_file_is_taken(made):
+    """What the other tests compare does change; and then it is put back for them."""
+    problem, good, before = made
+    own = good.with_name("own.h5")
+    problem.save(own)
+    problem.restore(good)
+    changed = [one != other for one, other in zip(state_of(problem)[0], before[0], strict=True)]
+    assert COMM.allreduce(sum(changed)) > 10
+    problem.restore(own)
+    assert state_of(problem) == before
+
+
+def test_a_restart_that_fails_half_way_changes_nothing(made):
+    """Whatever fails; here the last array that is read, of a file with a valid checksum."""
+    problem, good, before = made
+    file = good.with_name("edited.h5")
+    COMM.barrier()
+    if COMM.rank == 0:
+        shutil.copy(good, file)
+        with h5py.File(file, "r+") as opened:
+            del opened["tables/interface 0/values/gap"]
+        seal(file)
+    COMM.barrier()
+    with pytest.raises(KeyError):
+        problem.restore(file)
+    assert state_of(problem) == before
+
+
+@pytest.mark.parametrize("made", ["tie"], indirect=True)
+def test_an_interface_that_refuses_changes_nothing(made):
+    """A kind of one's own, on one rank."""
+    problem, good, before = made
+    tie = problem.interfaces[0]
+
+    def refuse(found):
+        tie.tightening = np.array([1.0, 1.0])
+        if COMM.rank == COMM.size - 1:
+            raise ValueError("not as tight as this")
+
+    tie.take_found = refuse
+    with rejected("not as tight as this"):
+        problem.restore(good)
+    del tie.take_found
+    assert state_of(problem) == before
+
+
+def test_what_no_restart_could_read_is_not_saved(tmp_path):
+    """Of a term of one's own, which nobody else has looked at."""
+    problem, file = walked("tie", 0.01), COMM.bcast(tmp_path / "x.h5")
+    kept = problem.state.states_of_terms["term 0 kept"]
+    if COMM.rank == COMM.size - 1:
+        kept.x.array[:] = np.inf
+    with rejected("term 0 kept holds NaN or infinity"):
+        problem.save(file)
+    assert not file.exists()
