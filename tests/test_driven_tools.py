@@ -10,8 +10,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import default_real_type, fem, mesh
-from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.interfaces.tool import SPACE, Tool, motions_in
+from dolfinx_mortar.interfaces.tool import SPACE
 from dolfinx_mortar.qp import scalars
 from dolfinx_mortar.steps import newton
 from tests.choice import quick
@@ -277,94 +276,6 @@ def test_a_moment_about_the_axis_of_a_smooth_disc(load):
         dm.newton(problem)
 
 
-@pytest.mark.parametrize(
-    ("mu", "load", "words"),
-    [
-        (
-            None,
-            {"x": 0.1},
-            "moves almost without resistance under its loads 'x': prescribe",
-        ),
-        (
-            0.3,
-            {"x": 0.2, "moment": 0.58},
-            "rolls almost without resistance under its loads 'x' and 'moment'",
-        ),
-    ],
-)
-def test_motions_that_the_mesh_alone_resists(mu, load, words):
-    """A smooth disc slides, a rough one rolls, on a block, wherever its forces balance."""
-    case = Block(n=20, fine=5.0, size=5.0)
-    tool = case.tool(dm.shapes.Cylinder([2.5, 3.0], 3.0), friction=mu, load={"y": -20.0})
-    problem = case.problem([tool])
-    dm.newton(problem)
-    problem.commit()
-    tool.load = {"y": -20.0} | load
-    with rejected(words, error=dm.NewtonNotConverged):
-        dm.newton(problem, max_it=3)
-
-
-@pytest.mark.parametrize(
-    ("pressed", "mu", "load", "does"),
-    [
-        (0.5, None, {"x": 5e-4}, "moves"),  # on two nodes
-        (0.5, 0.3, {"x": 5e-3, "moment": 0.015}, "rolls"),
-        (0.5, 0.3, {"x": 5e-3}, ""),  # friction carries it
-        pytest.param(
-            5.0, 0.3, {"x": 0.05, "moment": 0.15}, "rolls", marks=pytest.mark.slow
-        ),  # on three nodes
-        (5.0, 0.3, {"x": 0.05}, ""),
-    ],
-)
-def test_a_step_that_ends_where_the_mesh_holds_a_disc(pressed, mu, load, does):
-    """A note says so, where no equilibrium is on a flat side: it would go on for ever."""
-    case = Block(n=20, fine=5.0, size=5.0)
-    base = fem.locate_dofs_topological(case.V, 1, case.facets.find(BASE))
-    case.bcs = lambda: [fem.dirichletbc(np.zeros(2), base, case.V)]
-    disc = dm.shapes.Cylinder([2.6, 3.0], 3.0)
-    tool = case.tool(disc, friction=mu, load={"y": -pressed})
-    problem = case.problem([tool])
-    assert not any("without resistance" in note for note in dm.newton(problem).notes)
-    problem.commit()
-    tool.load = {"y": -pressed} | load
-    told = [note for note in dm.newton(problem).notes if "almost without resistance" in note]
-    assert [does in note for note in told] == [True] * bool(does)
-
-
-def test_a_plate_on_two_nodes_is_held():
-    """It turns by the moment of its load over theirs: flat tools have no valleys."""
-    case = Block(n=1)
-    tool = case.tool(dm.shapes.Plane([4.0, 0.0], [0.0, -1.0]), load={"y": -1.0, "moment": 0.0})
-    assert not any("without resistance" in note for note in dm.newton(case.problem([tool])).notes)
-    assert tool.tool_force[1] == pytest.approx(1.0)
-
-
-class Own:
-    """What a user's own interface drives: it promises what a tool does, and is none."""
-
-    def __init__(self, tool):
-        self.tool = tool
-
-    def __getattr__(self, name):
-        return getattr(self.tool, name)
-
-
-def test_which_of_two_tools_is_loose():
-    """Also behind one of which nothing is known but its motions."""
-    case, discs = Block(n=20, fine=5.0, size=5.0), []
-    for x in (1.25, 3.75):
-        discs.append(case.tool(dm.shapes.Cylinder([x, 3.0], 3.0), load={"y": -20.0}))
-    one, other = discs
-    own = Own(one.tool)
-    one.driven = lambda: own
-    problem = case.problem(discs)
-    dm.newton(problem)
-    problem.commit()
-    other.load = {"y": -20.0, "x": 0.1}
-    with rejected(f"{other!r} moves", error=dm.NewtonNotConverged):
-        dm.newton(problem, max_it=3)
-
-
 @pytest.mark.parametrize("given", quick(["rotation", "position"], "rotation"))
 def test_a_disc_rolls_over_facets_in_a_step(given):
     """Its angle or its way is given, the other one found: R times the angle."""
@@ -385,31 +296,6 @@ def test_a_disc_rolls_over_facets_in_a_step(given):
     assert dm.newton(problem).newton_iterations <= 8
     pose = tool.tool.pose()
     assert pose.position[0] - 2.0 == pytest.approx(-radius * pose.rotation[0], abs=0.1)
-
-
-@pytest.mark.parametrize("d", [2, 3])
-def test_how_distances_turn_with_a_tool(d):
-    """Second derivatives of gaps by the motions of a tool, by differences."""
-    rng, h = np.random.default_rng(0), 1e-4
-    shape = DISC if d == 2 else dm.shapes.Torus([0.1, 0.2, 0.3], 2.0, 0.5, [0.0, 0.3, 1.0])
-    tool = Tool(shape, rng.normal(size=d), d)
-    tool.load = dict.fromkeys(motions_in(d), 1.0)
-    tool.position.value[:] += 0.3
-    tool.rotation.value[...] = 0.2
-    x, z, m = rng.normal(size=(4, d)), rng.uniform(1.0, 2.0, 4), len(tool.load)
-
-    def gaps(way):
-        tool.travel = np.zeros(m)
-        tool.move(way)
-        found = tool.pose().distance(shape, x).value @ z
-        tool.travel = np.zeros(m)
-        return found
-
-    e = h * np.eye(m)
-    expected = [
-        [sum(i * j * gaps(i * a + j * b) for i in (-1, 1) for j in (-1, 1)) for b in e] for a in e
-    ]
-    assert tool.turning(x, z) == pytest.approx(np.array(expected) / (4.0 * h**2), abs=1e-5)
 
 
 def test_a_load_that_is_not_found_undoes_the_step():

@@ -13,7 +13,6 @@ from dolfinx import mesh as dolfinx_mesh
 from dolfinx_mortar.newton_method import impulse
 from dolfinx_mortar.qp import MULTIGRID
 from dolfinx_mortar.report import energy_ledger
-from dolfinx_mortar.steps.time_steps import notes_on_chatter
 from tests.choice import quick
 from tests.meshes import LOWER, UPPER
 from tests.meshes_3d import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_boxes
@@ -446,57 +445,6 @@ def test_a_tool_without_mass_does_not_cross_a_gap():
         list(steps(Pushed(gap=0.05).problem, [5e-3], cuts="none"))
 
 
-def openings(problem, contact, times):
-    """Return the steps with a note on unresolved vibrations, and those in which contact opens."""
-    closed, noted = [False], []
-    for step in steps(problem, times):
-        closed.append(contact.force[1] > 0.0)
-        noted += [step.number] * any("spectral_radius=0" in note for note in step.report.notes)
-    return noted, [k for k in range(1, len(closed)) if closed[k - 1] and not closed[k]]
-
-
-@pytest.mark.slow
-def test_friction_in_steps_that_do_not_resolve_vibrations_is_noted(monkeypatch):
-    """A weight jumps on a slope of 30 degrees, in steps of five crossings of a wave."""
-    case = Blocks((6, 2), (4, 4), law=dm.Elastic(1e5, 0.3), friction=0.3, x_lower=(-1.0, 4.0))
-    dx = ufl.Measure("dx", case.mesh, subdomain_data=case.cells)(UPPER)
-    weight = fem.Constant(case.mesh, (5.0, -8.66))
-    loads = ufl.inner(weight, ufl.TestFunction(case.V)) * dx
-    problem = dm.ContactProblem(
-        case.solid, [case.contact], bcs=case.bcs, loads=loads, terms=[case.inertia]
-    )
-    noted, opened = openings(problem, case.contact, 5.0 / np.sqrt(1e5) * np.arange(1, 26))
-    assert opened[2] - opened[0] <= 7 and noted == list(range(opened[2], 26))
-    assert notes_on_chatter(problem)
-    monkeypatch.setattr(dm.Contact, "rough", False)
-    assert notes_on_chatter(problem) == []
-
-
-@pytest.mark.slow
-def test_the_impulse_that_restores_the_energy_brings_its_friction():
-    """What slides gets mu times the whole normal impulse, chattering or not."""
-    mu, (pull, push) = 0.3, (5.0, 8.66)
-    case = Blocks((6, 2), (4, 4), law=dm.Elastic(1e5, 0.3), friction=mu, x_lower=(-1.0, 4.0))
-    dx = ufl.Measure("dx", case.mesh, subdomain_data=case.cells)(UPPER)
-    weight = fem.Constant(case.mesh, (pull, -push))
-    loads = ufl.inner(weight, ufl.TestFunction(case.V)) * dx
-    problem = dm.ContactProblem(
-        case.solid, [case.contact], bcs=case.bcs, loads=loads, terms=[case.inertia]
-    )
-    times = 1.0 / np.sqrt(1e5) * np.arange(1, 41)
-    *_, step = steps(problem, times)
-    assert step.report.ledger.contact != 0.0
-    along, normal = case.inertia.momentum() / times[-1] + (-pull, push)
-    assert -along == pytest.approx(mu * normal, rel=0.01)
-
-
-def test_a_block_that_bounces_with_friction_needs_no_note():
-    """It opens three times in 30 steps, with a flight of eleven between."""
-    case = Blocks((2, 2), (3, 4), law=dm.Elastic(1e5, 0.3), friction=0.3, gravity=10.0, gap=0.02)
-    noted, opened = openings(case.problem, case.contact, np.sqrt(0.004) / 6.0 * np.arange(1, 36))
-    assert noted == [] and len(opened) == 3
-
-
 def test_impulses_are_the_change_of_momentum():
     """With the weight's; forces over time are 1.95 and 8.0 where contact has given 1.09 and 4.6."""
     case = Blocks(
@@ -608,3 +556,21 @@ def test_the_impulse_is_solved_as_the_steps_are(monkeypatch):
     assert contact.force[2] > 0.0 and "mumps" in step.report.linear_solver
     assert abs(step.report.ledger.contact) > 1e-3 * step.report.ledger.largest
     assert abs(step.report.ledger.defect) < 1e-10
+
+
+@pytest.mark.slow
+def test_the_impulse_that_restores_the_energy_brings_its_friction():
+    """What slides gets mu times the whole normal impulse, chattering or not."""
+    mu, (pull, push) = 0.3, (5.0, 8.66)
+    case = Blocks((6, 2), (4, 4), law=dm.Elastic(1e5, 0.3), friction=mu, x_lower=(-1.0, 4.0))
+    dx = ufl.Measure("dx", case.mesh, subdomain_data=case.cells)(UPPER)
+    weight = fem.Constant(case.mesh, (pull, -push))
+    loads = ufl.inner(weight, ufl.TestFunction(case.V)) * dx
+    problem = dm.ContactProblem(
+        case.solid, [case.contact], bcs=case.bcs, loads=loads, terms=[case.inertia]
+    )
+    times = 1.0 / np.sqrt(1e5) * np.arange(1, 41)
+    *_, step = steps(problem, times)
+    assert step.report.ledger.contact != 0.0
+    along, normal = case.inertia.momentum() / times[-1] + (-pull, push)
+    assert -along == pytest.approx(mu * normal, rel=0.01)

@@ -394,24 +394,6 @@ class Tool(RigidBody):
         super().__init__(shape.point.copy() if reference is None else check_point(reference, d))
         self.shape, self.asked = shape, Asked(shape)
 
-    def turning(self, x: Floats, forces: Floats) -> Floats:
-        """Return sum_j z_j d^2 g_j / dq_a dq_b (m, m) of the gaps at x (n, d), forces z (n,) there.
-
-        A point at the arm r is seen to move by -e, e = t + theta x r, to first order, and by
-        theta x (theta x r) / 2 + theta x t to second order.
-        """
-        x, z = x[forces > 0.0], forces[forces > 0.0]
-        pose = self.pose()
-        at, arm = pose.distance(self.asked, x), x - pose.position
-        e = self.along(arm)
-        half = 0.5 * (e + self.along(np.zeros_like(arm)))  # theta x r / 2 + t
-        every: Floats = np.eye(len(self.travel))
-        thetas = every[self._driven, x.shape[1] :]
-        second = np.array([[spun(way, thetas[a]) for way in half] for a in range(len(e))])
-        found = np.einsum("ani,nij,bnj->abn", e, at.hessian, e)
-        found += np.einsum("abni,ni->abn", second + second.swapaxes(0, 1), at.gradient)
-        return np.asarray(found @ z)
-
     def check(self, d: int, revolved: bool) -> None:
         """Take note of the kinematics.
 

@@ -19,7 +19,7 @@ the loads decreases along this path, so it can limit the length of the step.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -27,9 +27,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import (
-    HALF_OF_DIGITS,
     QUARTER_OF_DIGITS,
     ROUND_OFF,
     SAME,
@@ -41,10 +40,9 @@ from dolfinx_mortar.arrays import (
 from dolfinx_mortar.interfaces.coupling import relative_motions
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.tool import Driven, Tool
-from dolfinx_mortar.mortar.surface import accumulate, mean_facet_length
+from dolfinx_mortar.interfaces.tool import Driven
 from dolfinx_mortar.newton_method.contacts import Contacts
-from dolfinx_mortar.newton_method.failures import StepFailed, Unresisted
+from dolfinx_mortar.newton_method.failures import StepFailed
 from dolfinx_mortar.newton_method.linearisation import (
     Balance,
     Linearisation,
@@ -56,11 +54,7 @@ from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution, Scalars, moved
 
 DISTINCT = 0.5
-"""What tells apart, in three messages, shares that are far apart in test_driven_tools.
-
-Factors of tools that hardly anything resists are 1.1 to 4.2, others 0.23 and less; parts of a
-motion 0.88 to 1, or 0.03 and less; shares of nodes that a motion closes -1, or 0 to 0.24.
-"""
+"""Share of nodes that a motion closes or opens, for a message: -1, or 0 to 0.24 in the tests."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +64,6 @@ class Settled:
     lin: Linearisation
     solved: QPSolution
     travel: Floats  # (m,) q
-    stiffness: Floats  # (m, m) -d(e.z)/dq
     drives: Drives
 
     def curve(self, t: float) -> Floats:
@@ -306,11 +299,11 @@ def settle(drives: Drives, lin: Linearisation, solved: QPSolution, extent: float
         extent: size of the model.
 
     Raises:
-        Unresisted: if hardly anything resists one of them.
+        StepFailed: if hardly anything resists one of them.
     """
     assert solved.travel is not None and solved.resistance is not None and lin.qp.scalars
     scale = drives.reach
-    q, B = solved.travel / scale, solved.resistance * np.outer(scale, scale)
+    q = solved.travel / scale
     size = np.sqrt(lin.qp.scalars.sizes(lin.qp))
     values, vectors = np.linalg.eig(solved.resistance / np.outer(size, size))
     least = int(np.argmin(np.abs(values)))
@@ -325,7 +318,7 @@ def settle(drives: Drives, lin: Linearisation, solved: QPSolution, extent: float
     solved.x.array[equal.dofs] = values
     balance = replace(lin.balance, equal=replace(equal, lower=values, upper=values))
     return Settled(
-        replace(lin, qp=moved(lin.qp, solved.travel), balance=balance), solved, q, B, drives
+        replace(lin, qp=moved(lin.qp, solved.travel), balance=balance), solved, q, drives
     )
 
 
@@ -334,7 +327,7 @@ def _names(drives: Drives) -> list[tuple[str, Interface, Driven]]:
     return [(name, owner, tool) for owner, tool in drives.tools for name in tool.names]
 
 
-def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> Unresisted:
+def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> StepFailed:
     """Return the error that says which load (m,) of which tool nothing resists; collective."""
     k = int(np.argmax(which))
     name, owner, tool = _names(drives)[k]
@@ -347,7 +340,8 @@ def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> Unresisted:
     if "moment" in name:
         remedy = "a tool that is round about that axis turns freely without friction; leave it out"
     elif sums[0] < -DISTINCT * sums[1]:
-        remedy = "the force on a tool has to press it on the body; change its sign"
+        slides = ", or give friction if it slides" if lin.qp.friction is None else ""
+        remedy = f"the force on a tool has to press it on the body; change its sign{slides}"
     elif sums[0] > DISTINCT * sums[1]:
         remedy = "the other motions of the step take the tool off the side; take smaller steps"
     elif lin.qp.friction is None:
@@ -357,122 +351,10 @@ def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> Unresisted:
             f"along {name} friction carries a load up to its limit only, where another force "
             "presses the tool on the body; give that force in an earlier step"
         )
-    return Unresisted(
+    return StepFailed(
         f"nothing resists the load {name!r} = {drives.loads[k]:g} on {owner!r}: {remedy}, or "
         "prescribe the position"
     )
-
-
-def loose_motion(
-    problem: ContactProblem, stiffness: Floats | None, balance: Balance, contacts: Contacts
-) -> str:
-    """Say which motion of tools hardly anything resists, such as rolling, or ""; collective.
-
-    The normals of a tool turn as it moves, which the QPs leave out: with its gaps g_j and normal
-    forces z_j their stiffness B is that of the problem and G_ab = sum_j z_j d^2 g_j / dq_a dq_b.
-    Newton's iterations, each with the tool where it is, have the factors of B^-1 G, which is 1 for
-    motions along which B - G is 0.
-
-    Args:
-        problem: at the last iterate.
-        stiffness: B (m, m) there.
-        balance: forces there.
-        contacts: the multipliers there.
-    """
-    drives = find_drives(problem)
-    if drives is None or stiffness is None or drives.follows.any():
-        return ""
-    carried = np.zeros(problem.n * problem.d)
-    carried[balance.bounds.dofs] = contacts.reactions(balance)
-    x = problem.positions().array_r.reshape(problem.n, problem.d)
-    G, first = np.zeros_like(stiffness), 0
-    for link in problem.system.links:
-        tool = link.interface.driven()
-        if tool is None:
-            continue
-        end = first + len(tool.names)
-        if isinstance(tool, Tool):
-            forces = carried.reshape(x.shape)[link.nodes, 0]
-            G[first:end, first:end] = tool.turning(x[link.nodes], forces)
-        first = end
-    factors, ways = np.linalg.eig(np.linalg.solve(stiffness, drives.comm.allreduce(G)))
-    most = int(np.argmax(factors.real))
-    if factors[most].real <= DISTINCT:
-        return ""
-    length, names = np.abs(ways[:, most]) * drives.arms(), _names(drives)
-    owner = names[int(np.argmax(length))][1]
-    return _describe_way(owner, [name for name, *_ in names], length)
-
-
-def _describe_way(owner: Interface, names: Sequence[str], length: Floats) -> str:
-    """Say that hardly anything resists a motion, with the lengths (m,) of its parts, by name."""
-    on = length >= DISTINCT * length.max()
-    along = [name for name, some in zip(names, on, strict=True) if some]
-    turns = ["moment" in name for name in along]
-    does, remedy = "moves", "prescribe its position, or give friction if it slides"
-    if all(turns):
-        does, remedy = "turns", "leave the moment out, or prescribe its rotation"
-    elif any(turns):
-        does, remedy = "rolls", "prescribe its position or its rotation along that way"
-    loads = " and ".join(f"{name!r}" for name in along)
-    return f"{owner!r} {does} almost without resistance under its loads {loads}: {remedy}"
-
-
-def notes_on_loose_tools(
-    problem: ContactProblem, stiffness: Floats | None, balance: Balance, contacts: Contacts
-) -> list[str]:
-    """Return notes on tools that only the facets of the mesh hold against their loads; collective.
-
-    A step may end there: between nodes a tool lies as in a valley. Of three nodes and more the
-    stiffness tells, see `loose_motion`, of nodes of one facet what else they would resist if they
-    were one node.
-
-    Args:
-        problem: at the end of a step.
-        stiffness: as of `loose_motion`.
-        balance: forces there.
-        contacts: the multipliers there.
-    """
-    found = [loose_motion(problem, stiffness, balance, contacts)]
-    if not found[0]:
-        x = problem.positions().array_r.reshape(problem.n, problem.d)
-        found = [_loose_on_a_facet(link, contacts, x) for link in problem.system.links]
-    held = "small changes of its loads move it far"
-    return [f"{loose}; {held}" for loose in found if loose]
-
-
-def _loose_on_a_facet(link: Link, contacts: Contacts, x: Floats) -> str:
-    """Say along which way a tool is loose that meets nodes of one facet only, or ""; collective.
-
-    All directions at them are resisted if any of them sticks, else the normal of the tool, about
-    whose round surface the facet is straight.
-    """
-    tool, slave, comm = link.interface.driven(), link.sides.slave, link.sides.V.mesh.comm
-    if not isinstance(tool, Tool):
-        return ""
-    forces = np.zeros(len(slave.nodes))
-    forces[: slave.owned] = link.coupling.weight[:, 0] * contacts.multipliers[link.nodes]
-    on = accumulate(slave, forces) > 0.0
-    own = on[: slave.owned]
-    count = comm.allreduce(int(own.sum()))
-    alone = (on[slave.facets].sum(axis=1) == count).any()
-    if not (any_rank(comm, alone)[0] and count):
-        return ""
-    z, x = forces[: slave.owned][own], x[link.nodes[own]]
-    slides = contacts.sliding is not None and contacts.sliding[link.nodes[own]].any(axis=1)
-    stuck = bool(link.interface.rough) & ~np.broadcast_to(slides, len(z))
-    sums = comm.allreduce(np.concatenate([z @ x, [z.sum(), stuck.sum()]]), op=MPI.SUM)
-    middle, pose = sums[:-2] / sums[-2], tool.pose()
-    at = pose.distance(tool.shape, middle[None])
-    if np.abs(at.hessian).max() * mean_facet_length(slave) <= HALF_OF_DIGITS:
-        return ""
-    ways = tool.along((middle - pose.position)[None])[:, 0]
-    size = np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), TINY)
-    resisted = ways / size if sums[-1] else ways / size @ at.gradient.T
-    _, factors, parts = np.linalg.svd(resisted.T)
-    if np.count_nonzero(factors > HALF_OF_DIGITS) == len(ways):
-        return ""
-    return _describe_way(link.interface, tool.names, np.abs(parts[-1]))
 
 
 def find_carried(

@@ -58,10 +58,6 @@ class StepFailed(Exception):
     """A step ends without a solution; nothing has been undone or diagnosed yet."""
 
 
-class Unresisted(StepFailed):
-    """Nothing resists a load on a tool."""
-
-
 def explain(
     problem: ContactProblem, report: StepReport, error: Exception, at: Floats
 ) -> NewtonNotConverged:

@@ -305,7 +305,6 @@ class _Step:
         self.negative = False  # whether the last tangent that was used is indefinite
         self.shifted = 0  # the entry of SHIFTS that the last tangent needed
         self.start = problem.owned_u.copy()
-        self.stiffness: Floats | None = None  # of driven tools, found by the last iteration
         self.travel = np.zeros(0) if data.travel is None else data.travel  # of driven tools
 
     @property
@@ -352,7 +351,7 @@ class _Step:
             try:
                 iterate, watch, residual = self.iterate(number, iterate, start, watch, residuals)
             except failures.StepFailed as error:
-                raise self.told(error, iterate) from error
+                raise self.told(error) from error
             if problem.comm.rank == 0:
                 log.info("%s", self.report.iterations[-1])
             if self.leads_away(residual, residuals):
@@ -371,7 +370,7 @@ class _Step:
                 iterate = replace(iterate, balance=self.balance(iterate.contacts))  # another T
             start = iterate.start
         end = failures.StepFailed(f"Newton did not converge in max_it={max_it} iterations")
-        raise self.told(end, iterate)
+        raise self.told(end)
 
     def leads_away(self, residual: Residuals, residuals: list[Residuals]) -> bool:
         """Tell whether the last iteration, with the exact tangent, has raised the residual."""
@@ -382,33 +381,24 @@ class _Step:
     def place(self) -> tuple[Floats, list[Any], tuple[Any, ...]]:
         """Return where the iterate and the tools that forces drive are, for `go_back`."""
         kept = [(i, i.keep()) for i in self.problem.interfaces if i.driven() is not None]
-        how = self.shifted, self.negative, self.stiffness, self.travel
+        how = self.shifted, self.negative, self.travel
         return self.problem.owned_u.copy(), kept, how
 
     def go_back(self, place: tuple[Floats, list[Any], tuple[Any, ...]]) -> None:
         """Undo the last iteration; collective."""
-        u, kept, (self.shifted, self.negative, self.stiffness, self.travel) = place
+        u, kept, (self.shifted, self.negative, self.travel) = place
         self.problem.owned_u[:] = u
         self.problem.u.x.scatter_forward()
         for interface, before in kept:
             interface.put_back(before)
         self.problem.follow_geometry()
 
-    def told(self, error: failures.StepFailed, last: Iterate) -> failures.StepFailed:
-        """Return the error with causes that tools and corners may be; collective.
-
-        These are a motion that hardly anything resists, and corners without a normal.
-        """
-        at = self.stiffness, last.balance, last.contacts
-        loose = driven_tools.loose_motion(self.problem, *at) if self.driven else ""
-        if not loose:
-            x, links = self.problem.positions(), self.problem.system.unilateral
-            found = [link.interface.in_corners(link, x) for link in links]
-            corners = "; ".join(told for told in found if told)
-            return failures.StepFailed(f"{corners}. {error}") if corners else error
-        # where the tool has moved to, its load may act off the side
-        parted = isinstance(error, failures.Unresisted)
-        return failures.StepFailed(loose if parted else f"{loose}: {error}")
+    def told(self, error: failures.StepFailed) -> failures.StepFailed:
+        """Return the error with corners without a normal, which may be its cause; collective."""
+        x, links = self.problem.positions(), self.problem.system.unilateral
+        found = [link.interface.in_corners(link, x) for link in links]
+        corners = "; ".join(told for told in found if told)
+        return failures.StepFailed(f"{corners}. {error}") if corners else error
 
     def first(self) -> tuple[Iterate, Actives]:
         """Return the initial iterate, and the initial active set of its QP."""
@@ -582,7 +572,6 @@ class _Step:
         if solved.travel is None:
             return lin, solved, None
         found = driven_tools.settle(lin.drives, lin, solved, old.scales.extent)
-        self.stiffness = found.stiffness
         return found.lin, found.solved, found
 
     def with_scalars(self, lin: Linearisation, old: Iterate) -> Linearisation:
@@ -977,9 +966,6 @@ class _Step:
         end = StepEnd(problem, iterate.balance, contacts, stiffness, *how)
         self.negative = self.negative or self.ends_indefinite()
         report.notes += find_notes(end) + self.notes_on_shifts()
-        if self.driven:
-            found = self.stiffness, iterate.balance, contacts
-            report.notes += driven_tools.notes_on_loose_tools(problem, *found)
         report.certificate = create_certificate(
             problem, report, contacts, residual, balances, sliders, left_out, crossing, pull
         )

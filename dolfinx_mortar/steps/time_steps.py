@@ -80,7 +80,7 @@ class TimeSolves(Solves):
     def _start(self, inertia: Inertia, level: Level) -> EnergyLedger:
         """Return the ledger of a motion that begins, with a step to a level; collective."""
         problem, begin = self.problem, self.problem.committed.level
-        self.notes = stop_held(problem, inertia) + notes_on_mass(inertia)
+        self.notes = stop_held(problem, inertia)
         self.loading.set(problem, begin)
         sides = self._settle(inertia, begin, level)
         ledger = EnergyLedger(problem, inertia, conserve=self.conserve)
@@ -148,7 +148,7 @@ class TimeSolves(Solves):
         """Commit a step with its ledger; collective."""
         assert self.ledger is not None
         self.ledger.commit(report, self.linear)
-        report.notes += self.notes + notes_on_chatter(self.problem)
+        report.notes += self.notes
         self.notes = []
 
     def settings(self) -> dict[str, Any]:
@@ -314,41 +314,6 @@ def stop_held(problem: ContactProblem, inertia: Inertia) -> list[str]:
         "it has been set to 0 there, since it would change its sign in every step: give a velocity "
         "that vanishes where bcs hold, or move the support"
     ]
-
-
-def notes_on_mass(inertia: Inertia) -> list[str]:
-    """Return a note if bodies have not kept their moments of inertia."""
-    if not inertia.mass.changed > SAME:
-        return []
-    return [
-        f"Inertia: moments of inertia are up to {100 * inertia.mass.changed:.2g} % from those of "
-        "the bodies, which are too thin for moving the mass of contact nodes inwards, so that they "
-        "turn too easily: mesh them with four layers of cells or more behind each contact side, or "
-        "give dm.Inertia(.., relief='normal') where there is no friction and strain is small"
-    ]
-
-
-def notes_on_chatter(problem: ContactProblem) -> list[str]:
-    """Return a note for contacts with friction that open and close faster than steps resolve.
-
-    They have opened three times in nine steps and one before, at most four apart in the mean. Of
-    the trapezoidal rule, tan(w' dt / 2) = w dt / 2, four are the period of a vibration of pi steps.
-    """
-    period, notes = 4, []
-    last = problem.committed.last_walk[-(2 * period + 1) :]  # and the step that has just ended
-    for k, interface in enumerate(problem.interfaces):
-        forces = np.array([*(step.forces[k] for step in last), interface.force])
-        closed = np.abs(forces).max(axis=1) > 0.0
-        opened = np.count_nonzero(closed[:-1] & ~closed[1:])
-        if interface.rough and opened > 2:
-            notes.append(
-                f"{interface} has opened completely {opened} times in the last {len(forces)} "
-                "steps, which are too long for vibrations along its normals, so that forces of "
-                f"friction are wrong: increase loads over some 20 steps, give scheme={DAMPED!r} "
-                "with spectral_radius=0, or take steps in which a wave crosses the body once at "
-                "most, with dm.Damping(.., stiffness=..)"
-            )
-    return notes
 
 
 def count_done(problem: ContactProblem, levels: list[float]) -> int:
