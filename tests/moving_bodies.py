@@ -77,7 +77,6 @@ class Blocks:
         damping=0.0,
         strain="small",
         geometry="updated",
-        relief="all",
         **options,
     ):
         """Make them; the options are those of `two_blocks`."""
@@ -86,7 +85,7 @@ class Blocks:
         self.V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
         self.u = fem.Function(self.V)
         self.solid = dm.Solid(self.u, law or dm.Elastic(1000.0, 0.3), strain=strain)
-        self.inertia = dm.Inertia(self.solid, density, self.cells, velocity=velocity, relief=relief)
+        self.inertia = dm.Inertia(self.solid, density, self.cells, velocity=velocity)
         sides = {"slave": BOTTOM_OF_UPPER, "master": TOP_OF_LOWER}
         self.contact = dm.Contact(self.facets, **sides, friction=friction)
         self.bcs = bcs = []

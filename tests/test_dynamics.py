@@ -233,7 +233,6 @@ def test_a_checkpoint_knows_the_mass_and_the_scheme(tmp_path_factory):
     file, case = folder / "half.h5", Blocks(damping=1e-3, **moving)
     walk(case.problem, times[:1], checkpoint=file, **DAMPED)
     for other, said in (
-        ({"relief": "normal"}, "relief is 'normal', in the checkpoint 'all'"),
         ({"density": {LOWER: 1.0, UPPER: 2.0}}, "density is {'1': 1.0, '2': 2.0}, in the che"),
     ):
         with rejected(said):

@@ -35,7 +35,7 @@ AT_NIGHT = """
     corners crossings curvature_jumps demo_meshes dynamics edges eigenstrain energies failures
     finite_in_space finite_loads finite_plane_stress folds friction_state heat_in_time impact jump
     jump_errors kinematics law_contact linear linearisation loads locking logarithmic_solid
-    looks_change_nothing margin measure near newton normal_relief numbers_of_steps obstacle
+    looks_change_nothing margin measure near newton numbers_of_steps obstacle
     orthotropic output output_resume own_interface parameters passing patch_3d plane_stress plotting
     plotting_space pointwise polyline pretension qp_definite qp_descent ramp reaction resolution
     rubber skins small_strain smooth_3d smooth_contact smooth_second smooth_tie solid solid_state

@@ -265,9 +265,6 @@ class Broken(dm.Term):
     def meet(self, contact, body):
         self.give("meet")
 
-    def meet_along(self, normals):
-        self.give("meet_along")
-
     def stride(self):
         value = self.give("stride")
         return 0.0 if value is None else value
@@ -331,7 +328,6 @@ def test_what_a_term_is_told_in_the_course_of_a_walk(monkeypatch):
         ({"add_forces": np.zeros(99)}, ValueError, r"a Broken: add_forces\(\): .*\(99,\)"),
         ({"add_tangent": [0.0, 1e3]}, ValueError, r"a Broken: add_tangent\(\) is not symmetric"),
         ({"meet": OSError("of one rank")}, OSError, r"a Broken: meet\(\): of one rank"),
-        ({"meet_along": OSError("no")}, OSError, r"a Broken: meet_along\(\): no"),
         ({"stride": np.nan}, ValueError, r"a Broken: stride\(\): it returns nan: return a length"),
         ({"stride": "far"}, ValueError, r"a Broken: stride\(\): it returns 'far': return a length"),
         ({"couplings": 5}, ValueError, r"a Broken: couplings: it is 5: give a list"),

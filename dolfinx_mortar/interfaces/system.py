@@ -36,7 +36,6 @@ from dolfinx_mortar.interfaces.coupling import (
     with_ghosts,
 )
 from dolfinx_mortar.interfaces.interface import (
-    FEATURE_ANGLE,
     Interface,
     Outline,
     ask,
@@ -48,7 +47,6 @@ from dolfinx_mortar.interfaces.near import find_reach, touches_far_nodes
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.splits import notes_on_splits
 from dolfinx_mortar.mortar.common_normals import find_spreads
-from dolfinx_mortar.mortar.contact_normals import contact_normals
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.passing import Middles
 from dolfinx_mortar.mortar.surface import (
@@ -236,11 +234,6 @@ class InterfaceSystem:
             if interface.unilateral:
                 marks |= side.on_slave | side.on_master
         return marks
-
-    def open_normals(self) -> Floats:
-        """Return the normals at X (owned nodes, d) of open sides, see `contact_normals`."""
-        owned = self.V.dofmap.index_map.size_local
-        return contact_normals(self.V, self.boundary, self.can_open[:owned], FEATURE_ANGLE)
 
     def tools_at(self, u: fem.Function) -> list[tuple[Outline, Floats]]:
         """Return where the rigid tools are, each with the box (2, d) of its side; collective.

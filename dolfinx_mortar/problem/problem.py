@@ -130,7 +130,7 @@ class ContactProblem:
         bodies = find_bodies(self.V, kinematics.rigid_motions)
         self.bodies: Bodies = with_ties(bodies, self.system.tied)
         can_open = self.system.can_open[: self.n]
-        self.terms.meet(self.system.open_normals, can_open, self.bodies.label)
+        self.terms.meet(can_open, self.bodies.label)
         motions = kinematics.nearly_rigid or kinematics.rigid_motions
         with self.timings("setup"):
             self.linear = LinearSolver(

@@ -65,8 +65,7 @@ from dolfinx_mortar.terms.inertia import Damping, Inertia, Motion
 LARGE_DEFECT = 0.01
 MASS = (
     ". Contact nodes of thin bodies, of one or two layers of cells, have kept their mass, with "
-    "which impacts do not keep the energy whatever the step: mesh them with three layers or more, "
-    "or give dm.Inertia(.., relief='normal') where there is no friction and strain is small"
+    "which impacts do not keep the energy whatever the step: mesh them with three layers or more"
 )
 
 

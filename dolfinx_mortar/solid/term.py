@@ -84,13 +84,6 @@ class Term(ABC):
             body: (owned nodes,) numbers of the connected bodies.
         """
 
-    def meet_along(self, normals: Callable[[], Floats]) -> None:
-        """Learn the normals of such nodes before `meet`, by a function to be called; collective.
-
-        Args:
-            normals: returns unit vectors (owned nodes, d) at X, 0 where sides meet in an edge.
-        """
-
     def stride(self) -> float:
         """Return how far a node may move in the step that has begun, by what the term knows."""
         return 0.0

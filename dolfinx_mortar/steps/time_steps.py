@@ -366,11 +366,5 @@ def find_inertia(problem: ContactProblem) -> list[Inertia]:
     for name, term in problem.terms.named:
         if isinstance(term, Damping) and term.inertia is not inertia:
             raise ValueError(f"problem: {name} is that of another Inertia: make it with this one")
-    if inertia.relief == "normal" and any(interface.rough for interface in problem.interfaces):
-        raise ValueError(
-            "problem: its Inertia has relief='normal', with which nodes that stick have mass and "
-            "stop instantaneously, so that their forces oscillate: leave it out where there is "
-            "friction"
-        )
     inertia.check_met(problem.system.can_open[: problem.n], problem.bodies.label)
     return found

@@ -34,13 +34,13 @@ from dolfinx.mesh import MeshTags
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arguments import as_numbers, is_name, is_number
+from dolfinx_mortar.arguments import as_numbers, is_number
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.solid.laws import UNTAGGED, tags_of_cells
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.tags import by_tag, label
-from dolfinx_mortar.terms.mass import assemble_mass, relieve, relieve_along
+from dolfinx_mortar.terms.mass import assemble_mass, relieve
 
 Density = float | fem.Constant | Mapping[int | str, float | fem.Constant]
 Velocity = (
@@ -127,9 +127,10 @@ class Inertia(Term):
         for step in dm.time_steps(problem, times):
             print(step.time, inertia.kinetic_energy())
 
-    The mass matrix is consistent and assembled once. Nodes of sides that can open have no mass, or
-    none along their normals: it is moved to the nodes behind them such that the mass of each body,
-    its centre and its moments of inertia are conserved, see `dolfinx_mortar.terms.mass`. In
+    The mass matrix is consistent and assembled once. Nodes of sides that can open have no mass: it
+    is moved to the nodes behind them such that the mass of each body, its centre and its moments of
+    inertia are conserved, see `dolfinx_mortar.terms.mass`. That takes four layers of cells behind
+    each side; with three the moments of inertia change, with one or two nodes keep their mass. In
     axisymmetry mass, energy and momentum are those of the whole ring, in the plane per thickness.
 
     Attributes:
@@ -144,16 +145,13 @@ class Inertia(Term):
         cell_tags: tags of the cells, where ``density`` or ``velocity`` are given by tag.
         velocity: at the start; d numbers, a Function on ``solid.V``, a function of the coordinates
             as `fem.Function.interpolate` takes it, or d numbers by tag of cells.
-        relief: directions in which contact nodes lose their mass: "all", or "normal" for contacts
-            without friction at small strain. That is along the normals at X alone, and needs one
-            layer of cells where "all" needs four.
 
     Source: J. Chung, G. M. Hulbert, J. Appl. Mech. 60 (1993) 371-375, for the schemes; H. B.
     Khenous, P. Laborde, Y. Renard, Eur. J. Mech. A 27 (2008) 918-932, for the mass.
 
     Raises:
-        ValueError: on all ranks, for densities that are missing or not positive, unknown tags,
-            velocities of another space or shape, and relief="normal" at finite strain.
+        ValueError: on all ranks, for densities that are missing or not positive, unknown tags
+            and velocities of another space or shape.
     """
 
     linear = True
@@ -166,23 +164,21 @@ class Inertia(Term):
         cell_tags: MeshTags | None = None,
         *,
         velocity: Velocity | None = None,
-        relief: str = "all",
     ) -> None:
         """Check the arguments and assemble the mass; collective."""
         if not isinstance(solid, Solid):
             raise ValueError(f"Inertia: solid is {solid!r}: give the Solid of the bodies")
         V = solid.V
-        given: dict[str, Any] = {"density": density, "cell_tags": cell_tags, "relief": relief}
+        given: dict[str, Any] = {"density": density, "cell_tags": cell_tags}
         if not callable(velocity):
             given["velocity"] = velocity
         check_same_on_all_ranks(V.mesh.comm, **given)
         with raised_together(V.mesh.comm):
             read_numbers(density)
-            check_relief(relief, solid)
         rho = create_density(solid, density, cell_tags)
         weight = ufl.as_ufl(solid.kinematics.weight(ufl.SpatialCoordinate(solid.mesh)))
         self.solid, self.scheme = solid, NEWMARK
-        self._identity = {"relief": relief, "density": numbers_of(density)}
+        self._identity = {"density": numbers_of(density)}
         self.plain = self.mass = assemble_mass(V, rho, weight)
         self._state = {
             name: fem.Function(V, name=name)
@@ -201,7 +197,6 @@ class Inertia(Term):
         self._end: Motion | None = None
         self._added: tuple[int, float] | None = None  # the last matrix, and its factor of M
         self._met: tuple[Bools, Ints] | None = None  # what the mass was made for
-        self._normals: Floats | None = None  # of contact nodes, where these matter
 
     # -- the state -------------------------------------------------------------------------------
 
@@ -212,13 +207,8 @@ class Inertia(Term):
 
     @property
     def identity(self) -> Mapping[str, Any]:
-        """The mass, and where it has been moved."""
+        """The density."""
         return self._identity
-
-    @property
-    def relief(self) -> str:
-        """Directions in which contact nodes lose their mass."""
-        return str(self._identity["relief"])
 
     @property
     def velocity(self) -> fem.Function:
@@ -247,16 +237,9 @@ class Inertia(Term):
 
     # -- a step ----------------------------------------------------------------------------------
 
-    def meet_along(self, normals: Callable[[], Floats]) -> None:
-        """Find the normals along which nodes lose their mass, if along these alone; collective."""
-        self._normals = normals() if self.relief == "normal" else None
-
     def meet(self, contact: Bools, body: Ints) -> None:
         """Take the mass off the nodes of contacts; collective."""
-        if self._normals is not None:
-            self.mass = relieve_along(self.plain, contact, self._normals)
-        else:
-            self.mass = relieve(self.plain, contact, body)
+        self.mass = relieve(self.plain, contact, body)
         self.couplings = self.mass.couplings(self.plain.matrix)
         self._added, self._met = None, (contact.copy(), body.copy())
 
@@ -540,17 +523,6 @@ def _value(given: Any) -> Any:
     if isinstance(given, fem.Constant) and given.value.shape == ():
         return float(given.value)
     return given
-
-
-def check_relief(relief: Any, solid: Solid) -> None:
-    """Raise a ValueError unless `relief` is known and admissible for the bodies."""
-    if not is_name(relief, ("all", "normal")):
-        raise ValueError(f"Inertia: relief is {relief!r}: choose 'all' or 'normal'")
-    if relief == "normal" and solid.strain == "finite":
-        raise ValueError(
-            "Inertia: relief is 'normal', but at finite strain the normals turn, and the mass "
-            "matrix would change with them: leave relief out (it is 'all' then)"
-        )
 
 
 def create_density(solid: Solid, density: Any, cell_tags: Any) -> Any:

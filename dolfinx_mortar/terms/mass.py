@@ -13,20 +13,12 @@ so that the layer moves with the nodes next to it. M* is positive semidefinite, 
 contact nodes. The diagonal D = 1 + s, s a polynomial of degree two in each body, gives each body
 the mass, the centre and the moments of inertia of M: sum_ij p_i M*_ij q_j is the same for p and q
 in {1, x, y, z}. As P moves a layer of the width h by h, s is of order h^2.
-
-With the normals n of contact nodes mass may be taken off along these alone,
-
-    M* = P^T M P,     (P v)_c = (I - n n^T) v_c + n n.sum_k w_k v_k,
-
-with weights w of inner nodes whose centre is behind c along n, so that P leaves rigid motions as
-they are, and M* the mass, centre and moments of inertia, with one layer of cells, too. At edges,
-where n is not one, all directions follow the inner nodes, with sum_k w_k x_k = x_c.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations_with_replacement, pairwise
+from itertools import combinations_with_replacement
 from typing import Any
 
 from mpi4py import MPI
@@ -56,17 +48,15 @@ cubes: with 1 tetrahedra and triangles keep mass at corners and edges, with 2 to
 
 @dataclass(frozen=True)
 class Mass:
-    """The mass matrix M* of one displacement component, mostly the same for all of them.
+    """The mass matrix M* of one displacement component, the same for all of them.
 
     Values are (owned nodes, d).
     """
 
-    matrix: PETSc.Mat  # AIJ, of nodes; of all components where they differ
+    matrix: PETSc.Mat  # AIJ, of nodes
     X: Floats  # (owned nodes, d)
     extension: PETSc.Mat | None = None  # P, None for the identity
     bare: Bools | None = None  # (owned nodes,) without mass; None for none of them
-    coupled: bool = False  # whether the matrices couple components, of nodes side by side
-    changed: float = 0.0  # the largest share by which a body's sum of m x^2 has changed
 
     @property
     def massless(self) -> Bools:
@@ -75,23 +65,20 @@ class Mass:
 
     def times(self, values: Floats) -> Floats:
         """Return M* v; collective."""
-        return _apply(self.matrix, values, self.coupled)
+        return _apply(self.matrix, values)
 
     def extend(self, values: Floats) -> Floats:
         """Return P v, the velocities that count; collective."""
-        return values if self.extension is None else _apply(self.extension, values, self.coupled)
+        return values if self.extension is None else _apply(self.extension, values)
 
     def inner(self, forces: Floats) -> Floats:
         """Return P^T f, the forces that act on the nodes with mass; collective."""
         P = self.extension
-        return forces if P is None else _apply(P, forces, self.coupled, transposed=True)
+        return forces if P is None else _apply(P, forces, transposed=True)
 
     def add_to(self, K: PETSc.Mat, factor: float) -> None:
         """Add factor M* to each component of K, on the pattern that K has."""
         indptr, columns, values = self.matrix.getValuesCSR()
-        if self.coupled:
-            K.setValuesIJV(indptr, columns, factor * values, addv=PETSc.InsertMode.ADD_VALUES)
-            return
         blocks = factor * values[:, None, None] * np.eye(self.X.shape[1])
         K.setValuesBlockedIJV(indptr, columns, blocks.ravel(), addv=PETSc.InsertMode.ADD_VALUES)
 
@@ -106,14 +93,8 @@ class Mass:
             RuntimeError: on all ranks, if conjugate gradients find no solution, as for forces that
                 are not finite.
         """
-        if self.coupled:
-            found = self._solve(values.ravel(), ~held.ravel(), "")
-            return self.extend(found.reshape(values.shape))
         free = ~(held | self.massless[:, None])
-        columns = [
-            self._solve(values[:, k], free[:, k], f" along {'xyz'[k]}")
-            for k in range(values.shape[1])
-        ]
+        columns = [self._solve(values[:, k], free[:, k], "xyz"[k]) for k in range(values.shape[1])]
         return self.extend(np.stack(columns, axis=1))
 
     def _solve(self, values: Floats, free: Bools, along: str) -> Floats:
@@ -128,8 +109,8 @@ class Mass:
         solver.solve(b, x)
         if (reason := solver.getConvergedReason()) <= 0:  # the same on all ranks
             raise RuntimeError(
-                f"Inertia: conjugate gradients found no initial acceleration{along} for the forces "
-                f"at the start, whose norm is {b.norm():.3g} (PETSc reason {reason}, after "
+                f"Inertia: conjugate gradients found no initial acceleration along {along} for the "
+                f"forces at the start, whose norm is {b.norm():.3g} (PETSc reason {reason}, after "
                 f"{solver.getIterationNumber()} iterations): check that the terms of the problem "
                 "give finite forces there"
             )
@@ -161,8 +142,6 @@ class Mass:
         d = self.X.shape[1]
         first = plain.getOwnershipRange()[0]
         indptr, columns, _ = self.matrix.getValuesCSR()
-        if self.coupled:
-            indptr, columns = indptr[::d], columns // d
         before, known, _ = plain.getValuesCSR()
         found = []
         for row in range(len(indptr) - 1):
@@ -218,50 +197,11 @@ def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
     v = moved.createVecRight()
     v.array[:] = scale
     moved.diagonalScale(v, v)
-    made = replace(plain, matrix=moved, extension=extension, bare=bare)
-    return replace(made, changed=_change_of_moments(plain, made, body, len(degree)))
+    return replace(plain, matrix=moved, extension=extension, bare=bare)
 
 
-def relieve_along(plain: Mass, contact: Bools, normals: Floats) -> Mass:
-    """Return the mass without any along the normals of contact nodes; collective.
-
-    A node keeps its mass that has too few inner nodes within three cells.
-
-    Args:
-        plain: the consistent mass.
-        contact: (owned nodes,) those of sides that can open.
-        normals: (owned nodes, d) there, 0 where sides meet in an edge.
-    """
-    comm, d = plain.matrix.comm.tompi4py(), plain.X.shape[1]
-    if not comm.allreduce(bool(contact.any()), op=MPI.LOR):
-        return plain
-    weights = _find_weights(plain, contact, normals)
-    every, n = np.eye(d), len(contact)
-    first = plain.matrix.getOwnershipRange()[0]
-    indptr, columns, values = [0], list[Ints](), list[Floats]()
-    for row in range(n):
-        nodes, share = weights.get(row, (np.zeros(0, dtype=np.int64), np.zeros(0)))
-        taken = np.outer(normals[row], normals[row]) if normals[row].any() else every
-        kept = every - taken if len(nodes) else every
-        blocks = np.concatenate([kept[:, None], share[:, None] * taken[:, None]], axis=1)
-        at = np.append(first + row, nodes)
-        for k in range(d):
-            columns.append((d * at[:, None] + np.arange(d)).ravel())
-            values.append(blocks[k].ravel())
-            indptr.append(indptr[-1] + d * len(at))
-    P = _create(plain.matrix, (indptr, columns, values), d)
-    before, at, entries = plain.matrix.getValuesCSR()
-    spans = [slice(*ends) for ends in pairwise(before)]
-    wide = [(d * at[span] + k, entries[span]) for span in spans for k in range(d)]
-    starts = np.append(0, np.cumsum(np.repeat(np.diff(before), d)))
-    M = _create(plain.matrix, (starts, [c for c, _ in wide], [v for _, v in wide]), d)
-    bare = np.zeros(n, dtype=bool)
-    bare[list(weights)] = True
-    return replace(plain, matrix=M.ptap(P), extension=P, bare=bare, coupled=True)
-
-
-def _create(like: PETSc.Mat, csr: Any, d: int = 1) -> PETSc.Mat:
-    """Return a matrix with d rows for each of another one, from lists of rows; collective."""
+def _create(like: PETSc.Mat, csr: Any) -> PETSc.Mat:
+    """Return a matrix with the rows of another one, from lists of rows; collective."""
     indptr, columns, values = csr
     (n, N), _ = like.getSizes()
     arrays = (
@@ -269,7 +209,7 @@ def _create(like: PETSc.Mat, csr: Any, d: int = 1) -> PETSc.Mat:
         np.concatenate([*columns, np.zeros(0)]).astype(PETSc.IntType),
         np.concatenate([*values, np.zeros(0)]),
     )
-    return PETSc.Mat().createAIJ(((d * n, d * N),) * 2, csr=arrays, comm=like.comm)
+    return PETSc.Mat().createAIJ(((n, N),) * 2, csr=arrays, comm=like.comm)
 
 
 def _sum_by_body(comm: MPI.Intracomm, body: Ints, count: int, values: Floats) -> Floats:
@@ -279,18 +219,9 @@ def _sum_by_body(comm: MPI.Intracomm, body: Ints, count: int, values: Floats) ->
     return np.asarray(comm.allreduce(sums))
 
 
-def _change_of_moments(plain: Mass, moved: Mass, body: Ints, count: int) -> float:
-    """Return the largest relative change of a body's sum of m |x - centre|^2; collective."""
-    by_body = partial(_sum_by_body, plain.matrix.comm.tompi4py(), body, count)
-    weights = plain.times(np.ones_like(plain.X))
-    x = plain.X - (by_body(weights * plain.X) / by_body(weights))[body]
-    before, after = (by_body(x * mass.times(x)).sum(axis=1) for mass in (plain, moved))
-    return float(np.abs(after / before - 1.0).max())
-
-
 def _extension(plain: Mass, contact: Bools) -> tuple[PETSc.Mat, Bools]:
     """Return P, and which contact nodes have found an inner node; collective."""
-    weights = _find_weights(plain, contact, None)
+    weights = _find_weights(plain, contact)
     n, first, own = len(contact), plain.matrix.getOwnershipRange()[0], np.ones(1)
     bare = np.zeros(n, dtype=bool)
     bare[list(weights)] = True
@@ -303,9 +234,7 @@ def _extension(plain: Mass, contact: Bools) -> tuple[PETSc.Mat, Bools]:
     return _create(plain.matrix, (indptr, columns, values)), bare
 
 
-def _find_weights(
-    plain: Mass, contact: Bools, normals: Floats | None
-) -> dict[int, tuple[Ints, Floats]]:
+def _find_weights(plain: Mass, contact: Bools) -> dict[int, tuple[Ints, Floats]]:
     """Return the inner nodes of contact nodes, and their weights; collective."""
     M, n = plain.matrix, len(contact)
     first = M.getOwnershipRange()[0]
@@ -317,7 +246,7 @@ def _find_weights(
         near = M.createSubMatrix(rows, columns)
         for _ in range(ring):
             near = near.matMult(M)
-        for row, inner in _inner_nodes(plain, near, pending, contact, normals):
+        for row, inner in _inner_nodes(plain, near, pending, contact):
             weights[int(row)] = inner
         pending = np.array([row for row in pending if int(row) not in weights], dtype=np.int32)
         if not M.comm.tompi4py().allreduce(bool(pending.size), op=MPI.LOR):
@@ -326,13 +255,12 @@ def _find_weights(
 
 
 def _inner_nodes(
-    plain: Mass, near: PETSc.Mat, rows: Ints, contact: Bools, normals: Floats | None
+    plain: Mass, near: PETSc.Mat, rows: Ints, contact: Bools
 ) -> Iterator[tuple[int, tuple[Ints, Floats]]]:
-    """Yield for rows of a pattern nodes off the contact sides, with weights.
+    """Yield for rows of a pattern the nearest nodes off the contact sides, in equal shares.
 
-    The nearest ones in equal shares; with normals only where their centre lies on the normal,
-    otherwise all, see `_centred`. Equal distances count as one up to half of the digits, so that
-    the choice does not depend on the numbering.
+    Equal distances count as one up to half of the digits, so that the choice does not depend on the
+    numbering.
     """
     indptr, columns, _ = near.getValuesCSR()
     wanted, place = np.unique(columns, return_inverse=True)
@@ -342,36 +270,9 @@ def _inner_nodes(
         inner = there[span, -1] == 0.0
         if not inner.any():
             continue
-        nodes, x = columns[span][inner], there[span, :-1][inner]
-        distance = np.linalg.norm(x - plain.X[row], axis=1)
-        nearest = distance <= (1.0 + HALF_OF_DIGITS) * distance.min()
-        chosen = nodes[nearest]
-        shares = np.full(len(chosen), 1.0 / len(chosen))
-        offset = np.zeros_like(x) if normals is None else (x - plain.X[row]) / distance.min()
-        if normals is not None:
-            offset -= (offset @ normals[row])[:, None] * normals[row]
-        if np.abs(shares @ offset[nearest]).max() > HALF_OF_DIGITS:
-            found = _centred(offset, (distance.min() / distance) ** 2)
-            if len(found):
-                yield int(row), (nodes, found)
-            continue
-        yield int(row), (chosen, shares)
-
-
-def _centred(offset: Floats, size: Floats) -> Floats:
-    """Return weights (m,) with the sum 1 and the centre 0 of offsets (m, d), none if none has it.
-
-    Sizes times a linear function of the offset.
-
-    Example:
-        >>> _centred(np.array([[-1.0], [3.0]]), np.ones(2)).round(3).tolist()
-        [0.75, 0.25]
-    """
-    A = np.column_stack([np.ones(len(size)), offset])
-    wanted = np.eye(A.shape[1])[0]
-    found = size * (A @ np.linalg.lstsq((A.T * size) @ A, wanted, rcond=HALF_OF_DIGITS)[0])
-    fits = np.abs(A.T @ found - wanted).max() < HALF_OF_DIGITS
-    return np.asarray(found if fits else np.zeros(0))
+        distance = np.linalg.norm(there[span, :-1][inner] - plain.X[row], axis=1)
+        chosen = columns[span][inner][distance <= (1.0 + HALF_OF_DIGITS) * distance.min()]
+        yield int(row), (chosen, np.full(len(chosen), 1.0 / len(chosen)))
 
 
 def _restore_moments(
@@ -426,18 +327,12 @@ def _restore_moments(
     return np.asarray(1.0 + s), np.asarray((rest < SAME) & enough)
 
 
-def _apply(
-    matrix: PETSc.Mat, values: Floats, coupled: bool = False, *, transposed: bool = False
-) -> Floats:
-    """Return a matrix, or its transpose, times columns (owned rows, k); collective.
-
-    One of all components takes the values of a node side by side.
-    """
+def _apply(matrix: PETSc.Mat, values: Floats, *, transposed: bool = False) -> Floats:
+    """Return a matrix, or its transpose, times columns (owned rows, k); collective."""
     x, y = matrix.createVecs()
-    rows = values.reshape(-1, 1) if coupled else values
-    result = np.empty_like(rows)
-    for k in range(rows.shape[1]):
-        x.array[:] = rows[:, k]
+    result = np.empty_like(values)
+    for k in range(values.shape[1]):
+        x.array[:] = values[:, k]
         (matrix.multTranspose if transposed else matrix.mult)(x, y)
         result[:, k] = y.array_r
-    return result.reshape(values.shape)
+    return result

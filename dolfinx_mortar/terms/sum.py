@@ -273,10 +273,9 @@ class Terms:
         for name, term in named:
             self._ask(f"{name}: begin()", term, partial(term.begin, start, end))
 
-    def meet(self, normals: Callable[[], Floats], contact: Bools, body: Ints) -> None:
+    def meet(self, contact: Bools, body: Ints) -> None:
         """Tell all terms where the bodies may meet others, see `Term`; collective."""
         for name, term in self._every:
-            self._ask(f"{name}: meet_along()", term, partial(term.meet_along, normals))
             self._ask(f"{name}: meet()", term, partial(term.meet, contact, body))
 
     def stride(self) -> float:
