@@ -37,26 +37,7 @@ class Described(Protocol):
         """Return the arguments, which all ranks have to give the same, by name."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Changing:
-    """The value of a Constant, which is read whenever ranks are compared."""
-
-    constant: Any  # of dolfinx, wrapped or not
-
-    def __str__(self) -> str:
-        """Return the present value in full digits."""
-        return f"Constant {_plain(np.asarray(self.constant.value))}"
-
-
-@dataclasses.dataclass(frozen=True)
-class Inputs:
-    """The Constants among the arguments of bodies or of a problem."""
-
-    changing: Mapping[str, Changing]  # by name, to be compared among ranks; none on one rank
-    constants: list[Any] | None  # all of them, see `find_constants`
-
-
-def check_same_on_all_ranks(comm: MPI.Comm, **named_values: Any) -> dict[str, Changing]:
+def check_same_on_all_ranks(comm: MPI.Comm, **named_values: Any) -> None:
     """Raise a ValueError on all ranks where a value is not the same on all of them; collective.
 
     One reduction of 16 bytes; the ranks tell each other more only where they differ. Nothing that
@@ -65,24 +46,18 @@ def check_same_on_all_ranks(comm: MPI.Comm, **named_values: Any) -> dict[str, Ch
     Args:
         **named_values: the values by the names that the error shall use.
 
-    Returns:
-        The Constants among them by name, to be compared again when they may have changed; none on
-        one rank.
-
     Raises:
         ValueError: naming the first value that differs, and what ranks give for it.
     """
     if comm.size == 1:
-        return {}
-    parts = dict(part for name, value in named_values.items() for part in _parts_of(name, value))
-    texts = {name: str(part) for name, part in parts.items()}
+        return
+    texts = dict(part for name, value in named_values.items() for part in _parts_of(name, value))
     digest = hashlib.sha256(repr(sorted(texts.items())).encode()).digest()[:8]
     own = int.from_bytes(digest, signed=True)
     extremes = np.array([own, ~own])  # ~ turns the order round, and cannot overflow
     comm.Allreduce(MPI.IN_PLACE, extremes, op=MPI.MAX)
     if extremes[0] != ~extremes[1]:
         raise ValueError(_difference(comm.allgather(texts)))
-    return {name: part for name, part in parts.items() if isinstance(part, Changing)}
 
 
 def find_constants(value: Any) -> list[Any] | None:
@@ -93,8 +68,8 @@ def find_constants(value: Any) -> list[Any] | None:
     >>> find_constants({"nu": 0.3}), find_constants([abs])
     ([], None)
     """
-    if isinstance(value, Changing | fem.Constant):
-        return [value.constant if isinstance(value, Changing) else value]
+    if _is_constant(value):
+        return [value]
     if isinstance(value, Expr | ufl.Form):
         return list(extract_constants(value))
     if _plain(value) is not None or isinstance(value, mesh.MeshTags):
@@ -140,25 +115,24 @@ def _excerpt(text: str, start: int) -> str:
     return f"{'... ' if start else ''}{text[start:end]}{' ...' if end < len(text) else ''}"
 
 
-Part = tuple[str, str | Changing]
-"""The name of a value, and the value, as a text if it cannot change."""
+def _is_constant(value: Any) -> bool:
+    """Tell whether a value is a Constant of dolfinx, wrapped or not."""
+    return isinstance(value, fem.Constant) or type(value).__name__.startswith("Constant_")
 
 
-def _parts_of(name: str, value: Any) -> list[Part]:
-    """Return the replicated parts of a value; what fails to tell counts by its type."""
+def _parts_of(name: str, value: Any) -> list[tuple[str, str]]:
+    """Return names and texts of the replicated parts; what fails to tell counts by its type."""
     try:
         return list(_parts(name, value))
     except Exception as error:  # of this rank only, perhaps, which must not leave the others alone
         return [(name, f"{type(value).__name__} ({type(error).__name__})")]
 
 
-def _parts(name: str, value: Any) -> Iterator[Part]:
+def _parts(name: str, value: Any) -> Iterator[tuple[str, str]]:
     """Yield the replicated parts of a value."""
     inside: Mapping[str, Any] = {}
-    if isinstance(value, Changing):
-        yield name, value
-    elif isinstance(value, fem.Constant):
-        yield name, Changing(value)
+    if _is_constant(value):
+        yield name, f"Constant {_plain(np.asarray(value.value))}"
     elif isinstance(value, fem.Function):
         yield name, f"Function, {value.ufl_element()}"
     elif isinstance(value, Expr | ufl.Form):
@@ -182,7 +156,7 @@ def _taken_apart(name: str, value: Any) -> tuple[str, Mapping[str, Any]]:
         constant = hasattr(value.g, "value")
         of = f", component {space.component()}" if space.component() else ""
         text = f"{kind}{of}, values of a {'Constant' if constant else 'Function'}"
-        return text, {f"{name}: value": Changing(value.g)} if constant else {}
+        return text, {f"{name}: value": value.g} if constant else {}
     if isinstance(value, mesh.MeshTags):
         return f"{kind} of dimension {value.dim}", {f"{name}.names": names_of(value)}
     if isinstance(value, Mapping):

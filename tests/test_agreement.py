@@ -286,9 +286,8 @@ def test_what_belongs_to_the_parts_of_the_mesh_may_differ(case):
         "contact": case.contact(),
     }
     silent = Silent()
-    changing = check_same_on_all_ranks(silent, **values)
+    check_same_on_all_ranks(silent, **values)
     assert silent.sent == [16]
-    assert list(changing) == ["loads: Constant 1", "eigenstrain: Constant 1", "bcs[0]: value"]
 
 
 def test_many_ranks_and_long_values_make_no_long_message():

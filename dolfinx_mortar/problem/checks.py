@@ -12,7 +12,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx_mortar import qp as backends
-from dolfinx_mortar.agreement import Changing, check_same_on_all_ranks
+from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import is_integer, is_name, is_number
@@ -33,12 +33,11 @@ def check_arguments(
     potential: ufl.Form | None,
     geometry: str,
     **options: Any,
-) -> tuple[list[Interface], list[fem.DirichletBC], dict[str, Changing]]:
+) -> tuple[list[Interface], list[fem.DirichletBC]]:
     """Check the arguments of a problem; collective.
 
     Returns:
-        Interfaces and Dirichlet conditions as lists, and the Constants in the arguments by name,
-        which are compared over the ranks at every step; none on one rank.
+        Interfaces and Dirichlet conditions as lists.
 
     Raises:
         ValueError: for invalid arguments, with the remedy.
@@ -46,7 +45,7 @@ def check_arguments(
     if not isinstance(solid, Solid):
         raise ValueError(f"solid is {solid!r}: give a Solid(u, materials, cell_tags)")
     given, conditions = _unrolled(interfaces), _unrolled(bcs)
-    changing = check_same_on_all_ranks(
+    check_same_on_all_ranks(
         solid.V.mesh.comm,
         interfaces=given,
         bcs=conditions,
@@ -66,7 +65,7 @@ def check_arguments(
     finite = np.isfinite(solid.V.mesh.geometry.x).all()
     if any_rank(solid.V.mesh.comm, not finite)[0]:
         raise ValueError("the mesh's coordinates hold NaN or infinity; check the mesh")
-    return sides, conditions, changing
+    return sides, conditions
 
 
 def check_problem(problem: Any, kind: type) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 
 import ufl
 from dolfinx import fem
-from dolfinx_mortar.agreement import Inputs, check_same_on_all_ranks, find_constants
+from dolfinx_mortar.agreement import check_same_on_all_ranks, find_constants
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.algebra.errors import from_callbacks, raise_together, raised_together
@@ -104,7 +104,7 @@ class ContactProblem:
         petsc_options: Mapping[str, Any] | None = None,
     ) -> None:
         """Check the arguments; create matrices, solver and interfaces; collective."""
-        sides, conditions, changing = check_arguments(
+        sides, conditions = check_arguments(
             *(solid, interfaces, bcs, loads, potential, geometry),
             terms=terms,
             petsc_options_prefix=petsc_options_prefix,
@@ -120,7 +120,7 @@ class ContactProblem:
         self.timings = Timings()
         kinematics = solid.kinematics
         self.terms = _create_terms(solid, loads, potential, terms)
-        self._inputs = Inputs(changing, find_constants([conditions, loads, potential, *terms]))
+        self._given = {"bcs": conditions, "loads": loads, "potential": potential, "terms": terms}
         self.supports: Dirichlet = create_dirichlet(solid.V, conditions)
         with self.timings("mortar"):
             at_points = None if kinematics.unweighted else kinematics.weights_at
@@ -240,20 +240,15 @@ class ContactProblem:
         Constants in loads, supports, laws, eigenstrain and limits of friction, the jumps of ties,
         and the controls of the step. One reduction of 16 bytes.
         """
-        constants = {**self.solid.inputs.changing, **self._inputs.changing}
-        # last: a jump may be another object now
-        check_same_on_all_ranks(self.comm, **controls, **constants, interfaces=self.interfaces)
+        check_same_on_all_ranks(self.comm, **controls, **self._inputs)
+
+    @property
+    def _inputs(self) -> dict[str, Any]:
+        return {**self.solid.given, **self._given, "interfaces": self.interfaces}
 
     def constants(self) -> list[Any] | None:
         """Return the Constants that steps read; None where a user's own terms may read others."""
-        parts = [i.constants for i in (self.solid.inputs, self._inputs)]
-        parts.append(find_constants(self.interfaces))
-        found: list[Any] = []
-        for part in parts:
-            if part is None:
-                return None
-            found += part
-        return found
+        return find_constants(self._inputs)
 
     def check_owned(self) -> None:
         """Raise a ValueError if a problem made later uses one of the interfaces."""

@@ -24,7 +24,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx.mesh import CellType, Mesh, MeshTags
-from dolfinx_mortar.agreement import Inputs, check_same_on_all_ranks, find_constants
+from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import is_integer
@@ -141,19 +141,18 @@ class Solid(Term):
         if not isinstance(u, fem.Function):
             raise ValueError(f"u must be a dolfinx.fem.Function (the displacement), not {type(u)}.")
         # before anything that ranks do together
-        changing = check_same_on_all_ranks(
+        self.given = {"materials": materials, "eigenstrain": eigenstrain}
+        check_same_on_all_ranks(
             u.function_space.mesh.comm,
             u=u,
-            materials=materials,
+            **self.given,
             cell_tags=cell_tags,
             quadrature_degree=quadrature_degree,
             kinematics=kinematics,
-            eigenstrain=eigenstrain,
             volumetric=volumetric,
             strain=strain,
             energies=energies,
         )
-        self.inputs = Inputs(changing, find_constants([materials, eigenstrain]))
         check_real("u", u)
         check_space(u.function_space, "u")
         self.u = u
