@@ -611,7 +611,7 @@ def test_facets_of_first_order_on_a_round_tool(cell):
         pressure, notes = ring_on_a_shaft(cell, 16, 1, uneven)
         assert pressure == pytest.approx(1.0, abs=0.01) and notes == []
     pressure, notes = ring_on_a_shaft(cell, 16, 1, 0.3, "facets")
-    assert pressure.max() > 3.0 and "choose Obstacle(..., surface='smooth')" in notes[0]
+    assert pressure.max() > 3.0 and "choose Obstacle(.., surface='smooth')" in notes[0]
 
 
 @pytest.mark.parametrize(

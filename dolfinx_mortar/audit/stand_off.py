@@ -145,14 +145,18 @@ def note_on_facets(
 ) -> str:
     """Return the note on a contact if facets make its pressures inaccurate, else ""; collective.
 
-    Facets: smooth surfaces, of tools too, would be nearer by heights h_j; the forces
-    K^_jj (h_j - mean of h), over the contact forces z_j, are the share by which pressures are
-    wrong. Where no node carries, smooth surfaces that overlap show that the facets keep the sides
-    apart.
+    Gaps are known to h_j: of facets, by which smooth surfaces, of tools too, would be nearer, less
+    the mean where nodes carry; of smooth surfaces of degree 1, what they miss of round sides
+    (`missed_gaps`). Compared with the contact forces z_j are K^_jj h_j, with the stiffness of both
+    sides in series (`_in_series`), at the nodes that carry; of smooth surfaces, and where none
+    carries, also at those that might, as the gap is less than h_j.
 
-    Smooth surfaces of degree 1: gaps miss those of round sides by e_j (`missed_gaps`). The share is
-    that of the forces k_j e_j of nodes that carry, or are so near that they might, with the
-    stiffness k_j of both sides in series (`_in_series`).
+    Smooth surfaces, rings that fit, with 16 to 52 facets, either slave, loads over a factor of 16,
+    errors of forces and of the worst pressure: below a share of .2 up to 5 and 12 %, at .2 to .3 4
+    to 8 and 13 to 21 %, at .5 to .9 14 to 39 and 22 to 95 %, at 1 to 2 17 to 120 % and a factor of
+    1.6 to 4. (An even h_j is counted two to four times, with the stiffness of single nodes.) K_jj
+    of layers thinner than facets are long is too stiff: with an eighth of the length errors are 12
+    and 80 % at 9.8.
 
     Args:
         x: where the nodes are, X + u.
@@ -162,63 +166,48 @@ def note_on_facets(
         diagonal: gives that of K, of the bodies alone.
         potential: gives that of the bodies at u, see `Solid.potential`.
     """
-    k, z = stiffness[link.nodes], forces[link.nodes]
-    on = z > 0.0
-    touches = any_rank(link.sides.V.mesh.comm, on.any())[0]
-    if link.pairing is None:
-        heights = link.interface.heights(link, u) if touches else None
-        if heights is None:
-            return ""
-        faceted = link.pattern.faceted if isinstance(link.pattern, SidePattern) else None
-        if faceted is None:  # a flat side
-            return ""
-        heights = heights * faceted
-        uneven = _uneven_facets(link, heights[on], k[on], z[on])
-        return uneven or _even_facets(link, heights, z, potential)
-    if link.interface.smooth:
-        first = link.sides.slave.element.degree == 1
-        return _uncertain(link, x, u, k, z, diagonal) if first else ""
-    heights = _means(link, u, point_heights)
-    if touches:
-        return _uneven_facets(link, heights[on], k[on], z[on])
-    return _apart(link, x, heights)
-
-
-def _uncertain(
-    link: Link,
-    x: PETSc.Vec,
-    u: fem.Function | None,
-    k: Floats,
-    z: Floats,
-    diagonal: Callable[[], PETSc.Vec],
-) -> str:
-    """Return the note on smooth surfaces that are known too little for the forces; collective.
-
-    Rings that fit, with 16 to 52 facets, either slave, loads over a factor of 16, errors of forces
-    and of the worst pressure: below a share of .2 up to 5 and 12 %, at .2 to .3 4 to 8 and 13 to 21
-    %, at .5 to .9 14 to 39 and 22 to 95 %, at 1 to 2 17 to 120 % and a factor of 1.6 to 4. (An even
-    e_j is counted two to four times, with the stiffness of single nodes.) K_jj of layers thinner
-    than facets are long is too stiff: with an eighth of the length errors are 12 and 80 % at 9.8.
-    """
-    assert link.pattern.smooth is not None, "of smooth sides only"
-    if _are_flat(link, link.pattern.smooth):
+    comm, k, z = link.sides.V.mesh.comm, stiffness[link.nodes], forces[link.nodes]
+    on, meshed = z > 0.0, link.pairing is not None
+    touches = any_rank(comm, on.any())[0]
+    even = _missed(link, u) if touches or meshed else None
+    if even is None:
         return ""
-    comm, missed = link.sides.V.mesh.comm, missed_gaps(link, u)
-    on = (z > 0.0) | (link.coupling.kept[:, 0] & (link.gaps(x) <= np.abs(missed)))
-    largest = float(maximum(comm, np.abs(missed[on]).max(initial=0.0))[0])
+    missed, smooth = even, meshed and link.interface.smooth
+    if smooth or not touches:
+        least = HALF_OF_DIGITS * mean_facet_length(link.sides.slave)
+        near = np.abs(missed) if smooth else missed - least
+        on = on | (link.coupling.kept[:, 0] & (link.gaps(x) <= near))
+    else:
+        total, count = comm.allreduce(np.array([missed[on].sum(), on.sum()]))
+        missed = missed - total / max(count, 1)
     share = ratio(norm(comm, k[on] * missed[on]), norm(comm, z))
-    if SPOILT < share < np.inf:
+    if meshed and SPOILT < share < np.inf:
         k = _in_series(link, k, diagonal())
         share = ratio(norm(comm, k[on] * missed[on]), norm(comm, z))
     if share <= SPOILT:
-        return ""
-    known = f"{link.interface}: smooth surfaces through the nodes are known to {largest:.2g} here"
-    if np.isinf(share):
-        return f"{known}, and the sides are no farther apart: forces may be missing; refine"
-    return (
-        f"{known}, worth up to {100 * share:.0f} % of the contact forces, so that pressures and "
-        "forces may be wrong; refine"
-    )
+        return "" if meshed else _even_facets(link, even, z, potential)
+    largest = float(maximum(comm, np.abs(missed[on]).max(initial=0.0))[0])
+    remedy = "refine" if smooth else f"choose {type(link.interface).__name__}(.., surface='smooth')"
+    worth = "and no node carries: forces may be missing"
+    if np.isfinite(share):
+        worth = f"worth up to {100 * share:.0f} % of the contact forces, which may be wrong"
+    what = "smooth surfaces through the nodes" if smooth else "facets of curved sides"
+    return f"{link.interface}: gaps of {what} are known to {largest:.2g} here, {worth}; {remedy}"
+
+
+def _missed(link: Link, u: fem.Function | None) -> Floats | None:
+    """Return by how much gaps (n,) are too large, None where that is not known; collective."""
+    if link.pairing is None:
+        faceted = link.pattern.faceted if isinstance(link.pattern, SidePattern) else None
+        if faceted is None:  # a flat side
+            return None
+        heights = link.interface.heights(link, u)
+        return None if heights is None else np.asarray(heights * faceted)
+    if not link.interface.smooth:
+        return _means(link, u, point_heights)
+    assert link.pattern.smooth is not None
+    first = link.sides.slave.element.degree == 1
+    return missed_gaps(link, u) if first and not _are_flat(link, link.pattern.smooth) else None
 
 
 def _in_series(link: Link, k: Floats, diagonal: PETSc.Vec) -> Floats:
@@ -239,23 +228,6 @@ def _in_series(link: Link, k: Floats, diagonal: PETSc.Vec) -> Floats:
         softness.array[:] = inverse[i :: n.shape[1]]
         give += n[:, i] ** 2 * (P.matrix * softness).array_r[link.nodes]
     return np.asarray(k / (1.0 + k * give))
-
-
-def _uneven_facets(link: Link, heights: Floats, k: Floats, z: Floats) -> str:
-    """Return the note on a contact whose nodes (c,) carry forces z; collective."""
-    comm = link.sides.V.mesh.comm
-    total, count = comm.allreduce(np.array([heights.sum(), len(heights)]))
-    uneven = heights - total / max(count, 1)
-    share = ratio(norm(comm, k * uneven), norm(comm, z))
-    if share <= SPOILT:
-        return ""
-    highest = float(maximum(comm, np.abs(uneven).max(initial=0.0))[0])
-    return (
-        f"{link.interface}: facets stand off the curved sides by lengths that differ by up "
-        f"to {highest:.2g} from their mean, which amounts to {100 * share:.0f} % of the "
-        "contact forces: pressures may be wrong; choose "
-        f"{type(link.interface).__name__}(..., surface='smooth')"
-    )
 
 
 def _even_facets(
@@ -280,18 +252,5 @@ def _even_facets(
     return (
         f"{link.interface}: facets stand off the round side by {mean:.2g} on average, whose work "
         f"is {100 * share:.0f} % of that of the contact forces, which may be wrong by that much "
-        "and more; choose Obstacle(..., surface='smooth'), or refine"
-    )
-
-
-def _apart(link: Link, x: PETSc.Vec, heights: Floats) -> str:
-    """Return the note on a contact without forces whose smooth surfaces overlap; collective."""
-    deep = np.where(link.coupling.kept[:, 0], heights - link.gaps(x), 0.0)
-    deepest = float(maximum(link.sides.V.mesh.comm, deep.max(initial=0.0))[0])
-    if deepest <= HALF_OF_DIGITS * mean_facet_length(link.sides.slave):
-        return ""
-    return (
-        f"{link.interface}: no node carries, but smooth surfaces through the nodes would overlap "
-        f"by {deepest:.2g}: facets keep the curved sides apart, so that forces are missing; "
-        "choose Contact(..., surface='smooth'), or refine"
+        "and more; choose Obstacle(.., surface='smooth'), or refine"
     )
