@@ -10,6 +10,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import default_real_type, fem, mesh
+from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.interfaces.tool import SPACE
 from dolfinx_mortar.qp import scalars
 from dolfinx_mortar.steps import newton

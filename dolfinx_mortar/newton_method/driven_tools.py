@@ -19,7 +19,7 @@ the loads decreases along this path, so it can limit the length of the step.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -332,7 +332,7 @@ def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> StepFailed:
     k = int(np.argmax(which))
     name, owner, tool = _names(drives)[k]
     if tool.holds:
-        return Unresisted(
+        return StepFailed(
             f"nothing resists the load {name!r} = {drives.loads[k]:g} on {owner!r}: {tool.remedy}"
         )
     closing = -np.sign(drives.loads[k]) * drives.motions[k][lin.balance.bounds.dofs]
