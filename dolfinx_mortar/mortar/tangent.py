@@ -255,15 +255,7 @@ def _differentiate(
         where = sides.x[one], sides.n[one], sides.y[one], sides.start[f : f + 2]
         of.moments(*where, *at, *given, True, tables, part)
         _fill_shares(f, sides, surfaces.corners[0], edges.SUNK, part, shares[f])
-    found = _results(p, k, m, d, z)
-    apply(sums.values, sums.changes, basis, shares, fixed, sides.x, sides.y, others, found)
-    return found
-
-
-def _results(p: int, k: int, m: int, d: int, z: int) -> Results:
-    """Return results that are zero."""
-    shapes = (k + m, d, z), (k, z), (k, d, z), (k, k), (k, m)
-    return Results(*(np.zeros((p, *shape)) for shape in shapes))
+    return apply(sums.values, sums.changes, basis, shares, fixed, sides.x, sides.y, others)
 
 
 def differentiate_whole(
@@ -290,8 +282,8 @@ def differentiate_whole(
     size = k * d
     moments, changes = np.zeros((p, k, k + 1)), np.zeros((p, size, k, k + 1))
     add_whole(facets.x, by_x, rule, weights, phi, moments, changes)
-    found, shares, y = _results(p, k, 0, d, size), np.zeros((p, size)), np.empty((p, 0, d))
-    apply(moments, changes, basis, shares, fixed, facets.x, y, size, found)
+    shares, y = np.zeros((p, size)), np.empty((p, 0, d))
+    found = apply(moments, changes, basis, shares, fixed, facets.x, y, size)
     return found.F.reshape(p, k, d, k, d), found.G.reshape(p, k, k, d), found.D
 
 
@@ -354,11 +346,10 @@ def differentiate(
             partly[s],
             np.zeros((len(s), 0)) if segments.reach is None else segments.reach[s],
         )
-        both = [bases[0], bases[-1]]
         basis = Basis(
-            np.stack([absorbing(slave.element.shares, one.kept[s]) for one in both], axis=1),
-            np.stack([one.inverse[s] for one in both], axis=1),
-            np.stack([one.kept[s] for one in both], axis=1),
+            np.stack([absorbing(slave.element.shares, one.kept[s]) for one in bases], axis=1),
+            np.stack([one.inverse[s] for one in bases], axis=1),
+            np.stack([one.kept[s] for one in bases], axis=1),
             closed[s],
         )
         fixed = Fixed(given.tractions[own], given.normals[own], normals[group.nodes])
