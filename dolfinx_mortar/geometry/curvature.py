@@ -64,7 +64,10 @@ from dolfinx_mortar.geometry.facets import (
     facet_normals,
     scaled_normals,
 )
-from dolfinx_mortar.geometry.moments import KERNEL
+
+STEP = EPS * EPS
+"""Imaginary part of a coordinate, whose square is nothing beside round-off (complex step: Squire
+and Trapp, SIAM Review 40, 1998)."""
 
 
 @dataclass(frozen=True)
@@ -265,123 +268,46 @@ def curvatures(facets: Facets, sagitta: Floats) -> Floats:
     >>> (curvatures(facet, np.array([[1.0]])).round(12) + 0.0).tolist()  # without -0.0
     [[[0.25, 0.0], [0.0, 0.0]]]
     """
-    element = height_element(facets.element, sagitta)
-    first, last = (np.array(ends) for ends in node_pairs(element))
-    K = np.empty((len(facets.x), *2 * [facets.x.shape[2]]))
-    x, c = (np.ascontiguousarray(v) for v in (facets.x, sagitta))
-    _fill_curvatures(x, len(element.vertices), c, first, last, K)
-    return K
+    e = edges(facets, height_element(facets.element, sagitta))
+    if e.shape[2] == 2:  # c_ab e e^T / |e|^4, of the ends
+        t = _divided(e[:, 0], (e[:, 0] ** 2).sum(axis=1))
+        return np.asarray(sagitta[:, :1, None] * t[:, :, None] * t[:, None])
+    B = _frame(facets)
+    p, q = np.moveaxis(e @ B, 2, 0)
+    A = np.stack([p * p, 2.0 * p * q, q * q], axis=2)
+    A = _divided(A, p * p + q * q) * (e**2).sum(axis=2)[..., None]  # on spheres c_ab is |e|^2 / R
+    A_T = A.swapaxes(1, 2)
+    N = A_T @ A
+    size = EPS * np.trace(N, axis1=1, axis2=2) + TINY  # needles: nothing across them
+    N += size[:, None, None] * np.eye(3)
+    k = np.linalg.solve(N, A_T @ sagitta[:, :, None])[:, [0, 1, 1, 2], 0]
+    return np.asarray(B @ k.reshape(-1, 2, 2) @ B.swapaxes(1, 2))
 
 
-@numba.njit(**KERNEL)
-def _cross(a, b, c):  # type: ignore[no-untyped-def]
-    """Write the unit vector along a x b into c."""
-    square = 0.0 * a[0]
-    for i in range(3):
-        g, h = (i + 1) % 3, (i + 2) % 3
-        c[i] = a[g] * b[h] - a[h] * b[g]
-        square += c[i] * c[i]
-    scale = 1.0 / np.sqrt(square) if square.real > 0.0 else square
-    for i in range(3):
-        c[i] *= scale
+def curvature_slopes(facets: Facets, sagitta: Floats) -> Floats:
+    """Return the derivatives (m, k, d, d, d) of `curvatures` by the nodes, by complex steps."""
+    m, k, d = facets.x.shape
+    x = facets.x[:, None] + 1j * STEP * np.eye(k * d).reshape(-1, k, d)
+    moved = Facets(facets.element, x.reshape(m * k * d, k, d))
+    found = curvatures(moved, sagitta.repeat(k * d, axis=0))
+    return np.asarray(found.imag / STEP).reshape(m, k, d, d, d)
 
 
-@numba.njit(**KERNEL)
-def _frame(x, B):  # type: ignore[no-untyped-def]
-    """Write two tangents and the mean normal of a first-order facet x (v, 3) into the rows of B."""
-    bilinear = len(x) == 4
-    for i in range(3):
-        B[0, i] = x[2, i] - x[0, i] if bilinear else x[1, i] - x[0, i]
-        B[1, i] = x[3, i] - x[1, i] if bilinear else x[2, i] - x[0, i]
-    _cross(B[0], B[1], B[2])
-    for i in range(3):
-        B[0, i] = x[1, i] - x[0, i]
-    _cross(B[2], B[0], B[1])
-    _cross(B[1], B[2], B[0])
+def _divided(v: Floats, square: Floats) -> Floats:
+    """Return v / square, zero where that is zero; complex numbers may be given."""
+    return np.asarray(v / np.where(square.real > 0.0, square, np.inf)[..., None])
 
 
-@numba.njit(**KERNEL)
-def _solve(N, r, k):  # type: ignore[no-untyped-def]
-    """Write the solution of the symmetric, positive N k = r (3,) into k."""
-    a, b = N[0, 1] / N[0, 0], N[0, 2] / N[0, 0]
-    d = N[1, 1] - a * N[0, 1]
-    e = (N[1, 2] - a * N[0, 2]) / d
-    y, z = r[1] - a * r[0], r[2] - b * r[0]
-    k[2] = (z - e * y) / (N[2, 2] - b * N[0, 2] - e * e * d)
-    k[1] = y / d - e * k[2]
-    k[0] = r[0] / N[0, 0] - a * k[1] - b * k[2]
+def _unit(v: Floats) -> Floats:
+    """Return vectors of length one, zero for zero, of complex numbers, too."""
+    return _divided(v, np.sqrt((v * v).sum(axis=-1)))
 
 
-@numba.njit(**KERNEL)
-def fill_curvature(x, v, c, first, last, K):  # type: ignore[no-untyped-def]
-    """Write K (d, d) of a facet x (k, d) with v vertices and c_ab (e,), see `curvatures`."""
-    if x.shape[1] == 2:  # c_ab e e^T / |e|^4, of the ends
-        p, q = x[last[0], 0] - x[first[0], 0], x[last[0], 1] - x[first[0], 1]
-        square = p * p + q * q
-        scale = c[0] / (square * square) if square.real > 0.0 else 0.0 * square
-        K[0, 0], K[0, 1], K[1, 0], K[1, 1] = (
-            scale * p * p,
-            scale * p * q,
-            scale * p * q,
-            scale * q * q,
-        )
-        return
-    B, N = np.empty((3, 3), x.dtype), np.zeros((3, 3), x.dtype)
-    r, k = np.zeros(3, x.dtype), np.empty(3, x.dtype)
-    _frame(x[:v], B)
-    for z in range(len(c)):
-        p, q, square = 0.0 * x[0, 0], 0.0 * x[0, 0], 0.0 * x[0, 0]
-        for i in range(3):
-            e = x[last[z], i] - x[first[z], i]
-            p, q, square = p + B[0, i] * e, q + B[1, i] * e, square + e * e
-        size = p * p + q * q
-        scale = square / size if size.real > 0.0 else 0.0 * size  # on spheres, c_ab is |e|^2 / R
-        A = p * p * scale, 2.0 * p * q * scale, q * q * scale
-        for i in range(3):
-            r[i] += A[i] * c[z]
-            for j in range(3):
-                N[i, j] += A[i] * A[j]
-    size = EPS * (N[0, 0] + N[1, 1] + N[2, 2]) + TINY  # needles: nothing across them
-    for i in range(3):
-        N[i, i] += size
-    _solve(N, r, k)
-    for i in range(3):
-        for j in range(3):
-            K[i, j] = k[0] * B[0, i] * B[0, j] + k[2] * B[1, i] * B[1, j]
-            K[i, j] += k[1] * (B[0, i] * B[1, j] + B[1, i] * B[0, j])
-
-
-@numba.njit(**KERNEL)
-def _fill_curvatures(x, v, c, first, last, K):  # type: ignore[no-untyped-def]
-    """Write the curvatures K (m, d, d) of facets, see `fill_curvature`."""
-    for f in range(len(x)):
-        fill_curvature(x[f], v, c[f], first, last, K[f])
-
-
-@numba.njit(**KERNEL)
-def fill_heights(x, c, shared, K, first, last, table, Q):  # type: ignore[no-untyped-def]
-    """Write Q (k, k) of the heights N.Q N over a facet x (k, d).
-
-    Args:
-        c: (e,) its c_ab.
-        shared: whether they are those of the surface shared with another facet of curvature K; see
-            `common_sagittas`.
-        table: of `height_table`.
-    """
-    for a in range(len(Q)):
-        for b in range(len(Q)):
-            Q[a, b] = 0.0
-    for z in range(len(c)):
-        value = c[z] + 0.0 * x[0, 0]
-        if shared:
-            for i in range(x.shape[1]):
-                for j in range(x.shape[1]):
-                    e_i, e_j = x[last[z], i] - x[first[z], i], x[last[z], j] - x[first[z], j]
-                    value -= e_i * K[i, j] * e_j
-            value *= 0.5
-        for a in range(len(Q)):
-            for b in range(len(Q)):
-                Q[a, b] += value * table[z, a, b]
+def _frame(facets: Facets) -> Floats:
+    """Return two tangents (m, 3, 2) of facets, normal to each other."""
+    n, first = _unit(area_vectors(facets)), facets.x[:, 1] - facets.x[:, 0]
+    second = _unit(np.cross(n, first))
+    return np.stack([np.cross(second, n), second], axis=2)
 
 
 def height_table(element: FacetElement, e: int) -> Floats:

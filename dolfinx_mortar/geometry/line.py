@@ -226,6 +226,7 @@ class Tables(NamedTuple):
 
     slave: Floats  # (k, 9) coefficients of functions, see `moments.fill_functions`
     master: Floats  # (l, 9)
+    corners: int  # of a slave facet
     points: Floats  # (q,)
     weights: Floats  # (q,)
 
@@ -233,7 +234,7 @@ class Tables(NamedTuple):
 def tables(slave: FacetElement, master: FacetElement, smooth: bool) -> Tables:
     """Return the tables of two types, the same for smooth surfaces."""
     rule = gauss_points(2 * max(slave.degree, master.degree) + 1)
-    return Tables(slave.table, master.table, *rule)
+    return Tables(slave.table, master.table, len(slave.vertices), *rule)
 
 
 @numba.njit(**KERNEL)

@@ -15,6 +15,7 @@ from dolfinx_mortar.geometry.curvature import (
     NodeNormals,
     arcs_of_chords,
     common_sagittas,
+    curvature_slopes,
     curvatures,
     curved_sagittas,
     edge_sagittas,
@@ -298,10 +299,22 @@ class Curved:
         """Their curvatures (m, d, d)."""
         if self.facets.x.shape[2] == 2:  # cheaper than to find out which are the same
             return curvatures(self.facets, self.sagitta)
+        first, again = self._first
+        return curvatures(self.facets[first], self.sagitta[first])[again]
+
+    @property
+    def slopes(self) -> Floats:
+        """Derivatives (m, k, d, d, d) of these by their nodes."""
+        first, again = self._first
+        return curvature_slopes(self.facets[first], self.sagitta[first])[again]
+
+    @cached_property
+    def _first(self) -> tuple[Ints, Ints]:
+        """Where the different facets are, and which of them each is (m,)."""
         _, again = distinct(self.which)
         first = np.empty(again.max(initial=-1) + 1, dtype=np.int32)
         first[again] = np.arange(len(again))
-        return curvatures(self.facets[first], self.sagitta[first])[again]
+        return first, again
 
 
 def find_curved(

@@ -51,9 +51,7 @@ class Results(NamedTuple):
     M: Floats  # (p, k, m)
 
 
-def duals(
-    S: Floats, dS: Floats, T: Floats, inverse: Floats, kept: Bools
-) -> tuple[Floats, Floats]:
+def duals(S: Floats, dS: Floats, T: Floats, inverse: Floats, kept: Bools) -> tuple[Floats, Floats]:
     """Return C (p, k, k) of facets and its changes (p, z, k, k) for moments S and dS."""
     (p, z, k, _), V = dS.shape, inverse @ T
     part = kept / np.maximum(kept.sum(axis=1, keepdims=True), 1)

@@ -10,41 +10,35 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 import dolfinx
 from dolfinx.common import timed
 from dolfinx_mortar.algebra.block_sums import Blocks
-from dolfinx_mortar.arrays import CHUNK, EPS, Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import CHUNK, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry import area, line
 from dolfinx_mortar.geometry.curvature import (
-    fill_curvature,
-    fill_heights,
-    height_element,
+    common_sagittas,
+    first_order,
     height_table,
     node_pairs,
 )
+from dolfinx_mortar.geometry.curvature import edges as edges_of
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.moments import (
-    KERNEL,
-    Sums,
-    add_whole,
-    fill_turns,
-    gather,
-)
+from dolfinx_mortar.geometry.moments import Sums, add_whole, fill_turns
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar import edges
-from dolfinx_mortar.mortar.curvature_correction import SmoothSide, pair_sagittas
+from dolfinx_mortar.mortar.curvature_correction import (
+    Curved,
+    SmoothSide,
+    find_curved,
+    pair_sagittas,
+)
 from dolfinx_mortar.mortar.duals import Duals, absorbing, find_duals
 from dolfinx_mortar.mortar.edges import Sharing, widest_openings
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.product_rule import Basis, Fixed, Results, apply
 from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals
-
-STEP = EPS * EPS
-"""Imaginary part of a coordinate, whose square is nothing beside round-off (complex step: Squire
-and Trapp, SIAM Review 40, 1998)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,163 +83,84 @@ class _Sides(NamedTuple):
 
 
 class _Surfaces(NamedTuple):
-    """Heights of smooth surfaces."""
+    """Smooth surfaces over the facets of pairs (P,)."""
 
     c_s: Floats  # (P, e) c_ab; (P, 0) without
     c_m: Floats  # (P, e')
-    arcs: Floats  # (P, 2, 2) see `moments.add_point`
-    shared: bool  # whether both sides share one surface
-    table_s: Floats  # (e, k, k)
-    table_m: Floats
-    pairs_s: Longs  # (2, e) pairs of nodes
-    pairs_m: Longs
-    corners: tuple[int, int]
+    arcs: Floats  # (P, 2, 2) see `curvature_correction.pair_sagittas`
+    slopes: Floats  # (P, s, k + l, d) derivatives by the nodes of c_ab, or of chords' log lengths
+    tables: tuple[Floats, Floats]  # (e, k, k) see `height_table`
+    lengths: bool  # whether slopes are those of lengths
 
 
-@numba.njit(**KERNEL)
-def _fill_heights(x, y, c_s, c_m, surfaces, Q_s, Q_m):  # type: ignore[no-untyped-def]
-    """Write Q of the heights N.Q N over a slave facet (k, d) and a master (l, d) with such c_ab."""
-    p_s, p_m, d = surfaces.pairs_s, surfaces.pairs_m, x.shape[1]
-    K_s, K_m = np.zeros((d, d), x.dtype), np.zeros((d, d), y.dtype)
-    if surfaces.shared:
-        fill_curvature(x, surfaces.corners[0], c_s, p_s[0], p_s[1], K_s)
-        fill_curvature(y, surfaces.corners[1], c_m, p_m[0], p_m[1], K_m)
-    fill_heights(x, c_s, surfaces.shared, K_m, p_s[0], p_s[1], surfaces.table_s, Q_s)
-    fill_heights(y, c_m, surfaces.shared, K_s, p_m[0], p_m[1], surfaces.table_m, Q_m)
+def _add_motions_of_heights(sides: _Sides, surfaces: _Surfaces, sums: Sums) -> None:
+    """Add the derivatives of H by what heights depend on."""
+    (p, k, d), others = sides.x.shape, sides.x.shape[2] * (sides.x.shape[1] + sides.n.shape[1])
+    if surfaces.lengths:
+        rates = sums.chords
+    else:
+        both = zip((sums.E_s, sums.E_m), surfaces.tables, strict=True)
+        rates = np.concatenate([np.tensordot(E, t, ((2, 3), (1, 2))) for E, t in both], axis=2)
+    s = surfaces.slopes
+    by_x = (rates @ s.reshape(*s.shape[:2], -1)).reshape(len(s), k, -1, d)
+    by_x = by_x.transpose(0, 2, 3, 1)
+    of, H = np.repeat(np.arange(p), np.diff(sides.start)), sums.changes[..., -1]
+    np.add.at(H[:, : d * k].reshape(p, k, d, k), of, by_x[:, :k])
+    np.add.at(H[:, others:].reshape(p, -1, d, k), (of[:, None], sides.place), by_x[:, k:])
 
 
-@numba.njit(**KERNEL)
-def _fill_all_heights(sides, surfaces, heights):  # type: ignore[no-untyped-def]
-    """Write the heights of all pairs."""
-    Q_s, Q_m, _ = heights
-    y = np.empty((sides.place.shape[1], sides.x.shape[2]))
-    for f in range(len(sides.x)):
-        for r in range(sides.start[f], sides.start[f + 1]):
-            gather(sides.y[f], sides.place[r], y)
-            c_ab = surfaces.c_s[r], surfaces.c_m[r]
-            _fill_heights(sides.x[f], y, *c_ab, surfaces, Q_s[r], Q_m[r])
-
-
-@numba.njit(**KERNEL)
-def _add_motions_of_heights(sides, surfaces, sums):  # type: ignore[no-untyped-def]
-    """Add the derivatives of H by those of the heights' Q, taken by the complex step."""
-    (k, d), (_, l), m = sides.x.shape[1:], sides.place.shape, sides.y.shape[1]  # noqa: E741
-    others, last = d * (k + sides.n.shape[1]), k + m
-    x, y = np.empty((k, d), np.complex128), np.empty((l, d), np.complex128)
-    Q_s, Q_m = np.empty((k, k), x.dtype), np.empty((l, l), x.dtype)
-    for f in range(len(sides.x)):
-        for z in range(d * k):
-            x[z // d, z % d] = sides.x[f, z // d, z % d]
-        for r in range(sides.start[f], sides.start[f + 1]):
-            gather(sides.y[f], sides.place[r], y)
-            for z in range(d * (k + l)):
-                a, i = z // d, z % d
-                at, node = (x, a) if a < k else (y, a - k)
-                at[node, i] += 1j * STEP
-                _fill_heights(x, y, surfaces.c_s[r], surfaces.c_m[r], surfaces, Q_s, Q_m)
-                at[node, i] = at[node, i].real
-                by = z if a < k else others + d * sides.place[r, node] + i
-                for j in range(k):
-                    change = _product(sums.E_s, r, j, Q_s) + _product(sums.E_m, r, j, Q_m)
-                    sums.changes[f, by, j, last] += change / STEP
-
-
-@numba.njit(**KERNEL)
-def _add_motions_of_chords(sides, sums):  # type: ignore[no-untyped-def]
-    """Add the derivatives of H by the lengths of the chords of arcs, whose vertices are first."""
-    (k, d), m = sides.x.shape[1:], sides.y.shape[1]
-    for f in range(len(sides.x)):
-        for r in range(sides.start[f], sides.start[f + 1]):
-            for side in range(2):
-                nodes = sides.x[f] if side == 0 else sides.y[f]
-                a, b = (0, 1) if side == 0 else (sides.place[r, 0], sides.place[r, 1])
-                first, square = (0 if side == 0 else d * (k + sides.n.shape[1])), 0.0
-                for i in range(d):
-                    square += (nodes[b, i] - nodes[a, i]) ** 2
-                for i in range(d):
-                    rate = (nodes[b, i] - nodes[a, i]) / square
-                    for j in range(k):
-                        change = rate * sums.chords[r, j, side]
-                        sums.changes[f, first + d * b + i, j, k + m] += change
-                        sums.changes[f, first + d * a + i, j, k + m] -= change
-
-
-@numba.njit(**KERNEL)
-def _product(E, r, j, Q):  # type: ignore[no-untyped-def]
-    """Return the sum of E[r, j] times the imaginary part of Q."""
-    total = 0.0
-    for a in range(len(Q)):
-        for b in range(len(Q)):
-            total += E[r, j, a, b] * Q[a, b].imag
-    return total
-
-
-@numba.njit(**KERNEL)
-def _fill_shares(f, sides, corners, sunk, sums, shares):  # type: ignore[no-untyped-def]
-    """Write the derivatives (z,) of 1 - o_j / (sunk L), see `edges`, of facet f.
+def _share_slopes(f: int, sides: _Sides, corners: int, sums: Sums) -> Floats:
+    """Return the derivatives (z,) of 1 - o_j / (SUNK L), see `edges`, of facet f.
 
     Args:
-        f: the facet.
-        sides: all facets.
         corners: of a slave facet.
-        sunk: of `edges`.
-        sums: (1, ..) moments of the positive part of N_j.
-        shares: the result.
+        sums: moments of the positive part of N_j of this facet alone.
     """
-    x, y, j, row = sides.x[f], sides.y[f], sides.partly[f], sums.values[0, sides.partly[f]]
-    (k, d), m, weight = x.shape, len(y), row[: len(x)].sum()
-    others, turns = d * (k + sides.n.shape[1]), np.empty((corners, d))
-    axis, n, gap, middle = np.zeros(d), np.zeros(d), np.zeros(d), np.zeros(d)
-    for i in range(d):
-        axis[i] = 1.0
-        n[i] = fill_turns(axis, x[:corners], turns)
-        axis[i] = 0.0
-        gap[i] = (row[k : k + m] * y[:, i]).sum() - (row[:k] * x[:, i]).sum()
-        middle[i] = x[:, i].sum() / k
-    far = ((x - middle) ** 2).sum(axis=1).argmax()
-    offset = x[far] - middle
-    square = (offset**2).sum()
-    scale = 1.0 / (weight * sunk * 2.0 * np.sqrt(square))
-    opening = scale * fill_turns(gap, x[:corners], turns)
-    for z in range(len(shares)):
-        change, own = sums.changes[0, z, j], d * k > z
-        a, i = (z if own else z - others) // d, z % d
-        shares[z] = opening * change[:k].sum() / weight
-        for h in range(d):
-            moved = (change[k : k + m] * y[:, h]).sum() - (change[:k] * x[:, h]).sum()
-            shares[z] -= scale * n[h] * moved
-        if own:
-            shares[z] += scale * row[a] * n[i]
-            shares[z] += opening * offset[i] * ((a == far) - 1.0 / k) / square
-            shares[z] -= scale * turns[a, i] if a < corners else 0.0
-        elif z >= others:
-            shares[z] -= scale * row[k + a] * n[i]
+    x, y, j = sides.x[f], sides.y[f], sides.partly[f]
+    (k, d), row, changes = x.shape, sums.values[0, j, :-1], sums.changes[0, :, j, :-1]
+    nodes, weight, turns = np.concatenate([-x, y]), row[:k].sum(), np.empty((corners, d))
+    n = np.array([fill_turns(axis, x[:corners], turns) for axis in np.eye(d)])
+    offsets = x - x.mean(axis=0)
+    far = (offsets**2).sum(axis=1).argmax()
+    square = (offsets[far] ** 2).sum()
+    scale = 1.0 / (weight * edges.SUNK * 2.0 * np.sqrt(square))
+    opening = scale * fill_turns(row @ nodes, x[:corners], turns)
+    shares = opening / weight * changes[:, :k].sum(axis=1) - scale * (changes @ nodes @ n)
+    own = shares[: d * k].reshape(k, d)
+    own += scale * row[:k, None] * n
+    own += opening / square * np.outer((np.arange(k) == far) - 1.0 / k, offsets[far])
+    own[:corners] -= scale * turns
+    shares[len(shares) - y.size :] -= scale * np.outer(row[k:], n).ravel()
+    return np.asarray(shares)
 
 
 def _differentiate(
-    sides: _Sides, surfaces: _Surfaces, tables: NamedTuple, basis: Basis, fixed: Fixed
+    sides: _Sides,
+    surfaces: _Surfaces,
+    tables: line.Tables | area.Tables,
+    basis: Basis,
+    fixed: Fixed,
 ) -> Results:
     """Return the derivatives of all facets."""
     (p, k, d), m, (c, l) = sides.x.shape, sides.y.shape[1], sides.place.shape  # noqa: E741
-    of, others, smooth = (
-        (line if d == 2 else area),
-        d * (k + sides.n.shape[1]),
-        surfaces.c_s.size > 0,
-    )
+    of, others = (line if d == 2 else area), d * (k + sides.n.shape[1])
+    smooth, moved = surfaces.c_s.size > 0, surfaces.slopes.size > 0
     z = others + d * m
-    heights = np.empty((c * smooth, k, k)), np.empty((c * smooth, l, l)), surfaces.arcs
-    E_s, E_m = (np.zeros((c * (smooth and surfaces.shared), k, v, v)) for v in (k, l))
-    chords = np.zeros((c * bool(smooth and surfaces.arcs[:, :, 0].any()), k, 2))
+    Q_s, Q_m = np.empty((0, k, k)), np.empty((0, l, l))
+    if smooth:
+        both = zip(surfaces[:2], surfaces.tables, strict=True)
+        Q_s, Q_m = (np.tensordot(c_ab, table, 1) for c_ab, table in both)
+    heights = Q_s, Q_m, surfaces.arcs
+    lengths = c * surfaces.lengths
+    common = (c - lengths) * moved
+    E_s, E_m = (np.zeros((common, k, v, v)) for v in (k, l))
+    chords = np.zeros((lengths, k, 2))
     sums = Sums(np.zeros((p, k, k + m + 1)), np.zeros((p, z, k, k + m + 1)), E_s, E_m, chords)
     at = sides.place, sides.deepest
-    if smooth:
-        _fill_all_heights(sides, surfaces, heights)
     given = sides.reach, sides.factor, heights
     of.moments(sides.x, sides.n, sides.y, sides.start, *at, *given, False, tables, sums)
-    if len(E_s):
+    if moved:
         _add_motions_of_heights(sides, surfaces, sums)
-    if len(chords):
-        _add_motions_of_chords(sides, sums)
     shares = np.zeros((p, z))
     for f in np.flatnonzero(sides.partly >= 0):
         one = slice(f, f + 1)
@@ -254,7 +169,7 @@ def _differentiate(
         given = sides.reach[one], sides.factor[one], heights
         where = sides.x[one], sides.n[one], sides.y[one], sides.start[f : f + 2]
         of.moments(*where, *at, *given, True, tables, part)
-        _fill_shares(f, sides, surfaces.corners[0], edges.SUNK, part, shares[f])
+        shares[f] = _share_slopes(f, sides, tables.corners, part)
     return apply(sums.values, sums.changes, basis, shares, fixed, sides.x, sides.y, others)
 
 
@@ -368,26 +283,43 @@ def _surfaces(
     slave, master = pairing.slave.element, pairing.master.element
     c_s: Floats = np.empty((len(used), 0))
     c_m, arcs = c_s, np.empty((len(used), 2, 2))
+    slopes: Floats = np.empty((len(used), 0, slave.nodes + master.nodes, pairing.slave.X.shape[1]))
+    lengths = False
     if smooth is not None:
-        c_s, c_m, arcs[:] = pair_sagittas(pairing, u, smooth, used)
-    of_s, of_m = height_element(slave, c_s), height_element(master, c_m)
-    return _Surfaces(
-        c_s,
-        c_m,
-        arcs,
-        slave.degree == 1,
-        height_table(slave, c_s.shape[1]),
-        height_table(master, c_m.shape[1]),
-        np.array(node_pairs(of_s), dtype=np.int64),
-        np.array(node_pairs(of_m), dtype=np.int64),
-        (len(slave.vertices), len(master.vertices)),
+        c_s, c_m, arcs = pair_sagittas(pairing, u, smooth, used)
+        a, b = find_curved(pairing, u, smooth, used)
+        lengths, shared = bool(arcs[:, :, 0].any()), slave.degree == 1
+        if shared:
+            c_s, c_m = common_sagittas(a.facets, c_s, b.K), common_sagittas(b.facets, c_m, a.K)
+        if shared or lengths:
+            of_s, of_m = _slopes(a, b, shared), _slopes(b, a, shared)[::-1]
+            slopes = np.concatenate([np.concatenate(of, axis=2) for of in (of_s, of_m)], axis=1)
+    tables = height_table(slave, c_s.shape[1]), height_table(master, c_m.shape[1])
+    return _Surfaces(c_s, c_m, arcs, slopes, tables, lengths)
+
+
+def _slopes(side: Curved, other: Curved, shared: bool) -> tuple[Floats, Floats]:
+    """Return the derivatives (P, e, k, d) by the nodes of both sides, of the former's `slopes`."""
+    e, (a, b) = edges_of(side.facets), node_pairs(first_order(side.facets.element))
+    (P, k, d), count = side.facets.x.shape, len(a)
+    by_nodes, by_others = (
+        np.zeros((P, count, k, d)),
+        np.zeros((P, count, *other.facets.x.shape[1:])),
     )
+    if shared:  # c_ab / 2 - e.K e / 2
+        by_e, by_K = -e @ other.K, e[..., None] * e[:, :, None] / -2.0
+        slopes = other.slopes.reshape(P, -1, d * d)
+        by_others[:] = (by_K.reshape(P, -1, d * d) @ slopes.swapaxes(1, 2)).reshape(by_others.shape)
+    else:
+        by_e = e / (e**2).sum(axis=2, keepdims=True)
+    by_nodes[:, range(count), b] = by_e
+    by_nodes[:, range(count), a] -= by_e
+    return by_nodes, by_others
 
 
 def _some(surfaces: _Surfaces, pairs: Longs) -> _Surfaces:
     """Return the heights of some pairs."""
-    c_s, c_m, arcs = (np.ascontiguousarray(v[pairs]) for v in surfaces[:3])
-    return surfaces._replace(c_s=c_s, c_m=c_m, arcs=arcs)
+    return _Surfaces(*(np.ascontiguousarray(v[pairs]) for v in surfaces[:4]), *surfaces[4:])
 
 
 @dataclass(frozen=True, eq=False)
