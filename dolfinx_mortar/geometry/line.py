@@ -19,23 +19,10 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, Floats, Ints
+from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.moments import (
-    KERNEL,
-    add_heights,
-    add_row,
-    begin_point,
-    create_point,
-    fill_functions,
-    fill_rows,
-    fill_slopes,
-    fill_turns,
-    gather,
-    move_to,
-    take_row,
-)
+from dolfinx_mortar.geometry.moments import KERNEL, Sums
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 
@@ -136,11 +123,11 @@ def _insert(cuts, count, value):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _clip_facet(x, n, x_m, ends_m, pairs, deepest, first, last, which, ends, q):  # type: ignore[no-untyped-def]
-    """Append the segments of one slave facet, of pairs first to last; no part of it occurs twice.
+    """Append the segments of one slave facet, of pairs first to last; return how many there are.
 
-    Return how many there are, and whether masters hide others.
+    No part of it occurs twice.
     """
-    p, c, start, hidden = last - first, 0, q, False
+    p, c, start = last - first, 0, q
     low, high, cuts = np.empty(p), np.empty(p), np.empty(2 * p)
     index, master, most = np.empty(p, np.int32), np.empty(p, np.int32), np.empty(p)
     for r in range(first, last):
@@ -151,9 +138,6 @@ def _clip_facet(x, n, x_m, ends_m, pairs, deepest, first, last, which, ends, q):
         if (b - a) > 8 * ROUND_OFF:
             low[c], high[c], index[c], master[c] = a, b, r, pairs[r, 1]
             most[c] = deepest[r]
-            for i in range(c):
-                common = min(high[i], b) - max(low[i], a)
-                hidden = hidden or common > 8 * ROUND_OFF
             _insert(cuts, 2 * c, a)
             _insert(cuts, 2 * c + 1, b)
             c += 1
@@ -169,7 +153,7 @@ def _clip_facet(x, n, x_m, ends_m, pairs, deepest, first, last, which, ends, q):
             continue
         which[q], ends[q, 0], ends[q, 1] = index[best], a, b
         q += 1
-    return q, hidden
+    return q
 
 
 @numba.njit(cache=True)
@@ -183,7 +167,7 @@ def _clip(x_s, n_s, x_m, ends_m, pairs, deepest):  # type: ignore[no-untyped-def
         while last < p and pairs[last, 0] == s:
             last += 1
         at = x_s[s], n_s[s], x_m, ends_m, pairs, deepest, first, last
-        q, _ = _clip_facet(*at, which, ends, q)
+        q = _clip_facet(*at, which, ends, q)
     return which[:q], ends[:q]
 
 
@@ -211,21 +195,11 @@ def _place(x_s, n_s, x_m, pairs, which, ends, points, weights):  # type: ignore[
     return xi_s, xi_m, weight
 
 
-@numba.njit(**KERNEL)
-def _polynomial(v, table, result):  # type: ignore[no-untyped-def]
-    """Write the coefficients (3, 2) of the field with nodal values v (k, 2), see `_polynomials`."""
-    for a in range(3):
-        for i in range(2):
-            result[a, i] = 0.0
-            for j in range(len(v)):
-                result[a, i] += table[j, 3 * a] * v[j, i]
-
-
 class Tables(NamedTuple):
     """What `moments` needs of the two types of facets."""
 
-    slave: Floats  # (k, 9) coefficients of functions, see `moments.fill_functions`
-    master: Floats  # (l, 9)
+    slave: Floats  # (k, 3) coefficients of 1, xi, xi^2 of the functions
+    master: Floats  # (l, 3)
     corners: int  # of a slave facet
     points: Floats  # (q,)
     weights: Floats  # (q,)
@@ -234,11 +208,83 @@ class Tables(NamedTuple):
 def tables(slave: FacetElement, master: FacetElement, smooth: bool) -> Tables:
     """Return the tables of two types, the same for smooth surfaces."""
     rule = gauss_points(2 * max(slave.degree, master.degree) + 1)
-    return Tables(slave.table, master.table, len(slave.vertices), *rule)
+    return Tables(slave.table[:, ::3], master.table[:, ::3], len(slave.vertices), *rule)
 
 
-@numba.njit(**KERNEL)
-def moments(x, n, y, start, place, deepest, reach, factor, heights, positive, tables, found):  # type: ignore[no-untyped-def]
+class _Points(NamedTuple):
+    """Points (s, q) of segments."""
+
+    N: Floats  # (s, q, k) functions of the slave facet
+    M: Floats  # (s, q, m) functions of the masters' nodes
+    apart: Floats  # (s, q, 2) x - y
+    n: Floats  # (s, q, 2) direction of projection
+    tangent: Floats  # (s, q, 2) dx/dxi
+    slope: Floats  # (s, q) of f = (x - y) x n by xi, with fixed y
+
+    def by_nodes(self) -> Floats:
+        """Return the derivatives (s, q, 2 k + m, 2) of f by x, n and y."""
+        along, across = _turned(self.n)[:, :, None], _turned(self.apart)[:, :, None]
+        N, M = self.N[..., None], self.M[..., None]
+        return np.concatenate([N * along, -N * across, -M * along], axis=2)
+
+
+def _points(N: Floats, dN: Floats, M: Floats, x: Floats, n: Floats, y: Floats) -> _Points:
+    """Return points with functions N and M at the nodes x (s, k, 2) and y (s, m, 2)."""
+    apart, normal, tangent = N @ x - M @ y, N @ n, dN @ x
+    slope = _cross(tangent, normal) + _cross(apart, dN @ n)
+    return _Points(N, M, apart, normal, tangent, slope)
+
+
+class _Height(NamedTuple):
+    """Heights of a smooth surface at points (s, q)."""
+
+    h: Floats
+    by_xi: Floats
+    by_chord: Floats  # by the logarithm of the chord's length, of arcs
+
+
+def _height(N: Floats, dN: Floats, Q: Floats, arcs: Floats) -> _Height:
+    """Return N.Q N as heights of arcs (s, 1, 2), see `curvature.heights_of_arcs`."""
+    QN, curvature, square = N @ Q, arcs[..., 0], arcs[..., 1]
+    h, left = (QN * N).sum(axis=2), 1.0 - square
+    root, across = np.sqrt(square), np.sqrt(square + 2.0 * curvature * h)
+    # curvature is c / L^2, left a quarter of c times that
+    rate = left / root + (left - 2.0 * curvature * h) / across
+    both, by_xi = root + across, 2.0 * (QN * dN).sum(axis=2) / across
+    return _Height(2.0 * h / both, by_xi, -2.0 * h / both**2 * rate)
+
+
+def _functions(table: Floats, xi: Floats) -> list[Floats]:
+    """Return functions with coefficients (k, 3) at xi (s, q), and their first two derivatives."""
+    one, none = np.ones_like(xi), np.zeros_like(xi)
+    powers = (one, xi, xi**2), (none, one, 2.0 * xi), (none, none, 2.0 * one)
+    return [np.stack(p, axis=-1) @ table.T for p in powers]
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """Return a x b of vectors (.., 2)."""
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def _turned(v: Floats) -> Floats:
+    """Return vectors (.., 2) turned clockwise by a right angle."""
+    return np.asarray(v[..., ::-1] * [1.0, -1.0])
+
+
+def moments(
+    x: Floats,
+    n: Floats,
+    y: Floats,
+    start: Longs,
+    place: Longs,
+    deepest: Floats,
+    reach: Floats,
+    factor: Floats,
+    heights: tuple[Floats, Floats, Floats],
+    positive: bool,
+    tables: Tables,
+    found: Sums,
+) -> None:
     """Add the moments of slave facets x (p, k, 2) and their masters, and derivatives.
 
     Args:
@@ -248,148 +294,112 @@ def moments(x, n, y, start, place, deepest, reach, factor, heights, positive, ta
         place: (c, l) nodes of the pairs' masters.
         deepest: (c,) see `place_points`.
         reach: (p, 2) the gap from which on weights fall, and how fast; (p, 0) where nothing falls.
-        factor: (p, k) of `moments.begin_point`, as heights.
-        positive: of `moments.fill_rows`.
+        factor: (p, k) that of the weight at the nodes, interpolated.
+        heights: Q of both facets, (c, k, k) and (c, l, l), and arcs (c, 2, 2); empty without.
+        positive: whether only what is positive of N_j counts.
         tables: of `tables`.
-        found: `moments.Sums`, by the coordinates of x, n and y.
+        found: by the coordinates of x, n and y.
     """
-    (k, d), m, l = x.shape[1:], y.shape[1], place.shape[1]  # noqa: E741
-    p, p_s, p_n = create_point(k, l), np.empty((3, d)), np.empty((3, d))
-    last = d * (2 * k + m)  # the values themselves, then derivatives by both ends
-    turns, totals = np.zeros((2, d)), np.zeros((last + 3, k * (k + l + 1)))
-    for f in range(len(x)):
-        first, c, facet = start[f], start[f + 1] - start[f], x[f, :2]
-        which, ends = np.empty(2 * c, np.int32), np.empty((2 * c, 2))
-        p_m, Y, pairs = np.empty((c, 3, d)), np.empty((c, l, d)), np.zeros((c, 2), np.int32)
-        _polynomial(x[f], tables.slave, p_s)
-        _polynomial(n[f], tables.slave, p_n)
-        for r in range(c):
-            gather(y[f], place[first + r], Y[r])
-            _polynomial(Y[r], tables.master, p_m[r])
-            pairs[r, 1] = r
-        least, zero = deepest[first : start[f + 1]], np.int64(0)
-        count, _ = _clip_facet(p_s, p_n, p_m, Y, pairs, least, zero, c, which, ends, zero)
-        for i in range(count):
-            r, half = which[i], (ends[i, 1] - ends[i, 0]) / 2
-            at = p_s, p_n, p_m[r], p, facet, turns, reach[f], factor[f], heights, first + r
-            for q in range(len(tables.points)):
-                t = tables.points[q]
-                w, e_s, e_m, motion = _weigh_at(ends[i, 0] + half * (1.0 + t), *at, tables)
-                fill_rows(p, k, tables.weights[q] * half * w, positive, True)
-                add_row(p, 4, 1.0, totals, last)
-                add_heights(p, k, first + r, e_s, e_m, found)
-                _add_changes(p, k, motion, turns, place[first + r], p.f[k : k + l], totals)
-                for j in range(2):
-                    sign = 1.0 if j == 1 else -1.0
-                    add_row(p, 0, (1.0 + sign * t) / 2, totals, last + 1 + j)
-                    add_row(p, 4, sign / (2.0 * half), totals, last + 1 + j)
-            for j in range(2):
-                take_row(p, 4, totals, last + 1 + j)
-                if abs(ends[i, j]) < 1.0 - HALF_OF_DIGITS:  # otherwise sides end together
-                    masters = y[f], place[first : start[f + 1]], r
-                    _add_end(ends[i, j], p_s, p_n, *masters, p, k, turns, tables, totals)
-            for z in range(last):
-                move_to(totals, z, k, place, first + r, found.changes[f, z])
-            move_to(totals, last, k, place, first + r, found.values[f])
+    k, m, t = x.shape[1], y.shape[1], tables.points
+    of = np.repeat(np.arange(len(x), dtype=np.int32), np.diff(start))
+    pairs = np.stack([of, np.arange(len(of), dtype=np.int32)], axis=1)
+    Y, kinds = y[of[:, None], place], (tables.slave, tables.slave, tables.master)
+    facets = [table.T @ v for table, v in zip(kinds, (x, n, Y), strict=True)]
+    which, ends = _clip(*facets, np.ascontiguousarray(Y[:, :2]), pairs, deepest)
+    xi, eta, _ = _place(*facets, pairs, which, ends, t, tables.weights)
+    xi, eta, half = xi.reshape(-1, len(t)), eta.reshape(-1, len(t)), np.diff(ends)[:, :, None] / 2
+    on, spread = of[which], np.eye(m)[place[which]]
+    (N, dN, ddN), (N_m, dN_m, _) = _functions(tables.slave, xi), _functions(tables.master, eta)
+    at, along_m = _points(N, dN, N_m @ spread, x[on], n[on], y[on]), dN_m @ Y[which]
+    by_gap = np.where(np.abs(eta) < 1.0, 1.0 / _cross(along_m, at.n), 0.0)  # held at an end
+    # functions of both sides and heights, and their derivatives by xi and by eta
+    f, by_xi, by_eta = (np.zeros((*xi.shape, k + m + 1)) for _ in range(3))
+    f[..., :k], f[..., k:-1], by_xi[..., :k], by_eta[..., k:-1] = N, at.M, dN, dN_m @ spread
+    sides = [(N, dN, by_xi), (N_m, dN_m, by_eta)] if heights[0].size else []
+    arcs = []
+    for i, (one, d_one, by) in enumerate(sides):
+        arcs.append(_height(one, d_one, heights[i][which], heights[2][which, i, None]))
+        f[..., -1] += arcs[i].h
+        by[..., -1] = arcs[i].by_xi
+    slope = (by_gap * at.slope)[..., None]  # deta/dxi
+    by_xi += slope * by_eta
+    w, w_xi, fall, by_weight = _weigh(at, dN, ddN @ x[on], x[on], factor[on], reach[on])
+    w, w_eta = w * tables.weights * half[..., 0], (along_m * fall).sum(axis=2)[..., None]
+    if positive:
+        dN, N = np.where(N < 0.0, 0.0, dN), np.maximum(N, 0.0)
+    v, dv = (w[..., None] * u for u in (N, dN + N * (w_xi[..., None] + slope * w_eta)))
+    rows, rows_xi, rows_eta = (v[..., None] * g[:, :, None] for g in (f, by_xi, by_eta + w_eta * f))
+    rows_xi += dv[..., None] * f[:, :, None]
+    rows, rows_xi, rows_eta = (r.reshape(*xi.shape, -1) for r in (rows, rows_xi, rows_eta))
+    signs = np.array([[-1.0], [1.0]])
+    by_ends = (1.0 + signs * t) / 2 @ rows_xi + signs / (2.0 * half) * rows.sum(axis=1)[:, None]
+    is_end = np.zeros((len(x), m), dtype=bool)
+    is_end[of[:, None], place[:, :2]] = True
+    nodes = is_end[on], spread[:, :2].any(axis=1)
+    moving = _end_rates(*_functions(tables.slave, ends)[:2], x[on], n[on], y[on], ends, nodes)
+    rates = np.concatenate([by_gap[..., None, None] * at.by_nodes(), by_weight, moving], axis=1)
+    rates = rates.reshape(*rates.shape[:2], -1).swapaxes(1, 2)
+    change = rates @ np.concatenate([rows_eta, rows, by_ends], axis=1)
+    np.add.at(found.values, on, rows.sum(axis=1).reshape(-1, *found.values.shape[1:]))
+    np.add.at(found.changes, on, change.reshape(-1, *found.changes.shape[1:]))
+    for i, (one, _, _) in enumerate(sides):
+        if len(found.chords):
+            np.add.at(found.chords[:, :, i], which, (v * arcs[i].by_chord[..., None]).sum(axis=1))
+        elif len(E := (found.E_s, found.E_m)[i]):
+            np.add.at(E, which, np.einsum("sqj,sqa,sqb->sjab", v, one, one))
 
 
-@numba.njit(**KERNEL)
-def _add_end(xi, x, n, y, place, r, p, k, turns, tables, totals):  # type: ignore[no-untyped-def]
-    """Add the derivatives by an end of a segment of pair r, which the last row holds."""
-    node = _node_at(x, n, y, place, r, xi)
-    fill_functions(tables.slave, xi, 0.0, p.f, 0)
-    _, slope = _moment(x, n, y[node, 0], y[node, 1], xi)
-    p0, p1 = _at(x, xi, 0) - y[node, 0], _at(x, xi, 1) - y[node, 1]
-    n0, n1 = _at(n, xi, 0), _at(n, xi, 1)
-    motion = n0, n1, p0, p1, 0.0, -1.0 / slope, 0.0, 0.0, 0.0, 0.0, 0.0
-    _add_changes(p, k, motion, turns, np.full(1, node), np.ones(1), totals)
+def _weigh(
+    at: _Points, dN: Floats, bend: Floats, x: Floats, factor: Floats, reach: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the weight (s, q) of points per xi, and the derivatives of its logarithm.
 
-
-@numba.njit(**KERNEL)
-def _node_at(x, n, y, place, r, xi):  # type: ignore[no-untyped-def]
-    """Return the end of a master, of r first, that the normal of the slave facet meets at xi."""
-    best, least = -1, np.inf
-    for c in range(len(place)):
-        for b in range(2):
-            i = place[(r + c) % len(place), b]
-            f, slope = _moment(x, n, y[i, 0], y[i, 1], xi)
-            if abs(f) < least:
-                best, least = i, abs(f)
-        if least <= HALF_OF_DIGITS * abs(slope):
-            break
-    return best
-
-
-@numba.njit(**KERNEL)
-def _weigh_at(xi, x, n, y, p, facet, turns, reach, factor, heights, c, tables):  # type: ignore[no-untyped-def]
-    """Place a point of pair c; return its weight per xi, dh/d(N.Q N), and how it moves.
-
-    The latter are n(xi) and the offset x - y, whose cross product eta keeps at 0, the derivatives
-    by that product of eta and of xi, those of the logarithm of the length by the tangent, and of
-    that of the weight by the gap along a normal, which `turns`. Derivatives by xi of the slave
-    facet are those with eta.
+    Those by xi (s, q), by y (s, q, 2), and by the nodes (s, q, 2 k + m, 2) at fixed xi and eta.
     """
-    k, eta = len(factor), _opposite(x, n, y, xi)
-    for i in range(len(p.f)):
-        p.df[0, i] = 0.0
-    fill_functions(tables.slave, xi, 0.0, p.f, 0)
-    fill_slopes(tables.slave, xi, 0.0, p.df, 0, 0)
-    fill_functions(tables.master, eta, 0.0, p.f, k)
-    fill_slopes(tables.master, eta, 0.0, p.df, 2, k)
-    p.by_weight[0] = p.by_weight[1] = p.by_weight[2] = p.by_weight[3] = 0.0
-    scale, e_s, e_m = begin_point(p, factor, c, heights)
-    t0, t1 = x[1, 0] + 2 * xi * x[2, 0], x[1, 1] + 2 * xi * x[2, 1]
-    e0, e1 = y[1, 0] + 2 * eta * y[2, 0], y[1, 1] + 2 * eta * y[2, 1]
-    n0, n1, square = _at(n, xi, 0), _at(n, xi, 1), t0 * t0 + t1 * t1
-    p0, p1 = _at(x, xi, 0) - _at(y, eta, 0), _at(x, xi, 1) - _at(y, eta, 1)
-    rate = 1.0 / (e0 * n1 - e1 * n0) if abs(eta) < 1.0 else 0.0  # held at an end
-    part, fall, m0, m1 = 1.0, 0.0, facet[1, 1] - facet[0, 1], facet[0, 0] - facet[1, 0]
-    length = np.sqrt(m0 * m0 + m1 * m1)
-    m0, m1 = m0 / length, m1 / length
-    if len(reach):
-        part = 1.0 + reach[1] * (p0 * m0 + p1 * m1 + reach[0])
-        if 0.0 < part < 1.0:
-            fall = -reach[1] / part
-            p.by_weight[2] += fall * (e0 * m0 + e1 * m1)
-            fill_turns(np.array([-p0, -p1]), facet, turns)
-        part = min(max(part, 0.0), 1.0)
-    along = 2.0 * (t0 * x[2, 0] + t1 * x[2, 1]) / square - fall * (t0 * m0 + t1 * m1)
-    slope = rate * _moment(x, n, _at(y, eta, 0), _at(y, eta, 1), xi)[1]
-    p.by_weight[0] += along + slope * p.by_weight[2]
-    for i in range(len(p.f)):
-        p.df[0, i] += slope * p.df[2, i]
-    motion = n0, n1, p0, p1, rate, 0.0, t0 / square, t1 / square, fall * m0, fall * m1, fall
-    return scale * part * np.sqrt(square), e_s, e_m, motion
+    N, t, square = at.N, at.tangent, (at.tangent**2).sum(axis=2, keepdims=True)
+    scale, chord = (N @ factor[:, :, None])[..., 0], (x[:, 1] - x[:, 0])[:, None]
+    w_xi = (dN @ factor[:, :, None])[..., 0] / np.where(scale > 0.0, scale, np.inf)  # on an axis
+    w_xi += (t * bend).sum(axis=2) / square[..., 0]
+    w, fall = scale * np.sqrt(square[..., 0]), np.zeros_like(t)
+    by_nodes = np.zeros((*w.shape, 2 * N.shape[2] + at.M.shape[2], 2))
+    by_x, by_y = by_nodes[:, :, : N.shape[2]], by_nodes[:, :, 2 * N.shape[2] :]
+    by_x += dN[..., None] * (t / square)[:, :, None]
+    if reach.size:
+        length = np.sqrt((chord**2).sum(axis=2, keepdims=True))
+        normal = _turned(chord) / length
+        gap = -(at.apart * normal).sum(axis=2)
+        part = 1.0 - reach[:, 1:] * (gap - reach[:, :1])
+        rate = -reach[:, 1:] / np.where((part > 0.0) & (part < 1.0), part, np.inf)
+        fall = rate[..., None] * normal
+        w, w_xi = w * np.clip(part, 0.0, 1.0), w_xi - (t * fall).sum(axis=2)
+        by_x -= N[..., None] * fall[:, :, None]
+        by_y += at.M[..., None] * fall[:, :, None]
+        turning = rate[..., None] / length * _turned(-at.apart - gap[..., None] * normal)
+        by_x[:, :, 0] += turning
+        by_x[:, :, 1] -= turning
+    return w, w_xi, fall, by_nodes
 
 
-@numba.njit(**KERNEL)
-def _add_changes(p, k, motion, turns, nodes, shares, totals):  # type: ignore[no-untyped-def]
-    """Add the derivatives of a point, or of what an end of a segment moves across.
+def _end_rates(
+    N: Floats, dN: Floats, x: Floats, n: Floats, y: Floats, ends: Floats, nodes: tuple[Bools, Bools]
+) -> Floats:
+    """Return the derivatives (s, 2, 2 k + m, 2) of the ends of segments, 0 where a side ends.
 
     Args:
-        motion: of `_weigh_at`, or of an end, where the second derivative is that of xi.
-        turns: (2, 2) derivatives of the gap by the ends of the slave facet, as its normal turns.
-        nodes: those of the master that move the point, with shares.
-        totals: (z, ..) derivatives.
+        nodes: (s, m) which of y are ends of masters, and of the segment's own: one of the latter
+            where the normal of the slave facet meets it, else the nearest.
     """
-    n0, n1, p0, p1, eta, end, t0, t1, m0, m1, fall = motion
-    for a in range(k):
-        for i in range(2):
-            F, rate = p.f[a] * (n1 if i == 0 else -n0), p.df[0, a] * (t0 if i == 0 else t1)
-            rate += end * F - p.f[a] * (m0 if i == 0 else m1)
-            if fall != 0.0 and a < 2:
-                rate += fall * turns[a, i]
-            add_row(p, 2, eta * F, totals, 2 * a + i)
-            add_row(p, 4, rate, totals, 2 * a + i)
-            F = p.f[a] * (-p1 if i == 0 else p0)
-            add_row(p, 2, eta * F, totals, 2 * (k + a) + i)
-            add_row(p, 4, end * F, totals, 2 * (k + a) + i)
-    for b in range(len(nodes)):
-        for i in range(2):
-            F, z = -shares[b] * (n1 if i == 0 else -n0), 2 * (2 * k + nodes[b]) + i
-            rate = end * F + shares[b] * (m0 if i == 0 else m1)
-            add_row(p, 2, eta * F, totals, z)
-            add_row(p, 4, rate, totals, z)
+    s, m = y.shape[:2]
+    M = np.tile(np.eye(m), (s, 2, 1))
+    at = _points(N.repeat(m, axis=1), dN.repeat(m, axis=1), M, x, n, y)
+    off, slope = np.abs(_cross(at.apart, at.n)).reshape(s, 2, m), at.slope.reshape(s, 2, m)
+    met = nodes[1][:, None] & (off <= HALF_OF_DIGITS * np.abs(slope))
+    best = np.where(met, -1.0, np.where(nodes[0][:, None], off, np.inf)).argmin(axis=2)[..., None]
+    slope = np.take_along_axis(slope, best, axis=2)
+    inside = np.abs(ends) < 1.0 - HALF_OF_DIGITS  # otherwise sides end together
+    rates = at.by_nodes().reshape(s, 2, m, -1)
+    rates = np.take_along_axis(rates, best[..., None], axis=2)[:, :, 0]
+    return np.where(inside[..., None], -rates / slope, 0.0).reshape(s, 2, -1, 2)
 
 
 def _polynomials(element: FacetElement, v: Floats) -> Floats:
