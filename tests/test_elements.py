@@ -201,7 +201,7 @@ def test_parts_tile_their_facet(element):
     part = np.arange(3 * s, dtype=np.int32)
     xi = rng.uniform(0.0, 0.5, (3 * s, 2))
     of, both = {"xi_s": xi, "xi_m": xi, "weight": np.ones(3 * s)}, np.stack([part, part], axis=1)
-    on, back, weight = on_facets(facets, facets, create_planes(parts)[1], both, **of)
+    on, back, weight = on_facets(facets, facets, create_planes(parts.x)[1], both, **of)
     assert np.abs(points_of(facets, part // s, on) - points_of(parts, part, xi)).max() < 1e-14
     each = (scaled_normals(parts[part[[i]]], xi[[i]]) for i in range(3 * s))
     jacobians = np.linalg.norm(np.concatenate(list(each))[:, 0], axis=1) / parts.element.size

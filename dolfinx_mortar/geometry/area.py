@@ -34,6 +34,7 @@ from dolfinx_mortar.geometry.facets import Facets, bounding_balls
 from dolfinx_mortar.geometry.moments import (
     INNER,
     KERNEL,
+    Sums,
     add_heights,
     add_row,
     begin_point,
@@ -47,6 +48,7 @@ from dolfinx_mortar.geometry.moments import (
     move_to,
 )
 from dolfinx_mortar.geometry.parts import (
+    all_pairs,
     carry,
     count,
     first_order,
@@ -59,7 +61,6 @@ from dolfinx_mortar.geometry.plane import (
     VERTICES,
     bilinear_map,
     create_planes,
-    fill_axes,
     height_at,
     inverse,
     inverse_of,
@@ -277,8 +278,11 @@ def _split(S, x_m, balls, bilinear, pairs, deepest, first, last, centre, axes, w
 
 @numba.njit(cache=True)
 def _triangulate(x_s, x_m, balls, bilinear, pairs, deepest, centre, axes):  # type: ignore[no-untyped-def]
-    """Return the pair (t,) and the corners (t, 3, 2) of the triangles of all segments."""
-    p = len(pairs)
+    """Return the pair (t,) and the corners (t, 3, 2) of the triangles of all segments.
+
+    And whether masters of a slave facet hide others.
+    """
+    p, hidden = len(pairs), np.zeros(len(x_s), np.bool_)
     which, corners = np.empty(4 * p + 64, dtype=np.int64), np.empty((4 * p + 64, 3, 2))
     S = np.empty((x_s.shape[1], 3))
     t = last = np.int64(0)  # a literal 0 has a type of its own: what is called would compile twice
@@ -288,10 +292,10 @@ def _triangulate(x_s, x_m, balls, bilinear, pairs, deepest, centre, axes):  # ty
             last += 1
         project(x_s[s], centre[s], axes[s], S)
         at = first, last, centre[s], axes[s]
-        which, corners, t, _ = _split(
+        which, corners, t, hidden[s] = _split(
             S, x_m, balls, bilinear, pairs, deepest, *at, which, corners, t
         )
-    return which[:t], corners[:t]
+    return which[:t], corners[:t], hidden
 
 
 @numba.njit(**KERNEL)
@@ -474,22 +478,6 @@ def _degree_of_moments(slave: FacetElement, master: FacetElement, smooth: bool) 
     heights 2.
     """
     return max(2 + smooth, min(_least_degree(slave, master), 4))
-
-
-@numba.njit(**KERNEL)
-def _ball(x, middle):  # type: ignore[no-untyped-def]
-    """Write the centre (3,) of a ball around a facet x (k, 3); return its radius."""
-    square = 0.0
-    for i in range(3):
-        middle[i] = 0.0
-        for j in range(len(x)):
-            middle[i] += x[j, i] / len(x)
-    for j in range(len(x)):
-        distance = 0.0
-        for i in range(3):
-            distance += (x[j, i] - middle[i]) ** 2
-        square = max(square, distance)
-    return np.sqrt(square)
 
 
 @numba.njit(**KERNEL)
@@ -778,8 +766,20 @@ def _add_turned(factor, axis, x, ids, by_turn, row, by_x):  # type: ignore[no-un
                 by_x[3 * ids[v] + i, q] += factor * turns[v, i] * by_turn[row, q]
 
 
-@numba.njit(**KERNEL)
-def moments(x, n, y, start, place, deepest, reach, factor, heights, positive, tables, found):  # type: ignore[no-untyped-def]
+def moments(
+    x: Floats,
+    n: Floats,
+    y: Floats,
+    start: Longs,
+    place: Longs,
+    deepest: Floats,
+    reach: Floats,
+    factor: Floats,
+    heights: tuple[Floats, Floats, Floats],
+    positive: bool,
+    tables: Tables,
+    found: Sums,
+) -> None:
     """Add the moments of slave facets x (p, k, 3) and their masters, and derivatives.
 
     Args:
@@ -788,59 +788,59 @@ def moments(x, n, y, start, place, deepest, reach, factor, heights, positive, ta
         start: (p + 1,) first pairs of the facets.
         place: (c, l) nodes of the pairs' masters.
         deepest: (c,) see `place_points`.
-        reach: (p, 2) see `_fall`.
+        reach: (p, 2) see `_fall`; (p, 0) where nothing falls.
         factor: (p, k) of `moments.begin_point`, as heights.
         positive: of `moments.fill_rows`.
         tables: of `tables`.
         found: `moments.Sums`, by the coordinates of x and y.
     """
-    b, v = tables.nodes_m.shape
-    for f in range(len(x)):
-        first, c = start[f], start[f + 1] - start[f]
-        parts, ids = np.empty((c * b, v, 3)), np.empty((c * b, v), np.int64)
-        balls, most = (np.empty((c * b, 3)), np.empty(c * b)), np.empty(c * b)
-        for r in range(c * b):
-            for j in range(v):
-                ids[r, j] = place[first + r // b, tables.nodes_m[r % b, j]]
-            gather(y[f], ids[r], parts[r])
-            balls[1][r], most[r] = _ball(parts[r], balls[0][r]), deepest[first + r // b]
-        masters, given = (first, place, ids, parts, balls, most), (reach[f], factor[f], heights)
-        for i in range(len(tables.nodes_s)):
-            _add_part(i, f, x[f], y[f], masters, given, positive, tables, found)
+    a, b = len(tables.nodes_s), len(tables.nodes_m)
+    of = np.repeat(np.arange(len(x), dtype=np.int32), np.diff(start))
+    pairs, pair = all_pairs(np.stack([of, np.arange(len(of), dtype=np.int32)], axis=1), a, b)
+    parts_s, parts_m = (
+        np.take(v, nodes, axis=1).reshape(-1, nodes.shape[1], 3)
+        for v, nodes in ((x, tables.nodes_s), (y[of[:, None], place], tables.nodes_m))
+    )
+    ids = np.take(place, tables.nodes_m, axis=1).reshape(len(parts_m), -1)
+    centre, axes, radius = planes = create_planes(parts_s)
+    at = tables.bilinear, pairs, deepest[pair] / radius[pairs[:, 0]], centre, axes
+    which, corners, hidden = _triangulate(parts_s, parts_m, bounding_balls(parts_m), *at)
+    slave, master = pairs[which].T.astype(np.int64)
+    first = np.searchsorted(slave, np.arange(len(parts_s) + 1))
+    normals = np.cross(x[:, 2] - x[:, 0], x[:, tables.corners - 1] - x[:, 1])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    triangles = first, master - b * start[slave // a], corners, hidden
+    masters = start, place, ids
+    given = reach, factor, heights
+    _add_moments(
+        x, y, normals, (parts_s, *planes), triangles, masters, given, positive, tables, found
+    )
 
 
 @numba.njit(**KERNEL)
-def _add_part(i, f, x, y, masters, given, positive, tables, found):  # type: ignore[no-untyped-def]
-    """Add the moments of part i of slave facet f, and their derivatives."""
-    (first, place, ids_m, parts, balls, deepest), ids_s = masters, tables.nodes_s[i]
-    k, m, c, v, l = len(x), len(y), len(parts), len(ids_s), place.shape[1]  # noqa: E741
-    part, centre, axes, X = (np.empty((v, 3)), np.empty(3), np.empty((3, 3)),
-                             np.zeros((k + m + 1, 3)))  # fmt: skip
-    gather(x, ids_s, part)
-    radius, facet, n = _ball(part, centre), x[: tables.corners], np.empty((3, 3))
-    fill_axes(part, radius, axes)
-    project(x, centre, axes, X[:k])
-    project(y, centre, axes, X[k : k + m])
-    fill_axes(facet, 1.0 / radius**2, n)
-    for t in range(3):
-        X[k + m, t] = _dot(axes[t], n[2])
-    sides = _Sides(X[:k], np.empty((l, 3)), np.empty((v, 3)), np.empty(parts[0].shape),
+def _add_moments(x, y, normals, parts, triangles, masters, given, positive, tables, found):  # type: ignore[no-untyped-def]
+    """Add the moments of all parts of slave facets, and their derivatives; see `moments`."""
+    (parts_s, centre, axes, radius), (first, which, corners, hidden) = parts, triangles
+    (start, place, ids), (a, v), b = masters, tables.nodes_s.shape, len(tables.nodes_m)
+    k, m, l, (reach, factor, heights) = x.shape[1], y.shape[1], place.shape[1], given  # noqa: E741
+    z, size, X = 3 * (k + m + 1), k * (k + m + 1), np.zeros((k + m + 1, 3))
+    sides = _Sides(X[:k], np.empty((l, 3)), np.empty((v, 3)), np.empty((ids.shape[1], 3)),
                    np.empty((1, 3, 9)), np.empty((1, 3, 9)), X[k + m])  # fmt: skip
-    gather(X, ids_s, sides.P)
-    _fill_coefficients(sides.x, tables.slave, sides.C_s[0])
-    pairs, limits = np.zeros((c, 2), np.int32), np.empty(c)
-    for r in range(c):
-        pairs[r, 1], limits[r] = r, deepest[r] / radius
-    corners, which, zero = np.empty((4 * c + 64, 3, 2)), np.empty(4 * c + 64, np.int64), np.int64(0)
-    limited = pairs, limits, zero, c, centre, axes, which, corners, zero
-    which, corners, count, hidden = _split(sides.P, parts, balls, tables.bilinear, *limited)
-    at, of = _list_points(corners[:count], which, X, ids_s, ids_m, k, hidden, tables)
-    z = 3 * (k + m + 1)
-    by_X, size = np.zeros((z, k, k + m + 1)), k * (k + m + 1)
-    to = sides, hidden, given, positive, tables, by_X, found
-    _add_points(i, f, first, at, of, X, radius**2, ids_m, place, *to)
-    plane = radius, part, facet, X, axes, ids_s, len(given[0]) > 0
-    _add_coordinates(*plane, by_X.reshape(z, size), found.changes[f].reshape(z - 3, size))
+    for s in range(len(radius)):
+        f, ids_s, t, end = s // a, tables.nodes_s[s % a], first[s], first[s + 1]
+        project(x[f], centre[s], axes[s], X[:k])
+        project(y[f], centre[s], axes[s], X[k : k + m])
+        for i in range(3):
+            X[k + m, i] = radius[s] ** 2 * _dot(axes[s, i], normals[f])
+        gather(X, ids_s, sides.P)
+        _fill_coefficients(sides.x, tables.slave, sides.C_s[0])
+        by_X = np.zeros((z, k, k + m + 1))
+        ids_m = ids[b * start[f] : b * start[f + 1]]
+        at, of = _list_points(corners[t:end], which[t:end], X, ids_s, ids_m, k, hidden[s], tables)
+        to = sides, hidden[s], (reach[f], factor[f], heights), positive, tables, by_X, found
+        _add_points(s % a, f, start[f], at, of, X, radius[s] ** 2, ids_m, place, *to)
+        plane = radius[s], parts_s[s], x[f, : tables.corners], X, axes[s], ids_s, reach.shape[1] > 0
+        _add_coordinates(*plane, by_X.reshape(z, size), found.changes[f].reshape(z - 3, size))
 
 
 @numba.njit(**KERNEL)
@@ -952,12 +952,12 @@ def place_points(
         slave, master = simple_s, simple_m
     parts_s, parts_m = parts_of(slave), parts_of(master)
     of_parts, of = pairs_of_parts(pairs, slave.element, master.element)
-    centre, axes, radius = create_planes(parts_s)
+    centre, axes, radius = create_planes(parts_s.x)
     bilinear = parts_s.element.bilinear, parts_m.element.bilinear
     sides = parts_s.x, parts_m.x, bilinear, of_parts
     limits = deepest[of] / radius[of_parts[:, 0]]  # lengths in the planes are relative
     balls = bounding_balls(parts_m.x)
-    which, corners = _triangulate(*sides[:2], balls, *sides[2:], limits, centre, axes)
+    which, corners, _ = _triangulate(*sides[:2], balls, *sides[2:], limits, centre, axes)
     rule = _choose_rules(*sides, centre, axes, which, corners, least)
     whole = slave.element.part is None and master.element.part is None
     at = centre, axes, radius, which, corners, rule, whole

@@ -63,12 +63,12 @@ def pairs_of_parts(pairs: Ints, slave: FacetElement, master: FacetElement) -> tu
     a, b = count(slave), count(master)
     if a * b == 1:
         return pairs, np.arange(len(pairs), dtype=np.int32)
-    every, of = _all_pairs(pairs, a, b)
+    every, of = all_pairs(pairs, a, b)
     return every, of
 
 
 @numba.njit(cache=True)
-def _all_pairs(pairs, a, b):  # type: ignore[no-untyped-def]
+def all_pairs(pairs, a, b):  # type: ignore[no-untyped-def]
     """See `pairs_of_parts`; slave facets have a parts, master facets b."""
     size = len(pairs) * a * b
     every, of = np.empty((size, 2), np.int32), np.empty(size, np.int32)

@@ -166,17 +166,16 @@ def subtract(P, n, Q, m, sign, pieces, sizes, count, spare):  # type: ignore[no-
     return count
 
 
-def create_planes(slave: Facets) -> tuple[Floats, Floats, Floats]:
-    """Return centres (m, 3), axes (m, 3, 3) and radii (m,) of the facets' auxiliary planes.
+def create_planes(x: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return centres (m, 3), axes (m, 3, 3) and radii (m,) of the auxiliary planes of facets x.
 
     Rows of the axes are two tangents and the normal, over the radius: (x - centre) @ axes.T has
     the size of one.
     """
-    x_s = slave.x
-    centre, radius = bounding_balls(x_s)
+    centre, radius = bounding_balls(x)
     radius = np.maximum(radius, TINY)
-    axes = np.empty((len(x_s), 3, 3))
-    _fill_axes(x_s, radius, axes)
+    axes = np.empty((len(x), 3, 3))
+    _fill_axes(x, radius, axes)
     return centre, axes, radius
 
 
@@ -337,5 +336,5 @@ def are_near(slave: Facets, master: Facets, pairs: Ints, margin: Floats) -> Bool
     a, b = parts_of(slave), parts_of(master)
     of_parts, of = pairs_of_parts(pairs, slave.element, master.element)
     margins = np.repeat(margin, count(slave.element))
-    near = _are_near(a.x, b.x, of_parts, *create_planes(a), margins)
+    near = _are_near(a.x, b.x, of_parts, *create_planes(a.x), margins)
     return np.asarray(np.bincount(of, near, minlength=len(pairs)) > 0)

@@ -81,6 +81,17 @@ class _Sides(NamedTuple):
     partly: Longs  # (p,) node with the widest opening where it matters, else -1
     reach: Floats  # (p, 2) see `Segments`; (p, 0) where weights fall nowhere
 
+    def some(self, facets: Longs) -> "_Sides":
+        """Return some slave facets, ascending, and what they face."""
+        count = np.diff(self.start)
+        pairs = np.isin(np.repeat(np.arange(len(count)), count), facets)
+        start = np.append(0, np.cumsum(count[facets]))
+        x, n, y, factor, partly, reach = (
+            v[facets] for v in (self.x, self.n, self.y, self.factor, self.partly, self.reach)
+        )
+        of_pairs = self.place[pairs], self.deepest[pairs]
+        return _Sides(x, n, y, start, *of_pairs, factor, partly, reach)
+
 
 class _Surfaces(NamedTuple):
     """Smooth surfaces over the facets of pairs (P,)."""
@@ -109,15 +120,16 @@ def _add_motions_of_heights(sides: _Sides, surfaces: _Surfaces, sums: Sums) -> N
     np.add.at(H[:, others:].reshape(p, -1, d, k), (of[:, None], sides.place), by_x[:, k:])
 
 
-def _share_slopes(f: int, sides: _Sides, corners: int, sums: Sums) -> Floats:
+def _share_slopes(f: int, sides: _Sides, corners: int, moments: Floats, changes: Floats) -> Floats:
     """Return the derivatives (z,) of 1 - o_j / (SUNK L), see `edges`, of facet f.
 
     Args:
         corners: of a slave facet.
-        sums: moments of the positive part of N_j of this facet alone.
+        moments: (k, k + m + 1) of the positive part of N_j.
+        changes: (z, k, k + m + 1) their derivatives.
     """
     x, y, j = sides.x[f], sides.y[f], sides.partly[f]
-    (k, d), row, changes = x.shape, sums.values[0, j, :-1], sums.changes[0, :, j, :-1]
+    (k, d), row, changes = x.shape, moments[j, :-1], changes[:, j, :-1]
     nodes, weight, turns = np.concatenate([-x, y]), row[:k].sum(), np.empty((corners, d))
     n = np.array([fill_turns(axis, x[:corners], turns) for axis in np.eye(d)])
     offsets = x - x.mean(axis=0)
@@ -161,15 +173,17 @@ def _differentiate(
     of.moments(sides.x, sides.n, sides.y, sides.start, *at, *given, False, tables, sums)
     if moved:
         _add_motions_of_heights(sides, surfaces, sums)
-    shares = np.zeros((p, z))
-    for f in np.flatnonzero(sides.partly >= 0):
-        one = slice(f, f + 1)
-        empty = np.zeros_like(sums.values[one]), np.zeros_like(sums.changes[one])
-        part = Sums(*empty, E_s[:0], E_m[:0], chords[:0])
-        given = sides.reach[one], sides.factor[one], heights
-        where = sides.x[one], sides.n[one], sides.y[one], sides.start[f : f + 2]
-        of.moments(*where, *at, *given, True, tables, part)
-        shares[f] = _share_slopes(f, sides, tables.corners, part)
+    shares, some = np.zeros((p, z)), np.flatnonzero(sides.partly >= 0)
+    if len(some):
+        part = sides.some(some)
+        empty = np.zeros_like(sums.values[some]), np.zeros_like(sums.changes[some])
+        positive = Sums(*empty, E_s[:0], E_m[:0], chords[:0])
+        at, none = (part.place, part.deepest), (Q_s[:0], Q_m[:0], surfaces.arcs[:0])
+        given = part.reach, part.factor, none
+        of.moments(part.x, part.n, part.y, part.start, *at, *given, True, tables, positive)
+        for i, f in enumerate(some):
+            one = positive.values[i], positive.changes[i]
+            shares[f] = _share_slopes(i, part, tables.corners, *one)
     return apply(sums.values, sums.changes, basis, shares, fixed, sides.x, sides.y, others)
 
 
