@@ -904,13 +904,13 @@ def _add_points(  # type: ignore[no-untyped-def]
         x, y, w = at[q, 0], at[q, 1], at[q, 2]
         w *= unit * _place_at(x, y, i, r % b, sides, of_P, of_Q, tables, p, maps)
         if np.isfinite(w):
-            scale, e_s, e_m = begin_point(p, factor, pair, heights)
+            scale = begin_point(p, factor, pair, heights)
             left, rate = _fall(reach, sides, maps, p)
             if of[q, 1] < 0:
                 _find_rates(p, maps, i, of_P, sides, ids_s, tables, rate)
                 fill_rows(p, k, w * scale * left, positive, True)
                 add_row(p, 4, 1.0, totals, last)
-                add_heights(p, k, pair, e_s, e_m, found)
+                add_heights(p, k, pair, found)
                 _add_changes(p, maps, rate, sides, place, pair, tables, totals)
             else:
                 fill_rows(p, k, w * scale * left, positive, False)

@@ -67,7 +67,6 @@ class Point(NamedTuple):
     df: Floats  # (4, k + l + 1) their derivatives by xi_s, eta_s, xi_m and eta_m
     by_weight: Floats  # (4,) those of the logarithm of the weight
     by_height: Floats  # (k + l + 1,) those of h by N
-    by_chord: Floats  # (2,) those of h by the logarithms of the chords' lengths, of arcs
     rows: Floats  # (5, k (k + l + 1)) derivatives of N_j f w, and w N_j f itself
 
 
@@ -85,46 +84,31 @@ class Sums(NamedTuple):
 def create_point(k, l):  # type: ignore[no-untyped-def] # noqa: E741
     """Return room for a point."""
     n = k + l + 1
-    by = np.zeros(4), np.zeros(n), np.zeros(2)
-    return Point(np.zeros(n), np.zeros((4, n)), *by, np.empty((5, k * n)))
+    return Point(np.zeros(n), np.zeros((4, n)), np.zeros(4), np.zeros(n), np.empty((5, k * n)))
 
 
 @numba.njit(**INNER)
-def _height(p, first, Q, arcs, c, side):  # type: ignore[no-untyped-def]
-    """Return N.Q N over a chord, or of an arc (`curvature.heights_of_arcs`), and dh/d(N.Q N).
-
-    Derivatives by N are written, too.
-    """
+def _height(p, first, Q, c):  # type: ignore[no-untyped-def]
+    """Return N.Q N over a facet, and write its derivatives by N."""
     h, by, n = 0.0, p.by_height, Q.shape[1]
     for i in range(n):
         by[first + i] = 0.0
         for j in range(n):
             by[first + i] += 2.0 * Q[c, i, j] * p.f[first + j]
         h += 0.5 * p.f[first + i] * by[first + i]
-    curvature, square = arcs[c, side, 0], arcs[c, side, 1]
-    p.by_chord[side] = 0.0
-    if curvature == 0.0:
-        return h, 1.0
-    across = np.sqrt(square + 2.0 * curvature * h)
-    for i in range(n):
-        by[first + i] /= across
-    both = np.sqrt(square) + across
-    left = 1.0 - square  # curvature is c / L^2, left a quarter of c times that
-    rate = left / np.sqrt(square) + (left - 2.0 * curvature * h) / across
-    p.by_chord[side] = -2.0 * h / both**2 * rate
-    return 2.0 * h / both, 1.0 / across
+    return h
 
 
 @numba.njit(**INNER)
 def begin_point(p, factor, c, heights):  # type: ignore[no-untyped-def]
-    """Write h and its derivatives, and add those of the weight; return factor and dh/d(N.Q N).
+    """Write h and its derivatives, and add those of the weight; return the factor.
 
     Args:
         p: the point, of pair c, with all functions.
         factor: (k,) that of the weight at the nodes, interpolated.
-        heights: Q of both facets, (c, k, k) and (c, l, l), and arcs (c, 2, 2); empty without.
+        heights: Q of both facets, (c, k, k) and (c, l, l); empty without.
     """
-    Q_s, Q_m, arcs = heights
+    Q_s, Q_m, _ = heights
     k, scale, along, across = len(factor), 0.0, 0.0, 0.0
     for j in range(k):
         scale += factor[j] * p.f[j]
@@ -134,16 +118,14 @@ def begin_point(p, factor, c, heights):  # type: ignore[no-untyped-def]
     p.by_weight[0] += along * inverse
     p.by_weight[1] += across * inverse
     if len(Q_s) == 0:
-        return scale, 1.0, 1.0
+        return scale
     last, by = len(p.f) - 1, p.by_height
-    h_s, e_s = _height(p, 0, Q_s, arcs, c, 0)
-    h_m, e_m = _height(p, k, Q_m, arcs, c, 1)
-    p.f[last] = h_s + h_m
+    p.f[last] = _height(p, 0, Q_s, c) + _height(p, k, Q_m, c)
     for h in range(4):
         p.df[h, last] = 0.0
         for a in range(last):
             p.df[h, last] += by[a] * p.df[h, a]
-    return scale, e_s, e_m
+    return scale
 
 
 @numba.njit(**INNER)
@@ -173,13 +155,6 @@ def add_row(p, h, factor, totals, z):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**INNER)
-def take_row(p, h, totals, z):  # type: ignore[no-untyped-def]
-    """Move totals[z] to a row."""
-    for i in range(totals.shape[1]):
-        p.rows[h, i], totals[z, i] = totals[z, i], 0.0
-
-
-@numba.njit(**INNER)
 def gather(x, ids, P):  # type: ignore[no-untyped-def]
     """Write some nodes of x (n, d) into P (v, d)."""
     for v in range(len(ids)):
@@ -188,20 +163,16 @@ def gather(x, ids, P):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**INNER)
-def add_heights(p, k, c, e_s, e_m, found):  # type: ignore[no-untyped-def]
-    """Add the derivatives of H by the heights' Q of pair c, and by the chords of arcs."""
+def add_heights(p, k, c, found):  # type: ignore[no-untyped-def]
+    """Add the derivatives of H by the heights' Q of pair c."""
     n = len(p.f)
-    for j in range(k if len(found.chords) else 0):
-        for a in range(k):  # their sum is w N_j
-            found.chords[c, j, 0] += p.by_chord[0] * p.rows[4, n * j + a]
-            found.chords[c, j, 1] += p.by_chord[1] * p.rows[4, n * j + a]
     for j in range(k if len(found.E_s) else 0):
         for a in range(k):
             for b in range(k):
-                found.E_s[c, j, a, b] += e_s * p.rows[4, n * j + a] * p.f[b]
+                found.E_s[c, j, a, b] += p.rows[4, n * j + a] * p.f[b]
         for a in range(k, n - 1):
             for b in range(k, n - 1):
-                found.E_m[c, j, a - k, b - k] += e_m * p.rows[4, n * j + a] * p.f[b]
+                found.E_m[c, j, a - k, b - k] += p.rows[4, n * j + a] * p.f[b]
 
 
 @numba.njit(**KERNEL)
