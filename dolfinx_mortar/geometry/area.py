@@ -32,8 +32,12 @@ from dolfinx_mortar.geometry import plane
 from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls
 from dolfinx_mortar.geometry.moments import (
+    FIFTH,
+    FIRST,
     INNER,
     KERNEL,
+    SECOND,
+    THIRD,
     Sums,
     add_heights,
     add_row,
@@ -276,7 +280,7 @@ def _split(S, x_m, balls, bilinear, pairs, deepest, first, last, centre, axes, w
     return which, corners, t, overlap
 
 
-@numba.njit(cache=True)
+@numba.njit(**KERNEL)
 def _triangulate(x_s, x_m, balls, bilinear, pairs, deepest, centre, axes):  # type: ignore[no-untyped-def]
     """Return the pair (t,) and the corners (t, 3, 2) of the triangles of all segments.
 
@@ -317,7 +321,7 @@ def _changes(P, bilinear, corners):  # type: ignore[no-untyped-def]
     return (high - low) / (high + low), turn
 
 
-@numba.njit(cache=True)
+@numba.njit(**KERNEL)
 def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners, least):  # type: ignore[no-untyped-def]
     """Return the number (t,) of the quadrature rule of each triangle.
 
@@ -346,7 +350,7 @@ def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners, least
     return rule
 
 
-@numba.njit(cache=True)
+@numba.njit(**KERNEL)
 def _place(  # type: ignore[no-untyped-def]
     x_s, x_m, bilinear, pairs, centre, axes, radius, which, corners, rule, whole, points, weights,
     start
@@ -361,7 +365,7 @@ def _place(  # type: ignore[no-untyped-def]
     pair, weight = np.empty(total, np.int64), np.empty(total)
     xi_s, xi_m = np.empty((total, 2)), np.empty((total, 2))
     S, M = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3))
-    of_S, of_M = _maps(S, False), _maps(M, False)
+    of_S, of_M = _maps(S, bilinear[0]), _maps(M, bilinear[1])
     q = 0
     for t in range(len(which)):
         s, m = pairs[which[t]]
@@ -386,7 +390,7 @@ def _place(  # type: ignore[no-untyped-def]
 def _maps(P, bilinear):  # type: ignore[no-untyped-def]
     """Return the three maps of `plane.bilinear_map`, made once for a pair; zeros if affine."""
     if bilinear:
-        return bilinear_map(P, 0), bilinear_map(P, 1), bilinear_map(P, 2)
+        return bilinear_map(P, FIRST), bilinear_map(P, SECOND), bilinear_map(P, THIRD)
     none = 0.0, 0.0, 0.0, 0.0
     return none, none, none
 
@@ -404,11 +408,11 @@ def _point(S, M, of_S, of_M, bilinear, x, y):  # type: ignore[no-untyped-def]
     if bilinear[0]:
         xi, eta, J = inverse_of(of_S[0], of_S[1], x, y)
     else:
-        xi, eta, J = inverse(S, False, x, y)
+        xi, eta, J = inverse(S, bilinear[0], x, y)
     if bilinear[1]:
         r0, r1, _ = inverse_of(of_M[0], of_M[1], x, y)
     else:
-        r0, r1, _ = inverse(M, False, x, y)
+        r0, r1, _ = inverse(M, bilinear[1], x, y)
     return xi, eta, r0, r1, J
 
 
@@ -560,19 +564,19 @@ def _place_at(x, y, i, j, sides, of_P, of_Q, tables, p, m):  # type: ignore[no-u
     k, last, n, C = len(sides.x), len(p.f) - 1, m.apart, sides.C_s
     r, s, t, u, J = _point(sides.P, sides.Q, of_P, of_Q, tables.bilinear, x, y)
     if tables.second:
-        fill_functions(tables.part, r, s, m.N, 0)
-        fill_slopes(tables.part, r, s, m.dN, 0, 0)
-        _fill_tangents(sides.P, m.dN, 0, 0, m.V)
+        fill_functions(tables.part, r, s, m.N, FIRST)
+        fill_slopes(tables.part, r, s, m.dN, FIRST, FIRST)
+        _fill_tangents(sides.P, m.dN, FIRST, FIRST, m.V)
         places = tables.of_slave[i], tables.of_master[j], (r, s, t, u)
-        r, s, t, u, _ = carry(C, 0, m.unit, sides.C_m, *places)
+        r, s, t, u, _ = carry(C, FIRST, m.unit, sides.C_m, *places)
     for a in range(k, last):
         p.df[0, a] = p.df[1, a] = 0.0
-    fill_functions(tables.slave, r, s, p.f, 0)
-    fill_slopes(tables.slave, r, s, p.df, 0, 0)
+    fill_functions(tables.slave, r, s, p.f, FIRST)
+    fill_slopes(tables.slave, r, s, p.df, FIRST, FIRST)
     fill_functions(tables.master, t, u, p.f, k)
-    fill_slopes(tables.master, t, u, p.df, 2, k)
-    _fill_tangents(sides.x, p.df, 0, 0, m.T)
-    _fill_tangents(sides.y, p.df, 2, k, m.U)
+    fill_slopes(tables.master, t, u, p.df, THIRD, k)
+    _fill_tangents(sides.x, p.df, FIRST, FIRST, m.T)
+    _fill_tangents(sides.y, p.df, THIRD, k, m.U)
     _invert(m.U, m.G)
     _invert(m.V if tables.second else m.T, m.K)
     area = fill_area(m.T, n, m.by_T)
@@ -655,14 +659,14 @@ def _find_rates(p, m, i, of_P, sides, ids_s, tables, rate):  # type: ignore[no-u
                 m.rates[a, t] -= N0 * K[0, t] + N1 * K[1, t]
                 m.rates[a, t] += N * K[0, t] * (K[1, 0] * c0 + K[1, 1] * c1)
                 m.rates[a, t] += N * K[1, t] * (K[0, 0] * c0 + K[0, 1] * c1)
-    _combine(p, 2, (G[0, 0], G[1, 0]), (G[0, 1], G[1, 1]))
+    _combine(p, THIRD, (G[0, 0], G[1, 0]), (G[0, 1], G[1, 1]))
     if not tables.second:
-        _combine(p, 0, (K[0, 0], K[1, 0]), (K[0, 1], K[1, 1]))
+        _combine(p, FIRST, (K[0, 0], K[1, 0]), (K[0, 1], K[1, 1]))
         return
     l0, l1, l2, l3 = L[i, 0, 3], L[i, 0, 1], L[i, 1, 3], L[i, 1, 1]
     B00, B01 = l0 * K[0, 0] + l1 * K[1, 0], l0 * K[0, 1] + l1 * K[1, 1]
     B10, B11 = l2 * K[0, 0] + l3 * K[1, 0], l2 * K[0, 1] + l3 * K[1, 1]
-    _combine(p, 0, (B00, B10), (B01, B11))
+    _combine(p, FIRST, (B00, B10), (B01, B11))
     for h in range(2):
         _add_motion(p, h, T[0, h] * B00 + T[1, h] * B10, T[0, h] * B01 + T[1, h] * B11)
 
@@ -687,15 +691,15 @@ def _add_changes(p, m, rate, sides, place, pair, tables, totals):  # type: ignor
             if tables.second:
                 add_row(p, 2 + t, p.f[a], totals, 3 * a + t)
         for t in range(3):
-            add_row(p, 4, m.rates[a, t], totals, 3 * a + t)
+            add_row(p, FIFTH, m.rates[a, t], totals, 3 * a + t)
     for b in range(place.shape[1]):
         z, one = 3 * (k + place[pair, b]), p.f[k + b]
         for t in range(2):
             add_row(p, 2 + t, -one, totals, z + t)
         for t in range(3):
-            add_row(p, 4, rate * one * n[t], totals, z + t)
+            add_row(p, FIFTH, rate * one * n[t], totals, z + t)
     for t in range(3):
-        add_row(p, 4, rate * m.apart[t], totals, len(totals) - 4 + t)
+        add_row(p, FIFTH, rate * m.apart[t], totals, len(totals) - 4 + t)
 
 
 @numba.njit(**KERNEL)
@@ -750,7 +754,7 @@ def _add_coordinates(radius, part, facet, X, axes, ids, falls, by_X, by_x):  # t
         for a in range(n):
             for q in range(width):
                 tilted[0, q] += X[a, s] * by_X[3 * a + 2, q] - X[a, 2] * by_X[3 * a + s, q]
-        _add_turned(radius, axes[s], part, ids, tilted, 0, by_x)
+        _add_turned(radius, axes[s], part, ids, tilted, FIRST, by_x)
     for t in range(3 if falls else 0):
         _add_turned(radius**2, axes[t], facet, np.arange(len(facet)), by_X, 3 * (n - 1) + t, by_x)
 
@@ -856,7 +860,7 @@ def _list_points(corners, which, X, ids_s, ids_m, k, hidden, tables):  # type: i
         np.empty((len(corners) * (t + 3 * g), 5)),
         np.empty((len(corners) * (t + 3 * g), 3), np.int64),
     )
-    n = 0
+    n, none = 0, np.int64(-1)
     for s in range(len(corners)):
         c, size = corners[s], _area(corners[s])
         for q in range(t):
@@ -866,7 +870,7 @@ def _list_points(corners, which, X, ids_s, ids_m, k, hidden, tables):  # type: i
         for e in range(3):
             if e != 1 and _is_next(corners, which, s + e // 2):
                 continue
-            line = _nearest_line(c, e, X, ids_s, 0, (HALF_OF_DIGITS, -1, -1))
+            line = _nearest_line(c, e, X, ids_s, none + 1, (HALF_OF_DIGITS, none, none))
             if line[1] < 0:
                 line = _nearest_line(c, e, X, ids_m[which[s]], k, line)
             for r in range(len(ids_m) if hidden and line[1] < 0 else 0):
@@ -906,20 +910,21 @@ def _add_points(  # type: ignore[no-untyped-def]
         if np.isfinite(w):
             scale = begin_point(p, factor, pair, heights)
             left, rate = _fall(reach, sides, maps, p)
-            if of[q, 1] < 0:
+            w, inner = w * scale * left, of[q, 1] < 0
+            if inner:
                 _find_rates(p, maps, i, of_P, sides, ids_s, tables, rate)
-                fill_rows(p, k, w * scale * left, positive, True)
-                add_row(p, 4, 1.0, totals, last)
+                fill_rows(p, k, w, positive, inner)
+                add_row(p, FIFTH, 1.0, totals, last)
                 add_heights(p, k, pair, found)
                 _add_changes(p, maps, rate, sides, place, pair, tables, totals)
             else:
-                fill_rows(p, k, w * scale * left, positive, False)
+                fill_rows(p, k, w, positive, inner)
                 v, o = of[q, 1], of[q, 2]
                 dx, dy = X[o, 0] - X[v, 0], X[o, 1] - X[v, 1]
                 share = ((x - X[v, 0]) * dx + (y - X[v, 1]) * dy) / (dx * dx + dy * dy)
                 for t in range(2):
-                    add_row(p, 4, (1.0 - share) * at[q, 3 + t], totals, 3 * v + t)
-                    add_row(p, 4, share * at[q, 3 + t], totals, 3 * o + t)
+                    add_row(p, FIFTH, (1.0 - share) * at[q, 3 + t], totals, 3 * v + t)
+                    add_row(p, FIFTH, share * at[q, 3 + t], totals, 3 * o + t)
         if q + 1 == len(at) or of[q + 1, 0] != r:
             move_to(totals, last, k, place, pair, values)
             for a in range(last // 3 if hidden else k + l + 1):

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.moments import KERNEL, Sums
+from dolfinx_mortar.geometry.moments import FIRST, KERNEL, SECOND, Sums
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 
@@ -35,8 +35,8 @@ def _at(v, xi, i):  # type: ignore[no-untyped-def]
 @numba.njit(**KERNEL)
 def _moment(x, n, y0, y1, xi):  # type: ignore[no-untyped-def]
     """Return (x(xi) - y) x n(xi) and its derivative."""
-    p0, p1 = _at(x, xi, 0) - y0, _at(x, xi, 1) - y1
-    n0, n1 = _at(n, xi, 0), _at(n, xi, 1)
+    p0, p1 = _at(x, xi, FIRST) - y0, _at(x, xi, SECOND) - y1
+    n0, n1 = _at(n, xi, FIRST), _at(n, xi, SECOND)
     dx0, dx1 = x[1, 0] + 2 * xi * x[2, 0], x[1, 1] + 2 * xi * x[2, 1]
     dn0, dn1 = n[1, 0] + 2 * xi * n[2, 0], n[1, 1] + 2 * xi * n[2, 1]
     return p0 * n1 - p1 * n0, dx0 * n1 - dx1 * n0 + p0 * dn1 - p1 * dn0
@@ -79,8 +79,8 @@ def _opposite(x, n, y, xi):  # type: ignore[no-untyped-def]
     the facets of an iterate are so curved that normals meet one of them more than once, a root may
     lie beyond its ends, where functions have no bounds: then the nearest end.
     """
-    n0, n1 = _at(n, xi, 0), _at(n, xi, 1)
-    C = (y[0, 0] - _at(x, xi, 0)) * n1 - (y[0, 1] - _at(x, xi, 1)) * n0
+    n0, n1 = _at(n, xi, FIRST), _at(n, xi, SECOND)
+    C = (y[0, 0] - _at(x, xi, FIRST)) * n1 - (y[0, 1] - _at(x, xi, SECOND)) * n0
     B = y[1, 0] * n1 - y[1, 1] * n0
     A = y[2, 0] * n1 - y[2, 1] * n0
     r = np.sqrt(max(B * B - 4 * A * C, 0.0))  # the form that does not cancel
@@ -95,7 +95,7 @@ def _distances(x, n, y, xi):  # type: ignore[no-untyped-def]
     The latter against the slave's mean normal.
     """
     eta = _opposite(x, n, y, xi)
-    p0, p1 = _at(x, xi, 0) - _at(y, eta, 0), _at(x, xi, 1) - _at(y, eta, 1)
+    p0, p1 = _at(x, xi, FIRST) - _at(y, eta, FIRST), _at(x, xi, SECOND) - _at(y, eta, SECOND)
     t0, t1 = x[1, 0], x[1, 1]
     return np.sqrt(p0 * p0 + p1 * p1), (p0 * t1 - p1 * t0) / np.sqrt(t0 * t0 + t1 * t1)
 
@@ -156,7 +156,7 @@ def _clip_facet(x, n, x_m, ends_m, pairs, deepest, first, last, which, ends, q):
     return q
 
 
-@numba.njit(cache=True)
+@numba.njit(**KERNEL)
 def _clip(x_s, n_s, x_m, ends_m, pairs, deepest):  # type: ignore[no-untyped-def]
     """Return the pair and the ends in xi of all segments."""
     p = len(pairs)
@@ -180,7 +180,7 @@ def _point(x, n, y, low, high, t):  # type: ignore[no-untyped-def]
     return xi, _opposite(x, n, y, xi), half * np.sqrt(dx0 * dx0 + dx1 * dx1)
 
 
-@numba.njit(cache=True)
+@numba.njit(**KERNEL)
 def _place(x_s, n_s, x_m, pairs, which, ends, points, weights):  # type: ignore[no-untyped-def]
     """Return xi_s, xi_m and weight of all quadrature points, those of a segment together."""
     k = len(points)

@@ -24,7 +24,15 @@ import numpy as np
 
 from dolfinx_mortar.arrays import Floats
 
-KERNEL = {"cache": True, "error_model": "numpy", "fastmath": {"contract"}}
+KERNEL = {
+    "cache": True,
+    "error_model": "numpy",
+    "fastmath": {"contract"},
+    "no_cfunc_wrapper": True,
+}
+"""Of functions that clip and place: those with the same options share what numba makes of them."""
+FIRST, SECOND, THIRD, FIFTH = (np.int64(i) for i in (0, 1, 2, 4))
+"""Places: a literal number has a type of its own, so that what takes it compiles for each."""
 INNER = {
     "error_model": "numpy",
     "fastmath": {"contract", "nsz", "reassoc"},
@@ -120,7 +128,7 @@ def begin_point(p, factor, c, heights):  # type: ignore[no-untyped-def]
     if len(Q_s) == 0:
         return scale
     last, by = len(p.f) - 1, p.by_height
-    p.f[last] = _height(p, 0, Q_s, c) + _height(p, k, Q_m, c)
+    p.f[last] = _height(p, FIRST, Q_s, c) + _height(p, k, Q_m, c)
     for h in range(4):
         p.df[h, last] = 0.0
         for a in range(last):

@@ -15,7 +15,7 @@ import numpy as np
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
-from dolfinx_mortar.geometry.moments import KERNEL
+from dolfinx_mortar.geometry.moments import FIRST, KERNEL, SECOND, THIRD
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 
@@ -67,7 +67,7 @@ def pairs_of_parts(pairs: Ints, slave: FacetElement, master: FacetElement) -> tu
     return every, of
 
 
-@numba.njit(cache=True)
+@numba.njit(**KERNEL)
 def all_pairs(pairs, a, b):  # type: ignore[no-untyped-def]
     """See `pairs_of_parts`; slave facets have a parts, master facets b."""
     size = len(pairs) * a * b
@@ -119,9 +119,9 @@ def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
 @numba.njit(**KERNEL)
 def _point(c, m, r, s):  # type: ignore[no-untyped-def]
     """Return a point of facet m, three numbers, and the area there per reference area."""
-    x0, a0, b0 = _component(c, m, 0, r, s)
-    x1, a1, b1 = _component(c, m, 1, r, s)
-    x2, a2, b2 = _component(c, m, 2, r, s)
+    x0, a0, b0 = _component(c, m, FIRST, r, s)
+    x1, a1, b1 = _component(c, m, SECOND, r, s)
+    x2, a2, b2 = _component(c, m, THIRD, r, s)
     n0, n1, n2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
     return x0, x1, x2, np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
 
@@ -151,8 +151,8 @@ def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
     normal of a part changes by a tenth of a radian, in one where facets are straight.
     """
     for _ in range(LIMIT):
-        y0, a0, b0 = _component(P, 0, 0, r, s)
-        y1, a1, b1 = _component(P, 0, 1, r, s)
+        y0, a0, b0 = _component(P, FIRST, FIRST, r, s)
+        y1, a1, b1 = _component(P, FIRST, SECOND, r, s)
         e0, e1, inverse = x - y0, y - y1, 1.0 / (a0 * b1 - a1 * b0)
         dr, ds = (e0 * b1 - e1 * b0) * inverse, (a0 * e1 - a1 * e0) * inverse
         r, s = r + dr, s + ds

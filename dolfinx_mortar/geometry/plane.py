@@ -13,7 +13,7 @@ import numpy as np
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls
-from dolfinx_mortar.geometry.moments import KERNEL
+from dolfinx_mortar.geometry.moments import FIRST, KERNEL, SECOND, THIRD
 from dolfinx_mortar.geometry.parts import count, pairs_of_parts, parts_of
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
@@ -179,7 +179,7 @@ def create_planes(x: Floats) -> tuple[Floats, Floats, Floats]:
     return centre, axes, radius
 
 
-@numba.njit(cache=True)
+@numba.njit(**KERNEL)
 def _fill_axes(x, radius, axes):  # type: ignore[no-untyped-def]
     """Write the axes (m, 3, 3) of facets (m, k, 3)."""
     for f in range(len(x)):
@@ -250,7 +250,7 @@ def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
         # by projection on b: on slivers xi is inexact, but the point stays where it is
         eta = ((p0 - xi * a0) * b0 + (p1 - xi * a1) * b1) / (b0 * b0 + b1 * b1)
         return xi, eta, abs(J)
-    return inverse_of(bilinear_map(P, 0), bilinear_map(P, 1), x, y)
+    return inverse_of(bilinear_map(P, FIRST), bilinear_map(P, SECOND), x, y)
 
 
 @numba.njit(**KERNEL)
@@ -278,7 +278,7 @@ def height_at(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
     """Return the height of the point (xi, eta) of a facet over the plane."""
     if not bilinear:
         return (1 - xi - eta) * P[0, 2] + xi * P[1, 2] + eta * P[2, 2]
-    m, a, b, c = bilinear_map(P, 2)
+    m, a, b, c = bilinear_map(P, THIRD)
     return m + xi * a + eta * (b + xi * c)
 
 
@@ -290,7 +290,9 @@ def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
     """
     if not bilinear:
         return 0.0, 0.0
-    return slopes_of(bilinear_map(P, 0), bilinear_map(P, 1), bilinear_map(P, 2), xi, eta)
+    return slopes_of(
+        bilinear_map(P, FIRST), bilinear_map(P, SECOND), bilinear_map(P, THIRD), xi, eta
+    )
 
 
 @numba.njit(**KERNEL)
@@ -303,7 +305,7 @@ def slopes_of(first, second, height, xi, eta):  # type: ignore[no-untyped-def]
     return (a2 * b1 - a1 * b2) / J, (a0 * b2 - a2 * b0) / J
 
 
-@numba.njit(cache=True)
+@numba.njit(**KERNEL)
 def _are_near(x_s, x_m, pairs, centre, axes, radius, margin):  # type: ignore[no-untyped-def]
     """Tell (p,) whether the projections come closer than the margins."""
     near = np.ones(len(pairs), dtype=np.bool_)

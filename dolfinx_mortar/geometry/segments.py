@@ -28,6 +28,7 @@ from dolfinx_mortar.geometry.facets import (
     facet_sizes,
     tributary_weights,
 )
+from dolfinx_mortar.geometry.moments import KERNEL
 from dolfinx_mortar.geometry.parts import count, parts_of
 
 FACING = 0.2
@@ -73,7 +74,7 @@ def create_cones(x_s: Floats, n_s: Floats, margin: Floats) -> Cones:
     return Cones(centre, axis, (radius * (1 + slope) + margin) * (1 + HALF_OF_DIGITS), slope)
 
 
-@numba.njit(cache=True)
+@numba.njit(**KERNEL)
 def _meets(c, axis, radius, slope, p, rho):  # type: ignore[no-untyped-def]
     """Tell whether the cone at c can meet the ball at p."""
     axial = 0.0
@@ -85,7 +86,7 @@ def _meets(c, axis, radius, slope, p, rho):  # type: ignore[no-untyped-def]
     return lateral <= radius + rho + (abs(axial) + rho) * slope
 
 
-@numba.njit(cache=True)
+@numba.njit(**KERNEL)
 def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-untyped-def]
     """Return all pairs (cone, ball of the first level) that can meet.
 
@@ -147,7 +148,7 @@ def sort_in_space(x: Floats) -> Longs:
     return order
 
 
-@numba.njit(cache=True)
+@numba.njit(**KERNEL)
 def _enclose(ball, rho, start):  # type: ignore[no-untyped-def]
     """Fill in the balls of all levels but the first: see `_meeting`."""
     branches, d = 2 ** ball.shape[1], ball.shape[1]

@@ -206,17 +206,17 @@ def _facet_dual(N, weight, kept, count, first, last, Phi, inverse):  # type: ign
             values[q] = found[j, q] + missing[q]
 
 
-@numba.njit(cache=True)
+@numba.njit(**SUMS)
 def _all_duals(N, weight, slave, keep):  # type: ignore[no-untyped-def]
     """Return Phi (k, q) of the kept nodes and m^-1 (m, k, k); points are ordered by facet."""
     Phi, inverse = np.zeros(N.shape), np.zeros((len(keep), len(N), len(N)))
-    a = np.int64(0)  # a literal 0 has a type of its own: _facet_dual would compile twice
+    a = np.int64(0)  # a literal 0 has a type of its own, also below: compiled twice
     while a < len(slave):
         b = a
         while b < len(slave) and slave[b] == slave[a]:
             b += 1
         kept = keep[slave[a]]
-        count = 0
+        count = np.int64(0)
         for j in range(len(kept)):
             count += kept[j]
         if count == 1:  # exact, and the only way where almost nothing is covered

@@ -25,6 +25,7 @@ from dolfinx_mortar.geometry.facets import (
     points_of,
     tributary_weights,
 )
+from dolfinx_mortar.geometry.moments import KERNEL
 from dolfinx_mortar.geometry.segments import Segments, create_segments
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
@@ -50,7 +51,7 @@ _OF_POINTS = "pair", "slave", "master", "xi_s", "xi_m", "weight"  # what segment
 # The kernels spell out their sums: array expressions would take three times as long to compile.
 # Values of one function at all points lie side by side, and sums may be taken in any order, so that
 # the compiler adds up several points at once.
-SUMS = {"cache": True, "error_model": "numpy", "fastmath": {"reassoc", "contract", "nsz"}}
+SUMS = {**KERNEL, "fastmath": {"reassoc", "contract", "nsz"}}
 
 
 @numba.njit(**SUMS)
