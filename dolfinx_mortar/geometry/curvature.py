@@ -306,7 +306,7 @@ def _unit(v: Floats) -> Floats:
 def _frame(facets: Facets) -> Floats:
     """Return two tangents (m, 3, 2) of facets, normal to each other."""
     n, first = _unit(area_vectors(facets)), facets.x[:, 1] - facets.x[:, 0]
-    second = _unit(np.cross(n, first))
+    second = _unit(np.asarray(np.cross(n, first)))
     return np.stack([np.cross(second, n), second], axis=2)
 
 

@@ -101,13 +101,13 @@ def apply(
     by_nodes = np.zeros((p, k + m + 1, w))  # gaps of D and M, b, and C H
     by_nodes[:, :k, :d], by_nodes[:, k:-1, :d] = -x, y
     by_nodes[:, k:-1, d:-1], by_nodes[:, -1, -1] = fixed.n_m, 1.0
-    moved = (changes.reshape(p, z * k, -1) @ by_nodes).reshape(p, z, k, w)
+    moved: Floats = (changes.reshape(p, z * k, -1) @ by_nodes).reshape(p, z, k, w)
     moved = C[:, None] @ moved + dC @ (moments @ by_nodes)[:, None]
     G = np.einsum("pji,pzji->pjz", fixed.n, moved[..., :d]) - moved[..., -1].swapaxes(1, 2)
     G[:, :, : d * k] -= (D[:, :, :, None] * fixed.n[:, :, None]).reshape(p, k, -1)
     G[:, :, others:] += (M[:, :, :, None] * fixed.n[:, :, None]).reshape(p, k, -1)
     c = fixed.c.swapaxes(1, 2)
-    F = (c[:, None] @ dC).reshape(p, z * d, k) @ moments
-    F = F.reshape(p, z, d, -1)[..., :-1] + ((c @ C)[:, None] @ changes)[..., :-1]
+    by_C = ((c[:, None] @ dC).reshape(p, z * d, k) @ moments).reshape(p, z, d, -1)
+    F = (by_C + (c @ C)[:, None] @ changes)[..., :-1]
     F[..., k:] *= -1.0
     return Results(F.transpose(0, 3, 2, 1), G, moved[..., d:-1].transpose(0, 2, 3, 1), D, M)

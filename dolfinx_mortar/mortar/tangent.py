@@ -86,11 +86,11 @@ class _Sides(NamedTuple):
         count = np.diff(self.start)
         pairs = np.isin(np.repeat(np.arange(len(count)), count), facets)
         start = np.append(0, np.cumsum(count[facets]))
-        x, n, y, factor, partly, reach = (
-            v[facets] for v in (self.x, self.n, self.y, self.factor, self.partly, self.reach)
+        x, n, y, factor, reach = (
+            v[facets] for v in (self.x, self.n, self.y, self.factor, self.reach)
         )
         of_pairs = self.place[pairs], self.deepest[pairs]
-        return _Sides(x, n, y, start, *of_pairs, factor, partly, reach)
+        return _Sides(x, n, y, start, *of_pairs, factor, self.partly[facets], reach)
 
 
 class _Surfaces(NamedTuple):
@@ -154,37 +154,45 @@ def _differentiate(
     fixed: Fixed,
 ) -> Results:
     """Return the derivatives of all facets."""
-    (p, k, d), m, (c, l) = sides.x.shape, sides.y.shape[1], sides.place.shape  # noqa: E741
-    of, others = (line if d == 2 else area), d * (k + sides.n.shape[1])
-    smooth, moved = surfaces.c_s.size > 0, surfaces.slopes.size > 0
-    z = others + d * m
-    Q_s, Q_m = np.empty((0, k, k)), np.empty((0, l, l))
-    if smooth:
-        both = zip(surfaces[:2], surfaces.tables, strict=True)
-        Q_s, Q_m = (np.tensordot(c_ab, table, 1) for c_ab, table in both)
-    heights = Q_s, Q_m, surfaces.arcs
-    lengths = c * surfaces.lengths
-    common = (c - lengths) * moved
-    E_s, E_m = (np.zeros((common, k, v, v)) for v in (k, l))
-    chords = np.zeros((lengths, k, 2))
-    sums = Sums(np.zeros((p, k, k + m + 1)), np.zeros((p, z, k, k + m + 1)), E_s, E_m, chords)
-    at = sides.place, sides.deepest
-    given = sides.reach, sides.factor, heights
-    of.moments(sides.x, sides.n, sides.y, sides.start, *at, *given, False, tables, sums)
+    (k, d), (c, l) = sides.x.shape[1:], sides.place.shape  # noqa: E741
+    others, lengths = d * (k + sides.n.shape[1]), c * surfaces.lengths
+    Q_s: Floats = np.empty((0, k, k))
+    Q_m: Floats = np.empty((0, l, l))
+    if surfaces.c_s.size:
+        Q_s, Q_m = (
+            np.asarray(np.tensordot(v, t, 1), np.float64)
+            for v, t in zip(surfaces[:2], surfaces.tables, strict=True)
+        )
+    heights, moved = (Q_s, Q_m, surfaces.arcs), surfaces.slopes.size > 0
+    sums = _sums(sides, heights, tables, (c * moved - lengths, lengths))
     if moved:
         _add_motions_of_heights(sides, surfaces, sums)
-    shares, some = np.zeros((p, z)), np.flatnonzero(sides.partly >= 0)
+    shares, some = np.zeros(sums.changes.shape[:2]), np.flatnonzero(sides.partly >= 0)
     if len(some):
         part = sides.some(some)
-        empty = np.zeros_like(sums.values[some]), np.zeros_like(sums.changes[some])
-        positive = Sums(*empty, E_s[:0], E_m[:0], chords[:0])
-        at, none = (part.place, part.deepest), (Q_s[:0], Q_m[:0], surfaces.arcs[:0])
-        given = part.reach, part.factor, none
-        of.moments(part.x, part.n, part.y, part.start, *at, *given, True, tables, positive)
+        positive = _sums(part, (Q_s[:0], Q_m[:0], surfaces.arcs[:0]), tables, positive=True)
         for i, f in enumerate(some):
             one = positive.values[i], positive.changes[i]
             shares[f] = _share_slopes(i, part, tables.corners, *one)
     return apply(sums.values, sums.changes, basis, shares, fixed, sides.x, sides.y, others)
+
+
+def _sums(
+    sides: _Sides,
+    heights: tuple[Floats, Floats, Floats],
+    tables: line.Tables | area.Tables,
+    counts: tuple[int, int] = (0, 0),
+    positive: bool = False,
+) -> Sums:
+    """Return the moments; counts: of derivatives by Q, and by lengths."""
+    (p, k, d), m, l = sides.x.shape, sides.y.shape[1], sides.place.shape[1]  # noqa: E741
+    z, n = d * (k + sides.n.shape[1] + m), k + m + 1
+    E_s, E_m = (np.zeros((counts[0], k, v, v)) for v in (k, l))
+    sums = Sums(np.zeros((p, k, n)), np.zeros((p, z, k, n)), E_s, E_m, np.zeros((counts[1], k, 2)))
+    (line if d == 2 else area).moments(
+        *sides[:6], sides.reach, sides.factor, heights, positive, tables, sums
+    )
+    return sums
 
 
 def differentiate_whole(
@@ -296,7 +304,8 @@ def _surfaces(
     """Return the heights of pairs (P,); collective."""
     slave, master = pairing.slave.element, pairing.master.element
     c_s: Floats = np.empty((len(used), 0))
-    c_m, arcs = c_s, np.empty((len(used), 2, 2))
+    arcs: Floats = np.empty((len(used), 2, 2))
+    c_m = c_s
     slopes: Floats = np.empty((len(used), 0, slave.nodes + master.nodes, pairing.slave.X.shape[1]))
     lengths = False
     if smooth is not None:
@@ -333,7 +342,8 @@ def _slopes(side: Curved, other: Curved, shared: bool) -> tuple[Floats, Floats]:
 
 def _some(surfaces: _Surfaces, pairs: Longs) -> _Surfaces:
     """Return the heights of some pairs."""
-    return _Surfaces(*(np.ascontiguousarray(v[pairs]) for v in surfaces[:4]), *surfaces[4:])
+    c_s, c_m, arcs, slopes = (v[pairs] for v in surfaces[:4])
+    return surfaces._replace(c_s=c_s, c_m=c_m, arcs=arcs, slopes=slopes)
 
 
 @dataclass(frozen=True, eq=False)
