@@ -330,7 +330,9 @@ def moments(
     v, dv = (w[..., None] * u for u in (N, dN + N * (w_xi[..., None] + slope * w_eta)))
     rows, rows_xi, rows_eta = (v[..., None] * g[:, :, None] for g in (f, by_xi, by_eta + w_eta * f))
     rows_xi += dv[..., None] * f[:, :, None]
-    rows, rows_xi, rows_eta = (r.reshape(*xi.shape, -1) for r in (rows, rows_xi, rows_eta))
+    rows, rows_xi, rows_eta = (
+        r.reshape(*xi.shape, k * (k + m + 1)) for r in (rows, rows_xi, rows_eta)
+    )
     signs = np.array([[-1.0], [1.0]])
     by_ends = (1.0 + signs * t) / 2 @ rows_xi + signs / (2.0 * half) * rows.sum(axis=1)[:, None]
     is_end = np.zeros((len(x), m), dtype=bool)
@@ -338,7 +340,7 @@ def moments(
     nodes = is_end[on], spread[:, :2].any(axis=1)
     moving = _end_rates(tables.slave, ends, x[on], n[on], y[on], nodes)
     rates = np.concatenate([by_gap[..., None, None] * at.by_nodes(), by_weight, moving], axis=1)
-    rates = rates.reshape(*rates.shape[:2], -1).swapaxes(1, 2)
+    rates = rates.reshape(*rates.shape[:2], 4 * k + 2 * m).swapaxes(1, 2)
     change = rates @ np.concatenate([rows_eta, rows, by_ends], axis=1)
     np.add.at(found.values, on, rows.sum(axis=1).reshape(-1, *found.values.shape[1:]))
     np.add.at(found.changes, on, change.reshape(-1, *found.changes.shape[1:]))
@@ -397,9 +399,10 @@ def _end_rates(
     best = np.where(met, -1.0, np.where(nodes[0][:, None], off, np.inf)).argmin(axis=2)[..., None]
     slope = np.take_along_axis(slopes, best, axis=2)
     inside = np.abs(ends) < 1.0 - HALF_OF_DIGITS  # otherwise sides end together
-    all_rates = at.by_nodes().reshape(s, 2, m, -1)
-    rates = np.take_along_axis(all_rates, best[..., None], axis=2)[:, :, 0]
-    return np.where(inside[..., None], -rates / slope, 0.0).reshape(s, 2, -1, 2)
+    by_nodes = at.by_nodes()
+    all_rates = by_nodes.reshape(s, 2, m, *by_nodes.shape[2:])
+    rates = np.take_along_axis(all_rates, best[..., None, None], axis=2)[:, :, 0]
+    return np.where(inside[..., None, None], -rates / slope[..., None], 0.0)
 
 
 def _polynomials(element: FacetElement, v: Floats) -> Floats:

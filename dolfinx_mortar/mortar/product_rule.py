@@ -87,7 +87,7 @@ def apply(
         y: (p, m, d) those of the masters.
         others: number of the first coordinate of a master.
     """
-    (p, k, d), m, z = x.shape, y.shape[1], changes.shape[1]
+    (p, k, d), m, (_, z, _, size) = x.shape, y.shape[1], changes.shape
     S, dS, C, dC = moments[:, :, :k], changes[..., :k], np.zeros((p, k, k)), np.zeros((p, z, k, k))
     for i, sign in enumerate((1.0, -1.0)[: basis.T.shape[1]]):
         one, change = duals(S, dS, basis.T[:, i], basis.inverse[:, i], basis.kept[:, i])
@@ -98,16 +98,16 @@ def apply(
         dC += change * basis.kept[:, 0, :, None][:, None]
     DM, w = C @ moments, 2 * d + 1
     D, M = DM[:, :, :k], DM[:, :, k:-1]
-    by_nodes = np.zeros((p, k + m + 1, w))  # gaps of D and M, b, and C H
+    by_nodes = np.zeros((p, size, w))  # gaps of D and M, b, and C H
     by_nodes[:, :k, :d], by_nodes[:, k:-1, :d] = -x, y
     by_nodes[:, k:-1, d:-1], by_nodes[:, -1, -1] = fixed.n_m, 1.0
-    moved: Floats = (changes.reshape(p, z * k, -1) @ by_nodes).reshape(p, z, k, w)
+    moved: Floats = (changes.reshape(p, z * k, size) @ by_nodes).reshape(p, z, k, w)
     moved = C[:, None] @ moved + dC @ (moments @ by_nodes)[:, None]
     G = np.einsum("pji,pzji->pjz", fixed.n, moved[..., :d]) - moved[..., -1].swapaxes(1, 2)
-    G[:, :, : d * k] -= (D[:, :, :, None] * fixed.n[:, :, None]).reshape(p, k, -1)
-    G[:, :, others:] += (M[:, :, :, None] * fixed.n[:, :, None]).reshape(p, k, -1)
+    G[:, :, : d * k] -= (D[:, :, :, None] * fixed.n[:, :, None]).reshape(p, k, k * d)
+    G[:, :, others:] += (M[:, :, :, None] * fixed.n[:, :, None]).reshape(p, k, m * d)
     c = fixed.c.swapaxes(1, 2)
-    by_C = ((c[:, None] @ dC).reshape(p, z * d, k) @ moments).reshape(p, z, d, -1)
+    by_C = ((c[:, None] @ dC).reshape(p, z * d, k) @ moments).reshape(p, z, d, size)
     F = (by_C + (c @ C)[:, None] @ changes)[..., :-1]
     F[..., k:] *= -1.0
     return Results(F.transpose(0, 3, 2, 1), G, moved[..., d:-1].transpose(0, 2, 3, 1), D, M)

@@ -331,8 +331,8 @@ def _slopes(side: Curved, other: Curved, shared: bool) -> tuple[Floats, Floats]:
     )
     if shared:  # c_ab / 2 - e.K e / 2
         by_e, by_K = -e @ other.K, e[..., None] * e[:, :, None] / -2.0
-        slopes = other.slopes.reshape(P, -1, d * d)
-        by_others[:] = (by_K.reshape(P, -1, d * d) @ slopes.swapaxes(1, 2)).reshape(by_others.shape)
+        slopes = other.slopes.reshape(P, d * other.facets.x.shape[1], d * d).swapaxes(1, 2)
+        by_others[:] = (by_K.reshape(P, count, d * d) @ slopes).reshape(by_others.shape)
     else:
         by_e = e / (e**2).sum(axis=2, keepdims=True)
     by_nodes[:, range(count), b] = by_e
