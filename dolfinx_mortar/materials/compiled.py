@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """A law as a compiled function of numbers: the code that a solid runs, without any mesh."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,12 @@ from dolfinx_mortar.kernels import compile_vectors, constants
 from dolfinx_mortar.materials.plane_stress import Equation, solve
 from dolfinx_mortar.materials.protocol import Law, create_law
 from dolfinx_mortar.materials.ranges import grouped, named_parameters
-from dolfinx_mortar.materials.response import elastic_response, respond, values_at_points
+from dolfinx_mortar.materials.response import (
+    Response,
+    elastic_response,
+    respond,
+    values_at_points,
+)
 from dolfinx_mortar.materials.tensor import from_components, stored, tensor_of, to_components
 from ufl.core.expr import Expr
 
@@ -45,7 +50,7 @@ class CompiledLaw:
 
     def __init__(self, material: Any, law: Law | None = None) -> None:
         law = create_law("law", material) if law is None else law
-        self.shapes = {name: (6,) if shape else () for name, shape in law.state.items()}
+        self.shapes = stored_shapes(law)
         given = parameters(material)
         self._name, self._parameters = law.name, list(given.values())
         strain, along, z, *rest = symbols((6,), (6,), (), *self.shapes.values(), *[()] * len(given))
@@ -57,9 +62,7 @@ class CompiledLaw:
         elastic, change = elastic_response(law, strain, p), response.change(along)
         parts = [entries(t) for t in (response.stress, elastic, change)]
         parts.append([ufl.as_ufl(0.0) if response.energy is None else response.energy])
-        for name, shape in self.shapes.items():
-            new = response.updated[name]
-            parts.append(to_components(new, 6) if shape else [new])
+        parts += state_entries(response, self.shapes)
         self._closed = response.normal_strain is not None
         if law.condensed:
             parts.append(list(response.equation or [response.normal_strain]))
@@ -103,26 +106,18 @@ class PointwiseNumbers:
     has_energy = False
 
     def __init__(self, material: Any, law: Law) -> None:
-        self.shapes = {name: (6,) if shape else () for name, shape in law.state.items()}
+        self.shapes = stored_shapes(law)
         self._law, self._p = law, parameters(material)
-        strain, *rest = symbols((6,), *[()] * len(self._p))
-        p = grouped(dict(zip(self._p, rest, strict=True)))
-        (self._elastic,) = compile_vectors(
-            [ufl.as_vector(entries(elastic_response(law, strain, p)))]
-        )
+        self._elastic = compile_elastic(law, self._p)
 
     def __call__(self, strain: Floats, direction: Floats, state: Mapping[str, Floats]) -> Point:
         """Evaluate the law, see `CompiledLaw`."""
-        p = grouped({name: np.array([value]) for name, value in self._p.items()})
-        committed = {
-            name: tensor_of(np.atleast_2d(state[name])) if shape else np.atleast_1d(state[name])
-            for name, shape in self.shapes.items()
-        }
-        found = values_at_points(self._law, tensor_of(strain[None]), committed, p)
+        found = values_at_points(
+            self._law, tensor_of(strain[None]), *at_one_point(self.shapes, state, self._p)
+        )
         change = np.einsum("ijkl,kl->ij", found.tangent[0], tensor_of(direction[None])[0])
-        new = {name: stored(v)[0] if v.ndim == 3 else v[0] for name, v in found.state.items()}
         elastic = self._elastic(np.array([*strain, *self._p.values()])).reshape(3, 3)
-        return Point(found.stress[0], elastic, change, np.nan, new)
+        return Point(found.stress[0], elastic, change, np.nan, of_one_point(found.state))
 
 
 def parameters(material: Any) -> dict[str, float]:
@@ -143,13 +138,52 @@ def entries(tensor: Expr) -> list[Expr]:
     return [tensor[i, j] for i in range(3) for j in range(3)]
 
 
+def stored_shapes(law: Law) -> dict[str, tuple[int, ...]]:
+    """Return how the internal variables are stored, () or (6,), by name."""
+    return {name: (6,) if shape else () for name, shape in law.state.items()}
+
+
+def state_entries(response: Response, shapes: Mapping[str, tuple[int, ...]]) -> list[list[Expr]]:
+    """Return the stored components of the internal variables at the end of the step."""
+    new = [(response.updated[name], shape) for name, shape in shapes.items()]
+    return [list(to_components(value, 6)) if shape else [value] for value, shape in new]
+
+
+def compile_elastic(law: Law, given: Mapping[str, float]) -> Callable[[Floats], Floats]:
+    """Return C : strain (9,) as a function of stored strain and parameters, (6 + p,)."""
+    strain, *rest = symbols((6,), *[()] * len(given))
+    p = grouped(dict(zip(given, rest, strict=True)))
+    (kernel,) = compile_vectors([ufl.as_vector(entries(elastic_response(law, strain, p)))])
+    return kernel
+
+
+def at_one_point(
+    shapes: Mapping[str, tuple[int, ...]], state: Mapping[str, Floats], given: Mapping[str, float]
+) -> tuple[dict[str, Floats], Any]:
+    """Return stored state and parameters as laws of arrays take them, at one point."""
+    committed = {
+        name: tensor_of(np.atleast_2d(state[name])) if shape else np.atleast_1d(state[name])
+        for name, shape in shapes.items()
+    }
+    return committed, grouped({name: np.array([value]) for name, value in given.items()})
+
+
+def of_one_point(state: Mapping[str, Floats]) -> dict[str, Floats]:
+    """Return the stored state of the only point, () or (6,), of that of a law of arrays."""
+    return {name: stored(v)[0] if v.ndim == 3 else v[0] for name, v in state.items()}
+
+
 def symbols(*shapes: tuple[int, ...]) -> list[Expr]:
-    """Return `constants` in turn as scalars, (), and tensors of stored components, (6,)."""
-    numbers = constants(sum(6 if shape else 1 for shape in shapes))
-    rest = iter(range(len(numbers)))
-    return [
-        from_components(ufl.as_vector([numbers[next(rest)] for _ in range(6)]))
-        if shape
-        else numbers[next(rest)]
-        for shape in shapes
-    ]
+    """Return `constants` in turn as scalars, (), and tensors, by components (6,) or (3, 3)."""
+    sizes = [int(np.prod(shape)) for shape in shapes]
+    numbers = iter(list(constants(sum(sizes))))
+    found: list[Expr] = []
+    for shape, size in zip(shapes, sizes, strict=True):
+        part = [next(numbers) for _ in range(size)]
+        if not shape:
+            found += part
+        elif shape == (6,):
+            found.append(from_components(ufl.as_vector(part)))
+        else:
+            found.append(ufl.as_tensor([part[:3], part[3:6], part[6:]]))
+    return found

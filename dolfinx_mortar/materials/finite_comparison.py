@@ -10,14 +10,22 @@ import numpy as np
 
 import ufl
 from dolfinx_mortar.arrays import EPS, Floats
-from dolfinx_mortar.kernels import compile_vectors, constants
-from dolfinx_mortar.materials.compiled import entries, parameters
+from dolfinx_mortar.kernels import compile_vectors
+from dolfinx_mortar.materials.compiled import (
+    at_one_point,
+    compile_elastic,
+    entries,
+    of_one_point,
+    parameters,
+    state_entries,
+    stored_shapes,
+    symbols,
+)
 from dolfinx_mortar.materials.finite_law import Evaluation, create_finite_law
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
 from dolfinx_mortar.materials.protocol import Law
 from dolfinx_mortar.materials.ranges import grouped
-from dolfinx_mortar.materials.response import elastic_response, respond
-from dolfinx_mortar.materials.tensor import from_components, stored, tensor_of, to_components
+from dolfinx_mortar.materials.response import respond
 
 # Differences of sixth order have round-off alone: hyperelastic laws show 2e-12, those of a small
 # strain 1e-11, plastic ones 7e-8 at most, near kinks, at E / Y up to 1000 (six seeds).
@@ -85,10 +93,7 @@ def law_at_points(material: Any, law: Law) -> tuple[At, float, bool]:
     The stiffness is the norm of the elastic stress of unit strains.
     """
     given = parameters(material)
-    numbers = constants(6 + len(given))
-    strain = from_components(ufl.as_vector([numbers[i] for i in range(6)]))
-    p = grouped({name: numbers[6 + i] for i, name in enumerate(given)})
-    (elastic,) = compile_vectors([ufl.as_vector(entries(elastic_response(law, strain, p)))])
+    elastic = compile_elastic(law, given)
     probes = ([1, 0, 0, 0, 0, 0], [0, 0, 0, 0.5, 0, 0])
     norms = [float(np.linalg.norm(elastic(np.array([*e, *given.values()])))) for e in probes]
     stiffness = max(norms)
@@ -103,24 +108,14 @@ def law_at_points(material: Any, law: Law) -> tuple[At, float, bool]:
 
 def _compiled(law: Law, given: Mapping[str, float]) -> At:
     """Return a law in UFL as a function of one F and state."""
-    shapes = {name: (6,) if shape else () for name, shape in law.state.items()}
-    widths = [6 if shape else 1 for shape in shapes.values()]
-    numbers = constants(18 + sum(widths) + len(given))
-    F, D = (
-        ufl.as_tensor([[numbers[k + 3 * i + j] for j in range(3)] for i in range(3)])
-        for k in (0, 9)
-    )
-    state, k = {}, 18
-    for (name, shape), width in zip(shapes.items(), widths, strict=True):
-        vector = ufl.as_vector([numbers[k + i] for i in range(width)])
-        state[name], k = (from_components(vector) if shape else numbers[k]), k + width
-    p = grouped({name: numbers[k + i] for i, name in enumerate(given)})
+    shapes = stored_shapes(law)
+    F, D, *rest = symbols((3, 3), (3, 3), *shapes.values(), *[()] * len(given))
+    state = dict(zip(shapes, rest, strict=False))
+    p = grouped(dict(zip(given, rest[len(state) :], strict=True)))
     response = respond(law, F, state, p)
     parts = [entries(response.stress), entries(response.change(D))]
     parts.append([ufl.as_ufl(0.0) if response.energy is None else response.energy])
-    for name, shape in shapes.items():
-        new = response.updated[name]
-        parts.append(list(to_components(new, 6)) if shape else [new])
+    parts += state_entries(response, shapes)
     stress, change, energy, *new_state = compile_vectors([ufl.as_vector(p) for p in parts])
 
     def at(gradient: Floats, committed: Mapping[str, Floats]) -> FinitePoint:
@@ -142,17 +137,9 @@ def _of_arrays(law: Law, given: Mapping[str, float], evaluate: Evaluation) -> At
     """Return a law of arrays, or one of a small strain, as a function of one F and state."""
 
     def at(gradient: Floats, committed: Mapping[str, Floats]) -> FinitePoint:
-        state = {
-            name: tensor_of(np.atleast_2d(committed[name]))
-            if shape
-            else np.atleast_1d(committed[name])
-            for name, shape in law.state.items()
-        }
-        p = grouped({name: np.array([value]) for name, value in given.items()})
-        found = evaluate(gradient[None], state, p)
+        found = evaluate(gradient[None], *at_one_point(law.state, committed, given))
         psi = np.nan if found.energy is None else float(found.energy[0])
-        new = {n: stored(v)[0] if v.ndim == 3 else v[0] for n, v in found.state.items()}
-        return FinitePoint(psi, found.stress[0], found.tangent[0], new)
+        return FinitePoint(psi, found.stress[0], found.tangent[0], of_one_point(found.state))
 
     return at
 
