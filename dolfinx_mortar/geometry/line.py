@@ -337,8 +337,7 @@ def moments(
     by_ends = (1.0 + signs * t) / 2 @ rows_xi + signs / (2.0 * half) * rows.sum(axis=1)[:, None]
     is_end = np.zeros((len(x), m), dtype=bool)
     is_end[of[:, None], place[:, :2]] = True
-    nodes = is_end[on], spread[:, :2].any(axis=1)
-    moving = _end_rates(tables.slave, ends, x[on], n[on], y[on], nodes)
+    moving = _end_rates(tables.slave, ends, x[on], n[on], y[on], is_end[on])
     rates = np.concatenate([by_gap[..., None, None] * at.by_nodes(), by_weight, moving], axis=1)
     rates = rates.reshape(*rates.shape[:2], 4 * k + 2 * m).swapaxes(1, 2)
     change = rates @ np.concatenate([rows_eta, rows, by_ends], axis=1)
@@ -383,20 +382,18 @@ def _weigh(
 
 
 def _end_rates(
-    table: Floats, ends: Floats, x: Floats, n: Floats, y: Floats, nodes: tuple[Bools, Bools]
+    table: Floats, ends: Floats, x: Floats, n: Floats, y: Floats, is_end: Bools
 ) -> Floats:
     """Return the derivatives (s, 2, 2 k + m, 2) of the ends of segments, 0 where a side ends.
 
     Args:
-        nodes: (s, m) which of y are ends of masters, and of the segment's own: one of the latter
-            where the normal of the slave facet meets it, else the nearest.
+        is_end: (s, m) which of y are ends of masters: an end of a segment moves with the nearest.
     """
     (s, m, _), (N, dN, _) = y.shape, _functions(table, ends)
     M = np.tile(np.eye(m), (s, 2, 1))
     at = _points(N.repeat(m, axis=1), dN.repeat(m, axis=1), M, x, n, y)
     off, slopes = np.abs(_cross(at.apart, at.n)).reshape(s, 2, m), at.slope.reshape(s, 2, m)
-    met = nodes[1][:, None] & (off <= HALF_OF_DIGITS * np.abs(slopes))
-    best = np.where(met, -1.0, np.where(nodes[0][:, None], off, np.inf)).argmin(axis=2)[..., None]
+    best = np.where(is_end[:, None], off, np.inf).argmin(axis=2)[..., None]
     slope = np.take_along_axis(slopes, best, axis=2)
     inside = np.abs(ends) < 1.0 - HALF_OF_DIGITS  # otherwise sides end together
     by_nodes = at.by_nodes()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-r"""Moments of pairs of facets: all that forces, gaps and dual functions of contact need (compiled).
+r"""Moments of pairs of facets: all that forces, gaps and dual functions of contact need.
 
 Over the part of a slave facet that faces a master facet, with the functions N of both, the heights
 h of smooth surfaces and the weight of the integrals,

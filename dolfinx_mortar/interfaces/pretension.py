@@ -90,8 +90,8 @@ class Bolt:
     names = ("pretension",)
     remedy = (
         "supports, ties or contacts have to hold both ends of the bolt along tie.direction, which "
-        "points out of the slave side for tension, or the force is too large for the stiffness of the "
-        "bolt (check units of both); pretension=None holds the jump"
+        "points out of the slave side for tension, or the force is too large for the stiffness of "
+        "the bolt (check units of both); pretension=None holds the jump"
     )
 
     def loads(self) -> Floats:

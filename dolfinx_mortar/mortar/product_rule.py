@@ -92,10 +92,9 @@ def apply(
     for i, sign in enumerate((1.0, -1.0)[: basis.T.shape[1]]):
         one, change = duals(S, dS, basis.T[:, i], basis.inverse[:, i], basis.kept[:, i])
         share = (basis.closed if i == 0 else 1.0 - basis.closed)[:, None, None]
-        C += share * one * basis.kept[:, 0, :, None]
-        change *= share[:, None]
-        change += sign * shares[:, :, None, None] * one[:, None]
-        dC += change * basis.kept[:, 0, :, None][:, None]
+        one *= basis.kept[:, 0, :, None]  # dC of others counts for nothing: they have no rows
+        C += share * one
+        dC += share[:, None] * change + sign * shares[:, :, None, None] * one[:, None]
     DM, w = C @ moments, 2 * d + 1
     D, M = DM[:, :, :k], DM[:, :, k:-1]
     by_nodes = np.zeros((p, size, w))  # gaps of D and M, b, and C H
