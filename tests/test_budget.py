@@ -16,9 +16,9 @@ import dolfinx_mortar
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
     "files": 245,
-    "tokens of code": 372_650,
-    "words of prose": 116_566,
-    "words of strings": 15_494,
+    "tokens of code": 369_409,
+    "words of prose": 115_880,
+    "words of strings": 15_573,
 }
 LAYOUT = (
     *(tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),

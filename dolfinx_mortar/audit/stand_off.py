@@ -151,12 +151,9 @@ def note_on_facets(
     sides in series (`_in_series`), at the nodes that carry; of smooth surfaces, and where none
     carries, also at those that might, as the gap is less than h_j.
 
-    Smooth surfaces, rings that fit, with 16 to 52 facets, either slave, loads over a factor of 16,
-    errors of forces and of the worst pressure: below a share of .2 up to 5 and 12 %, at .2 to .3 4
-    to 8 and 13 to 21 %, at .5 to .9 14 to 39 and 22 to 95 %, at 1 to 2 17 to 120 % and a factor of
-    1.6 to 4. (An even h_j is counted two to four times, with the stiffness of single nodes.) K_jj
-    of layers thinner than facets are long is too stiff: with an eighth of the length errors are 12
-    and 80 % at 9.8.
+    Smooth surfaces of rings that fit, with 16 to 52 facets, errors of forces and of the worst
+    pressure: below a share of .2 up to 5 and 12 %, at .5 to .9 14 to 39 and 22 to 95 %. An even h_j
+    is counted two to four times, with the stiffness of single nodes.
 
     Args:
         x: where the nodes are, X + u.

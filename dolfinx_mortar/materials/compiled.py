@@ -160,7 +160,7 @@ def compile_elastic(law: Law, given: Mapping[str, float]) -> Callable[[Floats], 
 def at_one_point(
     shapes: Mapping[str, tuple[int, ...]], state: Mapping[str, Floats], given: Mapping[str, float]
 ) -> tuple[dict[str, Floats], Any]:
-    """Return stored state and parameters as laws of arrays take them, at one point."""
+    """Return state and parameters as laws of arrays take them."""
     committed = {
         name: tensor_of(np.atleast_2d(state[name])) if shape else np.atleast_1d(state[name])
         for name, shape in shapes.items()

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Checkpoints of a problem: saving its committed state, and restoring it as a whole.
 
-Displacement, internal variables, stress, closed contacts, slips, forces of supports and load level;
-results of the interfaces (multipliers, pressures, gaps, resultants); tightening of ties; history of
-the load steps, and the tables of their ramps. Data that a program sets before each step are not
-saved: loads, supports, jumps, parameters and eigenstrain that may change.
+Displacement, internal variables, stress, contacts, slips, forces of supports and load level;
+results of the interfaces; tightening of ties; history of load steps, tables of their ramps. What a
+program sets before each step is not saved: loads, supports, jumps, changing parameters.
 """
 
 import dataclasses
@@ -267,7 +266,7 @@ def _contacts(state: ProblemState, last: StepOutcome | Committed) -> dict[str, F
     if state.system.has_friction and last.sliding is not None:
         found["sliding"] = last.sliding
     if last.gained is not None:
-        found["gained"] = last.gained.by.reshape(len(last.active), -1)
+        found["gained"] = last.gained.by.reshape(-1, state.solid.V.dofmap.index_map_bs)
     return found
 
 
