@@ -11,8 +11,9 @@ from dolfinx_mortar import qp
 from dolfinx_mortar.arrays import EPS
 from dolfinx_mortar.interfaces import pretension as module
 from dolfinx_mortar.newton_method.contacts import go_on
-from dolfinx_mortar.newton_method.driven_tools import find_carried, find_drives
+from dolfinx_mortar.newton_method.driven_tools import find_drives, miss
 from dolfinx_mortar.newton_method.linearisation import find_balance
+from dolfinx_mortar.newton_method.residuals import Residuals
 from tests.block_piles import (
     ABOVE,
     BELOW,
@@ -232,10 +233,33 @@ def test_what_is_out_of_balance_is_seen():
     case.tie.pretension = 33.0
     balance = find_balance(problem, problem.begin_step())
     contacts = go_on((np.zeros(problem.n, bool), None), None, 0.0)
-    drives, missing, size = find_carried(problem, balance, contacts)
-    assert drives.loads == [33.0]
-    assert missing == pytest.approx([3.0], rel=1e-9)
-    assert size == pytest.approx([33.0], rel=1e-9)
+    found = miss(problem, balance, contacts, Residuals(0.0, 0.0, 0.0, limit=1.0), rtol=0.01)
+    assert found.loads == pytest.approx(3.0 / 33.0, rel=1e-9)
+    assert found.excess == pytest.approx(100.0 * 3.0 / 33.0, rel=1e-9)
+
+
+def test_the_size_of_a_pretension_is_its_own():
+    """Not that of the forces on a rigid side, whose motions have one size, over their arms."""
+    case = Bar("quadrilateral")
+    plate = dm.RigidSide(case.facets, TOP, reference=[0.0, 2.0], load={"x": 0.0, "y": 1e6})
+    case.tie.pretension = 3.0
+    solid = dm.Solid(case.u, dm.Elastic(E, NU))
+    problem = dm.ContactProblem(solid, [case.tie, plate], bcs=[case.hold(BOTTOM)])
+    problem.begin_step()
+    _, size = find_drives(problem).missing(np.zeros(problem.d * problem.n))
+    assert size.tolist() == [3.0, 1e6, 1e6]
+
+
+@pytest.mark.parametrize("law", [dm.Elastic(E, NU), dm.VonMises(E, NU, 2.0, 10.0)])
+def test_a_force_is_taken_off(law):
+    """Where bodies have flown, stresses stay and the sum of the forces is 0."""
+    case, problem = clamped(law=law)
+    for force in (12.0, 0.0):
+        case.tie.pretension = force
+        report = dm.newton(problem, rtol=1e-9)
+        problem.commit()
+    assert report.newton_iterations <= 3
+    assert np.abs(case.tie.force).max() < 1e-7
 
 
 def test_a_small_force_beside_large_loads():
@@ -416,6 +440,23 @@ def test_sides_with_common_nodes():
     problem = dm.ContactProblem(solid, [tie], bcs=[bc])
     with rejected("pretension: both sides", "1 nodes in common", "cut the bolt"):
         dm.newton(problem)
+
+
+def test_a_tightening_is_a_jump_also_where_sides_have_common_nodes():
+    """At the tip of a crack they cannot be apart."""
+    found = []
+    for name in ("jump", "tightening"):
+        mesh, tags = cracked()
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        bottom = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], x[1].min()))
+        tie = dm.Tie(tags, slave=20, master=11)
+        setattr(tie, name, np.array([0.0, 0.01]))
+        solid = dm.Solid(fem.Function(V), dm.Elastic(E, NU))
+        bcs = [fem.dirichletbc(np.zeros(2), bottom, V)]
+        dm.newton(dm.ContactProblem(solid, [tie], bcs=bcs), rtol=1e-11)
+        found.append(solid.u.x.array)
+    assert largest(found[0]) > 1e-3
+    assert largest(found[1] - found[0]) < 1e-13
 
 
 @pytest.mark.mpi

@@ -118,8 +118,12 @@ class Drives:
         return maximum(self.comm, *np.abs(self.motions).max(axis=1, initial=0.0))
 
     def allowed(self, force: float) -> Floats:
-        """Return tolerances (m,) of loads on rigid sides for one of forces; collective."""
-        return np.where(self.sides, force * self.arms(), 0.0)
+        """Return tolerances (m,) for one of forces; collective.
+
+        Of loads on rigid sides, and of bolts without a force, which have no size of their own.
+        """
+        on = self.sides | (self.follows & (self.loads == 0.0))
+        return np.where(on, force * self.arms(), 0.0)
 
     def check_gaps(self, balance: Balance, active: Bools, facet_length: float) -> None:
         """Raise an error if a gap is between a body and a tool with a load; collective.
@@ -357,33 +361,8 @@ def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> StepFailed:
     )
 
 
-def find_carried(
-    problem: ContactProblem, balance: Balance, contacts: Contacts
-) -> tuple[Drives, Floats, Floats] | None:
-    """Return what loads drive, F + e.z (m,), and the sizes of its terms; collective.
-
-    Args:
-        balance: forces at an iterate.
-        contacts: the multipliers there.
-    """
-    drives = find_drives(problem, balance.known(contacts.multipliers))
-    if drives is None:
-        return None
-    carried = np.zeros(drives.motions.shape[1])
-    carried[balance.bounds.dofs] = contacts.reactions(balance)
-    if (limits := balance.limits) is not None:
-        carried[limits.tangential[limits.some]] = contacts.tangential_reactions(limits)[limits.some]
-    carried[drives.held] = balance.reduced.array_r[drives.held]
-    return drives, *drives.missing(carried)
-
-
 def miss(
-    problem: ContactProblem,
-    balance: Balance,
-    contacts: Contacts,
-    residual: Residuals,
-    begun: Floats,
-    rtol: float,
+    problem: ContactProblem, balance: Balance, contacts: Contacts, residual: Residuals, rtol: float
 ) -> Residuals:
     """Return the residuals with those of the loads of bolts, tools and rigid sides; collective.
 
@@ -391,16 +370,18 @@ def miss(
         balance: forces at an iterate.
         contacts: the multipliers there.
         residual: of forces and contact.
-        begun: sizes (m,) of the terms of F + e.z at the start of the step.
         rtol: tolerance of the step.
     """
-    found = find_carried(problem, balance, contacts)
-    if found is None:
+    drives = find_drives(problem, balance.known(contacts.multipliers))
+    if drives is None:
         return residual
-    drives, missing, size = found
-    size = np.maximum(size, begun)
-    least = np.where(drives.follows & ~drives.sides, residual.floor, drives.noise(balance))
-    beyond = np.maximum(np.abs(missing) - least - drives.allowed(residual.limit), 0.0)
-    share = np.divide(beyond, size, out=np.zeros_like(size), where=size > 0.0).max()
-    shown = np.divide(np.abs(missing), size, out=np.zeros_like(size), where=size > 0.0).max()
-    return replace(residual, excess=max(residual.excess, float(share) / rtol), loads=float(shown))
+    carried = np.zeros(drives.motions.shape[1])
+    carried[balance.bounds.dofs] = contacts.reactions(balance)
+    if (limits := balance.limits) is not None:
+        carried[limits.tangential[limits.some]] = contacts.tangential_reactions(limits)[limits.some]
+    carried[drives.held] = balance.reduced.array_r[drives.held]
+    missing, size = drives.missing(carried)
+    off, size = np.abs(missing), np.maximum(size, TINY)
+    beyond = off - drives.noise(balance) - drives.allowed(residual.limit)
+    excess = float((beyond / size).max()) / rtol
+    return replace(residual, excess=max(residual.excess, excess), loads=float((off / size).max()))

@@ -10,7 +10,7 @@ u = 0, with K/mu from 2 to 1e5: residuals of .1 to .7 EPS |diag(K) h|, where ROU
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -42,7 +42,6 @@ class Scales:
     first: float = 0.0  # norm of the first QP's right-hand side
     work: float = 0.0  # |u|_e^2 at the start of the step
     extent: float = np.inf  # size of the mesh plus the largest prescribed displacement
-    carried: Floats = field(default_factory=lambda: np.zeros(0))  # (m,) of scalars, at the start
     cells: Floats | float = 0.0  # size of the cells around each owned dof, 0 at small strain
 
 
@@ -54,7 +53,6 @@ class Residuals:
     contact: float  # penetration and complementarity, on their scales
     excess: float  # largest residual over its tolerance
     limit: float  # tolerance of the norm of forces
-    floor: float = 0.0  # round-off of forces, which no tolerance is below
     loads: float = 0.0  # largest share of the load of a bolt, tool or rigid side that is missed
 
 
@@ -142,7 +140,7 @@ def measure(
     widest = float(maximum(comm, off.max(initial=0.0))[0]) / scales.facet_length
     excess = max(ratio(forces, limit), ratio(pull, limit), ratio(work, rtol * whole), widest / rtol)
     contact = max(ratio(pull, scale), ratio(work, whole))
-    return Residuals(ratio(forces, scale), contact, excess, limit, floor)
+    return Residuals(ratio(forces, scale), contact, excess, limit)
 
 
 def tightest(rtol: float) -> float:

@@ -414,12 +414,8 @@ class _Step:
         extent = find_extent(problem.V.mesh, np.append(self.data.target, self.data.increment))
         begun = largest_force(problem.comm, balance, np.zeros(0))
         length = problem.system.facet_length
-        driven = driven_tools.find_carried(problem, balance, contacts)
-        carried = np.zeros(0) if driven is None else driven[2]
         cells = problem.solid.cell_sizes if problem.solid.strain == "finite" else 0.0
-        scales = Scales(
-            length, begun=begun, work=norm**2, extent=extent, carried=carried, cells=cells
-        )
+        scales = Scales(length, begun=begun, work=norm**2, extent=extent, cells=cells)
         return Iterate(balance, contacts, scales, energy, norm, 0.0, problem.vector()), start
 
     def balance(self, contacts: Contacts | None) -> Balance:
@@ -563,7 +559,7 @@ class _Step:
         """Return the residuals of a balance, those of tools that forces drive included."""
         rtol = self.report.rtol
         found = measure(self.problem.u, balance, contacts, diagonal, scales, norm, rtol)
-        return driven_tools.miss(self.problem, balance, contacts, found, scales.carried, rtol)
+        return driven_tools.miss(self.problem, balance, contacts, found, rtol)
 
     def drive(
         self, lin: Linearisation, solved: QPSolution, old: Iterate
