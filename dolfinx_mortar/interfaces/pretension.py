@@ -110,7 +110,7 @@ class Bolt:
         """Add s (1,)."""
         self.tighten(amounts[0] * self.axis)
 
-    def check_motion(self, sides: Sides, largest: float) -> None:
+    def check(self, sides: Sides, largest: float) -> None:
         """Raise a ValueError where the sides cannot overlap; collective.
 
         Args:

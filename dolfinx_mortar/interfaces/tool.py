@@ -19,7 +19,7 @@ from dolfinx_mortar.arguments import as_numbers, is_number
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
 from dolfinx_mortar.geometry.facets import facet_normals
 from dolfinx_mortar.geometry.segments import FACING, Segments
-from dolfinx_mortar.interfaces.coupling import Pattern, Sides
+from dolfinx_mortar.interfaces.coupling import Pattern
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, side_heights
 from dolfinx_mortar.mortar.surface import coordinates, facets_at
 from dolfinx_mortar.mortar.whole_side import WholeSide
@@ -71,18 +71,6 @@ class Driven(Protocol):
 
     def move(self, amounts: Floats) -> None:
         """Move the tool by amounts (m,) of its motions."""
-
-    def check_motion(self, sides: Sides, largest: float) -> None:
-        """Raise a ValueError where it cannot move at all; collective.
-
-        Args:
-            sides: of its interface.
-            largest: motion of a node by a unit of one of them.
-        """
-
-    @property
-    def remedy(self) -> str:
-        """What to do where nothing resists; asked only of what `holds` nodes."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +128,6 @@ class RigidBody:
     """
 
     holds = False
-    remedy = "hold the body against it, or prescribe the position"
 
     def __init__(self, point: Floats) -> None:
         d = len(point)
@@ -228,9 +215,6 @@ class RigidBody:
     def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
         """Return what one unit of each driven motion (m, n, d) does, see `Driven`."""
         return self.along(x - self.pose().position)
-
-    def check_motion(self, sides: Sides, largest: float) -> None:
-        """Do nothing: what moves no node is told in other words, see `Driven`."""
 
     def curve(self, X: Floats, amounts: Floats) -> Floats:
         """Return 0: nothing follows a tool, see `Driven`."""

@@ -40,6 +40,7 @@ from dolfinx_mortar.arrays import (
 from dolfinx_mortar.interfaces.coupling import relative_motions
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.tool import Driven
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.failures import StepFailed
@@ -202,7 +203,8 @@ def find_drives(problem: ContactProblem, known: Floats | None = None) -> Drives 
     reach = maximum(problem.comm, *np.concatenate(lengths))
     arms = maximum(problem.comm, *np.abs(motions).max(axis=1, initial=0.0))
     for (link, tool), own in zip(parts, np.split(np.asarray(arms), ends), strict=True):
-        tool.check_motion(link.sides, float(own.max()))
+        if isinstance(tool, Bolt):
+            tool.check(link.sides, float(own.max()))
     held = [_unknowns(link, problem.d) for link, tool in parts if tool.holds]
     return Drives(
         tools=[(link.interface, tool) for link, tool in parts],
@@ -336,8 +338,10 @@ def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> StepFailed:
     k = int(np.argmax(which))
     name, owner, tool = _names(drives)[k]
     if tool.holds:
+        held = "hold the body against it, or prescribe the position"
+        remedy = tool.remedy if isinstance(tool, Bolt) else held
         return StepFailed(
-            f"nothing resists the load {name!r} = {drives.loads[k]:g} on {owner!r}: {tool.remedy}"
+            f"nothing resists the load {name!r} = {drives.loads[k]:g} on {owner!r}: {remedy}"
         )
     closing = -np.sign(drives.loads[k]) * drives.motions[k][lin.balance.bounds.dofs]
     sums = drives.comm.allreduce(np.array([closing.sum(), np.abs(closing).sum()]))
