@@ -16,8 +16,8 @@ import dolfinx_mortar
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
     "files": 245,
-    "tokens of code": 369_178,
-    "words of prose": 115_796,
+    "tokens of code": 369_170,
+    "words of prose": 115_794,
     "words of strings": 15_573,
 }
 LAYOUT = (

@@ -70,16 +70,16 @@ class Link(CoupledSides):
         v.array.reshape(-1, way.shape[1])[self.nodes] = way
         return v
 
-    def shown_gap(self, gap: Floats, none: PETSc.Vec, jump: PETSc.Vec | None) -> Floats:
+    def shown_gap(self, gap: Floats, jump: PETSc.Vec | None) -> Floats:
         """Return the gap (n,) that results show: how far a jump opens what cannot open itself.
 
         Args:
             gap: (owned nodes,) of what can open.
-            none: (n,) zero.
             jump: as for `apart`.
         """
         normals = self.coupling.normals
         if self.interface.unilateral:
             return np.asarray(gap[self.nodes])
-        values = self.apart(none, jump).array_r.reshape(-1, normals.shape[1])[self.nodes]
+        still = self.spread(0.0 * normals)
+        values = self.apart(still, jump).array_r.reshape(-1, normals.shape[1])[self.nodes]
         return np.asarray((values * normals).sum(axis=1))

@@ -547,6 +547,11 @@ class InterfaceSystem:
         return join([*parts, Constraints(np.zeros(0, dtype=np.int32), none, none, none)])
 
     @property
+    def driven(self) -> bool:
+        """Whether loads drive tools or rigid sides."""
+        return any(one.driven() is not None and not one.lasts for one in self.interfaces)
+
+    @property
     def has_friction(self) -> bool:
         """Tell whether some contact has friction."""
         return any(interface.rough for interface in self.interfaces)

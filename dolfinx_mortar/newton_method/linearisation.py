@@ -198,8 +198,7 @@ def linearise(
     # steps of 5 and 47 thousand unknowns take .75 and .9 of the time without it). And S has to be
     # definite, which tangents of terms are not always.
     lasting = problem.terms.linear and problem.terms.convex
-    driven = any(one.driven() is not None and not one.lasts for one in problem.interfaces)
-    if direct and lasting and not driven:
+    if direct and lasting and not problem.system.driven:
         formed = interface_unknowns(problem.K, change, linear.options) is None
     if formed and T is not None and not T.formed:
         linear.clear()  # before the new product needs the memory

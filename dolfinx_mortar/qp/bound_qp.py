@@ -64,9 +64,7 @@ class BoundQP:
     near: PETSc.Mat | None = None  # definite, of which multigrid preconditions A as well
     extent: float = 0.0  # size of the coordinates whose differences the bounds are
     scalars: Scalars | None = None  # on all ranks or on none
-    taken: float = (
-        0.0  # norm of the forces that scalars have taken off b, which has their round-off
-    )
+    taken: float = 0.0  # norm of what scalars have taken off b
 
     @property
     def comm(self) -> MPI.Comm:

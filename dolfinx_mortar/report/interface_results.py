@@ -50,7 +50,7 @@ def set_results(
         reaction[limits.tangential[some]] = contacts.tangential_reactions(limits)[some]
     forces = reaction.reshape(-1, d)
     gap = nodal_gaps(problem.system.links, problem.vector(moved), n)
-    grown, none = [growth(problem, link) for link in problem.system.links], problem.vector()
+    grown = [growth(problem, link) for link in problem.system.links]
     balances = [(0.0, 0.0)]
     for k, link in enumerate(problem.system.links):
         frozen = ask(problem.comm, link.interface, "configuration", problem.configuration) is None
@@ -59,7 +59,7 @@ def set_results(
             link,
             np.where(on, forces[link.nodes], 0.0),
             np.where(on[:, :1], known[link.nodes], 0.0),
-            link.shown_gap(gap, none, (jumps or {}).get(k)),
+            link.shown_gap(gap, (jumps or {}).get(k)),
             link.acting(contacts.active),
             problem.X if frozen else moved,  # where the forces act
             grown[k],

@@ -330,7 +330,7 @@ class _Step:
     @property
     def driven(self) -> bool:
         """Whether tools or rigid sides are driven by forces, and move in every iteration."""
-        return any(i.driven() is not None and not i.lasts for i in self.problem.interfaces)
+        return bool(self.problem.system.driven)
 
     def gained(self, level: float | None) -> Gained | None:
         """Return what the iterations have added, at the end of a step to a level."""
