@@ -23,7 +23,6 @@ from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes, n
 from dolfinx_mortar.geometry.segments import FACING
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.coupling import relative_motions
-from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.pairing import Pairing
@@ -158,9 +157,9 @@ def create_audit(
         )
     for link, i in zip(links, found, strict=True):
         warnings += _warnings(i)
-        taken = ask(bodies.V.mesh.comm, link.interface, "configuration", at)
+        taken = link.interface.configuration(at)
         warnings += warnings_on_straight_facets(link, taken) + warnings_on_mirrors(link)
-        warnings += ask(bodies.V.mesh.comm, link.interface, "warnings", link, x)
+        warnings += link.interface.warnings(link, x)
     warnings += warnings_on_neighbours(bodies, system, at)
     return Audit(bodies.count, found, by_contact, warnings)
 

@@ -121,14 +121,8 @@ class Coupling:
         return np.asarray(np.linalg.inv(self.R))
 
 
-def check_coupling(name: str, found: object, sides: Sides, pattern: Pattern) -> None:
-    """Raise a ValueError unless a coupling has the right shapes and finite values.
-
-    Args:
-        found: what its `couple` has returned.
-    """
-    if not isinstance(found, Coupling):
-        raise ValueError(f"{name}: couple() returns a {type(found).__name__}: return a Coupling")
+def check_coupling(name: str, found: Coupling, sides: Sides, pattern: Pattern) -> None:
+    """Raise a ValueError unless a coupling has the right shapes and finite values."""
     n, d, e = len(sides.nodes), sides.fixed.shape[1], len(pattern.row)
     c = np.shape(found.kept)[-1] if np.ndim(found.kept) == 2 else 1
     shapes = {
@@ -143,10 +137,10 @@ def check_coupling(name: str, found: object, sides: Sides, pattern: Pattern) -> 
         "heights": (n,),
         "lost": (n, c),
     }
-    check_shapes(f"{name}: couple() returns", found, shapes)
+    check_shapes(name, found, shapes)
     size = np.linalg.norm(found.R, axis=1).prod(axis=1)
     if not (np.abs(np.linalg.det(found.R)) > ROUND_OFF * size).all():
-        raise ValueError(f"{name}: couple() returns R without inverse: give independent columns")
+        raise ValueError(f"{name} R without inverse: give independent columns")
 
 
 def create_blocks(V: fem.FunctionSpace, rows: Ints, columns: Longs) -> BlockMatrix:

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import wraps
 from types import NoneType
 from typing import Any, ClassVar
 
@@ -16,7 +17,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.algebra.errors import is_ours, named, raised_together
+from dolfinx_mortar.algebra.errors import is_defined_here, named, raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.constraints import (
     Constraints,
@@ -30,6 +31,7 @@ from dolfinx_mortar.interfaces.coupling import (
     Coupling,
     Pattern,
     Sides,
+    check_coupling,
     create_pattern,
     mark,
 )
@@ -143,6 +145,12 @@ class Interface(ABC):
     within: float | None = None  # how far that is, as its user has given it
     tightening: Floats | None = None  # (d,) by which sides are apart beside their jump
     moved_by_loads: ClassVar[bool] = False  # whether what the side meets moves with the load level
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if not is_defined_here(cls):
+            for name in _RETURNS.keys() & vars(cls).keys():
+                setattr(cls, name, _together(name, vars(cls)[name]))
 
     def __init__(self, facet_tags: MeshTags, *, slave: int | str) -> None:
         check_tags(facet_tags)
@@ -563,36 +571,30 @@ def full_coverage(sides: Sides) -> Coverage:
     return Coverage(np.ones(n), faces, ~faces)
 
 
-def ask(comm: MPI.Comm, interface: Interface, method: str, *args: Any, **options: Any) -> Any:
-    """Return what a method of an interface returns, checked if it is of a user's kind; collective.
+def _together(name: str, method: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a method of a user's kind whose errors on one rank are raised on all; collective.
 
-    There an error of one rank is raised on all, when the method has returned or failed: where it
-    is collective itself, all ranks have to get to its end. The kinds of this package pay nothing.
-
-    Args:
-        comm: communicator.
-        interface: of any kind.
-        method: its name.
-        args: of the method.
-        options: of the method.
-
-    Raises:
-        ValueError: on all ranks, naming interface and method, for what cannot be returned.
+    When it has returned or failed: where it is collective itself, all ranks have to get to its end.
     """
-    call = getattr(interface, method)
-    if is_ours(interface):
-        return call(*args, **options)
-    with raised_together(comm), named(f"{interface!r}: {method}()"):
-        found = call(*args, **options)
-        _check_returned(f"{interface!r}: {method}() returns", method, found, args)
-    return found
+
+    @wraps(method)
+    def asked(self: Interface, *args: Any, **options: Any) -> Any:
+        with raised_together(self.facet_tags.topology.comm), named(f"{self!r}: {name}()"):
+            found = method(self, *args, **options)
+            _check_returned(f"{self!r}: {name}() returns", name, found, args)
+        return found
+
+    return asked
 
 
+# What kinds of users may write, and what it may return.
 _RETURNS: Mapping[str, tuple[type, ...]] = {
     "configuration": (fem.Function, NoneType),
     "find_sides": (Sides,),
     "pair": (tuple,),
+    "has_slid": (object,),
     "measure_coverage": (Coverage,),
+    "couple": (Coupling,),
     "measured": (PETSc.Vec,),
     "constraints": (Constraints,),
     "limits": (np.ndarray, NoneType),
@@ -602,15 +604,27 @@ _RETURNS: Mapping[str, tuple[type, ...]] = {
     "found": (dict,),
     "shown": (np.ndarray,),
     "may_carry": (np.ndarray,),
+    "frame": (object,),
+    "blocks": (np.ndarray,),
+    "keep": (object,),
+    "commit": (object,),
+    "ended": (object,),
+    "take": (object,),
+    "warnings": (list,),
+    "place": (np.ndarray,),
+    "sum_up": (object,),
+    "field": (object,),
 }
 
 
 def _check_returned(name: str, method: str, found: object, args: tuple[Any, ...]) -> None:
     """Raise a ValueError unless a method of an interface may return this."""
-    kinds = _RETURNS.get(method, (object,))
+    kinds = _RETURNS[method]
     if not isinstance(found, kinds):
         wanted = " or ".join("None" if k is NoneType else k.__name__ for k in kinds)
         raise ValueError(f"{name} a {type(found).__name__}: return a {wanted}")
+    if isinstance(found, Coupling):
+        check_coupling(name, found, args[0], args[2])
     if isinstance(found, Constraints):
         check_constraints(name, found, *args[:2])
     if isinstance(found, SlipLimits):

@@ -29,7 +29,7 @@ from dolfinx_mortar.interfaces.coupling import (
     returned_nodes,
     with_ghosts,
 )
-from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface, ask
+from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface
 from dolfinx_mortar.interfaces.slip_partners import Partners, partners_of
 from dolfinx_mortar.mortar.common_normals import common_normals
 from dolfinx_mortar.mortar.curvature_correction import NodeShape, find_shape, find_smooth_sides
@@ -245,7 +245,7 @@ class MortarInterface(Interface):
         normals, _ = free_directions(averaged, sides.mirrors[slave.nodes])
         fixed, free = sides.fixed[slave.nodes], ~banned[slave.nodes, None]
         _, left = free_directions(normals, fixed)
-        allowed = ask(comm, self, "may_carry", left, fixed) & free
+        allowed = self.may_carry(left, fixed) & free
         options: dict[str, Any] = {
             "returned": returned_nodes(sides, before),
             "edges": sides.edges,
@@ -259,12 +259,12 @@ class MortarInterface(Interface):
             common = common_normals(*at, sides.spreads, self.feature_angle)
             normals = common.everywhere(slave)
             _, left = free_directions(normals, fixed)
-            may = ask(comm, self, "may_carry", left, fixed)
+            may = self.may_carry(left, fixed)
             if any_rank(comm, (operators.kept & ~may[own]).any())[0]:
                 allowed &= may
                 operators = create_operators(pairing, u, segments, normals, allowed, **options)
         kept = operators.kept
-        frame = ask(comm, self, "frame", normals[own], kept, fixed[own])
+        frame = self.frame(normals[own], kept, fixed[own])
         blocks = self.blocks(operators.P, frame, pattern.row)
         if operators.motions is not None:
             blocks[pattern.split :] += operators.motions

@@ -11,7 +11,7 @@ from dolfinx import fem, la
 from dolfinx_mortar.algebra.parallel import ratio
 from dolfinx_mortar.arrays import TINY, Bools, Floats
 from dolfinx_mortar.interfaces.coupling import Sides, with_ghosts
-from dolfinx_mortar.interfaces.interface import Interface, Resultants, ask
+from dolfinx_mortar.interfaces.interface import Interface, Resultants
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.surface import mean_facet_length
 
@@ -75,7 +75,7 @@ def set_sliding(
         function.x.array.reshape(-1, at_nodes.shape[1])[nodes] = at_nodes
         function.x.scatter_forward()
     comm = link.sides.V.mesh.comm
-    ask(comm, interface, "sum_up", comm, nodes)
+    interface.sum_up(comm, nodes)
 
 
 def _resultants(
@@ -99,10 +99,10 @@ def _resultants(
         moment=total[0, 1],
         master_force=total[1, 0, :d],
         master_moment=total[1, 1],
-        multiplier=ask(comm, link.interface, "shown", multiplier),
+        multiplier=link.interface.shown(multiplier),
         nodes=link.nodes,
         carries=np.asarray(link.coupling.kept.any(axis=1)),
-        place=ask(comm, link.interface, "place"),
+        place=link.interface.place(),
     )
     return found, _balances(comm, f, points, mean_facet_length(link.sides.slave))
 
@@ -199,7 +199,7 @@ def _nodal(interface: Interface, name: str, size: int) -> Floats:
     gap = interface.fields.gap.x.array
     if name == "facing":
         return np.full((len(gap), 1), float(interface.resultants is not None))
-    field = ask(interface.fields.gap.function_space.mesh.comm, interface, "field", name)
+    field = interface.field(name)
     if field is None:
         return np.zeros((len(gap), size))
     return np.asarray(field.x.array.reshape(-1, size))

@@ -15,7 +15,6 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.errors import named, raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
@@ -31,14 +30,12 @@ from dolfinx_mortar.interfaces.coupling import (
     Coupling,
     Pattern,
     Sides,
-    check_coupling,
     relative_motions,
     with_ghosts,
 )
 from dolfinx_mortar.interfaces.interface import (
     Interface,
     Outline,
-    ask,
     full_coverage,
 )
 from dolfinx_mortar.interfaces.link import Link
@@ -150,9 +147,7 @@ class InterfaceSystem:
     ) -> None:
         """Find the surfaces; collective."""
         self.V, self.interfaces = V, list(interfaces)
-        self.sides: list[Sides] = [
-            ask(V.mesh.comm, i, "find_sides", V, fixed, weight) for i in interfaces
-        ]
+        self.sides: list[Sides] = [i.find_sides(V, fixed, weight) for i in interfaces]
         self._find_spreads()
         self.facet_length = max((mean_facet_length(s.slave) for s in self.sides), default=1.0)
         self.present = Configuration()
@@ -283,11 +278,10 @@ class InterfaceSystem:
     def _pair(self, u: fem.Function | None) -> Floats:
         """Pair the surfaces at X + u, and settle the claims; return u (n,) there; collective."""
         self.searches += 1
-        comm = self.V.mesh.comm
-        displacements = [ask(comm, i, "configuration", u) for i in self.interfaces]
+        displacements = [i.configuration(u) for i in self.interfaces]
         unknown = [None] * len(self.interfaces)
         found = [
-            ask(comm, interface, "pair", sides, v, again=self.faced, earlier=earlier)
+            interface.pair(sides, v, again=self.faced, earlier=earlier)
             for interface, sides, v, earlier in zip(
                 self.interfaces,
                 self.sides,
@@ -300,7 +294,7 @@ class InterfaceSystem:
         pairings, patterns = zip(*found, strict=True)
         if len(self.sides) > 1:
             coverage = [
-                ask(comm, interface, "measure_coverage", *of)
+                interface.measure_coverage(*of)
                 for interface, *of in zip(
                     self.interfaces, self.sides, pairings, displacements, strict=True
                 )
@@ -341,15 +335,13 @@ class InterfaceSystem:
             before: of the last geometry of the step; in its first one None. Then what lasts is
                 asked once a search: ties, and contacts of frozen geometry.
         """
-        comm, interface = self.V.mesh.comm, self.interfaces[k]
-        at = ask(comm, interface, "configuration", u)
+        interface = self.interfaces[k]
+        at = interface.configuration(u)
         first = at is None and interface.lasts and before is None
         if first and k in self._reused.at_X:
             return self._reused.at_X[k]
         sides, pairing, pattern, banned = parts
-        with raised_together(comm), named(f"{interface!r}: couple()"):
-            found = interface.couple(sides, pairing, pattern, banned, at, before)
-            check_coupling(repr(interface), found, sides, pattern)
+        found = interface.couple(sides, pairing, pattern, banned, at, before)
         if first:
             self._reused = replace(self._reused, at_X={**self._reused.at_X, k: found})
         return found
@@ -357,7 +349,7 @@ class InterfaceSystem:
     def _followed(self, k: int, link: Link, u: fem.Function | None) -> Link:
         """Return an interface with the same pairs at X + u, itself if it stays at X; collective."""
         if u is not None and link.interface.lasts:
-            if ask(self.V.mesh.comm, link.interface, "configuration", u) is None:
+            if link.interface.configuration(u) is None:
                 return link
         parts = link.sides, link.pairing, link.pattern, link.banned
         return replace(link, coupling=self._couple(k, parts, u, link.coupling))
@@ -463,11 +455,11 @@ class InterfaceSystem:
             u: displacement.
             near: slave nodes of each interface where that counts; all if not given.
         """
-        comm, slid = self.V.mesh.comm, []
+        slid = []
         for k, (interface, sides) in enumerate(zip(self.interfaces, self.sides, strict=True)):
-            if ask(comm, interface, "configuration", u) is not None:
+            if interface.configuration(u) is not None:
                 of = sides, self._reused.pairs[k][0], u, None if near is None else near[k]
-                slid.append(ask(comm, interface, "has_slid", *of))
+                slid.append(interface.has_slid(*of))
         return any(slid)
 
     def _are_outdated(self, claims: Claims, links: Sequence[Link]) -> bool:
@@ -536,13 +528,13 @@ class InterfaceSystem:
             jumps: (n,) by the number of an interface: a displacement of its slave side that is no
                 relative motion; none if not given.
         """
-        comm, parts = self.V.mesh.comm, []
+        parts = []
         for k, link in enumerate(self.links):
-            measured = ask(comm, link.interface, "measured", x, u)
+            measured = link.interface.measured(x, u)
             slip = link.relative(link.apart(measured, jumps.get(k) if jumps else None))
             slip[:, 0] += link.coupling.heights
             at = link.nodes, link.constrained, slip, link.coupling.weight
-            parts.append(ask(comm, link.interface, "constraints", *at))
+            parts.append(link.interface.constraints(*at))
         none: Floats = np.zeros(0)
         return join([*parts, Constraints(np.zeros(0, dtype=np.int32), none, none, none)])
 
@@ -576,7 +568,7 @@ class InterfaceSystem:
             if limit is not None:
                 slip = link.relative(moved) if partner is None else partner.slip(link, moved)
                 at = link.nodes, link.constrained, link.rows, slip, link.coupling.weight
-                found = ask(moved.comm.tompi4py(), link.interface, "slip_limits", *at, limit)
+                found = link.interface.slip_limits(*at, limit)
                 parts.append(self._with_known_slips(link, found, moved, partner, sliding))
         return join_limits(parts) if parts else None
 

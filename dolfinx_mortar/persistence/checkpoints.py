@@ -29,7 +29,7 @@ from dolfinx_mortar.checkpoint import (
     write,
 )
 from dolfinx_mortar.disk import check_path
-from dolfinx_mortar.interfaces.interface import Interface, Resultants, ask, check_owned
+from dolfinx_mortar.interfaces.interface import Interface, Resultants, check_owned
 from dolfinx_mortar.interfaces.system import Paired
 from dolfinx_mortar.persistence.committed import (
     Before,
@@ -67,7 +67,7 @@ def save(state: ProblemState, path: str | os.PathLike[str], outcome: StepOutcome
         "steps": [step.as_dict() for step in committed.history],
         "interfaces": results,
         "gained": [_rates(committed), _rates(outcome)],
-        "found": [ask(state.comm, interface, "found") for interface in state.interfaces],
+        "found": [interface.found() for interface in state.interfaces],
     }
     values = {NODES: _nodal(state, outcome), POINTS: _at_points(state)}
     for k, interface in enumerate(state.interfaces):

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from dolfinx import fem
 from dolfinx_mortar.arrays import Bools, Floats
-from dolfinx_mortar.interfaces.interface import Interface, ask
+from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.system import InterfaceSystem, Paired
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term, ask_term
@@ -164,7 +164,7 @@ class Before:
         functions = [state.u, *state.states_of_terms.values()]
         self._values = [(f, f.x.array.copy()) for f in functions]
         self._points = state.solid.keep()
-        self._results = [(i, ask(state.comm, i, "keep")) for i in state.interfaces]
+        self._results = [(i, i.keep()) for i in state.interfaces]
         self._committed = vars(state.committed) | {"history": [*state.committed.history]}
 
     def restore(self) -> None:

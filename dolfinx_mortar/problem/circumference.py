@@ -4,7 +4,6 @@
 import numpy as np
 
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.surface import coordinates, sum_at_nodes
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -19,7 +18,7 @@ def growth(problem: ContactProblem, link: Link) -> Floats:
     nodes of the facets, to second order of their size. One elsewhere, and at X.
     """
     kinematics, slave = problem.solid.kinematics, link.sides.slave
-    u = ask(problem.comm, link.interface, "configuration", problem.configuration)
+    u = link.interface.configuration(problem.configuration)
     if kinematics.radius is None or u is None:
         return np.ones(len(link.nodes))
     now, at_X = (kinematics.weight(x.T) for x in (coordinates(slave, u), slave.X))

@@ -9,7 +9,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.interfaces.interface import Interface, ask
+from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.jump import extended
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 
@@ -26,8 +26,8 @@ def read_jumps(system: InterfaceSystem, empty: PETSc.Vec) -> dict[int, PETSc.Vec
     """
     V, jumps = system.V, {}
     for k, (interface, sides) in enumerate(zip(system.interfaces, system.sides, strict=True)):
-        values = ask(V.mesh.comm, interface, "jump_at", V, sides.nodes)
-        _check(V, interface, ask(V.mesh.comm, interface, "apart_at", V, sides.nodes))
+        values = interface.jump_at(V, sides.nodes)
+        _check(V, interface, interface.apart_at(V, sides.nodes))
         if values is None:
             continue
         jumps[k] = empty.duplicate()

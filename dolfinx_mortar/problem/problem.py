@@ -26,7 +26,7 @@ from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import ROUND_OFF, TINY, Bools, Floats
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_free_motions
 from dolfinx_mortar.audit.mesh_audit import check_mesh
-from dolfinx_mortar.interfaces.interface import Interface, Outline, ask, check_owned
+from dolfinx_mortar.interfaces.interface import Interface, Outline, check_owned
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
@@ -126,7 +126,7 @@ class ContactProblem:
             at_points = None if kinematics.unweighted else kinematics.weights_at
             self.system = InterfaceSystem(self.V, sides, self.supports.fixed, at_points)
             for interface in sides:
-                ask(self.comm, interface, "take", self.supports, self.V)
+                interface.take(self.supports, self.V)
         bodies = find_bodies(self.V, kinematics.rigid_motions)
         self.bodies: Bodies = with_ties(bodies, self.system.tied)
         can_open = self.system.can_open[: self.n]
@@ -321,7 +321,7 @@ class ContactProblem:
         """Return the data of a step that starts at the present displacement; collective."""
         limits = []
         if self.system.has_friction:
-            limits = [ask(self.comm, interface, "limits") for interface in self.interfaces]
+            limits = [interface.limits() for interface in self.interfaces]
         target = self.supports.values()
         for name, array, remedy in (
             ("bcs", target[self.supports.owned.ravel()], "check the values of the conditions"),
@@ -596,7 +596,7 @@ class ContactProblem:
             self.terms.commit()
             self.committed.commit(self.owned_u, outcome)
             for interface, end in zip(self.interfaces, ended, strict=True):
-                ask(self.comm, interface, "commit", end)
+                interface.commit(end)
             self.outcome = None
 
     @contextmanager
@@ -630,7 +630,7 @@ class ContactProblem:
 
     def ends_of_interfaces(self) -> list[Any]:
         """Return what `commit` of each interface gets, from the present state; collective."""
-        return [ask(self.comm, interface, "ended") for interface in self.interfaces]
+        return [interface.ended() for interface in self.interfaces]
 
     def ended_here(self) -> StepOutcome | None:
         """Return the outcome of the last step, None if u has been reset since; collective."""

@@ -12,7 +12,6 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces import results
 from dolfinx_mortar.interfaces.constraints import SlipLimits
 from dolfinx_mortar.interfaces.coupling import slipped
-from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.mortar.surface import coordinates, nodal_normals
@@ -53,7 +52,7 @@ def set_results(
     grown = [growth(problem, link) for link in problem.system.links]
     balances = [(0.0, 0.0)]
     for k, link in enumerate(problem.system.links):
-        frozen = ask(problem.comm, link.interface, "configuration", problem.configuration) is None
+        frozen = link.interface.configuration(problem.configuration) is None
         on = link.constrained
         found = results.set_results(
             link,

@@ -21,7 +21,6 @@ from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.compat import on_same_mesh
-from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.mortar.surface import check_tag, check_tags
 from dolfinx_mortar.newton_method.linearisation import Balance, support_slots
 from dolfinx_mortar.persistence.committed import SupportForces
@@ -113,9 +112,7 @@ def support_forces(problem: ContactProblem, balance: Balance) -> SupportForces:
             own = (problem.d * link.nodes[:, None] + np.arange(problem.d)).ravel()
             forces[own] = -balance.reduced.array_r[own]
     forces[dofs] = -balance.reduced.array_r[slots]
-    asked = [
-        ask(problem.comm, i, "configuration", problem.configuration) for i in problem.interfaces
-    ]
+    asked = [i.configuration(problem.configuration) for i in problem.interfaces]
     moved = any(at is not None for at in asked) or problem.solid.strain == "finite"
     u = problem.u.x.array[: forces.size].reshape(-1, problem.d)
     return SupportForces(

@@ -22,7 +22,6 @@ from dolfinx_mortar.geometry.crossings import (
 from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
 from dolfinx_mortar.geometry.sweep import flat_parts
-from dolfinx_mortar.interfaces.interface import ask
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.edges import SUNK
 from dolfinx_mortar.mortar.surface import cells_of, coordinates, facets_at, nodal_sagittas
@@ -163,7 +162,7 @@ def _longest_jumps(problem: ContactProblem) -> Floats:
     lengths = np.zeros(len(problem.system.interfaces))
     for tie in problem.ties:
         link = problem.system.link(tie)
-        jump = ask(problem.comm, tie, "apart_at", problem.V, link.nodes)
+        jump = tie.apart_at(problem.V, link.nodes)
         if jump is not None:
             longest = np.linalg.norm(jump, axis=1).max(initial=0.0)
             lengths[problem.system.interfaces.index(tie)] = maximum(problem.comm, longest)[0]
