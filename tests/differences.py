@@ -111,7 +111,7 @@ class Differences:
         self.X = X = V.tabulate_dof_coordinates()[:, : self.d]
         free = np.ones(X.shape, dtype=bool) if fixed is None else ~fixed(X)
         interface.take(self, V)
-        interface.check_kinematics(self.d, weight is not None, "small")
+        interface.check(V, revolved=weight is not None, strain="small")
         self.system, self.u = InterfaceSystem(V, [interface], ~free, weight), fem.Function(V)
         if open:
             (sides,) = self.system.sides

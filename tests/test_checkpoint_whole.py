@@ -73,7 +73,7 @@ def state_of(problem):
     arrays += [committed.paired.at, *committed.paired.near, committed.supports.forces]
     arrays += [np.zeros(0) if committed.sliding is None else committed.sliding]
     for interface in problem.interfaces:
-        fields += interface.functions
+        fields += interface.nodal.values()
         arrays += [*vars(interface.resultants).values()]
         arrays += [getattr(interface, name, 0.0) for name in ("tightening", "dissipated")]
     bits = [np.asarray(array).tobytes() for array in [*(f.x.array for f in fields), *arrays]]
@@ -123,14 +123,14 @@ def test_an_interface_that_refuses_changes_nothing(made):
     tie = problem.interfaces[0]
 
     def refuse(found):
+        del tie.restore
         tie.tightening = np.array([1.0, 1.0])
         if COMM.rank == COMM.size - 1:
             raise ValueError("not as tight as this")
 
-    tie.take_found = refuse
+    tie.restore = refuse
     with rejected("not as tight as this"):
         problem.restore(good)
-    del tie.take_found
     assert state_of(problem) == before
 
 

@@ -10,8 +10,8 @@ import basix.ufl
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx.mesh import CellType, create_unit_square
-from dolfinx_mortar.interfaces import coulomb
-from dolfinx_mortar.interfaces.coulomb import FrictionLaw
+from dolfinx_mortar.interfaces import constraints
+from dolfinx_mortar.interfaces.constraints import FrictionLaw
 from tests.friction_case import COMM, create
 from tests.meshes import two_blocks
 from tests.pressed_blocks import rejected, some_rank
@@ -151,7 +151,7 @@ def test_a_zero_of_another_degree_is_no_negative_limit(monkeypatch):
     given.interpolate(lambda x: np.where(x[0] < 0.5, -1e-16, 0.3 + x[1]))
     law = FrictionLaw("friction", given)
     assert law.values(linear).min(initial=0.0) == 0.0
-    monkeypatch.setattr(coulomb, "ROUND_OFF", 0.0)
+    monkeypatch.setattr(constraints, "ROUND_OFF", 0.0)
     with rejected("friction", "finite and >= 0"):
         law.values(linear)
 

@@ -63,7 +63,7 @@ class Pile:
         if number != IN_PARTS:
             self.push(*PATH[number])
             self.report = dm.newton(self.problem, rtol=1e-9)
-            shown = [(f, f.x.array.copy()) for f in self.contact.functions if self.edits]
+            shown = [(f, f.x.array.copy()) for f in self.contact.nodal.values() if self.edits]
             for f, _ in shown:
                 f.x.array[:] = 7.0
             self.problem.commit()
@@ -80,7 +80,7 @@ class Pile:
     def state(self):
         """Return copies of what the next step starts from, and of what is shown, on this rank."""
         fields = [self.problem.u, *self.problem.solid.lasting_fields().values()]
-        fields += self.contact.functions + self.tie.functions
+        fields += [*self.contact.nodal.values(), *self.tie.nodal.values()]
         found = {f"{k} {f.name}": f.x.array.copy() for k, f in enumerate(fields)}
         numbers = [self.contact.dissipation, *self.contact.force, *self.tie.force]
         multipliers = {"pressures": self.contact.multiplier, "tractions": self.tie.multiplier}

@@ -11,7 +11,6 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.geometry.facets import tributary_weights
-from dolfinx_mortar.interfaces.constraints import upper_bounds
 from dolfinx_mortar.interfaces.coupling import Coupling, normal_frames
 from dolfinx_mortar.interfaces.interface import Interface, full_coverage
 from dolfinx_mortar.interfaces.mortar_interface import MortarInterface
@@ -30,7 +29,6 @@ class Plane(Interface):
     """Slave nodes stay on the side n.(x - p) >= 0 of a rigid plane."""
 
     unilateral = True
-    pressure_name = "contact pressure"
 
     def __init__(self, facet_tags, *, slave, point, normal):
         """Keep a point of the plane, and its normal towards the body."""
@@ -42,7 +40,8 @@ class Plane(Interface):
 
     def __repr__(self):
         """Name what tells it from others."""
-        return f"Plane({self.sides}, point={self.point.tolist()}, normal={self.normal.tolist()})"
+        said = f"point={self.point.tolist()}, normal={self.normal.tolist()}"
+        return f"{super().__repr__()[:-1]}, {said})"
 
     def couple(self, sides, pairing, pattern, banned, u, before=None):
         slave, nodes = sides.slave, sides.nodes
@@ -66,9 +65,6 @@ class Plane(Interface):
             coverage=full_coverage(sides),
             lost=np.zeros((n, 1), dtype=bool),
         )
-
-    def constraints(self, nodes, directions, slip, D):
-        return upper_bounds(nodes, directions, slip, D)
 
 
 class Pressed(PressedBlocks):
@@ -146,7 +142,7 @@ def test_it_opens_and_slides():
 class Lifted(Plane):
     """A plane that a force along its normal lifts: what `driven` promises, it is itself."""
 
-    names, load, moved_by_loads, holds = ("lift",), 0.0, True, False
+    names, load, holds = ("lift",), 0.0, False
 
     def driven(self):
         return self
@@ -160,12 +156,11 @@ class Lifted(Plane):
     def move(self, amounts):
         self.point = self.point + amounts[0] * self.normal
 
-    def keep(self):
-        return super().keep(), self.point
+    def state(self, *, ended=False):
+        return {"point": self.point}
 
-    def put_back(self, kept):
-        shown, self.point = kept
-        super().put_back(shown)
+    def restore(self, state):
+        self.point = state["point"]
 
 
 @pytest.mark.parametrize("geometry", ["updated", "reference"])
@@ -232,8 +227,8 @@ def test_it_is_written(tmp_path):
 @pytest.mark.parametrize(
     ("base", "names"),
     [
-        (Interface, ["couple", "constraints"]),
-        (MortarInterface, ["constraints", "may_carry", "frame", "blocks", "corrections"]),
+        (Interface, ["couple"]),
+        (MortarInterface, ["may_carry", "frame", "blocks", "corrections"]),
     ],
 )
 def test_python_names_what_a_kind_lacks(base, names):
@@ -259,12 +254,12 @@ SPOILT = [  # method, what it returns instead or raises, words of the message
     ("constraints", lambda c: replace(c, weight=-c.weight), ("a weight that is not positive",)),
     ("constraints", lambda c: None, ("returns a NoneType: return a Constraints",)),
     ("constraints", KeyError("no bound"), ("no bound",)),
-    ("measured", KeyError("no motion"), ("no motion",)),
+    ("warnings", KeyError("no motion"), ("no motion",)),
     ("find_sides", lambda s: None, ("returns a NoneType: return a Sides",)),
     ("pair", KeyError("no partners"), ("no partners",)),
     ("check", KeyError("no space"), ("no space",)),
-    ("shown", lambda z: None, ("returns a NoneType: return a ndarray",)),
-    ("found", KeyError("lost"), ("lost",)),
+    ("state", lambda z: None, ("returns a NoneType: return a dict",)),
+    ("state", KeyError("lost"), ("lost",)),
 ]
 
 
@@ -290,7 +285,7 @@ def test_what_goes_wrong_on_one_rank_is_an_error_on_all(method, how, words, tmp_
     last = COMM.allreduce(COMM.rank if owns else -1, op=MPI.MAX)
     own = {"slave": BOTTOM, "point": case.plane.point, "normal": case.plane.normal}
     plane = spoilt(method, how, last)(case.facets, **own)
-    who = () if method == "check" else (f"Plane(slave={BOTTOM}", f"{method}()")
+    who = () if method == "check" else (f"Spoilt(slave={BOTTOM}", f"{method}()")
     raised = isinstance(how, Exception)
     with rejected(*who, *words, error=(KeyError, RuntimeError) if raised else ValueError):
         problem = case.problem(interfaces=[plane, case.tie()])

@@ -128,7 +128,7 @@ def test_slips_on_a_tool_that_turns_and_slides_in_one_step():
     tool.rotation.value = turn
     dm.newton(problem, rtol=1e-10)
     closed = tool.active.x.array > 0.0
-    way = (case.u.x.array - before).reshape(-1, 2) - tool.tool_way(case.X, case.X)
+    way = (case.u.x.array - before).reshape(-1, 2) - tool.tool.way(case.X, case.X)
     slip = tool.step_slip.x.array.reshape(-1, 2)
     assert slip[closed, 0] == pytest.approx(way[closed, 0], abs=far * turn**3)
     assert COMM.allreduce(int(closed.sum())) > 0

@@ -226,13 +226,13 @@ class Stopped:
     def state(self):
         """Return all that a step changes, to be compared bit by bit."""
         problem, tool, committed = self.problem, self.tool, self.problem.committed
-        fields = [problem.u, *problem.state.states_of_terms.values(), *tool.functions]
+        fields = [problem.u, *problem.state.states_of_terms.values(), *tool.nodal.values()]
         fields += [*problem.solid.state.values(), problem.solid.stress]
         found = [f.x.array.copy() for f in fields] + [committed.active, committed.displacement]
         found += [
             committed.slid,
             committed.dissipated,
-            tool.began.position,
+            tool.tool.began.position,
             tool.dissipated,
             committed.level,
         ]

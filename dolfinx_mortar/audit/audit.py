@@ -3,7 +3,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -24,6 +23,7 @@ from dolfinx_mortar.geometry.segments import FACING
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.coupling import relative_motions
 from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import (
@@ -157,7 +157,7 @@ def create_audit(
         )
     for link, i in zip(links, found, strict=True):
         warnings += _warnings(i)
-        taken = link.interface.configuration(at)
+        taken = None if link.interface.stays else at
         warnings += warnings_on_straight_facets(link, taken) + warnings_on_mirrors(link)
         warnings += link.interface.warnings(link, x)
     warnings += warnings_on_neighbours(bodies, system, at)
@@ -197,9 +197,10 @@ def _held_motions(
     return held
 
 
-def _bolt(link: Link) -> Any:
+def _bolt(link: Link) -> Bolt | None:
     """Return the overlap that a pretension drives, None for none."""
-    return None if link.interface.tightening is None else link.interface.driven()
+    bolt = link.interface.driven()
+    return bolt if isinstance(bolt, Bolt) else None
 
 
 def _held_but(link: Link, axis: Floats) -> Motion:
@@ -311,16 +312,16 @@ def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec, increment: float) -> 
         float(len(link.mortar[0].pairs)),
         link.coupling.coverage.reached.any(),
     )
-    parts = joined and not interface.meets_itself
+    parts = joined and not link.sides.meet_themselves
     if parts and (deepest > bodies.radius.max() or (facing and not reached)):
         how_deep = f", {deepest:.3g} deep" if some else ""
         raise ValueError(
-            f"{interface.sides} are parts of one surface "
+            f"{interface}: its sides are parts of one surface "
             f"that meets itself through its body{how_deep}; mark only the parts that can touch"
         )
     if some and -shallowest > bodies.radius.max() + 2.0 * increment:
         raise ValueError(
-            f"{interface.sides} can never meet: all slave "
+            f"{interface}: its sides can never meet: all slave "
             f"nodes lie at least {-shallowest:.3g} beyond the master side; check the tags"
         )
 
@@ -333,7 +334,7 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     least, largest = maximum(
         sides.V.mesh.comm, (-gap).max(initial=-np.inf), gap.max(initial=-np.inf)
     )
-    itself = link.interface.meets_itself
+    itself = link.sides.meet_themselves
     counts = sides.V.mesh.comm.allreduce(
         np.array(
             [
@@ -353,7 +354,7 @@ def _audit(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     # what is round-off of the coordinates is no gap
     x = np.abs(sides.V.mesh.geometry.x).max(initial=0.0)
     size = ROUND_OFF * max(float(lengths[0]), float(maximum(sides.V.mesh.comm, x)[0]))
-    if sides.master is None and not link.interface.unilateral:  # it holds nodes where they are
+    if sides.hold:  # it holds nodes where they are
         least = largest = np.nan
     ends = [0.0 if abs(end) < size or np.isinf(end) else float(end) for end in (-least, largest)]
     edges = _edges(link) if link.pattern.smooth and not sides.slave.curved else None

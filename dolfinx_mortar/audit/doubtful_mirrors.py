@@ -15,7 +15,7 @@ def warnings_on_mirrors(link: Link) -> list[str]:
     of corners.
     """
     warnings = []
-    names = ("slave",) if link.interface.meets_itself else ("slave", "master")
+    names = ("slave",) if link.sides.meet_themselves else ("slave", "master")
     judged = link.sides.judged
     for name, side, (mirrors, tilt) in zip(names, link.sides.surfaces, judged, strict=False):
         sines = np.where(mirrors, np.abs(tilt), 0.0).max(axis=1)[: side.owned]

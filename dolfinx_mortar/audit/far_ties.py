@@ -59,9 +59,9 @@ class TieReach:
 
 
 def measure_reach(link: Link) -> TieReach | None:
-    """Measure a tie; None for interfaces without a limit of distance; collective."""
+    """Measure a tie; None for what is no tie; collective."""
     tie = link.interface
-    if not tie.near_only:
+    if link.unilateral or link.pairing is None:
         return None
     pairing, segments = link.mortar[0], link.mortar[1].segments  # ties are coupled at X
     everything, _ = find_segments(pairing, None)

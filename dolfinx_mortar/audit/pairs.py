@@ -22,8 +22,8 @@ from dolfinx_mortar.audit.mesh_audit import check_mesh
 from dolfinx_mortar.audit.neighbours import are_near
 from dolfinx_mortar.audit.roles import Candidates, choose_roles
 from dolfinx_mortar.geometry.facets import Facets
+from dolfinx_mortar.interfaces.constraints import Limit, create_law
 from dolfinx_mortar.interfaces.contact import Contact
-from dolfinx_mortar.interfaces.coulomb import Limit, create_law
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
 from dolfinx_mortar.interfaces.mortar_interface import SURFACES
 from dolfinx_mortar.mortar.edges import check_angle

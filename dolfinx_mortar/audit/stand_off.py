@@ -6,6 +6,7 @@ from node to node. The forces K^_jj times these differences are compared with th
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from petsc4py import PETSc
@@ -19,7 +20,7 @@ from dolfinx_mortar.geometry.curvature import unit
 from dolfinx_mortar.geometry.facets import points_of
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.tool import SidePattern
+from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
 from dolfinx_mortar.mortar.curvature_correction import (
     SmoothSide,
     find_parting,
@@ -36,6 +37,7 @@ from dolfinx_mortar.mortar.surface import (
     facets_at,
     mean_facet_length,
 )
+from dolfinx_mortar.mortar.whole_side import whole_facets
 
 # Pressures are inaccurate where the forces of the sagittas exceed this share of the contact
 # forces. A pin in its hole, on ten meshes: its peak pressure is right to 2 % where the share is
@@ -119,15 +121,17 @@ def warnings_on_straight_facets(link: Link, u: fem.Function | None = None) -> li
     slave, interface = link.sides.slave, link.interface
     if link.pairing is None or slave.curved or slave.element.degree == 1:
         return []
-    where, how, only_close = interface.spoilt
-    if only_close and not interface.smooth:
+    if link.unilateral and not interface.smooth:
         return []
     pairing, segments = link.mortar[0], link.mortar[1].segments
     sides = find_smooth_sides(pairing, link.sides.fixed, interface.feature_angle, link.sides.shapes)
     if _are_flat(link, sides):
         return []
-    if only_close and find_parting(pairing, segments, u, sides) >= CLOSE:
+    if link.unilateral and find_parting(pairing, segments, u, sides) >= CLOSE:
         return []
+    where, how = "curved sides", "of ties of degree 2 scatter by some per cent on any mesh"
+    if link.unilateral:
+        where, how = "curved sides that fit closely", "of degree 2 are far off on coarse meshes"
     return [
         f"{interface}: straight facets stand for {where}, where pressures {how}: take curved "
         "cells (Gmsh: mesh.setOrder(2)) or displacements of degree 1"
@@ -198,13 +202,35 @@ def _missed(link: Link, u: fem.Function | None) -> Floats | None:
         faceted = link.pattern.faceted if isinstance(link.pattern, SidePattern) else None
         if faceted is None:  # a flat side
             return None
-        heights = link.interface.heights(link, u)
+        tool = link.interface.tool
+        heights = None if tool is None else _heights_at_tool(link, tool, u)
         return None if heights is None else np.asarray(heights * faceted)
     if not link.interface.smooth:
         return _means(link, u, point_heights)
     assert link.pattern.smooth is not None
     first = link.sides.slave.element.degree == 1
     return missed_gaps(link, u) if first and not _are_flat(link, link.pattern.smooth) else None
+
+
+def _heights_at_tool(link: Link, tool: Tool, u: fem.Function | None) -> Floats | None:
+    """Return how much nearer a tool would be to smooth surfaces (n,) at the owned slave nodes.
+
+    None where facets are what is meant, or stand for these already; collective.
+    """
+    pattern, slave = link.pattern, link.sides.slave
+    assert isinstance(pattern, SidePattern) and pattern.side is not None
+    if slave.element.degree > 1 or pattern.nodal:
+        return None
+    side, pose, x = pattern.side, tool.pose(), coordinates(slave, u)
+    segments, points = whole_facets(side, x, find_facing(side, pose, tool.asked, x))
+    facets, smooth = (
+        point_gaps(which, pose, tool.asked, u, segments, points)[0]
+        for which in (pattern, replace(pattern, nodal=True))
+    )
+    kept = np.zeros(len(slave.nodes))
+    kept[: slave.owned] = link.coupling.kept[:, 0]
+    Phi = weighted_duals(side, segments, accumulate(slave, kept) > 0.0)
+    return mean_values(side, segments, Phi, link.coupling.weight[:, 0], facets - smooth)
 
 
 def _in_series(link: Link, k: Floats, diagonal: PETSc.Vec) -> Floats:

@@ -82,7 +82,7 @@ def _why_claimed(
             "where the body may slide from one tool onto the other, give one Obstacle the Union of "
             "their shapes"
         )
-    opens = [interfaces[i] for i in pair if interfaces[i].unilateral]
+    opens = [interfaces[i] for i in pair if sides[i].unilateral]
     if len(opens) == 1:
         return why + f"let the other side of {opens[0]} be the slave"
     return why + "give both masters one tag"
@@ -168,7 +168,7 @@ def resolve_claims(
         lost = _lost(sides[k], coverage[k], banned[k], common[k])
         note(k, lost, _why_claimed(sides, interfaces, owner[lost], k))
         both = dependent(k, k)  # of a surface that meets itself, where its slaves begin and end
-        if interfaces[k].meets_itself:
+        if sides[k].meet_themselves:
             banned[k] |= both
         else:
             remove(k, both, "they are master nodes of the same interface")

@@ -1,14 +1,20 @@
 # SPDX-License-Identifier: MIT
-"""Bounds on unknowns of y by an interface or a support, and limits of their reactions."""
+"""Bounds on unknowns of y by an interface or a support, and friction laws that limit reactions."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from numbers import Real
+from typing import TypeAlias
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx import fem
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats, Ints
+from dolfinx_mortar.spaces import check_nodal
 
 
 @dataclass(frozen=True)
@@ -75,17 +81,6 @@ def check_constraints(name: str, found: Constraints, nodes: Ints, directions: Bo
         )
     if (found.lower > found.upper).any() or (found.weight <= 0.0).any():
         raise ValueError(f"{name} lower > upper or a weight that is not positive")
-
-
-def check_limits(name: str, found: SlipLimits, d: int) -> None:
-    """Raise a ValueError unless the arrays of `SlipLimits` fit each other, without NaN."""
-    m = np.shape(found.nodes)[0] if np.ndim(found.nodes) else 0
-    one: dict[str, tuple[int, ...]] = dict.fromkeys(
-        ("nodes", "normal", "coefficient", "cohesion", "weight", "room"), (m,)
-    )
-    more = {"tangential": (m, d - 1), "axes": (m, d - 1, d), "slip": (m, d - 1)}
-    more |= dict.fromkeys(("beside", "before", "opening"), (m, d))
-    check_shapes(name, found, one | more)
 
 
 def equalities(dofs: Ints, values: Floats, weight: Floats | None = None) -> Constraints:
@@ -196,3 +191,114 @@ def join_limits(parts: Sequence[SlipLimits]) -> SlipLimits:
     """Return the limits of all parts, of one at least."""
     columns = (tuple(getattr(p, field.name) for field in fields(SlipLimits)) for p in parts)
     return SlipLimits(*(np.concatenate(c) for c in zip(*columns, strict=True)))
+
+
+Limit: TypeAlias = float | fem.Constant | fem.Function
+
+REMEDY = "give a number, a scalar fem.Constant, or a scalar Lagrange fem.Function"
+
+
+@dataclass(frozen=True)
+class FrictionLaw:
+    """What limits the tangential traction tau of a closed contact with pressure p.
+
+    Coulomb's law, "friction": abs(tau) <= mu p. Tresca's, "tresca": abs(tau) <= s.
+    """
+
+    name: str  # of the argument that gave it
+    value: Limit
+
+    @property
+    def by_pressure(self) -> bool:
+        """Whether the limit is a part of the pressure: else it acts at open nodes, too."""
+        return self.name == "friction"
+
+    def slip_limits(
+        self, nodes: Ints, directions: Bools, frames: Floats, slip: Floats, D: Floats, limit: Floats
+    ) -> SlipLimits:
+        """Return the limits of tangential reactions.
+
+        Args:
+            nodes: (n,) owned slave nodes.
+            directions: (n, d) which directions of the frames are constrained, the normal first.
+            frames: (n, d, d) of which rows are the directions.
+            slip: (n, d) relative motion since the last commit, in the frames.
+            D: (n, c) weights.
+            limit: (owned nodes,) mu or s.
+        """
+        on = directions[:, 0]
+        some, d = directions[on, 1:], directions.shape[1]
+        normal = (d * nodes[on]).astype(np.int32)
+        tangential = np.where(some, normal[:, None] + np.arange(1, d), -1).astype(np.int32)
+        values, weight, none = limit[nodes[on]], D[on, 0], np.zeros((len(normal), d))
+        return SlipLimits(
+            nodes=nodes[on],
+            normal=normal,
+            tangential=tangential,
+            axes=frames[on, 1:],
+            slip=np.where(some, slip[on, 1:], 0.0),
+            coefficient=values if self.by_pressure else np.zeros_like(values),
+            cohesion=np.zeros_like(values) if self.by_pressure else values * weight,
+            weight=weight,
+            beside=none,
+            before=none,
+            room=np.ones_like(values),
+            opening=none,
+        )
+
+    def values(self, scalar: fem.FunctionSpace) -> Floats:
+        """Return the present values at the owned nodes of a scalar space; collective.
+
+        Raises:
+            ValueError: on all ranks, for values that are negative or not finite.
+        """
+        comm, n = scalar.mesh.comm, scalar.dofmap.index_map.size_local
+        if isinstance(self.value, fem.Function):
+            self.value.x.scatter_forward()  # a node may have its value from a cell of ghosts
+            at_nodes = fem.Function(scalar)
+            at_nodes.interpolate(self.value)
+            values = np.asarray(at_nodes.x.array[:n], dtype=np.float64)
+            largest = maximum(comm, np.abs(values).max(initial=0.0))[0]
+            # interpolation from another degree leaves the round-off of a zero
+            none = np.isfinite(values) & (values < 0.0) & (values >= -ROUND_OFF * largest)
+            values[none] = 0.0
+        else:
+            number = float(np.asarray(getattr(self.value, "value", self.value)).reshape(()))
+            values = np.full(n, number)
+        bad = ~(np.isfinite(values) & (values >= 0.0))
+        if any_rank(comm, bad.any())[0]:
+            what = f"{float(values[bad][0]):g} somewhere" if bad.any() else "so on another rank"
+            raise ValueError(f"{self.name} is {what}: every value has to be finite and >= 0")
+        return values
+
+
+def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | None:
+    """Return the law of two arguments, None for neither and for the number 0.
+
+    Raises:
+        ValueError: for both, and for values that are no limits.
+    """
+    if friction is not None and tresca is not None:
+        raise ValueError(
+            f"friction is {friction!r} and tresca is {tresca!r}: give one of the two, a "
+            "coefficient of the pressure or a traction"
+        )
+    name, value = ("friction", friction) if tresca is None else ("tresca", tresca)
+    if value is None:
+        return None
+    if isinstance(value, Real) and not isinstance(value, bool):
+        if not (is_number(value) and value >= 0.0):
+            raise ValueError(f"{name} is {value!r}: it has to be finite and >= 0")
+        return FrictionLaw(name, float(value)) if value > 0.0 else None
+    if isinstance(value, fem.Function):
+        check_nodal(name, value, (), REMEDY)
+    elif not isinstance(value, fem.Constant):
+        raise ValueError(f"{name} is {value!r}: {REMEDY}")
+    if value.ufl_shape != () or not np.issubdtype(_dtype(value), np.floating):
+        raise ValueError(f"{name} has shape {value.ufl_shape} and type {_dtype(value)}: {REMEDY}")
+    return FrictionLaw(name, value)
+
+
+def _dtype(value: fem.Function | fem.Constant) -> np.dtype:
+    array = value.x.array if isinstance(value, fem.Function) else value.value
+    return np.asarray(array).dtype

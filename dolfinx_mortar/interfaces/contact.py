@@ -15,63 +15,30 @@ lambda_j g_j = 0 are bounds in the basis of `dolfinx_mortar.interfaces.basis`, w
 the reaction of that bound is D_jj lambda_j.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar
-
-from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints
-from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, upper_bounds
-from dolfinx_mortar.interfaces.coulomb import FrictionLaw, Limit, create_law
-from dolfinx_mortar.interfaces.coupling import CoupledSides, Frame, normal_frames
-from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface, NoResult
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.interfaces.constraints import Limit, create_law
+from dolfinx_mortar.interfaces.coupling import Frame, normal_frames
+from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface
 from dolfinx_mortar.interfaces.mortar_interface import MortarInterface
-from dolfinx_mortar.interfaces.nodal import check_mesh
-from dolfinx_mortar.mortar.edges import facing_edges
+from dolfinx_mortar.interfaces.results import NoResult
 from dolfinx_mortar.mortar.operators import SmoothSides
-from dolfinx_mortar.mortar.surface import accumulate, mean_facet_length
+from dolfinx_mortar.spaces import check_mesh
 
 # A slave node of whose normal Dirichlet data leave less than this share, at more than 84 degrees,
 # carries no multiplier: it would balance the forces in what is left, ten times as large.
 MIN_FREE_NORMAL = 0.1
 
 
-@dataclass(frozen=True)
-class SlidingFields:
-    """Nodal results of friction as Functions; zero until the first step."""
-
-    traction: fem.Function
-    step_slip: fem.Function
-    slip: fem.Function
-    status: fem.Function
-    energy: fem.Function  # dissipated by friction at a node since the start
-
-    @property
-    def functions(self) -> list[fem.Function]:
-        """All nodal results of friction."""
-        return [self.traction, self.step_slip, self.slip, self.status, self.energy]
-
-
 class Unilateral(Interface):
-    """w_n <= gap, pressure >= 0, pressure * opening = 0; perhaps with friction, see `Contact`.
-
-    Attributes:
-        law: of friction, None for none.
-        sliding: nodal results of friction.
-        dissipated: sum of the energies, all ranks.
-    """
+    """w_n <= gap, pressure >= 0, pressure * opening = 0; perhaps with friction, see `Contact`."""
 
     unilateral = True
-    pressure_name = "contact pressure"
-    law: FrictionLaw | None = None
-    sliding: SlidingFields | None = None
-    dissipated: float = 0.0
 
     def __repr__(self) -> str:
         name = super().__repr__()
@@ -85,61 +52,10 @@ class Unilateral(Interface):
         """Return what all ranks have to give the same, by name; see `agreement`."""
         return super().given() | {"friction": self.friction, "tresca": self.tresca}
 
-    def check(self, V: fem.FunctionSpace) -> None:
+    def check(self, V: fem.FunctionSpace, *, revolved: bool, strain: str) -> None:
         """Raise a ValueError for limits of friction on another mesh than V's."""
         if self.law is not None and isinstance(self.law.value, fem.Function):
             check_mesh(self.law.name, self.law.value, V)  # a Constant is a number
-
-    def take(self, owner: object, V: fem.FunctionSpace) -> None:
-        """Belong to a problem from now on, with fields on V and without results; collective."""
-        super().take(owner, V)
-        assert self.fields is not None
-        self.sliding, self.dissipated = None, 0.0
-        if self.law is not None:
-            scalar = self.fields.pressure.function_space
-            self.sliding = SlidingFields(
-                fem.Function(V, name="traction"),
-                fem.Function(V, name="step_slip"),
-                fem.Function(scalar, name="slip"),
-                fem.Function(scalar, name="status"),
-                fem.Function(scalar, name="energy"),
-            )
-
-    @property
-    def functions(self) -> list[fem.Function]:
-        """All nodal results."""
-        return super().functions + self.functions_of_friction
-
-    @property
-    def functions_of_friction(self) -> list[fem.Function]:
-        """Traction, slip of the step, slip, status and energy; none without friction."""
-        return [] if self.sliding is None else self.sliding.functions
-
-    def clear(self) -> None:
-        """Remove the results, as before the first step; without communication."""
-        super().clear()
-        self.dissipated = 0.0
-
-    def sum_up(self, comm: MPI.Comm, nodes: Ints) -> None:
-        """Add up the dissipation at the owned slave nodes; collective."""
-        if self.sliding is not None:
-            energy = self.sliding.energy.x.array[nodes]
-            self.dissipated = comm.allreduce(float(energy.sum()), op=MPI.SUM)
-
-    def field(self, name: str) -> fem.Function | None:
-        """Return a field by the name under which it is written, None if there is none."""
-        if self.sliding is not None and name in ("status", "traction", "slip"):
-            return getattr(self.sliding, name)
-        return super().field(name)
-
-    def keep(self) -> Any:
-        """Return copies of the results, for `put_back`."""
-        return super().keep(), self.dissipated
-
-    def put_back(self, kept: Any) -> None:
-        """Restore what `keep` has returned; without communication."""
-        shown, self.dissipated = kept
-        super().put_back(shown)
 
     @property
     def friction(self) -> Limit | None:
@@ -153,27 +69,6 @@ class Unilateral(Interface):
 
     def _limit(self, name: str) -> Limit | None:
         return self.law.value if self.law is not None and self.law.name == name else None
-
-    @property
-    def rough(self) -> bool:
-        """Whether the contact has friction."""
-        return self.law is not None
-
-    @property
-    def acts_openly(self) -> bool:
-        """Whether given friction acts at open nodes, too."""
-        return self.law is not None and self.law.name == "tresca"
-
-    def limits(self) -> Floats | None:
-        """Return mu or s at the owned nodes, None without friction; collective.
-
-        Raises:
-            ValueError: on all ranks, for values that are negative or not finite.
-        """
-        if self.law is None:
-            return None
-        assert self.fields is not None
-        return self.law.values(self.fields.pressure.function_space)
 
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
         """Return (n, 1): nodes whose normal is not taken by Dirichlet data."""
@@ -198,50 +93,12 @@ class Unilateral(Interface):
         R = frame.R * frame.directions[:, None, :]
         return np.asarray(P[:, 0, None, None] * (R @ np.linalg.inv(frame.R))[row])
 
-    def constraints(self, nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
-        """Return w_n <= gap, the gap being minus the relative position along the normal."""
-        return upper_bounds(nodes, directions, slip, D)
-
-    def slip_limits(
-        self, nodes: Ints, directions: Bools, frames: Floats, slip: Floats, D: Floats, limit: Floats
-    ) -> SlipLimits:
-        """Return the limits of tangential reactions.
-
-        Args:
-            nodes: (n,) owned slave nodes.
-            directions: (n, d) which directions of the frames are constrained.
-            frames: (n, d, d) of which rows are the directions.
-            slip: (n, d) relative motion since the last commit, in the frames.
-            D: (n, c) weights.
-            limit: (owned nodes,) mu or s.
-        """
-        on = directions[:, 0]
-        some, d = directions[on, 1:], directions.shape[1]
-        normal = (d * nodes[on]).astype(np.int32)
-        tangential = np.where(some, normal[:, None] + np.arange(1, d), -1).astype(np.int32)
-        values, weight = limit[nodes[on]], D[on, 0]
-        coulomb = self.law is not None and self.law.name == "friction"
-        return SlipLimits(
-            nodes=nodes[on],
-            normal=normal,
-            tangential=tangential,
-            axes=frames[on, 1:],
-            slip=np.where(some, slip[on, 1:], 0.0),
-            coefficient=values if coulomb else np.zeros_like(values),
-            cohesion=np.zeros_like(values) if coulomb else values * weight,
-            weight=weight,
-            beside=np.zeros((len(values), d)),
-            before=np.zeros((len(values), d)),
-            room=np.ones_like(values),
-            opening=np.zeros((len(values), d)),
-        )
-
     # -- results ---------------------------------------------------------------------------------
 
-    def _of_friction(self, name: str) -> Any:
+    def _of_friction(self, name: str) -> fem.Function:
         if self.law is None:
             raise NoResult(self, name, "it has no friction: give friction= or tresca=")
-        return self._result(self.sliding, name)
+        return self._function(name)
 
     @property
     def traction(self) -> fem.Function:
@@ -268,18 +125,6 @@ class Unilateral(Interface):
         """Energy dissipated by friction since the start, the last step included."""
         self._of_friction("status")
         return self.dissipated
-
-    def gather(self, u: fem.Function) -> Mapping[str, Floats]:
-        """Return the slave nodes of all ranks on every rank; collective.
-
-        Returns:
-            What `Interface.gather` does; with friction also "traction" (n, d), "step_slip" (n, d),
-            "slip" and "status" (n,).
-        """
-        if self.sliding is None:
-            return super().gather(u)
-        names = ("traction", "step_slip", "slip", "status")
-        return self.gather_functions(u, {name: getattr(self.sliding, name) for name in names})
 
 
 class Contact(Unilateral, MortarInterface):
@@ -340,8 +185,6 @@ class Contact(Unilateral, MortarInterface):
     """
 
     may_meet_itself: ClassVar[bool] = True
-    lasts: ClassVar[bool] = True  # D and M at X
-    spoilt = "curved sides that fit closely", "of degree 2 are far off on coarse meshes", True
 
     def __init__(
         self,
@@ -361,37 +204,3 @@ class Contact(Unilateral, MortarInterface):
     def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
         """Return the argument by which heights of smooth surfaces correct the gap."""
         return {"heights_of": smooth}
-
-    def in_corners(self, link: CoupledSides, x: PETSc.Vec) -> str:
-        """Say where an edge or a corner of the master presses on slave facets; collective.
-
-        The gap there is a mean over both of its flanks, and changes by their slopes where it moves
-        along the side, with and without friction. Near are gaps of at most a facet.
-        """
-        if self.meets_itself:  # which part is the slave is not for the user to say
-            return ""
-        pairing, operators = link.mortar
-        slave, comm = link.sides.slave, link.sides.V.mesh.comm
-        near, length = np.zeros(len(slave.nodes)), mean_facet_length(slave)
-        near[: slave.owned] = link.coupling.kept[:, 0] & (np.abs(link.gaps(x)) <= length)
-        faced = facing_edges(pairing, operators.segments, self.feature_angle)
-        found = faced & (accumulate(slave, near) > 0)[slave.facets].any(axis=1)
-        where = first_place(comm, slave.X[slave.facets[found]].mean(axis=1), length)
-        if not where:
-            return ""
-        return (
-            f"{self!r}: around X = ({where}) an edge or a corner of the master lies at facets of "
-            "the slave side, over which its gap is a mean, so that Newton's method need not "
-            "converge, not even in small steps: exchange slave and master, or refine the slave "
-            "there"
-        )
-
-
-def first_place(comm: MPI.Comm, places: Floats, length: float) -> str:
-    """Return the coordinates of the first of places (p, d) of all ranks, "" if there is none.
-
-    What is round-off of the length is zero; collective.
-    """
-    told = [place for part in comm.allgather(places[:1].tolist()) for place in part][:1]
-    least = HALF_OF_DIGITS * length
-    return ", ".join(f"{c if abs(c) > least else 0.0:.3g}" for place in told for c in place)

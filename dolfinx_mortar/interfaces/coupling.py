@@ -57,11 +57,22 @@ class Sides:
     fixed: Bools  # (local nodes, d) directions with Dirichlet data
     mirrors: Bools  # (local nodes, d) those of planes of symmetry, of both sides: `find_mirrors`
     dependent: Bools  # (n,) owned slave nodes that depend on other ones, which may be kept
+    unilateral: bool  # whether they can open
     edges: Bools | None = None  # (n,) slave nodes of a contact on edges
     weight: Weight | None = None  # of all integrals over the interface; None for 1
     spreads: Spreads | None = None  # of the normals around the nodes of contacts of two sides
     judged: Sequence[tuple[Bools, Floats]] = ()  # of slave and master: `judge_supports`
     shapes: Sequence[NodeShape] = ()  # of slave and master: `find_shape`; none if nobody asks
+
+    @property
+    def meet_themselves(self) -> bool:
+        """Whether they are one surface, divided into slaves and masters at each search."""
+        return self.master is self.slave
+
+    @property
+    def hold(self) -> bool:
+        """Whether they hold nodes in all directions, as supports do."""
+        return self.master is None and not self.unilateral
 
     @property
     def nodes(self) -> Ints:
@@ -192,6 +203,11 @@ class CoupledSides:
     coupling: Coupling
     near: Bools  # (n,) slave nodes that take part in the change of basis
     banned: Bools  # (local nodes,) slave nodes that another interface has
+
+    @property
+    def unilateral(self) -> bool:
+        """Whether it can open: its bounds have one side."""
+        return self.sides.unilateral
 
     @property
     def nodes(self) -> Ints:

@@ -8,9 +8,8 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.arguments import as_numbers
-from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.interfaces.nodal import check_nodal
-from dolfinx_mortar.spaces import check_real
+from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.spaces import check_nodal, check_real
 from ufl.core.expr import Expr
 
 Jump = Sequence[float] | Floats | fem.Constant | fem.Function | Callable[[Floats], Floats] | None
@@ -99,18 +98,3 @@ def values_at(jump: Any, V: fem.FunctionSpace, nodes: Ints) -> Floats:
             f"it must return {(d, len(nodes))}, a vector for each point"
         )
     return found.T
-
-
-def extended(values: Floats, nodes: Ints, shared: Bools, n: int) -> Floats:
-    """Return (n, d) a jump on all owned nodes of a space: zero off the slave side.
-
-    Also zero at nodes of both sides, which cannot be apart.
-
-    >>> some = np.array([[1.0], [2.0]]), np.array([0, 2], dtype=np.int32)
-    >>> extended(*some, np.array([False, False, True]), 3).ravel().tolist()
-    [1.0, 0.0, 0.0]
-    """
-    result = np.zeros((n, values.shape[1]))
-    result[nodes] = values
-    result[shared] = 0.0
-    return result

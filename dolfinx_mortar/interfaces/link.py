@@ -5,14 +5,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Bools, Floats
-from dolfinx_mortar.interfaces.coupling import CoupledSides
+from dolfinx import fem, la
+from dolfinx_mortar.algebra.parallel import ratio
+from dolfinx_mortar.arrays import TINY, Bools, Floats
+from dolfinx_mortar.interfaces.coupling import CoupledSides, with_ghosts
 from dolfinx_mortar.interfaces.interface import Interface
-from dolfinx_mortar.mortar.surface import accumulate
+from dolfinx_mortar.interfaces.results import Resultants
+from dolfinx_mortar.interfaces.slip_partners import Partners, ToolPartners, partners_on_master
+from dolfinx_mortar.mortar.surface import accumulate, mean_facet_length
 
 
 @dataclass(frozen=True)
@@ -22,9 +27,28 @@ class Link(CoupledSides):
     interface: Interface
 
     @property
+    def acts_openly(self) -> bool:
+        """Whether it acts at slave nodes that are not closed, too: a tie, or given friction."""
+        law = self.interface.law
+        return not self.unilateral or (law is not None and not law.by_pressure)
+
+    def partners(self, x: PETSc.Vec, *, frozen: bool) -> Partners | None:
+        """Return from where slips of a step are measured; None for P of the moment; collective.
+
+        Args:
+            x: (n,) positions at the last commit.
+            frozen: whether surfaces stay at X.
+        """
+        if self.interface.law is None:
+            return None
+        if (tool := self.interface.tool) is not None:
+            return ToolPartners.create(self, x, tool, frozen=frozen)
+        return None if frozen or self.pairing is None else partners_on_master(self, x)
+
+    @property
     def equal(self) -> Bools:
         """Constrained directions (n, d) held by equalities: all, or none if the link can open."""
-        return self.constrained & (not self.interface.unilateral)
+        return self.constrained & (not self.unilateral)
 
     @property
     def prescribed(self) -> Bools:
@@ -42,7 +66,7 @@ class Link(CoupledSides):
 
     def held_motion(self, v: PETSc.Vec) -> Floats:
         """Return the constrained motion that is resisted both ways, see `equal`; collective."""
-        held = self.coupling.directions & (not self.interface.unilateral)
+        held = self.coupling.directions & (not self.unilateral)
         return np.asarray(self.relative(v)[held])
 
     def acting(self, closed: Bools) -> Bools:
@@ -52,17 +76,23 @@ class Link(CoupledSides):
             closed: (owned nodes,) nodes whose contact is closed.
         """
         some = self.constrained.any(axis=1)
-        if self.interface.unilateral:
+        if self.unilateral:
             return np.asarray(closed[self.nodes] & some)
         return np.asarray(self.coupling.kept.any(axis=1))
 
-    def apart(self, v: PETSc.Vec, jump: PETSc.Vec | None) -> PETSc.Vec:
-        """Return a displacement v (n,) less the jump (n,), None for none, and the tightening."""
-        found, way, sides = v if jump is None else v - jump, self.interface.tightening, self.sides
-        if way is None or not way.any():
-            return found
+    def apart(self) -> Floats:
+        """Return what is no relative motion of tied sides (n, d); collective."""
+        sides = self.sides
+        found = None if self.unilateral else self.interface.apart(sides.V, self.nodes)
+        if found is None:
+            return np.zeros_like(self.coupling.normals)
         alone = ~(sides.on_slave & sides.on_master)[self.nodes]
-        return found - self.spread(way * alone[:, None])
+        return found * alone[:, None]
+
+    def missed(self, u: PETSc.Vec) -> Floats:
+        """Return the relative motion (n, d) of tied sides, less what they are apart; collective."""
+        apart = self.apart()
+        return self.relative(u - self.spread(apart) if apart.any() else u)
 
     def spread(self, way: Floats) -> PETSc.Vec:
         """Return a motion (n, d) of the slave nodes as a displacement, 0 at others."""
@@ -70,16 +100,169 @@ class Link(CoupledSides):
         v.array.reshape(-1, way.shape[1])[self.nodes] = way
         return v
 
-    def shown_gap(self, gap: Floats, jump: PETSc.Vec | None) -> Floats:
+    def shown_gap(self, gap: Floats) -> Floats:
         """Return the gap (n,) that results show: how far a jump opens what cannot open itself.
 
         Args:
             gap: (owned nodes,) of what can open.
-            jump: as for `apart`.
         """
-        normals = self.coupling.normals
-        if self.interface.unilateral:
+        if self.unilateral:
             return np.asarray(gap[self.nodes])
-        still = self.spread(0.0 * normals)
-        values = self.apart(still, jump).array_r.reshape(-1, normals.shape[1])[self.nodes]
-        return np.asarray((values * normals).sum(axis=1))
+        apart = np.zeros_like(self.coupling.normals) if self.sides.hold else self.apart()
+        return np.asarray(-(apart * self.coupling.normals).sum(axis=1))
+
+
+def set_results_of(
+    link: Link,
+    reaction: Floats,
+    known: Floats,
+    gap: Floats,
+    active: Bools,
+    x: Floats,
+    growth: Floats,
+) -> tuple[float, float]:
+    """Set resultants and Functions of an interface; return its `_balances`; collective.
+
+    Args:
+        reaction: (n, d) D_jj lambda_j in the frames, at the owned slave nodes; zero in directions
+            that are not constrained.
+        known: (n, d) friction in directions that are prescribed, as vectors.
+        gap: (n,) nodal gaps that may still close; how far a jump opens a tie.
+        active: (n,) nodes on which the interface acts.
+        x: (owned nodes, d) coordinates at which the forces act.
+        growth: (n,) area per D_jj, for what is shown as traction.
+    """
+    found = link.interface
+    kept: Bools = np.asarray(link.coupling.kept.any(axis=1))
+    D = link.coupling.weight
+    weight = np.broadcast_to(D, reaction.shape)
+    multiplier = np.divide(reaction, weight, out=np.zeros_like(reaction), where=weight > 0)
+    forces = np.einsum("nji,nj->ni", link.coupling.rows, reaction)
+    found.resultants, balances = _resultants(link, forces, known, multiplier, x)
+    traction = np.einsum("nji,nj->ni", link.coupling.rows, multiplier)
+    _, choices = D.shape
+    if choices > 1:  # components that supports take are those of the nodes around
+        traction = np.nan_to_num(_extended(link, traction, link.coupling.kept)[link.nodes])
+    normal = np.einsum("ni,ni->n", traction, link.coupling.normals) / np.maximum(growth, TINY)
+    _fill(found.pressure, link, np.where(kept, normal, 0.0), kept)
+    found.pressure.x.array[:] = np.nan_to_num(found.pressure.x.array)
+    _fill(found.gap, link, gap, kept)
+    _fill(found.active, link, active.astype(np.float64), kept)
+    # a node without weight, on the axis, has no multiplier: it carries if its neighbours do
+    around = link.coupling.coverage.weightless & (found.active.x.array[link.nodes] > 0.0)
+    found.active.x.array[:] = 0.0
+    found.active.x.array[link.nodes] = active | around
+    found.active.x.scatter_forward()
+    return balances
+
+
+def set_sliding(
+    link: Link, traction: Floats, step_slip: Floats, slip: Floats, status: Floats, energy: Floats
+) -> None:
+    """Set the results of friction at the owned slave nodes, (n, d) and (n,); collective."""
+    interface, nodes = link.interface, link.nodes
+    # on the axis, where nothing carries a multiplier, what is closed cannot slide
+    on = link.coupling.coverage.weightless & (interface.active.x.array[nodes] > 0.0)
+    status = np.where(on, 1.0, status)
+    vectors = {"traction": traction, "step_slip": step_slip}
+    scalars = {"slip": slip, "status": status, "energy": energy}
+    for name, at_nodes in (vectors | scalars).items():
+        function = interface.nodal[name]
+        function.x.array[:] = 0.0
+        function.x.array.reshape(-1, *at_nodes.shape[1:])[nodes] = at_nodes
+        function.x.scatter_forward()
+    interface.sum_up(link.sides.V.mesh.comm, nodes)
+
+
+def _resultants(
+    link: Link, forces: Floats, known: Floats, multiplier: Floats, x: Floats
+) -> tuple[Resultants, tuple[float, float]]:
+    """Return the resultants and balances of what slave nodes exert (n, d) in two parts; collective.
+
+    In the directions that the interface constrains, and the friction in prescribed ones.
+    """
+    comm, n, d = link.sides.V.mesh.comm, link.sides.n_owned, forces.shape[1]
+    f, points = np.zeros((2, n, 3)), np.zeros((n, 3))
+    f[:, :, :d], points[:, :d] = link.transpose(forces), x
+    if link.interface.law is not None:
+        f[:, :, :d] += link.exert(known)
+    if link.sides.master is None:  # what is no part of the mesh takes the same forces
+        f[1] = -f[0]
+    local = np.array([[-s.sum(axis=0), -np.cross(points, s).sum(axis=0)] for s in f])
+    total = comm.allreduce(local, op=MPI.SUM)
+    found = Resultants(
+        force=total[0, 0, :d],
+        moment=total[0, 1],
+        master_force=total[1, 0, :d],
+        master_moment=total[1, 1],
+        multiplier=multiplier[:, 0] if link.unilateral else multiplier,
+        nodes=link.nodes,
+        carries=np.asarray(link.coupling.kept.any(axis=1)),
+        place=_place_of(link.interface),
+    )
+    return found, _balances(comm, f, points, mean_facet_length(link.sides.slave))
+
+
+def _place_of(interface: Interface) -> Floats:
+    """Return where a tool or rigid side is, (3,); 0 without one."""
+    place = np.zeros(0) if interface.rigid is None else interface.rigid.place()
+    return np.append(place, np.zeros(3 - len(place)))
+
+
+def _balances(comm: MPI.Comm, f: Floats, points: Floats, h: float) -> tuple[float, float]:
+    """Return the relative imbalances of forces and of moments of the two sides; collective.
+
+        |sum_j (s_j + t_j)| / S,   |sum_j a_j x (s_j + t_j)| / sum_j |s_j| (|a_j| + h)
+
+    with S = sum_j |s_j|, the middle c = sum_j |s_j| x_j / S and the arms a_j = x_j - c. Sums of
+    sizes do not cancel where resultants do, as around a shaft. Arms from the middle are the same
+    wherever the origin is, and so is the moment about it, even of forces that do not balance. The
+    facet length is for forces at one point.
+
+    Args:
+        comm: communicator of the mesh.
+        f: (2, n, 3) forces s and t of the slave and the master side at owned nodes.
+        points: (n, 3) where they act, x.
+        h: mean slave facet length.
+    """
+    size = np.linalg.norm(f[0], axis=1)
+    whole = comm.allreduce(np.append(size @ points, size.sum()), op=MPI.SUM)
+    arms, both = points - whole[:3] / np.maximum(whole[3], TINY), f.sum(axis=0)
+    scale = size @ np.linalg.norm(arms, axis=1)
+    left = [*both.sum(axis=0), *np.cross(arms, both).sum(axis=0), scale]
+    total = comm.allreduce(np.array(left), op=MPI.SUM)
+    force, moment = (float(np.linalg.norm(v)) for v in (total[:3], total[3:6]))
+    return ratio(force, whole[3]), ratio(moment, total[6] + h * whole[3])
+
+
+def _fill(function: fem.Function, link: Link, values: Floats, kept: Bools) -> None:
+    """Set a Function to nodal values on the slave side, zero off it; collective."""
+    result = _extended(link, values[:, None], kept[:, None])[:, 0]
+    function.x.array[:] = np.where(link.sides.on_slave, result, 0.0)
+
+
+def _extended(link: Link, values: Floats, kept: Bools) -> Floats:
+    """Return nodal values (local nodes, k) of those (n, k) at kept slave nodes (n, k); collective.
+
+    Covered slave nodes without multiplier get the mean of the kept ones on their facets. A kept
+    node's value is a traction even if the node is partly covered, because D_jj is its covered
+    weight; a removed node has handed its dual function to those neighbours. Nodes beyond the master
+    are not-a-number.
+    """
+    sides, k = link.sides, values.shape[1]
+    vector = la.vector(sides.V.dofmap.index_map, 2 * k)
+    array = vector.array.reshape(-1, 2, k)
+    array[link.nodes] = np.stack([np.where(kept, values, 0.0), kept], axis=1)
+    vector.scatter_forward()
+    known = array.copy()
+    covered = np.zeros(sides.n_owned, dtype=bool)
+    covered[link.nodes] = link.coupling.coverage.faces
+    facets = sides.slave.nodes[sides.slave.facets]
+    array[:] = 0.0
+    np.add.at(array, facets, known[facets].sum(axis=1, keepdims=True))
+    vector.scatter_reverse(la.InsertMode.add)
+    vector.scatter_forward()
+    with np.errstate(invalid="ignore"):
+        mean = array[:, 0] / array[:, 1]
+    extended = np.where(with_ghosts(sides.V, covered)[:, None], mean, np.nan)
+    return np.asarray(np.where(known[:, 1] > 0, known[:, 0], extended))

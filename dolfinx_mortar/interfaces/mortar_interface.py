@@ -6,8 +6,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Any, ClassVar
 
-from petsc4py import PETSc
-
 import numpy as np
 
 from dolfinx import fem
@@ -30,7 +28,6 @@ from dolfinx_mortar.interfaces.coupling import (
     with_ghosts,
 )
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface
-from dolfinx_mortar.interfaces.slip_partners import Partners, partners_of
 from dolfinx_mortar.mortar.common_normals import common_normals
 from dolfinx_mortar.mortar.curvature_correction import NodeShape, find_shape, find_smooth_sides
 from dolfinx_mortar.mortar.duals import Coverage, find_coverage, node_weights
@@ -93,17 +90,8 @@ class MortarInterface(Interface):
         said = "" if self.smooth else ", surface='facets'"
         if self.smooth and self.feature_angle != FEATURE_ANGLE:
             said = f", feature_angle={self.feature_angle:g}"
-        return f"{super().__repr__()[:-1]}{said})"
-
-    @property
-    def meets_itself(self) -> bool:
-        """Whether one tag is both sides, see `mortar.self_contact`."""
-        return self.slave == self.master
-
-    @property
-    def sides(self) -> str:
-        """How messages call the two sides."""
-        return f"{super().sides}, master={label(self.facet_tags, self.master)}"
+        master = label(self.facet_tags, self.master)
+        return f"{super().__repr__()[:-1]}, master={master}{said})"
 
     def given(self) -> dict[str, Any]:
         """Return what all ranks have to give the same, by name; see `agreement`."""
@@ -116,7 +104,7 @@ class MortarInterface(Interface):
     # -- what a kind decides ---------------------------------------------------------------------
 
     def reach(self, sizes: Floats, nearest: float) -> Floats:
-        """Return how far apart (q,) partners may be, where the interface is ``near_only``.
+        """Return how far apart (q,) partners may be, where ``within`` is not infinite.
 
         Args:
             sizes: (q,) diameter of the larger one of two facets.
@@ -150,7 +138,7 @@ class MortarInterface(Interface):
     def find_sides(self, V: fem.FunctionSpace, fixed: Bools, weight: Weight | None = None) -> Sides:
         """Return both surfaces in V, see `Interface.find_sides`; collective."""
         slave = master = create_surface(V, self.facet_tags, self.slave, "slave")
-        if not self.meets_itself:
+        if self.slave != self.master:
             master = create_surface(V, self.facet_tags, self.master, "master")
         dependent = dependent_nodes(slave)[: slave.owned]
         edges = find_edges(slave, self.feature_angle) if self.unilateral else None
@@ -158,15 +146,16 @@ class MortarInterface(Interface):
         judged: list[tuple[Bools, Floats]] = []
         shapes: list[NodeShape] = []
         angle = self.feature_angle
-        for side in (slave,) if self.meets_itself else (slave, master):
+        every = (slave,) if slave is master else (slave, master)
+        for side in every:
             judged.append(judge_supports(side, fixed[side.nodes], angle))
             own = judged[-1][0]
             mirrors[side.nodes] |= own
             if self.unilateral or (self.smooth and not side.curved):
                 shapes.append(find_shape(side, fixed, angle, own))
-        marks, again = (mark(slave), mark(master)), 2 if self.meets_itself else 1
-        at = V, slave, master, *marks, fixed, mirrors, dependent, edges
-        return Sides(*at, weight=weight, judged=judged, shapes=again * shapes)
+        marks, can_open, both = (mark(slave), mark(master)), self.unilateral, 2 // len(every)
+        at = V, slave, master, *marks, fixed, mirrors, dependent, can_open, edges
+        return Sides(*at, weight=weight, judged=judged, shapes=both * shapes)
 
     def pair(
         self,
@@ -192,23 +181,10 @@ class MortarInterface(Interface):
         entries = pairing.row, pairing.column, len(pairing.off_diagonal)
         return pairing, create_pattern(sides, *entries, smooth, nearby)
 
-    def has_slid(
-        self, sides: Sides, pairing: Pairing | None, u: fem.Function | None, near: Bools | None
-    ) -> bool:
-        """Tell whether the bodies slid out of the margin, see `Interface.has_slid`; collective."""
-        assert pairing is not None
-        if near is None or self.meets_itself:  # parts that were far have no pairs yet
-            return outside_margin(pairing, u)
-        marks = np.zeros(sides.n_owned, dtype=bool)
-        marks[sides.nodes] = near
-        slave = sides.slave
-        among = with_ghosts(sides.V, marks)[slave.nodes][slave.facets].any(axis=1)
-        return outside_margin(pairing, u, among)
-
     def find_partners(self, pairing: Pairing, u: fem.Function | None) -> tuple[Segments, Floats]:
         """Return the segments that are coupled at X + u, and the slave normals; collective."""
         segments, normals = find_segments(pairing, u)
-        if self.near_only:
+        if self.within != np.inf:
             segments = drop_far(pairing, segments, u, self.reach)
         return segments, normals
 
@@ -219,10 +195,6 @@ class MortarInterface(Interface):
         assert pairing is not None
         segments, _ = self.find_partners(pairing, u)
         return find_coverage(pairing, segments, *node_weights(pairing, segments))
-
-    def partners(self, link: CoupledSides, x: PETSc.Vec, *, frozen: bool) -> Partners | None:
-        """Return the points of the master on which the nodes were; collective."""
-        return partners_of(link, x) if self.rough and not frozen else None
 
     def derivatives(self, link: CoupledSides) -> ContactDerivatives | None:
         """Return the derivatives of what can open, see `contact_tangent`; collective."""
@@ -280,3 +252,20 @@ class MortarInterface(Interface):
             operators=operators,
             common=common,
         )
+
+
+def have_slid(sides: Sides, pairing: Pairing, u: fem.Function | None, near: Bools | None) -> bool:
+    """Tell whether two sides slid out of the margin of the last search; collective.
+
+    Args:
+        pairing: their candidate pairs.
+        u: displacement.
+        near: slave nodes (n,) whose facets are looked at; None for all.
+    """
+    if near is None or sides.meet_themselves:  # parts that were far have no pairs yet
+        return outside_margin(pairing, u)
+    marks = np.zeros(sides.n_owned, dtype=bool)
+    marks[sides.nodes] = near
+    slave = sides.slave
+    among = with_ghosts(sides.V, marks)[slave.nodes][slave.facets].any(axis=1)
+    return outside_margin(pairing, u, among)

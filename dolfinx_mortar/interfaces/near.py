@@ -37,7 +37,7 @@ def nodal_gaps(links: Sequence[Link], v: PETSc.Vec, n: int) -> Floats:
     """
     gap = np.full(n, np.inf)
     for link in links:
-        if link.interface.unilateral:
+        if link.unilateral:
             normal = link.coupling.directions[:, 0]
             gap[link.nodes[normal]] = link.gaps(v)[normal]
     return gap
@@ -58,7 +58,7 @@ class Reach:
 
     def near(self, link: Link) -> Bools:
         """Return which slave nodes (n,) of an interface T shall hold; all where it acts openly."""
-        if link.interface.acts_openly:
+        if link.acts_openly:
             return np.ones(len(link.nodes), dtype=bool)
         close = (self.beyond <= MARGIN * self.distance) | (self.gap <= 0.0)
         return np.asarray(close[link.nodes])

@@ -8,7 +8,7 @@ With the signed distance phi of the tool, positive outside, the weighted gaps ar
 and the multipliers lambda_j >= 0 act along n_j = -grad phi(x_j), into the tool: forces -D_jl
 lambda_j n_j on the nodes l of the side, and as much on the tool. Where phi is that of a plane, g_j
 is what D and n_j say, so that uniform pressures are exact. Facets may stand for a smooth surface,
-see `point_gaps`. The tangent is in `tool_tangent`.
+see `point_gaps`. The tangent is in `contact_tangent`.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
-from dolfinx_mortar.geometry.facets import are_inside, facet_normals, facet_sizes
-from dolfinx_mortar.interfaces.contact import Unilateral, first_place
-from dolfinx_mortar.interfaces.coulomb import Limit, create_law
+from dolfinx_mortar.interfaces.constraints import Limit, create_law
+from dolfinx_mortar.interfaces.contact import Unilateral
+from dolfinx_mortar.interfaces.contact_tangent import ToolDerivatives
 from dolfinx_mortar.interfaces.coupling import (
     CoupledSides,
     Coupling,
@@ -39,39 +39,29 @@ from dolfinx_mortar.interfaces.coupling import (
     free_directions,
     returned_nodes,
 )
-from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Outline
+from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
 from dolfinx_mortar.interfaces.mortar_interface import is_smooth
 from dolfinx_mortar.interfaces.near import FACETS
 from dolfinx_mortar.interfaces.tool import (
     Load,
     Movable,
-    Pose,
     SidePattern,
     Tool,
-    fewer_turns,
     find_facing,
-    on_the_way,
     point_gaps,
-    turn_between,
 )
-from dolfinx_mortar.interfaces.tool_slips import ToolPartners
-from dolfinx_mortar.interfaces.tool_tangent import ToolDerivatives
-from dolfinx_mortar.mortar.curvature_correction import find_smooth_side, side_heights
-from dolfinx_mortar.mortar.duals import Coverage, weighted_duals
-from dolfinx_mortar.mortar.operators import mean_values
+from dolfinx_mortar.mortar.curvature_correction import find_smooth_side
+from dolfinx_mortar.mortar.duals import Coverage
 from dolfinx_mortar.mortar.pairing import Pairing
-from dolfinx_mortar.mortar.passing import SeenByTool, depth_of_point
 from dolfinx_mortar.mortar.surface import (
     accumulate,
     coordinates,
-    facets_at,
     mean_facet_length,
 )
 from dolfinx_mortar.mortar.whole_side import (
     create_whole_side,
     integrate_side,
     means,
-    whole_facets,
 )
 from dolfinx_mortar.shapes import Distance, Shape
 
@@ -129,10 +119,10 @@ class Obstacle(Movable, Unilateral):
 
     Attributes:
         tool: shape, position and rotation.
-        began: where the tool was at the last commit.
     """
 
-    moved_by_loads = True
+    rigid: Tool
+    tool: Tool
 
     def __init__(
         self,
@@ -148,59 +138,30 @@ class Obstacle(Movable, Unilateral):
     ) -> None:
         super().__init__(facet_tags, slave=slave)
         self.meant = None if surface is None else is_smooth(surface)  # None: by the order
-        self.tool = Tool(shape, reference, facet_tags.topology.dim)
+        self.rigid = self.tool = Tool(shape, reference, facet_tags.topology.dim)
         self.load = load or {}
         self.law = create_law(friction, tresca)
-        self.began = self.tool.pose()
-        self._probes = np.zeros((0, facet_tags.topology.dim))  # points of the box of the side
 
-    @property
-    def sides(self) -> str:
-        """Names of the side and the tool in messages."""
-        names = {None: "", True: ", surface='smooth'", False: ", surface='facets'"}
-        return f"{super().sides}, shape={type(self.tool.shape).__name__}{names[self.meant]}"
-
-    @property
-    def shape(self) -> Shape:
-        """As given."""
-        return self.tool.shape
-
-    @property
-    def rigid(self) -> Tool:
-        """The rigid body: the tool."""
-        return self.tool
+    def __repr__(self) -> str:
+        said = f", shape={type(self.tool.shape).__name__}"
+        said += {None: "", True: ", surface='smooth'", False: ", surface='facets'"}[self.meant]
+        return f"{super().__repr__()[:-1]}{said})"
 
     def given(self) -> dict[str, Any]:
         """Return what all ranks have to give the same, by name; see `agreement`."""
         names = "shape", "point", "position", "rotation", "load"
         given = super().given() | {name: getattr(self.tool, name) for name in names}
-        return given | {"surface": self.meant, "distances": self._probed()}
+        return given | {"surface": self.meant, "distances": self.tool.probed()}
 
-    @property
-    def identity(self) -> dict[str, Any]:
-        """The point, and distances from the shape where it starts."""
-        return super().identity | {"distances": self._probed()}
-
-    def _probed(self) -> list[float] | str:
-        """Return distances from the shape, which tell functions from others, or how they fail.
-
-        Before them the largest coordinate, of whose round-off they are.
-        """
-        try:
-            found = [*map(float, self.shape.values(self._probes))]
-        except Exception as error:  # which steps will raise where it is of consequence
-            return type(error).__name__
-        size = float(np.abs(self._probes).max(initial=0.0))
-        return [size, *found] if np.isfinite(found).all() else "NaN or infinity"
-
-    def check_kinematics(self, d: int, revolved: bool, strain: str) -> None:
+    def check(self, V: fem.FunctionSpace, *, revolved: bool, strain: str) -> None:
         """Raise a ValueError for shapes that are none in d dimensions, or not of revolution."""
-        self.tool.check(d, revolved)
+        super().check(V, revolved=revolved, strain=strain)
+        self.tool.check(V.mesh.geometry.dim, revolved)
 
     def take(self, owner: object, V: fem.FunctionSpace) -> None:
         """Belong to a problem from now on; slips count from where the tool is now; collective."""
         super().take(owner, V)
-        self.began = self.tool.pose()
+        self.tool.began = self.tool.pose()
         self.tool.asked.alone = V.mesh.comm.size == 1
         facets, d = self.facet_tags.find(self.slave), V.mesh.geometry.dim
         dofs = fem.locate_dofs_topological(V, self.facet_tags.dim, facets)
@@ -208,45 +169,15 @@ class Obstacle(Movable, Unilateral):
         ends = maximum(V.mesh.comm, *np.hstack([-X, X]).max(axis=0, initial=-np.inf))
         low, high = -ends[:d], ends[d:]
         axes = np.stack([low, (low + high) / 2.0, high], axis=1)
-        self._probes = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, d)
+        self.tool.probes = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, d)
 
-    # -- state -----------------------------------------------------------------------------------
+    def state(self, *, ended: bool = False) -> dict[str, Floats]:
+        """Return where the tool was at the last commit, from which slips count, and its travel."""
+        return self.tool.state(ended=ended)
 
-    def ended(self) -> Pose:
-        """Return where the tool is."""
-        return self.tool.pose()
-
-    def commit(self, ended: Pose) -> None:
-        """Keep the position of the tool at the end of a step, from which later slips count."""
-        self.began = ended
-
-    def found(self) -> dict[str, list[float]]:
-        """Return where the tool was at the last commit."""
-        began = self.began
-        return {
-            "position": [*map(float, began.position)],
-            "rotation": [*map(float, began.rotation)],
-            "travel": [*map(float, self.tool.travel)],
-        }
-
-    def take_found(self, found: Mapping[str, list[float]]) -> None:
+    def restore(self, state: Mapping[str, Floats]) -> None:
         """Restore where the tool was."""
-        position, rotation = (np.array(found[name], float) for name in ("position", "rotation"))
-        self.began = Pose(position, rotation, self.tool.point)
-        self.tool.travel = np.array(found["travel"], float)
-
-    def failed(self) -> Exception | None:
-        """Return what has failed in the shape on this rank, see `Asked`."""
-        return self.tool.asked.failed()
-
-    def keep(self) -> Any:
-        """Return copies of results and state, for `put_back`."""
-        return super().keep(), self.began, self.tool.travel
-
-    def put_back(self, kept: Any) -> None:
-        """Restore what `keep` has returned; without communication."""
-        shown, self.began, self.tool.travel = kept
-        super().put_back(shown)
+        self.tool.restore(state)
 
     # -- geometry --------------------------------------------------------------------------------
 
@@ -358,12 +289,6 @@ class Obstacle(Movable, Unilateral):
 
     # -- steps -----------------------------------------------------------------------------------
 
-    def partners(self, link: CoupledSides, x: PETSc.Vec, *, frozen: bool) -> ToolPartners | None:
-        """Return where the nodes were on the tool at the last commit; None without friction."""
-        if not self.rough:
-            return None
-        return ToolPartners.create(link, x, self.tool, self.began, frozen=frozen)
-
     def derivatives(self, link: CoupledSides) -> ToolDerivatives:
         """Return the derivatives of forces and gaps for the pattern of a link; collective."""
         assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
@@ -384,7 +309,7 @@ class Obstacle(Movable, Unilateral):
                 f"{self!r}: no facet of the side faces the tool where it is; its normal points out "
                 "of the tool, towards the body: turn it round if it does not"
             ]
-        depth = np.where(kept, -self.began.distance(self.tool.asked, at).value, -np.inf)
+        depth = np.where(kept, -self.tool.began.distance(self.tool.asked, at).value, -np.inf)
         deepest = depth.max(initial=-np.inf)
         mine = at[int(np.argmax(depth))].tolist() if len(at) else []
         most, place = max(comm.allgather((float(deepest), mine)))
@@ -403,119 +328,11 @@ class Obstacle(Movable, Unilateral):
             "more than a facet, which the first step has to remove: let it start beside the body"
         ]
 
-    def in_corners(self, link: CoupledSides, x: PETSc.Vec) -> str:
-        """Say where nodes lie in an inner corner of the tool, which has no one normal; collective.
-
-        There grad phi turns by 30 degrees or more within a quarter of a facet to either side, such
-        that phi has its ridge: a node that touches one face has the normal of the other one next.
-        """
-        comm, d = link.sides.V.mesh.comm, link.sides.fixed.shape[1]
-        at = x.array_r.reshape(-1, d)[link.nodes][link.coupling.kept[:, 0]]
-        length, pose = mean_facet_length(link.sides.slave), self.tool.pose()
-        with raised_together(comm):
-            near = at[np.abs(pose.distance(self.tool.asked, at).value) <= length]
-            ridge = np.zeros(len(near), dtype=bool)
-            for way in np.eye(d):
-                beside = 0.25 * length * way
-                ahead, behind = (pose.distance(self.tool.asked, near + s * beside) for s in (1, -1))
-                turn = (ahead.gradient - behind.gradient) @ way
-                ridge |= turn <= -2.0 * np.sin(np.radians(0.5 * FEATURE_ANGLE))
-        where = first_place(comm, near[ridge], length)
-        if not where:
-            return ""
-        return (
-            f"{self!r}: at ({where}) the body reaches into an inner corner of the tool, which has "
-            "no one normal there, so that Newton's method need not converge: give each side of the "
-            "body its own tag and Obstacle with one face of the tool, or round the corner of the "
-            "tool by a radius of a quarter of a facet to a whole one"
-        )
-
-    def depths(self, link: CoupledSides, u: fem.Function) -> tuple[Floats, Floats, Floats]:
-        """Return how deep points of integration and middles of facets are in the tool at X + u.
-
-        And how deep the tool lies below its own point, of the facet that is nearest to that along
-        its normal: a ball may be smaller than what is between the others. Where nodes alone have
-        distances, the tool lies less deep in facets by what the surface through the nodes bends
-        away from it, as a bore from its shaft; that is taken in the middles of facets.
-        """
-        assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
-        side, pose, x = link.pattern.side, self.tool.pose(), coordinates(link.sides.slave, u)
-        facing = find_facing(side, pose, self.tool.asked, x)
-        segments, points = whole_facets(side, x, facing)
-        own, nodal = link.pattern.own, link.pattern.nodal
-        pattern = replace(link.pattern, nodal=False, own=None if nodal else own)
-        gaps, _ = point_gaps(pattern, pose, self.tool.asked, u, segments, points)
-        nodes = x[side.slave.facets]
-        sizes, middles = facet_sizes(nodes), nodes.mean(axis=1)[facing]
-        facets = facets_at(side.slave, x)
-        less = np.zeros(len(sizes))
-        if nodal and own is not None:
-            at = np.tile(facets.element.points.mean(axis=0), (len(sizes), 1))
-            every = np.arange(len(sizes), dtype=np.int32)
-            less[:] = np.minimum(side_heights(side.slave, own, u, every, at), 0.0)
-        corners, n = nodes[:, list(facets.element.vertices)], facet_normals(facets)
-        point = np.broadcast_to(pose.to_space(self.tool.asked.point[None]), (len(n), x.shape[1]))
-        above = ((point - corners.mean(axis=1)) * n).sum(axis=1)
-        below = depth_of_point(link.sides.V.mesh.comm, self.seen_by_tool()) - above
-        met = (above >= -sizes) & (below > 0.0) & are_inside(corners, n, point)
-        depth = -np.concatenate([gaps, pose.distance(self.tool.asked, middles).value, -below[met]])
-        which = np.concatenate([segments.slave, np.flatnonzero(facing), np.flatnonzero(met)])
-        depth = depth + less[which]
-        return depth / sizes[which], depth, np.concatenate([points, middles, point[met]])
-
-    def heights(self, link: CoupledSides, u: fem.Function | None) -> Floats | None:
-        """Return the heights of facets of first order, see `Interface.heights`; collective."""
-        pattern, slave = link.pattern, link.sides.slave
-        assert isinstance(pattern, SidePattern) and pattern.side is not None
-        if slave.element.degree > 1 or pattern.nodal:
-            return None
-        side, pose, x = pattern.side, self.tool.pose(), coordinates(slave, u)
-        segments, points = whole_facets(side, x, find_facing(side, pose, self.tool.asked, x))
-        facets, smooth = (
-            point_gaps(which, pose, self.tool.asked, u, segments, points)[0]
-            for which in (pattern, replace(pattern, nodal=True))
-        )
-        kept = np.zeros(len(slave.nodes))
-        kept[: slave.owned] = link.coupling.kept[:, 0]
-        Phi = weighted_duals(side, segments, accumulate(slave, kept) > 0.0)
-        return mean_values(side, segments, Phi, link.coupling.weight[:, 0], facets - smooth)
-
     # -- results ---------------------------------------------------------------------------------
-
-    def place(self) -> Floats:
-        """Return where the tool's point is, (3,)."""
-        position = self.tool.pose().position
-        return np.concatenate([position, np.zeros(3 - len(position))])
 
     def driven(self) -> Tool | None:
         """Return the tool, which loads drive; None where all of its motion is prescribed."""
         return self.tool if self.load else None
-
-    def tool_way(self, before: Floats, after: Floats) -> Floats:
-        """Return how far the tool carries points (n, d) since the last commit.
-
-        The mean of what it does to a point that is there before, and to one that is there after.
-        """
-        began, now = self.began, self.tool.pose()
-        forth = now.to_space(began.to_tool(before)) - before
-        back = after - began.to_space(now.to_tool(after))
-        return np.asarray(0.5 * (forth + back))
-
-    def seen_by_tool(self) -> SeenByTool:
-        """Return how the tool has seen points since the last commit."""
-        began, now, shape = self.began, self.tool.pose(), self.shape
-        turn = fewer_turns(turn_between(began, now))
-        return SeenByTool(
-            lambda t, x: on_the_way(began, now, turn, t).to_tool(x), turn, shape.values, shape.point
-        )
-
-    def turn(self) -> Floats:
-        """Return how the tool has turned since the last commit, see `turn_between`."""
-        return turn_between(self.began, self.tool.pose())
-
-    def outline(self) -> Outline:
-        """Return where the tool is at present, for pictures and files."""
-        return Outline(self.shape, self.tool.pose(), self.tool.revolved)
 
     @property
     def tool_force(self) -> Floats:
@@ -529,5 +346,5 @@ class Obstacle(Movable, Unilateral):
         Of rings, see `moment`.
         """
         force = np.concatenate([self.master_force, np.zeros(3 - len(self.master_force))])
-        place = self._result(self.resultants, "place")
+        place = self._resultant("place")
         return np.asarray(self.master_moment - np.cross(place, force))

@@ -84,6 +84,7 @@ class Bolt:
     axis: Floats  # (d,) n
     force: Callable[[], float]  # returns F
     tighten: Callable[[Floats], None]  # adds an overlap (d,) to that of the tie
+    overlap: Floats  # (d,) at present
     name: str  # of the tie
 
     holds = True

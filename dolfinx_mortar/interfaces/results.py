@@ -1,173 +1,194 @@
 # SPDX-License-Identifier: MIT
-"""Results of a step: resultants, nodal tractions and gaps, merged where slave sides meet."""
+"""Results of a step at an interface: resultants, and Functions of nodal tractions and gaps."""
 
-from collections.abc import Sequence
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx import fem, la
-from dolfinx_mortar.algebra.parallel import ratio
-from dolfinx_mortar.arrays import TINY, Bools, Floats
-from dolfinx_mortar.interfaces.coupling import Sides, with_ghosts
-from dolfinx_mortar.interfaces.interface import Interface, Resultants
-from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.mortar.surface import mean_facet_length
+from dolfinx import fem
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.interfaces.constraints import FrictionLaw
+from dolfinx_mortar.interfaces.coupling import Sides
 
 
-def set_results(
-    link: Link,
-    reaction: Floats,
-    known: Floats,
-    gap: Floats,
-    active: Bools,
-    x: Floats,
-    growth: Floats,
-) -> tuple[float, float]:
-    """Set resultants and Functions of an interface; return its `_balances`; collective.
+class NoResult(RuntimeError, AttributeError):
+    """A result was asked for before the first step; also an AttributeError, for ``hasattr``."""
 
-    Args:
-        reaction: (n, d) D_jj lambda_j in the frames, at the owned slave nodes; zero in directions
-            that are not constrained.
-        known: (n, d) friction in directions that are prescribed, as vectors.
-        gap: (n,) nodal gaps that may still close; how far a jump opens a tie.
-        active: (n,) nodes on which the interface acts.
-        x: (owned nodes, d) coordinates at which the forces act.
-        growth: (n,) area per D_jj, for what is shown as traction.
+    def __init__(self, interface: Results, name: str, why: str = "") -> None:
+        why = f": {why}" if why else " yet: solve a step first, newton(problem)"
+        super().__init__(f"{interface} has no {name}{why}")
+
+
+@dataclass(frozen=True)
+class Resultants:
+    """Results of a step that are no Functions."""
+
+    force: Floats  # (d,) resultant exerted on the slave side
+    moment: Floats  # (3,) its moment about the origin
+    master_force: Floats  # (d,) the same for the master side
+    master_moment: Floats  # (3,)
+    multiplier: Floats  # (n,) or (n, d) lambda_j = reaction_j / D_jj at the owned slave nodes
+    nodes: Ints  # (n,) local numbers of these nodes
+    carries: Bools  # (n,) which of them have a multiplier
+    place: Floats  # (3,) where a tool or rigid side is; 0 without one
+
+
+class Results:
+    """What steps have found at an interface.
+
+    Attributes:
+        law: of friction, None for none.
+        owner: the problem that has taken the interface.
+        nodal: Functions by name, zero until the first step: "pressure", "gap", "active", and with
+            friction "traction", "step_slip", "slip", "status", "energy"; the last is what a node
+            has dissipated since the start.
+        resultants: None until the first step.
+        dissipated: sum of the energies of all ranks.
     """
-    fields = link.interface.fields
-    assert fields is not None
-    kept: Bools = np.asarray(link.coupling.kept.any(axis=1))
-    D = link.coupling.weight
-    weight = np.broadcast_to(D, reaction.shape)
-    multiplier = np.divide(reaction, weight, out=np.zeros_like(reaction), where=weight > 0)
-    forces = np.einsum("nji,nj->ni", link.coupling.rows, reaction)
-    link.interface.resultants, balances = _resultants(link, forces, known, multiplier, x)
-    traction = np.einsum("nji,nj->ni", link.coupling.rows, multiplier)
-    _, choices = D.shape
-    if choices > 1:  # components that supports take are those of the nodes around
-        traction = np.nan_to_num(_extended(link, traction, link.coupling.kept)[link.nodes])
-    normal = np.einsum("ni,ni->n", traction, link.coupling.normals) / np.maximum(growth, TINY)
-    _fill(fields.pressure, link, np.where(kept, normal, 0.0), kept)
-    fields.pressure.x.array[:] = np.nan_to_num(fields.pressure.x.array)
-    _fill(fields.gap, link, gap, kept)
-    _fill(fields.active, link, active.astype(np.float64), kept)
-    # a node without weight, on the axis, has no multiplier: it carries if its neighbours do
-    around = link.coupling.coverage.weightless & (fields.active.x.array[link.nodes] > 0.0)
-    fields.active.x.array[:] = 0.0
-    fields.active.x.array[link.nodes] = active | around
-    fields.active.x.scatter_forward()
-    return balances
+
+    law: FrictionLaw | None = None
+    owner: object = None
+    resultants: Resultants | None = None
+    dissipated: float = 0.0
+
+    def __init__(self) -> None:
+        self.nodal: dict[str, fem.Function] = {}
+
+    def take(self, owner: object, V: fem.FunctionSpace) -> None:
+        """Belong to a problem from now on, with Functions on V, without results; collective."""
+        self.owner, self.resultants, self.dissipated = owner, None, 0.0
+        scalar = V.sub(0).collapse()[0]
+        spaces = dict.fromkeys(("pressure", "gap", "active"), scalar)
+        if self.law is not None:
+            spaces |= {"traction": V, "step_slip": V}
+            spaces |= dict.fromkeys(("slip", "status", "energy"), scalar)
+        self.nodal = {name: fem.Function(space, name=name) for name, space in spaces.items()}
+
+    def keep(self) -> Any:
+        """Return copies of the results, for `put_back`."""
+        values = [(f, f.x.array.copy()) for f in self.nodal.values()]
+        return self.resultants, self.dissipated, values
+
+    def put_back(self, kept: Any) -> None:
+        """Restore the results that `keep` has returned; without communication."""
+        self.resultants, self.dissipated, functions = kept
+        for f, values in functions:
+            f.x.array[:] = values
+
+    def clear(self) -> None:
+        """Remove the results, as before the first step; without communication."""
+        self.resultants, self.dissipated = None, 0.0
+        for f in self.nodal.values():
+            f.x.array[:] = 0.0
+
+    def sum_up(self, comm: MPI.Comm, nodes: Ints) -> None:
+        """Add up the energies of the owned slave nodes, if there is friction; collective."""
+        if "energy" in self.nodal:
+            energy = self.nodal["energy"].x.array[nodes]
+            self.dissipated = comm.allreduce(float(energy.sum()), op=MPI.SUM)
+
+    def _resultant(self, name: str) -> Floats:
+        if self.resultants is None:
+            raise NoResult(self, name)
+        return np.asarray(getattr(self.resultants, name))
+
+    def _function(self, name: str) -> fem.Function:
+        if name not in self.nodal:
+            raise NoResult(self, name)
+        return self.nodal[name]
+
+    @property
+    def force(self) -> Floats:
+        """Resultant (d,) exerted on the slave side.
+
+        At the end of the step: for impulses in motions see `Ledger.impulses`.
+
+        Of rings, (radial, axial): the sum of what pushes outwards all around, which no force on
+        the whole balances, and the force along the axis.
+        """
+        return self._resultant("force")
+
+    @property
+    def moment(self) -> Floats:
+        """Moment (3,) about the origin of the forces on the slave side.
+
+        Of rings that of these sums in the plane of the section: it tells whether the two sides
+        balance, and is no moment on the whole, which is zero.
+        """
+        return self._resultant("moment")
+
+    @property
+    def master_force(self) -> Floats:
+        """Resultant (d,) exerted on the master side."""
+        return self._resultant("master_force")
+
+    @property
+    def master_moment(self) -> Floats:
+        """Moment (3,) about the origin of the forces on the master side."""
+        return self._resultant("master_moment")
+
+    @property
+    def multiplier(self) -> Floats:
+        """Multipliers lambda_j at the owned slave nodes."""
+        return self._resultant("multiplier")
+
+    @property
+    def pressure(self) -> fem.Function:
+        """Normal traction, positive in compression; zero off the slave side."""
+        return self._function("pressure")
+
+    @property
+    def gap(self) -> fem.Function:
+        """Distance to the master; zero off the slave side."""
+        return self._function("gap")
+
+    @property
+    def active(self) -> fem.Function:
+        """1 where the interface acts, else 0."""
+        return self._function("active")
+
+    def gather(self, u: fem.Function) -> Mapping[str, Floats]:
+        """Return the slave nodes of all ranks on every rank; collective.
+
+        Returns:
+            "X" (n, d) reference and "x" (n, d) current coordinates at u, "pressure", "gap" and
+            "active" (n,), with friction also "traction" (n, d), "step_slip" (n, d), "slip" and
+            "status" (n,), ordered by X.
+
+        Raises:
+            NoResult: before the first step.
+            ValueError: for what is no displacement.
+        """
+        if self.resultants is None:
+            raise NoResult(self, "nodal results")
+        mesh = self.pressure.function_space.mesh
+        if not isinstance(u, fem.Function) or u.function_space.mesh is not mesh or not u.ufl_shape:
+            raise ValueError(f"u is {u!r}: give the displacement, solid.u")
+        V, own, d = u.function_space, self.resultants.nodes, len(self.force)
+        X = V.tabulate_dof_coordinates()[own, :d]
+        shown = {"X": X, "x": X + u.x.array.reshape(-1, d)[own]}
+        shown |= {n: _at_nodes(f)[own] for n, f in self.nodal.items() if n != "energy"}
+        order, parts = None, {}
+        for name, values in shown.items():
+            whole = np.concatenate(mesh.comm.allgather(values))
+            order = np.lexsort(whole.T[::-1]) if order is None else order
+            parts[name] = whole[order] if whole.shape[1] > 1 else whole[order, 0]
+        return parts
 
 
-def set_sliding(
-    link: Link, traction: Floats, step_slip: Floats, slip: Floats, status: Floats, energy: Floats
-) -> None:
-    """Set the results of friction at the owned slave nodes, (n, d) and (n,); collective."""
-    interface, nodes = link.interface, link.nodes
-    # on the axis, where nothing carries a multiplier, what is closed cannot slide
-    on = link.coupling.coverage.weightless & (interface.active.x.array[nodes] > 0.0)
-    status = np.where(on, 1.0, status)
-    values = traction, step_slip, slip[:, None], status[:, None], energy[:, None]
-    for function, at_nodes in zip(interface.functions_of_friction, values, strict=True):
-        function.x.array[:] = 0.0
-        function.x.array.reshape(-1, at_nodes.shape[1])[nodes] = at_nodes
-        function.x.scatter_forward()
-    comm = link.sides.V.mesh.comm
-    interface.sum_up(comm, nodes)
-
-
-def _resultants(
-    link: Link, forces: Floats, known: Floats, multiplier: Floats, x: Floats
-) -> tuple[Resultants, tuple[float, float]]:
-    """Return the resultants and balances of what slave nodes exert (n, d) in two parts; collective.
-
-    In the directions that the interface constrains, and the friction in prescribed ones.
-    """
-    comm, n, d = link.sides.V.mesh.comm, link.sides.n_owned, forces.shape[1]
-    f, points = np.zeros((2, n, 3)), np.zeros((n, 3))
-    f[:, :, :d], points[:, :d] = link.transpose(forces), x
-    if link.interface.rough:
-        f[:, :, :d] += link.exert(known)
-    if link.sides.master is None:  # what is no part of the mesh takes the same forces
-        f[1] = -f[0]
-    local = np.array([[-s.sum(axis=0), -np.cross(points, s).sum(axis=0)] for s in f])
-    total = comm.allreduce(local, op=MPI.SUM)
-    found = Resultants(
-        force=total[0, 0, :d],
-        moment=total[0, 1],
-        master_force=total[1, 0, :d],
-        master_moment=total[1, 1],
-        multiplier=link.interface.shown(multiplier),
-        nodes=link.nodes,
-        carries=np.asarray(link.coupling.kept.any(axis=1)),
-        place=link.interface.place(),
-    )
-    return found, _balances(comm, f, points, mean_facet_length(link.sides.slave))
-
-
-def _balances(comm: MPI.Comm, f: Floats, points: Floats, h: float) -> tuple[float, float]:
-    """Return the relative imbalances of forces and of moments of the two sides; collective.
-
-        |sum_j (s_j + t_j)| / S,   |sum_j a_j x (s_j + t_j)| / sum_j |s_j| (|a_j| + h)
-
-    with S = sum_j |s_j|, the middle c = sum_j |s_j| x_j / S and the arms a_j = x_j - c. Sums of
-    sizes do not cancel where resultants do, as around a shaft. Arms from the middle are the same
-    wherever the origin is, and so is the moment about it, even of forces that do not balance. The
-    facet length is for forces at one point.
-
-    Args:
-        comm: communicator of the mesh.
-        f: (2, n, 3) forces s and t of the slave and the master side at owned nodes.
-        points: (n, 3) where they act, x.
-        h: mean slave facet length.
-    """
-    size = np.linalg.norm(f[0], axis=1)
-    whole = comm.allreduce(np.append(size @ points, size.sum()), op=MPI.SUM)
-    arms, both = points - whole[:3] / np.maximum(whole[3], TINY), f.sum(axis=0)
-    scale = size @ np.linalg.norm(arms, axis=1)
-    left = [*both.sum(axis=0), *np.cross(arms, both).sum(axis=0), scale]
-    total = comm.allreduce(np.array(left), op=MPI.SUM)
-    force, moment = (float(np.linalg.norm(v)) for v in (total[:3], total[3:6]))
-    return ratio(force, whole[3]), ratio(moment, total[6] + h * whole[3])
-
-
-def _fill(function: fem.Function, link: Link, values: Floats, kept: Bools) -> None:
-    """Set a Function to nodal values on the slave side, zero off it; collective."""
-    result = _extended(link, values[:, None], kept[:, None])[:, 0]
-    function.x.array[:] = np.where(link.sides.on_slave, result, 0.0)
-
-
-def _extended(link: Link, values: Floats, kept: Bools) -> Floats:
-    """Return nodal values (local nodes, k) of those (n, k) at kept slave nodes (n, k); collective.
-
-    Covered slave nodes without multiplier get the mean of the kept ones on their facets. A kept
-    node's value is a traction even if the node is partly covered, because D_jj is its covered
-    weight; a removed node has handed its dual function to those neighbours. Nodes beyond the master
-    are not-a-number.
-    """
-    sides, k = link.sides, values.shape[1]
-    vector = la.vector(sides.V.dofmap.index_map, 2 * k)
-    array = vector.array.reshape(-1, 2, k)
-    array[link.nodes] = np.stack([np.where(kept, values, 0.0), kept], axis=1)
-    vector.scatter_forward()
-    known = array.copy()
-    covered = np.zeros(sides.n_owned, dtype=bool)
-    covered[link.nodes] = link.coupling.coverage.faces
-    facets = sides.slave.nodes[sides.slave.facets]
-    array[:] = 0.0
-    np.add.at(array, facets, known[facets].sum(axis=1, keepdims=True))
-    vector.scatter_reverse(la.InsertMode.add)
-    vector.scatter_forward()
-    with np.errstate(invalid="ignore"):
-        mean = array[:, 0] / array[:, 1]
-    extended = np.where(with_ghosts(sides.V, covered)[:, None], mean, np.nan)
-    return np.asarray(np.where(known[:, 1] > 0, known[:, 0], extended))
+def _at_nodes(f: fem.Function) -> Floats:
+    """Return the values (local nodes, c) of a Function."""
+    return np.asarray(f.x.array.reshape(-1, f.function_space.dofmap.index_map_bs))
 
 
 def merge_results(
-    sides: Sequence[Sides], interfaces: Sequence[Interface], name: str, function: fem.Function
+    sides: Sequence[Sides], interfaces: Sequence[Results], name: str, function: fem.Function
 ) -> fem.Function:
     """Fill a Function with results of all interfaces; collective.
 
@@ -180,26 +201,17 @@ def merge_results(
     n, size = sides[0].n_owned, function.function_space.dofmap.index_map_bs
     merged, best = np.zeros((n, size)), np.full(n, -1)
     for side, interface in zip(sides, interfaces, strict=True):
-        nodes = side.nodes
-        facing = ~np.isnan(_nodal(interface, "gap", 1)[nodes, 0])
-        last = interface.resultants
+        nodes, last = side.nodes, interface.resultants
+        facing = ~np.isnan(interface.gap.x.array[nodes])
         claim = np.where(facing, 1 + (np.False_ if last is None else last.carries), 0)
         take = claim > best[nodes]
         best[nodes[take]] = claim[take]
-        values = _nodal(interface, name, size)[nodes]
+        if name == "facing":
+            values: Floats = np.full((len(nodes), 1), float(last is not None))
+        else:
+            field = ({"status": interface.active} | interface.nodal).get(name)
+            values = np.zeros((len(nodes), size)) if field is None else _at_nodes(field)[nodes]
         merged[nodes[take]] = np.where(facing[:, None], values, 0.0)[take]
     function.x.array[: n * size] = merged.ravel()
     function.x.scatter_forward()
     return function
-
-
-def _nodal(interface: Interface, name: str, size: int) -> Floats:
-    """Return nodal values (.., size); "facing" is 1 everywhere once a step has found gaps."""
-    assert interface.fields is not None
-    gap = interface.fields.gap.x.array
-    if name == "facing":
-        return np.full((len(gap), 1), float(interface.resultants is not None))
-    field = interface.field(name)
-    if field is None:
-        return np.zeros((len(gap), size))
-    return np.asarray(field.x.array.reshape(-1, size))

@@ -17,7 +17,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 
@@ -25,7 +24,6 @@ from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import tributary_weights
-from dolfinx_mortar.interfaces.constraints import Constraints, equalities
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides
 from dolfinx_mortar.interfaces.interface import Interface, full_coverage
 from dolfinx_mortar.interfaces.tool import Driven, Load, Movable, Pose, RigidBody, check_point, spun
@@ -57,7 +55,11 @@ class Plate(RigidBody):
             return Pose(origin, rotation, origin).to_space(arm)
         return arm + spun(arm, rotation)
 
-    def place(self, X: Floats, travel: Floats | None = None) -> Floats:
+    def place(self) -> Floats:
+        """Return where its point is (d,): at the start where strains are small."""
+        return self.point if self.small else super().place()
+
+    def moved(self, X: Floats, travel: Floats | None = None) -> Floats:
         """Return where points (n, d) of the plate are that started at X, at present or ahead."""
         travel = self.travel if travel is None else travel
         pose, d = self.pose(travel), len(self.point)
@@ -70,7 +72,7 @@ class Plate(RigidBody):
         if self.small:
             return np.zeros_like(X)
         way = np.tensordot(amounts, self.motions(X, X, np.zeros_like(amounts)), 1)
-        return self.place(X, self.ahead(amounts)) - self.place(X) - way
+        return self.moved(X, self.ahead(amounts)) - self.moved(X) - way
 
     def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
         """Return what one unit of each driven motion (m, n, d) does, see `Driven`."""
@@ -112,9 +114,7 @@ class RigidSide(Movable, Interface):
             conditions or with an interface that is named before it.
     """
 
-    holds_nodes = True
-    pressure_name = "normal traction"
-    moved_by_loads = True
+    rigid: Plate
 
     def __init__(
         self,
@@ -125,52 +125,31 @@ class RigidSide(Movable, Interface):
         load: Mapping[str, Load] | None = None,
     ) -> None:
         super().__init__(facet_tags, slave=side)
-        self.plate = Plate(check_point(reference, facet_tags.topology.dim))
+        self.rigid = Plate(check_point(reference, facet_tags.topology.dim))
         self.load = load or {}
 
-    @property
-    def sides(self) -> str:
-        """How messages call the side."""
-        return super().sides.removeprefix("slave=")
-
-    @property
-    def rigid(self) -> Plate:
-        """What is rigid: the plate on the side."""
-        return self.plate
+    def __repr__(self) -> str:
+        return super().__repr__().replace("slave=", "", 1)
 
     def given(self) -> dict[str, Any]:
         """Return what all ranks have to give the same, by name; see `agreement`."""
         names = "point", "position", "rotation", "load"
-        return super().given() | {name: getattr(self.plate, name) for name in names}
+        return super().given() | {name: getattr(self.rigid, name) for name in names}
 
-    def check_kinematics(self, d: int, revolved: bool, strain: str) -> None:
-        """Take note of the kinematics."""
-        self.plate.revolved, self.plate.small = revolved, strain == "small"
+    def check(self, V: fem.FunctionSpace, *, revolved: bool, strain: str) -> None:
+        """Take note of the kinematics: forces act at X where strains are small."""
+        self.rigid.revolved, self.rigid.small = revolved, strain == "small"
+        self.stays = self.rigid.small
 
-    # -- state -----------------------------------------------------------------------------------
-
-    def found(self) -> dict[str, list[float]]:
+    def state(self, *, ended: bool = False) -> dict[str, Floats]:
         """Return how far loads have moved it."""
-        return {"travel": [*map(float, self.plate.travel)]}
+        return self.rigid.state()
 
-    def take_found(self, found: Mapping[str, list[float]]) -> None:
+    def restore(self, state: Mapping[str, Floats]) -> None:
         """Take that over."""
-        self.plate.travel = np.array(found["travel"], float)
-
-    def keep(self) -> Any:
-        """Return copies of results and state, for `put_back`."""
-        return super().keep(), self.plate.travel
-
-    def put_back(self, kept: Any) -> None:
-        """Show what `keep` has returned; without communication."""
-        shown, self.plate.travel = kept
-        super().put_back(shown)
+        self.rigid.restore(state)
 
     # -- nodes -----------------------------------------------------------------------------------
-
-    def configuration(self, u: fem.Function | None) -> fem.Function | None:
-        """Return the displacement at which forces act: none where strains are small."""
-        return None if self.plate.small else u
 
     def find_sides(self, V: fem.FunctionSpace, fixed: Bools, weight: Weight | None = None) -> Sides:
         """Return the surface in V; collective.
@@ -179,7 +158,7 @@ class RigidSide(Movable, Interface):
             ValueError: on all ranks, if Dirichlet conditions hold some of its nodes.
         """
         sides = super().find_sides(V, fixed, weight)
-        free = 1 if self.plate.revolved else 0  # on the axis u_r = 0, as on the side
+        free = 1 if self.rigid.revolved else 0  # on the axis u_r = 0, as on the side
         held = np.asarray(fixed[sides.nodes][:, free:].any(axis=1))
         self._refuse(sides, held, "Dirichlet conditions hold", "of the two")
         return sides
@@ -210,7 +189,7 @@ class RigidSide(Movable, Interface):
             slot=np.where(fixed, np.arange(d, dtype=np.int32), -1).astype(np.int32),
             directions=~fixed,
             kept=np.ones((n, 1), dtype=bool),
-            weight=areas,
+            weight=np.maximum(areas, TINY),
             normals=nodal_normals(slave, x)[: slave.owned],
             heights=np.zeros(n),
             coverage=full_coverage(sides),
@@ -226,35 +205,18 @@ class RigidSide(Movable, Interface):
                 f"remove one {whose} there"
             )
 
-    # -- constraints -----------------------------------------------------------------------------
-
-    def measured(self, x: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
-        """Return how far nodes are from where they have to be, as if all were of the side."""
-        found, X = x.copy(), x - u
-        d = len(self.reference)
-        found.array -= self.plate.place(X.array_r.reshape(-1, d)).ravel()
-        return found
-
-    def constraints(self, nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
-        """Return that this distance is taken back."""
-        node, axis = np.nonzero(directions)
-        dofs = (directions.shape[1] * nodes[node] + axis).astype(np.int32)
-        return equalities(dofs, -slip[node, axis], np.maximum(D[node, 0], TINY))
+    def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats:
+        """Return the displacement of the plate (n, d) at the nodes."""
+        X = V.tabulate_dof_coordinates()[nodes, : len(self.reference)]
+        return self.rigid.moved(X) - X
 
     def driven(self) -> Driven | None:
         """Return the motions that given forces drive; None where all of them are prescribed."""
-        return self.plate if self.load else None
-
-    # -- results ---------------------------------------------------------------------------------
-
-    def place(self) -> Floats:
-        """Return where its point is, (3,): at the start where strains are small."""
-        at = self.plate.point if self.plate.small else self.plate.pose().position
-        return np.concatenate([at, np.zeros(3 - len(at))])
+        return self.rigid if self.load else None
 
     @property
     def reference_moment(self) -> Floats:
         """Moment (3,) about its point of the forces that hold it; the last component in a plane."""
         force = np.concatenate([self.force, np.zeros(3 - len(self.force))])
-        place = self._result(self.resultants, "place")
+        place = self._resultant("place")
         return np.asarray(self.moment - np.cross(place, force))

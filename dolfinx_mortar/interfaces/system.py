@@ -15,6 +15,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
+from dolfinx_mortar.algebra.errors import is_ours
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
@@ -35,14 +36,15 @@ from dolfinx_mortar.interfaces.coupling import (
 )
 from dolfinx_mortar.interfaces.interface import (
     Interface,
-    Outline,
     full_coverage,
 )
 from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.interfaces.mortar_interface import have_slid
 from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent, MovingGeometry
 from dolfinx_mortar.interfaces.near import find_reach, touches_far_nodes
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.splits import notes_on_splits
+from dolfinx_mortar.interfaces.tool import Outline
 from dolfinx_mortar.mortar.common_normals import find_spreads
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.passing import Middles
@@ -84,17 +86,10 @@ class Configuration:
         """The pairing from which the next step may start."""
         return Paired(self.paired_at, [link.near for link in self.links])
 
-    def largest_slip(self, u: PETSc.Vec, jumps: Mapping[int, PETSc.Vec]) -> float:
-        """Return by how much tied sides miss their jumps at most; collective.
-
-        Args:
-            jumps: as for `InterfaceSystem.constraints`.
-        """
-        missed: list[Floats] = [np.zeros(0)]
-        for k, link in enumerate(self.links):
-            if not link.interface.unilateral:
-                missed.append(link.relative(link.apart(u, jumps.get(k)))[link.constrained])
-        largest = np.abs(np.concatenate(missed)).max(initial=0.0)
+    def largest_slip(self, u: PETSc.Vec) -> float:
+        """Return by how much tied sides miss their jumps at most; collective."""
+        missed = [link.missed(u)[link.constrained] for link in self.links if not link.unilateral]
+        largest = np.abs(np.concatenate([np.zeros(0), *missed])).max(initial=0.0)
         return float(maximum(u.comm.tompi4py(), largest)[0])
 
     def partners(self, x: PETSc.Vec, *, frozen: bool) -> list[Partners | None]:
@@ -104,7 +99,7 @@ class Configuration:
             x: (n,) positions at the last commit.
             frozen: whether surfaces stay at X.
         """
-        return [link.interface.partners(link, x, frozen=frozen) for link in self.links]
+        return [link.partners(x, frozen=frozen) for link in self.links]
 
 
 @dataclass(frozen=True)
@@ -158,20 +153,19 @@ class InterfaceSystem:
 
     def _find_spreads(self) -> None:
         """Tell the sides of contacts how the normals at their nodes spread; collective."""
-        pairs = list(zip(self.interfaces, self.sides, strict=True))
-        two = [i.unilateral and sides.master is not None for i, sides in pairs]
+        two = [sides.unilateral and sides.master is not None for sides in self.sides]
         if not any(two):
             return
         contacts, ties = (
-            [side for i, sides in pairs if i.unilateral is can_open for side in sides.surfaces]
-            for can_open in (True, False)
+            [surface for one in self.sides if one.unilateral is opens for surface in one.surfaces]
+            for opens in (True, False)
         )
-        mirrors = np.any([sides.mirrors for i, sides in pairs if i.unilateral], axis=0)
+        mirrors = np.any([sides.mirrors for sides in self.sides if sides.unilateral], axis=0)
         columns = [with_ghosts(self.V, column) for column in mirrors[: self.n].T]
         spreads = find_spreads(self.boundary, contacts, ties, np.stack(columns, axis=1))
         self.sides = [
             replace(sides, spreads=spreads) if some else sides
-            for (_, sides), some in zip(pairs, two, strict=True)
+            for sides, some in zip(self.sides, two, strict=True)
         ]
 
     @property
@@ -187,7 +181,7 @@ class InterfaceSystem:
     @property
     def unilateral(self) -> list[Link]:
         """The links that can open: their bounds have one side."""
-        return [link for link in self.links if link.interface.unilateral]
+        return [link for link in self.links if link.unilateral]
 
     @property
     def contacts(self) -> list[Interface]:
@@ -203,9 +197,7 @@ class InterfaceSystem:
     def opposite(self) -> list[tuple[Surface, ...]]:
         """Both sides of each interface that may pass through each other, one that may a tool."""
         return [
-            tuple(sides.surfaces)
-            if interface.unilateral and (sides.master or interface.seen_by_tool())
-            else ()
+            tuple(sides.surfaces) if sides.unilateral and (sides.master or interface.tool) else ()
             for interface, sides in zip(self.interfaces, self.sides, strict=True)
         ]
 
@@ -217,16 +209,16 @@ class InterfaceSystem:
     @property
     def tied(self) -> list[tuple[Bools, Bools]]:
         """Marks (local nodes,) of both sides of each interface that cannot open."""
-        pairs = zip(self.interfaces, self.sides, strict=True)
-        return [(s.on_slave, s.on_master) for i, s in pairs if not i.unilateral and s.master]
+        ties = [s for s in self.sides if not s.unilateral and s.master]
+        return [(s.on_slave, s.on_master) for s in ties]
 
     @property
     def can_open(self) -> Bools:
         """Which nodes (local nodes,) belong to a side of an interface that can open."""
         layout = self.V.dofmap.index_map
         marks = np.zeros(layout.size_local + layout.num_ghosts, dtype=bool)
-        for interface, side in zip(self.interfaces, self.sides, strict=True):
-            if interface.unilateral:
+        for side in self.sides:
+            if side.unilateral:
                 marks |= side.on_slave | side.on_master
         return marks
 
@@ -237,8 +229,9 @@ class InterfaceSystem:
         """
         tools = []
         for interface, sides in zip(self.interfaces, self.sides, strict=True):
-            if (tool := interface.outline()) is None:
+            if interface.tool is None:
                 continue
+            tool = interface.tool.outline()
             x = tool.pose.to_tool(coordinates(sides.slave, u))
             ends = np.concatenate([-x, x]).reshape(2, *x.shape).max(axis=1, initial=-np.inf)
             low, high = maximum(self.V.mesh.comm, *ends.ravel()).reshape(2, -1)
@@ -278,7 +271,7 @@ class InterfaceSystem:
     def _pair(self, u: fem.Function | None) -> Floats:
         """Pair the surfaces at X + u, and settle the claims; return u (n,) there; collective."""
         self.searches += 1
-        displacements = [i.configuration(u) for i in self.interfaces]
+        displacements = [None if i.stays else u for i in self.interfaces]
         unknown = [None] * len(self.interfaces)
         found = [
             interface.pair(sides, v, again=self.faced, earlier=earlier)
@@ -336,8 +329,9 @@ class InterfaceSystem:
                 asked once a search: ties, and contacts of frozen geometry.
         """
         interface = self.interfaces[k]
-        at = interface.configuration(u)
-        first = at is None and interface.lasts and before is None
+        at = None if interface.stays else u
+        lasts = self.sides[k].master is not None and is_ours(interface)
+        first = at is None and lasts and before is None
         if first and k in self._reused.at_X:
             return self._reused.at_X[k]
         sides, pairing, pattern, banned = parts
@@ -348,9 +342,8 @@ class InterfaceSystem:
 
     def _followed(self, k: int, link: Link, u: fem.Function | None) -> Link:
         """Return an interface with the same pairs at X + u, itself if it stays at X; collective."""
-        if u is not None and link.interface.lasts:
-            if link.interface.configuration(u) is None:
-                return link
+        if u is not None and link.interface.stays and link.pairing and is_ours(link.interface):
+            return link
         parts = link.sides, link.pairing, link.pattern, link.banned
         return replace(link, coupling=self._couple(k, parts, u, link.coupling))
 
@@ -457,9 +450,9 @@ class InterfaceSystem:
         """
         slid = []
         for k, (interface, sides) in enumerate(zip(self.interfaces, self.sides, strict=True)):
-            if interface.configuration(u) is not None:
-                of = sides, self._reused.pairs[k][0], u, None if near is None else near[k]
-                slid.append(interface.has_slid(*of))
+            pairing = self._reused.pairs[k][0]
+            if not interface.stays and u is not None and pairing is not None:
+                slid.append(have_slid(sides, pairing, u, None if near is None else near[k]))
         return any(slid)
 
     def _are_outdated(self, claims: Claims, links: Sequence[Link]) -> bool:
@@ -518,20 +511,16 @@ class InterfaceSystem:
 
     # -- what the QP needs -----------------------------------------------------------------------
 
-    def constraints(
-        self, x: PETSc.Vec, u: PETSc.Vec, jumps: Mapping[int, PETSc.Vec] | None = None
-    ) -> Constraints:
+    def constraints(self, x: PETSc.Vec, u: PETSc.Vec) -> Constraints:
         """Return the bounds of all interfaces on increments of y; collective.
 
         Args:
             x: (n,) coordinates X + u (also with frozen geometry: the gap is linear in u).
-            jumps: (n,) by the number of an interface: a displacement of its slave side that is no
-                relative motion; none if not given.
+            u: (n,) displacement.
         """
         parts = []
-        for k, link in enumerate(self.links):
-            measured = link.interface.measured(x, u)
-            slip = link.relative(link.apart(measured, jumps.get(k) if jumps else None))
+        for link in self.links:
+            slip = link.relative(x) if link.unilateral else link.missed(u)
             slip[:, 0] += link.coupling.heights
             at = link.nodes, link.constrained, slip, link.coupling.weight
             parts.append(link.interface.constraints(*at))
@@ -541,12 +530,13 @@ class InterfaceSystem:
     @property
     def driven(self) -> bool:
         """Whether loads drive tools or rigid sides."""
-        return any(one.driven() is not None and not one.lasts for one in self.interfaces)
+        pairs = zip(self.interfaces, self.sides, strict=True)
+        return any(sides.master is None and one.driven() is not None for one, sides in pairs)
 
     @property
     def has_friction(self) -> bool:
         """Tell whether some contact has friction."""
-        return any(interface.rough for interface in self.interfaces)
+        return any(interface.law is not None for interface in self.interfaces)
 
     def slip_limits(
         self,
@@ -565,10 +555,10 @@ class InterfaceSystem:
         """
         parts = []
         for link, limit, partner in zip(self.links, limits, partners, strict=True):
-            if limit is not None:
+            if limit is not None and (law := link.interface.law) is not None:
                 slip = link.relative(moved) if partner is None else partner.slip(link, moved)
                 at = link.nodes, link.constrained, link.rows, slip, link.coupling.weight
-                found = link.interface.slip_limits(*at, limit)
+                found = law.slip_limits(*at, limit)
                 parts.append(self._with_known_slips(link, found, moved, partner, sliding))
         return join_limits(parts) if parts else None
 

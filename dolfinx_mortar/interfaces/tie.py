@@ -13,12 +13,10 @@ from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.interfaces.constraints import Constraints, equalities
 from dolfinx_mortar.interfaces.coupling import CoupledSides, Sides
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
 from dolfinx_mortar.interfaces.jump import Jump, check_jump, nodal_function, values_at
 from dolfinx_mortar.interfaces.mortar_interface import Frame, MortarInterface
-from dolfinx_mortar.interfaces.nodal import check_mesh
 from dolfinx_mortar.interfaces.pretension import (
     Bolt,
     Direction,
@@ -31,6 +29,7 @@ from dolfinx_mortar.interfaces.pretension import (
 )
 from dolfinx_mortar.mortar.operators import SmoothSides
 from dolfinx_mortar.mortar.pairing import Weight
+from dolfinx_mortar.spaces import check_mesh
 
 # Unless the user says how far, ties reach from the least distance of their sides to this part of
 # the larger facet more. Facets that stand for one smooth surface, or two at a constant distance,
@@ -97,9 +96,7 @@ class Tie(MortarInterface):
             pretension; zero before.
     """
 
-    spoilt = "curved sides", "of ties of degree 2 scatter by some per cent on any mesh", False
-    near_only = True
-    lasts = True  # D and M at X
+    stays = True
 
     def __init__(
         self,
@@ -186,22 +183,13 @@ class Tie(MortarInterface):
         name = super().__repr__()
         return name if self.within is None else f"{name[:-1]}, within={self.within!r})"
 
-    def keep(self) -> Any:
-        """Return copies of the results and of the tightening, for `put_back`."""
-        return super().keep(), self.tightening
-
-    def put_back(self, kept: Any) -> None:
-        """Show what `keep` has returned; without communication."""
-        shown, self.tightening = kept
-        super().put_back(shown)
-
     def find_sides(self, V: fem.FunctionSpace, fixed: Bools, weight: Weight | None = None) -> Sides:
         """Return both surfaces in V, see `Interface.find_sides`; collective."""
         sides = super().find_sides(V, fixed, weight)
         self.normal = mean_normal(sides.slave)
         return sides
 
-    def check(self, V: fem.FunctionSpace) -> None:
+    def check(self, V: fem.FunctionSpace, *, revolved: bool, strain: str) -> None:
         """Raise a ValueError for a jump on another mesh than V's."""
         check_mesh("jump", self.jump, V)
 
@@ -210,10 +198,6 @@ class Tie(MortarInterface):
         if self.within is not None:
             return np.full(len(sizes), self.within)
         return nearest + WITHIN * sizes
-
-    def configuration(self, u: fem.Function | None) -> None:
-        """Return None: D and M do not follow the deformation."""
-        return None
 
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
         """Return (n, d): directions without Dirichlet data."""
@@ -233,31 +217,20 @@ class Tie(MortarInterface):
         """Return the argument by which motions of offset vectors complete P."""
         return {"motions_of": smooth}
 
-    def measured(self, x: PETSc.Vec, u: PETSc.Vec) -> PETSc.Vec:
-        """Return the displacements: the initial distance stays."""
-        return u
-
-    def constraints(self, nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
-        """Return w = 0: what has slipped, the jump taken off, is taken back."""
-        node, axis = np.nonzero(directions)
-        dofs = (directions.shape[1] * nodes[node] + axis).astype(np.int32)
-        return equalities(dofs, -slip[node, axis], D[node, axis])
-
-    def jump_at(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
-        """Return the jump (n, d) at slave nodes; None for none; collective.
+    def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
+        """Return the jump with the tightening (n, d) at slave nodes; None for none; collective.
 
         Raises:
             ValueError: on all ranks, if the jump lives on another mesh, or has another shape than a
                 vector at each node.
         """
-        comm = V.mesh.comm
-        with raised_together(comm):
-            self.check(V)
-        if self.jump is None:
+        if self.jump is None and not self.tightening.any():
             return None
+        with raised_together(V.mesh.comm):
+            check_mesh("jump", self.jump, V)
         given = nodal_function(self.jump, V)
-        with raised_together(comm):
-            return values_at(given, V, nodes)
+        with raised_together(V.mesh.comm):
+            return values_at(given, V, nodes) + self.tightening
 
     def driven(self) -> Bolt | None:
         """Return the overlap that a pretension drives; None where the jump is held.
@@ -268,7 +241,7 @@ class Tie(MortarInterface):
         if self.pretension is None:
             return None
         axis = find_axis(self.normal, self.direction, str(self))
-        return Bolt(axis, self._force, self.tighten, str(self))
+        return Bolt(axis, self._force, self.tighten, self.tightening, str(self))
 
     def warnings(self, link: CoupledSides, x: PETSc.Vec) -> list[str]:
         """Return one on a pretension that shears; collective."""
@@ -294,13 +267,13 @@ class Tie(MortarInterface):
         """Add an overlap (d,) to the tightening."""
         self.tightening = self.tightening + way
 
-    def found(self) -> dict[str, list[float]]:
+    def state(self, *, ended: bool = False) -> dict[str, Floats]:
         """Return the tightening: without it the bolts of a restored problem would be loose."""
-        return {"tightening": [float(component) for component in self.tightening]}
+        return {"tightening": self.tightening}
 
-    def take_found(self, found: Mapping[str, list[float]]) -> None:
+    def restore(self, state: Mapping[str, Floats]) -> None:
         """Take over the tightening."""
-        self.tightening = np.array(found["tightening"], dtype=float)
+        self.tightening = state["tightening"]
 
 
 def _check_within(within: Any) -> float | None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -16,15 +15,17 @@ import ufl
 from dolfinx import default_real_type, fem
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arguments import as_numbers, is_number
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.geometry.facets import facet_normals
 from dolfinx_mortar.geometry.segments import FACING, Segments
 from dolfinx_mortar.interfaces.coupling import Pattern
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, side_heights
+from dolfinx_mortar.mortar.passing import SeenByTool
 from dolfinx_mortar.mortar.surface import coordinates, facets_at
 from dolfinx_mortar.mortar.whole_side import WholeSide
 from dolfinx_mortar.shapes import Distance, Shape
 from dolfinx_mortar.shapes.shape import check_finite, check_returned, unit_vectors
+from dolfinx_mortar.shapes.zero_level import find_zero_level
 
 
 class Driven(Protocol):
@@ -204,6 +205,23 @@ class RigidBody:
         return np.array(values)
 
     @property
+    def identity(self) -> dict[str, Any]:
+        """The point, by which position and rotation say where it is; for checkpoints."""
+        return {"reference": self.point.tolist()}
+
+    def place(self) -> Floats:
+        """Return where its point is (d,), about which moments are given."""
+        return self.pose().position
+
+    def state(self, *, ended: bool = False) -> dict[str, Floats]:
+        """Return what steps change, see `Interface.state`."""
+        return {"travel": self.travel}
+
+    def restore(self, state: Mapping[str, Floats]) -> None:
+        """Take over what `state` has returned."""
+        self.travel = state["travel"]
+
+    @property
     def names(self) -> Sequence[str]:
         """The motions that loads drive, as in `motions_in`."""
         return tuple(self.load)
@@ -247,23 +265,15 @@ class RigidBody:
         self.travel = self.ahead(amounts)
 
 
-class Movable(ABC):
+class Movable:
     """The part of an interface with a rigid body that users set and read."""
 
-    @property
-    @abstractmethod
-    def rigid(self) -> RigidBody:
-        """The rigid body."""
+    rigid: RigidBody
 
     @property
     def reference(self) -> Floats:
         """Position of its point at the start (d,)."""
         return self.rigid.point
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        """The point, by which position and rotation say where it is."""
-        return {"reference": self.reference.tolist()}
 
     @property
     def position(self) -> fem.Constant:
@@ -357,6 +367,8 @@ class Tool(RigidBody):
     Attributes:
         shape: as given.
         asked: its distances.
+        began: where it was at the last commit.
+        probes: (q, d) points at which distances tell functions from others.
     """
 
     def __init__(self, shape: Any, reference: Any, d: int) -> None:
@@ -377,6 +389,7 @@ class Tool(RigidBody):
             )
         super().__init__(shape.point.copy() if reference is None else check_point(reference, d))
         self.shape, self.asked = shape, Asked(shape)
+        self.began, self.probes = self.pose(), np.zeros((0, d))
 
     def check(self, d: int, revolved: bool) -> None:
         """Take note of the kinematics.
@@ -387,6 +400,89 @@ class Tool(RigidBody):
         if misfit := self.shape.misfit(d, revolved):
             raise ValueError(f"shape: {misfit}")
         self.revolved = revolved
+
+    def probed(self) -> list[float] | str:
+        """Return distances from the shape, or how they fail.
+
+        Before them the largest coordinate, of whose round-off they are.
+        """
+        try:
+            found = [*map(float, self.shape.values(self.probes))]
+        except Exception as error:  # which steps will raise where it is of consequence
+            return type(error).__name__
+        size = float(np.abs(self.probes).max(initial=0.0))
+        return [size, *found] if np.isfinite(found).all() else "NaN or infinity"
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """The point, and distances from the shape where it starts."""
+        return super().identity | {"distances": self.probed()}
+
+    def state(self, *, ended: bool = False) -> dict[str, Floats]:
+        """Return the travel, and where it was at the last commit, or is now for the next one."""
+        began = self.pose() if ended else self.began
+        return super().state() | {"position": began.position, "rotation": began.rotation}
+
+    def restore(self, state: Mapping[str, Floats]) -> None:
+        """Take over what `state` has returned."""
+        super().restore(state)
+        self.began = Pose(state["position"], state["rotation"], self.point)
+
+    def way(self, before: Floats, after: Floats) -> Floats:
+        """Return how far it carries points (n, d) since the last commit.
+
+        The mean of what it does to a point that is there before, and to one that is there after.
+        """
+        began, now = self.began, self.pose()
+        forth = now.to_space(began.to_tool(before)) - before
+        back = after - began.to_space(now.to_tool(after))
+        return np.asarray(0.5 * (forth + back))
+
+    def turn(self) -> Floats:
+        """Return how it has turned since the last commit, see `turn_between`."""
+        return turn_between(self.began, self.pose())
+
+    def seen(self) -> SeenByTool:
+        """Return how it has seen points since the last commit."""
+        began, now, shape = self.began, self.pose(), self.shape
+        turn = fewer_turns(self.turn())
+        return SeenByTool(
+            lambda t, x: on_the_way(began, now, turn, t).to_tool(x), turn, shape.values, shape.point
+        )
+
+    def outline(self) -> Outline:
+        """Return where it is at present, for pictures and files."""
+        return Outline(self.shape, self.pose(), self.revolved)
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Shape and position of a tool, for pictures and files."""
+
+    shape: Shape
+    pose: Pose
+    revolved: bool = False  # only the part r >= 0 is shown
+
+    def distance(self, x: Floats) -> Floats:
+        """Return the signed distances (n,) of points (n, d)."""
+        return self.shape.values(self.pose.to_tool(x))
+
+    @property
+    def surface(self) -> tuple[Floats, Longs] | None:
+        """Points (n, d) where it is, with lines or triangles; None if it is not made of these."""
+        found = self.shape.surface
+        return None if found is None else (self.pose.to_space(found[0]), found[1])
+
+    def cut(self, low: Floats, high: Floats) -> tuple[Floats, Longs]:
+        """Return points (n, d) of the tool as it starts, and the lines or triangles (m, d) of them.
+
+        All of what it is made of, or else what is in a box (d,).
+        """
+        if (found := self.shape.surface) is not None:
+            return found
+        if self.revolved:
+            low = np.maximum(low, [0.0, -np.inf])
+        return find_zero_level(self.shape, low, high)
 
 
 def spun(arm: Floats, rotation: Floats) -> Floats:

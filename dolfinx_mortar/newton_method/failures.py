@@ -2,10 +2,17 @@
 """Why a step has failed: a limit load, a body that nothing holds, or friction."""
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats
+from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
+from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.interfaces.tool import Tool
+from dolfinx_mortar.mortar.edges import facing_edges
+from dolfinx_mortar.mortar.surface import accumulate, mean_facet_length
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.step_report import NewtonNotConverged, StepReport
 from dolfinx_mortar.supports.bodies import name_of
@@ -222,3 +229,73 @@ def describe_flow(problem: ContactProblem) -> str:
         f"{'reduce the load' if is_loaded(problem) else 'take smaller steps'}, or give the law "
         "hardening"
     )
+
+
+def describe_corners(link: Link, x: PETSc.Vec) -> str:
+    """Say where corners of a master or tool have no one normal at x = X + u; collective."""
+    if (tool := link.interface.tool) is not None:
+        return _tool_corners(link, tool, x)
+    # of a side that meets itself, which part is the slave is not for the user to say
+    meets = link.pairing is not None and not link.sides.meet_themselves
+    return _master_corners(link, x) if meets else ""
+
+
+def _master_corners(link: Link, x: PETSc.Vec) -> str:
+    """Say where an edge or a corner of the master presses on slave facets; collective.
+
+    The gap there is a mean over both of its flanks, and changes by their slopes where it moves
+    along the side, with and without friction. Near are gaps of at most a facet.
+    """
+    pairing, operators = link.mortar
+    slave, comm = link.sides.slave, link.sides.V.mesh.comm
+    near, length = np.zeros(len(slave.nodes)), mean_facet_length(slave)
+    near[: slave.owned] = link.coupling.kept[:, 0] & (np.abs(link.gaps(x)) <= length)
+    faced = facing_edges(pairing, operators.segments, link.interface.feature_angle)
+    found = faced & (accumulate(slave, near) > 0)[slave.facets].any(axis=1)
+    where = _first_place(comm, slave.X[slave.facets[found]].mean(axis=1), length)
+    if not where:
+        return ""
+    return (
+        f"{link.interface!r}: around X = ({where}) an edge or a corner of the master lies at "
+        "facets of the slave side, over which its gap is a mean, so that Newton's method need not "
+        "converge, not even in small steps: exchange slave and master, or refine the slave "
+        "there"
+    )
+
+
+def _tool_corners(link: Link, tool: Tool, x: PETSc.Vec) -> str:
+    """Say where nodes lie in an inner corner of the tool, which has no one normal; collective.
+
+    There grad phi turns by 30 degrees or more within a quarter of a facet to either side, such
+    that phi has its ridge: a node that touches one face has the normal of the other one next.
+    """
+    comm, d = link.sides.V.mesh.comm, link.sides.fixed.shape[1]
+    at = x.array_r.reshape(-1, d)[link.nodes][link.coupling.kept[:, 0]]
+    length, pose = mean_facet_length(link.sides.slave), tool.pose()
+    with raised_together(comm):
+        near = at[np.abs(pose.distance(tool.asked, at).value) <= length]
+        ridge = np.zeros(len(near), dtype=bool)
+        for way in np.eye(d):
+            beside = 0.25 * length * way
+            ahead, behind = (pose.distance(tool.asked, near + s * beside) for s in (1, -1))
+            turn = (ahead.gradient - behind.gradient) @ way
+            ridge |= turn <= -2.0 * np.sin(np.radians(0.5 * FEATURE_ANGLE))
+    where = _first_place(comm, near[ridge], length)
+    if not where:
+        return ""
+    return (
+        f"{link.interface!r}: at ({where}) the body reaches into an inner corner of the tool, "
+        "which has no one normal there, so that Newton's method need not converge: give each "
+        "side of the body its own tag and Obstacle with one face of the tool, or round the corner "
+        "of the tool by a radius of a quarter of a facet to a whole one"
+    )
+
+
+def _first_place(comm: MPI.Comm, places: Floats, length: float) -> str:
+    """Return the coordinates of the first of places (p, d) of all ranks, "" if there is none.
+
+    What is round-off of the length is zero; collective.
+    """
+    told = [place for part in comm.allgather(places[:1].tolist()) for place in part][:1]
+    least = HALF_OF_DIGITS * length
+    return ", ".join(f"{c if abs(c) > least else 0.0:.3g}" for place in told for c in place)

@@ -108,7 +108,7 @@ def find_balance(
         r.scale(-1.0)
     with problem.timings("transform"):
         u = problem.vector(problem.u.x.array[: r.local_size])
-        found = problem.system.constraints(problem.positions(), u, data.jumps)
+        found = problem.system.constraints(problem.positions(), u)
         dofs, slots = support_slots(problem)
         asked = equalities(slots, data.target[dofs] - u.array_r[dofs])
         limits = None
@@ -151,7 +151,7 @@ def _present_limits(
         return limits
     now: list[Floats | None] = []
     for link, limit in zip(problem.system.links, limits, strict=True):
-        if limit is not None and link.interface.acts_openly:
+        if limit is not None and link.acts_openly:
             limit = limit.copy()
             limit[link.nodes] *= growth(problem, link)
         now.append(limit)

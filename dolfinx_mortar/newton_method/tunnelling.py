@@ -35,17 +35,17 @@ def describe_passing(problem: ContactProblem) -> str:
     ):
         if not middles:
             continue
-        seen, (side, *other) = interface.seen_by_tool(), middles
+        tool, (side, *other) = interface.tool, middles
         if other and not is_far(side, other[0], before.reshape(n, d), now.reshape(n, d)):
             continue
         if began is None:
             began = fem.Function(problem.V)
             began.x.array[: d * n] = before
             began.x.scatter_forward()
-        if seen is None:
+        if tool is None:
             found = find_passed(side, other[0], began, problem.u)
         else:
-            found = find_passed_tool(side, began, problem.u, seen)
+            found = find_passed_tool(side, began, problem.u, tool.seen())
         if found is not None:
             at = [float(f"{x:.4g}") for x in found.place]
             if found.surface is None:

@@ -29,7 +29,8 @@ from dolfinx_mortar.checkpoint import (
     write,
 )
 from dolfinx_mortar.disk import check_path
-from dolfinx_mortar.interfaces.interface import Interface, Resultants, check_owned
+from dolfinx_mortar.interfaces.interface import Interface, check_owned
+from dolfinx_mortar.interfaces.results import Resultants
 from dolfinx_mortar.interfaces.system import Paired
 from dolfinx_mortar.persistence.committed import (
     Before,
@@ -67,7 +68,7 @@ def save(state: ProblemState, path: str | os.PathLike[str], outcome: StepOutcome
         "steps": [step.as_dict() for step in committed.history],
         "interfaces": results,
         "gained": [_rates(committed), _rates(outcome)],
-        "found": [interface.found() for interface in state.interfaces],
+        "found": [{n: v.tolist() for n, v in i.state().items()} for i in state.interfaces],
     }
     values = {NODES: _nodal(state, outcome), POINTS: _at_points(state)}
     for k, interface in enumerate(state.interfaces):
@@ -100,7 +101,7 @@ class Saved:
         """Make it the state of the problem; return what a commit takes over; collective.
 
         Raises:
-            Exception: on all ranks, that of `Interface.take_found`; nothing is changed.
+            Exception: on all ranks, that of `Interface.restore`; nothing is changed.
         """
         before = Before(self.state, None)
         try:
@@ -113,7 +114,7 @@ class Saved:
         state, committed, nodes = self.state, self.state.committed, self.tables[NODES]
         with raised_together(state.comm):
             for interface, found in zip(state.interfaces, self.about["found"], strict=True):
-                interface.take_found(found)
+                interface.restore({name: np.array(v, float) for name, v in found.items()})
         set_owned(state.u, nodes["displacement"])
         for name, f in state.states_of_terms.items():
             set_owned(f, nodes[name])
@@ -211,17 +212,18 @@ def _take(
         return
     nodes = state.system.sides[k].nodes
     vectors: dict[str, Floats] = {name: np.array(resultants[name], float) for name in RESULTANTS}
+    shown = values["multiplier"]
     interface.resultants = Resultants(
         **vectors,
-        multiplier=interface.shown(values["multiplier"]),
+        multiplier=shown[:, 0] if interface.unilateral else shown,
         nodes=nodes,
         carries=values["carries"][:, 0] > 0.0,
     )
-    for function in interface.functions:
+    for function in interface.nodal.values():
         at_nodes = values[function.name]
         function.x.array.reshape(-1, at_nodes.shape[1])[nodes] = at_nodes
         function.x.scatter_forward()
-    if interface.rough:
+    if interface.law is not None:
         columns = committed.slid[k], committed.dissipated[k], ended.slid[k], ended.dissipated[k]
         for column, name in zip(columns, (*SLIPS, "slip", "energy"), strict=True):
             column[nodes] = values[name][:, 0]
@@ -290,9 +292,9 @@ def _at_points(state: ProblemState) -> dict[str, Floats]:
 
 def _on_interface(interface: Interface) -> dict[str, Floats]:
     """Return the results at the owned slave nodes."""
-    fields, found = interface.fields, interface.resultants
-    assert fields is not None and found is not None
-    nodal = {f.name: _owned(f)[found.nodes] for f in interface.functions}
+    found = interface.resultants
+    assert found is not None
+    nodal = {name: _owned(f)[found.nodes] for name, f in interface.nodal.items()}
     multiplier = found.multiplier if found.multiplier.ndim > 1 else found.multiplier[:, None]
     return nodal | {"multiplier": multiplier, "carries": found.carries[:, None].astype(float)}
 
@@ -306,7 +308,7 @@ def _near(state: ProblemState, k: int) -> dict[str, Floats]:
 def _slips(state: ProblemState, k: int) -> dict[str, Floats]:
     """Return total slip and dissipation at the owned slave nodes, nothing without friction."""
     interface, nodes = state.interfaces[k], state.system.sides[k].nodes
-    if not interface.rough:
+    if interface.law is None:
         return {}
     columns = state.committed.slid[k], state.committed.dissipated[k]
     return {name: c[nodes, None] for name, c in zip(SLIPS, columns, strict=True)}

@@ -67,7 +67,7 @@ class StepOutcome:
     # (owned nodes, d) forces of the contacts on both sides, normal to them and along
     normal: Floats | None = None
     tangential: Floats | None = None
-    ended: Sequence[Any] = ()  # of the interfaces, see `Interface.ended`
+    ended: Sequence[Any] = ()  # of the interfaces, see `Interface.state`
     level: float | None = None  # at which the step ends; None for that of the committed state
     gained: Gained | None = None  # None without a level
     before: Before | None = None  # the last commit; None for a step of a checkpoint
@@ -164,7 +164,7 @@ class Before:
         functions = [state.u, *state.states_of_terms.values()]
         self._values = [(f, f.x.array.copy()) for f in functions]
         self._points = state.solid.keep()
-        self._results = [(i, i.keep()) for i in state.interfaces]
+        self._results = [(i, i.keep(), i.state()) for i in state.interfaces]
         self._committed = vars(state.committed) | {"history": [*state.committed.history]}
 
     def restore(self) -> None:
@@ -173,8 +173,9 @@ class Before:
         for f, values in self._values:
             f.x.array[:] = values
         state.solid.put_back(self._points)
-        for interface, kept in self._results:
+        for interface, kept, began in self._results:
             interface.put_back(kept)
+            interface.restore(began)
         history = state.committed.history  # which programs may hold
         history[:] = self._committed["history"]
         vars(state.committed).update(self._committed, history=history)

@@ -71,7 +71,8 @@ def describe(state: ProblemState) -> dict[str, dict[str, Any]]:
     }
     of_parts = dict(zip(names, state.ask_terms("identity"), strict=True))
     for k, interface in enumerate(state.interfaces):
-        of_parts[f"interfaces[{k}], {interface!r}"] = dict(interface.identity)
+        if interface.rigid is not None:
+            of_parts[f"interfaces[{k}], {interface!r}"] = interface.rigid.identity
     return identity | {subject: own for subject, own in of_parts.items() if own}
 
 

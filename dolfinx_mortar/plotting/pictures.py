@@ -120,7 +120,7 @@ def field(
     title, at_nodes, of_cells = _values(solid, name)
     bodies = gather_bodies(V, {**at_nodes, **_moved(V, solid.u, scale)}, of_cells)
     every = getattr(problem, "interfaces", ()) if scale == 1.0 else ()
-    tools = [tool for one in every if (tool := one.outline()) is not None]
+    tools = [one.tool.outline() for one in every if one.tool is not None]
 
     def draw(on: Any) -> None:
         assert bodies is not None
@@ -176,8 +176,7 @@ def pressure(
         side = gather_facets(V, one.facet_tags, values, one.slave)
         sides += [] if side is None else [(repr(one), replace(side, x=side.at_nodes[MOVED]))]
     # one title for all sides: the pressure of a contact is a normal traction, too
-    titles = {one.pressure_name for one in chosen}
-    title = titles.pop() if len(titles) == 1 else "normal traction"
+    title = "contact pressure" if all(one.unilateral for one in chosen) else "normal traction"
     return _on_rank_0(
         V.mesh, drawer, lambda on: drawer.draw_pressure(on, sides, over, title), file, view, ax
     )

@@ -18,7 +18,7 @@ def growth(problem: ContactProblem, link: Link) -> Floats:
     nodes of the facets, to second order of their size. One elsewhere, and at X.
     """
     kinematics, slave = problem.solid.kinematics, link.sides.slave
-    u = link.interface.configuration(problem.configuration)
+    u = None if link.interface.stays else problem.configuration
     if kinematics.radius is None or u is None:
         return np.ones(len(link.nodes))
     now, at_X = (kinematics.weight(x.T) for x in (coordinates(slave, u), slave.X))

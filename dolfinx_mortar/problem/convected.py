@@ -70,7 +70,7 @@ def find_slides(
     for interface, sides in zip(system.interfaces, system.sides, strict=True):
         comm, touching = sides.V.mesh.comm, closed[sides.nodes]
         number = comm.allreduce(int(touching.sum()), op=MPI.SUM)
-        if not interface.unilateral or number == 0:
+        if not sides.unilateral or number == 0:
             continue
         found = np.zeros((2, bodies.count))
         for there, on in zip(found, (sides.on_slave, sides.on_master), strict=True):
@@ -82,12 +82,12 @@ def find_slides(
             continue
         x = coordinates(sides.slave, u)
         at = x[: len(touching)][touching]
-        tool = interface.tool_way(at, at) if sides.master is None else None
         own = shifts[groups == slave[0]][0]
         if len(master):
             other = shifts[groups == master[0]][0]
         else:
-            ways = np.zeros_like(at) if tool is None else tool
+            tool = interface.tool
+            ways = np.zeros_like(at) if tool is None else tool.way(at, at)
             other = comm.allreduce(ways.sum(axis=0), op=MPI.SUM) / number
         way = other - own
         if np.linalg.norm(way) < system.facet_length:

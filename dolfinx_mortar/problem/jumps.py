@@ -1,63 +1,45 @@
 # SPDX-License-Identifier: MIT
-"""Jumps of ties, read at the start of a step."""
+"""Checks of the jumps of ties, at the start of a step, and of their overlaps at its end."""
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.interfaces.interface import Interface
-from dolfinx_mortar.interfaces.jump import extended
+from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 
 
-def read_jumps(system: InterfaceSystem, empty: PETSc.Vec) -> dict[int, PETSc.Vec]:
-    """Return the jumps of ties as displacements (n,) of their slave sides by number; collective.
+def check_jumps(system: InterfaceSystem) -> None:
+    """Raise a ValueError, on all ranks, for jumps that are no vectors at the nodes; collective.
 
-    Args:
-        empty: a vector of the displacement, which is duplicated.
-
-    Raises:
-        ValueError: on all ranks, if a jump is on another mesh, has another shape than a vector
-            at each slave node, has NaN or infinite values, or is longer than the model.
+    Also for NaN, and where sides are farther apart than the model is long.
     """
-    V, jumps = system.V, {}
-    for k, (interface, sides) in enumerate(zip(system.interfaces, system.sides, strict=True)):
-        values = interface.jump_at(V, sides.nodes)
-        _check(V, interface, interface.apart_at(V, sides.nodes))
-        if values is None:
+    V, comm = system.V, system.V.mesh.comm
+    for interface, sides in zip(system.interfaces, system.sides, strict=True):
+        if sides.unilateral or sides.hold or (apart := interface.apart(V, sides.nodes)) is None:
             continue
-        jumps[k] = empty.duplicate()
-        shared = (sides.on_slave & sides.on_master)[: system.n]
-        jumps[k].array[:] = extended(values, sides.nodes, shared, system.n).ravel()
-    return jumps
-
-
-def _check(V: fem.FunctionSpace, interface: Interface, apart: Floats | None) -> None:
-    """Raise a ValueError if sides are farther apart than the model is long, or NaN; collective."""
-    if apart is None:
-        return
-    bad = V.mesh.comm.allreduce(int(np.sum(~np.isfinite(apart))), op=MPI.SUM)
-    if bad:
-        raise ValueError(f"jump: {bad} values of {interface} are NaN or infinite; check its data")
-    longest = float(maximum(V.mesh.comm, np.abs(apart).max(initial=0.0))[0])
-    if longest > (size := diagonal(V)):
-        raise ValueError(
-            f"jump: {interface} has a component of {longest:.4g}, more than the whole model's "
-            f"diagonal, {size:.4g}: give the displacement of the slave side relative to the "
-            "master side, in the unit of the mesh"
-        )
+        bad = comm.allreduce(int(np.sum(~np.isfinite(apart))), op=MPI.SUM)
+        if bad:
+            raise ValueError(
+                f"jump: {bad} values of {interface} are NaN or infinite; check its data"
+            )
+        longest = float(maximum(comm, np.abs(apart).max(initial=0.0))[0])
+        if longest > (size := diagonal(V)):
+            raise ValueError(
+                f"jump: {interface} has a component of {longest:.4g}, more than the whole model's "
+                f"diagonal, {size:.4g}: give the displacement of the slave side relative to the "
+                "master side, in the unit of the mesh"
+            )
 
 
 def check_tightening(system: InterfaceSystem) -> str:
     """Say which pretension needs an overlap longer than the model's diagonal, or ""; collective."""
     size = diagonal(system.V)
     for interface in system.interfaces:
-        if interface.tightening is not None and interface.driven() is not None:
-            overlap = float(np.linalg.norm(interface.tightening))
+        if isinstance(bolt := interface.driven(), Bolt):
+            overlap = float(np.linalg.norm(bolt.overlap))
             if overlap > size:
                 return (
                     f"the pretension of {interface} needs an overlap of {overlap:.4g}, more than "

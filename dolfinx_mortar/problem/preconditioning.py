@@ -54,7 +54,7 @@ class UnknownsOfBodies:
         All are one where contact alone holds a body: by itself its matrix is singular.
         """
         label, group = self.bodies.label, self.bodies.group
-        ties = (link for link in self.system.links if not link.interface.unilateral)
+        ties = (link for link in self.system.links if not link.unilateral)
         held: list[Motion] = [link.constrained_motion for link in ties]
         held.append(lambda v: v.array_r[self.supports.owned.ravel()])
         if free_motions(self.bodies, held):

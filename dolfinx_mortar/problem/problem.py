@@ -26,10 +26,11 @@ from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import ROUND_OFF, TINY, Bools, Floats
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_free_motions
 from dolfinx_mortar.audit.mesh_audit import check_mesh
-from dolfinx_mortar.interfaces.interface import Interface, Outline, check_owned
+from dolfinx_mortar.interfaces.interface import Interface, check_owned
 from dolfinx_mortar.interfaces.results import merge_results
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.system import Configuration, InterfaceSystem
+from dolfinx_mortar.interfaces.tool import Outline
 from dolfinx_mortar.persistence import checkpoints
 from dolfinx_mortar.persistence.committed import Before, Committed, ProblemState, StepOutcome
 from dolfinx_mortar.problem.checks import check_arguments
@@ -39,7 +40,7 @@ from dolfinx_mortar.problem.convected import (
     find_slides,
     overlap,
 )
-from dolfinx_mortar.problem.jumps import read_jumps
+from dolfinx_mortar.problem.jumps import check_jumps
 from dolfinx_mortar.problem.preconditioning import UnknownsOfBodies
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.qp import LinearSolver, check_options
@@ -112,9 +113,8 @@ class ContactProblem:
         )
         with raised_together(solid.V.mesh.comm):  # before one is taken from another problem
             for side in sides:
-                side.check(solid.V)
                 revolved = solid.kinematics.radius is not None
-                side.check_kinematics(solid.V.mesh.geometry.dim, revolved, solid.strain)
+                side.check(solid.V, revolved=revolved, strain=solid.strain)
         check_options(solid.V.mesh.comm, petsc_options_prefix, petsc_options)
         self.solid, self.geometry = solid, geometry
         self.timings = Timings()
@@ -298,7 +298,7 @@ class ContactProblem:
             u = self.vector(self.owned_u)
             data = replace(
                 data,
-                increment=max(data.increment, found.largest_slip(u, data.jumps)),
+                increment=max(data.increment, found.largest_slip(u)),
                 partners=self._completed(found, partners),
             )
         self._enter(found, data.increment)
@@ -314,14 +314,16 @@ class ContactProblem:
 
     def raise_failed(self) -> None:
         """Raise on all ranks what has failed in the shape of a tool on one; collective."""
-        failed = [error for one in self.interfaces if (error := one.failed()) is not None]
+        tools = [one.tool.asked for one in self.interfaces if one.tool is not None]
+        failed = [error for shape in tools if (error := shape.failed()) is not None]
         raise_together(self.comm, failed[0] if failed else None)
 
     def _read(self, level: float | None) -> StepData:
         """Return the data of a step that starts at the present displacement; collective."""
         limits = []
         if self.system.has_friction:
-            limits = [interface.limits() for interface in self.interfaces]
+            laws = [(one.law, one.nodal["gap"].function_space) for one in self.interfaces]
+            limits = [None if law is None else law.values(scalar) for law, scalar in laws]
         target = self.supports.values()
         for name, array, remedy in (
             ("bcs", target[self.supports.owned.ravel()], "check the values of the conditions"),
@@ -336,13 +338,13 @@ class ContactProblem:
             self.terms.begin(start, start if level is None else level)
             flows = self.solid.flows_at_start()
         check_targets(self.solid, target)
-        jumps = read_jumps(self.system, self.vector())
+        check_jumps(self.system)
         asked = self.supports.increment(target, self.u.x.array)
         largest = float(maximum(self.comm, np.abs(asked).max(initial=0.0))[0])
         largest = max(largest, self.terms.stride())
         last = self.ended_here() or self.committed
         contacts = last.active, last.sliding
-        return StepData(target, asked, largest, jumps, contacts, limits, flows=flows)
+        return StepData(target, asked, largest, contacts, limits, flows=flows)
 
     def _mean(self, asked: Floats) -> Floats:
         """Return the displacement (n,) of bodies moved by their mean increments; collective."""
@@ -427,7 +429,7 @@ class ContactProblem:
         stuck, sliding = np.zeros(self.n, dtype=bool), self.committed.sliding
         if sliding is not None:
             for interface, sides in zip(self.interfaces, self.system.sides, strict=True):
-                if interface.rough:
+                if interface.law is not None:
                     stuck[sides.nodes] = ~sliding[sides.nodes].any(axis=1)
         return stuck
 
@@ -595,8 +597,9 @@ class ContactProblem:
             ended = outcome.ended if outcome and outcome.ended else self.ends_of_interfaces()
             self.terms.commit()
             self.committed.commit(self.owned_u, outcome)
-            for interface, end in zip(self.interfaces, ended, strict=True):
-                interface.commit(end)
+            with raised_together(self.comm):
+                for interface, end in zip(self.interfaces, ended, strict=True):
+                    interface.restore(end)
             self.outcome = None
 
     @contextmanager
@@ -629,8 +632,8 @@ class ContactProblem:
         return self.ended_here() if moves else None
 
     def ends_of_interfaces(self) -> list[Any]:
-        """Return what `commit` of each interface gets, from the present state; collective."""
-        return [interface.ended() for interface in self.interfaces]
+        """Return the state of each interface with which the next step begins; collective."""
+        return [interface.state(ended=True) for interface in self.interfaces]
 
     def ended_here(self) -> StepOutcome | None:
         """Return the outcome of the last step, None if u has been reset since; collective."""

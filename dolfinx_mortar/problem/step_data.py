@@ -4,8 +4,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from petsc4py import PETSc
-
 import numpy as np
 
 from dolfinx_mortar.arrays import Bools, Floats
@@ -14,12 +12,11 @@ from dolfinx_mortar.interfaces.slip_partners import Partners
 
 @dataclass(frozen=True)
 class StepData:
-    """Dirichlet values and jumps of a step, read at its start."""
+    """Dirichlet values of a step, read at its start."""
 
     target: Floats  # (n,) prescribed displacements, 0 where there is none
     asked: Floats  # (owned nodes, d) prescribed minus present values at the start
     increment: float  # the largest of them, and of the changes of jumps, all ranks
-    jumps: dict[int, PETSc.Vec] = field(default_factory=dict)  # (n,) of ties, by their number
     # initial guess: closed contacts (owned nodes,) and slip directions (owned nodes, d)
     contacts: tuple[Bools, Floats | None] = (np.zeros(0, dtype=bool), None)
     # with friction, for each interface: limits (owned nodes,), and the points of the master from

@@ -391,10 +391,9 @@ class EnergyLedger:
         """Which nodes (owned nodes,) supports hold, or rigid sides and tools that cannot let go."""
         held = np.asarray(self.problem.supports.owned.any(axis=1))
         n = len(held)
-        system = self.problem.system
-        for side, interface in zip(system.sides, system.interfaces, strict=True):
-            if side.master is None and not interface.unilateral:
-                held |= side.on_slave[:n]
+        for sides in self.problem.system.sides:
+            if sides.hold:
+                held |= sides.on_slave[:n]
         return held
 
     def _groups(self, held: Bools) -> list[Bools]:
@@ -429,9 +428,8 @@ class EnergyLedger:
                 nodes = link.nodes[some & free[link.nodes]]
                 free[nodes] = False
                 x = X[nodes]
-                found = link.interface.tool_way(x + before[nodes], x + after[nodes])
-                if found is not None:
-                    way[nodes] = found
+                if (tool := link.interface.tool) is not None:
+                    way[nodes] = tool.way(x + before[nodes], x + after[nodes])
         return way
 
     def _responses(

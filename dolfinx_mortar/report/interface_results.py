@@ -1,18 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Results of the interfaces from the last balance of a step, and notes on them."""
 
-from collections.abc import Mapping, Sequence
-
-from petsc4py import PETSc
+from collections.abc import Sequence
 
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.interfaces import results
 from dolfinx_mortar.interfaces.constraints import SlipLimits
 from dolfinx_mortar.interfaces.coupling import slipped
-from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.interfaces.link import Link, set_results_of, set_sliding
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.mortar.surface import coordinates, nodal_normals
 from dolfinx_mortar.newton_method.contacts import Contacts
@@ -27,7 +24,6 @@ def set_results(
     problem: ContactProblem,
     balance: Balance,
     contacts: Contacts,
-    jumps: Mapping[int, PETSc.Vec] | None = None,
 ) -> tuple[Slips | None, tuple[float, float]]:
     """Set the interfaces' resultants and Functions; collective.
 
@@ -35,7 +31,7 @@ def set_results(
     sides, see `results`.
 
     Reactions of equalities are the residual forces that they take; those of contact are D_jj times
-    the multipliers. Ties are as open as their jumps, see `StepData`. Tractions are shown per area
+    the multipliers. Ties are as open as their jumps. Tractions are shown per area
     of the configuration at which the interface is taken, see `growth`.
     """
     d, n = problem.d, problem.n
@@ -52,13 +48,13 @@ def set_results(
     grown = [growth(problem, link) for link in problem.system.links]
     balances = [(0.0, 0.0)]
     for k, link in enumerate(problem.system.links):
-        frozen = link.interface.configuration(problem.configuration) is None
+        frozen = problem.configuration is None or link.interface.stays
         on = link.constrained
-        found = results.set_results(
+        found = set_results_of(
             link,
             np.where(on, forces[link.nodes], 0.0),
             np.where(on[:, :1], known[link.nodes], 0.0),
-            link.shown_gap(gap, (jumps or {}).get(k)),
+            link.shown_gap(gap),
             link.acting(contacts.active),
             problem.X if frozen else moved,  # where the forces act
             grown[k],
@@ -90,14 +86,14 @@ def _set_sliding(
     status[limits.nodes] = np.where(slides, 2.0, acts)
     total = Slips(committed.slid.copy(), committed.dissipated.copy())
     for k, link in enumerate(problem.system.links):
-        if link.interface.rough:
+        if link.interface.law is not None:
             nodes, carries = link.nodes, link.constrained[:, 0]
             total.slid[k, nodes] += carries * np.linalg.norm(slip[nodes], axis=1)
             total.dissipated[k, nodes] += carries * energy[nodes]
             way, spent = total.slid[k, nodes], total.dissipated[k, nodes]
             drag, last = (carries[:, None] * v[nodes] for v in (traction, slip))
             drag /= grown[k][:, None]
-            results.set_sliding(link, drag, last, way, carries * status[nodes], spent)
+            set_sliding(link, drag, last, way, carries * status[nodes], spent)
     return total
 
 
@@ -144,16 +140,16 @@ def _turn(problem: ContactProblem, link: Link, contacts: Contacts) -> float:
 def notes_on_turns(problem: ContactProblem, contacts: Contacts) -> list[str]:
     """Return a note for every tool that turns so far in a step that slips are wrong; collective.
 
-    Along a surface they are those of arcs up to half a turn, see `tool_slips`. Of a turn by a about
+    Along a surface they are those of arcs up to half a turn, see `slip_partners`. Of a turn by a about
     its normal they are the parts r sin(a) of chords, of arcs r a.
     """
     notes: list[str] = []
     if problem.geometry == "reference":
         return notes
     for link in problem.system.links:
-        if not link.interface.rough:
+        if (tool := link.interface.tool) is None or link.interface.law is None:
             continue
-        turn = link.interface.turn()
+        turn = tool.turn()
         assert contacts.sliding is not None
         slides = contacts.sliding[link.nodes].any(axis=1)
         about: Floats = np.zeros(0)

@@ -2,6 +2,7 @@
 """Pointwise overlaps that the weighted gap averages out: a corner between coarse slave nodes."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from mpi4py import MPI
 
@@ -16,14 +17,18 @@ from dolfinx_mortar.geometry.facets import (
     are_inside,
     area_vectors,
     facet_normals,
+    facet_sizes,
     points_of,
 )
 from dolfinx_mortar.geometry.segments import FACING
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.mortar.curvature_correction import point_heights
+from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
+from dolfinx_mortar.mortar.curvature_correction import point_heights, side_heights
 from dolfinx_mortar.mortar.edges import SUNK
 from dolfinx_mortar.mortar.pairing import received_facets
+from dolfinx_mortar.mortar.passing import depth_of_point
 from dolfinx_mortar.mortar.surface import accumulate, coordinates, facets_at
+from dolfinx_mortar.mortar.whole_side import whole_facets
 from dolfinx_mortar.newton_method.residuals import DIGIT
 
 # Then the sagittas of facets are taken off so many times: of heights that are known at two points
@@ -61,10 +66,9 @@ def notes_on_overlaps(
 
 def _note_on_tool(link: Link, u: fem.Function) -> list[str]:
     """Return the note on a tool that lies deep in its side between its points; collective."""
-    found = link.interface.depths(link, u)
-    if found is None:
+    if (tool := link.interface.tool) is None:
         return []
-    ratio, deepest, x = find_deepest(link.sides.V.mesh.comm, *found)
+    ratio, deepest, x = find_deepest(link.sides.V.mesh.comm, *_depths(link, tool, u))
     if ratio <= SUNK:
         return []
     return [
@@ -72,6 +76,41 @@ def _note_on_tool(link: Link, u: fem.Function) -> list[str]:
         f"{deepest:.3g} deep in the side, {ratio:.0%} of a facet there: its gap is a mean over "
         "facets; refine there, or round a tool that is sharper than the facets"
     ]
+
+
+def _depths(link: Link, tool: Tool, u: fem.Function) -> tuple[Floats, Floats, Floats]:
+    """Return how deep points of integration and middles of facets are in a tool; collective.
+
+    Depths over the length of their facets (q,), depths (q,) and points (q, d) at X + u. And how
+    deep the tool lies below its own point, of the facet that is nearest to that along its normal: a
+    ball may be smaller than what is between the others. Where nodes alone have distances, the tool
+    lies less deep in facets by what the surface through the nodes bends away from it, as a bore
+    from its shaft; that is taken in the middles of facets.
+    """
+    assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
+    side, pose, x = link.pattern.side, tool.pose(), coordinates(link.sides.slave, u)
+    facing = find_facing(side, pose, tool.asked, x)
+    segments, points = whole_facets(side, x, facing)
+    own, nodal = link.pattern.own, link.pattern.nodal
+    pattern = replace(link.pattern, nodal=False, own=None if nodal else own)
+    gaps, _ = point_gaps(pattern, pose, tool.asked, u, segments, points)
+    nodes = x[side.slave.facets]
+    sizes, middles = facet_sizes(nodes), nodes.mean(axis=1)[facing]
+    facets = facets_at(side.slave, x)
+    less = np.zeros(len(sizes))
+    if nodal and own is not None:
+        at = np.tile(facets.element.points.mean(axis=0), (len(sizes), 1))
+        every = np.arange(len(sizes), dtype=np.int32)
+        less[:] = np.minimum(side_heights(side.slave, own, u, every, at), 0.0)
+    corners, n = nodes[:, list(facets.element.vertices)], facet_normals(facets)
+    point = np.broadcast_to(pose.to_space(tool.asked.point[None]), (len(n), x.shape[1]))
+    above = ((point - corners.mean(axis=1)) * n).sum(axis=1)
+    below = depth_of_point(link.sides.V.mesh.comm, tool.seen()) - above
+    met = (above >= -sizes) & (below > 0.0) & are_inside(corners, n, point)
+    depth = -np.concatenate([gaps, pose.distance(tool.asked, middles).value, -below[met]])
+    which = np.concatenate([segments.slave, np.flatnonzero(facing), np.flatnonzero(met)])
+    depth = depth + less[which]
+    return depth / sizes[which], depth, np.concatenate([points, middles, point[met]])
 
 
 def _note(link: Link, u: fem.Function, unseen: float | None) -> list[str]:

@@ -108,12 +108,12 @@ def support_forces(problem: ContactProblem, balance: Balance) -> SupportForces:
     dofs, slots = support_slots(problem)
     forces = np.zeros(problem.d * problem.n)
     for link in problem.system.links:
-        if link.interface.holds_nodes:
-            own = (problem.d * link.nodes[:, None] + np.arange(problem.d)).ravel()
-            forces[own] = -balance.reduced.array_r[own]
+        if link.sides.hold:
+            own = problem.d * link.nodes[:, None] + np.arange(problem.d)
+            forces[own] = -np.einsum("nji,nj->ni", link.rows, balance.reduced.array_r[own])
     forces[dofs] = -balance.reduced.array_r[slots]
-    asked = [i.configuration(problem.configuration) for i in problem.interfaces]
-    moved = any(at is not None for at in asked) or problem.solid.strain == "finite"
+    follows = problem.configuration is not None and not all(i.stays for i in problem.interfaces)
+    moved = follows or problem.solid.strain == "finite"
     u = problem.u.x.array[: forces.size].reshape(-1, problem.d)
     return SupportForces(
         forces.reshape(-1, problem.d), problem.X + u if moved else problem.X.copy()

@@ -104,7 +104,7 @@ def find_self_crossing(problem: ContactProblem, link: Link) -> Crossing:
     But for a slave and a master that face each other: where these overlap, the interface has seen
     it. Two slaves or two masters are kept apart by nothing.
     """
-    if not link.interface.meets_itself or link.pairing is None or link.pairing.roles is None:
+    if not link.sides.meet_themselves or link.pairing is None or link.pairing.roles is None:
         return Crossing()
     comm, surface = problem.comm, link.sides.slave
     x = coordinates(surface, problem.u)
@@ -159,14 +159,10 @@ def _touched(skin: _Skin) -> Bools:
 
 def _longest_jumps(problem: ContactProblem) -> Floats:
     """Return the length of the jump of each interface, by which its sides overlap; collective."""
-    lengths = np.zeros(len(problem.system.interfaces))
-    for tie in problem.ties:
-        link = problem.system.link(tie)
-        jump = tie.apart_at(problem.V, link.nodes)
-        if jump is not None:
-            longest = np.linalg.norm(jump, axis=1).max(initial=0.0)
-            lengths[problem.system.interfaces.index(tie)] = maximum(problem.comm, longest)[0]
-    return lengths
+    lengths = [
+        np.linalg.norm(link.apart(), axis=1).max(initial=0.0) for link in problem.system.links
+    ]
+    return np.asarray(maximum(problem.comm, *lengths)) if lengths else np.zeros(0)
 
 
 def _least_at_edges(found: Crossings, depth: Floats) -> Floats:

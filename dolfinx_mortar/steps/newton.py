@@ -380,7 +380,7 @@ class _Step:
 
     def place(self) -> tuple[Floats, list[Any], tuple[Any, ...]]:
         """Return where the iterate and the tools that forces drive are, for `go_back`."""
-        kept = [(i, i.keep()) for i in self.problem.interfaces if i.driven() is not None]
+        kept = [(i, i.state()) for i in self.problem.interfaces if i.driven() is not None]
         how = self.shifted, self.negative, self.travel
         return self.problem.owned_u.copy(), kept, how
 
@@ -390,13 +390,13 @@ class _Step:
         self.problem.owned_u[:] = u
         self.problem.u.x.scatter_forward()
         for interface, before in kept:
-            interface.put_back(before)
+            interface.restore(before)
         self.problem.follow_geometry()
 
     def told(self, error: failures.StepFailed) -> failures.StepFailed:
         """Return the error with corners without a normal, which may be its cause; collective."""
         x, links = self.problem.positions(), self.problem.system.unilateral
-        found = [link.interface.in_corners(link, x) for link in links]
+        found = [failures.describe_corners(link, x) for link in links]
         corners = "; ".join(told for told in found if told)
         return failures.StepFailed(f"{corners}. {error}") if corners else error
 
@@ -701,7 +701,7 @@ class _Step:
         if watch.rises >= MOST_RISES:
             return True
         last, finite = residuals[-1], self.problem.solid.strain == "finite"
-        itself = any(link.interface.meets_itself for link in self.problem.system.unilateral)
+        itself = any(link.sides.meet_themselves for link in self.problem.system.unilateral)
         far = max(last.forces, last.contact) >= NEAR
         if (far and (self.shifted or itself or not finite)) or self.missed(last) >= watch.barred:
             return False
@@ -950,7 +950,7 @@ class _Step:
             problem.solid.evaluate()
         if too_far := check_tightening(problem.system):
             raise failures.StepFailed(too_far)
-        slips, balances = set_results(problem, iterate.balance, contacts, self.data.jumps)
+        slips, balances = set_results(problem, iterate.balance, contacts)
         sliders = None
         if (limits := iterate.balance.limits) is not None:
             noise = gap_round_off(problem.u)

@@ -99,8 +99,8 @@ class TimeSolves(Solves):
         """
         problem, mass = self.problem, inertia.mass
         on_sides, forces = np.zeros_like(mass.massless), np.zeros_like(mass.X)
-        for side, interface in zip(problem.system.sides, problem.interfaces, strict=True):
-            on_sides[side.nodes] |= interface.holds_nodes
+        for sides in problem.system.sides:
+            on_sides[sides.nodes] |= sides.hold
         nodes = mass.massless | on_sides
         if not any_rank(problem.comm, nodes.any())[0]:
             return forces

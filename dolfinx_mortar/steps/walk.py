@@ -336,7 +336,7 @@ def _walk(
         except NewtonNotConverged as error:
             failures += 1
             if not parts:
-                if any(interface.moved_by_loads for interface in problem.interfaces):
+                if any(one.rigid or one.driven() for one in problem.interfaces):
                     loading.set(problem, reached.time)
                 overlap = find_overlap(problem, solves.rtol)
                 reached = replace(reached, overlap=overlap)
