@@ -1,14 +1,137 @@
 # SPDX-License-Identifier: MIT
-"""Checks of arguments that all sub-packages share, without communication."""
+"""What arguments have to be, declared; without communication, for all sub-packages.
+
+>>> check("n", 3, integer(1)), check("x", [1, 2], array((2,), (3,)))
+(3, array([1., 2.]))
+>>> check("rtol", 1.5, number(above=0.0, below=1.0))
+Traceback (most recent call last):
+ValueError: rtol is 1.5: give a finite number > 0 and < 1
+"""
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable
+from dataclasses import dataclass
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from dolfinx_mortar.arrays import Floats
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Rule(Generic[T]):
+    """What an argument has to be."""
+
+    remedy: str  # what an error asks for
+    read: Callable[[Any], T | None]  # returns what a value stands for, None for a wrong one
+
+
+def check(name: str, value: Any, rule: Rule[T], remedy: str = "") -> T:
+    """Return what an argument stands for, or raise a ValueError with name, value and remedy."""
+    found = rule.read(value)
+    if found is None:
+        raise ValueError(f"{name} is {_shown(value)}: {remedy or rule.remedy}")
+    return found
+
+
+def check_optional(name: str, value: Any, rule: Rule[T], remedy: str = "") -> T | None:
+    """Return what an argument that may be None stands for, as `check` does."""
+    remedy = remedy or f"{rule.remedy}, or None"
+    return None if value is None else check(name, value, rule, remedy)
+
+
+def check_all(rule: Rule[Any], **values: Any) -> None:
+    """Check several arguments by one rule."""
+    for name, value in values.items():
+        check(name, value, rule)
+
+
+def number(
+    what: str = "a finite number",
+    *,
+    above: float = -math.inf,
+    least: float = -math.inf,
+    below: float = math.inf,
+    most: float = math.inf,
+) -> Rule[float]:
+    """Return the rule of finite numbers in a range, ``what`` says what they are."""
+    limits = {">": above, ">=": least, "<": below, "<=": most}
+    told = " and ".join(f"{sign} {n:g}" for sign, n in limits.items() if math.isfinite(n))
+
+    def read(value: Any) -> float | None:
+        inside = is_number(value) and above < value < below and least <= value <= most
+        return float(value) if inside else None
+
+    return Rule(f"give {what} {told}".rstrip(), read)
+
+
+def integer(least: int, most: float = math.inf) -> Rule[int]:
+    """Return the rule of integers in a range."""
+    remedy = number("an integer", least=least, most=most).remedy
+    return Rule(remedy, lambda n: int(n) if is_integer(n) and least <= n <= most else None)
+
+
+def one_of(*names: str) -> Rule[str]:
+    """Return the rule of some names.
+
+    >>> one_of("a").remedy, one_of("a", "b", "c").remedy
+    ("choose 'a'", "choose 'a', 'b' or 'c'")
+    """
+    *others, last = map(repr, names or ("nothing",))
+    remedy = f"choose {', '.join(others)}{' or ' * bool(others)}{last}"
+    return Rule(remedy, lambda value: value if isinstance(value, str) and value in names else None)
+
+
+def instance(kind: Any, remedy: str) -> Rule[Any]:
+    """Return the rule of the objects of a class, or of one of a tuple of them."""
+    return Rule(remedy, lambda value: value if isinstance(value, kind) else None)
+
+
+def _read_flag(value: Any) -> bool | None:
+    return bool(value) if isinstance(value, bool | np.bool_) else None
+
+
+FLAG = Rule("give True or False", _read_flag)
+
+
+def array(
+    *shapes: tuple[int | None, ...],
+    remedy: str = "",
+    finite: bool = True,
+    holds: Callable[[Floats], object] = lambda found: True,
+) -> Rule[Floats]:
+    """Return the rule of numbers of some shape, for which a condition holds.
+
+    Args:
+        *shapes: None is any size; without a shape all are allowed.
+        remedy: of vectors, if none is given.
+        finite: whether all have to be.
+        holds: returns whether numbers are right.
+    """
+    sizes = " or ".join(str(shape[0]) for shape in shapes if shape)
+
+    def read(value: Any) -> Floats | None:
+        found = as_numbers(value)
+        if found is None or (finite and not np.isfinite(found).all()):
+            return None
+        fits = (
+            len(shape) == found.ndim
+            and all(n in (None, m) for n, m in zip(shape, found.shape, strict=True))
+            for shape in shapes
+        )
+        return found if (not shapes or any(fits)) and holds(found) else None
+
+    return Rule(remedy or f"give {sizes} finite coordinates", read)
+
+
+NUMBER = number()
+NOT_NEGATIVE = number(least=0.0)
+POSITIVE = number(above=0.0)
+FINITE = array(remedy="give finite numbers")
+POISSON = number("Poisson's ratio, 0.499 for an incompressible body,", above=-1.0, below=0.5)
 
 
 def is_number(value: Any) -> bool:
@@ -28,11 +151,6 @@ def is_integer(value: Any) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
-def is_name(value: Any, known: Collection[str]) -> bool:
-    """Tell whether a value is one of the known names; arrays and the like are none."""
-    return isinstance(value, str) and value in known
-
-
 def as_numbers(value: Any) -> Floats | None:
     """Return real numbers of any shape as an array, None for texts, truth and complex values.
 
@@ -44,3 +162,18 @@ def as_numbers(value: Any) -> Floats | None:
     except ValueError:  # lists of unequal length
         return None
     return array.astype(np.float64) if array.dtype.kind in "fiu" else None
+
+
+def _shown(value: Any) -> str:
+    """Return a value as an error shows it: of large arrays the shape, and what is not finite.
+
+    >>> _shown([1.0, None]), _shown(np.full((4, 3), np.inf))
+    ('[1.0, None]', 'an array of shape (4, 3), with inf at [0, 0]')
+    """
+    numbers = as_numbers(value)
+    if numbers is None or numbers.size < 10:
+        text = repr(value.tolist() if isinstance(value, np.ndarray) else value)
+        return text if len(text) < 300 else f"{text[:300]} ..."  # of UFL they fill pages
+    bad = np.argwhere(~np.isfinite(numbers))
+    found = f", with {numbers[tuple(bad[0])]} at {bad[0].tolist()}" if len(bad) else ""
+    return f"an array of shape {numbers.shape}{found}"

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 import ufl
 from dolfinx import mesh
-from dolfinx_mortar.arguments import is_integer
+from dolfinx_mortar.arguments import Rule, check, instance, integer, is_integer
 from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.compat import on_same_mesh
 
@@ -41,15 +41,10 @@ class Tags(mesh.MeshTags):
             ValueError: for what is no MeshTags, names that are no strings, and tags that are no
                 integers of 32 bits.
         """
-        if not isinstance(tags, mesh.MeshTags):
-            raise ValueError(f"tags is {tags!r}: give a dolfinx.mesh.MeshTags.")
-        if not isinstance(names, Mapping):
-            raise ValueError(f"names is {names!r}: give a dictionary, name -> tag.")
+        check("tags", tags, instance(mesh.MeshTags, "give a dolfinx.mesh.MeshTags"))
+        check("names", names, instance(Mapping, "give a dictionary, name -> tag"))
         for name, tag in names.items():
-            if not isinstance(name, str) or not name or not is_integer(tag):
-                raise ValueError(
-                    f"names: {name!r} -> {tag!r}: give a text and its tag, an integer."
-                )
+            check("names: a name", name or None, instance(str, "give a text"))
             check_tag(f"names: {name!r}", tag)
         super().__init__(in_order(tags)._cpp_object)
         self.names: Mapping[str, int] = MappingProxyType(
@@ -101,6 +96,17 @@ def find_exterior(tags: mesh.MeshTags, tag: int, domain: mesh.Mesh) -> tuple[Int
     return marked, np.intersect1d(marked, mesh.exterior_facet_indices(topology))
 
 
+def tags_of(domain: mesh.Mesh, dim: int) -> Rule[mesh.MeshTags]:
+    """Return the rule of tags of the cells or the facets of a mesh, by their dimension."""
+    sort = "cells" if dim == domain.topology.dim else "facets"
+
+    def read(tags: Any) -> mesh.MeshTags | None:
+        known = isinstance(tags, mesh.MeshTags) and tags.dim == dim
+        return tags if known and on_same_mesh(tags, domain) else None
+
+    return Rule(f"give MeshTags of the {sort} (dimension {dim}) of the same mesh", read)
+
+
 def check_measures(name: str, form: ufl.Form, domain: mesh.Mesh) -> None:
     """Raise a ValueError on all ranks if a measure of a form leaves out what it names; collective.
 
@@ -115,12 +121,8 @@ def check_measures(name: str, form: ufl.Form, domain: mesh.Mesh) -> None:
             continue
         sort, on = ("dx", "cells") if kind == "cell" else ("ds", "facets")
         measure = f"{name}: {sort}({label(tags, tag)})"
-        if not isinstance(tags, mesh.MeshTags) or tags.dim != dims[kind]:
-            raise ValueError(
-                f"{measure} needs tags of {on}: ufl.Measure({sort!r}, mesh, subdomain_data=tags)"
-            )
-        if not on_same_mesh(tags, domain):
-            raise ValueError(f"{measure}: the tags belong to another mesh than solid.u")
+        rule = tags_of(domain, dims[kind])
+        check(f"{measure}: subdomain_data", tags, rule, f"{rule.remedy} to ufl.Measure")
         marked = found = tags.find(tag)
         if kind != "cell":
             marked, found = find_exterior(tags, tag, domain)
@@ -144,14 +146,9 @@ def check_measures(name: str, form: ufl.Form, domain: mesh.Mesh) -> None:
 
 def check_tag(name: str, tag: Any) -> None:
     """Raise a ValueError unless the argument `name` is a value that MeshTags can hold."""
-    if not is_integer(tag):
-        raise ValueError(f"{name} is {tag!r}: give a tag, an integer, or its name")
     limits = np.iinfo(np.int32)
-    if not limits.min <= tag <= limits.max:
-        raise ValueError(
-            f"{name} is {tag}: tags lie between {limits.min} and {limits.max} (32 bits); give one "
-            "that the tags have"
-        )
+    remedy = "give a tag, an integer of 32 bits, or its name"
+    check(name, tag, integer(limits.min, limits.max), remedy)
 
 
 def check_entities(name: str, tags: mesh.MeshTags) -> None:

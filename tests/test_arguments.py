@@ -96,7 +96,7 @@ CALLS = [
     ("path", lambda g, x: dm.write_summary(x, g.problem, []), kinds(str, bytes)),
     ("problem", lambda g, x: dm.write_summary("x.json", x, []), kinds()),
     ("steps", lambda g, x: dm.write_summary("x.json", g.problem, x), kinds(list, tuple)),
-    ("steps holds", lambda g, x: dm.write_summary("x.json", g.problem, [x]), kinds(dict)),
+    ("steps: a row is", lambda g, x: dm.write_summary("x.json", g.problem, [x]), kinds(dict)),
     ("V", lambda g, x: mortar(g, V=x), kinds()),
     ("facet_tags", lambda g, x: mortar(g, facet_tags=x), kinds()),
     ("u has to be", lambda g, x: mortar(g, u=x), or_none),
@@ -135,7 +135,7 @@ def test_tags_beyond_32_bits(tag):
     case = PressedBlocks()
     tags = dm.Tags(case.facets, {"top": TOP_OF_LOWER})
     for call in (tags.find, tags.tag, lambda tag: dm.Tags(tags, {"a": tag})):
-        with rejected("(32 bits)"):
+        with rejected("32 bits"):
             call(tag)
 
 
@@ -166,7 +166,7 @@ def test_load_steps_that_make_sense(given, levels):
         *(("times", t, "give a list") for t in (None, 1.0, "1.0", np.array(1.0))),
         *(("times", [0.5, t], "finite") for t in (np.nan, np.inf, None, "1", True, 1j, [1.0])),
         *(("start", t, "or None") for t in (np.nan, -np.inf, "0", False, [0.0])),
-        *(("max_cuts", t, "max_cuts >= 0") for t in (-1, 1.5, None, "6", True)),
+        *(("max_cuts", t, "an integer >= 0") for t in (-1, 1.5, None, "6", True)),
         *(("cuts", t, "'halve' or 'none'") for t in ("half", None, 0, ["halve"])),
     ],
 )

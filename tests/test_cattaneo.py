@@ -130,17 +130,17 @@ def test_stick_zone(share):
 @pytest.mark.parametrize(
     ("friction", "force", "words"),
     [
-        (0.0, 1.0, "friction = "),
-        (np.nan, 1.0, "friction = "),
+        (0.0, 1.0, "friction is "),
+        (np.nan, 1.0, "friction is "),
         (MU, 1.01 * LIMIT, "the whole contact slides"),
         (MU, -1.01 * LIMIT, "the whole contact slides"),
         (MU, (0.5 * LIMIT, -0.6 * LIMIT), "closes a loop"),
         (MU, (0.5 * LIMIT, -0.2 * LIMIT, 0.7 * LIMIT), "closes a loop"),
-        (MU, (0.2 * LIMIT, 0.3 * LIMIT), "must change its direction"),
-        (MU, np.nan, "force = "),
-        (MU, (), "force = "),
-        (MU, "1", "force = "),
-        (MU, (1.0, None), "force = "),
+        (MU, (0.2 * LIMIT, 0.3 * LIMIT), "let it turn at every value"),
+        (MU, np.nan, "force is "),
+        (MU, (), "force is "),
+        (MU, "1", "force is "),
+        (MU, (1.0, None), "force is "),
     ],
 )
 def test_bad_numbers_are_named(friction, force, words):
@@ -152,7 +152,7 @@ def test_bad_numbers_are_named(friction, force, words):
 def test_bad_places_are_named(x):
     s = state(0.5)
     for function in (s.traction, s.slip):
-        with pytest.raises(ValueError, match=r"^x = "):
+        with pytest.raises(ValueError, match=r"^x is "):
             function(x)
 
 

@@ -274,7 +274,7 @@ def test_results_that_belong_to_another_problem(good, folder):
     [
         ({"checkpoint": 3}, ["checkpoint is 3", "give the name of a file"]),
         ({"checkpoint": ""}, ["checkpoint is ''", "give the name of a file"]),
-        ({"checkpoint": "x.h5", "every": 0}, ["every is 0", "every >= 1"]),
+        ({"checkpoint": "x.h5", "every": 0}, ["every is 0", "an integer >= 1"]),
         ({"checkpoint": "x.h5", "every": 1.5}, ["every is 1.5", "an integer"]),
         ({"checkpoint": "x.h5", "every": True}, ["every is True", "an integer"]),
         ({"every": 2}, ["every is 2", "there is no checkpoint"]),

@@ -331,7 +331,7 @@ def test_a_step_that_fails_shows_what_was_before():
         (np.eye(2), r"eigenstrain has the shape \(2, 2\): give a scalar .*component out of it"),
         (np.zeros(3), r"eigenstrain has the shape \(3,\): give a scalar"),
         ("hot", r"eigenstrain is a str: give a scalar"),
-        ({7: 1e-3}, r"eigenstrain: the tag 7 marks no cell; cell_tags has \[1, 2\]"),
+        ({7: 1e-3}, r"eigenstrain: no cell has the tag 7; cell_tags has 1, 2"),
         ({1: np.nan}, r"eigenstrain\[1\] is NaN or infinite at \d+ integration points"),
         (np.inf, r"eigenstrain is NaN or infinite"),
         (
@@ -341,7 +341,7 @@ def test_a_step_that_fails_shows_what_was_before():
         ([["a"]], r"eigenstrain is \[\['a'\]\]: give a scalar"),
         (True, "eigenstrain is True: give a scalar"),
         (1j, "eigenstrain is 1j: give a scalar .* real number"),
-        (1j * np.eye(3), "(?s)eigenstrain is array.*: give a scalar .* real number"),
+        (1j * np.eye(3), "(?s)eigenstrain is \\[\\[1j.*: give a scalar .* real number"),
         ({1: np.bool_(True)}, r"eigenstrain\[1\] is a bool: give a scalar"),
     ],
 )
@@ -359,7 +359,7 @@ def test_it_must_not_depend_on_the_displacement_or_another_mesh():
             dm.Solid(u, LAW, eigenstrain=value)
     with pytest.raises(ValueError, match=r"eigenstrain is a .*: give a scalar"):
         dm.Solid(u, LAW, eigenstrain=ufl.TestFunction(u.function_space)[0])
-    with pytest.raises(ValueError, match="dictionary by cell tag: give cell_tags"):
+    with pytest.raises(ValueError, match="dictionary by cell tag: give an entry, and cell_tags"):
         dm.Solid(u, LAW, eigenstrain={1: 1e-3})
 
 

@@ -323,7 +323,7 @@ def test_what_pressure_needs():
     solid = dm.Solid(u, dm.NeoHooke(1.0, 0.3), strain="finite")
     with rejected("Pressure", "no facet"):
         dm.Pressure(solid, tags, 1, 1.0)
-    with rejected("Pressure", "test or trial function"):
+    with rejected("Pressure", "without a test function"):
         dm.Pressure(solid, skin, 1, ufl.TestFunction(u.function_space)[0])
     with rejected("Pressure", "closed is 'no'"):
         dm.Pressure(solid, skin, 1, 1.0, closed="no")

@@ -123,7 +123,7 @@ def test_tags_and_counts_follow_the_element_size():
 )
 def test_bad_arguments_are_named(options, monkeypatch):
     monkeypatch.setattr(ball_on_block, "distribute", pytest.fail)
-    with pytest.raises(ValueError, match=f"^{next(iter(options))} = "):
+    with pytest.raises(ValueError, match=f"^{next(iter(options))} is "):
         meshing.sphere(COMM, **options)
 
 

@@ -62,11 +62,11 @@ def test_a_loop_dissipates_what_it_encloses(share):
 @pytest.mark.parametrize(
     ("friction", "nu", "force", "words"),
     [
-        (0.0, NU, 1.0, "friction = "),
-        (MU, 0.5, 1.0, "nu = "),
+        (0.0, NU, 1.0, "friction is "),
+        (MU, 0.5, 1.0, "nu is "),
         (MU, NU, 1.01 * LIMIT, "the whole contact slides"),
         (MU, NU, (0.5 * LIMIT, -0.6 * LIMIT), "closes a loop"),
-        (MU, NU, "1", "force = "),
+        (MU, NU, "1", "force is "),
     ],
 )
 def test_bad_numbers_are_named(friction, nu, force, words):

@@ -769,11 +769,11 @@ def part(name, value):
         (part("value", np.nan), ValueError, "Half: the value of its distance is NaN or inf"),
         (part("gradient", np.nan), ValueError, "Half: the gradient of its distance is NaN or inf"),
         (part("hessian", np.inf), ValueError, "Half: the hessian of its distance is NaN or inf"),
-        (lambda found, _: None, ValueError, "Half.distance() returns None: return a shapes.Dist"),
+        (lambda found, _: None, ValueError, "Half.distance() is None: return a shapes.Distance"),
         (
             lambda found, _: replace(found, gradient=found.gradient[:, :1]),
             ValueError,
-            "Half.distance() returns a gradient that has the shape (",
+            "Half: the gradient of its distance is [[",
         ),
         (fails, (KeyError, RuntimeError), "no such point"),
     ],

@@ -265,7 +265,7 @@ def test_wrong_arguments():
     tie = dm.Tie(tags, slave=3, master=4)
     stranger = fem.Function(fem.functionspace(other, ("DG", 0)), name="f")
     unpack = r"unpack what a reader returns, mesh\(\*found\)"
-    moved = "choose one of displacement, displacement_x"
+    moved = "choose 'displacement', 'displacement_x'"
     for call, said in (
         (lambda: dm.plotting.mesh("x.msh"), "mesh is 'x.msh'"),
         (lambda: dm.plotting.mesh((other, None, None)), unpack),
@@ -278,7 +278,7 @@ def test_wrong_arguments():
         ),
         (
             lambda: dm.plotting.field(problem, "stress"),
-            "name is 'stress': choose one of .*, stress_xx",
+            "name is 'stress': choose 'displacement', .*, 'stress_xx'",
         ),
         (lambda: dm.plotting.field(problem, "displacement_z"), moved),
         (lambda: dm.plotting.field(problem, "displacement_"), moved),

@@ -78,7 +78,7 @@ def test_one_load_step_needs_no_line(capsys, levels):
 @pytest.mark.mpi
 def test_what_is_neither_wanted_nor_not_is_an_error():
     for wrong in ("yes", "yes" if COMM.rank == COMM.size - 1 else None):
-        with pytest.raises(ValueError, match=r"progress is 'yes': choose True, False or None"):
+        with pytest.raises(ValueError, match=r"progress is 'yes': give True or False, or None"):
             lines(COMM, wrong)
 
 

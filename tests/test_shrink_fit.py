@@ -78,7 +78,7 @@ def test_a_short_fit_slides_at_its_pressure():
 def test_bad_numbers_are_named(change, name):
     names = ("interference", "radii", "E1", "nu1", "E2", "nu2")
     given = dict(zip(names, (0.02, RADII, *BODIES), strict=True)) | change
-    with pytest.raises(ValueError, match=f"^{name} = "):
+    with pytest.raises(ValueError, match=f"^{name} is "):
         analytic.shrink_fit(**given)
 
 
@@ -86,5 +86,5 @@ def test_bad_numbers_are_named(change, name):
 def test_bad_pulls_are_named(friction, length):
     fit = analytic.shrink_fit(0.02, RADII, *BODIES)
     for function in (fit.sliding_force, fit.pull_force):
-        with pytest.raises(ValueError, match=r"^(friction|length) = "):
+        with pytest.raises(ValueError, match=r"^(friction|length) is "):
             function(friction, length)

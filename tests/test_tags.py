@@ -77,9 +77,9 @@ def inside(V):
         ("ds", lambda V, bodies, sides: (falling(V, sides), 3), ["ds(3)", "not sorted", "Tags"]),
         ("ds", lambda V, bodies, sides: (sides, 99), ["ds('plates')", "nowhere", "'ball' (4)"]),
         ("ds", lambda V, bodies, sides: (inside(V), 7), ["ds(7)", "nowhere", "inside the mesh"]),
-        ("ds", lambda V, bodies, sides: (None, 3), ["ds(3) needs tags of facets"]),
-        ("ds", lambda V, bodies, sides: (bodies, 1), ["ds('low') needs tags of facets"]),
-        ("ds", lambda V, bodies, sides: (case()[2], 3), ["ds('plate')", "another mesh"]),
+        ("ds", lambda V, bodies, sides: (None, 3), ["ds(3)", "MeshTags of the facets"]),
+        ("ds", lambda V, bodies, sides: (bodies, 1), ["ds('low')", "MeshTags of the facets"]),
+        ("ds", lambda V, bodies, sides: (case()[2], 3), ["ds('plate')", "of the same mesh"]),
         ("dx", lambda V, bodies, sides: (bodies, 77), ["dx(77)", "nowhere", "'up' (2)"]),
     ],
 )
@@ -159,9 +159,9 @@ def test_materials_and_eigenstrains_by_name():
     ("laws", "said"),
     [
         ({"low": SOFT, "upp": HARD}, "materials: the key is 'upp': no such name; .*'up'"),
-        ({"low": SOFT}, r"cells have no material \(tag 'up'\)"),
-        ({"low": SOFT, "up": HARD, 77: HARD}, r"tag 77 marks no cell; cell_tags has 'low' \("),
-        ({(1,): SOFT}, "integers, or their names"),
+        ({"low": SOFT}, r"no entry for 12 cells of the tags 'up'"),
+        ({"low": SOFT, "up": HARD, 77: HARD}, r"no cell has the tag 77; cell_tags has 'low' \("),
+        ({(1,): SOFT}, r"no cell has the tag \(1,\)"),
     ],
 )
 def test_wrong_names_of_bodies(laws, said):

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_mortar.analytic.hertz import LineContact
-from dolfinx_mortar.analytic.inputs import check_positive, numbers
+from dolfinx_mortar.arguments import FINITE, POSITIVE, array, check, check_all
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats
 
 
@@ -91,7 +91,7 @@ class PartialSlip:
         """
         at, limit = self.contact, self.friction * self.contact.peak_pressure
         legs = self.weights, self.stick_half_widths
-        return limit * traction_of_legs(numbers("x", x), at.half_width, *legs)
+        return limit * traction_of_legs(check("x", x, FINITE), at.half_width, *legs)
 
     def slip(self, x: npt.ArrayLike) -> Floats:
         """Return how far the body that pushes has slid on the other one, NaN outside the contact.
@@ -101,7 +101,7 @@ class PartialSlip:
         summed over the legs; relative to the middle, and positive in the direction in which Q
         pushes.
         """
-        x = np.abs(numbers("x", x))
+        x = np.abs(check("x", x, FINITE))
         total = np.where(x <= self.contact.half_width, 0.0, np.nan)
         for w, c in zip(self.weights, self.stick_half_widths, strict=True):
             beyond = np.maximum(x, c)
@@ -136,7 +136,7 @@ def cattaneo_line(
     >>> round(loop.dissipation / s.dissipation, 12)
     5.0
     """
-    check_positive(friction=friction)
+    check_all(POSITIVE, friction=friction)
     path, weights, shares = legs_of(force, friction * contact.force)
     widths = tuple(contact.half_width * float(np.sqrt(1.0 - share)) for share in shares)
     return PartialSlip(contact, float(friction), path, weights, widths)
@@ -163,9 +163,7 @@ def legs_of(
     is 1 - k, the change of the force over weight and limit, from 0 to 1. A ValueError tells what is
     no force, goes beyond the limit, closes a loop, or does not turn.
     """
-    history = np.atleast_1d(numbers("force", force))
-    if history.ndim > 1 or not history.size:
-        raise ValueError(f"force = {force!r} must be a number, or several in a sequence.")
+    history = np.atleast_1d(check("force", force, FORCES))
     path = tuple(float(Q) for Q in history)
     changes = [path[0], *(later - Q for Q, later in pairwise(path))]
     sizes = [1.0, *[2.0] * (len(changes) - 1)]
@@ -176,14 +174,15 @@ def legs_of(
             share > before + HALF_OF_DIGITS
         ):  # a force that closes a loop may exceed its range by so much
             raise ValueError(
-                f"force = {force!r}: {Q:g} exceeds friction * P = {limit:g}, at which the whole "
+                f"force is {force!r}: {Q:g} exceeds friction * P = {limit:g}, at which the whole "
                 "contact slides, or closes a loop: leave out the forces inside closed loops."
             )
     if any(later * before > 0.0 for before, later in pairwise(weights)):
-        raise ValueError(
-            f"force = {force!r} must change its direction at every value except the last."
-        )
+        raise ValueError(f"force is {force!r}: let it turn at every value except the last one")
     return path, weights, tuple(min(share, 1.0) for share in shares)
+
+
+FORCES = array((), (None,), remedy="give a finite number, or several in a sequence", holds=np.size)
 
 
 def _k_ln_k(k: float) -> float:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.analytic.inputs import numbers
+from dolfinx_mortar.arguments import array, check
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
 
 # A node is at the edge of a contact where p^2 has fallen below this share of p0^2: its facets reach
@@ -40,11 +40,9 @@ def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
     >>> round(peak, 12), round(width, 12)
     (10.0, 5.0)
     """
-    distances, values = numbers("x", x), numbers("p", p)
-    if distances.shape != values.shape or distances.ndim != 1:
-        raise ValueError(
-            f"x and p must have the same shape (n,), not {distances.shape}, {values.shape}."
-        )
+    distances = check("x", x, array((None,), remedy="give distances (n,), finite numbers"))
+    wanted = f"give pressures of as many nodes, {len(distances)} finite numbers"
+    values = check("p", p, array((len(distances),), remedy=wanted))
     squares = distances**2, values**2
     # The farthest nodes may be at the edge: the others tell where it is.
     farthest = squares[0].max(initial=0.0)

@@ -12,12 +12,12 @@ below a line contact).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.analytic.inputs import check_poisson, check_positive, numbers
-from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arguments import POISSON, POSITIVE, Rule, array, as_numbers, check, check_all
 from dolfinx_mortar.arrays import Floats
 
 
@@ -76,13 +76,34 @@ def effective_modulus(E1: float, nu1: float, E2: float, nu2: float) -> float:
     112949.0
     """
     for name, modulus in (("E1", E1), ("E2", E2)):
-        if not ((is_number(modulus) and modulus > 0.0) or modulus == np.inf):
-            raise ValueError(f"{name} = {modulus!r} must be positive; np.inf for a rigid body.")
-    check_poisson(nu1=nu1, nu2=nu2)
+        if modulus != np.inf:
+            check(name, modulus, POSITIVE, "give a positive number, np.inf for a rigid body")
+    check_all(POISSON, nu1=nu1, nu2=nu2)
     compliance = (1.0 - nu1**2) / E1 + (1.0 - nu2**2) / E2
     if compliance == 0.0:
-        raise ValueError(f"E1 = {E1} and E2 = {E2}: one of the two bodies must not be rigid.")
+        raise ValueError(f"E1 is {E1}, and E2 is {E2}: one of the bodies must not be rigid")
     return float(1.0 / compliance)
+
+
+def _read_radii(radius: Any) -> float | None:
+    """Return R of one radius or two, None unless it is positive and finite."""
+    radii = as_numbers(radius)
+    if radii is None or radii.shape not in ((), (1,), (2,)):
+        return None
+    with np.errstate(divide="ignore", invalid="ignore"):
+        curvature = float(np.sum(1.0 / radii))
+    return 1.0 / curvature if 0.0 < curvature < np.inf else None
+
+
+DEPTHS = array(
+    remedy="give finite depths >= 0, as they are positive into the body",
+    holds=lambda z: (z >= 0.0).all(),
+)
+RADII = Rule(
+    "give a positive radius, or a pair of round bodies: neither is 0 or NaN, and one is positive "
+    "and smaller than the other, if that is hollow (negative)",
+    _read_radii,
+)
 
 
 def effective_radius(radius: float | tuple[float, float]) -> float:
@@ -94,17 +115,7 @@ def effective_radius(radius: float | tuple[float, float]) -> float:
     >>> effective_radius((8.0, 8.0)), effective_radius(8.0), effective_radius((4.0, -8.0))
     (4.0, 8.0, 8.0)
     """
-    radii = np.atleast_1d(np.asarray(radius))
-    if radii.dtype.kind not in "fiu" or radii.shape not in ((1,), (2,)):
-        raise ValueError(f"radius = {radius!r} must be one number, or a pair for two round bodies.")
-    with np.errstate(divide="ignore", invalid="ignore"):
-        curvature = float(np.sum(1.0 / radii))
-    if not (0.0 < curvature < np.inf):
-        raise ValueError(
-            f"radius = {radius!r} must leave a positive, finite curvature sum 1/R: no radius is 0 "
-            "or NaN, one of two is positive, and a hollow one (negative) is the larger."
-        )
-    return 1.0 / curvature
+    return check("radius", radius, RADII)
 
 
 def hertz_line(
@@ -122,7 +133,7 @@ def hertz_line(
     >>> round(c.half_width, 5), round(c.peak_pressure, 5)
     (0.96277, 6.6124)
     """
-    check_positive(force=force)
+    check_all(POSITIVE, force=force)
     R, E_star = effective_radius(radius), effective_modulus(E1, nu1, E2, nu2)
     a = float(np.sqrt(4.0 * force * R / (np.pi * E_star)))
     return LineContact(force, R, E_star, a, 2.0 * force / (np.pi * a))
@@ -141,7 +152,7 @@ def hertz_point(
     >>> round(c.contact_radius, 5), round(c.peak_pressure / 1e5, 5)
     (0.63018, 1.41642)
     """
-    check_positive(force=force)
+    check_all(POSITIVE, force=force)
     R, E_star = effective_radius(radius), effective_modulus(E1, nu1, E2, nu2)
     a = float(np.cbrt(3.0 * force * R / (4.0 * E_star)))
     return PointContact(force, R, E_star, a, 1.5 * force / (np.pi * a**2), a**2 / R)
@@ -160,10 +171,8 @@ def line_axis_stress(depth: npt.ArrayLike, nu: float) -> Floats:
     >>> line_axis_stress(0.0, 0.25).tolist()
     [-1.0, -1.0, -0.5]
     """
-    check_poisson(nu=nu)
-    z = numbers("depth", depth)
-    if (z < 0.0).any():
-        raise ValueError(f"depth = {depth!r} must not be negative: it is positive into the body.")
+    check_all(POISSON, nu=nu)
+    z = check("depth", depth, DEPTHS)
     s = np.sqrt(1.0 + z**2)
     sx, sy = 2.0 * z - (1.0 + 2.0 * z**2) / s, -1.0 / s
     return np.stack([sx, sy, nu * (sx + sy)], axis=-1)
@@ -191,7 +200,7 @@ def first_yield_line(
     """
     from scipy.optimize import minimize_scalar  # 0.1 s, for this alone
 
-    check_positive(yield_stress=yield_stress)
+    check_all(POSITIVE, yield_stress=yield_stress)
     R, E_star = effective_radius(radius), effective_modulus(E1, nu1, E2, nu2)
 
     def von_mises(z: float) -> float:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from dolfinx_mortar.analytic.cattaneo import legs_of, traction_of_legs
 from dolfinx_mortar.analytic.hertz import PointContact
-from dolfinx_mortar.analytic.inputs import check_poisson, check_positive, numbers
+from dolfinx_mortar.arguments import FINITE, POISSON, POSITIVE, check, check_all
 from dolfinx_mortar.arrays import Floats
 
 
@@ -89,7 +89,7 @@ class PartialSlipPoint:
         """Return the shear traction at distances r from the middle, as `PartialSlip.traction`."""
         at, limit = self.contact, self.friction * self.contact.peak_pressure
         legs = self.weights, self.stick_radii
-        return limit * traction_of_legs(numbers("r", r), at.contact_radius, *legs)
+        return limit * traction_of_legs(check("r", r, FINITE), at.contact_radius, *legs)
 
 
 def mindlin_point(
@@ -106,8 +106,8 @@ def mindlin_point(
     >>> round(s.stick_radius / contact.contact_radius, 12)
     0.5
     """
-    check_positive(friction=friction)
-    check_poisson(nu=nu)
+    check_all(POSITIVE, friction=friction)
+    check_all(POISSON, nu=nu)
     path, weights, shares = legs_of(force, friction * contact.force)
     radii = tuple(contact.contact_radius * float(np.cbrt(1.0 - share)) for share in shares)
     return PartialSlipPoint(contact, float(friction), float(nu), path, weights, radii)

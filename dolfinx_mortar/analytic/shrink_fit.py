@@ -10,7 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfinx_mortar.analytic.inputs import check_poisson, check_positive
+from dolfinx_mortar.arguments import POISSON, POSITIVE, array, check, check_all
+
+RADII = array(
+    (3,),
+    remedy="give three increasing positive radii: of the bore, where the bodies meet, outside",
+    holds=lambda r: 0.0 < r[0] < r[1] < r[2],
+)
 
 
 @dataclass(frozen=True)
@@ -24,7 +30,7 @@ class ShrinkFit:
 
     def sliding_force(self, friction: float, length: float) -> float:
         """Return mu p 2 pi c L, at which the shaft slides if the pressure stays what it is."""
-        check_positive(friction=friction, length=length)
+        check_all(POSITIVE, friction=friction, length=length)
         return 2.0 * np.pi * self.radii[1] * length * friction * self.pressure
 
     def pull_force(self, friction: float, length: float) -> float:
@@ -38,7 +44,7 @@ class ShrinkFit:
         where K = k1 + k2 are the compliances of Lame, u/(c p). The force F = A S(L) follows from
         this linear equation. A friction or a length that is not positive is a ValueError.
         """
-        check_positive(friction=friction, length=length)
+        check_all(POSITIVE, friction=friction, length=length)
         a, c, b = self.radii
         A, B = np.pi * (c**2 - a**2), np.pi * (b**2 - c**2)
         stretch = [
@@ -75,16 +81,10 @@ def shrink_fit(
     >>> round(s.pressure, 4), round(s.sliding_force(0.2, 20.0) / 1e3, 3)
     (23.4375, 11.781)
     """
-    check_positive(interference=interference, E1=E1, E2=E2)
-    check_poisson(nu1=nu1, nu2=nu2)
-    sizes = np.asarray(radii)
-    numeric = sizes.dtype.kind in "fiu" and sizes.shape == (3,) and np.isfinite(sizes).all()
-    if not (numeric and 0.0 < sizes[0] < sizes[1] < sizes[2]):
-        raise ValueError(
-            f"radii = {radii!r} must be three increasing positive numbers: the radii of the bore, "
-            "of the common surface, and of the outside."
-        )
-    a, c, b = (float(r) for r in sizes)
+    check_all(POSITIVE, interference=interference, E1=E1, E2=E2)
+    check_all(POISSON, nu1=nu1, nu2=nu2)
+    sizes = check("radii", radii, RADII)
+    a, c, b = map(float, sizes)
     shaft, hub = (float(E1), float(nu1)), (float(E2), float(nu2))
     give = sum(_compliances((a, c, b), shaft, hub))
     return ShrinkFit((a, c, b), shaft, hub, interference / c / give)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dolfinx_mortar.arguments import is_integer, is_number
+from dolfinx_mortar import arguments
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.compiled import CompiledLaw, Point, PointwiseNumbers
 from dolfinx_mortar.materials.finite_comparison import (
@@ -182,12 +182,9 @@ def check(
 
 def _check_arguments(parts: Law, size: float, seed: int, strain: str | None) -> None:
     """Raise ValueError unless the arguments of `check` make sense."""
-    if not (is_number(size) and size > 0.0):
-        raise ValueError(f"size is {size!r}: give the norm of a strain, a positive number")
-    if not (is_integer(seed) and seed >= 0):
-        raise ValueError(f"seed is {seed!r}: give an integer from 0 on")
-    if strain not in (None, parts.strain, "finite"):
-        raise ValueError(f"strain is {strain!r}: give 'finite', or None for that of the law")
+    arguments.check("size", size, arguments.number("the norm of a strain,", above=0.0))
+    arguments.check("seed", seed, arguments.integer(0))
+    arguments.check_optional("strain", strain, arguments.one_of(parts.strain, "finite"))
     if parts.plane_stress and (strain or parts.strain) == "finite":
         raise ValueError("plane_stress is True: at finite strain a law is judged in space alone")
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.arguments import is_name
+from dolfinx_mortar.arguments import check, number, one_of
 from dolfinx_mortar.arrays import Floats, Longs
 from dolfinx_mortar.meshing.two_bodies import (
     Arrays,
@@ -28,7 +28,6 @@ from dolfinx_mortar.meshing.two_bodies import (
     gmsh_model,
     mirrored,
     name_sides,
-    positive,
     read_cells,
     set_graded_size,
 )
@@ -71,9 +70,8 @@ def sphere(
         RuntimeError: if gmsh is missing or fails. All errors are raised on all ranks.
     """
     with raised_together(comm):
-        if not is_name(cell, ("hexahedron", "tetrahedron")):
-            raise ValueError(f"cell = {cell!r} is not known; use 'hexahedron' or 'tetrahedron'.")
-        sizes = check_sizes(h, radius, block, gap, "ball", "width, length, thickness")
+        check("cell", cell, one_of("hexahedron", "tetrahedron"))
+        sizes = check_sizes(h, radius, block, gap, "width, length, thickness")
         inner = _check_core(core, sizes, radius, block)
     same = {"cell": cell, "h": h, "radius": radius, "block": block, "gap": gap, "core": core}
     check_same_on_all_ranks(comm, **same, half=half)
@@ -95,18 +93,12 @@ def sphere(
 
 def _check_core(core: Any, sizes: tuple[float, ...], radius: float, block: Any) -> float:
     """Return the size of the core, or raise a ValueError."""
-    (inner,) = positive("core", radius / 8 if core is None else core, "of the finest part")
     largest = 0.5 * min(radius, block[0] / 2, block[1] / 2, block[2])
-    if max(sizes) > inner:
-        raise ValueError(
-            f"h = {max(sizes):g} must be at most {inner:g}, the core, by default an eighth of the "
-            "radius."
-        )
-    if inner > largest:
-        raise ValueError(
-            f"core = {inner!r} must be at most {largest:g}, half of what the radius and the block "
-            "leave."
-        )
+    what = "a number, at most half of what the radius and the block leave,"
+    wanted = number(what, above=0.0, most=largest)
+    inner = check("core", radius / 8 if core is None else core, wanted)
+    what = "at most the core, by default an eighth of the radius,"
+    check("h", max(sizes), number(what, most=inner))
     return inner
 
 

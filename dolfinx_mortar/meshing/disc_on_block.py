@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.arguments import is_name, is_number
+from dolfinx_mortar.arguments import POSITIVE, check, number, one_of
 from dolfinx_mortar.meshing.two_bodies import (
     Arrays,
     TaggedMesh,
@@ -23,7 +23,6 @@ from dolfinx_mortar.meshing.two_bodies import (
     mirrored,
     name_sides,
     on_axis,
-    positive,
     read_cells,
     set_graded_size,
 )
@@ -73,18 +72,13 @@ def hertz(
         RuntimeError: if gmsh is missing or fails. All errors are raised on all ranks.
     """
     with raised_together(comm):
-        for name, value, known in (
-            ("kind", kind, ("paper", "graded")),
-            ("cell", cell, ("triangle", "quadrilateral")),
-        ):
-            if not is_name(value, known):
-                raise ValueError(f"{name} = {value!r} is not known; use one of {known}.")
-        sizes = check_sizes(h, radius, block, gap, "disc", "width, thickness")
+        check("kind", kind, one_of("paper", "graded"))
+        check("cell", cell, one_of("triangle", "quadrilateral"))
+        sizes = check_sizes(h, radius, block, gap, "width, thickness")
         if kind == "graded" and max(sizes) > radius / 2:
-            raise ValueError(f"h = {h!r} must be at most half the radius, {radius / 2:g}.")
-        if not (is_number(limit) and limit > 1.0):
-            raise ValueError(f"limit = {limit!r} must be greater than 1, the largest size over h.")
-        positive("core", core, "of the finest part")
+            raise ValueError(f"h is {h!r}: give at most half of the radius, {radius / 2:g}")
+        check("limit", limit, number("the largest size over h,", above=1.0))
+        check("core", core, POSITIVE)
     same = {"kind": kind, "cell": cell, "h": h, "radius": radius, "block": block, "gap": gap}
     check_same_on_all_ranks(comm, **same, limit=limit, core=core, half=half)
     graded = [(size, limit, core) if kind == "graded" else None for size in sizes]

@@ -16,6 +16,7 @@ import numpy as np
 
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arguments import check, instance
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Longs
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.meshing.two_bodies import TaggedMesh, gmsh_model
@@ -70,8 +71,7 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
             a surface in space; if a group of sides has elements that are no facets of a body.
         RuntimeError: if gmsh is not installed. All errors are raised on all ranks.
     """
-    if not isinstance(comm, MPI.Intracomm):
-        raise ValueError(f"comm is {comm!r}: give a communicator, such as MPI.COMM_WORLD")
+    check("comm", comm, instance(MPI.Intracomm, "give a communicator, such as MPI.COMM_WORLD"))
     file = check_path(comm, path)
     with ExitStack() as stack:
         groups: list[Group] = []

@@ -13,7 +13,7 @@ import basix
 import basix.ufl
 import ufl
 from dolfinx import mesh as dmesh
-from dolfinx_mortar.arguments import as_numbers, is_number
+from dolfinx_mortar.arguments import POSITIVE, array, check, number
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.tags import Tags
 
@@ -233,34 +233,21 @@ def name_sides(
     return name_parts(mesh, in_block, ("block", names[0]), facets, sides)
 
 
-def positive(name: str, value: Any, parts: str, *, one: bool = False) -> tuple[float, ...]:
-    """Return as many positive, finite numbers as there are parts in words; else a ValueError.
-
-    Where `one` is allowed, one number may stand for all of them.
-    """
-    count = len(parts.split(", "))
-    numbers = as_numbers(value)
-    shapes = {() if count == 1 else (count,)} | ({()} if one else set())
-    good = numbers is not None and numbers.shape in shapes and np.isfinite(numbers).all()
-    if numbers is None or not good or not (numbers > 0.0).all():
-        more = ", or one for all" if one else ""
-        raise ValueError(f"{name} = {value!r} must be finite and positive: {parts}{more}.")
-    return tuple(float(number) for number in np.broadcast_to(numbers, count))
-
-
-def check_sizes(
-    h: Any, radius: Any, block: Any, gap: Any, body: str, sides: str
-) -> tuple[float, ...]:
+def check_sizes(h: Any, radius: Any, block: Any, gap: Any, sides: str) -> tuple[float, ...]:
     """Return the element sizes of a block and of a round body on it; a ValueError names the rest.
 
     The block's sides are named in words, separated by commas; its thickness is the last.
     """
-    sizes = positive("h", h, f"block, {body}", one=True)
-    (r,) = positive("radius", radius, f"of the {body}")
-    deepest = min(r, positive("block", block, sides)[-1])
-    if not (is_number(gap) and gap > -deepest):
-        raise ValueError(
-            f"gap = {gap!r} must be a number above {-deepest:g}, where one body reaches through "
-            "the other one; use 0 for bodies that touch in a point."
-        )
-    return sizes
+    wanted = "give a positive size, or two, of the block and of the round body"
+    sizes = check("h", h, array((), (2,), remedy=wanted, holds=_positive))
+    check("radius", radius, POSITIVE)
+    wanted = f"give positive numbers: {sides}"
+    count = sides.count(",") + 1
+    *_, thickness = check("block", block, array((count,), remedy=wanted, holds=_positive))
+    what = "0 for bodies that touch in a point, or a gap at which none reaches through the other,"
+    check("gap", gap, number(what, above=-min(radius, float(thickness))))
+    return tuple(map(float, np.broadcast_to(sizes, 2)))
+
+
+def _positive(sizes: Floats) -> bool:
+    return bool((sizes > 0.0).all())

@@ -12,6 +12,7 @@ from weakref import WeakValueDictionary
 from mpi4py import MPI
 
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arguments import check, instance
 from dolfinx_mortar.disk import (
     demand_space,
     draft_of,
@@ -91,8 +92,7 @@ def create_tree(notes: Mapping[str, Any]) -> tuple[ET.Element, ET.Element]:
     domain = ET.SubElement(root, "Domain")
     steps = ET.SubElement(domain, "Grid", Name="steps", GridType="Collection")
     steps.set("CollectionType", "Temporal")
-    if not isinstance(notes, Mapping):
-        raise ValueError(f"notes is {notes!r}: give a dictionary, name -> text or JSON value.")
+    check("notes", notes, instance(Mapping, "give a dictionary, name -> text or JSON value"))
     for name, note in notes.items():
         ET.SubElement(domain, "Information", Name=_xml("notes", name), Value=_note(name, note))
     return root, steps

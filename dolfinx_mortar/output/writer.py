@@ -25,7 +25,7 @@ import numpy as np
 from dolfinx import fem, plot
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arguments import FLAG, NUMBER, check
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.output.files import (
@@ -102,8 +102,7 @@ class Writer:
             if self.path.suffix != ".xdmf":
                 raise ValueError(f"path is {str(path)!r}: give the name of a file ending in .xdmf.")
             self._root, self._collection = create_tree({} if notes is None else notes)
-            if not isinstance(resume, bool):
-                raise ValueError(f"resume is {resume!r}: give True or False.")
+            check("resume", resume, FLAG)
             if cell not in TOPOLOGY:
                 raise ValueError(f"problem: {cell[0]} cells with {cell[1]} nodes: no XDMF name.")
         self._steps = read_steps(self.comm, self.path) if resume else []
@@ -139,8 +138,7 @@ class Writer:
         number = sum(not step.earlier for step in self._steps)
         grid = ET.Element("Grid", GridType="Uniform")
         with raised_together(self.comm):
-            if not is_number(t):
-                raise ValueError(f"t is {t!r}: give the time or load of the step, a finite number.")
+            check("t", t, NUMBER, "give the time or load of the step, a finite number")
             done, brought = getattr(self.problem, "steps_done", (0, 0))
             step = Step(grid, done, float(t), self._mesh)
             steps = insert(self._steps, step, made=done > brought)

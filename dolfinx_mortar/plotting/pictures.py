@@ -14,10 +14,11 @@ from dolfinx import mesh as dmesh
 from dolfinx_mortar import compat
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.arguments import is_name
+from dolfinx_mortar.arguments import check, check_optional, instance, one_of
 from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.plotting.gathered import NO_TAG, Values, gather_bodies, gather_facets
 from dolfinx_mortar.spaces import CELLS
+from dolfinx_mortar.tags import tags_of
 
 File = str | os.PathLike[str] | None
 MOVED = " moved"  # name of the positions among values at nodes; not a name of a field
@@ -61,9 +62,7 @@ def mesh(
     check_same_on_all_ranks(mesh.comm, cell_tags=cell_tags, facet_tags=facet_tags)
     tdim = mesh.topology.dim
     for name, tags, dim in (("cell_tags", cell_tags, tdim), ("facet_tags", facet_tags, tdim - 1)):
-        sound = isinstance(tags, dmesh.MeshTags) and compat.on_same_mesh(tags, mesh)
-        if tags is not None and (not sound or tags.dim != dim):
-            raise ValueError(f"{name} is {tags!r}: give tags of dimension {dim} of this mesh.")
+        check_optional(name, tags, tags_of(mesh, dim))
     drawer = _drawer(mesh, file, view, ax)
     values: Ints = np.full(mesh.topology.index_map(tdim).size_local, NO_TAG, dtype=np.int32)
     if cell_tags is not None:
@@ -165,8 +164,8 @@ def pressure(
     """
     chosen = _chosen(problem, interfaces, over)
     V: fem.FunctionSpace = problem.solid.V
-    if over is not None and (V.mesh.geometry.dim == 3 or not is_name(over, ("x", "y"))):
-        raise ValueError(f"over is {over!r}: choose 'x' or 'y' in the plane, nothing in space.")
+    axes = ("x", "y") if V.mesh.geometry.dim == 2 else ()
+    check_optional("over", over, one_of(*axes), "choose 'x' or 'y' in the plane, None in space")
     drawer = _drawer(V.mesh, file, view, ax)
     moved = _moved(V, problem.solid.u, 1.0)
     sides = []
@@ -224,8 +223,8 @@ def _values(solid: Any, name: str | fem.Function) -> tuple[str, Values, Values]:
     axes = "xyz"[: solid.V.mesh.geometry.dim]
     components = {"displacement": None} | {f"displacement_{a}": i for i, a in enumerate(axes)}
     drawable = [*components, *solid.fields.scalars]
-    if not is_name(name, drawable):
-        raise ValueError(f"name is {name!r}: choose one of {', '.join(drawable)}, or a Function.")
+    rule = one_of(*drawable)
+    check("name", name, rule, f"{rule.remedy}, or give a Function")
     if name in components:
         return name, {name: _at_nodes(solid.V, solid.u, components[name])}, {}
     return name, {}, {name: _of_cells(solid.cell_values(name))}
@@ -296,12 +295,10 @@ def _drawer(domain: dmesh.Mesh, file: File, view: Any, ax: Any) -> Any:
     """
     dim = domain.geometry.dim
     with raised_together(domain.comm):
-        if file is not None and not isinstance(file, str | os.PathLike):
-            raise ValueError(f"file is {file!r}: give the name of a picture, or None for none.")
-        if dim == 2 and view is not None:
-            raise ValueError(f"view is {view!r}: for bodies in space only; leave it out.")
-        if dim == 3 and ax is not None:
-            raise ValueError(f"ax is {ax!r}: for bodies in the plane only; leave it out.")
+        check_optional("file", file, instance((str, os.PathLike), "give the name of a picture"))
+        name, given, where = ("view", view, "space") if dim == 2 else ("ax", ax, "the plane")
+        if given is not None:
+            raise ValueError(f"{name} is {given!r}: for bodies in {where} only; leave it out")
     try:
         return import_module(f"dolfinx_mortar.plotting.{'in_plane' if dim == 2 else 'in_space'}")
     except ImportError as error:

@@ -15,7 +15,15 @@ from dolfinx_mortar import qp as backends
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arguments import is_integer, is_name, is_number
+from dolfinx_mortar.arguments import (
+    NUMBER,
+    check,
+    check_optional,
+    instance,
+    integer,
+    number,
+    one_of,
+)
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.solid.solid import Solid
@@ -42,8 +50,7 @@ def check_arguments(
     Raises:
         ValueError: for invalid arguments, with the remedy.
     """
-    if not isinstance(solid, Solid):
-        raise ValueError(f"solid is {solid!r}: give a Solid(u, materials, cell_tags)")
+    check("solid", solid, instance(Solid, "give a Solid(u, materials, cell_tags)"))
     given, conditions = _unrolled(interfaces), _unrolled(bcs)
     check_same_on_all_ranks(
         solid.V.mesh.comm,
@@ -54,8 +61,7 @@ def check_arguments(
         geometry=geometry,
         **options,
     )
-    if not is_name(geometry, GEOMETRIES):
-        raise ValueError(f"geometry is {geometry!r}: choose 'updated' or 'reference'")
+    check("geometry", geometry, one_of(*GEOMETRIES))
     sides = _check_interfaces(_as_list("interfaces", given))
     if sides:
         _check_weight(solid)
@@ -70,19 +76,15 @@ def check_arguments(
 
 def check_problem(problem: Any, kind: type) -> None:
     """Raise a ValueError unless a problem is of its class, which this module cannot import."""
-    if not isinstance(problem, kind):
-        raise ValueError(
-            f"problem is {problem!r}: give a {kind.__name__}(solid, interfaces, bcs=...)"
-        )
+    remedy = f"give a {kind.__name__}(solid, interfaces, bcs=...)"
+    check("problem", problem, instance(kind, remedy))
 
 
 def check_controls(qp: Any, rtol: Any, max_it: Any) -> None:
     """Raise a ValueError unless the controls of Newton's method are valid, see `newton`."""
     backends.check_name(qp)
-    if not (is_number(rtol) and 0.0 < float(rtol) < 1.0):
-        raise ValueError(f"rtol is {rtol!r}: need a number, 0 < rtol < 1")
-    if not is_integer(max_it) or max_it < 1:
-        raise ValueError(f"max_it is {max_it!r}: need an integer, max_it >= 1")
+    check("rtol", rtol, number(above=0.0, below=1.0))
+    check("max_it", max_it, integer(1))
 
 
 def check_load_steps(
@@ -96,20 +98,11 @@ def check_load_steps(
     levels = _unrolled(times)
     if comm is not None:
         check_same_on_all_ranks(comm, times=levels, start=start, max_cuts=max_cuts, cuts=cuts)
-    if not isinstance(levels, list):
-        raise ValueError(f"times is {times!r}: give a list of levels, [{times!r}] for a single one")
-    for level in levels:
-        if not is_number(level):
-            raise ValueError(f"times holds {level!r}: every level must be a finite number")
-    if start is not None and not is_number(start):
-        raise ValueError(
-            f"start is {start!r}: give the finite level of the committed state, or None for the "
-            "last one reached"
-        )
-    if not is_integer(max_cuts) or max_cuts < 0:
-        raise ValueError(f"max_cuts is {max_cuts!r}: need an integer, max_cuts >= 0")
-    if not is_name(cuts, CUTS):
-        raise ValueError(f"cuts is {cuts!r}: choose 'halve' or 'none'")
+    for level in check("times", levels, instance(list, "give a list of levels, [1.0] for one")):
+        check("times: a level", level, NUMBER)
+    check_optional("start", start, number("the finite level of the committed state"))
+    check("max_cuts", max_cuts, integer(0))
+    check("cuts", cuts, one_of(*CUTS))
     return [float(level) for level in levels]
 
 
@@ -117,8 +110,7 @@ def check_every(comm: MPI.Comm, checkpoint: Any, every: Any) -> Path | None:
     """Return the file of checkpoints, None for none, if both arguments are valid; collective."""
     given = None if checkpoint is None else "a file"
     check_same_on_all_ranks(comm, every=every, checkpoint=given)
-    if not is_integer(every) or every < 1:
-        raise ValueError(f"every is {every!r}: need an integer, every >= 1")
+    check("every", every, integer(1))
     if given:
         return check_path(comm, checkpoint, "checkpoint")
     if every != 1:
@@ -145,8 +137,7 @@ def _as_list(name: str, given: Any) -> list[Any]:
 def _check_interfaces(interfaces: list[Any]) -> list[Interface]:
     """Return interfaces if they are some, and all different."""
     for k, interface in enumerate(interfaces):
-        if not isinstance(interface, Interface):
-            raise ValueError(f"interfaces holds {interface!r}: give Contact or Tie objects")
+        check(f"interfaces[{k}]", interface, instance(Interface, "give Contact or Tie objects"))
         if any(interface is other for other in interfaces[:k]):
             raise ValueError(f"interfaces holds the same object {interface!r} twice: give it once")
     return interfaces
@@ -165,8 +156,7 @@ def _check_weight(solid: Solid) -> None:
 def _check_conditions(bcs: Sequence[Any], V: fem.FunctionSpace) -> list[fem.DirichletBC]:
     """Return Dirichlet conditions if they are some, on V or its components."""
     for bc in bcs:
-        if not isinstance(bc, fem.DirichletBC):
-            raise ValueError(f"bcs holds {bc!r}: make it with dolfinx.fem.dirichletbc")
+        check("bcs: one", bc, instance(fem.DirichletBC, "make it with dolfinx.fem.dirichletbc"))
         space = bc.function_space
         if not V._cpp_object.contains(getattr(space, "_cpp_object", space)):
             raise ValueError(

@@ -8,7 +8,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.arguments import is_name
+from dolfinx_mortar import arguments
 from dolfinx_mortar.arrays import Actives, Floats, Ints
 from dolfinx_mortar.qp import active_set, interior_point
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check, validate
@@ -35,8 +35,7 @@ def available() -> list[str]:
 
 def check_name(backend: str) -> None:
     """Raise ValueError if there is no backend of this name."""
-    if not is_name(backend, available()):
-        raise ValueError(f"qp is {backend!r}: choose one of {', '.join(map(repr, available()))}")
+    arguments.check("qp", backend, arguments.one_of(*available()))
 
 
 def check_friction(backend: str, friction: bool) -> None:
@@ -91,8 +90,7 @@ def solve(
             the check.
     """
     check_name(backend)
-    if not isinstance(qp, BoundQP):
-        raise ValueError(f"qp is {qp!r}: give a BoundQP")
+    arguments.check("qp", qp, arguments.instance(BoundQP, "give a BoundQP"))
     check_friction(backend, qp.friction is not None)
     check_scalars(backend, qp.scalars is not None)
     if backend == INTERIOR_POINT and not qp.definite:

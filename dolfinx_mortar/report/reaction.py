@@ -19,6 +19,7 @@ from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arguments import array, check
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.compat import on_same_mesh
 from dolfinx_mortar.mortar.surface import check_tag, check_tags
@@ -153,13 +154,7 @@ def _check_point(problem: ContactProblem, about: Any) -> Floats:
             f"about is {about!r}, but forces on rings have no moment about points of the axis: "
             "leave it out"
         )
-    try:
-        point = np.array(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        point = np.zeros(0)
-    if point.shape != (problem.d,) or not np.isfinite(point).all():
-        raise ValueError(f"about is {about!r}: give {problem.d} finite coordinates of a point")
-    return point
+    return check("about", given, array((problem.d,)))
 
 
 def _find(problem: ContactProblem, support: Any, facet_tags: Any) -> Bools:

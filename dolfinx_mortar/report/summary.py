@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arguments import check, instance
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.problem.checks import check_problem
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -37,8 +38,7 @@ def summarise(step: LoadStep) -> dict[str, Any]:
     Raises:
         ValueError: for what is no load step.
     """
-    if not isinstance(step, LoadStep):
-        raise ValueError(f"step is {step!r}: give a LoadStep, such as load_steps yields")
+    check("step", step, instance(LoadStep, "give a LoadStep, such as load_steps yields"))
     parts = step.parts
     iterations = [iteration for part in parts for iteration in part.iterations]
     work = sorted({name for part in parts for name in part.seconds})
@@ -105,11 +105,8 @@ def write_summary(
 def _check_rows(steps: Any) -> None:
     """Raise a ValueError unless rows are a list of dictionaries."""
     wanted = "give a list of rows, [dm.summarise(step) for step in ...]"
-    if not isinstance(steps, list | tuple):
-        raise ValueError(f"steps is {steps!r}: {wanted}")
-    for row in steps:
-        if not isinstance(row, Mapping):
-            raise ValueError(f"steps holds {row!r}: {wanted}")
+    for row in check("steps", steps, instance((list, tuple), wanted)):
+        check("steps: a row", row, instance(Mapping, wanted))
 
 
 def _plain(value: Any) -> Any:

@@ -6,10 +6,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arguments import array, check, instance, number
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, Floats
 from dolfinx_mortar.shapes.half_space import Plane
-from dolfinx_mortar.shapes.shape import Distance, Shape, check_unit, check_vector
+from dolfinx_mortar.shapes.shape import Distance, Shape, check_unit
 
 
 class _Combined(Shape):
@@ -18,10 +18,8 @@ class _Combined(Shape):
     sign: ClassVar[float]
 
     def __init__(self, *shapes: Shape) -> None:
-        wrong = [shape for shape in shapes if not isinstance(shape, Shape)]
-        if wrong or not shapes:
-            given = repr(wrong[0]) if wrong else "nothing"
-            raise ValueError(f"{type(self).__name__} of {given}: give one or more shapes")
+        for shape in shapes or (None,):
+            check(f"{type(self).__name__}: a shape", shape, instance(Shape, "give one or more"))
         sizes = sorted({len(shape.point) for shape in shapes})
         if len(sizes) > 1:
             raise ValueError(
@@ -138,9 +136,7 @@ class Complement(Shape):
     """
 
     def __init__(self, shape: Shape) -> None:
-        if not isinstance(shape, Shape):
-            raise ValueError(f"Complement of {shape!r}: give a shape")
-        self.shape = shape
+        self.shape = check("Complement: shape", shape, instance(Shape, "give one"))
 
     @property
     def point(self) -> Floats:
@@ -173,9 +169,8 @@ def berkovich(tip: Any, axis: Any, turned: float = 0.0) -> Intersection:
     Raises:
         ValueError: for other than 3 finite coordinates, an axis of 0, and no such angle.
     """
-    at, a = check_vector("tip", tip, 3), check_unit("axis", axis, 3)
-    if not (is_number(turned) and abs(turned) <= 360.0):
-        raise ValueError(f"turned is {turned!r}: give an angle in degrees, from -360 to 360")
+    at, a = check("tip", tip, array((3,))), check_unit("axis", axis, 3)
+    check("turned", turned, number("an angle in degrees", least=-360.0, most=360.0))
     first = np.cross(a, np.eye(3)[np.argmin(np.abs(a))])
     first /= np.linalg.norm(first)
     second, face = np.cross(a, first), np.radians(65.27)

@@ -7,15 +7,16 @@ from typing import Any
 import numpy as np
 
 import ufl
-from dolfinx_mortar.arguments import as_numbers
+from dolfinx_mortar.arguments import check, check_optional
 from dolfinx_mortar.arrays import EPS, Floats
 from dolfinx_mortar.kernels import Kernel, compile_kernel, constants, tabulate
 from dolfinx_mortar.shapes.shape import (
+    LENGTH,
+    POINT,
     Distance,
     Shape,
     check_finite,
-    check_length,
-    check_vector,
+    returned,
 )
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
@@ -64,7 +65,7 @@ class SignedDistance(Shape):
         hessian: Function | None = None,
         length: Any = None,
     ) -> None:
-        self._point = check_vector("point", point)
+        self._point = check("point", point, POINT)
         self.phi, self.gradient, self.hessian = phi, gradient, hessian
         self._kernel: Kernel | None = None
         if isinstance(phi, Expr):
@@ -83,7 +84,7 @@ class SignedDistance(Shape):
                 "length is None: give the length over which phi varies, such as the least radius "
                 "of the surface, for differences; or gradient and hessian"
             )
-        self.length = None if length is None else check_length("length", length)
+        self.length = check_optional("length", length, LENGTH)
 
     @property
     def point(self) -> Floats:
@@ -172,13 +173,8 @@ def _returned(name: str, function: Function, x: Floats, shape: tuple[int, ...]) 
     n = len(x)
     if not n:  # functions need not handle an empty set of points
         return np.zeros((0, *shape))
-    found = as_numbers(function(np.ascontiguousarray(x.T)))
-    if found is None or found.shape != (*shape, n):
-        has = "no numbers" if found is None else f"the shape {found.shape}"
-        raise ValueError(
-            f"{name} returns {has} for {n} points x {(x.shape[1], n)}; it must return {(*shape, n)}"
-        )
-    found = np.asarray(np.moveaxis(found, -1, 0), dtype=np.float64)
+    values = function(np.ascontiguousarray(x.T))
+    found = np.moveaxis(check(f"{name}(x)", values, returned((*shape, n), n)), -1, 0)
     check_finite(name, found, x)
     return found
 

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from dolfinx_mortar.arguments import check
 from dolfinx_mortar.arrays import SAME, Floats
-from dolfinx_mortar.shapes.shape import Distance, Shape, check_unit, check_vector
+from dolfinx_mortar.shapes.shape import POINT, Distance, Shape, check_unit
 
 
 class Plane(Shape):
@@ -22,7 +23,7 @@ class Plane(Shape):
     """
 
     def __init__(self, point: Any, normal: Any) -> None:
-        self._point = check_vector("point", point)
+        self._point = check("point", point, POINT)
         self.normal = check_unit("normal", normal, len(self._point))
 
     @property

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arguments import check, number
 from dolfinx_mortar.arrays import SAME, Floats
 from dolfinx_mortar.shapes.shape import (
+    POINT,
     Distance,
     Shape,
-    check_length,
     check_unit,
-    check_vector,
     of_axis,
     of_centre,
 )
@@ -29,15 +28,11 @@ class _Pointed(Shape):
     """
 
     def __init__(self, tip: Any, half_angle: Any, axis: Any, radius: Any) -> None:
-        self.tip = check_vector("tip", tip)
-        if not is_number(half_angle) or not 0.0 < half_angle < 90.0:
-            raise ValueError(
-                f"half_angle is {half_angle!r}: give the degrees between axis and flank, between 0 "
-                "and 90"
-            )
-        self.half_angle = float(half_angle)
+        self.tip = check("tip", tip, POINT)
+        flank = number("the degrees between axis and flank,", above=0.0, below=90.0)
+        self.half_angle = check("half_angle", half_angle, flank)
         self.axis = check_unit("axis", axis, len(self.tip))
-        self.radius = check_length("radius", radius, least=">= 0")
+        self.radius = check("radius", radius, number("a finite length", least=0.0))
 
     @property
     def point(self) -> Floats:

@@ -24,14 +24,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dolfinx_mortar.arguments import as_numbers
+from dolfinx_mortar.arguments import FLAG, array, check
 from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, LIMIT, Bools, Floats, Longs
 from dolfinx_mortar.shapes.shape import (
+    CREASE,
     Distance,
     Shape,
-    check_angle,
-    check_flag,
-    check_vector,
     of_centre,
     unit_vectors,
 )
@@ -60,12 +58,14 @@ class Polyline(Shape):
     def __init__(
         self, points: Any, point: Any = None, *, crease: float = 30.0, closed: bool = True
     ) -> None:
-        self.crease, self.closed = check_angle("crease", crease), check_flag("closed", closed)
-        self.points = _check_points(points, 3 if closed else 2)
-        x = self.points
+        self.crease, self.closed = check("crease", crease, CREASE), check("closed", closed, FLAG)
+        least = 3 if closed else 2
+        wanted = f"give finite coordinates (n, 2) of {least} points or more"
+        rule = array((None, 2), holds=lambda x: len(x) >= least, remedy=wanted)
+        self.points = x = check("points", points, rule)
         self._point = (x.min(axis=0) + x.max(axis=0)) / 2
         if point is not None:
-            self._point = check_vector("point", point, 2)
+            self._point = check("point", point, array((2,)))
         self._p = x if closed else x[:-1]
         self._q = np.roll(x, -1, axis=0)[: len(self._p)]
         lengths, along = unit_vectors(self._q - self._p)
@@ -242,23 +242,6 @@ def _agreeing(directions: Floats, spans: Floats) -> Floats:
     best = (apart * np.minimum(spans[one], spans[other]) ** 2).argmin(axis=0)
     n = np.arange(len(best))
     return unit_vectors(directions[one[best], n] + directions[other[best], n])[1]
-
-
-def _check_points(given: Any, least: int) -> Floats:
-    """Return finite points (n, 2).
-
-    Raises:
-        ValueError: for anything else, and fewer than the least number of them.
-    """
-    found = as_numbers(given.tolist() if isinstance(given, np.ndarray) else given)
-    if found is None or found.ndim != 2 or found.shape[1] != 2 or len(found) < least:
-        has = "no numbers" if found is None else f"the shape {found.shape}"
-        raise ValueError(f"points have {has}: give (n, 2) coordinates of {least} points or more")
-    bad = ~np.isfinite(found).all(axis=1)
-    if bad.any():
-        k = int(np.argmax(bad))
-        raise ValueError(f"points[{k}] is {found[k].tolist()}, which is not finite")
-    return np.asarray(found, dtype=np.float64)
 
 
 def _crossed(p: Floats, q: Floats, closed: bool) -> Bools:

@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from dolfinx_mortar.arguments import check
 from dolfinx_mortar.arrays import SAME, Floats
 from dolfinx_mortar.shapes.shape import (
+    LENGTH,
+    POINT,
     Distance,
     Shape,
-    check_length,
     check_unit,
-    check_vector,
     of_axis,
     of_centre,
     of_section,
@@ -23,8 +24,8 @@ class _Round(Shape):
     """What has a centre and a radius."""
 
     def __init__(self, centre: Any, radius: Any) -> None:
-        self.centre = check_vector("centre", centre)
-        self.radius = check_length("radius", radius)
+        self.centre = check("centre", centre, POINT)
+        self.radius = check("radius", radius, LENGTH)
 
     @property
     def point(self) -> Floats:
@@ -123,7 +124,7 @@ class Torus(_Round):
 
     def __init__(self, centre: Any, radius: Any, tube: Any, axis: Any = None) -> None:
         super().__init__(centre, radius)
-        self.tube = check_length("tube", tube)
+        self.tube = check("tube", tube, LENGTH)
         if axis is None and len(self.centre) == 2:
             axis = (0.0, 1.0)
         self.axis = check_unit("axis", axis, len(self.centre))

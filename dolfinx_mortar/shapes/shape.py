@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_mortar.arguments import as_numbers, is_number
+from dolfinx_mortar.arguments import Rule, array, check, instance, is_number, number
 from dolfinx_mortar.arrays import Bools, Floats, Longs
 
 
@@ -54,20 +54,17 @@ def check_returned(shape: Shape, found: Any, x: Floats) -> Distance:
     Raises:
         ValueError: for what is no `Distance`, arrays of other shapes, NaN and infinity.
     """
-    kind = type(shape).__name__
-    if not isinstance(found, Distance):
-        raise ValueError(f"{kind}.distance() returns {found!r}: return a shapes.Distance")
-    n, d = x.shape
+    kind, (n, d) = type(shape).__name__, x.shape
+    check(f"{kind}.distance()", found, instance(Distance, "return a shapes.Distance"))
     for name, size in (("value", (n,)), ("gradient", (n, d)), ("hessian", (n, d, d))):
-        given = getattr(found, name)
-        array = as_numbers(given)
-        if array is None or array.shape != size:
-            has = "no numbers" if array is None else f"the shape {array.shape}"
-            raise ValueError(
-                f"{kind}.distance() returns a {name} that has {has} for {n} points, not {size}"
-            )
-        check_finite(f"{kind}: the {name} of its distance", array, x)
+        who = f"{kind}: the {name} of its distance"
+        check_finite(who, check(who, getattr(found, name), returned(size, n)), x)
     return found
+
+
+def returned(shape: tuple[int, ...], n: int) -> Rule[Floats]:
+    """Return the rule of what functions return for n points: numbers of a shape."""
+    return array(shape, finite=False, remedy=f"return numbers of shape {shape} for {n} points")
 
 
 class Shape(ABC):
@@ -122,65 +119,17 @@ def _shown(value: Any) -> str:
     return f"{value:g}" if is_number(value) else repr(value)
 
 
-def check_vector(name: str, value: Any, d: int | None = None) -> Floats:
-    """Return a vector of 2 or 3 finite components, or of d.
-
-    Raises:
-        ValueError: for anything else.
-    """
-    found = as_numbers(value.tolist() if isinstance(value, np.ndarray) else value)
-    sizes = ((2,), (3,)) if d is None else ((d,),)
-    if found is None or found.shape not in sizes or not np.isfinite(found).all():
-        wanted = "2 or 3" if d is None else f"{d}"
-        raise ValueError(f"{name} is {value!r}: give {wanted} finite coordinates")
-    return np.asarray(found, dtype=np.float64)
+DIRECTION = "it has no direction of {} finite components, not all 0: give one"
+POINT = array((2,), (3,))
+LENGTH = number("a finite length", above=0.0)
+CREASE = number("an angle in degrees,", least=0.0, most=90.0)
 
 
 def check_unit(name: str, value: Any, d: int) -> Floats:
-    """Return the unit vector (d,) of a direction.
-
-    Raises:
-        ValueError: for what has not d finite components, or only zeros.
-    """
-    found = check_vector(name, value, d)
-    largest = np.abs(found).max()
-    if largest == 0.0:
-        raise ValueError(f"{name} is {value!r}: it has no direction; give a vector that is not 0")
-    found = found / largest  # squares of very large or small components are none
+    """Return the unit vector (d,) of a direction, or raise a ValueError, as for one of 0."""
+    found = check(name, value, array((d,), holds=np.any, remedy=DIRECTION.format(d)))
+    found = found / np.abs(found).max()  # squares of very large or small components are none
     return np.asarray(found / np.linalg.norm(found))
-
-
-def check_length(name: str, value: Any, *, least: str = "> 0") -> float:
-    """Return a length.
-
-    Raises:
-        ValueError: for what is no finite number, or not > 0 (>= 0).
-    """
-    if not is_number(value) or value < 0.0 or (value == 0.0 and least == "> 0"):
-        raise ValueError(f"{name} is {value!r}: give a finite length {least}")
-    return float(value)
-
-
-def check_flag(name: str, value: Any) -> bool:
-    """Return a truth value.
-
-    Raises:
-        ValueError: for anything else, such as a text, which would count as True.
-    """
-    if not isinstance(value, bool | np.bool_):
-        raise ValueError(f"{name} is {value!r}: give True or False")
-    return bool(value)
-
-
-def check_angle(name: str, value: Any) -> float:
-    """Return an angle in degrees, from 0 to 90.
-
-    Raises:
-        ValueError: for anything else.
-    """
-    if not is_number(value) or not 0.0 <= value <= 90.0:
-        raise ValueError(f"{name} is {value!r}: give an angle in degrees, from 0 to 90")
-    return float(value)
 
 
 def unit_vectors(v: Floats) -> tuple[Floats, Floats]:

@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_mortar.arguments import as_numbers
+from dolfinx_mortar.arguments import FLAG, array, check
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Longs
 from dolfinx_mortar.shapes.nearest import EDGE, FACE, POINT, create_tree, find_nearest
-from dolfinx_mortar.shapes.shape import Distance, Shape, check_angle, check_flag, check_vector
+from dolfinx_mortar.shapes.shape import CREASE, Distance, Shape
 from dolfinx_mortar.shapes.stl import read_stl
 from dolfinx_mortar.shapes.triangulation import (
     FIRST,
@@ -59,10 +59,12 @@ class Triangles(Shape):
     def __init__(
         self, surface: Any, point: Any = None, *, crease: float = 30.0, rim: bool = False
     ) -> None:
-        self.crease, self.rim = check_angle("crease", crease), check_flag("rim", rim)
+        self.crease, self.rim = check("crease", crease, CREASE), check("rim", rim, FLAG)
         file = isinstance(surface, str | os.PathLike)
         self.file = os.fspath(surface) if file else None
-        self._point = np.zeros(3) if point is None else check_vector("point", point, 3)
+        self._point: Floats = np.zeros(3)
+        if point is not None:
+            self._point = check("point", point, array((3,)))
         self._unread: ValueError | None = None
         try:
             points, triangles = read_stl(surface) if file else _check_arrays(surface)
@@ -219,29 +221,13 @@ def _bulges(x: Floats, normals: Floats) -> Floats:
 
 
 def _check_arrays(surface: Any) -> tuple[Floats, Longs]:
-    """Return points (n, 3) and triangles (m, 3).
-
-    Raises:
-        ValueError: for other shapes, numbers that are not finite, and corners that are no points.
-    """
+    """Return points (n, 3) and triangles (m, 3), or raise a ValueError."""
     wanted = "give the path of an STL file, or points (n, 3) and triangles (m, 3)"
     if not isinstance(surface, list | tuple) or len(surface) != 2:
         raise ValueError(f"surface is {surface!r}: {wanted}")
-    points, numbers = (as_numbers(np.asarray(part).tolist()) for part in surface)
-    for name, found in (("points", points), ("triangles", numbers)):
-        if found is None or found.ndim != 2 or found.shape[1] != 3 or not len(found):
-            has = "no numbers" if found is None else f"the shape {found.shape}"
-            raise ValueError(f"surface: {name} have {has}; {wanted}")
-        if not np.isfinite(found).all():
-            k = int(np.argmin(np.isfinite(found).all(axis=1)))
-            raise ValueError(f"surface: {name}[{k}] is {found[k].tolist()}, which is not finite")
-    assert points is not None and numbers is not None
-    triangles = numbers.astype(np.int64)
-    wrong = ((triangles != numbers) | (triangles < 0) | (triangles >= len(points))).any(axis=1)
-    if wrong.any():
-        k = int(np.argmax(wrong))
-        raise ValueError(
-            f"surface: triangles[{k}] is {numbers[k].tolist()}, but corners are numbers of points, "
-            f"0 to {len(points) - 1}"
-        )
-    return points, triangles
+    rule = array((None, 3), remedy=wanted, holds=len)
+    points = check("surface: points", surface[0], rule)
+    n = len(points)
+    numbers = f"give rows of three numbers of points, 0 to {n - 1}, with a corner at each"
+    rule = array((None, 3), remedy=numbers, holds=lambda k: len(k) and np.isin(k, range(n)).all())
+    return points, check("surface: triangles", surface[1], rule).astype(np.int64)

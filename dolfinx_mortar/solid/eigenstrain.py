@@ -18,10 +18,10 @@ import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arguments import as_numbers
+from dolfinx_mortar.arguments import array, check
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Ints
 from dolfinx_mortar.materials.tensor import COMPONENTS, from_components, to_components
-from dolfinx_mortar.solid.laws import tags_of_cells
+from dolfinx_mortar.solid.laws import by_cells
 from dolfinx_mortar.solid.sources import (
     Followed,
     Part,
@@ -30,7 +30,7 @@ from dolfinx_mortar.solid.sources import (
     create_source,
     point_function,
 )
-from dolfinx_mortar.tags import by_tag, label, labels
+from dolfinx_mortar.tags import label
 from ufl.algorithms.analysis import extract_arguments
 from ufl.core.expr import Expr
 
@@ -152,17 +152,7 @@ def _parts(
     imap = domain.topology.index_map(domain.topology.dim)
     if not isinstance(given, Mapping):
         return [("eigenstrain", given, np.arange(imap.size_local + imap.num_ghosts, dtype="i4"))]
-    if cell_tags is None:
-        raise ValueError("eigenstrain is a dictionary by cell tag: give cell_tags, too.")
-    values = tags_of_cells(domain, cell_tags)
-    known = sorted(set().union(*domain.comm.allgather(set(np.unique(cell_tags.values).tolist()))))
-    parts = by_tag(cell_tags, given, "eigenstrain")
-    for tag in parts:
-        if tag not in known:
-            raise ValueError(
-                f"eigenstrain: the tag {tag!r} marks no cell; cell_tags has "
-                f"[{labels(cell_tags, known)}]."
-            )
+    parts, values = by_cells(domain, cell_tags, given, "eigenstrain")
     return [
         (f"eigenstrain[{label(cell_tags, tag)}]", value, np.flatnonzero(values == tag).astype("i4"))
         for tag, value in parts.items()
@@ -177,10 +167,7 @@ def _as_expression(u: fem.Function, name: str, value: Any) -> Expr:
     """
     domain = u.function_space.mesh
     if isinstance(value, Number | np.ndarray | list | tuple):
-        numbers = as_numbers(value)
-        if numbers is None:
-            raise ValueError(f"{name} is {value!r}: {WANTED}")
-        value = fem.Constant(domain, numbers)
+        value = fem.Constant(domain, check(name, value, array(finite=False, remedy=WANTED)))
     if not isinstance(value, Expr) or value.ufl_free_indices or extract_arguments(value):
         raise ValueError(f"{name} is a {type(value).__name__}: {WANTED}")
     if value.ufl_shape not in ((), (3, 3)):

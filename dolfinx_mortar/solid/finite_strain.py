@@ -12,7 +12,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arguments import is_name
+from dolfinx_mortar.arguments import check, one_of
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.response import Response
 from dolfinx_mortar.solid.at_points import middle_of
@@ -22,11 +22,8 @@ from ufl.core.expr import Expr
 
 def check_finite(strain: Any, eigenstrain: Any) -> None:
     """Raise a ValueError for an unknown strain, and what a finite one does not go with."""
-    if not is_name(strain, ("small", "finite")):
-        raise ValueError(f"strain is {strain!r}: choose 'small' or 'finite'")
-    if strain == "small":
-        return
-    if eigenstrain is not None:
+    check("strain", strain, one_of("small", "finite"))
+    if strain == "finite" and eigenstrain is not None:
         raise ValueError(
             "strain is 'finite', and eigenstrain is given: a strain without stress is subtracted "
             "from a small strain, while F would have to be split into a product; leave eigenstrain "

@@ -16,6 +16,7 @@ import numpy as np
 import ufl
 from dolfinx.mesh import Mesh
 from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arguments import Rule, check
 from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats
 from ufl.algorithms import expand_derivatives
 from ufl.algorithms.analysis import extract_coefficients
@@ -246,14 +247,9 @@ def choose_kinematics(given: Any, d: int) -> Kinematics:
     names = [name for name, k in KINEMATICS.items() if k.dimension == d]
     choices = f"choose {' or '.join(map(repr, names))}, or give a Kinematics"
     chosen = KINEMATICS.get(given) if isinstance(given, str) else given
-    if not isinstance(chosen, Kinematics):
-        raise ValueError(f"kinematics is {given!r}: on a mesh in {d}D {choices}")
-    if chosen.dimension not in (None, d):
-        raise ValueError(
-            f"kinematics is {given if isinstance(given, str) else chosen.name!r}, which is for "
-            f"meshes in {chosen.dimension}D: this one is in {d}D, so {choices}"
-        )
-    return chosen
+    fits = isinstance(chosen, Kinematics) and chosen.dimension in (None, d)
+    rule = Rule(f"on a mesh in {d}D {choices}", lambda _: chosen if fits else None)
+    return check("kinematics", given, rule)
 
 
 def on_axis(kinematics: Kinematics, mesh: Mesh, x: Floats) -> Bools:

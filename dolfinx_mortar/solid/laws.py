@@ -1,26 +1,27 @@
 # SPDX-License-Identifier: MIT
 """Which law holds in which cells: the user's tags turned into one region per law."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
-
-from mpi4py import MPI
+from typing import Any, TypeVar
 
 import numpy as np
 
 import ufl
 from dolfinx import fem, mesh
-from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arguments import check
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.materials.protocol import RESERVED, Law, create_law
 from dolfinx_mortar.materials.ranges import named_parameters
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.parameters import ParameterTable
-from dolfinx_mortar.tags import by_tag, check_entities, label, labels
+from dolfinx_mortar.tags import by_tag, check_entities, labels, tags_of
+
+T = TypeVar("T")
 
 UNTAGGED = int(np.iinfo(np.int32).min)
 
@@ -125,23 +126,50 @@ def _material_of_cells(
     if not isinstance(materials, Mapping):
         law = create_law("materials", materials, plane_stress=plane_stress)
         return [(materials, law)], np.zeros(count, dtype=np.int32)
-    laws = {}
-    for tag, material in materials.items():
-        if not isinstance(tag, int | np.integer | str):
-            raise ValueError(
-                f"materials has the key {tag!r}: its keys are cell tags, integers, or their names."
-            )
-        law = create_law(f"materials[{tag!r}]", material, plane_stress=plane_stress)
-        laws[tag] = material, law
-    if not materials or cell_tags is None:
-        raise ValueError(
-            "materials is a dictionary by cell tag: give at least one material, and cell_tags."
-        )
-    given = by_tag(cell_tags, laws, "materials")
-    tags = np.array(sorted(given), dtype=np.int64)
+    laws = {
+        tag: (law, create_law(f"materials[{tag!r}]", law, plane_stress=plane_stress))
+        for tag, law in materials.items()
+    }
+    given, values = by_cells(domain, cell_tags, laws, "materials", cover=True)
+    tags = sorted(given)
+    return [given[tag] for tag in tags], np.searchsorted(tags, values).astype(np.int32)
+
+
+def by_cells(
+    domain: mesh.Mesh, cell_tags: Any, given: Mapping[Any, T], name: str, *, cover: bool = False
+) -> tuple[dict[int, T], Longs]:
+    """Return the entries of an argument by tag, and the tags of the local cells; collective.
+
+    Args:
+        domain: the mesh.
+        cell_tags: of its cells.
+        given: entries by tag or by name.
+        name: of the argument, for messages.
+        cover: whether each cell has to have an entry.
+
+    Raises:
+        ValueError: on all ranks, without entries or tags, for tags that no cell has, and cells
+            without an entry.
+    """
+    if not given or cell_tags is None:
+        raise ValueError(f"{name} is a dictionary by cell tag: give an entry, and cell_tags")
     values = tags_of_cells(domain, cell_tags)
-    _check_cover(domain, cell_tags, values[: imap.size_local], tags)
-    return [given[int(tag)] for tag in tags], np.searchsorted(tags, values).astype(np.int32)
+    found = by_tag(cell_tags, given, name)
+    own = values[: domain.topology.index_map(domain.topology.dim).size_local]
+    cells: Counter[int] = sum(domain.comm.allgather(Counter(map(int, own))), Counter())
+    missing = cells.keys() - found.keys() if cover else set()
+    if missing:
+        count = sum(cells[tag] for tag in missing)
+        told = labels(cell_tags, sorted(missing)).replace(str(UNTAGGED), "none")
+        raise ValueError(
+            f"{name} has no entry for {count} cells of the tags {told}: add one for each, and tag "
+            "all cells"
+        )
+    if lost := found.keys() - cells.keys():
+        there = labels(cell_tags, [tag for tag in cells if tag != UNTAGGED])
+        told = labels(cell_tags, lost)
+        raise ValueError(f"{name}: no cell has the tag {told}; cell_tags has {there}")
+    return found, values
 
 
 def tags_of_cells(domain: mesh.Mesh, cell_tags: mesh.MeshTags) -> Longs:
@@ -150,10 +178,7 @@ def tags_of_cells(domain: mesh.Mesh, cell_tags: mesh.MeshTags) -> Longs:
     Raises:
         ValueError: on all ranks, if the tags are not those of the cells of the mesh.
     """
-    if not isinstance(cell_tags, mesh.MeshTags):
-        raise ValueError(f"cell_tags is {cell_tags!r}: give a dolfinx.mesh.MeshTags of cells.")
-    if cell_tags.dim != domain.topology.dim or not compat.on_same_mesh(cell_tags, domain):
-        raise ValueError("cell_tags must tag the cells of the mesh of u, not of another mesh.")
+    check("cell_tags", cell_tags, tags_of(domain, domain.topology.dim))
     with raised_together(domain.comm):
         check_entities("cell_tags", cell_tags)
     imap = domain.topology.index_map(domain.topology.dim)
@@ -164,26 +189,6 @@ def tags_of_cells(domain: mesh.Mesh, cell_tags: mesh.MeshTags) -> Longs:
     marker.x.array[dofs[cell_tags.indices]] = cell_tags.values
     marker.x.scatter_forward()
     return np.asarray(marker.x.array[dofs[: imap.size_local + imap.num_ghosts]].astype(np.int64))
-
-
-def _check_cover(domain: mesh.Mesh, cell_tags: mesh.MeshTags, values: Longs, tags: Longs) -> None:
-    """Raise ValueError on all ranks unless the values of the owned cells are the tags."""
-    comm = domain.comm
-    found = np.unique(np.concatenate(comm.allgather(np.unique(values))))
-    missing = np.setdiff1d(found, tags)
-    if missing.size:
-        cells = comm.allreduce(int(np.isin(values, missing).sum()), op=MPI.SUM)
-        named = ["no tag" if t == UNTAGGED else f"tag {label(cell_tags, t)}" for t in missing]
-        raise ValueError(
-            f"materials: {cells} cells have no material ({', '.join(named)}); "
-            "add a material for each tag, and tag all cells."
-        )
-    empty = np.setdiff1d(tags, found)
-    if empty.size:
-        raise ValueError(
-            f"materials: tag {labels(cell_tags, empty)} marks no cell; cell_tags has "
-            f"{labels(cell_tags, found)}."
-        )
 
 
 def measure(domain: mesh.Mesh, degree: int) -> ufl.Measure:

@@ -59,7 +59,7 @@ import numpy as np
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar import compat
-from dolfinx_mortar.arguments import is_name
+from dolfinx_mortar.arguments import check, one_of
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.response import Response, without_variables
 from dolfinx_mortar.solid.cell_functions import CellFunctions, RowsOfCells
@@ -87,9 +87,7 @@ def create_dilatation(
     Raises:
         ValueError: for another choice than "full" and "reduced", and where nothing can be reduced.
     """
-    if not is_name(given, ("full", "reduced")):
-        raise ValueError(f"volumetric is {given!r}: choose 'full' or 'reduced'")
-    if given == "full":
+    if check("volumetric", given, one_of("full", "reduced")) == "full":
         return None
     check_reducible(u.function_space, regions, kinematics, degree)
     if kinematics.finite:

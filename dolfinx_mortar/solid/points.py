@@ -13,6 +13,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arguments import check, instance
 from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.materials.tensor import COMPONENTS, frobenius_norm, vector_norm, von_mises
 from dolfinx_mortar.solid.laws import Region, measure
@@ -113,8 +114,7 @@ class PointFields:
             ValueError: for what is no name, if no law has that field, or if a law gives NaN on this
                 rank.
         """
-        if not isinstance(name, str):
-            raise ValueError(f"name is {name!r}: give one of {', '.join(self.names)}")
+        check("name", name, instance(str, f"give one of {', '.join(self.names)}"))
         if name in self.bases:
             return self._base(name)
         name = ALIASES.get(name, name)

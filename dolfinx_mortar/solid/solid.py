@@ -27,7 +27,7 @@ from dolfinx.mesh import CellType, Mesh, MeshTags
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arguments import is_integer
+from dolfinx_mortar.arguments import FLAG, check, instance, integer
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.materials.plane_stress import with_normal_stretch
@@ -138,8 +138,7 @@ class Solid(Term):
                 the wrong name or shape, or, with energies, has no potential; the message names the
                 law and the part. And if ranks give different numbers, names or laws.
         """
-        if not isinstance(u, fem.Function):
-            raise ValueError(f"u must be a dolfinx.fem.Function (the displacement), not {type(u)}.")
+        check("u", u, instance(fem.Function, "give the displacement, a dolfinx.fem.Function"))
         # before anything that ranks do together
         self.given = {"materials": materials, "eigenstrain": eigenstrain}
         check_same_on_all_ranks(
@@ -164,9 +163,7 @@ class Solid(Term):
         degree = _degree(self.V, quadrature_degree)
         self.regions = create_regions(u, materials, cell_tags, degree, self.kinematics)
         self._committed = create_state(self.regions, self.mesh, degree)
-        if not isinstance(energies, bool):
-            raise ValueError(f"energies is {energies!r}: give True or False")
-        if energies:
+        if check("energies", energies, FLAG):
             self._committed[DISSIPATED] = create_field(self.mesh, degree, (), DISSIPATED)
         self._staged = {name: f.copy() for name, f in self._committed.items()}
         self.stress = create_field(self.mesh, degree, (3, 3), "stress")
@@ -603,12 +600,8 @@ class Solid(Term):
 def _degree(V: fem.FunctionSpace, given: int | None) -> int:
     """Return the quadrature degree: by default 2(p - 1) >= 1 on simplices, else 2p."""
     if given is not None:
-        if not (is_integer(given) and 0 <= given <= HIGHEST_RULE):
-            raise ValueError(
-                f"quadrature_degree is {given!r}: give an integer from 0 to {HIGHEST_RULE}, or "
-                "None."
-            )
-        return int(given)
+        rule = integer(0, HIGHEST_RULE)
+        return check("quadrature_degree", given, rule, f"{rule.remedy}, or None")
     p = V.element.basix_element.degree
     simplex = V.mesh.topology.cell_type in (CellType.triangle, CellType.tetrahedron)
     return max(2 * (p - 1), 1) if simplex else 2 * p

@@ -99,8 +99,6 @@ def load_steps(
             "level as if these were times: use dm.time_steps(problem, times), or leave it out"
         )
     loading = Loading(read_ramps(problem.comm, ramp), on_time)
-    if on_time is not None and not callable(on_time):
-        raise ValueError(f"on_time is {on_time!r}: give a function of the load level, or None")
     file = check_every(problem.comm, checkpoint, every)
     yield from walk(
         Solves(problem, qp, rtol, max_it),

@@ -33,7 +33,7 @@ from dolfinx import fem
 from dolfinx_mortar import qp as backends
 from dolfinx_mortar.algebra.errors import from_callbacks
 from dolfinx_mortar.algebra.parallel import any_rank, free_unused, maximum, ratio
-from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arguments import NUMBER, check_optional
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Bools, Floats
 from dolfinx_mortar.interfaces.near import predict_active
 from dolfinx_mortar.newton_method import driven_tools, failures
@@ -141,8 +141,7 @@ def newton(
         ValueError: for an unknown backend, a bad tolerance, or other input, on all ranks.
     """
     check_problem(problem, ContactProblem)
-    if level is not None and not is_number(level):
-        raise ValueError(f"level is {level!r}: give a finite number, or None")
+    check_optional("level", level, NUMBER)
     return solve_step(problem, qp=qp, rtol=rtol, max_it=max_it, level=level)
 
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arguments import is_name, is_number
+from dolfinx_mortar.arguments import check, number, one_of
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, ROUND_OFF, SAME, Bools, Floats
 from dolfinx_mortar.persistence.committed import Before
 from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_problem
@@ -244,8 +244,6 @@ def time_steps(
     found, radius = choose_scheme(scheme, spectral_radius)
     (inertia,) = find_inertia(problem)
     loading = Loading(read_ramps(problem.comm, ramp), on_time)
-    if on_time is not None and not callable(on_time):
-        raise ValueError(f"on_time is {on_time!r}: give a function of the time, or None")
     file = check_every(problem.comm, checkpoint, every)
     problem.go_back()
     inertia.scheme = found
@@ -273,19 +271,16 @@ def choose_scheme(scheme: Any, radius: Any) -> tuple[Scheme, float | None]:
     Raises:
         ValueError: for unknown names, and a spectral radius that is none or of no use.
     """
-    if not is_name(scheme, (CONSERVING, DAMPED)):
-        raise ValueError(f"scheme is {scheme!r}: choose {CONSERVING!r} or {DAMPED!r}")
-    if scheme == CONSERVING:
+    if check("scheme", scheme, one_of(CONSERVING, DAMPED)) == CONSERVING:
         if radius is not None:
             raise ValueError(
                 f"spectral_radius is {radius!r}, but {CONSERVING!r} damps nothing: leave it out, or"
                 f" choose scheme={DAMPED!r}"
             )
         return NEWMARK, None
-    radius = 0.8 if radius is None else radius
-    if not (is_number(radius) and 0.0 <= radius <= 1.0):
-        raise ValueError(f"spectral_radius is {radius!r}: give a number from 0 to 1")
-    return generalised_alpha(float(radius)), float(radius)
+    given = 0.8 if radius is None else radius
+    found = check("spectral_radius", given, number(least=0.0, most=1.0))
+    return generalised_alpha(found), found
 
 
 def stop_held(problem: ContactProblem, inertia: Inertia) -> list[str]:

@@ -27,6 +27,7 @@ from mpi4py import MPI
 
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arguments import FLAG, check_optional, instance
 from dolfinx_mortar.arrays import SAME
 from dolfinx_mortar.checkpoint import check_folder
 from dolfinx_mortar.interfaces.near import nodal_gaps
@@ -70,6 +71,10 @@ class Loading:
 
     ramps: Sequence[Ramp]
     on_time: Callable[[float], None] | None
+
+    def __post_init__(self) -> None:
+        """Raise a ValueError unless the function is one."""
+        check_optional("on_time", self.on_time, instance(Callable, "give a function of the level"))
 
     @property
     def changes(self) -> bool:
@@ -416,8 +421,7 @@ def lines(comm: MPI.Comm, wanted: bool | None) -> Callable[[str], None]:
         ValueError: on all ranks, if ``wanted`` is none of the three on any; collective.
     """
     with raised_together(comm):
-        if not (wanted is None or isinstance(wanted, bool)):
-            raise ValueError(f"progress is {wanted!r}: choose True, False or None")
+        check_optional("progress", wanted, FLAG)
     if comm.rank != 0:
         return lambda line: None
     notebook = type(sys.stderr).__module__.partition(".")[0] == "ipykernel"

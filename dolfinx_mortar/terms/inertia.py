@@ -34,12 +34,12 @@ from dolfinx.mesh import MeshTags
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arguments import as_numbers, is_number
+from dolfinx_mortar.arguments import NOT_NEGATIVE, POSITIVE, array, check, instance
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.solid.laws import UNTAGGED, tags_of_cells
+from dolfinx_mortar.solid.laws import by_cells
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term
-from dolfinx_mortar.tags import by_tag, label
+from dolfinx_mortar.tags import label
 from dolfinx_mortar.terms.mass import assemble_mass, relieve
 
 Density = float | fem.Constant | Mapping[int | str, float | fem.Constant]
@@ -54,11 +54,6 @@ Velocity = (
 NO_TIME = (
     "inertia needs the time between two steps: use dm.time_steps(problem, times), or give "
     "newton(problem, level=) a time after that of the last step"
-)
-
-_WITHOUT_TAGS = (
-    "Inertia: {} is given by tags or names, and cell_tags is None: give the tags of the cells, as "
-    "the solid has them, Inertia(solid, density, cell_tags, ..)"
 )
 
 
@@ -166,8 +161,7 @@ class Inertia(Term):
         velocity: Velocity | None = None,
     ) -> None:
         """Check the arguments and assemble the mass; collective."""
-        if not isinstance(solid, Solid):
-            raise ValueError(f"Inertia: solid is {solid!r}: give the Solid of the bodies")
+        check("Inertia: solid", solid, instance(Solid, "give the Solid of the bodies"))
         V = solid.V
         given: dict[str, Any] = {"density": density, "cell_tags": cell_tags}
         if not callable(velocity):
@@ -226,9 +220,9 @@ class Inertia(Term):
 
     def put(self, **values: Floats) -> None:
         """Set parts of the state, (owned nodes, d); collective."""
-        for name, array in values.items():
+        for name, given in values.items():
             f = self._state[name]
-            f.x.array[: array.size] = array.ravel()
+            f.x.array[: given.size] = given.ravel()
             f.x.scatter_forward()
 
     def _owned(self, f: fem.Function) -> Floats:
@@ -407,12 +401,11 @@ class Damping(Term):
 
     def __init__(self, inertia: Inertia, *, mass: float = 0.0, stiffness: float = 0.0) -> None:
         """Check, and assemble K; collective."""
-        if not isinstance(inertia, Inertia):
-            raise ValueError(f"Damping: inertia is {inertia!r}: give the Inertia of the problem")
+        remedy = "give the Inertia of the problem"
+        check("Damping: inertia", inertia, instance(Inertia, remedy))
         check_same_on_all_ranks(inertia.comm, mass=mass, stiffness=stiffness)
-        for name, value in (("mass", mass), ("stiffness", stiffness)):
-            if not (is_number(value) and value >= 0.0):
-                raise ValueError(f"Damping: {name} is {value!r}: give a number >= 0")
+        check("Damping: mass", mass, NOT_NEGATIVE)
+        check("Damping: stiffness", stiffness, NOT_NEGATIVE)
         if mass == 0.0 and stiffness == 0.0:
             raise ValueError(
                 "Damping: mass and stiffness are 0, which damps nothing: give one, or leave the "
@@ -497,18 +490,13 @@ class Damping(Term):
 def read_numbers(density: Any) -> None:
     """Raise a ValueError unless densities are positive numbers or scalar Constants."""
     several = density.items() if isinstance(density, Mapping) else [(None, density)]
-    if density is None or not several:
-        raise ValueError(
-            f"Inertia: density is {density!r}: give the mass per volume, or one by tag of cells"
-        )
+    remedy = (
+        "give a positive number, mass per volume in the units of the model (N, mm, s: tonnes per "
+        "mm^3, 7.85e-9 for steel), or one by tag of cells"
+    )
     for key, given in several:
-        value = _value(given)
         name = "density" if key is None else f"density of {key!r}"
-        if not is_number(value) or not value > 0.0:
-            raise ValueError(
-                f"Inertia: {name} is {value!r}: give a positive number, mass per volume in the "
-                "units of the model (N, mm, s: tonnes per mm^3, 7.85e-9 for steel)"
-            )
+        check(f"Inertia: {name}", _value(given), POSITIVE, remedy)
 
 
 def numbers_of(density: Any) -> Any:
@@ -533,32 +521,11 @@ def create_density(solid: Solid, density: Any, cell_tags: Any) -> Any:
     """
     if not isinstance(density, Mapping):
         return fem.Constant(solid.mesh, np.float64(_value(density)))
-    if cell_tags is None:
-        raise ValueError(_WITHOUT_TAGS.format("density"))
-    tags = tags_of_cells(solid.mesh, cell_tags)
-    chosen = by_tag(cell_tags, density, "Inertia: density")
+    chosen, tags = by_cells(solid.mesh, cell_tags, density, "Inertia: density", cover=True)
     rho = fem.Function(fem.functionspace(solid.mesh, ("DG", 0)))
     cells = rho.function_space.dofmap.list[: len(tags), 0]
-    owned = solid.mesh.topology.index_map(solid.mesh.topology.dim).size_local
-    some = np.zeros(len(tags), dtype=bool)
     for tag, given in chosen.items():
-        on = tags == tag
-        if not any_rank(solid.mesh.comm, on[:owned].any())[0]:
-            raise ValueError(
-                f"Inertia: density has the tag {label(cell_tags, tag)}, which no cell has"
-            )
-        rho.x.array[cells[on]] = float(_value(given))
-        some |= on
-    if any_rank(solid.mesh.comm, not some.all())[0]:
-        missing = sorted(set().union(*solid.mesh.comm.allgather(set(tags[~some].tolist()))))
-        named = [tag for tag in missing if tag != UNTAGGED]
-        those = [f"with the tags {named}"] if named else []
-        if len(named) < len(missing):
-            those.append("without a tag in cell_tags")
-        raise ValueError(
-            f"Inertia: density is missing for the cells {' and those '.join(those)}: give one for "
-            "each"
-        )
+        rho.x.array[cells[tags == tag]] = float(_value(given))
     return rho
 
 
@@ -586,41 +553,25 @@ def set_velocity(target: fem.Function, given: Any, cell_tags: Any) -> None:
     elif callable(given):
         x = V.tabulate_dof_coordinates().T
         with raised_together(V.mesh.comm):
-            values = as_numbers(given(x))
-            if values is None:
-                raise ValueError(f"Inertia: velocity returns what are no real numbers: {wanted}")
-            if values.shape != (d, x.shape[1]):
-                raise ValueError(
-                    f"Inertia: velocity returns the shape {values.shape} for points of the shape "
-                    f"{x.shape}, where {(d, x.shape[1])} is needed: {wanted}"
-                )
+            shape = d, x.shape[1]
+            rule = array(shape, finite=False, remedy=f"return {shape} for points x {x.shape}")
+            values = check("Inertia: velocity(x)", given(x), rule)
             target.x.array.reshape(-1, d)[:] = values.T
     else:
-        target.x.array.reshape(-1, d)[:] = _vector(given, d, "velocity", wanted)
+        target.x.array.reshape(-1, d)[:] = check(
+            "Inertia: velocity", given, array((d,), remedy=wanted)
+        )
     if any_rank(V.mesh.comm, not np.isfinite(target.x.array).all())[0]:
         raise ValueError(f"Inertia: velocity holds NaN or infinity: {wanted}")
-
-
-def _vector(given: Any, d: int, name: str, wanted: str) -> Floats:
-    """Return d finite numbers."""
-    values = as_numbers(given)
-    if values is None or values.shape != (d,) or not np.isfinite(values).all():
-        raise ValueError(f"Inertia: {name} is {given!r}: {wanted}")
-    return values
 
 
 def _set_by_tag(target: fem.Function, given: Any, cell_tags: Any, wanted: str) -> None:
     """Set velocities of bodies."""
     V, d = target.function_space, target.function_space.dofmap.index_map_bs
-    if cell_tags is None:
-        raise ValueError(_WITHOUT_TAGS.format("velocity"))
-    tags = tags_of_cells(V.mesh, cell_tags)
-    for tag, vector in by_tag(cell_tags, given, "Inertia: velocity").items():
-        value = _vector(vector, d, f"velocity of {label(cell_tags, tag)}", wanted)
-        if not any_rank(V.mesh.comm, (tags == tag).any())[0]:
-            raise ValueError(
-                f"Inertia: velocity has the tag {label(cell_tags, tag)}, which no cell has"
-            )
+    rule = array((d,), remedy=wanted)
+    found, tags = by_cells(V.mesh, cell_tags, given, "Inertia: velocity")
+    for tag, vector in found.items():
         nodes = np.unique(V.dofmap.list[: len(tags)][tags == tag])
-        target.x.array.reshape(-1, d)[nodes] = value
+        who = f"Inertia: velocity of {label(cell_tags, tag)}"
+        target.x.array.reshape(-1, d)[nodes] = check(who, vector, rule)
     target.x.scatter_forward()

@@ -12,7 +12,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arguments import as_numbers
+from dolfinx_mortar.arguments import array, check, instance
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, ROUND_OFF, Floats, Ints
 from dolfinx_mortar.solid.term import Term
 
@@ -26,13 +26,11 @@ class PointTerm(Term):
     def __init__(self, V: fem.FunctionSpace, point: Any, **given: Any) -> None:
         """Find the node; collective."""
         name = type(self).__name__
-        if not isinstance(V, fem.FunctionSpace):
-            raise ValueError(f"{name}: V is {V!r}: give the space of the displacement, solid.V")
+        remedy = "give the space of the displacement, solid.V"
+        check(f"{name}: V", V, instance(fem.FunctionSpace, remedy))
         check_same_on_all_ranks(V.mesh.comm, point=point, **given)
         d = V.mesh.geometry.dim
-        place = as_numbers(point)
-        if place is None or place.shape != (d,) or not np.isfinite(place).all():
-            raise ValueError(f"{name}: point is {point!r}: give {d} finite coordinates")
+        place = check(f"{name}: point", point, array((d,)))
         if V.dofmap.index_map_bs != d:
             raise ValueError(f"{name}: V has no displacement of {d} components: give solid.V")
         self.V = V
@@ -102,14 +100,10 @@ class PointForce(PointTerm):
     def _read(self) -> Floats:
         """Return the present force (d,)."""
         constant = isinstance(self._value, fem.Constant)
-        f = as_numbers(self._value.value if constant else self._value)
         d = self.V.mesh.geometry.dim
-        if f is None or f.shape != (d,) or not np.isfinite(f).all():
-            told = f"a Constant with {f}" if constant else repr(self._value)
-            raise ValueError(
-                f"PointForce: value is {told}: give {d} finite components, numbers or a Constant"
-            )
-        return f
+        remedy = f"give {d} finite components, numbers or a Constant"
+        value = self._value.value if constant else self._value
+        return check("PointForce: value", value, array((d,), remedy=remedy))
 
     def begin(self, start: float, end: float) -> None:
         """Read the force."""
@@ -149,16 +143,11 @@ class PointSpring(PointTerm):
     ) -> None:
         """Check and find the node; collective."""
         super().__init__(V, point, stiffness=stiffness)
-        d, k = V.mesh.geometry.dim, as_numbers(stiffness)
-        told = repr(stiffness) if k is None else k.tolist()  # in one line
-        if k is not None and k.shape == ():
-            k = k * np.eye(d)
-        if k is None or k.shape != (d, d) or not np.isfinite(k).all() or not _is_semidefinite(k):
-            raise ValueError(
-                f"PointSpring: stiffness is {told}: give a number k >= 0, or a matrix {d} x {d}, "
-                "symmetric and positive semidefinite"
-            )
-        self._k = k
+        d = V.mesh.geometry.dim
+        remedy = f"give a number k >= 0, or a matrix {d} x {d}, symmetric and positive semidefinite"
+        rule = array((), (d, d), remedy=remedy, holds=_is_semidefinite)
+        k = check("PointSpring: stiffness", stiffness, rule)
+        self._k = k if k.ndim else k * np.eye(d)
 
     def varies(self, K: PETSc.Mat) -> bool:
         """Tell that the stiffness is constant."""
@@ -181,7 +170,8 @@ class PointSpring(PointTerm):
 
 
 def _is_semidefinite(k: Floats) -> bool:
-    """Tell whether a matrix is symmetric and positive semidefinite, to round-off."""
+    """Tell whether a number or a matrix is symmetric and positive semidefinite, to round-off."""
+    k = np.atleast_2d(k)
     error = ROUND_OFF * np.abs(k).max()
     return bool(np.abs(k - k.T).max() <= error and np.linalg.eigvalsh(k)[0] >= -error)
 

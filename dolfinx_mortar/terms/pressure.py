@@ -14,14 +14,13 @@ from dolfinx.mesh import Mesh, MeshTags
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arguments import FLAG, Rule, check, is_number
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Bools
-from dolfinx_mortar.compat import on_same_mesh
 from dolfinx_mortar.solid.cell_functions import CellFunctions
 from dolfinx_mortar.solid.laws import measure
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import assemble
-from dolfinx_mortar.tags import check_entities, check_tag, find_exterior, in_order, tag_of
+from dolfinx_mortar.tags import check_entities, check_tag, find_exterior, in_order, tag_of, tags_of
 from dolfinx_mortar.terms.weak_forms import WeakForm, weighted
 from ufl.algorithms import extract_arguments
 from ufl.core.expr import Expr
@@ -74,9 +73,7 @@ class Pressure(WeakForm):
         check_same_on_all_ranks(domain.comm, **given)
         facet_tags, number = _exterior(domain, facet_tags, tag)
         p = _as_scalar(domain, p)
-        if not isinstance(closed, bool):
-            raise ValueError(f"Pressure: closed is {closed!r}: give True or False")
-        if closed and solid.kinematics.plane_stress:
+        if check("Pressure: closed", closed, FLAG) and solid.kinematics.plane_stress:
             raise ValueError(
                 "Pressure: closed is True, but in plane stress the edge of a plate changes its "
                 "thickness, and a pressure on it has no potential: leave closed out"
@@ -152,10 +149,7 @@ class Pressure(WeakForm):
 
 def _exterior(domain: Mesh, facet_tags: Any, tag: Any) -> tuple[MeshTags, int]:
     """Return tags in order, and the number of a tag of exterior facets; collective."""
-    if not isinstance(facet_tags, MeshTags) or not on_same_mesh(facet_tags, domain):
-        raise ValueError("Pressure: facet_tags must be tags of the facets of the solid's mesh")
-    if facet_tags.dim != domain.topology.dim - 1:
-        raise ValueError(f"Pressure: facet_tags tag entities of dimension {facet_tags.dim}")
+    check("Pressure: facet_tags", facet_tags, tags_of(domain, domain.topology.dim - 1))
     domain.topology.create_entities(facet_tags.dim)
     with raised_together(domain.comm):
         check_entities("facet_tags", facet_tags)
@@ -178,11 +172,9 @@ def _as_scalar(domain: Mesh, p: Any) -> Expr:
     """Return a pressure as an expression of UFL."""
     if is_number(p):
         p = fem.Constant(domain, default_scalar_type(p))
-    if not isinstance(p, Expr) or p.ufl_shape != ():
-        raise ValueError(f"Pressure: p is {p!r}: give a number, or a scalar Constant or UFL")
-    if extract_arguments(p):
-        raise ValueError("Pressure: p holds a test or trial function: give the pressure alone")
-    return p
+    scalar = isinstance(p, Expr) and p.ufl_shape == () and not extract_arguments(p)
+    remedy = "give a number, or a scalar Constant or UFL without a test function"
+    return check("Pressure: p", p, Rule(remedy, lambda p: p if scalar else None))
 
 
 class _Thickness:
