@@ -40,6 +40,15 @@ def cell_nodes(domain: mesh.Mesh) -> npt.NDArray[np.int32]:
     return np.asarray(lists[0] if isinstance(lists, list | tuple) else geometry.dofmap)
 
 
+def scaled_mesh(domain: mesh.Mesh, scale: float) -> mesh.Mesh:
+    """Return a mesh of the same topology, with coordinates times a number."""
+    cpp, old = domain._cpp_object, domain.geometry
+    map_of_cells = getattr(old.cmap, "_cpp_object", old.cmap)
+    given = old.index_map(), cell_nodes(domain), map_of_cells, scale * old.x[:, : old.dim]
+    geometry = type(cpp.geometry)(*given, old.input_global_indices)
+    return mesh.Mesh(type(cpp)(domain.comm, cpp.topology, geometry), None)
+
+
 def mesh_from_gmsh(
     model: Any, comm: Any, dim: int
 ) -> tuple[mesh.Mesh, mesh.MeshTags, mesh.MeshTags]:

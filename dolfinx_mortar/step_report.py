@@ -47,7 +47,6 @@ class Iteration:
     step_length: float  # accepted by the line search
     line_search_steps: int  # shortenings before acceptance
     geometry_change: float  # gap minus its prediction by the last linearisation, in facet lengths
-    geometry_held: bool  # the next iteration keeps the geometry, because its change does not shrink
     shift: float = 0.0  # multiple of the elastic stiffness added to an indefinite tangent
     exact_tangent: bool = False  # the motion of the surfaces was part of the linearisation
 
@@ -58,7 +57,6 @@ class Iteration:
             f"KKT {self.kkt:.1e}, active {self.active} ({self.changed:+d}), QP {self.updates}, "
             f"CG {self.linear_iterations}, factorisations {self.factorisations}, "
             f"step {self.step_length:.3g}, geometry {self.geometry_change:.1e}"
-            f"{' held' if self.geometry_held else ''}"
             + (f", tangent + {self.shift:g} elastic" if self.shift else "")
             + (", linearised" if self.exact_tangent else "")
         )

@@ -8,7 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
-from dolfinx_mortar.problem import convected, problem
+from dolfinx_mortar.steps import predictors
 from tests.finite_sliding import indentation, walk
 
 COMM = MPI.COMM_WORLD
@@ -38,13 +38,13 @@ def test_values_are_those_at_the_nearest_points(cell, size):
     own = np.arange(V.mesh.topology.index_map(d).size_local, dtype=np.int32)
     points = np.zeros((30, 3))
     points[:, :d] = np.random.default_rng(COMM.rank).uniform(-0.2, 1.2, (30, d))
-    found = convected.values_near(u, own, size * points, 0.2 * size * np.sqrt(d))
+    found = predictors.values_near(u, own, size * points, 0.2 * size * np.sqrt(d))
     assert np.array_equal(V.mesh.geometry.x, before)
     assert np.abs(found - points.clip(0.0, 1.0) @ A[:d].T).max() < 1e-12
     if COMM.rank == 0:
-        assert convected.values_near(u, own, points[:0], 0.1).shape == (0, d)
+        assert predictors.values_near(u, own, points[:0], 0.1).shape == (0, d)
     else:
-        convected.values_near(u, own, size * points, 0.1 * size)
+        predictors.values_near(u, own, size * points, 0.1 * size)
 
 
 PRESSED, DRAGGED = 3, 4
@@ -76,7 +76,7 @@ def count(steps):
 def test_it_saves_iterations_and_changes_no_answer(slave, monkeypatch):
     """Whichever body is moved: that it is the block whose dent moves is found by the overlap."""
     steps, other = slid(slave), slid(slave, tool_held=True)
-    monkeypatch.setattr(problem, "find_slides", lambda *_: [])
+    monkeypatch.setattr(predictors, "find_slides", lambda *_: [])
     rigid = slid(slave)
     for found in (other, rigid):
         for (_, force, _), (_, same, _) in zip(steps, found, strict=True):
@@ -147,7 +147,7 @@ def test_turned_bodies_slide_like_others():
 def test_it_follows_rigid_tools(monkeypatch):
     """A tool is one of two sides: its way counts like that of a body."""
     few, force = ironed_by_tool(dm.NeoHooke(1.0, 0.3))
-    monkeypatch.setattr(problem, "find_slides", lambda *_: [])
+    monkeypatch.setattr(predictors, "find_slides", lambda *_: [])
     many, same = ironed_by_tool(dm.NeoHooke(1.0, 0.3))
     assert np.abs(same - force).max() < 1e-7 * np.abs(force).max()
     assert few + 3 <= many
@@ -172,5 +172,5 @@ def test_what_stays(law, friction, way, turning, monkeypatch):
     def fail(*_):
         raise AssertionError
 
-    monkeypatch.setattr(problem, "convected", fail)
+    monkeypatch.setattr(predictors, "convected", fail)
     ironed_by_tool(law, friction=friction, way=way, turning=turning)

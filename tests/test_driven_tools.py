@@ -12,8 +12,9 @@ import dolfinx_mortar as dm
 from dolfinx import default_real_type, fem, mesh
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.interfaces.tool import SPACE
+from dolfinx_mortar.newton_method.subproblem import Subproblem
 from dolfinx_mortar.qp import scalars
-from dolfinx_mortar.steps import newton
+from dolfinx_mortar.steps import newton, predictors
 from tests.choice import quick
 from tests.meshes import two_blocks
 from tests.pressed_blocks import rejected
@@ -402,7 +403,7 @@ def test_a_step_goes_on_as_the_last_one_did(monkeypatch):
     """
     tool, problem, steps = pressed_in_steps()
     with monkeypatch.context() as patch:
-        patch.setattr(dm.ContactProblem, "_go_on", lambda *_: None)
+        patch.setattr(predictors, "_go_on", lambda *_: None)
         other, without, plain = pressed_in_steps()
     assert total(steps) < total(plain)
     size = np.abs(without.u.x.array).max()
@@ -413,7 +414,7 @@ def test_a_step_goes_on_as_the_last_one_did(monkeypatch):
     assert gained.travel == pytest.approx((tool.travel - before.travel)[1:2], rel=1e-9)
     assert gained.duration == pytest.approx(0.2)
     _, elastic, _ = pressed_in_steps(LEVELS[:2], law=RUBBER)
-    assert elastic.begin_step(0.6, predict=True).travel is None
+    assert elastic.begin_step(0.6, predictors.predict).travel is None
 
 
 def test_supports_lead_what_goes_on():
@@ -434,7 +435,7 @@ def test_supports_lead_what_goes_on():
     next(walk), next(walk)
     before = problem.owned_u.copy()
     pull.value[:] = 0.18, 0.09
-    problem.begin_step(0.3, predict=True)
+    problem.begin_step(0.3, predictors.predict)
     begun = problem.owned_u.copy()
     problem.owned_u[:] = before
     problem.u.x.scatter_forward()
@@ -472,11 +473,12 @@ def test_a_step_that_fails_from_there_begins_without(monkeypatch):
         travels.append(tool.travel[1])
         if step.data.travel is not None:
             raise newton.failures.StepFailed("no luck")
-        run(step, max_it)
+        return run(step, max_it)
 
     monkeypatch.setattr(newton._Step, "run", failing)
     begun = tool.travel[1]
-    report = dm.newton(problem, level=0.6)
+    options = {"qp": "active-set", "rtol": 1e-6, "max_it": 50, "level": 0.6}
+    report = newton.solve_step(problem, predict=predictors.predict, **options)
     assert travels[0] < begun == travels[1] == pytest.approx(tool.travel[1], rel=0.5)
     assert any("led nowhere in 0 iterations" in note for note in report.notes)
     assert len(report.iterations) == report.newton_iterations > 0
@@ -487,20 +489,20 @@ def test_an_exact_iteration_that_leads_away_is_undone(monkeypatch):
     tool, problem = pressed_stack({"y": -1.875})
     dm.newton(problem)
     right, (tool, problem) = tool.travel, pressed_stack({"y": -1.875})
-    solve, spoilt, back = newton._Step.solve_exact, [], newton._Step.go_back
+    solve, spoilt, back = Subproblem.exact, [], newton._Step.go_back
 
     def too_long(step, *given):
-        lin, solved, rejected = solve(step, *given)
-        if solved is not None and not spoilt:
+        found = solve(step, *given)
+        if not spoilt:
             spoilt.append((tool.travel, problem.u.x.array.copy()))
-            solved.x.scale(20.0)
-        return lin, solved, rejected
+            found.solved.x.scale(20.0)
+        return found
 
-    def undone(step, place):
-        back(step, place)
+    def undone(step, old):
+        back(step, old)
         spoilt.append((tool.travel, problem.u.x.array.copy()))
 
-    monkeypatch.setattr(newton._Step, "solve_exact", too_long)
+    monkeypatch.setattr(Subproblem, "exact", too_long)
     monkeypatch.setattr(newton._Step, "go_back", undone)
     dm.newton(problem)
     assert len(spoilt) >= 2

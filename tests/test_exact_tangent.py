@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The exact tangent of moving geometry in 2D: its rate, and when it is used."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 from mpi4py import MPI
@@ -15,8 +14,7 @@ import dolfinx_mortar.steps.newton as newton_module
 from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.interfaces.constraints import Constraints
 from dolfinx_mortar.newton_method.linearisation import Corrections, Linearisation
-from dolfinx_mortar.newton_method.residuals import Residuals
-from dolfinx_mortar.newton_method.watch import DIGIT, MOST_RISES, Watch
+from dolfinx_mortar.newton_method.subproblem import Subproblem
 from dolfinx_mortar.qp import BoundQP
 from tests.choice import quick
 from tests.finite_sliding import indentation, walk
@@ -53,7 +51,7 @@ def test_newton_is_quadratic_at_the_end_and_the_answer_the_same(degree, monkeypa
     assert ratios[0] < 0.1
     assert ratios[1] < 0.1 * ratios[0]
     force = case.contact.force
-    monkeypatch.setattr(newton_module._Step, "may_be_exact", False)
+    monkeypatch.setattr(Subproblem, "may_be_exact", False)
     case, slow = rolled(degree=degree)
     assert not any(i.exact_tangent for i in slow.iterations)
     assert slow.newton_iterations >= report.newton_iterations + 3
@@ -62,13 +60,13 @@ def test_newton_is_quadratic_at_the_end_and_the_answer_the_same(degree, monkeypa
 
 def test_what_lumped_rows_neglect_is_corrected(monkeypatch):
     """Each further solution of a QP changes its bounds by less than a tenth of the one before."""
-    changes, correct = [], newton_module.Corrections.apply
+    changes, correct = [], Corrections.apply
 
     def noted(self, lin, solved):
         changes.append(correct(self, lin, solved))
         return changes[-1]
 
-    monkeypatch.setattr(newton_module.Corrections, "apply", noted)
+    monkeypatch.setattr(Corrections, "apply", noted)
     rolled()
     first, second = (left for _, left in changes[:2])
     assert 0.0 < second < 0.1 * first
@@ -162,57 +160,17 @@ def test_nothing_is_allocated_anew_within_a_step_nor_in_the_next(monkeypatch):
     assert made == []
 
 
-def test_when_the_exact_tangent_pays():
-    """Slow fixed points, where the geometry is out of balance and not the laws; until it fails."""
-    slow = Watch(True).turning(100.0).turning(50.0)
-    assert slow.is_slow(True, 50.0, 1000.0)
-    assert not slow.is_slow(True, 50.0, 20.0)  # too few iterations are left
-    assert slow.is_slow(False, 50.0, 20.0)
-    assert not slow.is_slow(False, 1000.0, 1000.0)  # the law is out of balance
-    assert not Watch(True).turning(100.0).is_slow(True, 100.0, 100.0)  # no rate yet
-    assert slow.after_exact(1.0, 100.0).is_slow(True, 1.0, 1.0)
-    assert slow.after_exact(90.0, 100.0).barred == DIGIT * 100.0
-    jumped = slow.after_exact(90.0, 100.0, other_nodes=True)
-    assert jumped.exact and jumped.barred == np.inf
-    held = replace(slow, held=True, change=1.0, forces=1.0, barred=0.5)
-    thawed = held.thawed().after(2.0, 2.0)  # the first change since then is no rise
-    assert (thawed.held, thawed.rises, thawed.barred) == (False, 0, 0.5)
-    for other_nodes in (False, True):
-        lost = replace(slow, rises=MOST_RISES).after_exact(90.0, 100.0, other_nodes=other_nodes)
-        assert (lost.failed, lost.rises) == (1, MOST_RISES)
-
-
-@pytest.mark.parametrize(
-    ("forces", "shifted", "itself", "exact"),
-    [
-        (0.1, 0, False, True),
-        (0.1, 2, False, False),
-        (0.1, 0, True, False),
-        (0.01, 2, True, True),
-        (5.0, 0, False, True),
-    ],
-)
-def test_from_where_on_the_exact_tangent_serves_at_finite_strain(forces, shifted, itself, exact):
-    """Nearby only where the last tangent was indefinite, and where a surface meets itself."""
-    link = SimpleNamespace(interface=SimpleNamespace(meets_itself=itself))
-    system, solid = SimpleNamespace(unilateral=[link]), SimpleNamespace(strain="finite")
-    problem = SimpleNamespace(solid=solid, system=system)
-    step = SimpleNamespace(problem=problem, may_be_exact=True, shifted=shifted)
-    step.missed = lambda last: newton_module._Step.missed(step, last)
-    found = Residuals(forces, contact=0.0, excess=1e6, limit=1.0)
-    assert newton_module._Step.is_exact(step, Watch(True), [found]) == exact
-
-
-@pytest.mark.parametrize("strain", ["small", "finite"])
-def test_nodes_that_get_or_lose_multipliers_are_seen_at_finite_strain(strain):
-    """Of any node of a side; at small strain the fixed point goes on there."""
-    problem = indentation(n=((6, 2), (8, 1)), radius=1.0, length=6.0, height=2.0).problem
-    problem.begin_step()
-    solid = SimpleNamespace(strain=strain)
-    parts = SimpleNamespace(solid=solid, system=problem.system, comm=problem.comm)
-    step = SimpleNamespace(problem=parts, carrying=lambda: [link.coupling.kept for link in links])
-    links = problem.system.unilateral
-    before = [kept.copy() for kept in newton_module._Step.carrying(step)]
-    assert not newton_module._Step.differ(step, before)
-    before[0][0] = ~before[0][0]
-    assert newton_module._Step.differ(step, before) == (strain == "finite")
+@pytest.mark.parametrize("first", [False, True])
+@pytest.mark.parametrize("finite", [False, True])
+@pytest.mark.parametrize("slow", [False, True])
+@pytest.mark.parametrize("before", [False, True])
+def test_where_the_exact_tangent_serves(finite, slow, before, first):
+    """From the second iteration on at finite strain, else where the fixed point is slow."""
+    qps = SimpleNamespace(finite=finite, may_be_exact=True)
+    iterations = [] if first else [SimpleNamespace(exact_tangent=before)]
+    step = SimpleNamespace(qps=qps, report=SimpleNamespace(iterations=iterations))
+    old = SimpleNamespace(slow=slow)
+    is_exact = newton_module._Step.is_exact
+    assert is_exact(step, old) == (not first and (finite or slow or before))
+    qps.may_be_exact = False
+    assert not is_exact(step, old)

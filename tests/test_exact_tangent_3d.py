@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-import dolfinx_mortar.steps.newton as newton_module
 from dolfinx import fem
 from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.newton_method.subproblem import Subproblem
 from tests import meshes_3d
 from tests.ball_case import STEEL, create_mesh
 from tests.choice import crosswise
@@ -74,7 +74,7 @@ def test_newton_is_fast_at_the_end_and_the_answer_the_same(slave, surface, monke
     assert ratios[1] < 0.1 * ratios[0]
     assert ratios[2:].max() < 0.02
     force = case.contact.force
-    monkeypatch.setattr(newton_module._Step, "may_be_exact", False)
+    monkeypatch.setattr(Subproblem, "may_be_exact", False)
     case = Sliding(slave, surface=surface)
     case.step(0.0)
     slow = case.step(0.6)
@@ -108,7 +108,7 @@ def test_strains_in_heights_slow_newton_down_by_little(cell, slave, monkeypatch)
     assert ratios[1] < 0.1 * ratios[0]
     assert ratios[2:].max() < 0.02
     force = case.contact.force
-    monkeypatch.setattr(newton_module._Step, "may_be_exact", False)
+    monkeypatch.setattr(Subproblem, "may_be_exact", False)
     case = Sliding(slave, surface="smooth", cell=cell, degree=2, h=1.0)
     case.step(0.0)
     assert case.step(0.6).newton_iterations >= report.newton_iterations + 5
@@ -121,7 +121,7 @@ def test_multigrid_of_the_symmetric_matrix_serves(monkeypatch):
     found = {}
     for exact in (True, False):
         if not exact:
-            monkeypatch.setattr(newton_module._Step, "may_be_exact", False)
+            monkeypatch.setattr(Subproblem, "may_be_exact", False)
         case = Sliding(options=None)
         case.step(0.0)
         report = case.step(0.6)

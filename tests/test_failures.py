@@ -309,20 +309,6 @@ def test_a_law_that_becomes_no_number_is_approached(case):
     assert np.isfinite(case.u.x.array).all() and np.isfinite(case.solid.stress.x.array).all()
 
 
-@pytest.mark.mpi
-def test_geometry_that_does_not_settle_has_a_remedy(case, monkeypatch):
-    """Here no update is allowed to be the first; elastic bodies are not told to harden."""
-    monkeypatch.setattr(newton_module, "MOST_RISES", 0)
-    assert dm.newton(plastic(case)).converged  # with the exact tangent
-    monkeypatch.setattr(newton_module._Step, "may_be_exact", False)
-    words = ("does not settle", "geometry='reference'")
-    with rejected(*words, "little hardening", error=dm.NewtonNotConverged):
-        dm.newton(plastic(case))
-    with rejected(*words, error=dm.NewtonNotConverged) as caught:
-        dm.newton(PressedBlocks().problem())
-    assert "hardening" not in str(caught.value)
-
-
 def test_steps_that_cannot_be_cut_further(case):
     """After `max_cuts` the exception comes out, with what was committed before in place."""
     problem, tried = plastic(case), []

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem, mesh
-from dolfinx_mortar.steps import newton
+from dolfinx_mortar.newton_method.subproblem import Subproblem
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
 from tests.pressed_blocks import COMM, rejected
 from tests.solid_case import create_displacement, create_domain, residual, set_wave
@@ -288,9 +288,9 @@ def test_what_no_shift_holds_stays(monkeypatch):
     blocks = Blocks()
     blocks.place(0.0, 0.1)
     expected = blocks.step().newton_iterations
-    solve = newton._Step.solve
+    solve = Subproblem.solve_qp
     monkeypatch.setattr(
-        newton._Step, "solve", lambda *given: replace(solve(*given), definite=False)
+        Subproblem, "solve_qp", lambda *given: replace(solve(*given), definite=False)
     )
     blocks = Blocks()
     blocks.place(0.0, 0.1)

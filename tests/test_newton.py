@@ -18,15 +18,12 @@ from dolfinx_mortar.newton_method.linearisation import (
     linearise,
 )
 from dolfinx_mortar.newton_method.residuals import Scales, measure
-from dolfinx_mortar.newton_method.watch import Watch
-from dolfinx_mortar.steps import newton as newton_module
 from tests.ball_case import create_problem
 from tests.block_piles import ABOVE, BELOW, EAST, PILE, WEST, Blocks
 from tests.choice import crosswise, quick
 from tests.hertz_case import ELASTIC, PLASTIC, create_case
 from tests.meshes import BOTTOM, TOP
-from tests.pressed_blocks import PressedBlocks, rejected
-from tests.sweep.problems import create
+from tests.pressed_blocks import PressedBlocks
 
 COMM = MPI.COMM_WORLD
 
@@ -265,71 +262,6 @@ def test_a_change_counts_from_a_force_on():
 
 
 # -- moving geometry -------------------------------------------------------------------------------
-
-
-def test_the_watch():
-    """Held while nothing shrinks; given up if the change grows twice at balanced forces."""
-    watch = Watch(moving=True)
-    for change, forces, held, rises in (
-        (4.0, 1.0, False, 0),  # the first change has nothing to shrink from
-        (2.0, 1.0, False, 0),
-        (2.0, 0.5, False, 0),  # Newton is still on its way
-        (2.0, 0.5, True, 0),
-        (3.0, 0.6, True, 1),
-        (1.0, 0.7, False, 0),
-        (1.5, 0.7, True, 0),
-        (1.6, 0.8, True, 1),
-        (1.7, 0.9, True, 2),
-    ):
-        watch = watch.after(change, forces)
-        assert (watch.held, watch.rises) == (held, rises)
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("rises", [1, 2])
-def test_a_geometry_that_rises_twice_is_given_up(rises, monkeypatch):
-    """Changes that grow at balanced forces: the first is free, the next one holds the geometry.
-
-    Then each of them is a rise. One is survived, and the step goes on to its end.
-    """
-    seen, after = [], Watch.after
-
-    def grow(watch, change, forces):
-        seen.append(change)
-        shrinks = len(seen) > 2 + rises
-        return after(watch, 0.0 if shrinks else float(len(seen)), 1.0)
-
-    monkeypatch.setattr(Watch, "after", grow)
-    enough = newton_module._Step.geometry_is_complete
-    monkeypatch.setattr(
-        newton_module._Step,
-        "geometry_is_complete",
-        lambda step: enough(step) and len(seen) > 2 + rises,
-    )
-    problem = PressedBlocks().problem()
-    if rises == 1:
-        assert dm.newton(problem).converged
-        return
-    monkeypatch.setattr(newton_module._Step, "may_be_exact", False)
-    with rejected("does not settle", error=dm.NewtonNotConverged):
-        dm.newton(problem)
-    assert len(seen) == 4
-
-
-@pytest.mark.parametrize(
-    ("kind", "seed"), [pytest.param("pile", 4, marks=pytest.mark.slow), ("hertz", 95)]
-)
-def test_a_geometry_that_would_cycle_is_held(kind, seed, monkeypatch):
-    """Random problems in which new gaps after every step lend the energy that a cycle spends."""
-
-    def walk():
-        case = create(kind, seed)
-        return list(dm.load_steps(case.problem, case.levels[:1], on_time=case.on_time, cuts="none"))
-
-    assert any(i.geometry_held for i in walk()[0].report.iterations)
-    monkeypatch.setattr(Watch, "after", lambda self, *_: Watch(self.moving))
-    with pytest.raises(dm.NewtonNotConverged):
-        walk()
 
 
 @pytest.mark.parametrize("slave", ["block", "disc"])

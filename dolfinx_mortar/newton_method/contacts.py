@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The active set of an iterate and its Lagrange multipliers: the warm start of the next QP."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
@@ -9,7 +10,9 @@ import numpy as np
 
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.interfaces.constraints import SlipLimits
+from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.newton_method.linearisation import Balance, Linearisation
+from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import Friction, QPSolution, Sliders
 
 
@@ -145,3 +148,35 @@ def find_sliders(
     pressing = limits.weight * contacts.multipliers[limits.nodes]
     reaction = contacts.tangential_reactions(limits)
     return Sliders(law, share * limits.slip, reaction, law.limit(pressing), stiffness)
+
+
+def contact_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
+    """Return the forces of contacts (n,) on both sides in the present geometry; collective."""
+    total = normal_forces(problem, contacts)
+    if contacts.tangential is not None:
+        total = total + tangential_forces(problem, contacts)
+    return total.ravel()
+
+
+def normal_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
+    """Return B^T lambda (owned nodes, d) of the contacts; collective."""
+    return _on_both_sides(
+        problem, lambda link: contacts.multipliers[link.nodes, None] * link.coupling.normals
+    )
+
+
+def tangential_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
+    """Return the same of friction, zero without; collective."""
+    tangential = contacts.tangential
+    if tangential is None:
+        return np.zeros((problem.n, problem.d))
+    return _on_both_sides(problem, lambda link: tangential[link.nodes])
+
+
+def _on_both_sides(problem: ContactProblem, tractions: Callable[[Link], Floats]) -> Floats:
+    """Return the nodal forces (owned nodes, d) of tractions at slave nodes; collective."""
+    total: Floats = np.zeros((problem.n, problem.d))
+    for link in problem.system.unilateral:
+        slave, master = link.exert(link.coupling.weight[:, :1] * tractions(link))
+        total += slave + master
+    return total

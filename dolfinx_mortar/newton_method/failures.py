@@ -153,18 +153,6 @@ def is_loaded(problem: ContactProblem) -> bool:
     return driven or problem.terms.assemble_forces(problem.K.createVecLeft()) > 0.0
 
 
-def unsettled(problem: ContactProblem) -> str:
-    """Say why the fixed point of the contact geometry does not converge."""
-    flows = bool(problem.solid.state)  # elastic bodies have none, and no hardening
-    soft = "a body that flows with little hardening: give it more, " if flows else "a soft body: "
-    return (
-        "the geometry does not settle: normals and gaps change more from one update to the "
-        "next, although the forces are in balance in between. Contact forces that turn with the "
-        f"surfaces may be stiffer than {soft}take smaller steps, refine the slave side at edges "
-        "and corners, or freeze the geometry, geometry='reference'"
-    )
-
-
 def _describe_pressures(problem: ContactProblem) -> str:
     """Say which follower pressures have no potential; empty without any; collective."""
     told = ""

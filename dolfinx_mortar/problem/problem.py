@@ -34,12 +34,6 @@ from dolfinx_mortar.interfaces.tool import Outline
 from dolfinx_mortar.persistence import checkpoints
 from dolfinx_mortar.persistence.committed import Before, Committed, ProblemState, StepOutcome
 from dolfinx_mortar.problem.checks import check_arguments
-from dolfinx_mortar.problem.convected import (
-    convected,
-    elastic_groups,
-    find_slides,
-    overlap,
-)
 from dolfinx_mortar.problem.jumps import check_jumps
 from dolfinx_mortar.problem.preconditioning import UnknownsOfBodies
 from dolfinx_mortar.problem.step_data import StepData
@@ -56,6 +50,8 @@ from dolfinx_mortar.terms.sum import Terms, check_terms
 from dolfinx_mortar.terms.weak_forms import DeadLoads, WeakForm, check_form
 
 log = logging.getLogger(__name__)
+
+Predictor = Callable[["ContactProblem", StepData, float | None, Floats], StepData]
 
 
 class ContactProblem:
@@ -254,25 +250,20 @@ class ContactProblem:
         """Raise a ValueError if a problem made later uses one of the interfaces."""
         check_owned(self.interfaces, self.supports)
 
-    def begin_step(self, level: float | None = None, *, predict: bool = False) -> StepData:
+    def begin_step(self, level: float | None = None, predict: Predictor | None = None) -> StepData:
         """Read loads, Dirichlet values and jumps, predict u, pair the surfaces; collective.
 
         The prediction moves every body, or tied group of bodies, as a whole by the mean of its
         prescribed increments, without strain. Without it the forces of the first QP would be forty
         times the contact force in the paper's problem, and a disc that is pressed down by many
-        facet lengths would be paired where it was before. The deformation of a body over which
-        another one slides is moved along, see `convected`. At finite strain what Newton's
-        iterations added to bodies that flow is added again, in proportion to the lengths of steps,
-        as are motions of tools: a deep drawing takes 153 iterations for 458. Their supports are
-        where they lead: a stretched bar takes 2 iterations, 7 if cells beside them are distorted
-        and 4 without all this. The surfaces are
+        facet lengths would be paired where it was before. The surfaces are
         paired again if they have slid out of the margin of the last search. A step is a function of
         the displacement and the committed state: failed steps, audits or output before it have no
         influence.
 
         Args:
             level: load level of the step, for its terms; None for that of the committed state.
-            predict: whether what the last step has gained is added.
+            predict: adds to that what a walk promises, see `steps.predictors`.
 
         Raises:
             ValueError: for NaN or infinity in the data, the displacement, the potential or the
@@ -282,13 +273,11 @@ class ContactProblem:
         self.check_owned()
         data = self._read(level)
         before = self.owned_u.copy()
-        carried = self._carried(data.asked, before)
-        self.owned_u[:] += carried
+        self.owned_u[:] += self._carried(data.asked, before)
         self.u.x.scatter_forward()
-        self._convect(carried, before)
         data = replace(data, begun=self.owned_u.copy())
-        if predict and not data.flows:
-            data = replace(data, travel=self._go_on(level, data.target))
+        if predict is not None:
+            data = predict(self, data, level, before)
         audit = not self.committed.begun
         if audit:
             self._check_mesh()
@@ -361,83 +350,6 @@ class ContactProblem:
             return mean
         x = self.X + u.reshape(self.X.shape)
         return mean + self.bodies.turned(asked, self.supports.owned, x).ravel()
-
-    def _convect(self, carried: Floats, before: Floats) -> None:
-        """Move the deformation of bodies along with what slides over them; collective.
-
-        Of the two sides of a contact, that whose moved deformation fits the other one: it leaves at
-        most half of the overlap. Where strains are small a step is linear, but for friction, from
-        wherever it begins.
-
-        Args:
-            carried: displacement (n,) by which supports have moved the bodies.
-            before: displacement (n,) at the start of the step.
-        """
-        if self.solid.strain == "small" or self.geometry == "reference":
-            return
-        closed, began = self.committed.active & ~self._stuck(), with_values(self.V, before)
-        slides = find_slides(self.system, closed, self.bodies, carried.reshape(self.X.shape), began)
-        if not slides:
-            return
-        elastic, free = elastic_groups(self.solid, self.bodies), ~self.supports.owned
-        left = self._overlap()
-        for dents in slides:
-            for dent in dents:
-                if not elastic[dent.group]:
-                    continue
-                at = self.owned_u.copy()
-                self.owned_u[:] += (free * convected(began, self.bodies, dent)).ravel()
-                self.u.x.scatter_forward()
-                found = self._overlap()
-                if 2.0 * found < left:
-                    left = found
-                    break
-                self.owned_u[:] = at
-                self.u.x.scatter_forward()
-
-    def _go_on(self, level: float | None, target: Floats) -> Floats | None:
-        """Add what the last step has gained, for this one; collective.
-
-        Returns:
-            By how much tools were moved (m,); None where nothing is added, as where steps
-            turn back or grow, or other motions are driven. Elastic bodies are left as they are:
-            forces of what is nearly incompressible would be far from balance (rubber pressed by
-            a plane took 130 iterations for 66).
-        """
-        gained, tools = self.committed.gained, [i.driven() for i in self.interfaces]
-        if gained is None or level is None or self.solid.strain == "small":
-            return None
-        driven = [tool for tool in tools if tool is not None]
-        share = (level - self.committed.level) / gained.duration
-        counts = [len(tool.names) for tool in driven]
-        if not 0.0 < share <= 2.0 or sum(counts) != len(gained.travel):
-            return None
-        elastic = elastic_groups(self.solid, self.bodies)
-        flows = ~elastic[self.bodies.groups[self.bodies.label]]
-        if not any_rank(self.comm, flows.any())[0]:
-            return None
-        travel, held = share * gained.travel, self.supports.owned.ravel()
-        by = np.where(held, target - self.owned_u, share * gained.by)
-        self.owned_u[:] += flows.repeat(self.supports.owned.shape[1]) * by
-        self.u.x.scatter_forward()
-        for tool, end in zip(driven, np.cumsum(counts), strict=True):
-            tool.move(travel[end - len(tool.names) : end])
-        return travel
-
-    def _stuck(self) -> Bools:
-        """Return which slave nodes (owned nodes,) of contacts with friction did not slide."""
-        stuck, sliding = np.zeros(self.n, dtype=bool), self.committed.sliding
-        if sliding is not None:
-            for interface, sides in zip(self.interfaces, self.system.sides, strict=True):
-                if interface.law is not None:
-                    stuck[sides.nodes] = ~sliding[sides.nodes].any(axis=1)
-        return stuck
-
-    def _overlap(self) -> float:
-        """Return how much sides of contacts overlap at u; collective."""
-        with self.timings("mortar"):
-            found = self.system.at(self.configuration)
-            return overlap(found.links, self.positions(), self.n)
 
     def _committed_positions(self) -> PETSc.Vec:
         """Return the positions (n,) from which slips count."""
@@ -626,10 +538,14 @@ class ContactProblem:
         if (outcome := self._uncommitted_in_time()) is not None and outcome.before is not None:
             self.undo(outcome.before)
 
+    @property
+    def in_time(self) -> bool:
+        """Whether steps have inertia."""
+        return any(isinstance(term, Inertia) for _, term in self.terms.named)
+
     def _uncommitted_in_time(self) -> StepOutcome | None:
         """Return the outcome of a step in time that has not been committed, if any; collective."""
-        moves = any(isinstance(term, Inertia) for _, term in self.terms.named)
-        return self.ended_here() if moves else None
+        return self.ended_here() if self.in_time else None
 
     def ends_of_interfaces(self) -> list[Any]:
         """Return the state of each interface with which the next step begins; collective."""

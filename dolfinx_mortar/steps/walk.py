@@ -39,6 +39,7 @@ from dolfinx_mortar.qp import LinearSolver, QPNotSolved
 from dolfinx_mortar.report.reaction import reactions
 from dolfinx_mortar.step_report import LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.newton import solve_step
+from dolfinx_mortar.steps.predictors import predict
 from dolfinx_mortar.steps.ramp import Ramp, check_range, difference, notes_on_unread
 
 log = logging.getLogger(__name__)
@@ -156,6 +157,7 @@ class Solves:
             overlap=level.overlap,
             level=level.time,
             linear=linear,
+            predict=predict,
         )
 
 

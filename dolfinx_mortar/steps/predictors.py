@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The start of a step in which one body slides over another one.
+"""The start of a step of a walk: what the last step has gained, and what slides takes along.
 
 What slides takes the deformation under it along: a dent in a long block is, one step later,
 somewhere else. Bodies that are moved rigidly to begin with leave the dent where it was, overlap
@@ -16,26 +16,135 @@ Which of two bodies it is that is dented shows in the overlap that is left: in d
 5 % of it where the displacement of the block is moved, 105 to 115 % where that of the tool is.
 """
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx import fem, geometry
 from dolfinx.mesh import Mesh
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, QUARTER_OF_DIGITS, TINY, Bools, Floats, Ints
-from dolfinx_mortar.compat import cell_nodes
-from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.compat import cell_nodes, scaled_mesh
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.surface import coordinates, nodal_normals
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.spaces import with_values
 from dolfinx_mortar.supports.bodies import Bodies
+
+
+def predict(
+    problem: ContactProblem, data: StepData, level: float | None, before: Floats
+) -> StepData:
+    """Predict u at the end of a step, beyond the rigid motion with its supports; collective.
+
+    Args:
+        problem: with the displacement after that motion.
+        data: of the step.
+        level: at its end.
+        before: displacement (n,) at its start.
+
+    Returns:
+        The data with the displacement to which what Newton's iterations gain is added, and with
+        what tools were moved by.
+    """
+    _convect(problem, problem.owned_u - before, before)
+    data = replace(data, begun=problem.owned_u.copy())
+    if level is None or data.flows:
+        return data
+    return replace(data, travel=_go_on(problem, level, data.target))
+
+
+def _convect(problem: ContactProblem, carried: Floats, before: Floats) -> None:
+    """Move the deformation of bodies along with what slides over them; collective.
+
+    Of the two sides of a contact, that whose moved deformation fits the other one: it leaves at
+    most half of the overlap. Where strains are small a step is linear, but for friction, from
+    wherever it begins.
+
+    Args:
+        problem: at the start of a step.
+        carried: displacement (n,) by which supports have moved the bodies.
+        before: displacement (n,) at the start of the step.
+    """
+    if problem.solid.strain == "small" or problem.geometry == "reference":
+        return
+    closed, began = problem.committed.active & ~_stuck(problem), with_values(problem.V, before)
+    given = problem.bodies, carried.reshape(problem.X.shape), began
+    slides = find_slides(problem.system, closed, *given)
+    if not slides:
+        return
+    elastic, free = elastic_groups(problem.solid, problem.bodies), ~problem.supports.owned
+    left = _overlap(problem)
+    for dents in slides:
+        for dent in dents:
+            if not elastic[dent.group]:
+                continue
+            at = problem.owned_u.copy()
+            problem.owned_u[:] += (free * convected(began, problem.bodies, dent)).ravel()
+            problem.u.x.scatter_forward()
+            found = _overlap(problem)
+            if 2.0 * found < left:
+                left = found
+                break
+            problem.owned_u[:] = at
+            problem.u.x.scatter_forward()
+
+
+def _go_on(problem: ContactProblem, level: float, target: Floats) -> Floats | None:
+    """Add what the last step has gained, for this one; collective.
+
+    In proportion to the lengths of the steps, on bodies that flow, and motions of tools: a deep
+    drawing takes 153 iterations for 458. Supports are where they lead: a stretched bar takes 2
+    iterations, 7 if cells beside them are distorted and 4 without all this.
+
+    Returns:
+        By how much tools were moved (m,); None where nothing is added, as where steps
+        turn back or grow, or other motions are driven. Elastic bodies are left as they are:
+        forces of what is nearly incompressible would be far from balance (rubber pressed by
+        a plane took 130 iterations for 66).
+    """
+    gained, tools = problem.committed.gained, [i.driven() for i in problem.interfaces]
+    if gained is None or problem.solid.strain == "small":
+        return None
+    driven = [tool for tool in tools if tool is not None]
+    share = (level - problem.committed.level) / gained.duration
+    counts = [len(tool.names) for tool in driven]
+    if not 0.0 < share <= 2.0 or sum(counts) != len(gained.travel):
+        return None
+    elastic = elastic_groups(problem.solid, problem.bodies)
+    flows = ~elastic[problem.bodies.groups[problem.bodies.label]]
+    if not any_rank(problem.comm, flows.any())[0]:
+        return None
+    travel, held = share * gained.travel, problem.supports.owned.ravel()
+    by = np.where(held, target - problem.owned_u, share * gained.by)
+    problem.owned_u[:] += flows.repeat(problem.d) * by
+    problem.u.x.scatter_forward()
+    for tool, end in zip(driven, np.cumsum(counts), strict=True):
+        tool.move(travel[end - len(tool.names) : end])
+    return travel
+
+
+def _stuck(problem: ContactProblem) -> Bools:
+    """Return which slave nodes (owned nodes,) of contacts with friction did not slide."""
+    stuck, sliding = np.zeros(problem.n, dtype=bool), problem.committed.sliding
+    if sliding is not None:
+        for interface, sides in zip(problem.interfaces, problem.system.sides, strict=True):
+            if interface.law is not None:
+                stuck[sides.nodes] = ~sliding[sides.nodes].any(axis=1)
+    return stuck
+
+
+def _overlap(problem: ContactProblem) -> float:
+    """Return the norm of the overlaps of nodes of contacts at u; collective."""
+    with problem.timings("mortar"):
+        links = problem.system.at(problem.configuration).links
+        gap = np.minimum(nodal_gaps(links, problem.positions(), problem.n), 0.0)
+        return float(np.sqrt(problem.comm.allreduce(float(gap @ gap), op=MPI.SUM)))
 
 
 @dataclass(frozen=True)
@@ -174,27 +283,13 @@ def _nearest_values(u: fem.Function, cells: Ints, points: Floats) -> tuple[Float
     mesh, d = u.function_space.mesh, u.function_space.dofmap.index_map_bs
     if not len(cells) or not len(points):
         return np.full(len(points), np.inf), np.zeros((len(points), d))
-    with _cells_of_size_one(mesh, cells) as scale:
-        distances, nearest, at = _nearest_points(mesh, cells, scale * points)
-    distances /= scale
-    return distances, np.asarray(u.eval(at / scale, nearest).reshape(-1, d))
-
-
-@contextmanager
-def _cells_of_size_one(mesh: Mesh, cells: Ints) -> Iterator[float]:
-    """Scale the coordinates in the block by a power of two, which changes no digit; yield it.
-
-    dolfinx takes points within 1e-6 of a cell for points of it, whatever the unit: with cells of
-    0.01 mm in metres, values were wrong by 0.3 %, with smaller ones altogether.
-    """
-    x = mesh.geometry.x
-    size = np.ptp(x[cell_nodes(mesh)[cells]], axis=1).max()
+    # dolfinx takes points within 1e-6 of a cell for points of it, whatever the unit: cells of size
+    # one in a copy, by a power of two, which changes no digit
+    size = np.ptp(mesh.geometry.x[cell_nodes(mesh)[cells]], axis=1).max()
     scale = float(2.0 ** -np.round(np.log2(size)))
-    x *= scale
-    try:
-        yield scale
-    finally:
-        x /= scale
+    distances, nearest, at = _nearest_points(scaled_mesh(mesh, scale), cells, scale * points)
+    values = u.eval(at / scale, nearest).reshape(-1, d)
+    return np.asarray(distances / scale), np.asarray(values)
 
 
 def _nearest_points(mesh: Mesh, cells: Ints, points: Floats) -> tuple[Floats, Ints, Floats]:
@@ -214,9 +309,3 @@ def _nearest_points(mesh: Mesh, cells: Ints, points: Floats) -> tuple[Floats, In
     for k in np.flatnonzero(distances > 0.0):
         at[k] += geometry.compute_distance_gjk(mesh.geometry.x[corners[nearest[k]]], points[k])
     return distances, nearest, at
-
-
-def overlap(links: Sequence[Link], x: PETSc.Vec, n: int) -> float:
-    """Return the root of the sum of squares of the overlaps of nodes at positions x; collective."""
-    gap = np.minimum(nodal_gaps(links, x, n), 0.0)
-    return float(np.sqrt(x.comm.tompi4py().allreduce(float(gap @ gap), op=MPI.SUM)))
