@@ -140,8 +140,9 @@ def _turn(problem: ContactProblem, link: Link, contacts: Contacts) -> float:
 def notes_on_turns(problem: ContactProblem, contacts: Contacts) -> list[str]:
     """Return a note for every tool that turns so far in a step that slips are wrong; collective.
 
-    Along a surface they are those of arcs up to half a turn, see `slip_partners`. Of a turn by a about
-    its normal they are the parts r sin(a) of chords, of arcs r a.
+    Along a surface they are those of arcs up to half a turn, see `slip_partners`. Of a turn by a
+    about its normal they are the parts r sin(a) of chords, of arcs r a.
+
     """
     notes: list[str] = []
     if problem.geometry == "reference":
