@@ -111,7 +111,7 @@ class Differences:
         self.X = X = V.tabulate_dof_coordinates()[:, : self.d]
         free = np.ones(X.shape, dtype=bool) if fixed is None else ~fixed(X)
         interface.take(self, V)
-        interface.check(V, revolved=weight is not None, strain="small")
+        interface.check(V, weight is not None, "small")
         self.system, self.u = InterfaceSystem(V, [interface], ~free, weight), fem.Function(V)
         if open:
             (sides,) = self.system.sides

@@ -336,7 +336,7 @@ def test_a_state_without_results_takes_them_away(folder):
     assert largest > 0.0 and solid.max("plastic_strain_norm") > 0.0
     press.problem.restore(folder / "begin.h5")
     assert press.contact.pressure is pressure and not pressure.x.array.any()
-    with pytest.raises(dm.interfaces.interface.NoResult):
+    with pytest.raises(dm.interfaces.results.NoResult):
         _ = press.contact.force
     assert solid.max("von_mises") == solid.max("plastic_strain_norm") == 0.0
     assert not press.problem.history and not press.problem.committed.active.any()

@@ -720,7 +720,7 @@ def test_what_a_tool_does_is_undone_when_it_rolls_back():
     way = tool.tool.way(before, after_)
     carried = tool.tool.pose().to_space(tool.tool.began.to_tool(before))
     assert tool.tool.way(before, carried) == pytest.approx(carried - before, abs=1e-13)
-    tool.restore(tool.state(ended=True))
+    tool.restore(tool.state(True))
     tool.position.value[:], tool.rotation.value = (0.0, R), 0.0
     assert tool.tool.way(after_, before) == pytest.approx(-way, abs=1e-13)
 

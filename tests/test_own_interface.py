@@ -156,7 +156,7 @@ class Lifted(Plane):
     def move(self, amounts):
         self.point = self.point + amounts[0] * self.normal
 
-    def state(self, *, ended=False):
+    def state(self, ended):
         return {"point": self.point}
 
     def restore(self, state):

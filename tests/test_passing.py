@@ -437,7 +437,7 @@ def test_a_blade_that_turns_through_a_body(d):
     # far away, and from where it is turned already
     tool.position.value[-1] -= 9.0
     passes(400.0)
-    tool.restore(tool.state(ended=True))
+    tool.restore(tool.state(True))
     assert not passes(800.0)
 
 

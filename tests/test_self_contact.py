@@ -315,5 +315,5 @@ def test_only_contacts_may_meet_themselves():
     with pytest.raises(ValueError, match="slave and master are both tag 1"):
         dm.Tie(tags, slave=SKIN, master=SKIN)
     contact = dm.Contact(tags, slave=SKIN, master=SKIN)
-    assert repr(contact) == "Contact(slave=1, master=1)"
+    assert contact.meets_itself and repr(contact) == "Contact(slave=1, master=1)"
     assert not dm.Contact(tags, slave=1, master=2).meets_itself

@@ -52,7 +52,7 @@ class Unilateral(Interface):
         """Return what all ranks have to give the same, by name; see `agreement`."""
         return super().given() | {"friction": self.friction, "tresca": self.tresca}
 
-    def check(self, V: fem.FunctionSpace, *, revolved: bool, strain: str) -> None:
+    def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Raise a ValueError for limits of friction on another mesh than V's."""
         if self.law is not None and isinstance(self.law.value, fem.Function):
             check_mesh(self.law.name, self.law.value, V)  # a Constant is a number
@@ -200,6 +200,11 @@ class Contact(Unilateral, MortarInterface):
         tags = {"slave": slave, "master": master}
         super().__init__(facet_tags, **tags, surface=surface, feature_angle=feature_angle)
         self.law = create_law(friction, tresca)
+
+    @property
+    def meets_itself(self) -> bool:
+        """Whether one tag is both sides, see `mortar.self_contact`."""
+        return self.slave == self.master
 
     def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
         """Return the argument by which heights of smooth surfaces correct the gap."""

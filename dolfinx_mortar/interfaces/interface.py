@@ -110,7 +110,7 @@ class Interface(Collective, Results, ABC):
         """Return what all ranks have to give the same, by name; see `agreement`."""
         return {"facet_tags": self.facet_tags, "slave": self.slave}
 
-    def check(self, V: fem.FunctionSpace, *, revolved: bool, strain: str) -> None:
+    def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Raise a ValueError unless a problem can take it.
 
         Args:
@@ -237,7 +237,7 @@ class Interface(Collective, Results, ABC):
 
     # -- what steps change -----------------------------------------------------------------------
 
-    def state(self, *, ended: bool = False) -> dict[str, Floats]:
+    def state(self, ended: bool) -> dict[str, Floats]:
         """Return what steps change, beside results: finite numbers, by name; collective.
 
         Names and lengths do not change.

@@ -147,15 +147,20 @@ class Obstacle(Movable, Unilateral):
         said += {None: "", True: ", surface='smooth'", False: ", surface='facets'"}[self.meant]
         return f"{super().__repr__()[:-1]}{said})"
 
+    @property
+    def shape(self) -> Shape:
+        """As given."""
+        return self.tool.shape
+
     def given(self) -> dict[str, Any]:
         """Return what all ranks have to give the same, by name; see `agreement`."""
         names = "shape", "point", "position", "rotation", "load"
         given = super().given() | {name: getattr(self.tool, name) for name in names}
         return given | {"surface": self.meant, "distances": self.tool.probed()}
 
-    def check(self, V: fem.FunctionSpace, *, revolved: bool, strain: str) -> None:
+    def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Raise a ValueError for shapes that are none in d dimensions, or not of revolution."""
-        super().check(V, revolved=revolved, strain=strain)
+        super().check(V, revolved, strain)
         self.tool.check(V.mesh.geometry.dim, revolved)
 
     def take(self, owner: object, V: fem.FunctionSpace) -> None:
@@ -171,9 +176,9 @@ class Obstacle(Movable, Unilateral):
         axes = np.stack([low, (low + high) / 2.0, high], axis=1)
         self.tool.probes = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, d)
 
-    def state(self, *, ended: bool = False) -> dict[str, Floats]:
+    def state(self, ended: bool) -> dict[str, Floats]:
         """Return where the tool was at the last commit, from which slips count, and its travel."""
-        return self.tool.state(ended=ended)
+        return self.tool.state(ended)
 
     def restore(self, state: Mapping[str, Floats]) -> None:
         """Restore where the tool was."""

@@ -136,14 +136,14 @@ class RigidSide(Movable, Interface):
         names = "point", "position", "rotation", "load"
         return super().given() | {name: getattr(self.rigid, name) for name in names}
 
-    def check(self, V: fem.FunctionSpace, *, revolved: bool, strain: str) -> None:
+    def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Take note of the kinematics: forces act at X where strains are small."""
         self.rigid.revolved, self.rigid.small = revolved, strain == "small"
         self.stays = self.rigid.small
 
-    def state(self, *, ended: bool = False) -> dict[str, Floats]:
+    def state(self, ended: bool) -> dict[str, Floats]:
         """Return how far loads have moved it."""
-        return self.rigid.state()
+        return self.rigid.state(ended)
 
     def restore(self, state: Mapping[str, Floats]) -> None:
         """Take that over."""

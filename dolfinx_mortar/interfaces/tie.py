@@ -189,7 +189,7 @@ class Tie(MortarInterface):
         self.normal = mean_normal(sides.slave)
         return sides
 
-    def check(self, V: fem.FunctionSpace, *, revolved: bool, strain: str) -> None:
+    def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Raise a ValueError for a jump on another mesh than V's."""
         check_mesh("jump", self.jump, V)
 
@@ -267,7 +267,7 @@ class Tie(MortarInterface):
         """Add an overlap (d,) to the tightening."""
         self.tightening = self.tightening + way
 
-    def state(self, *, ended: bool = False) -> dict[str, Floats]:
+    def state(self, ended: bool) -> dict[str, Floats]:
         """Return the tightening: without it the bolts of a restored problem would be loose."""
         return {"tightening": self.tightening}
 

@@ -213,7 +213,7 @@ class RigidBody:
         """Return where its point is (d,), about which moments are given."""
         return self.pose().position
 
-    def state(self, *, ended: bool = False) -> dict[str, Floats]:
+    def state(self, ended: bool) -> dict[str, Floats]:
         """Return what steps change, see `Interface.state`."""
         return {"travel": self.travel}
 
@@ -418,10 +418,10 @@ class Tool(RigidBody):
         """The point, and distances from the shape where it starts."""
         return super().identity | {"distances": self.probed()}
 
-    def state(self, *, ended: bool = False) -> dict[str, Floats]:
+    def state(self, ended: bool) -> dict[str, Floats]:
         """Return the travel, and where it was at the last commit, or is now for the next one."""
         began = self.pose() if ended else self.began
-        return super().state() | {"position": began.position, "rotation": began.rotation}
+        return super().state(ended) | {"position": began.position, "rotation": began.rotation}
 
     def restore(self, state: Mapping[str, Floats]) -> None:
         """Take over what `state` has returned."""

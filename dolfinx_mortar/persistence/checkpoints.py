@@ -68,7 +68,7 @@ def save(state: ProblemState, path: str | os.PathLike[str], outcome: StepOutcome
         "steps": [step.as_dict() for step in committed.history],
         "interfaces": results,
         "gained": [_rates(committed), _rates(outcome)],
-        "found": [{n: v.tolist() for n, v in i.state().items()} for i in state.interfaces],
+        "found": [{n: v.tolist() for n, v in i.state(False).items()} for i in state.interfaces],
     }
     values = {NODES: _nodal(state, outcome), POINTS: _at_points(state)}
     for k, interface in enumerate(state.interfaces):

@@ -164,7 +164,7 @@ class Before:
         functions = [state.u, *state.states_of_terms.values()]
         self._values = [(f, f.x.array.copy()) for f in functions]
         self._points = state.solid.keep()
-        self._results = [(i, i.keep(), i.state()) for i in state.interfaces]
+        self._results = [(i, i.keep(), i.state(False)) for i in state.interfaces]
         self._committed = vars(state.committed) | {"history": [*state.committed.history]}
 
     def restore(self) -> None:

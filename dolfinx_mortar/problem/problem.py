@@ -110,7 +110,7 @@ class ContactProblem:
         with raised_together(solid.V.mesh.comm):  # before one is taken from another problem
             for side in sides:
                 revolved = solid.kinematics.radius is not None
-                side.check(solid.V, revolved=revolved, strain=solid.strain)
+                side.check(solid.V, revolved, solid.strain)
         check_options(solid.V.mesh.comm, petsc_options_prefix, petsc_options)
         self.solid, self.geometry = solid, geometry
         self.timings = Timings()
@@ -549,7 +549,7 @@ class ContactProblem:
 
     def ends_of_interfaces(self) -> list[Any]:
         """Return the state of each interface with which the next step begins; collective."""
-        return [interface.state(ended=True) for interface in self.interfaces]
+        return [interface.state(True) for interface in self.interfaces]
 
     def ended_here(self) -> StepOutcome | None:
         """Return the outcome of the last step, None if u has been reset since; collective."""

@@ -142,7 +142,6 @@ def notes_on_turns(problem: ContactProblem, contacts: Contacts) -> list[str]:
 
     Along a surface they are those of arcs up to half a turn, see `slip_partners`. Of a turn by a
     about its normal they are the parts r sin(a) of chords, of arcs r a.
-
     """
     notes: list[str] = []
     if problem.geometry == "reference":

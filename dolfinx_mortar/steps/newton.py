@@ -384,7 +384,7 @@ class _Step:
 
     def tools(self) -> list[tuple[Interface, dict[str, Floats]]]:
         """Return where the tools are that forces drive."""
-        return [(i, i.state()) for i in self.problem.interfaces if i.driven() is not None]
+        return [(i, i.state(False)) for i in self.problem.interfaces if i.driven() is not None]
 
     def told(self, error: failures.StepFailed) -> failures.StepFailed:
         """Return the error with corners without a normal, which may be its cause; collective."""
