@@ -30,6 +30,18 @@ class Timings:
         return {k: v - earlier.get(k, 0.0) for k, v in self.seconds.items()}
 
 
+class Note(str):
+    """What a step has seen and its size, as text; ``why`` explains it and says what helps."""
+
+    why: str
+
+    def __new__(cls, seen: str, why: str = "") -> Note:
+        """Keep both; copies are made without the second, and get it afterwards."""
+        note = super().__new__(cls, seen)
+        note.why = why
+        return note
+
+
 @dataclass(frozen=True)
 class Iteration:
     """One Newton iteration: a tangent, a bound-constrained QP, a step."""

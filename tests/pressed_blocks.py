@@ -2,6 +2,7 @@
 """Two blocks pressed together by their supports: valid input, which tests solve or change."""
 
 import re
+from contextlib import contextmanager
 
 from mpi4py import MPI
 
@@ -55,6 +56,16 @@ class PressedBlocks:
 def rejected(*words, error=ValueError):
     """Expect an error on this rank (each rank asks for itself) whose message has all the words."""
     return pytest.raises(error, match="".join(f"(?=.*{re.escape(w)})" for w in words))
+
+
+@contextmanager
+def failing(problem, *words):
+    """Expect a step to fail, and all the words in its error or in what is diagnosed."""
+    with pytest.raises(dm.NewtonNotConverged) as caught:
+        yield caught
+    assert problem.diagnose()[-1].startswith(str(problem.told[-1]))
+    said = "\n".join([caught.value.message, *problem.diagnose()])
+    assert [word for word in words if word not in said] == []
 
 
 def some_rank(array):

@@ -9,6 +9,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from tests.block_piles import ABOVE, BELOW, COMM, EAST, WEST, Blocks
+from tests.pressed_blocks import failing
 
 EXACT = 1e-10
 STACK = [
@@ -164,7 +165,7 @@ def test_pulled_out(slave):
     dm.newton(hold.problem, rtol=1e-10)
     assert hold.carried()[0] == pytest.approx(-0.7 * 0.8 * normal, rel=1e-6)
     away = Squeezed(1.1 * 2 * 0.4 * normal, 0.4, slave=slave)
-    with pytest.raises(dm.NewtonNotConverged, match="the loads may exceed what friction carries"):
+    with failing(away.problem, "The loads may exceed what friction carries"):
         dm.newton(away.problem)
     assert largest(away.problem.u.x.array) == 0.0
 

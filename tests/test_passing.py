@@ -162,7 +162,7 @@ def test_a_body_that_is_prescribed_altogether(slave):
 def test_what_flows_on_the_other_side_is_no_cause(monkeypatch):
     """Nor what floats there: the message says what has passed, and nothing else."""
     pushed = Pushed()
-    monkeypatch.setattr(failures, "describe_flow", lambda problem: "limit load?")
+    monkeypatch.setattr(failures, "_flow", lambda problem: "limit load?")
     pushed.move(0.0, -6.0)
     with pytest.raises(dm.NewtonNotConverged, match=r"has passed through.*as before") as caught:
         dm.newton(pushed.problem)

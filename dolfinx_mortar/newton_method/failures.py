@@ -14,7 +14,7 @@ from dolfinx_mortar.interfaces.tool import Tool
 from dolfinx_mortar.mortar.edges import facing_edges
 from dolfinx_mortar.mortar.surface import accumulate, mean_facet_length
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.step_report import NewtonNotConverged, StepReport
+from dolfinx_mortar.step_report import NewtonNotConverged, Note, StepReport
 from dolfinx_mortar.supports.bodies import name_of
 from dolfinx_mortar.terms.pressure import Pressure
 
@@ -30,32 +30,39 @@ SQUEEZED = 0.3
 # Last sentence of the message about a single step.
 AS_BEFORE = (
     ". The displacement and the committed state are as before the step: retry with a smaller one "
-    "(dm.load_steps does)"
+    "(dm.load_steps does); problem.diagnose() says more"
 )
-# First sentence where only friction holds a body, under loads and without.
+# Where only contact, or friction, holds a body, under loads and without.
+MOVES_AWAY = (
+    "What contact alone holds moves away if the loads do not press the sides together, or it "
+    "slides or rolls freely (then prescribe that motion)"
+)
 TOO_MUCH = {
-    True: "the loads may exceed what friction carries (then prescribe displacements instead of "
+    True: "The loads may exceed what friction carries (then prescribe displacements instead of "
     "forces), the step may be too large for it (then take smaller ones), or friction of at least "
     "the cotangent of an angle between sides and supports wedges a body fast (then release it)",
-    False: "the step may be too large for friction (then take smaller ones), or drag a body that "
+    False: "The step may be too large for friction (then take smaller ones), or drag a body that "
     "friction does not hold (then support it) or wedges fast between sides and supports at an "
     "angle (then release it)",
 }
-# What to do about tangents that are indefinite, as beyond a limit point, under loads and without.
+# What to do about tangents that are indefinite, under loads and without, and about unknown ones.
 UNSTABLE = {
-    True: "beyond a limit point of loads: if they exceed what the bodies carry, prescribe "
-    "displacements instead of forces or pressures",
-    False: "where bodies buckle or snap. Displacements are prescribed already, so take smaller "
-    "steps, and give a symmetric mesh an imperfection; if small steps fail, too, the next "
-    "equilibrium is far away: prescribe the displacement of another point, or follow the motion in "
-    "time, dm.time_steps with dm.Inertia",
+    True: "Beyond a limit point of loads tangents are indefinite: if they exceed what the bodies "
+    "carry, prescribe displacements instead of forces or pressures",
+    False: "Tangents are indefinite where bodies buckle or snap. Displacements are prescribed "
+    "already, so take smaller steps, and give a symmetric mesh an imperfection; if small steps "
+    "fail, too, the next equilibrium is far away: prescribe the displacement of another point, or "
+    "follow the motion in time, dm.time_steps with dm.Inertia",
 }
-
-# Heights at which blocks of MooneyRivlin (NeoHooke), K/mu = 500, between smooth plates lose their
-# stability, by eigenvalues of tangents: hexahedra .70 (.56), the continuum .57 (.54);
-# quadrilaterals .62 (.64), the continuum .54.
+BLIND = (
+    "not tell whether a tangent is indefinite, and nothing was added to it: choose the default, "
+    "petsc_options={'pc_type': 'cholesky', 'pc_factor_mat_solver_type': 'mumps'}"
+)
+HARDEN = "or give the law hardening"
+# Blocks of MooneyRivlin (NeoHooke), K/mu = 500, between smooth plates lose their stability at a
+# height of .62 (.64) on quadrilaterals of degree 2, .54 as a continuum, by eigenvalues of tangents.
 BY_THEMSELVES = (
-    ". Under compression by 30 % or more, cells of degree 2 with volumetric='reduced' may buckle "
+    "Under compression by 30 % or more, cells of degree 2 with volumetric='reduced' may buckle "
     "by themselves, in waves as long as cells: compare with cells of degree 1 or, where the law is "
     "compressible, with volumetric='full'"
 )
@@ -63,6 +70,18 @@ BY_THEMSELVES = (
 
 class StepFailed(Exception):
     """A step ends without a solution; nothing has been undone or diagnosed yet."""
+
+    def __init__(self, seen: str, why: str = "") -> None:
+        """Keep what was seen, and what explains it."""
+        super().__init__(seen)
+        self.why = why
+
+
+def failed(problem: ContactProblem, report: StepReport, seen: str, *why: str) -> NewtonNotConverged:
+    """Return the error of a step, whose causes `ContactProblem.diagnose` explains."""
+    note = Note(seen, ". ".join(filter(None, why)))
+    problem.told[:] = [*report.notes, note]
+    return NewtonNotConverged(f"{seen}{AS_BEFORE}", report)
 
 
 def explain(
@@ -76,21 +95,30 @@ def explain(
         error: why the step has ended.
         at: displacement with ghosts where it has.
     """
-    message = str(error)
+    seen, why = str(error), [getattr(error, "why", "")]
     if not isinstance(error, StepFailed):
-        number, cause = len(report.iterations) + 1, message.rstrip(". ")
-        message = f"the QP of Newton iteration {number}: {cause}"
+        seen = f"the QP of Newton iteration {len(report.iterations) + 1}: {seen.rstrip('. ')}"
     flowing, squeezed = _look_at(problem, at)
     if flowing:  # a singular matrix is reported by the solver as a body that nothing holds
-        report.notes.append(message)
-        message = flowing
-    else:
-        message = _with_loose_motions(problem, message)
-    message += _describe_tangents(problem, report, bool(squeezed) or "inside out" in message)
-    if squeezed and "inside out" not in message:
-        message += f". Where it ended, {squeezed}: take smaller load steps, or compress it less"
-    message += _describe_pressures(problem) + _describe_own_laws(problem)
-    return NewtonNotConverged(f"{message}{AS_BEFORE}", report)
+        report.notes.append(seen)
+        seen, least = flowing, "reduce the load" if is_loaded(problem) else "take smaller steps"
+        why = [f"Without hardening a law carries no more than its limit load: {least}, {HARDEN}"]
+    elif held := problem.held_by_contact():
+        seen += f"; contact alone holds {'; '.join(held)}"
+        if problem.system.has_friction:
+            why.append(TOO_MUCH[is_loaded(problem)])
+        why.append(MOVES_AWAY)
+    inverted = bool(squeezed) or "inside out" in seen
+    shifted, count = sum(it.shift > 0.0 for it in report.iterations), len(report.iterations)
+    if 2 * shifted > count and (not inverted or is_loaded(problem)):
+        seen += f"; the tangent was indefinite in {shifted} of {count} iterations"
+        why += [UNSTABLE[is_loaded(problem)], describe_cells(problem)]
+    elif problem.solid.strain == "finite" and problem.linear.blind:
+        why.append(f"The factorisation {problem.linear.blind} does {BLIND}")
+    if squeezed and "inside out" not in seen:
+        seen += f"; where it ended, {squeezed}"
+        why.append("Take smaller load steps, or compress it less")
+    return failed(problem, report, seen, *why, *_pressures(problem), _own_laws(problem))
 
 
 def _look_at(problem: ContactProblem, u: Floats) -> tuple[str, str]:
@@ -98,47 +126,12 @@ def _look_at(problem: ContactProblem, u: Floats) -> tuple[str, str]:
     before, shown = problem.u.x.array.copy(), problem.solid.keep()
     try:
         problem.u.x.array[:] = u
-        flowing = describe_flow(problem)
+        flowing = _flow(problem)
         finite = problem.solid.strain == "finite"
         return flowing, problem.solid.gradients.describe_shortened(SQUEEZED) if finite else ""
     finally:
         problem.u.x.array[:] = before
         problem.solid.put_back(shown)
-
-
-def _with_loose_motions(problem: ContactProblem, message: str) -> str:
-    """Return a message that names motions that nothing resists, or contact alone; collective."""
-    if not (held := problem.held_by_contact()):
-        return message
-    if problem.system.has_friction:  # solvers report this cause in several ways
-        message = f"{TOO_MUCH[is_loaded(problem)]}: {message}"
-    return message + (
-        f". Contact alone holds {'; '.join(held)}: it moves away if the loads do not press the "
-        "sides together, or it slides or rolls freely (then prescribe that motion)"
-    )
-
-
-def _describe_tangents(problem: ContactProblem, report: StepReport, inverted: bool) -> str:
-    """Say whether tangents were indefinite, or that it could not be found out; collective.
-
-    Args:
-        problem: the problem.
-        report: of the step that has failed.
-        inverted: whether cells were turned inside out or nearly so, which is a cause by itself.
-    """
-    shifted = sum(it.shift > 0.0 for it in report.iterations)
-    if 2 * shifted > len(report.iterations) and (not inverted or is_loaded(problem)):
-        return (
-            f". The tangent was indefinite in {shifted} of {len(report.iterations)} iterations, as "
-            f"{UNSTABLE[is_loaded(problem)]}{describe_cells(problem)}"
-        )
-    if problem.solid.strain == "finite" and problem.linear.blind:
-        return (
-            f". The factorisation {problem.linear.blind} does not tell whether a tangent is "
-            "indefinite, and nothing was added to it: choose the default, "
-            "petsc_options={'pc_type': 'cholesky', 'pc_factor_mat_solver_type': 'mumps'}"
-        )
-    return ""
 
 
 def describe_cells(problem: ContactProblem) -> str:
@@ -153,42 +146,42 @@ def is_loaded(problem: ContactProblem) -> bool:
     return driven or problem.terms.assemble_forces(problem.K.createVecLeft()) > 0.0
 
 
-def _describe_pressures(problem: ContactProblem) -> str:
-    """Say which follower pressures have no potential; empty without any; collective."""
-    told = ""
+def _pressures(problem: ContactProblem) -> list[str]:
+    """Say which follower pressures have no potential."""
+    told, where = [], "where the surface is closed, or its edges are held or slide in planes "
+    where += "through the origin"
     for name, term in problem.terms.named:
         if not isinstance(term, Pressure) or term.has_potential(~problem.supports.owned):
             continue
-        where = "where the surface is closed, or its edges are held or slide in planes through the "
-        where += "origin"
-        remedy = f", or say closed=True {where}"
         if term.energy() is None:
-            told += (
-                f". {name}, has no potential, so that steps are whole, without a line search: take "
-                f"smaller load steps{'' if problem.solid.kinematics.plane_stress else remedy}"
+            remedy = (
+                "" if problem.solid.kinematics.plane_stress else f", or say closed=True {where}"
+            )
+            told.append(
+                f"{name}, has no potential, so that steps are whole, without a line search: take "
+                f"smaller load steps{remedy}"
             )
         else:
-            told += (
-                f". {name}: closed=True holds {where}, with a uniform p, and does not hold here: "
-                "leave it out"
+            told.append(
+                f"{name}: closed=True holds {where}, with a uniform p, and does not hold "
+                "here: leave it out"
             )
     return told
 
 
-def _describe_own_laws(problem: ContactProblem) -> str:
+def _own_laws(problem: ContactProblem) -> str:
     """Say how to check a user's own laws; empty without any."""
     package = __name__.partition(".")[0]
     kinds = {type(law): None for region in problem.solid.regions for law, _ in region.parts}
     own = [kind.__name__ for kind in kinds if not kind.__module__.startswith(f"{package}.")]
-    if not own:
-        return ""
-    return (
-        f". {', '.join(own)}: {package}.materials.check tells whether the potential of a law is "
+    told = (
+        f"{', '.join(own)}: {package}.materials.check tells whether the potential of a law is "
         "convex and its tangent the derivative of its stress"
     )
+    return told if own else ""
 
 
-def describe_flow(problem: ContactProblem) -> str:
+def _flow(problem: ContactProblem) -> str:
     """Say which body flows, and in which share of its volume, at a limit load; collective.
 
     There u.K u, with the tangent K, is small beside u.K_e u, with the elastic stiffness.
@@ -212,10 +205,7 @@ def describe_flow(problem: ContactProblem) -> str:
         return ""
     return (
         f"limit load? {name_of(problem.bodies, [most])} flows in "
-        f"{100 * flow[most] / whole[most]:.0f} % of its volume at the last iterate; without "
-        "hardening a law carries no more than its limit load: "
-        f"{'reduce the load' if is_loaded(problem) else 'take smaller steps'}, or give the law "
-        "hardening"
+        f"{100 * flow[most] / whole[most]:.0f} % of its volume at the last iterate"
     )
 
 

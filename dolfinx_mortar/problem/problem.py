@@ -439,6 +439,15 @@ class ContactProblem:
         self._logged.add(warning)
         return new
 
+    @cached_property
+    def told(self) -> list[str]:
+        """Notes on the last step, or on its failure."""
+        return []
+
+    def diagnose(self) -> list[str]:
+        """Return the notes on the last step, or on its failure, with explanations and remedies."""
+        return [". ".join(filter(None, (note, getattr(note, "why", "")))) for note in self.told]
+
     def held_by_contact(self) -> list[str]:
         """Return the names of the bodies that contact alone holds at present; collective."""
         springs = self._resistance_of_potential()

@@ -102,7 +102,8 @@ def find_notes(end: StepEnd) -> list[str]:
     if end.problem.comm.rank == 0:
         for note in notes:
             if end.problem.is_new(_kind(note, [repr(i) for i in end.problem.interfaces])):
-                log.warning("%s", note)
+                more = "; problem.diagnose() says more" * hasattr(note, "why")
+                log.warning("%s%s", note, more)
     return notes
 
 

@@ -73,7 +73,7 @@ from dolfinx_mortar.report.pulls import find_pull
 from dolfinx_mortar.report.reaction import support_forces
 from dolfinx_mortar.report.small_strain import find_left_out
 from dolfinx_mortar.report.uncoupled import find_crossing
-from dolfinx_mortar.step_report import Iteration, NewtonNotConverged, StepReport
+from dolfinx_mortar.step_report import Iteration, NewtonNotConverged, Note, StepReport
 from dolfinx_mortar.terms.sum import Energy, VolumeStep
 
 log = logging.getLogger(__name__)
@@ -186,6 +186,7 @@ def solve_step(
                 "solver does not use them"
             )
         report.notes += [note for note in problem.system.notes if note not in report.notes]
+    problem.told[:] = report.notes
     return report
 
 
@@ -391,7 +392,7 @@ class _Step:
         x, links = self.problem.positions(), self.problem.system.unilateral
         found = [failures.describe_corners(link, x) for link in links]
         corners = "; ".join(told for told in found if told)
-        return failures.StepFailed(f"{corners}. {error}") if corners else error
+        return failures.StepFailed(f"{corners}. {error}", error.why) if corners else error
 
     def first(self) -> Iterate:
         """Return the initial iterate."""
@@ -480,9 +481,10 @@ class _Step:
         farthest = du.norm(PETSc.NormType.INFINITY)
         if not QUARTER_OF_DIGITS * farthest <= extent:
             raise failures.StepFailed(
-                f"a Newton step is {farthest:.1e} long in a model of size {extent:.1e}: the "
-                "tangent is singular, because nothing holds a body or nothing resists its plastic "
-                "flow, or a load or pretension is too large for the stiffness (check units of both)"
+                f"a Newton step is {farthest:.1e} long in a model of size {extent:.1e}",
+                "The tangent is singular, because nothing holds a body or nothing resists its "
+                "plastic flow, or a load or pretension is too large for the stiffness (check units "
+                "of both)",
             )
 
     def move(
@@ -530,7 +532,7 @@ class _Step:
         with self.problem.timings("mortar"):
             passed = describe_passing(self.problem)
         if passed:  # other causes need not be looked for
-            raise NewtonNotConverged(f"{passed}{failures.AS_BEFORE}", self.report)
+            raise failures.failed(self.problem, self.report, passed)
 
     def finish(self, iterate: Iterate, residual: Residuals) -> None:
         """Set the results of the step."""
@@ -580,21 +582,19 @@ class _Step:
 
     def notes_on_shifts(self, negative: bool) -> list[str]:
         """Return a note if tangents were indefinite."""
-        notes, shifted = [], [it.number for it in self.report.iterations if it.shift]
+        notes, shifted = list[str](), [it.number for it in self.report.iterations if it.shift]
+        cells = failures.describe_cells(self.problem)
         if shifted:
-            notes.append(
+            seen = (
                 f"the tangent was indefinite in {len(shifted)} iterations, the last of them "
                 f"{shifted[-1]}: up to {max(it.shift for it in self.report.iterations):g} times "
                 "the elastic stiffness was added there"
             )
+            notes.append(Note(seen, cells))
         if negative or shifted[-1:] == [len(self.report.iterations)]:
-            notes.append(
-                "the tangent is indefinite at the end: the equilibrium found is unstable, and a "
-                "small disturbance leads to another one; give the mesh an imperfection to find "
-                "that one"
-            )
-        if notes:
-            notes[-1] += failures.describe_cells(self.problem)
+            seen = "the tangent is indefinite at the end: the equilibrium found is unstable"
+            why = "A small disturbance leads to another one, which an imperfect mesh finds"
+            notes.append(Note(seen, f"{why}. {cells}"))
         return notes
 
     def as_function(self, du: PETSc.Vec) -> fem.Function:

@@ -354,7 +354,8 @@ def _walk(
                 error.message = (
                     f"{solves.name} {number} to time {time:g} failed from {reached.time:g} to "
                     f"{level.time:g}, after {made} (the last level that converged is "
-                    f"{reached.time:g}): {cause}. {_describe_kept(len(parts), reached)}"
+                    f"{reached.time:g}): {cause}. {_describe_kept(len(parts), reached)}; "
+                    "problem.diagnose() says more"
                 )
                 written.write()  # the last part is undone, on all ranks
                 raise
