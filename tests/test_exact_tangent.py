@@ -14,6 +14,7 @@ import dolfinx_mortar.steps.newton as newton_module
 from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.interfaces.constraints import Constraints
 from dolfinx_mortar.newton_method.linearisation import Corrections, Linearisation
+from dolfinx_mortar.newton_method.residuals import Residuals
 from dolfinx_mortar.newton_method.subproblem import Subproblem
 from dolfinx_mortar.qp import BoundQP
 from tests.choice import quick
@@ -174,3 +175,20 @@ def test_where_the_exact_tangent_serves(finite, slow, before, first):
     assert is_exact(step, old) == (not first and (finite or slow or before))
     qps.may_be_exact = False
     assert not is_exact(step, old)
+
+
+@pytest.mark.parametrize(
+    ("turned", "before", "forces", "excess", "slow"),
+    [
+        (50.0, 100.0, 50.0, 1000.0, True),
+        (50.0, 100.0, 50.0, 20.0, False),  # few iterations are left
+        (50.0, 1000.0, 50.0, 1000.0, False),  # as are at a better rate
+        (50.0, 100.0, 200.0, 1000.0, False),  # the law is out of balance
+        (50.0, np.inf, 50.0, 1000.0, False),  # no rate yet
+    ],
+)
+def test_where_the_fixed_point_is_slow(turned, before, forces, excess, slow):
+    """Where the geometry is out of balance, by its rate."""
+    step = SimpleNamespace(report=SimpleNamespace(rtol=1.0))
+    residual = Residuals(forces, 0.0, excess, limit=1.0)
+    assert newton_module._Step.is_slow(step, turned, before, residual) == slow

@@ -75,7 +75,7 @@ class Iterate:
     shift: float = 0.0  # of the last tangent
     negative: bool = False  # whether the last tangent that could be shifted is indefinite
     turned: float = np.inf  # by how much the update of the geometry has changed contact forces
-    slow: bool = False  # whether the fixed point is, see `SLOW`
+    slow: bool = False  # whether the fixed point is
 
 
 @dataclass(frozen=True)

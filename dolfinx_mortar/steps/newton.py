@@ -27,7 +27,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar import qp as backends
 from dolfinx_mortar.algebra.errors import from_callbacks
-from dolfinx_mortar.algebra.parallel import free_unused, maximum
+from dolfinx_mortar.algebra.parallel import free_unused, maximum, ratio
 from dolfinx_mortar.arguments import NUMBER, check_optional
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Floats
 from dolfinx_mortar.interfaces.interface import Interface
@@ -80,10 +80,12 @@ log = logging.getLogger(__name__)
 
 FAILED = failures.StepFailed, backends.QPNotSolved, backends.UnusableQP
 
-# The fixed point is slow where an update of the geometry changes the contact forces by this share
-# of what the last one did, and of the residual, or else it is the laws that are out of balance. At
-# small strain the exact tangent doubles the time of an iteration of 47 thousand unknowns.
-SLOW = 0.25
+# The fixed point is slow where it needs more iterations than these, at the rate of its updates, and
+# where an update changes the contact forces by half of the residual: else the laws are out of
+# balance. At small strain an iteration with the exact tangent takes twice the time (47 thousand
+# unknowns).
+FEW = 5
+SHARE = 0.5
 
 
 def newton(
@@ -344,7 +346,7 @@ class _Step:
             found.shift,
             found.negative,
             turned,
-            turned > SLOW * max(old.turned, residual.forces * residual.limit / self.report.rtol),
+            self.is_slow(turned, old.turned, residual),
         )
         return iterate, residual
 
@@ -359,6 +361,17 @@ class _Step:
         if not self.report.iterations or not self.qps.may_be_exact:
             return False
         return self.qps.finite or old.slow or self.report.iterations[-1].exact_tangent
+
+    def is_slow(self, turned: float, before: float, residual: Residuals) -> bool:
+        """Tell whether the fixed point is slow.
+
+        Args:
+            turned: by how much the last update of the geometry has changed the contact forces.
+            before: the same of the update before.
+            residual: after it.
+        """
+        many = ratio(turned, before) ** FEW * residual.excess > 1.0
+        return many and turned > SHARE * residual.forces * residual.limit / self.report.rtol
 
     def leads_away(self, residual: Residuals, residuals: list[Residuals]) -> bool:
         """Tell whether the last iteration, with the exact tangent, has raised the residual."""
