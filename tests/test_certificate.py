@@ -17,8 +17,7 @@ from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
 from dolfinx_mortar.newton_method.residuals import Scales, measure
 from dolfinx_mortar.problem.step_data import StepData
-from dolfinx_mortar.report.certificate import create_certificate, operator_errors
-from dolfinx_mortar.report.interface_results import set_results
+from dolfinx_mortar.report.certificate import create_certificate, operator_errors, set_results
 from tests.ball_case import STEEL, create_problem
 from tests.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
 from tests.close_fits import create_shrink_fit

@@ -379,4 +379,4 @@ def test_a_corner_between_the_nodes_of_a_face(slave):
     at = 0.6 if at_node else corner
     assert support.moment / support.force[1] == pytest.approx(at, abs=2e-3)
     (note,) = (note for note in report.notes if "not resolved" in note)
-    assert (f"exchange slave and master: an edge or a corner of {master}" in note) == at_node
+    assert (f"; an edge or a corner of {master} presses" in note) == at_node

@@ -572,7 +572,7 @@ def test_a_large_defect_is_noted(monkeypatch):
     step = walk(bar.problem(), [2.0, 4.0], spectral_radius=0.0, **DAMPED)
     assert step.report.ledger.defect < -0.01
     (note,) = (n for n in step.report.notes if "of the energy" in n)
-    assert "lost" in note and "spectral_radius" in note
+    assert "lost" in note and "spectral_radius" in note.why
     monkeypatch.setattr(energy_ledger, "LARGE_DEFECT", 1.0)
     assert not energy_ledger.notes_on_energy(step.report.ledger)
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Steps that cannot be solved: unconstrained bodies, unsuitable solvers, too few iterations."""
 
+import copy
 import json
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -223,6 +224,24 @@ def test_rest(gap, qp):
     report = dm.newton(case.problem(), qp=qp, max_it=4)
     assert report.converged
     assert np.abs(case.u.x.array).max(initial=0.0) <= max(-gap, 1e-15)
+
+
+# -- what is diagnosed
+
+
+@pytest.mark.mpi
+def test_notes_and_failures_are_explained(case):
+    """Of the last step alone; copies of a report, and its text, keep what was seen."""
+    case.top.value[:] = (0.0, -0.2)
+    problem = plastic(case)
+    assert problem.diagnose() == []
+    report = copy.deepcopy(dm.newton(problem))
+    (note,) = (note for note in report.notes if "small strain" in note)
+    assert f"{note}. {note.why}" in problem.diagnose() and "strain='finite'" not in str(report)
+    with rejected("problem.diagnose() says more", error=dm.NewtonNotConverged) as caught:
+        dm.newton(problem, max_it=1, rtol=1e-14)
+    (told,) = problem.diagnose()
+    assert told.startswith("Newton did not converge") and told.split(". ")[0] in str(caught.value)
 
 
 # -- load steps

@@ -16,8 +16,7 @@ from dolfinx_mortar.newton_method.contacts import Contacts, find_sliders
 from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
 from dolfinx_mortar.newton_method.residuals import Scales, gap_round_off, measure
 from dolfinx_mortar.problem.step_data import StepData
-from dolfinx_mortar.report.certificate import create_certificate
-from dolfinx_mortar.report.interface_results import set_results
+from dolfinx_mortar.report.certificate import create_certificate, set_results
 from tests.friction_case import create as create_pushed
 from tests.hertz_case import ELASTIC, create_case
 from tests.meshes import BOTTOM, TOP

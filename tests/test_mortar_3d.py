@@ -19,7 +19,7 @@ from dolfinx_mortar.mortar.pairing import create_pairing
 from dolfinx_mortar.mortar.paper import assemble_mortar
 from dolfinx_mortar.mortar.surface import accumulate, create_surface, facets_at, nodal_normals
 from dolfinx_mortar.newton_method.contacts import Contacts
-from dolfinx_mortar.report import pulls
+from dolfinx_mortar.report import certificate
 from dolfinx_mortar.steps import newton as newton_module
 from tests.meshes_3d import (
     BACK,
@@ -172,10 +172,10 @@ def test_contacts_that_pull_are_told(monkeypatch):
     corners = np.isclose(np.abs(case.problem.X[:, :2] - 0.5), 0.5).all(axis=1)
     on = corners & np.isin(np.arange(len(corners)), link.nodes[link.coupling.kept[:, 0]])
     assert on.sum() == 4
-    pull = pulls.find_pull(case.problem, Contacts(on, on.astype(float)))
+    pull = certificate.find_pull(case.problem, Contacts(on, on.astype(float)))
     assert pull > 0.9
     forces = link.coupling.weight * on[link.nodes, None] * link.coupling.normals
-    assert pulls._pull_of_patches(link, forces) > 0.5
+    assert certificate._pull_of_patches(link, forces) > 0.5
     monkeypatch.setattr(newton_module, "find_pull", lambda *_: pull)
     report = dm.newton(case.problem)
     assert report.certificate.sign == pull

@@ -37,7 +37,7 @@ LAYERS = (
 PACKAGE = Path(dm.__file__).parent
 NUMBERS = {
     "interfaces.near": ("INCREMENT_SHARE", "FACETS", "MARGIN", "OVERLAP"),
-    "audit.audit": ("COARSE",),
+    "audit.roles": ("COARSE",),
     "newton_method.failures": ("SOFT", "SQUEEZED"),
     "newton_method.line_search": ("ARMIJO",),
     "newton_method.residuals": ("FORCING", "DIGIT"),
@@ -52,11 +52,10 @@ OTHERS = {
     "newton_method.driven_tools",  # in test_driven_tools
     "interfaces.interface",
     "interfaces.tie",
-    "audit.stand_off",
+    "audit.sides",  # in test_stand_off
     "report.resolution",
-    "report.overlaps",
+    "report.penetration",
     "interfaces.pretension",
-    "report.interface_results",
     "report.small_strain",
     # in test_exact_tangent and test_failures
     "interfaces.moving_geometry",

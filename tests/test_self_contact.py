@@ -25,7 +25,7 @@ from dolfinx_mortar.mortar.surface import (
     create_surface,
 )
 from dolfinx_mortar.newton_method.tunnelling import describe_passing
-from dolfinx_mortar.report.uncoupled import find_crossing, notes_on_crossings
+from dolfinx_mortar.report.penetration import find_crossing, notes_on_crossings
 from tests.block_piles import create_blocks
 from tests.folds import (
     RUBBER,
@@ -252,7 +252,7 @@ def test_a_surface_that_lies_in_itself_is_told():
     found = find_crossing(problem)
     assert found.share > 0.05
     (note,) = notes_on_crossings(problem, found)
-    assert "lies in itself" in note and "a tag for each" in note
+    assert "lies in itself" in note and "a tag for each" in note.why
 
 
 def test_a_step_in_which_a_surface_passes_through_itself_is_told():

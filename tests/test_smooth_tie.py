@@ -10,7 +10,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.audit.stand_off import warnings_on_straight_facets
+from dolfinx_mortar.audit.sides import warnings_on_straight_facets
 from dolfinx_mortar.mortar import operators
 from tests.choice import crosswise
 from tests.close_fits import hold, rings

@@ -13,9 +13,6 @@ from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.facing_bodies import Facing, Skin, find_facing
 from dolfinx_mortar.supports.bodies import Bodies, name_of
 
-Nearest = dict[tuple[int, int], tuple[float, list[float]]]
-"""Distance and place by the numbers of two bodies."""
-
 
 def are_near(facing: Facing, within: float | None) -> Bools:
     """Tell (p,) which pairs of facets are near: at most `within` apart.
@@ -62,13 +59,17 @@ def warnings_on_neighbours(
     skin = Skin(facets, part, np.zeros((len(part), 0), dtype=np.int64))
     found = find_facing(comm, skin, near_others(facets.x, part, boxes))
     found = found[are_near(found, None)]
-    nearest: Nearest = {}
-    for k in np.argsort(-found.distance, kind="stable"):  # the nearest is the last
-        one, other = int(found.part[k].min()), int(found.part[k].max())
-        if not coupled[one, other]:
-            nearest[one, other] = float(found.distance[k]), list(map(float, found.place[k]))
-    merged = _least(comm.allgather(nearest))
-    return [_warning(bodies, pair, *told) for pair, told in sorted(merged.items())]
+    pairs = np.sort(found.part, axis=1)
+    rows: Floats = np.column_stack([pairs, found.distance, found.place])
+    rows = rows[~coupled[pairs[:, 0], pairs[:, 1]]]
+    nearest = _nearest(np.concatenate(comm.allgather(_nearest(rows))))
+    return [_warning(bodies, *map(int, row[:2]), *row[2:].tolist()) for row in nearest]
+
+
+def _nearest(rows: Floats) -> Floats:
+    """Return the row with the least distance of each pair: pair, distance, place."""
+    rows = rows[np.lexsort(rows.T[::-1])]
+    return rows[np.unique(rows[:, :2], axis=0, return_index=True)[1]]
 
 
 def _coupled(bodies: Bodies, system: InterfaceSystem) -> Bools:
@@ -86,18 +87,9 @@ def _coupled(bodies: Bodies, system: InterfaceSystem) -> Bools:
     return np.asarray((found + found.T) > 0.0)
 
 
-def _least(parts: list[Nearest]) -> Nearest:
-    """Return the least value of all ranks for each key."""
-    merged: Nearest = {}
-    for part in parts:
-        for key, value in part.items():
-            merged[key] = min(value, merged.get(key, value))
-    return merged
-
-
-def _warning(bodies: Bodies, pair: tuple[int, int], distance: float, place: list[float]) -> str:
+def _warning(bodies: Bodies, one: int, other: int, distance: float, *place: float) -> str:
     """Return the text for two bodies."""
-    who = " and ".join(name_of(bodies, [k]) for k in pair)
+    who = " and ".join(name_of(bodies, [k]) for k in (one, other))
     where = f"({', '.join(f'{x:.4g}' for x in place)})"
     how = f"are {distance:.3g} apart" if distance >= 0.0 else f"overlap by {-distance:.3g}"
     return (

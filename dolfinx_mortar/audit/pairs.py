@@ -2,7 +2,7 @@
 """Contacts proposed by the program, between bodies that are near and face each other."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -15,9 +15,9 @@ from dolfinx.mesh import Mesh, MeshTags, meshtags
 from dolfinx_mortar import compat
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import sums_at_nodes
+from dolfinx_mortar.algebra.parallel import maximum, sums_at_nodes
 from dolfinx_mortar.arguments import is_number
-from dolfinx_mortar.arrays import Floats, Ints, Longs
+from dolfinx_mortar.arrays import Ints, Longs
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from dolfinx_mortar.audit.neighbours import are_near
 from dolfinx_mortar.audit.roles import Candidates, choose_roles
@@ -67,23 +67,14 @@ class Pairs:
         return iter((self.tags, self.contacts))
 
     def __str__(self) -> str:
-        head = "slave", "facets", "size", "master", "facets", "size", "area", "distance"
-        rows = [
-            (
-                *(p.slave, str(p.facets[0]), f"{p.sizes[0]:.3g}"),
-                *(p.master, str(p.facets[1]), f"{p.sizes[1]:.3g}"),
-                *(f"{p.area:.3g}", f"{p.distance:.3g}"),
+        head = f"{'slave':24} {'facets':>7} {'size':>8}  {'master':24} {'facets':>7} {'size':>8}"
+        lines = [f"{head} {'area':>8} {'distance':>9}"]
+        for p in self.found:
+            sides = (
+                f"{name:24} {count:7} {size:8.3g}"
+                for name, count, size in zip((p.slave, p.master), p.facets, p.sizes, strict=True)
             )
-            for p in self.found
-        ]
-        wide = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
-        lines = [
-            "  ".join(
-                text.ljust(w) if k in (0, 3) else text.rjust(w)
-                for k, (text, w) in enumerate(zip(row, wide, strict=True))
-            ).rstrip()
-            for row in (head, *rows)
-        ]
+            lines.append(f"{'  '.join(sides)} {p.area:8.3g} {p.distance:9.3g}")
         lines += [describe_joined(self.joined)] if self.joined else []
         return "\n".join([*lines, *self.lost])
 
@@ -120,20 +111,16 @@ def find_pairs(
         problem = dm.ContactProblem(solid, contacts, bcs=bcs)
 
     Bodies are the connected parts of the mesh and, where cell tags are given, the parts of these
-    with different tags. What is joined by common nodes is no contact, which the table says. Facets
-    are projected along their normals on what lies before them: two bodies are a pair if some facet
-    of one meets a facet of the other that faces it, with nothing between them, at most `within`
-    apart; overlaps count up to half of the thinner body. A side is all of the face to which such
-    facets belong, up to edges, so that bodies can slide. Faces that face several bodies have one
-    tag.
+    with different tags. What is joined by common nodes is no contact, which the table says. Two
+    bodies are a pair if some facet of one, projected along its normal, meets a facet of the other
+    that faces it, with nothing between them, at most `within` apart; overlaps count up to half of
+    the thinner body. A side is all of the face to which such facets belong, up to edges. Faces that
+    face several bodies have one tag.
 
-    The side with the finer facets is the slave, but where a node would be the slave of two
-    contacts, or contacts would need each other's slave nodes in a cycle: nodes lose a constraint
-    there. Then other sides are slaves, unless they are more than twice as coarse as their masters.
-    What remains, as around an edge in which three blocks meet, is told below the table.
-
-    Tags, their order and names do not depend on the ranks: bodies are ordered by their cell tags
-    and by the smallest coordinates of their boxes.
+    The side with the finer facets is the slave, but where nodes would lose a constraint, as slaves
+    of two contacts, or of contacts that need each other's in a cycle. Then other sides are slaves,
+    unless they are more than twice as coarse. What remains is told below the table. Tags, their
+    order and names do not depend on the ranks.
 
     Args:
         mesh: of all bodies.
@@ -223,31 +210,16 @@ def _tags_of_cells(mesh: Mesh, cell_tags: MeshTags | None) -> Longs:
 # -- bodies and the bodies that they face ----------------------------------------------------------
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Side:
     """The part of a body that faces another one, all ranks."""
 
     body: int
     other: int
-    faces: frozenset[int] = frozenset()
-    area: float = 0.0
-    distance: float = np.inf
-    sizes: Floats = field(default_factory=lambda: np.zeros(2))  # sums, of both bodies
-    count: int = 0
-
-    @property
-    def mean_sizes(self) -> tuple[float, float]:
-        """Mean diameters of the facets of both bodies."""
-        own, other = self.sizes / max(self.count, 1)
-        return float(own), float(other)
-
-    def add(self, more: "_Side") -> None:
-        """Add the results of another rank."""
-        self.faces |= more.faces
-        self.area += more.area
-        self.distance = min(self.distance, more.distance)
-        self.sizes = self.sizes + more.sizes
-        self.count += more.count
+    faces: frozenset[int]
+    area: float  # of facets that see the other body
+    distance: float
+    sizes: tuple[float, float]  # mean diameters of the facets of both bodies
 
 
 @dataclass(frozen=True)
@@ -299,8 +271,10 @@ def _find(
     sides = _sides(comm, facing[are_near(facing, within)])
     if not sides:
         deep = find_facing(comm, Skin(facets, part_of_cell[cells], label), deep=True)
-        _raise_overlap(comm, deep[deep.distance < 0.0], names, within, told)
-        _raise_nearest(_sides(comm, facing), names, within, told)
+        deep = deep[deep.distance < 0.0]
+        least = float(maximum(comm, deep.distance.max(initial=-np.inf))[0])  # of the overlaps
+        deep = deep[deep.distance >= least]
+        _raise_none(_sides(comm, deep if np.isfinite(least) else facing), names, within, told)
     numbers, common = entities.astype(np.int64), _facing_nodes(V, boundary.nodes, facing, sides)
     return _Found(names, facets, numbers, faces, sides, joined, common)
 
@@ -390,59 +364,41 @@ def _names(known: Longs, cell_tags: MeshTags | None) -> list[str]:
 
 def _sides(comm: MPI.Intracomm, facing: Facing) -> dict[tuple[int, int], _Side]:
     """Return what bodies face each other by pairs of facets of all ranks; collective."""
-    own: dict[tuple[int, int], _Side] = {}
-    bodies, faces = facing.label[:, :, 0], facing.label[:, :, 1]
-    for one in np.unique(bodies, axis=0):
-        a, b = int(one[0]), int(one[1])
-        of = (bodies == [a, b]).all(axis=1)
-        size, count = facing.size[of].sum(axis=0), int(of.sum())
-        least, area = float(facing.distance[of].min()), float(facing.area[of].sum())
-        seen, faced = (frozenset(map(int, faces[of, k])) for k in (0, 1))
-        for key, side in (
-            ((a, b), _Side(a, b, seen, area, least, size, count)),
-            ((b, a), _Side(b, a, faced, 0.0, least, size[::-1], count)),
-        ):
-            own.setdefault(key, _Side(*key)).add(side)
-    sides: dict[tuple[int, int], _Side] = {}
-    for part in comm.allgather(own):
-        for key, side in part.items():
-            sides.setdefault(key, _Side(*key)).add(side)
-    return dict(sorted(sides.items()))
+    key = np.column_stack([facing.label[:, :, 0], facing.label[:, :, 1]])
+    own, which = np.unique(key, axis=0, return_inverse=True)
+    columns = facing.area, *facing.size.T, np.ones(len(key))
+    sums = [np.bincount(which.ravel(), column, len(own)) for column in columns]
+    least = np.full(len(own), np.inf)
+    np.minimum.at(least, which.ravel(), facing.distance)
+    one = np.concatenate(comm.allgather(np.column_stack([own, *sums, least])))
+    other = one[:, [1, 0, 3, 2, 4, 6, 5, 7, 8]]  # as what is seen
+    other[:, 4] = 0.0
+    sides, rows = {}, np.concatenate([one, other])
+    for a, b in np.unique(rows[:, :2].astype(int), axis=0).tolist():
+        part = rows[(rows[:, :2] == [a, b]).all(axis=1)]
+        area, size, size_b, count = part[:, 4:8].sum(axis=0).tolist()
+        sizes, faces = (size / count, size_b / count), frozenset(part[:, 2].astype(int).tolist())
+        sides[a, b] = _Side(a, b, faces, area, float(part[:, 8].min()), sizes)
+    return sides
 
 
-def _nothing_near(within: float | None) -> str:
-    how = "a facet is long" if within is None else f"within={within:g}"
-    return f"find_pairs: no two bodies face each other at a distance of at most {how}"
-
-
-def _raise_overlap(
-    comm: MPI.Intracomm, deep: Facing, names: Sequence[str], within: float | None, told: str
-) -> None:
-    """Raise a ValueError that names the least of overlaps that are too deep; collective."""
-    bodies = np.sort(deep.label[:, :, 0], axis=1)
-    mine = [(deep.distance[i], *(-bodies[i]).tolist()) for i in np.argsort(deep.distance)[-1:]]
-    found = [overlap for rank in comm.allgather(mine) for overlap in rank]
-    if found:
-        distance, *two = max(found)
-        one, other = (names[-k] for k in two)
-        raise ValueError(
-            f"{_nothing_near(within)}. {one!r} and {other!r} overlap by {-distance:.4g}, more "
-            "than half of the thinner one: tag their sides by hand, or let them begin with less "
-            f"overlap{told}"
-        )
-
-
-def _raise_nearest(
+def _raise_none(
     sides: dict[tuple[int, int], _Side], names: Sequence[str], within: float | None, told: str
 ) -> None:
-    """Raise a ValueError that says which bodies are nearest."""
-    none = _nothing_near(within)
+    """Raise a ValueError that says which bodies are nearest, or overlap least."""
+    how = "a facet is long" if within is None else f"within={within:g}"
+    none = f"find_pairs: no two bodies face each other at a distance of at most {how}"
     if not sides:
         raise ValueError(f"{none}, or at all: check the mesh, or tag the sides by hand{told}")
-    near = min(sides.values(), key=lambda side: (side.distance, side.body, side.other))
+    near = min(sides.values(), key=lambda side: (abs(side.distance), side.body, side.other))
+    who = f"{names[near.body]!r} and {names[near.other]!r}"
+    if near.distance < 0.0:
+        raise ValueError(
+            f"{none}. {who} overlap by {-near.distance:.4g}, more than half of the thinner one: "
+            f"tag their sides by hand, or let them begin with less overlap{told}"
+        )
     raise ValueError(
-        f"{none}. The nearest, {names[near.body]!r} and {names[near.other]!r}, are "
-        f"{near.distance:.4g} apart: give a larger within={told}"
+        f"{none}. The nearest, {who}, are {near.distance:.4g} apart: give a larger within={told}"
     )
 
 
@@ -469,7 +425,7 @@ def _create(V: fem.FunctionSpace, found: _Found, options: dict[str, Any]) -> Pai
         names = [groups[tag - 1][0] for tag in at]
         contacts.append(Contact(named, slave=names[0], master=names[1], **options))
         facets = int(counts[at[0]]), int(counts[at[1]])
-        rows.append(Pair(names[0], names[1], facets, slave.mean_sizes, slave.area, slave.distance))
+        rows.append(Pair(names[0], names[1], facets, slave.sizes, slave.area, slave.distance))
     return Pairs(named, contacts, rows, found.joined, lost)
 
 
@@ -503,7 +459,7 @@ def _choose_slaves(
     keys = [(a, b) for a, b in found.sides if a < b]
     pairs = [(found.sides[a, b], found.sides[b, a]) for a, b in keys]
     numbers = np.array([[place[a, b], place[b, a]] for a, b in keys], dtype=np.int64)
-    sizes = np.array([one.mean_sizes for one, _ in pairs])
+    sizes = np.array([one.sizes for one, _ in pairs])
     tags = np.array([tag_of_face[next(iter(side.faces))] for side in found.sides.values()])
     roles = choose_roles(Candidates(numbers, sizes, tags, found.common))
     chosen = [(pair[k], pair[1 - k]) for pair, k in zip(pairs, roles.slave, strict=True)]

@@ -19,13 +19,11 @@ from dolfinx_mortar.supports.bodies import name_of
 from dolfinx_mortar.terms.pressure import Pressure
 
 # Bodies whose tangent is softer than this share of their elastic stiffness, along the displacement,
-# have reached a limit load. Where steps fail without hardening it is 2e-12 to 3e-5 (von Mises), up
-# to 6e-3 (Drucker-Prager); with a hardening modulus H it is about H / E where all flows, which is
-# 0.05 and more of metals: half the number misses the second, ten times as much blames the last.
+# have reached a limit load. Where steps fail without hardening it is up to 3e-5 (von Mises) or 6e-3
+# (Drucker-Prager); with a hardening modulus H about H / E where all flows, .05 and more of metals.
 SOFT = 0.01
 # A stretch below which a cell is nearly turned inside out, which messages tell. Steps that ended
-# there have 0 to .1 (rubber, metal pressed to a fifth), those that failed otherwise .69 and more:
-# the half and the double say the same, a quarter misses the metal, .9 blames cells that buckle.
+# there have 0 to .1 (rubber, metal pressed to a fifth), those that failed otherwise .69 and more.
 SQUEEZED = 0.3
 # Last sentence of the message about a single step.
 AS_BEFORE = (

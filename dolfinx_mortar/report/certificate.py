@@ -1,22 +1,29 @@
 # SPDX-License-Identifier: MIT
-"""The certificate of a converged step: residuals of equilibrium and of the contact laws."""
+"""The certificate of a converged step, residuals of all its laws, and results of interfaces."""
+
+from collections.abc import Sequence
 
 from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import maximum, ratio
-from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.algebra.parallel import any_rank, maximum, ratio
+from dolfinx_mortar.arrays import SAME, Floats
+from dolfinx_mortar.geometry.curvature import unit
+from dolfinx_mortar.interfaces.constraints import SlipLimits
 from dolfinx_mortar.interfaces.coupling import along_and_across, relative_motions
-from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.interfaces.link import Link, set_results_of, set_sliding
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.newton_method.linearisation import Balance
 from dolfinx_mortar.newton_method.residuals import Residuals
+from dolfinx_mortar.persistence.committed import Slips
+from dolfinx_mortar.problem.circumference import growth
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import Sliders
-from dolfinx_mortar.report.pulls import find_pull
+from dolfinx_mortar.report.penetration import Crossing, find_crossing
+from dolfinx_mortar.report.resolution import find_patches
 from dolfinx_mortar.report.small_strain import LeftOut, find_left_out
-from dolfinx_mortar.report.uncoupled import Crossing, find_crossing
 from dolfinx_mortar.step_report import Certificate, StepReport
 
 
@@ -46,6 +53,47 @@ def operator_errors(link: Link, X: Floats, facet_length: float) -> tuple[float, 
     linear = (across / (np.abs(along) + facet_length))[judged].max(initial=0.0)
     linear, sums = maximum(sides.V.mesh.comm, linear, sums)
     return float(linear), float(sums)
+
+
+def find_pull(problem: ContactProblem, contacts: Contacts) -> float:
+    """Return the largest pull of the contacts, over their largest push of the same kind.
+
+    Multipliers lambda_j act with D_jj lambda_j on their own node, and with lambda_j int Phi_j on
+    all. The resultants of connected patches along their mean normals are those of the forces on the
+    nodes; a patch that bends around by 90 degrees from it has none. Collective.
+    """
+    found = [0.0]
+    for link in problem.system.unilateral:
+        p, coupling = link.pattern, link.coupling
+        z = coupling.weight[:, 0] * contacts.multipliers[link.nodes] * link.constrained[:, 0]
+        shared_out = np.bincount(p.row[: p.split], coupling.P[: p.split, 0], minlength=len(z))
+        forces = np.stack([z, z * (1.0 - shared_out)])
+        pull, push = maximum(
+            problem.comm, -forces.min(initial=0.0), np.abs(forces).max(initial=0.0)
+        )
+        found += [ratio(pull, push), _pull_of_patches(link, z[:, None] * coupling.normals)]
+    return max(found)
+
+
+def _pull_of_patches(link: Link, forces: Floats) -> float:
+    """Return the largest pull of a patch over the sum of forces; these are on slave nodes (n, d).
+
+    Collective.
+    """
+    d, n = forces.shape[1], link.coupling.normals
+    area, exerted = link.coupling.weight[:, :1] * n, link.transpose(forces)[0][link.nodes]
+    size = np.linalg.norm(exerted, axis=1)
+    off = np.linalg.norm(exerted - size[:, None] * n, axis=1) > SAME * size
+    if not any_rank(link.sides.V.mesh.comm, off.any())[0]:
+        return 0.0  # each node pushes along its own normal
+    patches = find_patches(link, np.asarray(exerted.any(axis=1)), exerted, area)
+    whole = sum(float(np.linalg.norm(patch[:, :d], axis=1).sum()) for patch in patches)
+    pulls = [0.0]
+    for patch in patches:
+        mean = unit(patch[:, d:].sum(axis=0)[None])[0]
+        if (patch[:, d:] @ mean >= 0.0).all():
+            pulls.append(-float(patch[:, :d].sum(axis=0) @ mean))
+    return ratio(max(pulls), whole)
 
 
 def create_certificate(
@@ -164,3 +212,83 @@ def _friction(comm: MPI.Comm, sliders: Sliders, facet_length: float) -> dict[str
         "friction_work": ratio(max(whole - taken, 0.0), whole),
         "friction_gain": ratio(gain, whole),
     }
+
+
+# -- results of the interfaces ---------------------------------------------------------------
+
+
+def set_results(
+    problem: ContactProblem,
+    balance: Balance,
+    contacts: Contacts,
+) -> tuple[Slips | None, tuple[float, float]]:
+    """Set the interfaces' resultants and Functions; collective.
+
+    Return the slips until here, and the largest imbalances of the forces and of the moments of two
+    sides, see `results`.
+
+    Reactions of equalities are the residual forces that they take; those of contact are D_jj times
+    the multipliers. Ties are as open as their jumps. Tractions are shown per area
+    of the configuration at which the interface is taken, see `growth`.
+    """
+    d, n = problem.d, problem.n
+    moved = problem.X + problem.u.x.array[: d * n].reshape(-1, d)
+    reaction = np.zeros(d * n)
+    reaction[balance.equal.dofs] = balance.reduced.array_r[balance.equal.dofs]
+    reaction[balance.bounds.dofs] = contacts.reactions(balance)
+    known = balance.known(contacts.multipliers)
+    if (limits := balance.limits) is not None:
+        some = limits.some
+        reaction[limits.tangential[some]] = contacts.tangential_reactions(limits)[some]
+    forces = reaction.reshape(-1, d)
+    gap = nodal_gaps(problem.system.links, problem.vector(moved), n)
+    grown = [growth(problem, link) for link in problem.system.links]
+    balances = [(0.0, 0.0)]
+    for k, link in enumerate(problem.system.links):
+        frozen = problem.configuration is None or link.interface.stays
+        on = link.constrained
+        found = set_results_of(
+            link,
+            np.where(on, forces[link.nodes], 0.0),
+            np.where(on[:, :1], known[link.nodes], 0.0),
+            link.shown_gap(gap),
+            link.acting(contacts.active),
+            problem.X if frozen else moved,  # where the forces act
+            grown[k],
+        )
+        balances.append(found)
+    slips = None if limits is None else _set_sliding(problem, limits, contacts, grown)
+    force, moment = np.max(balances, axis=0)
+    return slips, (float(force), float(moment))
+
+
+def _set_sliding(
+    problem: ContactProblem, limits: SlipLimits, contacts: Contacts, grown: Sequence[Floats]
+) -> Slips:
+    """Set the results of friction, those of the step added to what is committed; collective."""
+    n, d, committed = problem.n, problem.d, problem.committed
+    traction, slip = np.zeros((2, n, d))
+    assert contacts.sliding is not None
+    slides = np.asarray(limits.along(contacts.sliding[limits.nodes]).any(axis=1))
+    resisting, known = contacts.tangential_reactions(limits), limits.known(contacts.multipliers)
+    slips = np.where(slides[:, None], limits.slip, 0.0)  # of others it is round-off
+    aside = limits.slides & known.any(axis=1)
+    beside = np.where(aside[:, None], limits.beside, 0.0)
+    traction[limits.nodes] = -(limits.vectors(resisting) + known) / limits.weight[:, None]
+    slip[limits.nodes] = limits.vectors(slips) + beside
+    energy, status = np.zeros((2, n))
+    energy[limits.nodes] = (resisting * slips).sum(axis=1) + (known * beside).sum(axis=1)
+    slides |= aside
+    acts = contacts.active[limits.nodes] | (limits.cohesion > 0.0)
+    status[limits.nodes] = np.where(slides, 2.0, acts)
+    total = Slips(committed.slid.copy(), committed.dissipated.copy())
+    for k, link in enumerate(problem.system.links):
+        if link.interface.law is not None:
+            nodes, carries = link.nodes, link.constrained[:, 0]
+            total.slid[k, nodes] += carries * np.linalg.norm(slip[nodes], axis=1)
+            total.dissipated[k, nodes] += carries * energy[nodes]
+            way, spent = total.slid[k, nodes], total.dissipated[k, nodes]
+            drag, last = (carries[:, None] * v[nodes] for v in (traction, slip))
+            drag /= grown[k][:, None]
+            set_sliding(link, drag, last, way, carries * status[nodes], spent)
+    return total

@@ -5,34 +5,29 @@ In a step from n to n+1 the trapezoidal rule keeps, of linear bodies,
 
     K + Psi = K_n + Psi_n + 1/2 (q + q_n).(u - u_n)
 
-exactly, q the forces of loads, supports, damping and contacts. Contacts do no work in the motion
-itself, but in a step in which sides meet or part the force at one of its ends goes with a gap at
-the other: 1/2 (lambda g_n - lambda_n g) is lost. So after a step the velocity is corrected by an
-impulse s of the contact forces, so that the work of the normal ones c is zero, and that w of
-friction f where it is positive (as it may be where a slip turns back),
+exactly, q the forces of loads, supports, damping and contacts. Where sides meet or part in a step
+the force at one of its ends goes with a gap at the other: 1/2 (lambda g_n - lambda_n g) is lost. So
+after a step the velocity is corrected by an impulse s of the contact forces, so that the work of
+the normal ones c is zero, and that w of friction f where it is positive (as it may be where a slip
+turns back),
 
     v <- v + s y,   (kappa M + K) y = c + c_n + f + f_n,
     K(v + s y) = K(v) - 1/2 (c + c_n).(u - u_n) - <w> + s y_f.M (v + s y / 2),
 
 the last being the work of f in the impulse (y_f its part of y), which counts as that of friction.
-Without f what slides would get mu times a part of the normal impulse only: where steps are too long
-for vibrations a block slid with a third of its acceleration. y is how far these forces move the
-bodies within a step, waves and all. That leaves momentum and moment of momentum as they are, as
-forces between bodies do, for K y has none (Laursen and Love 2002 correct velocities after the step,
-too, node by node and with M alone: then a stiff body that is hit cannot
-give back its energy, which is in its motion as a whole). Of the two roots the smaller one is taken;
-if more energy is to be taken than the impulse can, it takes all it can, and the defect shows the
-rest. On tools that move, what they do to the bodies is taken from the works of contact and
-friction and counts as that of supports; w and K are then those for who moves with them. Tools that
-loads drive have no mass, and exert these loads: no impulse acts at their nodes, whose work is part
-of the defect. (With an impulse the momentum of a block that a disc pushes misses F t by up to 10 %.
-Without it the defect is .2 % where two nodes or more meet the disc, 1 % with one; with 13 nodes .2,
-.05 and .02 % in steps of 1, 1/2 and 1/4.)
+y is how far these forces move the bodies within a step, waves and all. That leaves momentum and
+moment of momentum as they are, as forces between bodies do, for K y has none (Laursen and Love 2002
+correct velocities after the step, too, node by node and with M alone: then a stiff body that is hit
+cannot give back its energy, which is in its motion as a whole). Of the two roots the smaller one is
+taken; if more energy is to be taken than the impulse can, it takes all it can, and the defect shows
+the rest. On tools that move, what they do to the bodies counts as the work of supports; w and K are
+then those for who moves with them. Tools that loads drive have no mass, and exert these loads: no
+impulse acts at their nodes, whose work is part of the defect (.2 % where two nodes or more meet a
+disc; with an impulse the momentum of a block that it pushes misses F t by up to 10 %).
 
 Where an eigenstrain or parameters of laws change in a step, the potential changes without the
 forces' motion: by Psi - Psi_n - 1/2 (F + F_n).(u - u_n), F the internal forces, each at the data of
-its time. Of an eigenstrain e in linear bodies that is the work -1/2 int (s + s_n):(e - e_n) of the
-stresses, exactly. It counts as that of loads.
+its time. It counts as the work of loads.
 
 At finite strain neither the rule nor this impulse keeps the moment of momentum to round-off: free
 bodies are turned in the end, see `terms.free_rotation`; the energy of that is part of the defect.
@@ -44,7 +39,6 @@ restore is more than rtol of the largest energy so far, which contact that lasts
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -54,7 +48,7 @@ from dolfinx_mortar.newton_method.impulse import respond
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import LinearSolver
 from dolfinx_mortar.solid.term import Term
-from dolfinx_mortar.step_report import Ledger, StepReport
+from dolfinx_mortar.step_report import Ledger, Note, StepReport
 from dolfinx_mortar.supports.bodies import with_ties
 from dolfinx_mortar.terms.free_rotation import free_groups, give_back, moments
 from dolfinx_mortar.terms.inertia import Damping, Inertia, Motion
@@ -100,30 +94,18 @@ class EnergyLedger:
         self.problem, self.inertia, self.conserve = problem, inertia, conserve
         history = problem.history
         last = history[-1].report.ledger if history else None
-        stored = self._stored()
+        stored = self.problem.solid.potential()
         if last is None:
             kinetic = inertia.kinetic_energy()
             total = kinetic + (stored or 0.0)
-            zeros: dict[str, Any] = dict.fromkeys(
-                ("dissipated", "friction", "damping", "loads", "supports", "contact", "defect"), 0.0
-            )
-            last = Ledger(
-                initial=total,
-                kinetic=kinetic,
-                stored=stored or 0.0,
-                largest=total,
-                impulses=[None] * len(problem.interfaces),
-                **zeros,
-            )
+            impulses: list[list[float] | None] = [None] * len(problem.interfaces)
+            none = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            last = Ledger(total, kinetic, stored or 0.0, *none, total, impulses=impulses)
         self._acting = self._resultants()
         self.last, self._potential = last, stored
         self._before: Ends | None = None
         self._heated = False  # in this step
         self._inner = self._internal()
-
-    def _stored(self) -> float | None:
-        """Return the potential of the bodies at the committed state, None without; collective."""
-        return self.problem.solid.potential()
 
     def _resultants(self) -> list[Floats | None]:
         """Return the forces (d,) on the slave sides that can open, None for other interfaces."""
@@ -159,19 +141,23 @@ class EnergyLedger:
         """Return the forces of loads and of all other terms, but of inertia and damping."""
         return -self._forces(self._still)
 
+    def _damping(self, velocity: Floats | None = None) -> Floats:
+        """Return the forces of damping at a velocity, by default that at the end of the step."""
+        terms = [term for _, term in self.problem.terms.named if isinstance(term, Damping)]
+        found = [t.times(t.velocity() if velocity is None else velocity) for t in terms]
+        return sum(found, np.zeros(self.inertia.mass.X.shape))
+
     @property
     def _still(self) -> list[tuple[str, Term]]:
         named = self.problem.terms.named
         return [one for one in named if not isinstance(one[1], Inertia | Damping)]
 
-    @property
-    def _bodies(self) -> list[tuple[str, Term]]:
-        return [("solid", self.problem.solid)]
+    def _inside(self) -> Floats:
+        return self._forces([("solid", self.problem.solid)])
 
     def _internal(self) -> Floats | None:
-        if self._potential is not None and not self.problem.solid.follows:
-            return None
-        return self._forces(self._bodies)
+        plain = self._potential is not None and not self.problem.solid.follows
+        return None if plain else self._inside()
 
     def start(self, begin: float, end: float, sides: Floats) -> None:
         """Find the initial acceleration, with the loads of the start; collective.
@@ -187,9 +173,8 @@ class EnergyLedger:
         problem, inertia = self.problem, self.inertia
         problem.terms.prepare(self._still, begin, end)
         loads, velocity = self._loads(), inertia.values("velocity")
-        forces = loads - self._forces(self._bodies) + sides
-        damping = sum((d.times(velocity) for d in self._dampings), np.zeros_like(velocity))
-        forces -= damping
+        damping = self._damping(velocity)
+        forces = loads - self._inside() + sides - damping
         forces += inertia.values("contact") + inertia.values("friction")
         held = problem.supports.owned
         acting = inertia.mass.inner(np.where(held, 0.0, forces))
@@ -197,16 +182,12 @@ class EnergyLedger:
         balance = inertia.mass.times(acceleration)
         inertia.put(acceleration=acceleration, balance=balance, load=loads, damping=damping)
 
-    @property
-    def _dampings(self) -> list[Damping]:
-        return [term for _, term in self.problem.terms.named if isinstance(term, Damping)]
-
     def open(self) -> None:
         """Note the forces at the start of a step; collective."""
         problem, inertia = self.problem, self.inertia
         supports, shape = problem.committed.supports, inertia.mass.X.shape
         if self._potential is not None and problem.solid.follows:  # by loads that are set already
-            self._heated = self._stored() != self._potential
+            self._heated = self.problem.solid.potential() != self._potential
         self._before = Ends(
             u=problem.owned_u.reshape(shape).copy(),
             contact=inertia.values("contact").copy(),
@@ -232,7 +213,7 @@ class EnergyLedger:
             friction=outcome.tangential,
             supports=supports.forces,
             loads=self._loads(),
-            damping=sum((d.times(d.velocity()) for d in self._dampings), np.zeros(shape)),
+            damping=self._damping(),
             internal=self._internal(),
         )
 
@@ -283,7 +264,7 @@ class EnergyLedger:
             motion = self._turned(motion, before, after, self._free)
         inertia.finish(motion)
         impulses = self._impulses(restored)
-        potential = self._stored()
+        potential = self.problem.solid.potential()
         problem.commit()
         kept = {"load": after.loads, "damping": after.damping}
         inertia.put(contact=after.contact, friction=after.friction, **kept)
@@ -327,7 +308,7 @@ class EnergyLedger:
         if potential is None or start is None:
             return self.last.stored + inner, 0.0, 0.0
         heat = potential - start - inner if self._heated else 0.0
-        stored = self._potential = self._stored() or 0.0
+        stored = self._potential = self.problem.solid.potential() or 0.0
         return stored, potential - stored, heat
 
     def _turned(self, motion: Motion, before: Ends, after: Ends, groups: list[Bools]) -> Motion:
@@ -486,7 +467,7 @@ class EnergyLedger:
         return changed, s * (tools + drags), dragged, left, s / start.kappa
 
 
-def _not_restored(share: float, *, unsolved: bool) -> str:
+def _not_restored(share: float, *, unsolved: bool) -> Note:
     """Return the note on energy that contact has kept, or has made, in a step.
 
     Args:
@@ -494,13 +475,11 @@ def _not_restored(share: float, *, unsolved: bool) -> str:
         unsolved: whether there is no response to the impulse.
     """
     what = "taken from the bodies without giving it back" if share > 0.0 else "given to the bodies"
-    why = "its forces are too small along the motion for the impulse that restores the energy"
+    why = "Its forces are too small along the motion for the impulse that restores the energy"
     if unsolved:
-        why = "the linear solver found no response to the impulse that restores the energy"
-    return (
-        f"in this step contact has {what} {100 * abs(share):.2g} % of the energy: {why}; take "
-        "shorter steps, or some damping"
-    )
+        why = "The linear solver found no response to the impulse that restores the energy"
+    seen = f"in this step contact has {what} {100 * abs(share):.2g} % of the energy"
+    return Note(seen, f"{why}: take shorter steps, or some damping")
 
 
 def _balanced(ledger: Ledger) -> Ledger:
@@ -521,8 +500,9 @@ def notes_on_energy(ledger: Ledger, *, thin: bool = False) -> list[str]:
     if abs(ledger.defect) <= LARGE_DEFECT:
         return []
     what = "appeared" if ledger.defect > 0.0 else "been lost"
-    return [
-        f"{100 * abs(ledger.defect):.2g} % of the energy has {what} in the steps so far, see "
-        "report.ledger: the steps are too large for what moves in them (waves, impacts, rotations, "
-        "plastic flow), or spectral_radius < 1 damps it; halve the steps and compare" + MASS * thin
-    ]
+    seen = f"{100 * abs(ledger.defect):.2g} % of the energy has {what} in the steps so far"
+    why = (
+        "See report.ledger: the steps are too large for what moves in them (waves, impacts, "
+        "rotations, plastic flow), or spectral_radius < 1 damps it; halve the steps and compare"
+    )
+    return [Note(seen, why + MASS * thin)]

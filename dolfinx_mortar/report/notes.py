@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Notes on a step that has converged: diagnoses of one signature, made one after the other."""
+"""Notes on a step that has converged: what left its partner, strains left out, resolution.
+
+What passes through its partner is told while the step can still be rejected, see `tunnelling`, and
+an indefinite end by Newton's method.
+"""
 
 import logging
 import re
@@ -8,24 +12,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.audit.stand_off import note_on_facets
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Floats
+from dolfinx_mortar.interfaces.coupling import slipped
 from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.mortar.surface import coordinates, nodal_normals
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import Balance
 from dolfinx_mortar.newton_method.residuals import gap_round_off
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.report.interface_results import (
-    notes_on_missed_tools,
-    notes_on_sliding,
-    notes_on_turns,
+from dolfinx_mortar.report.penetration import Crossing, notes_on_crossings, notes_on_overlaps
+from dolfinx_mortar.report.resolution import note_on_facets, notes_on_resolution, notes_on_rims
+from dolfinx_mortar.report.small_strain import (
+    LARGE,
+    LeftOut,
+    notes_on_lost_stress,
+    notes_on_small_strain,
 )
-from dolfinx_mortar.report.overlaps import notes_on_overlaps
-from dolfinx_mortar.report.pulls import notes_on_pulls
-from dolfinx_mortar.report.resolution import note_on_resolution, notes_on_rims
-from dolfinx_mortar.report.small_strain import LeftOut, notes_on_lost_stress, notes_on_small_strain
-from dolfinx_mortar.report.uncoupled import Crossing, notes_on_crossings
+from dolfinx_mortar.step_report import Note
 
 log = logging.getLogger(__name__)
 
@@ -59,41 +63,123 @@ class StepEnd:
 Diagnosis = Callable[[StepEnd], list[str]]  # collective; returns the same notes on all ranks
 
 
-def _pressures(end: StepEnd) -> list[str]:
+def note_partners(end: StepEnd) -> list[str]:
+    """Say what has left its partner: slides, turns, pulls, or lies in it."""
+    notes = _missed_tools(end)
+    notes += _frozen(end) if end.problem.geometry == "reference" else _turned_tools(end)
+    if end.pull > max(end.rtol, QUARTER_OF_DIGITS):
+        seen = f"contacts pull, by {end.pull:.1%} of the largest push: forces are wrong there"
+        why = "Refine the slave side where the master ends, or let the other side be the slave"
+        notes.append(Note(seen, why))
+    if end.overlap == 0.0:  # else a part of an initial overlap is left, as deep as was asked for
+        closed = end.contacts.active
+        notes += notes_on_overlaps(end.unilateral, end.problem.u, closed, end.rtol)
+    return notes + notes_on_crossings(end.problem, end.crossing)
+
+
+def _missed_tools(end: StepEnd) -> list[str]:
+    """Say which tools nothing can meet; on sides that they share, another one may have the node."""
+    notes, links = list[str](), end.links
+    why = (
+        "Either no facet of the side faces the tool (its normal has to point out of the tool, "
+        "towards the body), or Dirichlet data hold all nodes: see problem.audit()"
+    )
+    for link in links:
+        shared = [np.isin(link.nodes, other.nodes).any() for other in links if other is not link]
+        met = link.pairing is not None or link.constrained.any() or any(shared)
+        if not any_rank(end.problem.comm, met)[0]:
+            seen = "no slave node carries a multiplier, so that the tool had no effect in this step"
+            notes.append(Note(f"{link.interface}: {seen}", why))
+    return notes
+
+
+def _frozen(end: StepEnd) -> list[str]:
+    """Say where contacts slid or turned too far for frozen geometry; collective."""
+    notes, problem, length = list[str](), end.problem, end.problem.system.facet_length
+    for link in end.unilateral:
+        slip = slipped(link, problem.vector(problem.owned_u))
+        slip[~end.contacts.active[link.nodes]] = 0.0
+        farthest = float(maximum(problem.comm, slip.max(initial=0.0))[0])
+        finite = problem.solid.strain == "finite" and link.pairing is not None
+        angle, seen = _turn(problem, link, end.contacts) if finite else 0.0, []
+        if farthest > length:
+            seen.append(f"has slid {farthest:.3g}, {farthest / length:.1f} facet lengths")
+        if angle > LARGE:
+            seen.append(f"has turned by {np.degrees(angle):.2g} degrees where it is closed")
+        if seen:
+            why = "Frozen geometry keeps partners and normals at X: choose geometry='updated'"
+            notes.append(Note(f"{link.interface} {' and '.join(seen)}, in frozen geometry", why))
+    return notes
+
+
+def _turn(problem: ContactProblem, link: Link, contacts: Contacts) -> float:
+    """Return atan2(|sum_j z_j N_j x n_j|, sum_j z_j N_j . n_j), how far normals turned; collective.
+
+    z_j are the reactions, N_j and n_j the averaged normals at X and now. The flanks of a dent turn
+    against each other, which cancels.
+    """
+    slave, d = link.sides.slave, problem.d
+    at_X, now = np.zeros((2, slave.owned, 3))
+    for normals, u in ((at_X, None), (now, problem.u)):
+        normals[:, :d] = nodal_normals(slave, coordinates(slave, u))[: slave.owned]
+    z = link.coupling.weight[:, 0] * contacts.multipliers[link.nodes]
+    mine = np.append(z @ np.cross(at_X, now), z @ (at_X * now).sum(axis=1))
+    total = np.sum(problem.comm.allgather(mine), axis=0)
+    return float(np.arctan2(np.linalg.norm(total[:3]), total[3]))
+
+
+def _turned_tools(end: StepEnd) -> list[str]:
+    """Say which tools turn so far in a step that slips are wrong; collective.
+
+    Along a surface they are those of arcs up to half a turn, see `slip_partners`. Of a turn by a
+    about its normal they are the parts r sin(a) of chords, of arcs r a.
+    """
+    notes, sliding = list[str](), end.contacts.sliding
+    for link in end.links:
+        tool = link.interface.tool
+        if tool is None or link.interface.law is None or sliding is None:
+            continue
+        turn, slides = tool.turn(), sliding[link.nodes].any(axis=1)
+        about = np.abs(link.coupling.normals[slides] @ turn) if len(turn) > 1 else np.zeros(0)
+        spin, moves = maximum(end.problem.comm, about.max(initial=0.0), slides.any())
+        angle, missed = float(np.linalg.norm(turn)), 1.0 - np.sinc(spin / np.pi)
+        if moves and (angle >= np.pi or missed > LARGE):
+            seen = (
+                f"{link.interface}: the tool turns by {np.degrees(angle):.0f} degrees in this step "
+                f"and by {np.degrees(spin):.0f} about normals of the side, which slides on it"
+            )
+            why = (
+                "Slips are taken along the shorter way around, back beyond 180 degrees, and about "
+                f"normals along straight ways, which are {missed:.0%} too short: take steps of 30 "
+                "degrees at most"
+            )
+            notes.append(Note(seen, why))
+    return notes
+
+
+def note_strains(end: StepEnd) -> list[str]:
+    """Say what strains and stresses the kinematics leave out."""
+    return notes_on_small_strain(end.problem, end.left_out) + notes_on_lost_stress(end.problem)
+
+
+def note_pressures(end: StepEnd) -> list[str]:
+    """Say whether pressures are resolved."""
     forces, stiffness = np.zeros((2, end.problem.n))
     forces[end.balance.nodes] = end.contacts.reactions(end.balance)
     stiffness[end.balance.nodes] = end.stiffness[end.balance.bounds.dofs]
     # less than what is left out of balance, or than gaps are worth that are round-off, is nothing
     forces[forces <= np.maximum(end.limit, stiffness * gap_round_off(end.problem.u))] = 0.0
     x, u = end.problem.positions(), end.problem.configuration
-    notes, few = [], []
+    notes, few = list[str](), list[str]()
     for link in end.unilateral:
         diagonal, potential = end.problem.K.getDiagonal, end.problem.solid.potential
-        spoilt = note_on_facets(link, x, u, forces, stiffness, diagonal, potential)
-        notes += [spoilt] if spoilt else []
+        notes += note_on_facets(link, x, u, forces, stiffness, diagonal, potential)
         if any_rank(end.problem.comm, forces[link.nodes].any())[0]:
-            few.append(note_on_resolution(link, end.contacts, not spoilt))
-    return notes + [note for note in few if note]
+            few += notes_on_resolution(link, end.contacts)
+    return notes + few + notes_on_rims(end.links)
 
 
-def _overlaps(end: StepEnd) -> list[str]:
-    if end.overlap > 0.0:  # of an initial overlap a part is left, which is as deep as was asked for
-        return []
-    return notes_on_overlaps(end.unilateral, end.problem.u, end.contacts.active, end.rtol)
-
-
-DIAGNOSES: tuple[Diagnosis, ...] = (
-    lambda end: notes_on_missed_tools(end.unilateral),
-    lambda end: notes_on_sliding(end.problem, end.contacts),
-    lambda end: notes_on_turns(end.problem, end.contacts),
-    lambda end: notes_on_pulls(end.pull, end.rtol),
-    _pressures,
-    lambda end: notes_on_rims(end.links),
-    _overlaps,
-    lambda end: notes_on_crossings(end.problem, end.crossing),
-    lambda end: notes_on_small_strain(end.problem, end.left_out),
-    lambda end: notes_on_lost_stress(end.problem),
-)
+DIAGNOSES: tuple[Diagnosis, ...] = note_partners, note_strains, note_pressures
 
 
 def find_notes(end: StepEnd) -> list[str]:

@@ -1,79 +1,257 @@
 # SPDX-License-Identifier: MIT
-"""Whether the contact patch with the largest pressure has enough nodes to resolve it."""
+"""Whether pressures are resolved: heights of curved sides, nodes of the largest patch, waves."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from dolfinx_mortar.algebra.parallel import any_rank, ratio
-from dolfinx_mortar.arrays import Bools, Floats, Longs
+from dolfinx import fem
+from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm, ratio
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
+from dolfinx_mortar.audit.sides import SPOILT, are_flat
+from dolfinx_mortar.geometry.curvature import unit
+from dolfinx_mortar.geometry.facets import points_of
+from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.mortar.surface import accumulate, sum_at_nodes
+from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
+from dolfinx_mortar.mortar.curvature_correction import (
+    SmoothSide,
+    missed_heights,
+    point_heights,
+)
+from dolfinx_mortar.mortar.duals import weighted_duals
+from dolfinx_mortar.mortar.operators import mean_values
+from dolfinx_mortar.mortar.pairing import Pairing, received_facets
+from dolfinx_mortar.mortar.surface import (
+    accumulate,
+    coordinates,
+    facets_at,
+    mean_facet_length,
+    sum_at_nodes,
+)
+from dolfinx_mortar.mortar.whole_side import whole_facets
 from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.step_report import Note
 
-# Nodes that resolve the largest pressure, in 2D and 3D. Measured against Hertz' at the same
-# force, on triangles, quadrilaterals, tetrahedra and hexahedra, either slave: 3 nodes of a line
-# contact miss it by -5 to 33 %, 5 by -3 to 9 %, 7 by -3 to 1 % (a pin with 1 % clearance: 5 by -3
-# to 3 %, 7 by -1 to 3 %); 9 nodes of a point contact by -14 to 5 %, 13 by -1 %, 17 to 25 by -2 to
-# 4 %.
+# Nodes that resolve the largest pressure, in 2D and 3D. Against Hertz' at the same force, on all
+# cells, either slave: 5 nodes of a line contact miss it by -5 to 9 %, 7 by -3 to 3 %; 9 nodes of a
+# point contact by -14 to 5 %, 17 to 25 by -2 to 4 %.
 NODES = {2: 7, 3: 17}
 # Pressures in the plane oscillate by more than this share of their mean. Disc and block, moduli
-# 1:100 to 100:1, slave facets .3 to 3.4 times as long as the master's, with seven closed nodes or
-# more: .007 to .083 where pressures differ from Hertz' by a tenth at most, in the mean; .15 to 1
-# where they do by more than a fifth.
+# 1:100 to 100:1, slave facets .3 to 3.4 times as long as the master's: .007 to .083 where pressures
+# differ from Hertz' by a tenth at most, in the mean; .15 to 1 where they do by more than a fifth.
 OSCILLATION = 0.1
+Find = Callable[
+    [Pairing, Segments, fem.Function | None, tuple[SmoothSide, SmoothSide]],
+    Floats,
+]
 
 
-def note_on_resolution(link: Link, contacts: Contacts, sure: bool = True) -> str:
-    """Return the note on pressures that are not resolved, or that oscillate, or ""; collective.
+def _means(link: Link, u: fem.Function | None, find: Find) -> Floats:
+    """Return the means (n,) at the slave nodes of what sides have at points; collective.
 
-    A patch that reaches the ends of its sides is left out: its size is given by the model, and its
-    pressures may be singular there. Multipliers of a slave side that is finer and stiffer than the
-    master are not controlled by it, and oscillate: their dual space has more dofs than the trace of
-    the displacements that yield. That is measured in the plane only.
+    Values (q,), or (q, k) for each node of the facets.
+    """
+    (pairing, operators), sides = link.mortar, link.sides
+    smooth = link.pattern.smooth or link.pattern.nearby
+    assert smooth is not None, "of contacts only"
+    kept = np.zeros(len(sides.slave.nodes))
+    kept[: sides.slave.owned] = link.coupling.kept[:, 0]
+    Phi = weighted_duals(pairing, operators.segments, accumulate(sides.slave, kept) > 0)
+    at_points = find(pairing, operators.segments, u, smooth)
+    if at_points.ndim > 1:
+        Phi, at_points = Phi * at_points, np.ones(len(Phi))
+    return mean_values(pairing, operators.segments, Phi, operators.weight[:, 0], at_points)
 
-    The force of a multiplier acts at its slave node. Below an edge of the master that of only one
-    of the nodes around has a mean gap of zero, and lever arms are wrong by up to a facet: of two
-    cantilevers that slide along each other forces by up to 9 %, as the arm to the third power.
+
+def missed_gaps(link: Link, u: fem.Function | None) -> Floats:
+    """Return by how much gaps (n,) are larger than those of round sides; collective.
+
+    Of sides that touch, whose gaps would be zero: by what heights miss, and because a gap along the
+    normal n at a point counts along n_j, int Phi_j (n_j - n).(x_m - x_s) / D_jj, where x_m - x_s is
+    as long as the sagittas of both.
+    """
+    sides, own = link.sides, link.coupling.normals
+    normals: Floats = np.zeros((len(sides.slave.nodes), own.shape[1]))
+    normals[: sides.slave.owned] = own
+    normals = accumulate(sides.slave, normals)
+
+    def find(pairing: Pairing, segments: Segments, *rest: Any) -> Floats:
+        slave = facets_at(pairing.slave, coordinates(pairing.slave, u))
+        v = points_of(received_facets(pairing, u), segments.master, segments.xi_m)
+        v -= points_of(slave, segments.slave, segments.xi_s)
+        N = pairing.slave.element.shape_functions(segments.xi_s)
+        at_nodes = normals[pairing.slave.facets[segments.slave]]
+        n = unit((N[:, None] @ at_nodes)[:, 0])
+        missed = missed_heights(pairing, segments, *rest) - (n * v).sum(axis=1)
+        return np.asarray((at_nodes @ v[:, :, None])[:, :, 0] + missed[:, None])
+
+    return _means(link, u, find)
+
+
+def note_on_facets(
+    link: Link,
+    x: PETSc.Vec,
+    u: fem.Function | None,
+    forces: Floats,
+    stiffness: Floats,
+    diagonal: Callable[[], PETSc.Vec],
+    potential: Callable[[], float | None],
+) -> list[str]:
+    """Return a note on a contact if facets make its pressures inaccurate; collective.
+
+    Gaps are known to h_j: of facets, by which smooth surfaces, of tools too, would be nearer, less
+    the mean where nodes carry; of smooth surfaces of degree 1, what they miss of round sides
+    (`missed_gaps`). Compared with the contact forces z_j are K^_jj h_j, with the stiffness of both
+    sides in series (`_in_series`), at the nodes that carry; of smooth surfaces, and where none
+    carries, also at those that might, as the gap is less than h_j. An even h_j is counted two to
+    four times, with the stiffness of single nodes.
+
+    Even facets on a tool: with the forces F of an overlap w bodies store Psi = F w / 2. Facets add
+    -h to w: the work -z.h of the forces is 2 Psi (1 - F'/F), F' the force of the smooth surface. On
+    rings of 4 to 64 facets a quarter it is that to 1 %; what other loads store makes it smaller.
 
     Args:
         link: the interface.
-        contacts: which contacts are closed, and their multipliers.
-        sure: whether facets and edges do not spoil its forces, as far as is known.
+        x: where the nodes are, X + u.
+        u: displacement by which facets have moved, None for X.
+        forces: (owned nodes,) of contact.
+        stiffness: (owned nodes,) force per gap, K^_jj.
+        diagonal: gives that of K, of the bodies alone.
+        potential: gives that of the bodies at u, see `Solid.potential`.
+    """
+    comm, k, z = link.sides.V.mesh.comm, stiffness[link.nodes], forces[link.nodes]
+    on, meshed = z > 0.0, link.pairing is not None
+    touches = any_rank(comm, on.any())[0]
+    even = _missed(link, u) if touches or meshed else None
+    if even is None:
+        return []
+    missed, smooth = even, meshed and link.interface.smooth
+    if smooth or not touches:
+        least = HALF_OF_DIGITS * mean_facet_length(link.sides.slave)
+        near = np.abs(missed) if smooth else missed - least
+        on = on | (link.coupling.kept[:, 0] & (link.gaps(x) <= near))
+    else:
+        total, count = comm.allreduce(np.array([missed[on].sum(), on.sum()]))
+        missed = missed - total / max(count, 1)
+    share, right = ratio(norm(comm, k[on] * missed[on]), norm(comm, z)), SPOILT
+    if meshed and SPOILT < share < np.inf:
+        k = _in_series(link, k, diagonal())
+        share = ratio(norm(comm, k[on] * missed[on]), norm(comm, z))
+    if share <= SPOILT and not meshed and (stored := potential()) is not None:
+        work = comm.allreduce(float(z @ even))
+        share, missed, right = ratio(abs(work), 2.0 * abs(stored)), even, 0.25 * SPOILT
+    if share <= right:
+        return []
+    largest = float(maximum(comm, np.abs(missed[on]).max(initial=0.0))[0])
+    worth = "and no node carries: forces may be missing"
+    if np.isfinite(share):
+        worth = f"worth up to {100 * share:.0f} % of the contact forces, which may be wrong"
+    what = "smooth surfaces through the nodes" if smooth else "facets of curved sides"
+    seen = f"{link.interface}: gaps of {what} are known to {largest:.2g} here, {worth}"
+    return [Note(seen, "Refine" if smooth else "Choose surface='smooth', or refine")]
+
+
+def _missed(link: Link, u: fem.Function | None) -> Floats | None:
+    """Return by how much gaps (n,) are too large, None where that is not known; collective."""
+    if link.pairing is None:
+        faceted = link.pattern.faceted if isinstance(link.pattern, SidePattern) else None
+        if faceted is None:  # a flat side
+            return None
+        tool = link.interface.tool
+        heights = None if tool is None else _heights_at_tool(link, tool, u)
+        return None if heights is None else np.asarray(heights * faceted)
+    if not link.interface.smooth:
+        return _means(link, u, point_heights)
+    assert link.pattern.smooth is not None
+    first = link.sides.slave.element.degree == 1
+    return missed_gaps(link, u) if first and not are_flat(link, link.pattern.smooth) else None
+
+
+def _heights_at_tool(link: Link, tool: Tool, u: fem.Function | None) -> Floats | None:
+    """Return how much nearer a tool would be to smooth surfaces (n,) at the owned slave nodes.
+
+    None where facets are what is meant, or stand for these already; collective.
+    """
+    pattern, slave = link.pattern, link.sides.slave
+    assert isinstance(pattern, SidePattern) and pattern.side is not None
+    if slave.element.degree > 1 or pattern.nodal:
+        return None
+    side, pose, x = pattern.side, tool.pose(), coordinates(slave, u)
+    segments, points = whole_facets(side, x, find_facing(side, pose, tool.asked, x))
+    facets, smooth = (
+        point_gaps(which, pose, tool.asked, u, segments, points)[0]
+        for which in (pattern, replace(pattern, nodal=True))
+    )
+    kept = np.zeros(len(slave.nodes))
+    kept[: slave.owned] = link.coupling.kept[:, 0]
+    Phi = weighted_duals(side, segments, accumulate(slave, kept) > 0.0)
+    return mean_values(side, segments, Phi, link.coupling.weight[:, 0], facets - smooth)
+
+
+def _in_series(link: Link, k: Floats, diagonal: PETSc.Vec) -> Floats:
+    """Return the stiffness (n,) of slave nodes in series with that of the master; collective.
+
+    A force n_j on slave node j is P_jl n_j on the master's nodes, which give by sum_l P_jl^2
+    n_j.(n_j / K_ll).
+
+    Args:
+        k: (n,) of the slave nodes alone.
+        diagonal: of K.
+    """
+    n, P, own = link.coupling.normals, link.pattern.scalars, diagonal.array_r
+    P.fill(link.coupling.P[:, 0, None, None] ** 2)
+    softness, give = P.matrix.createVecRight(), np.zeros(len(k))
+    inverse = np.divide(1.0, own, out=np.zeros_like(own), where=own > 0.0)
+    for i in range(n.shape[1]):
+        softness.array[:] = inverse[i :: n.shape[1]]
+        give += n[:, i] ** 2 * (P.matrix * softness).array_r[link.nodes]
+    return np.asarray(k / (1.0 + k * give))
+
+
+def notes_on_resolution(link: Link, contacts: Contacts) -> list[str]:
+    """Return notes on pressures that are not resolved, or that oscillate; collective.
+
+    A patch that reaches the ends of its sides is left out: its size is given by the model, and its
+    pressures may be singular there. Multipliers of a slave side that is finer and stiffer than the
+    master oscillate: their dual space has more dofs than the trace of the displacements that yield.
+    That is measured in the plane only. The force of a multiplier acts at its slave node: below an
+    edge of the master lever arms are wrong by up to a facet.
     """
     count, ends = _peak_patch(link, contacts)
     if not ends:
-        return ""
+        return []
     d, comm = link.sides.fixed.shape[1], link.sides.V.mesh.comm
     closed = comm.allreduce(int(contacts.active[link.nodes].sum()))
     if d == 2 and len(link.sides.surfaces) > 1 and closed >= NODES[d]:
         share = oscillation(link, contacts)
         if share > OSCILLATION:
-            told = "; forces are accurate, single pressures are not" if sure else ""
-            return (
-                f"{link.interface}: pressures oscillate from node to node, by {share:.0%} of their "
-                f"mean{told}: exchange slave and master, or refine the master there"
-            )
+            seen = f"{link.interface}: pressures oscillate from node to node, by {share:.0%} of "
+            why = "Forces are accurate: exchange slave and master, or refine the master there"
+            return [Note(f"{seen}their mean", why)]
     if not 0 < count < NODES[d]:
-        return ""
-    slave, master = link.sides.slave, link.sides.surfaces[-1]
-    common, told = link.coupling.common if master is not slave else None, ""
+        return []
+    slave, master, told = link.sides.slave, link.sides.surfaces[-1], ""
+    common = link.coupling.common if master is not slave else None
     below = common is not None and (contacts.active[link.nodes] & common.below_edges).any()
     if any_rank(comm, below)[0]:
         told = (
-            f", or exchange slave and master: an edge or a corner of {master.label} presses "
-            f"between nodes of slave={slave.label}, and its force acts at one of these, up to a "
-            "facet beside it"
+            f"; an edge or a corner of {master.label} presses between nodes of "
+            f"slave={slave.label}, and its force acts at one of these, up to a facet beside it"
         )
-    return (
+    seen = (
         f"{link.interface}: the largest pressure is not resolved: its patch has {count} nodes in "
-        f"contact, and {NODES[d]} are needed; refine there{told}"
+        f"contact, and {NODES[d]} are needed{told}"
     )
+    return [Note(seen, "Refine there" + ", or exchange slave and master" * bool(told))]
 
 
 def oscillation(link: Link, contacts: Contacts) -> float:
@@ -108,16 +286,15 @@ def notes_on_rims(links: Sequence[Link]) -> list[str]:
     They keep it although they are covered less than other nodes have to be
     (`mortar.duals.STAYS`). Nodes that are well covered again are not noted.
     """
-    notes = []
+    notes = list[str]()
     for link in links:
         faces = link.coupling.coverage.faces
         own = int((link.coupling.returned.any(axis=1) & ~faces).sum())
         if count := link.sides.V.mesh.comm.allreduce(own, op=MPI.SUM):
-            notes.append(
-                f"{link.interface}: {count} slave nodes at the rim of the other side gained and "
-                "lost their multiplier by turns, because each of the two states leads to the "
-                "other; they keep it. The finer the mesh at the rim, the smaller the difference"
-            )
+            seen = "gained and lost their multiplier by turns, and keep it"
+            why = "Each state leads to the other. Finer meshes at the rim make it matter less"
+            who = f"{link.interface}: {count} slave nodes at the rim of the other side"
+            notes.append(Note(f"{who} {seen}", why))
     return notes
 
 

@@ -18,28 +18,24 @@ from dolfinx_mortar.algebra.parallel import maximum, ratio
 from dolfinx_mortar.arrays import CHUNK, HALF_OF_DIGITS, Floats
 from dolfinx_mortar.materials.tensor import double_contraction, frobenius_norm
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.solid.gradients import elastic_stresses
 from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.step_report import Note
 from dolfinx_mortar.supports.bodies import name_of
 
 # Largest share that a measure of strain may leave out without a note.
-# At small strain: of the work of a body's stresses, in the term of rotations.
-# That is the change of the energy, to first order, so the error of forces: two pressed blocks
-# turned as one by 1, 2, 5 degrees have forces that are 1.7, 6.7, 42 % too high, for a share of
-# 1.7, 6.4, 31 %. What is pressed in has at most 1.5 % (a half disc by a twentieth of its radius,
-# with 7 % strain and 7 degrees at the edge), 1.7 % (a sphere likewise), 0.5 % (a bent flange):
-# there Hencky's strain changes forces by 1.4 %, Green's by -5.5 %, so no measure is the right one.
-# Half of the whole term, about the change by Hencky's strain, is told where it is larger. A rigid
-# ball of radius 500, 5 to 20 deep: perfectly plastic blocks lose 5 to 35 % of the force at small
-# strain, with 32 and 48 cells, where rotations are 2 to 24 % and half of the whole 6 to 48 %;
-# with hardening by 1 % of E 2 to 4 %, for 2 to 3 and 3 %; elastic ones .5 to 1.5, for 1 to 2 and 2.
+# At small strain: of the work of a body's stresses, in the term of rotations, which is the change
+# of the energy, to first order, so the error of forces: two pressed blocks turned as one by 1, 2, 5
+# degrees have forces that are 1.7, 6.7, 42 % too high, for a share of 1.7, 6.4, 31 %. What is
+# pressed in elastically has 1.7 % at most, where Hencky's strain changes forces by 1.4 %, Green's
+# by -5.5 %, so no measure is the right one. Half of the whole term, about the change by Hencky's
+# strain, is told where it is larger: perfectly plastic blocks under a rigid ball lose 5 to 35 % of
+# the force at small strain, where rotations are 2 to 24 % and half of the whole 6 to 48 %.
 # In the logarithmic strain space: of the norm of the stress. A perfectly plastic body in simple
 # shear by .5, 1, 2, 5 loses .002, .02, .089, .137, and its shear stress is 0.3, 2.7, 17, 56 % low.
 LARGEST_SHARE = 0.02
 # Or where the mean of |H^T H|, twice the term, over a body's volume or where its stresses work, is
-# as large: energies are quadratic in lengths. Lengths are wrong by half of that, or by 0.7 of the
-# half where both along and across: a strip bent down by 11 % of its length, a bar stretched by
-# 14 %, a free body turned by 7 degrees have 1 %, what is pressed in at most 0.13 %.
+# as large: energies are quadratic in lengths. A strip bent down by 11 % of its length, a bar
+# stretched by 14 %, a free body turned by 7 degrees have 1 %, what is pressed in at most 0.13 %.
 
 # What is no small strain or rotation any more (radians, 2.9 degrees), at any point: the measure is
 # off by half of the strain there, relatively. A note says so, also where forces hardly feel it.
@@ -121,7 +117,7 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
     felt = np.maximum(share, 2.0 * means) / LARGEST_SHARE
     worst = int(np.argmax(felt))
     largest = float(maximum(comm, size.max(initial=0.0))[0])
-    steep = np.maximum(highest[0], highest[2])
+    steep = np.where(body == worst, np.maximum(highest[0], highest[2]), -1.0)
     cell = int(np.argmax(steep)) if len(steep) else -1
     return LeftOut(
         worst=worst,
@@ -131,62 +127,39 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
         rotation=float(angles.max()),
         work=float(max(share[worst], whole[worst] / 2)),
         lengths=float(means[worst]),
-        steepest=(float(steep.max(initial=0.0)), cell),
+        steepest=(float(steep.max(initial=-1.0)), cell),
     )
 
 
 def notes_on_small_strain(problem: ContactProblem, found: LeftOut) -> list[str]:
     """Return a note if the neglected term changes forces, stresses or lengths; collective.
 
-    Else one if a strain or a rotation is large anywhere.
+    Or if a strain or a rotation is large at any point.
     """
-    if not found.felt:
-        return _notes_on_large_ones(problem, found)
-    solid, bodies, comm = problem.solid, problem.bodies, problem.comm
-    point = solid.gradients.evaluate()
-    size = frobenius_norm(point.left_out).reshape(solid.fields.weights.shape)
-    angle = np.linalg.norm(point.rotation, axis=1).reshape(size.shape)
-    on = np.flatnonzero(bodies.of_cells == found.worst).astype(np.int32)
-    peak = on[np.argmax(size[on].max(axis=1))][None] if len(on) else on
-    made = frobenius_norm(elastic_stresses(solid.regions, solid.stress, point.left_out, peak))
-    domain = problem.V.mesh
-    place = mesh.compute_midpoints(domain, domain.topology.dim, peak)[:, : problem.d]
-    here = (float(size[peak].max(initial=0.0)), float(made.max(initial=0.0)), place.tolist())
-    left, worth, near = max(comm.allgather(here))
-    shown = solid.fields.values("stress_norm")[on].max(initial=0.0)
-    shown, turn = maximum(comm, shown, angle[on].max(initial=0.0))
-    at = [float(f"{x:.3g}") for x in near[0]]
-    others = f" (and {found.felt - 1} more)" if found.felt > 1 else ""
-    return [
-        f"{name_of(bodies, [found.worst])}{others} turns by up to {np.degrees(turn):.1f} degrees, "
-        f"and the small strain leaves out up to {left:.2g}, near {at} (the largest strain in the "
-        f"bodies is {found.largest:.2g}). The error is a stress of {worth:.3g} there (norm; the "
-        f"largest shown is {shown:.3g}), {found.work:.1%} of the work of the stresses and "
-        f"{found.lengths:.1%} of lengths. Choose a finite strain, Solid(.., strain='finite'), "
-        "reduce strains and rotations, or mesh the body nearer to its final position"
-    ]
-
-
-def _notes_on_large_ones(problem: ContactProblem, found: LeftOut) -> list[str]:
-    """Return a note if a strain or a rotation is large at any point; collective."""
-    solid, bodies, domain = problem.solid, problem.bodies, problem.V.mesh
-    if not solid.gradients.small or max(found.largest, found.rotation) <= LARGE:
+    solid, domain = problem.solid, problem.V.mesh
+    large = solid.gradients.small and max(found.largest, found.rotation) > LARGE
+    if not found.felt and not large:
         return []
-    (value, cell), here = found.steepest, (0.0, 0, list[float]())
-    if cell >= 0:
-        cells = np.array([cell], dtype=np.int32)
-        place = mesh.compute_midpoints(domain, domain.topology.dim, cells)[0, : problem.d]
-        here = value, int(bodies.of_cells[cell]), place.tolist()
-    _, body, near = max(problem.comm.allgather(here))
+    value, cell = found.steepest
+    cells = np.array([cell] if cell >= 0 else [], dtype=np.int32)
+    place = mesh.compute_midpoints(domain, domain.topology.dim, cells)[:, : problem.d]
+    *_, near = max(problem.comm.allgather((value, *place.tolist())))
     at = [float(f"{x:.3g}") for x in near]
-    return [
-        f"strains of up to {found.largest:.1%} and rotations of up to "
-        f"{np.degrees(found.rotation):.1f} degrees, near {at} in {name_of(bodies, [body])}, are "
-        f"larger than {LARGE:.0%} or {np.degrees(LARGE):.1f} degrees, where strains are no longer "
-        f"small: the strain there is wrong by about {max(found.largest, found.strain) / 2:.1%}, "
-        f"the work of the stresses by {found.work:.1%}, lengths by {found.lengths:.2%}. If that "
-        "is too much, choose a finite strain, Solid(.., strain='finite')"
-    ]
+    others = f" (and {found.felt - 1} more)" if found.felt > 1 else ""
+    seen = (
+        f"{name_of(problem.bodies, [found.worst])}{others}: strains of up to {found.largest:.1%} "
+        f"and rotations of up to {np.degrees(found.rotation):.1f} degrees, near {at}"
+        f"{'' if found.felt else ', are no longer small'}; the small strain leaves out "
+        f"up to {found.strain:.2g}, {found.work:.1%} of the work of the stresses and "
+        f"{found.lengths:.2%} of lengths"
+    )
+    why = (
+        f"Strains beyond {LARGE:.0%} or rotations beyond {np.degrees(LARGE):.1f} degrees are wrong "
+        "by half of themselves and more, forces by the share of the work. Choose a finite strain, "
+        "Solid(.., strain='finite'), reduce strains and rotations, or mesh the body nearer to its "
+        "final position"
+    )
+    return [Note(seen, why)]
 
 
 def notes_on_lost_stress(problem: ContactProblem) -> list[str]:
@@ -194,9 +167,12 @@ def notes_on_lost_stress(problem: ContactProblem) -> list[str]:
     share, name = problem.solid.stress_lost()
     if share < LARGEST_SHARE:
         return []
-    return [
+    seen = (
         f"{name} is computed in the logarithmic strain space, where shear softens: the norm of the "
-        f"stress is up to {100 * share:.0f} % below that of the law (2 % at a shear of 1, whose "
-        "shear stress is 3 % too low; 9 % and 17 % at a shear of 2). Isotropic laws without "
-        "kinematic hardening have no such limit"
-    ]
+        f"stress is up to {100 * share:.0f} % below that of the law"
+    )
+    why = (
+        "It is 2 % at a shear of 1, whose shear stress is 3 % too low; 9 % and 17 % at a shear of "
+        "2. Isotropic laws without kinematic hardening have no such limit"
+    )
+    return [Note(seen, why)]

@@ -6,7 +6,7 @@ Lagrange's strain is e + H^T H / 2. A small strain takes e; of a rotation by an 
 rigid, it leaves out a^2 / 2 in both directions across the axis.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,18 +16,15 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar import compat
 from dolfinx_mortar.arrays import Floats, Ints
-from dolfinx_mortar.materials.response import elastic_response
 from dolfinx_mortar.materials.tensor import (
     INDEX,
     double_contraction,
-    from_components,
     tensor_of,
     to_components,
 )
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.finite_strain import Volumes, describe_lowest
 from dolfinx_mortar.solid.kinematics import Kinematics
-from dolfinx_mortar.solid.laws import Region
 from ufl.core.expr import Expr
 
 # Row and column (i, j) of the entries H_ij > H_ji that a rotation about x, y, z adds to grad u.
@@ -138,26 +135,6 @@ class PointGradients:
         values = stretches.reshape(-1, self._space.dofmap.list.shape[1])
         words = f"are shortened to less than {limit:g} of a length", "smallest stretch"
         return describe_lowest(self._space.mesh, values, limit, *words)
-
-
-def elastic_stresses(
-    regions: Sequence[Region], stress: fem.Function, strain: Floats, cells: Ints
-) -> Floats:
-    """Return C : strain (k, components) at the points of some owned cells; collective, compiles.
-
-    The strain (n, components) is that at the points of the stress in all owned cells.
-    """
-    space, field = stress.function_space, fem.Function(stress.function_space)
-    size = space.dofmap.bs
-    owned = len(strain) // space.dofmap.list.shape[1]
-    field.x.array.reshape(-1, size)[space.dofmap.list[:owned].ravel()] = strain
-    points, found = compat.interpolation_points(space), [np.zeros((0, size))]
-    for region in regions:
-        response = elastic_response(region.law, from_components(field), region.symbols)
-        compiled = fem.Expression(to_components(response, size), points)
-        on = np.intersect1d(cells, region.cells).astype(np.int32)
-        found.append(np.asarray(compiled.eval(space.mesh, on)).reshape(-1, size))
-    return np.concatenate(found)
 
 
 def _axial(gradient: Expr) -> Expr:

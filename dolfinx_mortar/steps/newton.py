@@ -66,13 +66,11 @@ from dolfinx_mortar.problem.jumps import check_tightening
 from dolfinx_mortar.problem.problem import ContactProblem, Predictor
 from dolfinx_mortar.qp import LinearSolver
 from dolfinx_mortar.qp.linear import LinearSolveFailed
-from dolfinx_mortar.report.certificate import create_certificate
-from dolfinx_mortar.report.interface_results import set_results
+from dolfinx_mortar.report.certificate import create_certificate, find_pull, set_results
 from dolfinx_mortar.report.notes import StepEnd, find_notes
-from dolfinx_mortar.report.pulls import find_pull
+from dolfinx_mortar.report.penetration import find_crossing
 from dolfinx_mortar.report.reaction import support_forces
 from dolfinx_mortar.report.small_strain import find_left_out
-from dolfinx_mortar.report.uncoupled import find_crossing
 from dolfinx_mortar.step_report import Iteration, NewtonNotConverged, Note, StepReport
 from dolfinx_mortar.terms.sum import Energy, VolumeStep
 
