@@ -17,12 +17,16 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.arrays import EPS, Floats
+from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.arrays import EPS, QUARTER_OF_DIGITS, Floats
 from dolfinx_mortar.newton_method.driven_tools import Settled
-from dolfinx_mortar.newton_method.linearisation import Linearisation
+from dolfinx_mortar.newton_method.failures import StepFailed
+from dolfinx_mortar.newton_method.linearisation import Linearisation, to_displacement
 from dolfinx_mortar.newton_method.residuals import gap_round_off, round_off
+from dolfinx_mortar.newton_method.subproblem import Iterate, Solution
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution
+from dolfinx_mortar.spaces import with_values
 from dolfinx_mortar.terms.sum import Energy, VolumeStep
 
 # Share of the decrease promised by the slope that is enough (Armijo's condition, with the constant
@@ -77,6 +81,88 @@ class Direction:
         if (law := lin.qp.friction) is None or lin.balance.limits is None:
             return path
         return replace(path, slip=lin.balance.limits.slip, slide=self.slide - law.pick(way))
+
+
+@dataclass(frozen=True)
+class Moved:
+    """What a step along the solution of a QP has changed."""
+
+    increment: float  # |du|_e of the whole step
+    length: float  # the share of it that u has moved
+    halvings: int  # of the line search
+    energy: Energy | None  # J at its end
+    travel: Floats  # (m,) of tools that forces drive, since the start of the step
+    pressure: Floats | None  # (owned cells,) mean stresses at its end, by the linearisation
+
+
+def take_step(problem: ContactProblem, found: Solution, largest: float, old: Iterate) -> Moved:
+    """Move u, and tools that forces drive, along the solution of the QP; collective.
+
+    Args:
+        problem: at the iterate.
+        found: the QP and its solution.
+        largest: largest multiplier so far.
+        old: the iterate before.
+    """
+    lin = found.lin
+    T = problem.system.transformation if lin.geometry is None else lin.geometry.trial
+    du = to_displacement(T, found.solved.x)
+    _check_distance(du, old.scales.extent)
+    direction = with_values(problem.V, du.array_r)
+    volumes = problem.solid.volume_step(direction)
+    length, halvings, energy = _move(problem, found, du, largest, old, volumes)
+    travel = old.travel
+    if found.driven is not None:
+        moved = length * found.driven.travel
+        travel = travel + moved if len(travel) else moved
+        found.driven.drives.move(moved)
+    pressure = None if volumes is None else volumes.pressure_at(length)
+    increment = problem.solid.elastic_norm(direction)
+    return Moved(increment, length, halvings, energy, travel, pressure)
+
+
+def _check_distance(du: PETSc.Vec, extent: float) -> None:
+    """Raise if a step is far longer than the model: the tangent is singular."""
+    farthest = du.norm(PETSc.NormType.INFINITY)
+    if not QUARTER_OF_DIGITS * farthest <= extent:
+        raise StepFailed(
+            f"a Newton step is {farthest:.1e} long in a model of size {extent:.1e}",
+            "The tangent is singular, because nothing holds a body or nothing resists its "
+            "plastic flow, or a load or pretension is too large for the stiffness (check units "
+            "of both)",
+        )
+
+
+def _move(
+    problem: ContactProblem,
+    found: Solution,
+    du: PETSc.Vec,
+    largest: float,
+    old: Iterate,
+    volumes: VolumeStep | None,
+) -> tuple[float, int, Energy | None]:
+    """Move u along the step; return its length, the halvings, and J.
+
+    The step is whole if there is no energy, if the committed state is linearised, or if
+    supports or ties still prescribe increments, for which the energy may increase; they do not
+    once the supports have moved their bodies rigidly at the start of the step. Nor does the
+    energy decrease towards a balance that is a saddle. The step is shorter where it would turn
+    a cell inside out.
+    """
+    energy = old.energy
+    lin, solved, driven = found.lin, found.solved, found.driven
+    lost = gap_round_off(problem.u)
+    asked = float(maximum(problem.comm, old.balance.equal.scale)[0])
+    with problem.timings("assembly"):
+        try:
+            saddle = found.negative and not found.shift  # whose energy may increase
+            if energy is None or asked > lost or found.exact or saddle:
+                curve = None if driven is None else driven.curve
+                return *shorten(problem, du.array_r, curve), problem.terms.energy()
+            way = search(problem, lin, solved, du, largest, energy, volumes, driven)
+            return way if volumes is None else (*way[:2], problem.terms.energy())
+        except NoDescent as error:
+            raise StepFailed(str(error)) from error
 
 
 def search(

@@ -17,39 +17,34 @@ exact tangent that raises the residual is undone, and made without it.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx import fem
 from dolfinx_mortar import qp as backends
 from dolfinx_mortar.algebra.errors import from_callbacks
 from dolfinx_mortar.algebra.parallel import free_unused, maximum, ratio
 from dolfinx_mortar.arguments import NUMBER, check_optional
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Floats
+from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.near import predict_active
 from dolfinx_mortar.newton_method import driven_tools, failures
 from dolfinx_mortar.newton_method.contacts import (
     Contacts,
     contact_forces,
-    find_sliders,
     found_by,
     go_on,
-    normal_forces,
-    tangential_forces,
 )
-from dolfinx_mortar.newton_method.line_search import NoDescent, search, shorten
+from dolfinx_mortar.newton_method.line_search import take_step
 from dolfinx_mortar.newton_method.linearisation import (
     Balance,
     Linearisation,
     count_changes,
     find_balance,
     find_extent,
-    to_displacement,
 )
 from dolfinx_mortar.newton_method.residuals import (
     Residuals,
@@ -60,19 +55,12 @@ from dolfinx_mortar.newton_method.residuals import (
 )
 from dolfinx_mortar.newton_method.subproblem import Iterate, Solution, Subproblem
 from dolfinx_mortar.newton_method.tunnelling import describe_passing
-from dolfinx_mortar.persistence.committed import Before, Gained, StepOutcome
+from dolfinx_mortar.persistence.committed import Before, Gained
 from dolfinx_mortar.problem.checks import check_controls, check_problem
-from dolfinx_mortar.problem.jumps import check_tightening
 from dolfinx_mortar.problem.problem import ContactProblem, Predictor
 from dolfinx_mortar.qp import LinearSolver
-from dolfinx_mortar.qp.linear import LinearSolveFailed
-from dolfinx_mortar.report.certificate import create_certificate, find_pull, set_results
-from dolfinx_mortar.report.notes import StepEnd, find_notes
-from dolfinx_mortar.report.penetration import find_crossing
-from dolfinx_mortar.report.reaction import support_forces
-from dolfinx_mortar.report.small_strain import find_left_out
-from dolfinx_mortar.step_report import Iteration, NewtonNotConverged, Note, StepReport
-from dolfinx_mortar.terms.sum import Energy, VolumeStep
+from dolfinx_mortar.step_report import Iteration, NewtonNotConverged, StepReport
+from dolfinx_mortar.steps.step_end import finish
 
 log = logging.getLogger(__name__)
 
@@ -223,18 +211,6 @@ def _solve(
     return Gained(problem.owned_u - data.begun, end.travel, level - now)
 
 
-@dataclass(frozen=True)
-class _Moved:
-    """What a step along the solution of a QP has changed."""
-
-    du: PETSc.Vec  # the whole step
-    length: float  # the share of it that u has moved
-    halvings: int  # of the line search
-    energy: Energy | None  # J at its end
-    travel: Floats  # (m,) of tools that forces drive, since the start of the step
-    pressure: Floats | None  # (owned cells,) mean stresses at its end, by the linearisation
-
-
 class _Step:
     """One load step in progress."""
 
@@ -245,7 +221,6 @@ class _Step:
         self.data, self.qps = qps.data, qps
         if qps.solver.direct:  # a step that was tried has left another factorisation
             qps.solver.forget(keep_definite=qps.linear)
-        self.direction = fem.Function(problem.V)  # du, for its norm
 
     def run(self, max_it: int) -> Iterate:
         """Iterate until convergence; set the results and the certificate."""
@@ -265,7 +240,7 @@ class _Step:
                 old = new
             elif self.geometry_is_complete():
                 self.check_passing()
-                self.finish(new, residual)
+                finish(self.qps, self.report, new, residual, self.overlap)
                 return new
             else:
                 old = self.renewed(new)
@@ -292,13 +267,14 @@ class _Step:
         multiplier = maximum(problem.comm, contacts.multipliers.max(initial=0.0))[0]
         largest = max(old.largest, float(multiplier))
 
-        moved = self.take_step(found, largest, old)
+        moved = take_step(problem, found, largest, old)
         norm = problem.solid.elastic_norm(problem.u)
-        given = contact_forces(problem, contacts)
+        turned = 0.0
         if self.qps.moving or self.qps.driven:
+            given = contact_forces(problem, contacts)
             problem.follow_geometry()
+            turned = problem.vector(contact_forces(problem, contacts) - given).norm()
         balance = self.balance(contacts)
-        turned = problem.vector(contact_forces(problem, contacts) - given).norm()
 
         scales = old.scales
         if number == 1:
@@ -306,11 +282,10 @@ class _Step:
         residual = self.residual(balance, contacts, lin.diagonal, scales, norm)
         self.report.quote(number, solved.note or found.rejected)
         self.report.note_friction(number, solved.linearisation)
-        increment = self.elastic_norm(moved.du)
         self.report.iterations.append(
             Iteration(
                 number=number,
-                increment=increment / (old.norm + norm) if old.norm + norm > 0.0 else 0.0,
+                increment=ratio(moved.increment, old.norm + norm),
                 force_residual=residual.forces,
                 contact_residual=residual.contact,
                 kkt=solved.kkt.worst,
@@ -430,28 +405,6 @@ class _Step:
         multipliers = None if contacts is None else contacts.multipliers
         return find_balance(self.problem, self.data, self.overlap, multipliers)
 
-    def take_step(self, found: Solution, largest: float, old: Iterate) -> _Moved:
-        """Move u, and tools that forces drive, along the solution of the QP; collective.
-
-        Args:
-            found: the QP and its solution.
-            largest: largest multiplier so far.
-            old: the iterate before.
-        """
-        problem, lin = self.problem, found.lin
-        T = problem.system.transformation if lin.geometry is None else lin.geometry.trial
-        du = to_displacement(T, found.solved.x)
-        self.check_distance(du, old.scales.extent)
-        volumes = problem.solid.volume_step(self.as_function(du))
-        length, halvings, energy = self.move(found, du, largest, old, volumes)
-        travel = old.travel
-        if found.driven is not None:
-            moved = length * found.driven.travel
-            travel = travel + moved if len(travel) else moved
-            found.driven.drives.move(moved)
-        pressure = None if volumes is None else volumes.pressure_at(length)
-        return _Moved(du, length, halvings, energy, travel, pressure)
-
     def gap_error(
         self, found: Solution, length: float, balance: Balance, contacts: Contacts
     ) -> float:
@@ -487,48 +440,6 @@ class _Step:
         found = measure(self.problem.u, balance, contacts, diagonal, scales, norm, rtol)
         return driven_tools.miss(self.problem, balance, contacts, found, rtol)
 
-    def check_distance(self, du: PETSc.Vec, extent: float) -> None:
-        """Raise if a step is far longer than the model: the tangent is singular."""
-        farthest = du.norm(PETSc.NormType.INFINITY)
-        if not QUARTER_OF_DIGITS * farthest <= extent:
-            raise failures.StepFailed(
-                f"a Newton step is {farthest:.1e} long in a model of size {extent:.1e}",
-                "The tangent is singular, because nothing holds a body or nothing resists its "
-                "plastic flow, or a load or pretension is too large for the stiffness (check units "
-                "of both)",
-            )
-
-    def move(
-        self,
-        found: Solution,
-        du: PETSc.Vec,
-        largest: float,
-        old: Iterate,
-        volumes: VolumeStep | None,
-    ) -> tuple[float, int, Energy | None]:
-        """Move u along the step; return its length, the halvings, and J.
-
-        The step is whole if there is no energy, if the committed state is linearised, or if
-        supports or ties still prescribe increments, for which the energy may increase; they do not
-        once the supports have moved their bodies rigidly at the start of the step. Nor does the
-        energy decrease towards a balance that is a saddle. The step is shorter where it would turn
-        a cell inside out.
-        """
-        problem, energy = self.problem, old.energy
-        lin, solved, driven = found.lin, found.solved, found.driven
-        lost = gap_round_off(problem.u)
-        asked = float(maximum(problem.comm, old.balance.equal.scale)[0])
-        with problem.timings("assembly"):
-            try:
-                saddle = found.negative and not found.shift  # whose energy may increase
-                if energy is None or asked > lost or found.exact or saddle:
-                    curve = None if driven is None else driven.curve
-                    return *shorten(problem, du.array_r, curve), problem.terms.energy()
-                way = search(problem, lin, solved, du, largest, energy, volumes, driven)
-                return way if volumes is None else (*way[:2], problem.terms.energy())
-            except NoDescent as error:
-                raise failures.StepFailed(str(error)) from error
-
     def geometry_is_complete(self) -> bool:
         """Tell whether all touching facets are paired and all their nodes in T; else add them."""
         problem = self.problem
@@ -544,76 +455,3 @@ class _Step:
             passed = describe_passing(self.problem)
         if passed:  # other causes need not be looked for
             raise failures.failed(self.problem, self.report, passed)
-
-    def finish(self, iterate: Iterate, residual: Residuals) -> None:
-        """Set the results of the step."""
-        problem, report = self.problem, self.report
-        contacts = iterate.contacts
-        with problem.timings("results"):
-            problem.solid.evaluate()
-        if too_far := check_tightening(problem.system):
-            raise failures.StepFailed(too_far)
-        slips, balances = set_results(problem, iterate.balance, contacts)
-        sliders = None
-        if (limits := iterate.balance.limits) is not None:
-            noise = gap_round_off(problem.u)
-            sliders = find_sliders(limits, contacts, iterate.stiffness, noise)
-        left_out, crossing = find_left_out(problem), find_crossing(problem)
-        stiffness = iterate.stiffness.array_r
-        pull = find_pull(problem, contacts)
-        how = self.overlap, left_out, crossing, pull, report.rtol, residual.limit
-        end = StepEnd(problem, iterate.balance, contacts, stiffness, *how)
-        negative = iterate.negative or self.ends_indefinite()
-        report.notes += find_notes(end) + self.notes_on_shifts(negative)
-        report.certificate = create_certificate(
-            problem, report, contacts, residual, balances, sliders, left_out, crossing, pull
-        )
-        problem.raise_failed()
-        supports = support_forces(problem, iterate.balance)  # last, as no error may follow
-        at, paired = problem.owned_u.copy(), problem.system.present.paired
-        forces = -normal_forces(problem, contacts), -tangential_forces(problem, contacts)
-        ended = problem.ends_of_interfaces()
-        closed = contacts.active, contacts.sliding
-        outcome = StepOutcome(at, *closed, paired, slips, *forces, ended)
-        problem.outcome, problem.committed.supports = outcome, supports
-        report.converged = True
-
-    def ends_indefinite(self) -> bool:
-        """Tell whether the last tangent is indefinite, whatever the linear solver is; collective.
-
-        Solutions do not show it where neither loads nor iterates have a part of the mode that is
-        unstable: by symmetry, before a body buckles.
-        """
-        if not self.qps.finite or self.report.iterations[-1].shift:
-            return False
-        try:
-            return self.qps.solver.is_indefinite()
-        except LinearSolveFailed:  # it is singular
-            return True
-
-    def notes_on_shifts(self, negative: bool) -> list[str]:
-        """Return a note if tangents were indefinite."""
-        notes, shifted = list[str](), [it.number for it in self.report.iterations if it.shift]
-        cells = failures.describe_cells(self.problem)
-        if shifted:
-            seen = (
-                f"the tangent was indefinite in {len(shifted)} iterations, the last of them "
-                f"{shifted[-1]}: up to {max(it.shift for it in self.report.iterations):g} times "
-                "the elastic stiffness was added there"
-            )
-            notes.append(Note(seen, cells))
-        if negative or shifted[-1:] == [len(self.report.iterations)]:
-            seen = "the tangent is indefinite at the end: the equilibrium found is unstable"
-            why = "A small disturbance leads to another one, which an imperfect mesh finds"
-            notes.append(Note(seen, f"{why}. {cells}"))
-        return notes
-
-    def as_function(self, du: PETSc.Vec) -> fem.Function:
-        """Return du as the Function `direction`; collective."""
-        self.direction.x.array[: du.local_size] = du.array_r
-        self.direction.x.scatter_forward()
-        return self.direction
-
-    def elastic_norm(self, du: PETSc.Vec) -> float:
-        """Return |du|_e; collective."""
-        return self.problem.solid.elastic_norm(self.as_function(du))

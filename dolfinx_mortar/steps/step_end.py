@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: MIT
+"""Results of a step that has converged: reactions, notes, certificate, what a commit takes."""
+
+from dolfinx_mortar.newton_method.contacts import find_sliders, normal_forces, tangential_forces
+from dolfinx_mortar.newton_method.failures import StepFailed, describe_cells
+from dolfinx_mortar.newton_method.residuals import Residuals, gap_round_off
+from dolfinx_mortar.newton_method.subproblem import Iterate, Subproblem
+from dolfinx_mortar.persistence.committed import StepOutcome
+from dolfinx_mortar.problem.jumps import check_tightening
+from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.qp.linear import LinearSolveFailed
+from dolfinx_mortar.report.certificate import create_certificate, find_pull, set_results
+from dolfinx_mortar.report.notes import StepEnd, find_notes
+from dolfinx_mortar.report.penetration import find_crossing
+from dolfinx_mortar.report.reaction import support_forces
+from dolfinx_mortar.report.small_strain import find_left_out
+from dolfinx_mortar.step_report import Note, StepReport
+
+
+def finish(
+    qps: Subproblem, report: StepReport, iterate: Iterate, residual: Residuals, overlap: float
+) -> None:
+    """Set the results of a step that has converged; collective.
+
+    Args:
+        qps: of the step.
+        report: to be completed.
+        iterate: the last one.
+        residual: there.
+        overlap: that remains, of sides that overlapped at the start.
+
+    Raises:
+        StepFailed: if a tightening is larger than the model.
+    """
+    problem = qps.problem
+    contacts = iterate.contacts
+    with problem.timings("results"):
+        problem.solid.evaluate()
+    if too_far := check_tightening(problem.system):
+        raise StepFailed(too_far)
+    slips, balances = set_results(problem, iterate.balance, contacts)
+    sliders = None
+    if (limits := iterate.balance.limits) is not None:
+        noise = gap_round_off(problem.u)
+        sliders = find_sliders(limits, contacts, iterate.stiffness, noise)
+    left_out, crossing = find_left_out(problem), find_crossing(problem)
+    stiffness = iterate.stiffness.array_r
+    pull = find_pull(problem, contacts)
+    how = overlap, left_out, crossing, pull, report.rtol, residual.limit
+    end = StepEnd(problem, iterate.balance, contacts, stiffness, *how)
+    negative = iterate.negative or _ends_indefinite(qps, report)
+    report.notes += find_notes(end) + _notes_on_shifts(problem, report, negative)
+    report.certificate = create_certificate(
+        problem, report, contacts, residual, balances, sliders, left_out, crossing, pull
+    )
+    problem.raise_failed()
+    supports = support_forces(problem, iterate.balance)  # last, as no error may follow
+    at, paired = problem.owned_u.copy(), problem.system.present.paired
+    forces = -normal_forces(problem, contacts), -tangential_forces(problem, contacts)
+    ended = problem.ends_of_interfaces()
+    closed = contacts.active, contacts.sliding
+    outcome = StepOutcome(at, *closed, paired, slips, *forces, ended)
+    problem.outcome, problem.committed.supports = outcome, supports
+    report.converged = True
+
+
+def _ends_indefinite(qps: Subproblem, report: StepReport) -> bool:
+    """Tell whether the last tangent is indefinite, whatever the linear solver is; collective.
+
+    Solutions do not show it where neither loads nor iterates have a part of the mode that is
+    unstable: by symmetry, before a body buckles.
+    """
+    if not qps.finite or report.iterations[-1].shift:
+        return False
+    try:
+        return qps.solver.is_indefinite()
+    except LinearSolveFailed:  # it is singular
+        return True
+
+
+def _notes_on_shifts(problem: ContactProblem, report: StepReport, negative: bool) -> list[str]:
+    """Return a note if tangents were indefinite."""
+    notes, shifted = list[str](), [it.number for it in report.iterations if it.shift]
+    cells = describe_cells(problem)
+    if shifted:
+        seen = (
+            f"the tangent was indefinite in {len(shifted)} iterations, the last of them "
+            f"{shifted[-1]}: up to {max(it.shift for it in report.iterations):g} times "
+            "the elastic stiffness was added there"
+        )
+        notes.append(Note(seen, cells))
+    if negative or shifted[-1:] == [len(report.iterations)]:
+        seen = "the tangent is indefinite at the end: the equilibrium found is unstable"
+        why = "A small disturbance leads to another one, which an imperfect mesh finds"
+        notes.append(Note(seen, f"{why}. {cells}"))
+    return notes
