@@ -13,8 +13,9 @@ from dolfinx import default_real_type, fem, mesh
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.interfaces.tool import SPACE
 from dolfinx_mortar.newton_method.subproblem import Subproblem
+from dolfinx_mortar.problem import predictors
 from dolfinx_mortar.qp import scalars
-from dolfinx_mortar.steps import newton, predictors
+from dolfinx_mortar.steps import newton
 from tests.choice import quick
 from tests.meshes import two_blocks
 from tests.pressed_blocks import rejected

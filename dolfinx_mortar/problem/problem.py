@@ -263,7 +263,7 @@ class ContactProblem:
 
         Args:
             level: load level of the step, for its terms; None for that of the committed state.
-            predict: adds to that what a walk promises, see `steps.predictors`.
+            predict: adds to that what a walk promises, see `problem.predictors`.
 
         Raises:
             ValueError: for NaN or infinity in the data, the displacement, the potential or the

@@ -34,12 +34,12 @@ from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.newton_method.failures import AS_BEFORE
 from dolfinx_mortar.persistence.checkpoints import Saved, read
 from dolfinx_mortar.persistence.committed import Walk
+from dolfinx_mortar.problem.predictors import predict
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import LinearSolver, QPNotSolved
 from dolfinx_mortar.report.reaction import reactions
 from dolfinx_mortar.step_report import LoadStep, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.newton import solve_step
-from dolfinx_mortar.steps.predictors import predict
 from dolfinx_mortar.steps.ramp import Ramp, check_range, difference, notes_on_unread
 
 log = logging.getLogger(__name__)
