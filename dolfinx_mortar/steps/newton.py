@@ -133,7 +133,7 @@ def solve_step(
         overlap: depth by which the sides may still overlap at the end, if they do at the start.
         level: as in `newton`.
         linear: linear solver of the step; that of the problem by default.
-        predict: where Newton's method starts, see `problem.predictors`; if it leads nowhere, the step
+        predict: where the step starts, see `problem.predictors`; if that leads nowhere, it
             is solved without.
     """
     problem.check_ranks(qp=qp, rtol=rtol, max_it=max_it, level=level)
