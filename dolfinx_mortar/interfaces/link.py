@@ -80,19 +80,18 @@ class Link(CoupledSides):
             return np.asarray(closed[self.nodes] & some)
         return np.asarray(self.coupling.kept.any(axis=1))
 
-    def apart(self) -> Floats:
-        """Return what is no relative motion of tied sides (n, d); collective."""
+    def apart(self) -> Floats | None:
+        """Return what is no relative motion of tied sides (n, d), None for none; collective."""
         sides = self.sides
         found = None if self.unilateral else self.interface.apart(sides.V, self.nodes)
         if found is None:
-            return np.zeros_like(self.coupling.normals)
-        alone = ~(sides.on_slave & sides.on_master)[self.nodes]
-        return found * alone[:, None]
+            return None
+        return np.where((sides.on_slave & sides.on_master)[self.nodes, None], 0.0, found)
 
     def missed(self, u: PETSc.Vec) -> Floats:
         """Return the relative motion (n, d) of tied sides, less what they are apart; collective."""
         apart = self.apart()
-        return self.relative(u - self.spread(apart) if apart.any() else u)
+        return self.relative(u if apart is None else u - self.spread(apart))
 
     def spread(self, way: Floats) -> PETSc.Vec:
         """Return a motion (n, d) of the slave nodes as a displacement, 0 at others."""
@@ -108,8 +107,9 @@ class Link(CoupledSides):
         """
         if self.unilateral:
             return np.asarray(gap[self.nodes])
-        apart = np.zeros_like(self.coupling.normals) if self.sides.hold else self.apart()
-        return np.asarray(-(apart * self.coupling.normals).sum(axis=1))
+        apart = None if self.sides.hold else self.apart()
+        normals = self.coupling.normals
+        return np.zeros(len(normals)) if apart is None else -(apart * normals).sum(axis=1)
 
 
 def set_results_of(

@@ -406,9 +406,8 @@ def _touched(skin: _Skin) -> Bools:
 
 def _longest_jumps(problem: ContactProblem) -> Floats:
     """Return the length of the jump of each interface, by which its sides overlap; collective."""
-    lengths = [
-        np.linalg.norm(link.apart(), axis=1).max(initial=0.0) for link in problem.system.links
-    ]
+    apart = [link.apart() for link in problem.system.links]
+    lengths = [0.0 if v is None else np.linalg.norm(v, axis=1).max(initial=0.0) for v in apart]
     none = np.zeros(len(problem.system.sides))
     return np.asarray(maximum(problem.comm, *lengths)) if lengths else none
 
