@@ -13,7 +13,7 @@ import hashlib
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from numbers import Complex, Real
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 from mpi4py import MPI
 
@@ -27,14 +27,6 @@ from ufl.core.expr import Expr
 from ufl.domain import extract_unique_domain
 
 SHOWN = 60  # characters of a value in a message, at most
-
-
-@runtime_checkable
-class Described(Protocol):
-    """Something that tells what its user has given for it."""
-
-    def given(self) -> Mapping[str, Any]:
-        """Return the arguments, which all ranks have to give the same, by name."""
 
 
 def check_same_on_all_ranks(comm: MPI.Comm, **named_values: Any) -> None:
@@ -51,7 +43,7 @@ def check_same_on_all_ranks(comm: MPI.Comm, **named_values: Any) -> None:
     """
     if comm.size == 1:
         return
-    texts = dict(part for name, value in named_values.items() for part in _parts_of(name, value))
+    texts = dict(part for name, value in named_values.items() for part in _texts(name, value))
     digest = hashlib.sha256(repr(sorted(texts.items())).encode()).digest()[:8]
     own = int.from_bytes(digest, signed=True)
     extremes = np.array([own, ~own])  # ~ turns the order round, and cannot overflow
@@ -68,23 +60,9 @@ def find_constants(value: Any) -> list[Any] | None:
     >>> find_constants({"nu": 0.3}), find_constants([abs])
     ([], None)
     """
-    if _is_constant(value):
-        return [value]
-    if isinstance(value, Expr | ufl.Form):
-        return list(extract_constants(value))
-    if _plain(value) is not None or isinstance(value, mesh.MeshTags):
-        return []
-    package = type(value).__module__.partition(".")[0]
-    ours = package in ("dolfinx", __name__.partition(".")[0]) or isinstance(value, Mapping)
-    if not (ours or isinstance(value, list | tuple)):
-        return None
-    found: list[Any] = []
-    for entry in _taken_apart("", value)[1].values():
-        inside = find_constants(entry)
-        if inside is None:
-            return None
-        found += inside
-    return found
+    leaves = [leaf for _, leaf in _leaves("", value)]
+    known = not any(isinstance(leaf, type) for leaf in leaves)
+    return [leaf for leaf in leaves if not isinstance(leaf, str)] if known else None
 
 
 def _difference(texts: Sequence[Mapping[str, str]]) -> str:
@@ -120,60 +98,64 @@ def _is_constant(value: Any) -> bool:
     return isinstance(value, fem.Constant) or type(value).__name__.startswith("Constant_")
 
 
-def _parts_of(name: str, value: Any) -> list[tuple[str, str]]:
-    """Return names and texts of the replicated parts; what fails to tell counts by its type."""
+def _texts(name: str, value: Any) -> list[tuple[str, str]]:
+    """Return names and texts of what a value holds; what fails to tell counts by its type."""
     try:
-        return list(_parts(name, value))
+        return [(key, _text(leaf)) for key, leaf in _leaves(name, value)]
     except Exception as error:  # of this rank only, perhaps, which must not leave the others alone
         return [(name, f"{type(value).__name__} ({type(error).__name__})")]
 
 
-def _parts(name: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Yield the replicated parts of a value."""
+def _text(leaf: Any) -> str:
+    """Return the text of what `_leaves` yields."""
+    if isinstance(leaf, str):
+        return leaf
+    constant = not isinstance(leaf, type)
+    return f"Constant {_plain(np.asarray(leaf.value))}" if constant else leaf.__qualname__
+
+
+def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield what ranks have to give the same: Constants, and texts; the class of a user's own."""
     inside: Mapping[str, Any] = {}
-    if _is_constant(value):
-        yield name, f"Constant {_plain(np.asarray(value.value))}"
-    elif isinstance(value, fem.Function):
-        yield name, f"Function, {value.ufl_element()}"
+    if isinstance(value, fem.Constant) or type(value).__name__.startswith("Constant_"):
+        yield name, value
+        return
+    text: Any = _plain(value)
+    if isinstance(value, fem.Function):
+        text = f"Function, {value.ufl_element()}"
     elif isinstance(value, Expr | ufl.Form):
-        yield name, f"{type(value).__name__} {_signature(value)}"
-        constants = extract_constants(value)
-        inside = {f"{name}: Constant {k}": c for k, c in enumerate(constants, start=1)}
-    elif (text := _plain(value)) is not None:
-        yield name, text
-    else:
-        text, inside = _taken_apart(name, value)
-        yield name, text
-    for key, entry in inside.items():
-        yield from _parts(key, entry)
-
-
-def _taken_apart(name: str, value: Any) -> tuple[str, Mapping[str, Any]]:
-    """Return what a value is, and what it holds by the name of that."""
-    kind = type(value).__qualname__
-    if isinstance(value, fem.DirichletBC):
+        text = f"{type(value).__name__} {_signature(value)}"
+        inside = {f": Constant {k}": c for k, c in enumerate(extract_constants(value), start=1)}
+    elif isinstance(value, fem.DirichletBC):
         space: Any = getattr(value.function_space, "_cpp_object", value.function_space)
         constant = hasattr(value.g, "value")
         of = f", component {space.component()}" if space.component() else ""
-        text = f"{kind}{of}, values of a {'Constant' if constant else 'Function'}"
-        return text, {f"{name}: value": value.g} if constant else {}
-    if isinstance(value, mesh.MeshTags):
-        return f"{kind} of dimension {value.dim}", {f"{name}.names": names_of(value)}
-    if isinstance(value, Mapping):
-        entries = sorted(value.items(), key=lambda item: repr(item[0]))
-        return (
-            f"entries for {', '.join(repr(key) for key, _ in entries) or 'nothing'}",
-            {f"{name}[{key!r}]": entry for key, entry in entries},
-        )
-    if isinstance(value, list | tuple):
-        return f"{len(value)} entries", {f"{name}[{k}]": entry for k, entry in enumerate(value)}
-    fields: Mapping[str, Any] = {}
-    if not isinstance(value, type):
-        if isinstance(value, Described):
-            fields = value.given()
-        elif dataclasses.is_dataclass(value):
-            fields = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
-    return kind, {f"{name}.{key}": entry for key, entry in fields.items()}
+        text = f"DirichletBC{of}, values of a {'Constant' if constant else 'Function'}"
+        inside = {": value": value.g} if constant else {}
+    elif isinstance(value, mesh.MeshTags):
+        text, inside = f"MeshTags of dimension {value.dim}", {".names": names_of(value)}
+    elif isinstance(value, Mapping):
+        inside = {f"[{key!r}]": value[key] for key in sorted(value, key=repr)}
+        text = f"entries for {', '.join(inside) or 'nothing'}"
+    elif text is None and isinstance(value, list | tuple):
+        text, inside = f"{len(value)} entries", {f"[{k}]": v for k, v in enumerate(value)}
+    elif text is None:
+        ours = type(value).__module__.partition(".")[0] == __name__.partition(".")[0]
+        text = type(value).__qualname__ if ours else type(value)
+        inside = {f".{key}": entry for key, entry in _fields(value).items()}
+    yield name, text
+    for key, entry in inside.items():
+        yield from _leaves(f"{name}{key}", entry)
+
+
+def _fields(value: Any) -> Mapping[str, Any]:
+    """Return what an object tells that its user has given for it."""
+    if isinstance(value, type):
+        return {}
+    if hasattr(value, "given"):
+        return dict(value.given())
+    fields = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
+    return {f.name: getattr(value, f.name) for f in fields}
 
 
 def _plain(value: Any) -> str | None:
