@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar import shapes
-from dolfinx_mortar.shapes.nearest import EDGE, FACE, POINT, create_tree, find_nearest
+from dolfinx_mortar.shapes.curved import EDGE, FACE, POINT, create_tree, find_nearest
 from tests.pressed_blocks import rejected
 from tests.triangles_case import ball, box, write_binary, write_text
 
@@ -102,14 +102,15 @@ def test_around_a_centre_of_curvature():
     At the centre all points near the top are as far, to the last bit; beyond it edges are nearest.
     """
     corners = np.array([[[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]]])
-    offsets = np.array([[[0.0, 0.0, 0.25], [0.0, 0.0, 0.25], [0.0, 0.0, 0.0]]])
+    a = np.array([[[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]])
+    bends = np.stack([a, -a], axis=2)
     s, t = np.linspace(0.0, 1.0, 401)[:, None], np.linspace(0.0, 1.0, 401)[None]
     inside = s + t <= 1.0
     surface = np.stack([2.0 * s + 0.0 * t, 2.0 * t + 0.0 * s, s * (1.0 - s) + 0.0 * t], axis=2)
     depth = np.array([1.0, 1.9, 2.0, 2.1, 3.0, 5.0])
     x = np.array([1.0, 0.5, 0.25]) - depth[:, None] * [0.0, 0.0, 1.0]
     exact = np.linalg.norm(surface[inside][None] - x[:, None], axis=2).min(axis=1)
-    _, where, at = find_nearest(x, corners, offsets, *create_tree(corners, offsets))
+    _, where, at = find_nearest(x, corners, bends, *create_tree(corners, bends))
     for k, kind in enumerate(where):
         (a, b) = at[k]
         edge = kind - EDGE

@@ -1,41 +1,33 @@
 # SPDX-License-Identifier: MIT
 r"""Tools in the plane by points of their outline, from a drawing or a measured profile.
 
-The edge from p to q = p + c is the cubic with the tangents t_p and t_q there,
-
-    x(t) = p + t c + t (1 - t)^2 a - t^2 (1 - t) b,    a = |c| t_p - c,  b = |c| t_q - c.
-
-A tangent is the mean of the two that agree best of five: those of the edges before and after the
-point, and of the circles through the point and both its neighbours, or the next two on one side. On
-an arc the three circles agree, on a line and where it goes on as an arc a circle and an edge: so
-lines stay straight, and distances from arcs have order 4 in the length of their edges.
-Corners at which normals turn by more than ``crease`` stay sharp; an edge ends there with the angle
-at its other end, as an arc does. phi is the distance from this line, with the normal and the
-curvature of the nearest point.
+The edge from p to q = p + c is the cubic of `curved` with unit tangents t_p and t_q at its ends,
+a = |c| t_p - c and b = |c| t_q - c. A tangent is the mean of the two that agree best of five: those
+of the edges before and after the point, and of the circles through the point and both its
+neighbours, or the next two on one side. On an arc the three circles agree, on a line and where it
+goes on as an arc a circle and an edge: so lines stay straight, and distances from arcs have order 4
+in the length of their edges. Corners at which normals turn by more than ``crease`` stay sharp; an
+edge ends there with the angle at its other end, as an arc does.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from itertools import chain
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from dolfinx_mortar.arguments import FLAG, array, check
-from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, LIMIT, Bools, Floats, Longs
-from dolfinx_mortar.shapes.shape import (
-    CREASE,
-    Distance,
-    Shape,
-    of_centre,
-    unit_vectors,
-)
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
+from dolfinx_mortar.shapes.curved import Curved
+from dolfinx_mortar.shapes.shape import CREASE, refuse, unit_vectors
+
+REMEDY = "leave them out, or put them in the order of the outline"
 
 
-class Polyline(Shape):
+class Polyline(Curved):
     """The region on the left of a line through points, such as within a polygon; in the plane.
 
     In axisymmetric problems points are (r, z), on both sides of the axis if the tool meets it.
@@ -69,15 +61,26 @@ class Polyline(Shape):
         self._p = x if closed else x[:-1]
         self._q = np.roll(x, -1, axis=0)[: len(self._p)]
         lengths, along = unit_vectors(self._q - self._p)
-        _refuse(
-            self._p, lengths <= HALF_OF_DIGITS * np.ptp(x, axis=0).max(), "points that coincide"
-        )
+        short = lengths <= HALF_OF_DIGITS * np.ptp(x, axis=0).max()
+        refuse("points have", self._p, short, "points that coincide", REMEDY)
         before = along if closed else along[:-1]
         after = np.roll(along, -1, axis=0)[: len(before)]
         beside = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
         back = (np.abs(beside) <= HALF_OF_DIGITS) & ((before * after).sum(axis=1) < 0.0)
-        _refuse(self._q[: len(back)], back, "edges that go back along the one before")
-        _refuse(self._p, _crossed(self._p, self._q, self.closed), "edges that cross others")
+        refuse(
+            "points have",
+            self._q[: len(back)],
+            back,
+            "edges that go back along the one before",
+            REMEDY,
+        )
+        refuse(
+            "points have",
+            self._p,
+            _crossed(self._p, self._q, closed),
+            "edges that cross others",
+            REMEDY,
+        )
         if closed and (x[:, 0] * self._q[:, 1] - x[:, 1] * self._q[:, 0]).sum() < 0.0:  # area
             raise ValueError(
                 "points go clockwise around the tool: reverse them, points[::-1], or for a body in "
@@ -85,8 +88,15 @@ class Polyline(Shape):
             )
         chord = self._q - self._p
         start, end = self._tangents(lengths, along)
-        self._a, self._b = (lengths[:, None] * t - chord for t in (start, end))
-        self._tree = cKDTree((self._p + self._q) / 2)
+        bends = np.stack([lengths[:, None] * t - chord for t in (start, end)], axis=1)
+        ends = np.stack([start[:, ::-1], end[:, ::-1]], axis=1) * [1.0, -1.0]  # normals
+        around = ends.copy()
+        around[:, 0] += np.roll(ends[:, 1], 1, axis=0)
+        around[:, 1] += np.roll(ends[:, 0], -1, axis=0)
+        if not closed:
+            around[0, 0], around[-1, 1] = ends[0, 0], ends[-1, 1]
+        corners = np.stack([self._p, self._q], axis=1)
+        self._bend(corners, bends[:, None], ends[:, :1], around)
 
     @property
     def point(self) -> Floats:
@@ -97,7 +107,8 @@ class Polyline(Shape):
     def surface(self) -> tuple[Floats, Longs]:
         """Ends and middles of the edges (n, 2), and two lines (m, 2) for each."""
         p, q, n = self._p, self._q, np.arange(len(self._p))
-        x = np.concatenate([p, (p + q) / 2 + (self._a - self._b) / 8.0, q])
+        a, b = np.moveaxis(self._bends[:, 0, :, :2], 1, 0)
+        x = np.concatenate([p, (p + q) / 2 + (a - b) / 8.0, q])
         lines = np.concatenate([n, n + len(n)]), np.concatenate([n + len(n), n + 2 * len(n)])
         return x, np.stack(lines, axis=1)
 
@@ -122,68 +133,6 @@ class Polyline(Shape):
                 )
         return super().misfit(d, revolved)
 
-    def distance(self, x: Floats) -> Distance:
-        """Return the distances of points x (n, 2)."""
-        near, t = self._nearest(x)
-        foot, slope, second = self._on_edge(near, t)
-        offset = x - foot
-        square = (slope**2).sum(axis=1)
-        normal = np.column_stack([slope[:, 1], -slope[:, 0]]) / np.sqrt(square)[:, None]
-        past = np.abs((offset * slope).sum(axis=1)) > HALF_OF_DIGITS * square
-        at_corner = past & ((t == 0.0) | (t == 1.0))
-        phi = (offset * normal).sum(axis=1)
-        bend = (second * normal).sum(axis=1)
-        curved = -bend / (square * (square - phi * bend))
-        hessian = curved[:, None, None] * slope[:, :, None] * slope[:, None]
-        found = Distance(phi, normal, hessian)
-        if not at_corner.any():
-            return found
-        corner = of_centre(offset)
-        outside = (offset * self._corner_normals(near, t)).sum(axis=1) >= 0.0
-        return found.where(~at_corner, corner.where(outside, -corner))
-
-    def _nearest(self, x: Floats) -> tuple[Longs, Floats]:
-        """Return the nearest edge (n,) of points (n, 2), and t there (n,)."""
-        half = np.linalg.norm(self._q - self._p, axis=1).max() / 2
-        # a point of an edge is no farther from its middle than half of it and its bulge
-        ends = np.linalg.norm(self._a, axis=1) + np.linalg.norm(self._b, axis=1)
-        bulge = 4.0 / 27.0 * ends.max()  # the largest t (1 - t)^2
-        reach = self._tree.query(x)[0] + 2.0 * (half + bulge)
-        lists = self._tree.query_ball_point(x, reach * (1.0 + HALF_OF_DIGITS))
-        counts = np.array([len(some) for some in lists], dtype=np.int64)
-        point = np.repeat(np.arange(len(x)), counts)
-        edge = np.fromiter(chain.from_iterable(lists), np.int64, counts.sum())
-        t, square = self._on_edges(x[point], edge)
-        order = np.lexsort((square, point))
-        first = order[np.flatnonzero(np.diff(point[order], prepend=-1))]
-        return edge[first], t[first]
-
-    def _on_edges(self, x: Floats, edge: Longs) -> tuple[Floats, Floats]:
-        """Return t of the nearest points on edges (k,) to points (k, 2), and squared distances.
-
-        Newton's method in [0, 1], from the nearest point of the chord.
-        """
-        p, chord = self._p[edge], (self._q - self._p)[edge]
-        t = np.clip(((x - p) * chord).sum(axis=1) / (chord**2).sum(axis=1), 0.0, 1.0)
-        for _ in range(LIMIT):
-            foot, slope, second = self._on_edge(edge, t)
-            r, square = x - foot, (slope**2).sum(axis=1)
-            curved = square - (r * second).sum(axis=1)
-            step = (r * slope).sum(axis=1) / np.where(curved > 0.0, curved, square)
-            last, t = t, np.clip(t + step, 0.0, 1.0)
-            if (np.abs(t - last) <= 4.0 * EPS).all():
-                break
-        r = x - self._on_edge(edge, t)[0]
-        return t, (r**2).sum(axis=1)
-
-    def _on_edge(self, edge: Longs, t: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return x(t) of edges (n, 2), its first and its second derivative."""
-        p, chord, a, b = self._p[edge], (self._q - self._p)[edge], self._a[edge], self._b[edge]
-        t = t[:, None]
-        x = p + t * chord + t * (1.0 - t) ** 2 * a - t**2 * (1.0 - t) * b
-        slope = chord + (1.0 - 4.0 * t + 3.0 * t**2) * a + (3.0 * t**2 - 2.0 * t) * b
-        return x, slope, (6.0 * t - 4.0) * a + (6.0 * t - 2.0) * b
-
     def _tangents(self, lengths: Floats, along: Floats) -> tuple[Floats, Floats]:
         """Return unit tangents at the starts and the ends of edges (m, 2)."""
         before = np.roll(along, 1, axis=0)
@@ -206,18 +155,6 @@ class Polyline(Shape):
         sharp_end = np.where(smooth[:, None], _mirrored(start, along), along)
         start = np.where(smooth[:, None], start, sharp_start)
         return start, np.where(at_end[:, None], end, sharp_end)
-
-    def _corner_normals(self, edge: Longs, t: Floats) -> Floats:
-        """Return the sum of the normals (n, 2) of the edges that meet at t = 0 or 1 of edges."""
-        m = len(self._p)
-        other = edge + np.where(t == 0.0, -1, 1)
-        known = self.closed | ((other >= 0) & (other < m))
-        ends = []
-        for number, at_start in ((edge, t == 0.0), (other % m, t != 0.0)):
-            turn = np.where(at_start[:, None], self._a[number], self._b[number])
-            _, unit = unit_vectors((self._q - self._p)[number] + turn)
-            ends.append(np.column_stack([unit[:, 1], -unit[:, 0]]))
-        return np.asarray(ends[0] + np.where(known[:, None], ends[1], 0.0))
 
 
 def _mirrored(tangent: Floats, along: Floats) -> Floats:
@@ -261,13 +198,3 @@ def _crossed(p: Floats, q: Floats, closed: bool) -> Bools:
         next_to = (apart <= 1) | (closed & (apart == m - 1))
         result[k] = (between & ~next_to).any()
     return result
-
-
-def _refuse(x: Floats, wrong: Bools, what: str) -> None:
-    """Raise a ValueError with number and place if some edges (m,) are wrong."""
-    if wrong.any():
-        place = ", ".join(f"{c:.4g}" for c in x[int(np.argmax(wrong))])
-        raise ValueError(
-            f"points have {int(wrong.sum())} {what} among {len(x)}, the first one at ({place}): "
-            "leave them out, or put them in the order of the outline"
-        )

@@ -132,6 +132,15 @@ def check_unit(name: str, value: Any, d: int) -> Floats:
     return np.asarray(found / np.linalg.norm(found))
 
 
+def refuse(who: str, x: Floats, wrong: Bools, what: str, remedy: str) -> None:
+    """Raise a ValueError with their number and the first place if some of x (m, d) are wrong."""
+    if wrong.any():
+        place = ", ".join(f"{c:.4g}" for c in x[int(np.argmax(wrong))])
+        raise ValueError(
+            f"{who} {wrong.sum()} {what} among {len(x)}, the first one around ({place}): {remedy}"
+        )
+
+
 def unit_vectors(v: Floats) -> tuple[Floats, Floats]:
     """Return the lengths (n,) of vectors (n, d) and the unit vectors, 0 where there is none."""
     size = np.linalg.norm(v, axis=1)

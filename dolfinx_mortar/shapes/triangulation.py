@@ -12,6 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
+from dolfinx_mortar.shapes.shape import refuse
 
 FIRST, SECOND = np.array([0, 1, 2]), np.array([1, 2, 0])
 """Corners of the edges of a triangle."""
@@ -102,8 +103,9 @@ def create_triangulation(points: Floats, triangles: Longs, *, rim: bool) -> Tria
     across = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     sides = _length(x - x[:, [1, 2, 0]])
     flat = _length(across) <= HALF_OF_DIGITS * sides.max(axis=1) ** 2
-    _refuse(
-        x,
+    refuse(
+        "surface has",
+        x.mean(axis=1),
         flat,
         "triangles without area",
         "remove them, and let their neighbours have common corners",
@@ -130,8 +132,9 @@ def _find_neighbours(x: Floats, triangles: Longs, rim: bool) -> Longs:
     )
     place = place.ravel()
     uses = count[place].reshape(-1, 3)
-    _refuse(
-        x,
+    refuse(
+        "surface has",
+        x.mean(axis=1),
         np.asarray((uses > 2).any(axis=1)),
         "triangles with an edge of three or more of them",
         "no surface does that; leave out what is inside the tool",
@@ -143,16 +146,18 @@ def _find_neighbours(x: Floats, triangles: Longs, rim: bool) -> Longs:
     beyond = np.full(len(ends), -1, dtype=np.int64)
     beyond[one], beyond[other] = other // 3, one // 3
     against = np.flatnonzero(ends[one, 0] == ends[other, 0])
-    _refuse(
-        x,
+    refuse(
+        "surface has",
+        x.mean(axis=1),
         _find_turned(one, other, against, len(x)),
         "triangles that are turned against their neighbours",
         "order the corners of all counterclockwise as seen from outside of the tool",
     )
     found = beyond.reshape(-1, 3)
     if not rim:
-        _refuse(
-            x,
+        refuse(
+            "surface has",
+            x.mean(axis=1),
             np.asarray((found < 0).any(axis=1)),
             "triangles at a hole",
             "close it; or give rim=True for a surface that ends beside the body",
@@ -190,17 +195,6 @@ def _find_turned(one: Longs, other: Longs, against: Longs, m: int) -> Bools:
         if 2 * turned[mine].sum() > len(mine):
             turned[mine] = ~turned[mine]
     return turned
-
-
-def _refuse(x: Floats, wrong: Bools, what: str, remedy: str) -> None:
-    """Raise a ValueError with number and place if some triangles (m,) are wrong."""
-    if wrong.any():
-        middle = x[int(np.argmax(wrong))].mean(axis=0)
-        place = ", ".join(f"{c:.4g}" for c in middle)
-        raise ValueError(
-            f"surface has {int(wrong.sum())} {what} among {len(x)}, the first one around "
-            f"({place}): {remedy}"
-        )
 
 
 def _length(vectors: npt.NDArray[np.floating[Any]]) -> Floats:
