@@ -7,8 +7,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.qp import active_set
-from dolfinx_mortar.qp.held import HeldProblem
-from dolfinx_mortar.qp.updates import Outcome
+from dolfinx_mortar.qp.held import HeldProblem, Outcome
 from tests.friction_case import create
 
 PATH = [(0.0, -0.02), (0.006, -0.02), (0.03, -0.02)]
@@ -37,7 +36,7 @@ def test_given_limits_again_and_again(cell, monkeypatch):
     """Where the exact linearisation goes in circles: the same answer, and the report says so."""
     expected, said = walk(cell)
     assert said == ["exact linearisation"] * 3
-    update = active_set._update_frictional
+    update = active_set._update
 
     def go_in_circles(problem, start, level):
         if any_rank(problem.qp.comm, problem.qp.friction.coefficient.any())[0]:
@@ -45,7 +44,7 @@ def test_given_limits_again_and_again(cell, monkeypatch):
             return Outcome(first.predicted, 1, "it came back")
         return update(problem, start, level)
 
-    monkeypatch.setattr(active_set, "_update_frictional", go_in_circles)
+    monkeypatch.setattr(active_set, "_update", go_in_circles)
     case, said = walk(cell)
     assert said == ["given limits"] * 3
     agree(case, expected, 1e-7)

@@ -191,11 +191,11 @@ def test_forces_over_slips_are_the_kappa_to_start_with() -> None:
     kappa = force / np.linalg.norm(solution.x.array_r[p.tangential] - p.rest, axis=1)
     c, s = np.cos(0.1), np.sin(0.1)
     turned = solution.sliding @ np.array([[c, -s], [s, c]])
-    start = {"start_active": solution.active, "start_sliding": turned, "rtol": 1e-10}
+    start = {"start_active": solution.active, "start_sliding": turned, "rtol": 1e-2}
     assert solve(p.qp(), start_kappa=kappa, **start).updates == 1
     for given in ({}, {"start_kappa": np.full(3, np.inf)}):
-        other = solve(p.qp(), **given, **start)
-        assert other.updates == 2
+        assert solve(p.qp(), **given, **start).updates == 2
+        other = solve(p.qp(), **given, **start | {"rtol": 1e-10})
         np.testing.assert_allclose(other.x.array_r, solution.x.array_r, atol=EXACT)
 
 

@@ -288,11 +288,11 @@ def as_scalars(drives: Drives, lin: Linearisation, rtol: float, begun: float) ->
             columns[a, held] = -scale * side
         parts = drives.comm.allreduce(parts, op=MPI.SUM)
         loads, block = loads + parts[:, m], parts[:, :m]
-    noise = drives.noise(lin.balance) + drives.allowed(rtol * begun)
+    noise = drives.noise(lin.balance) + drives.allowed(rtol * begun) + rtol * np.abs(drives.loads)
     block = block * np.outer(inverse, inverse)
     each = inverse[:, None]
     forces = loads * inverse, columns * each, rows * each, block, noise * inverse
-    return Scalars(e * each, *forces, rtol)
+    return Scalars(e * each, *forces)
 
 
 def settle(drives: Drives, lin: Linearisation, solved: QPSolution, extent: float) -> Settled:

@@ -29,8 +29,7 @@ class Scalars:
     columns: Floats  # (m, n) C = -d(b - A x)/dq
     rows: Floats  # (m, n) R
     block: Floats  # (m, m) Q
-    noise: Floats  # (m,) forces that count as zero
-    rtol: float  # of the forces on each
+    noise: Floats  # (m,) forces on each that count as zero
 
     def sizes(self, qp: BoundQP) -> Floats:
         """Return the largest stiffness of a node against each (m,), 0 for round-off; collective."""
@@ -66,20 +65,21 @@ class BoundQP:
     scalars: Scalars | None = None  # on all ranks or on none
     taken: float = 0.0  # norm of what scalars have taken off b
 
-    @property
+    @cached_property
     def comm(self) -> MPI.Comm:
         """Communicator of the matrix."""
         return self.A.comm.tompi4py()
 
+    @cached_property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Return (lower, upper) on `bounded` with IEEE infinities where there is no bound."""
+        """(lower, upper) on `bounded` with IEEE infinities where there is no bound."""
         lower = self.lower.array_r[self.bounded].copy()
         upper = self.upper.array_r[self.bounded].copy()
         lower[lower <= PETSc.NINFINITY] = -np.inf
         upper[upper >= PETSc.INFINITY] = np.inf
         return lower, upper
 
-    @property
+    @cached_property
     def held(self) -> Ints:
         """Owned unknowns with bounds or friction, ascending."""
         law = self.friction
@@ -263,7 +263,7 @@ def reaction(qp: BoundQP, x: PETSc.Vec) -> PETSc.Vec:
 def on_bounded(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> Bounded:
     """Return an iterate on this rank's bounded unknowns."""
     own = qp.bounded
-    return Bounded(x.array_r[own], z.array_r[own], *qp.bounds(), qp.stiffness[own])
+    return Bounded(x.array_r[own], z.array_r[own], *qp.bounds, qp.stiffness[own])
 
 
 def on_friction(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec, found: Bounded) -> Sliders:

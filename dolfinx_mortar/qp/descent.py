@@ -28,11 +28,10 @@ from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.qp.bound_qp import BoundQP, on_bounded, reaction
 from dolfinx_mortar.qp.friction import Friction
-from dolfinx_mortar.qp.held import HeldProblem, State
-from dolfinx_mortar.qp.updates import TIGHT, Outcome
+from dolfinx_mortar.qp.held import TIGHT, HeldProblem, Outcome, State
 
 
-def descend(problem: HeldProblem, start: State, level: int = TIGHT) -> Outcome[State]:
+def descend(problem: HeldProblem, start: State, level: int = TIGHT) -> Outcome:
     """Minimise J; the x and z of the problem are the solution (collective).
 
     Args:
@@ -103,7 +102,7 @@ class _Descent:
         problem.solve(start, level)
         self.x = problem.x.copy()
         bounded = self.qp.bounded
-        self.x.array[bounded] = np.clip(self.x.array_r[bounded], *problem.bounds)
+        self.x.array[bounded] = np.clip(self.x.array_r[bounded], *self.qp.bounds)
         slip = self.slip(self.x)
         turned = start.slips(self.law) & (slip != 0.0)
         sides = np.where(turned, np.sign(slip), start.directions[:, 0])
@@ -114,7 +113,7 @@ class _Descent:
         """Return x_t - rest (m,)."""
         return np.asarray((self.law.pick(x.array_r) - self.law.rest)[:, 0])
 
-    def run(self) -> Outcome[State]:
+    def run(self) -> Outcome:
         """Descend until the minimum of a state is that of J."""
         problem, most = self.problem, most_solves(self.qp)
         for updates in range(1, most + 1):
@@ -137,7 +136,7 @@ class _Descent:
         step, turns = d.array_r[bounded], self.law.pick(d.array_r)[:, 0]
         if -slope <= atol * d.norm():  # within the round-off of the forces
             return False
-        lower, upper = problem.bounds
+        lower, upper = self.qp.bounds
         side = np.where(step > 0.0, upper, lower)
         distance = np.where(state.active == 0, side - self.x.array_r[bounded], np.inf)
         bounds = np.divide(distance, step, out=np.full_like(step, np.inf), where=step != 0.0)

@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: MIT
-"""The large problem with a given active set: a linear system, solved as accurately as needed.
+"""The active-set method: solve with a set, update it, until it is unchanged.
 
 With friction, tangential unknowns of sticking nodes are fixed, too, and at slipping nodes the
-reaction of the law takes the place of 0.
+reaction of the law takes the place of 0. Each set is a linear system, solved as accurately as
+needed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Protocol
+from hashlib import blake2b
+from typing import Any, Protocol
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -18,9 +21,7 @@ import numpy as np
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm
 from dolfinx_mortar.arrays import LIMIT, ROUND_OFF, Actives, Bools, Floats, Ints
 from dolfinx_mortar.qp.bound_qp import (
-    KKT,
     BoundQP,
-    QPSolution,
     check,
     is_noise,
     on_bounded,
@@ -28,18 +29,18 @@ from dolfinx_mortar.qp.bound_qp import (
     reaction,
 )
 from dolfinx_mortar.qp.friction import Friction, Sliding
-from dolfinx_mortar.qp.linear import GoOn
-from dolfinx_mortar.qp.updates import LOOSE, TIGHT, Found, Outcome
 
+# Levels of accuracy: the first sets follow from loose solves, the last one from a tight one.
+LOOSE, TIGHT = 0, 2
 # Solves are this much more accurate than the check, whose scale may decrease meanwhile. Five plane
-# problems with multigrid: the same forces, and with 1/8, 1/4, 1/2, 3/4, 1 conjugate gradients take
-# 1.21, 1.10, 1, .93, .90 of the iterations; near 1 they would hardly gain the digit asked for next.
+# problems with multigrid: the same forces, and with 1/4, 1/2, 1 conjugate gradients take 1.10, 1,
+# .90 of the iterations; near 1 they would hardly gain the digit asked for next.
 SHARE = 0.5
 
 
 def nearest(qp: BoundQP) -> Actives:
     """Return the active set (k,) with every bounded unknown at its bound nearest to zero."""
-    lower, upper = qp.bounds()
+    lower, upper = qp.bounds
     return np.where(np.abs(upper) <= np.abs(lower), 1, -1).astype(np.int8)
 
 
@@ -104,8 +105,68 @@ class State:
 
 
 @dataclass(frozen=True)
+class Found:
+    """Result of a solve with a given set."""
+
+    predicted: Any  # the next set
+    changes: int  # unknowns on all ranks that differ and are not weakly active
+    satisfied: bool  # accurate enough for the last solve
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Result of the updates."""
+
+    state: Any  # the last set of a solve
+    updates: int
+    reason: str  # why the updates have not converged, "" if they have
+
+
+def update(
+    hold: Callable[[Any, int], Found], state: Any, comm: MPI.Comm, *, level: int = TIGHT
+) -> Outcome:
+    """Update the set until it is unchanged (collective).
+
+    A set that occurs again is a cycle: inaccurate solves may cause it, so their accuracy is raised;
+    with accurate ones it would never end.
+
+    Args:
+        hold: solves with a set, to the accuracy of a level.
+        state: this rank's part of the first set.
+        comm: communicator of the ranks that share the set.
+        level: accuracy of the first solve.
+    """
+    seen: set[int] = set()
+    updates, held = 1, state
+    for _ in range(LIMIT):
+        held = state
+        found = hold(held, level)
+        if found.changes == 0 and found.satisfied:
+            return Outcome(held, updates, "")
+        if found.changes == 0:
+            level += 1
+        elif came_back(found.predicted, seen, comm):
+            if level >= TIGHT:
+                return Outcome(held, updates, "the active set came back to an earlier one")
+            level += 1
+            seen.clear()
+        updates += found.changes > 0
+        state = found.predicted
+    return Outcome(held, updates, f"the active set still changed after {LIMIT} solves")
+
+
+def came_back(active: Any, seen: set[int], comm: MPI.Comm) -> bool:
+    """Tell whether this set, of all ranks, is among those seen, and add it (collective)."""
+    part = blake2b(active.tobytes(), digest_size=7, salt=str(comm.rank).encode())
+    everywhere = comm.allreduce(int.from_bytes(part.digest()), op=MPI.SUM)
+    known = everywhere in seen
+    seen.add(everywhere)
+    return known
+
+
+@dataclass(frozen=True)
 class Best:
-    """The state with the least error in the law of friction so far."""
+    """The state with the least error so far."""
 
     state: State
     error: float  # a force
@@ -114,9 +175,7 @@ class Best:
 class Solver(Protocol):
     """Solves linear systems with held unknowns; see `LinearSolver`."""
 
-    @property
-    def direct(self) -> bool:
-        """Tell whether it factorises."""
+    exact: bool  # one solve is as accurate as round-off allows
 
     def round_off(self, x: PETSc.Vec) -> float:
         """Return the round-off of A x; collective."""
@@ -130,13 +189,12 @@ class Solver(Protocol):
         atol: float,
         z: PETSc.Vec | None = None,
         sliding: Sliding | None = None,
-        go_on: GoOn | None = None,
     ) -> PETSc.Vec:
         """Solve for what is not held in place, return b - A x; collective."""
 
 
 class HeldProblem:
-    """The QP with a given active set, for `updates.update`.
+    """The QP with a given active set, for `update`.
 
     The relative accuracy of level l is rtol^(2^(l - 2)): the fourth root of rtol, its square root,
     rtol, and its square where the check still fails because the increment is small relative to the
@@ -145,65 +203,45 @@ class HeldProblem:
 
     Args:
         x: (n,) in: initial guess; out: the last solution.
+        rtol: as above.
+        most: largest residual of the tight level.
     """
 
     def __init__(
-        self,
-        qp: BoundQP,
-        linear: Solver,
-        x: PETSc.Vec,
-        rtol: float,
+        self, qp: BoundQP, linear: Solver, x: PETSc.Vec, rtol: float, most: float = np.inf
     ) -> None:
-        self.qp, self.linear, self.x, self.rtol = qp, linear, x, rtol
-        self.visited = np.zeros(qp.bounded.size, dtype=bool)  # active in a state
+        self.qp, self.linear, self.x, self.rtol, self.most = qp, linear, x, rtol, most
         self.z = reaction(qp, x)
         self.guessed = self.z.norm()
         self.reactions: float | None = None  # at the bounds; unknown before the first solve
         self.best: Best | None = None
         self.level = LOOSE  # of the last solve
-        self.asked = np.inf  # its tolerance
-        self._checked: tuple[PETSc.Vec, KKT] | None = None  # z of the last check, its residuals
-
-    @property
-    def bounds(self) -> tuple[Floats, Floats]:
-        """Lower and upper bounds (k,)."""
-        return self.qp.bounds()
-
-    @property
-    def continued(self) -> bool:
-        """Whether an iteration goes on at the next accuracy.
-
-        A factorisation takes one iteration or two, friction another method.
-        """
-        return self.qp.friction is None and not self.linear.direct
 
     def forget(self) -> None:
         """Start again from x = 0, after a solve that has failed."""
         self.x.set(0.0)
         self.z = self.qp.b.copy()
 
-    def hold(self, state: State, level: int, worst: bool = False) -> Found[State]:
+    def hold(self, state: State, level: int, worst: bool = False) -> Found:
         """Solve in a state; x and z are the solution (collective).
 
         Args:
             state: active set and directions of slip.
             level: accuracy.
-            worst: with friction, only the nodes with the largest error change their state.
+            worst: only the unknowns with the largest error change their state.
 
         Raises:
             LinearSolveFailed: if the state leaves a body unconstrained.
         """
-        self.visited |= state.active != 0
         if level > self.level:  # smaller errors become visible
             self.level, self.best = level, self.best and replace(self.best, error=np.inf)
-        atol = self.solve(state, self.level)
+        atol, law, comm = self.solve(state, level), self.qp.friction, self.qp.comm
         if is_noise(self.qp, self.x, self.z):
             return Found(state, 0, satisfied=True)
-        law = self.qp.friction
         found = on_bounded(self.qp, self.x, self.z)
         atol = max(atol, self.linear.round_off(self.x))
         new = State(found.predicted(), state.directions, state.stiffness)
-        strength = found.strength(state.active, new.active)
+        strength, missing = found.strength(state.active, new.active), np.zeros(0)
         changes = int((strength > atol).sum())
         if law is not None:
             sliders = on_friction(self.qp, self.x, self.z, found)
@@ -211,73 +249,43 @@ class HeldProblem:
             changes += int((missing > atol).sum())
             new = State(new.active, *sliders.directions(state.directions))
             missing = np.where(state.slips(law) != new.slips(law), missing, 0.0)
-            tops = maximum(self.qp.comm, strength.max(initial=0.0), missing.max(initial=0.0))
-            largest = float(tops.max())
-            if largest < (self.best.error if self.best else np.inf):
-                self.best = Best(state, largest)
-            if worst:
-                new = state.towards(new, strength >= largest, missing >= largest)
-        changes = int(self.qp.comm.allreduce(changes))
-        satisfied = changes == 0 and self.level >= TIGHT and self._is_accurate(self.level)
-        if self.continued and self.level >= TIGHT and changes == 0 and not satisfied:
-            # more digits of the same set would not help where weakly active unknowns are wrong
-            changes = int(self.qp.comm.allreduce(int((new.active != state.active).sum())))
-        return Found(new, changes, satisfied)
+        tops = maximum(comm, strength.max(initial=0.0), missing.max(initial=0.0))
+        largest = float(tops.max())
+        if largest < (self.best.error if self.best else np.inf):
+            self.best = Best(state, largest)
+        if worst:
+            new = state.towards(new, strength >= largest, missing >= largest)
+        changes = int(comm.allreduce(changes))
+        return Found(new, changes, changes == 0 and level >= TIGHT and self._is_accurate(level))
 
     def solve(self, state: State, level: int) -> float:
         """Solve in a state; x and z are the solution; return the tolerance (collective)."""
-        qp, active, (lower, upper) = self.qp, state.active, self.bounds
-        on = active != 0
-        held, values = qp.bounded[on], np.where(active > 0, upper, lower)[on]
+        qp, (lower, upper) = self.qp, self.qp.bounds
+        on = state.active != 0
+        held, values = qp.bounded[on], np.where(state.active > 0, upper, lower)[on]
         sliding = None
-        if (law := self.qp.friction) is not None:
+        if (law := qp.friction) is not None:
             stuck = state.sticks(law)
             held = np.concatenate([held, law.tangential[stuck]])
             values = np.concatenate([values, law.rest[stuck]])
             sliding = self._sliding(law, state)
-        if any_rank(self.qp.comm, (self.x.array_r[held] != values).any())[0]:
+        if any_rank(qp.comm, (self.x.array_r[held] != values).any())[0]:
             self.x.array[held] = values
-            self.z = reaction(self.qp, self.x)
+            self.z = reaction(qp, self.x)
         held = np.sort(held)
         if self.reactions is None:
             self.reactions = max(self.guessed, self.z.norm())
-        self.asked = self._tolerance(level)
-        go_on = partial(self._go_on, state, held) if self.continued else None
-        reached = self.asked
+        reached = asked = self._tolerance(level)
         for _ in range(LIMIT):  # until the tolerance holds with the reactions of the solution
             solved = self.linear.solve(
-                qp.b, self.x, held, atol=SHARE * self.asked, z=self.z, sliding=sliding, go_on=go_on
+                qp.b, self.x, held, atol=SHARE * asked, z=self.z, sliding=sliding
             )
             self.z = solved.copy()
             self.reactions = norm(qp.comm, self.z.array_r[held])
-            reached, self.asked = self.asked, self._tolerance(self.level)
-            if SHARE * reached <= self.asked:
+            reached, asked = asked, self._tolerance(level)
+            if SHARE * reached <= asked:
                 break
         return reached
-
-    def _go_on(self, state: State, held: Ints, x: PETSc.Vec, z: PETSc.Vec) -> float:
-        """Return the tolerance with which an iteration goes on from x, z = b - A x; 0 to end.
-
-        It ends where the state changes, or where the check is satisfied; collective.
-        """
-        self.reactions = norm(self.qp.comm, z.array_r[held])
-        atol = self._tolerance(self.level)
-        if self.asked > atol and SHARE * self.asked > atol:  # of the reactions before
-            self.asked = atol
-            return SHARE * atol
-        found = on_bounded(self.qp, x, z)
-        strength = found.strength(state.active, found.predicted())
-        if any_rank(self.qp.comm, (strength > min(atol, self._tolerance(TIGHT))).any())[0]:
-            return 0.0  # a change that is weak now, but not at the end
-        if self.level < TIGHT:
-            self.level, self.asked = self.level + 1, self._tolerance(self.level + 1)
-            return SHARE * self.asked
-        wrong = any_rank(self.qp.comm, (strength > 0.0).any())[0]
-        self.asked *= SHARE**3  # about a digit
-        exhausted = self.asked < ROUND_OFF * max(self.qp.b.norm(), self.reactions)
-        if wrong or exhausted or check(self.qp, x, z).satisfied(self.rtol):
-            return 0.0
-        return SHARE * self.asked
 
     def _sliding(self, law: Friction, state: State) -> Sliding | None:
         """Return the linearised law of slipping nodes, None if no rank has any; collective."""
@@ -288,33 +296,18 @@ class HeldProblem:
         normal = self.qp.bounded[parts.normal]
         return Sliding(normal, parts, state.directions[slips], state.stiffness[slips])
 
-    def solution(self, outcome: Outcome[State], name: str) -> QPSolution:
-        """Return the last solution."""
-        kkt, state = self._check(), outcome.state
-        law, directions = self.qp.friction, None
-        if law is not None:
-            directions = np.where(state.slips(law)[:, None], state.directions, 0.0)
-        counts = outcome.updates, 0, 0
-        return QPSolution(self.x, self.z, state.active, kkt, *counts, name, sliding=directions)
-
     def _accuracy(self, level: int) -> float:
         return float(max(self.rtol ** (2.0 ** (level - TIGHT)), ROUND_OFF))
 
     def _is_accurate(self, level: int) -> bool:
         """Tell whether the check is satisfied, or cannot be satisfied any better."""
-        finest = self._accuracy(level) <= ROUND_OFF
-        return finest or self._check().satisfied(self.rtol)
-
-    def _check(self) -> KKT:
-        """Return the residuals of the present x; collective."""
-        if self._checked is None or self._checked[0] is not self.z:  # each x has a z of its own
-            self._checked = self.z, check(self.qp, self.x, self.z)
-        return self._checked[1]
+        finest = self.linear.exact or self._accuracy(level) <= ROUND_OFF
+        return finest or check(self.qp, self.x, self.z).satisfied(self.rtol)
 
     def _tolerance(self, level: int) -> float:
         """Return the largest residual at a level."""
         assert self.reactions is not None
         force = max(self.qp.b.norm(), self.reactions)
         if level >= TIGHT:
-            return self._accuracy(level) * force
+            return min(self._accuracy(level) * force, self.most)
         return max(self.rtol * force, self._accuracy(level) * self.reactions)

@@ -13,9 +13,8 @@ import numpy as np
 from dolfinx_mortar.algebra.errors import from_callbacks
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, QUARTER_OF_DIGITS
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, on_bounded, reaction
-from dolfinx_mortar.qp.held import SHARE, HeldProblem, State
+from dolfinx_mortar.qp.held import SHARE, HeldProblem, State, update
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
-from dolfinx_mortar.qp.updates import update
 
 
 @from_callbacks()
@@ -96,7 +95,7 @@ class _Scaled:
         self.s = qp.A.getDiagonal()
         self.s.sqrtabs()
         self.s.reciprocal()
-        lower, upper = qp.bounds()
+        lower, upper = qp.bounds
         x = qp.b.duplicate()
         x.set(0.0)
         x.array[qp.bounded] = np.clip(0.0, lower, upper)
@@ -117,7 +116,7 @@ class _Scaled:
         """Return the bounds of y, -box and box where there are none."""
         own = self.qp.bounded
         sides = self.b.duplicate(), self.b.duplicate()
-        for side, values, far in zip(sides, self.qp.bounds(), (-box, box), strict=True):
+        for side, values, far in zip(sides, self.qp.bounds, (-box, box), strict=True):
             side.set(far)
             scaled = values / (self.s.array_r[own] * self.length)
             side.array[own] = np.where(np.isfinite(scaled), scaled, far)
@@ -145,5 +144,6 @@ def _polish(qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, rtol: float) -> QPS
         outcome = update(problem.hold, State.create(qp, active), qp.comm)
     except LinearSolveFailed:
         return found
-    polished = problem.solution(outcome, "")
+    x, z, active = problem.x, problem.z, outcome.state.active
+    polished = QPSolution(x, z, active, check(qp, x, z), outcome.updates, 0, 0, "")
     return polished if polished.kkt.worst < found.kkt.worst else found

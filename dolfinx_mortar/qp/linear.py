@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
@@ -33,7 +33,6 @@ from dolfinx_mortar.qp.preconditioner import (
     Preconditioner,
     Renewal,
     SlownessTest,
-    no_more,
 )
 from dolfinx_mortar.qp.schur import SchurComplement
 
@@ -54,27 +53,6 @@ class LinearSolveFailed(RuntimeError):
 
 class NotDefinite(LinearSolveFailed):
     """A matrix that is not positive definite on the free unknowns: singular, or indefinite."""
-
-
-# Asked with a solution x and its b - A x: the tolerance with which to go on, 0 to end.
-GoOn = Callable[[PETSc.Vec, PETSc.Vec], float]
-
-
-@dataclass
-class Aim:
-    """The tolerance of a solve, which may change on the way."""
-
-    atol: float
-    go_on: GoOn | None = None
-
-    def next(self, x: PETSc.Vec, z: PETSc.Vec) -> float:
-        """Return the tolerance with which to go on from a solution, 0 to end; collective."""
-        new = 0.0 if self.go_on is None else self.go_on(x, z)
-        if not 0.0 < new < self.atol:
-            self.go_on = None
-            return 0.0
-        self.atol = new
-        return new
 
 
 @dataclass(frozen=True)
@@ -126,6 +104,8 @@ class LinearSolver:
         ValueError: for options that PETSc cannot use, on all ranks.
     """
 
+    exact = False
+
     def __init__(
         self,
         comm: MPI.Comm,
@@ -147,13 +127,16 @@ class LinearSolver:
         self._kind = True  # of the present matrix
         self._order = 0  # of the last matrix, 0 before any
         self.beyond = 0  # negative eigenvalues of the last condensed matrix, see `dense`
-        self.visited: Ints = np.zeros(0, dtype=np.int32)  # bounded unknowns of the QP before
-        self.condensed: object = None  # the last `dense.Condensed`, for QPs of the same matrix
 
     @property
     def _setup(self) -> MatrixSetup | None:
         """Solvers of the present matrix, if one is set."""
         return self._setups.get(self._kind)
+
+    @property
+    def schur(self) -> SchurComplement | None:
+        """The complement in the factorisation of the present matrix, if it has one."""
+        return None if self._setup is None else self._setup.preconditioner.schur
 
     @property
     def direct(self) -> bool:
@@ -288,12 +271,11 @@ class LinearSolver:
 
     def abandon(self) -> None:
         """Use no matrix of before, as an error may have left it locked; without communication."""
-        self._setups, self.condensed = {}, None  # freed when PETSc collects its garbage
+        self._setups = {}  # freed when PETSc collects its garbage
         self.options.grown.pop(OF_AGGREGATES, None)
 
     def _drop(self, kind: bool) -> None:
         """Free one of them, and what has its preconditioner; collective."""
-        self.condensed = None
         beside = self._setups.get(False)
         if kind and beside is not None and beside.shared:
             self._drop(False)
@@ -302,7 +284,6 @@ class LinearSolver:
 
     def forget(self, *, keep_definite: bool = False) -> None:
         """Renew the numeric factorisations at the next solves, perhaps not that of a definite A."""
-        self.visited = np.zeros(0, dtype=np.int32)
         for definite, setup in self._setups.items():
             if not (definite and keep_definite):
                 setup.preconditioner.held = None
@@ -379,11 +360,9 @@ class LinearSolver:
             return negative_pivots(setup.preconditioner.pc) + self.beyond > 0
         return count_negative(setup.operator.matrix) > 0
 
-    def solve_many(self, right: PETSc.Mat, found: PETSc.Mat) -> None:
-        """Set the columns of a dense matrix to A^-1 times those of another; collective."""
-        begin = perf_counter()
-        self.setup.preconditioner.pc.getFactorMatrix().matSolve(right, found)
-        self.counts.seconds_solve += perf_counter() - begin
+    def hold(self, held: Ints) -> None:
+        """Hold these unknowns of the present matrix; collective."""
+        self._operator.hold(held)
 
     def apply(self, r: PETSc.Vec, x: PETSc.Vec) -> None:
         """Apply the present factorisation or preconditioner once: x = F^-1 r."""
@@ -404,7 +383,6 @@ class LinearSolver:
         atol: float,
         z: PETSc.Vec | None = None,
         sliding: Sliding | None = None,
-        go_on: GoOn | None = None,
     ) -> PETSc.Vec:
         """Solve for the unknowns that are not held, in place (collective).
 
@@ -416,8 +394,6 @@ class LinearSolver:
             z: (n,) b - A x of the given x, if known.
             sliding: law of the slipping nodes, whose reactions replace 0 on the right; on all ranks
                 or on none.
-            go_on: asked at the tolerance for a smaller one, with which conjugate gradients continue
-                where they are; iterations that were restarted would lose what they have learnt.
 
         Returns:
             (n,) b - A x, also at held unknowns; the next call reuses the vector.
@@ -432,26 +408,23 @@ class LinearSolver:
         before = self.counts.iterations
         self.counts.solves += 1
         first = norm = operator.residual(b, x, held, z).norm()
-        aim = Aim(atol, go_on)
-        while norm <= aim.atol and aim.next(x, operator.z) > 0.0:
-            pass
-        if not norm <= aim.atol:
-            norm = self._correct(b, x, held, aim, norm)
-        self._judge(b, x, (first, norm, aim.atol), self.counts.iterations - before)
+        if not norm <= atol:
+            norm = self._correct(b, x, held, atol, norm)
+        self._judge(b, x, (first, norm, atol), self.counts.iterations - before)
         return operator.z
 
-    def _correct(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, aim: Aim, norm: float) -> float:
+    def _correct(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, atol: float, norm: float) -> float:
         """Correct x until the norm of its residual is below the tolerance or round-off; return it.
 
         Where multigrid is indefinite, the smoothers estimate eigenvalues by themselves, and from
         then on; unless that does not help: then the matrix may be indefinite.
         """
-        norm = self._iterate(b, x, held, aim, norm)
-        if norm <= max(aim.atol, self._operator.round_off(x)) or not self._overshoots():
+        norm = self._iterate(b, x, held, atol, norm)
+        if norm <= max(atol, self._operator.round_off(x)) or not self._overshoots():
             return norm
         self._estimate_anew(True)
-        norm = self._iterate(b, x, held, aim, norm)
-        if not norm <= max(aim.atol, self._operator.round_off(x)):
+        norm = self._iterate(b, x, held, atol, norm)
+        if not norm <= max(atol, self._operator.round_off(x)):
             self._estimate_anew(False)
         return norm
 
@@ -476,7 +449,7 @@ class LinearSolver:
         if anew and self._comm.rank == 0:
             log.info("multigrid is indefinite: its smoothers estimate eigenvalues by themselves")
 
-    def _iterate(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, aim: Aim, norm: float) -> float:
+    def _iterate(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, atol: float, norm: float) -> float:
         """Correct x in the same way with the present method, until it fails; return the norm.
 
         It ends as well if a new factorisation does not reduce it.
@@ -487,13 +460,13 @@ class LinearSolver:
                 self.factorise(held)
             fresh = self.setup.preconditioner.is_of(held)
             before = norm
-            self._sweep(b, x, aim, norm)
+            self._sweep(b, x, atol, norm)
             dx = self.setup.dx
             dx.array[held] = 0.0  # an old factorisation may move them
             if np.isfinite(dx.norm()):
                 x.axpy(1.0, dx)
                 norm = self._operator.residual(b, x, held).norm()
-            if norm <= max(aim.atol, self._operator.round_off(x)):
+            if norm <= max(atol, self._operator.round_off(x)):
                 break
             exhausted = self._ksp.getIterationNumber() >= self.setup.max_iterations
             if fresh and (exhausted or not norm < before):
@@ -515,7 +488,7 @@ class LinearSolver:
         sliding = self._operator.free.sliding is not None
         return self.setup.sliding_ksp if sliding else self.setup.ksp
 
-    def _sweep(self, b: PETSc.Vec, x: PETSc.Vec, aim: Aim, norm: float) -> None:
+    def _sweep(self, b: PETSc.Vec, x: PETSc.Vec, atol: float, norm: float) -> None:
         """Solve for the correction dx that takes the residual from a norm to the tolerance."""
         begin = perf_counter()
         setup, held = self.setup, self._operator.held
@@ -527,26 +500,12 @@ class LinearSolver:
         stale = not setup.preconditioner.is_of(held)
         ksp, floor = self._ksp, self._operator.round_off(x) * (EPS / ROUND_OFF)
 
-        def share(atol: float) -> float:
-            return max(max(atol, floor) / norm, EPS)
-
-        def go_on() -> float:
-            if aim.go_on is None or ksp.getType() != "cg":  # others form dx at their end
-                return 0.0
-            now, z = x + ksp.getSolution(), b.copy()
-            setup.operator.A.mult(now, z)
-            z.aypx(-1.0, b)
-            atol = aim.next(now, z)
-            return share(atol) if atol > 0.0 else 0.0
-
-        test = SlownessTest(
-            setup.renewal, share(aim.atol), setup.max_iterations, stale=stale, go_on=go_on
-        )
+        reduction = max(max(atol, floor) / norm, EPS)
+        test = SlownessTest(setup.renewal, reduction, setup.max_iterations, stale=stale)
         if ksp.getType() != "preonly":
             ksp.setConvergenceTest(test)
         ksp.setTolerances(max_it=setup.max_iterations)
         ksp.solve(setup.operator.r, setup.dx)
-        test.go_on = no_more  # it refers to the KSP, which keeps the test: a circle
         self.counts.iterations += max(1, ksp.getIterationNumber())
         setup.renewal.learn(test.norms, stale=stale)
         self.counts.seconds_solve += perf_counter() - begin

@@ -5,7 +5,7 @@ It is renewed as soon as that is cheaper than to continue with it. The decisions
 residuals, not on clocks, so that they are the same on all ranks.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -99,11 +99,6 @@ class Renewal:
             self.excess += its - reached / self.fresh_rate
 
 
-def no_more() -> float:
-    """Return 0: an iteration ends at its tolerance."""
-    return 0.0
-
-
 class SlownessTest:
     """PETSc convergence test: at the tolerance, or when an old factorisation is too slow.
 
@@ -112,20 +107,10 @@ class SlownessTest:
         reduction: of the residual.
         limit: largest number of iterations.
         stale: whether the factorisation is an old one.
-        go_on: returns at the tolerance the reduction with which to go on, 0 to end.
     """
 
-    def __init__(
-        self,
-        renewal: Renewal,
-        reduction: float,
-        limit: int,
-        *,
-        stale: bool,
-        go_on: Callable[[], float] = no_more,
-    ) -> None:
+    def __init__(self, renewal: Renewal, reduction: float, limit: int, *, stale: bool) -> None:
         self.renewal, self.reduction, self.limit, self.stale = renewal, reduction, limit, stale
-        self.go_on = go_on
         self.norms: list[float] = []
 
     def __call__(self, ksp: PETSc.KSP, its: int, norm: float) -> int:
@@ -134,10 +119,8 @@ class SlownessTest:
         self.norms.append(norm)
         if not np.isfinite(norm):
             return int(Reason.DIVERGED_NANORINF)
-        while norm <= (wanted := self.reduction * self.norms[0]):
-            before, self.reduction = self.reduction, self.go_on()
-            if not 0.0 < self.reduction <= before:
-                return int(Reason.CONVERGED_RTOL)
+        if norm <= (wanted := self.reduction * self.norms[0]):
+            return int(Reason.CONVERGED_RTOL)
         if its >= self.limit:
             return int(Reason.DIVERGED_MAX_IT)
         if self.stale and self.renewal.direct and self.renewal.is_slow(self.norms, wanted):

@@ -165,10 +165,7 @@ class Bordered:
 
     # -- the solver, see `held.Solver` -----------------------------------------------------------
 
-    @property
-    def direct(self) -> bool:
-        """Tell whether the solver of A is."""
-        return self.linear.direct
+    exact = False
 
     def round_off(self, x: PETSc.Vec) -> float:
         """Return that of A x."""
@@ -277,8 +274,7 @@ class Bordered:
 
     def is_met(self, q: Floats) -> bool:
         """Tell whether the proximal term carries nothing that the tolerance would not allow."""
-        least = np.maximum(self.scalars.noise, self.scalars.rtol * np.abs(self.scalars.loads))
-        return bool((np.abs(self.rho * (q - self.centre)) <= least).all())
+        return bool((np.abs(self.rho * (q - self.centre)) <= self.scalars.noise).all())
 
     def force_of_term(self, q: Floats) -> Floats:
         """Return the forces of the proximal term (m,), relative to the weights."""

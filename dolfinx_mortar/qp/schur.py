@@ -40,10 +40,10 @@ def set_apart(qp: BoundQP, options: SolverOptions) -> Ints | None:
     """Return the unknowns that a factorisation may leave for last; None for an ordinary one.
 
     These are those with bounds or friction, and those of C if A is a product, ascending, on one
-    rank, without scalars, if S has no more entries than A, and if PETSc's library shows the
+    rank, if S has no more entries than A, and if PETSc's library shows the
     function.
     """
-    if qp.scalars is not None or not qp.definite:
+    if not qp.definite:
         return None
     if qp.product is not None:
         return interface_unknowns(qp.product.K, qp.product.C, options)

@@ -185,6 +185,6 @@ def _nothing_to_do(qp: BoundQP, backend: str) -> QPSolution | None:
 
 def _possible(qp: BoundQP, active: Actives) -> Actives:
     """Return the set without unknowns at infinite bounds."""
-    lower, upper = qp.bounds()
+    lower, upper = qp.bounds
     active = np.where((active > 0) & np.isinf(upper), 0, active)
     return np.where((active < 0) & np.isinf(lower), 0, active).astype(np.int8)
