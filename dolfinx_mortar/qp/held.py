@@ -241,7 +241,8 @@ class HeldProblem:
         found = on_bounded(self.qp, self.x, self.z)
         atol = max(atol, self.linear.round_off(self.x))
         new = State(found.predicted(), state.directions, state.stiffness)
-        strength, missing = found.strength(state.active, new.active), np.zeros(0)
+        strength = found.strength(state.active, new.active)
+        missing: Floats = np.zeros(0)
         changes = int((strength > atol).sum())
         if law is not None:
             sliders = on_friction(self.qp, self.x, self.z, found)
