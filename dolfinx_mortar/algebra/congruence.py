@@ -12,7 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.csr import csr_of, set_sum
-from dolfinx_mortar.algebra.diagonal import RowsOf
+from dolfinx_mortar.algebra.half import Halved
 from dolfinx_mortar.algebra.parallel import free_unused, values_at
 from dolfinx_mortar.arrays import Floats, Ints
 
@@ -195,11 +195,10 @@ def refill(total: PETSc.Mat, parts: Iterable[PETSc.Mat]) -> None:
         total.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
 
 
-def decouple(matrix: PETSc.Mat, rows: Ints) -> None:
-    """Replace owned rows and their columns by those of the identity times the mean diagonal."""
-    diagonal = matrix.getDiagonal()
+def decouple(matrix: PETSc.Mat, rows: Ints, scale: float) -> None:
+    """Replace owned rows and their columns by those of the identity times a scale; collective."""
     numbers = (rows + matrix.getOwnershipRange()[0]).astype(PETSc.IntType)
-    matrix.zeroRowsColumns(numbers, diag=diagonal.sum() / diagonal.getSize())
+    matrix.zeroRowsColumns(numbers, diag=scale)
 
 
 class CongruentOperator:
@@ -213,8 +212,8 @@ class CongruentOperator:
         matrix: a PETSc Mat of type python; its copy is an explicit matrix.
     """
 
-    def __init__(self, K: PETSc.Mat, rows: RowsOf | None = None) -> None:
-        self._product = _Product(K, RowsOf(K) if rows is None else rows)
+    def __init__(self, K: PETSc.Mat, half: Halved | None = None) -> None:
+        self._product = _Product(K, half or Halved(K))
         self.matrix = PETSc.Mat().createPython(K.getSizes(), self._product, comm=K.comm)
         self.matrix.setUp()
 
@@ -229,9 +228,9 @@ class CongruentOperator:
         return self._product.C
 
     @property
-    def rows(self) -> RowsOf:
-        """Rows of K."""
-        return self._product.rows
+    def half(self) -> Halved:
+        """K for products."""
+        return self._product.half
 
     @property
     def decoupled(self) -> Ints:
@@ -240,7 +239,7 @@ class CongruentOperator:
 
     @property
     def diagonal(self) -> PETSc.Vec:
-        """The diagonal (n,) before decoupling."""
+        """The diagonal (n,) before decoupling, of a K whose diagonal alone C changes."""
         return self._product.diagonal
 
     @property
@@ -272,30 +271,38 @@ class CongruentOperator:
 class _Product(_Decoupled):
     """Context of the operator's Mat, without a reference to it: PETSc could not free a cycle."""
 
-    def __init__(self, K: PETSc.Mat, rows: RowsOf) -> None:
+    def __init__(self, K: PETSc.Mat, half: Halved) -> None:
         super().__init__(K)
-        self.K, self.rows = K, rows
+        self.K, self.half = K, half
         self.C: PETSc.Mat | None = None
         self._of_K, self._state = K.createVecRight(), -1  # diagonal of K, and K's state then
         self._moved = K.createVecRight()
 
     def follow(self, C: PETSc.Mat | None, decoupled: Ints) -> None:
         self.C, self.decoupled = C, decoupled
-        self.rows.use_half()
+        self.half.use_half()
         if self._state != int(self.K.stateGet()):
             self.K.getDiagonal(self._of_K)
             self._state = int(self.K.stateGet())
         self._of_K.copy(self.diagonal)
         if C is not None:
-            self.diagonal.axpy(1.0, self.rows.diagonal_change(C))
+            self._add_change(C)
         self.scale = self.diagonal.sum() / self.diagonal.getSize()
+
+    def _add_change(self, C: PETSc.Mat) -> None:
+        """Add the change of the diagonal by C, sum_r C_rj (C_rj + 2 delta_rj) K_rr; collective."""
+        start, columns, values = csr_of(C)
+        rows, first = np.repeat(np.arange(len(start) - 1), np.diff(start)), C.getOwnershipRange()[0]
+        terms = values * (values + 2.0 * (columns == rows + first)) * self._of_K.array_r[rows]
+        self.diagonal.setValues(columns, terms, PETSc.InsertMode.ADD_VALUES)
+        self.diagonal.assemble()
 
     def whole(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         if self.C is None:
-            self.rows.factor.mult(x, y)
+            self.half.factor.mult(x, y)
             return
         self.C.multAdd(x, x, self._moved)
-        self.rows.factor.mult(self._moved, y)
+        self.half.factor.mult(self._moved, y)
         self.C.multTranspose(y, self._moved)
         y.axpy(1.0, self._moved)
 
@@ -306,16 +313,16 @@ class _Product(_Decoupled):
 
     def duplicate(self, mat: PETSc.Mat, op: int) -> PETSc.Mat:
         """Return the explicit matrix."""
-        self.rows.release_half()
+        self.half.release_half()
         if self.C is not None:
             explicit = Congruence(self.K, self.C).product
         else:
             explicit = self.K.convert("aij", out=PETSc.Mat())
-        decouple(explicit, self.decoupled)
+        decouple(explicit, self.decoupled, self.scale)
         return explicit
 
     def split(self, parts: Ints) -> tuple[PETSc.Mat, PETSc.Mat | None]:
-        self.rows.release_half()
+        self.half.release_half()
         within, between = self.K.convert("aij", out=PETSc.Mat()), None
         if self.C is not None:
             change, coupled = _change(within, self.C), np.ones(len(parts))
@@ -323,7 +330,7 @@ class _Product(_Decoupled):
             coupled[self.decoupled] = -1.0
             inside, between = _split(change, coupled * (parts + 1.0))
             within.axpy(1.0, inside, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-        decouple(within, self.decoupled)
+        decouple(within, self.decoupled, self.scale)
         return within, between
 
 

@@ -14,6 +14,48 @@ from dolfinx_mortar.algebra.csr import call
 _INT = np.ctypeslib.as_ctypes_type(PETSc.IntType)
 
 
+class Halved:
+    """K for products: of blocks a copy of the upper half, which is read faster.
+
+    In space, where an iteration of multigrid forms eight; its sums have other last digits.
+    """
+
+    def __init__(self, K: PETSc.Mat) -> None:
+        self.K = K
+        self._half: UpperHalf | None = None
+        self._state = -1  # of K when it was copied
+        self._set_up, self._resting = False, True  # whether levels were made; whether K serves
+
+    @property
+    def factor(self) -> PETSc.Mat | UpperHalf:
+        """K, or the copy, which is made again when K has other values."""
+        K, state = self.K, int(self.K.stateGet())
+        if "baij" not in K.getType() or K.getBlockSize() < 3 or self._resting:
+            return K
+        if self._half is None:
+            self._half = UpperHalf(K)
+        elif self._state != state:
+            self._half.update()
+        self._state = state
+        return self._half
+
+    def release_half(self) -> None:
+        """Free the copy of K until the next QP: a set-up, which begins, needs the memory."""
+        self._set_up = self._resting = True
+        if self._half is not None:
+            self._half.destroy()
+            self._half = None
+
+    def forget(self) -> None:
+        """Be as new: products before the next set-up read K again, whose sums differ in digits."""
+        self.release_half()
+        self._set_up = False
+
+    def use_half(self) -> None:
+        """Let products use the copy, but not before the first set-up: it would leave a gap."""
+        self._resting = not self._set_up
+
+
 class UpperHalf:
     """A copy of the upper half of the columns that a rank owns; other columns are read in K.
 

@@ -31,7 +31,7 @@ class UnknownsOfBodies:
         bodies: Bodies,
     ) -> None:
         self.system, self.supports, self.bodies = system, supports, bodies
-        self.operator = CongruentOperator(operator.K, operator.rows)
+        self.operator = CongruentOperator(operator.K, operator.half)
 
     def preconditioning(self, held: Ints) -> Preconditioning:
         """Return the matrix and near-null space of a set-up; collective.

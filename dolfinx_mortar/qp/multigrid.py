@@ -30,8 +30,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.algebra.csr import call, csr_of
-from dolfinx_mortar.algebra.diagonal import rows_of
+from dolfinx_mortar.algebra.csr import call, csr_of, rows_of
 from dolfinx_mortar.algebra.parallel import free_unused
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Ints
 from dolfinx_mortar.qp.negative_eigenvalues import count_negative

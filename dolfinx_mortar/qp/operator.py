@@ -112,7 +112,8 @@ class Operator:
         self.A.getDiagonal(self._diagonal)
         if self.matrix is not self.sliding_matrix:
             self.A.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-            decouple(self.matrix, held)
+            mean = self._diagonal.sum() / self._diagonal.getSize()
+            decouple(self.matrix, held, mean)
         self.free.held = held
         self.held, self._state = held.copy(), self.state
 

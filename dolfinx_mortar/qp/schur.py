@@ -196,7 +196,7 @@ class SchurComplement:
         else:
             self.product.K.copy(self._K, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self._decoupled = self.product.decoupled.copy()
-        decouple(self._K, self._elsewhere(self._decoupled))
+        decouple(self._K, self._elsewhere(self._decoupled), self.product.scale)
         return self._K
 
     def _elsewhere(self, decoupled: Ints) -> Ints:
