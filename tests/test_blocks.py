@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.blocks import BlockMatrix
+from dolfinx_mortar.algebra.triplets import BlockMatrix
 from tests.meshes import two_blocks
 from tests.meshes_3d import two_boxes
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.blocks import BlockMatrix
-from dolfinx_mortar.algebra.congruence import Congruence, CongruentOperator, as_aij, refill
-from dolfinx_mortar.algebra.csr import add_blocks, csr_of, set_csr, set_sum
+from dolfinx_mortar.algebra.congruence import Congruence, CongruentOperator
+from dolfinx_mortar.algebra.csr import add_blocks, csr_of, set_csr
 from dolfinx_mortar.algebra.half import UpperHalf
 from dolfinx_mortar.algebra.parallel import free_unused
+from dolfinx_mortar.algebra.triplets import BlockMatrix
 from tests.meshes import two_blocks
 
 COMM = MPI.COMM_WORLD
@@ -201,29 +201,9 @@ def test_a_refilled_product_has_the_bits_of_a_new_one(matrices, rng):
     assert all(map(np.array_equal, csr_of(product.product), expected))
 
 
-def test_a_sum_has_the_bits_of_axpy(matrices):
-    """Of parts whose patterns overlap, on a pattern that holds them; values before do not count."""
-    K, C = as_aij(matrices[0]), matrices[1]
-    KC = K.matMult(C)
-    parts = KC, C, K
-    expected = K.duplicate(copy=True)
-    for part in parts:
-        expected.axpy(1.0, part, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    total = expected.copy()
-    expected.zeroEntries()
-    for part in parts:
-        expected.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-    state = total.stateGet()
-    refill(total, parts)
-    assert np.array_equal(csr_of(total)[2], csr_of(expected)[2])
-    assert total.stateGet() != state  # or a factorisation would be taken for a present one
-
-
 @pytest.mark.skipif(COMM.size > 1, reason="of matrices on one rank")
 def test_what_has_no_place_is_an_error(matrices):
-    K, C = as_aij(matrices[0]), matrices[1]
-    with pytest.raises(ValueError, match="no place for an entry"):
-        set_sum(C, [K])
+    C = matrices[1]
     with pytest.raises(ValueError, match="no place for a block"):
         add_blocks(C, np.array([0, 1]), np.array([10**6]), np.ones((1, 2, 2)))
 

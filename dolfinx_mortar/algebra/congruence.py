@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.csr import csr_of, set_sum
+from dolfinx_mortar.algebra.csr import csr_of
 from dolfinx_mortar.algebra.half import Halved
 from dolfinx_mortar.algebra.parallel import free_unused, values_at
 from dolfinx_mortar.arrays import Floats, Ints
@@ -187,9 +187,6 @@ def union(A: PETSc.Mat, others: Iterable[PETSc.Mat]) -> PETSc.Mat:
 
 def refill(total: PETSc.Mat, parts: Iterable[PETSc.Mat]) -> None:
     """Set a matrix to the sum of others, the patterns of which it contains; collective."""
-    if total.getType() == "seqaij":
-        set_sum(total, parts)
-        return
     total.zeroEntries()
     for part in parts:
         total.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)

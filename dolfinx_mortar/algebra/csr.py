@@ -8,7 +8,7 @@ thousand entries in 400 of 46 thousand rows takes 1.2 ms so, and .01 ms as array
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 from petsc4py import PETSc
@@ -88,25 +88,6 @@ def add_blocks(A: PETSc.Mat, start: Ints, columns: Ints, blocks: Floats) -> None
             raise ValueError("a matrix has no place for a block")
 
 
-def set_sum(A: PETSc.Mat, parts: Iterable[PETSc.Mat]) -> None:
-    """Set a matrix on one rank to the sum of others, the patterns of which it contains.
-
-    With the bits of PETSc's `MatAXPY` for each in turn, which takes 6.3 ms for the four parts of
-    T^T K T (47 thousand unknowns in the plane; so 2.3).
-
-    Raises:
-        ValueError: if it has no place for an entry; it is then half filled.
-    """
-    rows, places = A.getRowIJ()
-    with _stored(A, "Write", len(places)) as values:
-        values[:] = 0.0
-        for part in parts:
-            start, columns = part.getRowIJ()
-            with _stored(part, "Read", len(columns)) as entries:
-                if not _add_entries(rows, places, values, start, columns, entries):
-                    raise ValueError("a sum of matrices has no place for an entry")
-
-
 @numba.njit(cache=True)
 def _add_blocks(rows, places, values, start, columns, blocks):  # type: ignore[no-untyped-def]
     """Add to the values of a matrix with columns that ascend; tell whether all had a place."""
@@ -122,29 +103,6 @@ def _add_blocks(rows, places, values, start, columns, blocks):  # type: ignore[n
                 for j in range(c):
                     values[p + j] += blocks[e, i, j]
                 p += c
-    return True
-
-
-@numba.njit(cache=True)
-def _add_entries(rows, places, values, start, columns, entries):  # type: ignore[no-untyped-def]
-    """Do so for scalar entries, of which most rows have all that the matrix has."""
-    for r in range(len(start) - 1):
-        p, end, first = rows[r], rows[r + 1], start[r]
-        if start[r + 1] - first == end - p:
-            same = True
-            for k in range(end - p):
-                same &= places[p + k] == columns[first + k]
-                values[p + k] += entries[first + k]
-            if not same:
-                return False
-            continue
-        for e in range(first, start[r + 1]):
-            while p < end and places[p] < columns[e]:
-                p += 1
-            if p == end or places[p] != columns[e]:
-                return False
-            values[p] += entries[e]
-            p += 1
     return True
 
 

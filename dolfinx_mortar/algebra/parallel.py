@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.blocks import Layout
+from dolfinx_mortar.algebra.triplets import Layout
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 
 

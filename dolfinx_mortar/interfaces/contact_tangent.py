@@ -21,9 +21,14 @@ import numpy as np
 from scipy import sparse
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.block_sums import BlockEntries, Blocks, BlockSums, SumWithProducts
 from dolfinx_mortar.algebra.csr import owned_rows
-from dolfinx_mortar.algebra.triplets import Triplets
+from dolfinx_mortar.algebra.triplets import (
+    BlockEntries,
+    Blocks,
+    BlockSums,
+    SumWithProducts,
+    Triplets,
+)
 from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import scaled_normals
 from dolfinx_mortar.geometry.segments import Segments
@@ -50,7 +55,7 @@ from dolfinx_mortar.shapes.shape import unit_vectors
 
 @dataclass(frozen=True)
 class Unknowns:
-    """How the unknowns of a vector space are divided among ranks; see `algebra.blocks.Layout`."""
+    """How the unknowns of a vector space are divided among ranks; see `algebra.triplets.Layout`."""
 
     size_local: int
     size_global: int

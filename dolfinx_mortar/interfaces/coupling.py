@@ -32,8 +32,8 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem, la
-from dolfinx_mortar.algebra.blocks import BlockMatrix
 from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes
+from dolfinx_mortar.algebra.triplets import BlockMatrix
 from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.constraints import check_shapes
