@@ -9,7 +9,6 @@ import pytest
 
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 from dolfinx_mortar.qp.multigrid import OwnUnknowns, Preconditioning
-from dolfinx_mortar.qp.options import OF_AGGREGATES
 
 SIDE = 40
 NONE = np.zeros(0, dtype=np.int32)
@@ -70,46 +69,19 @@ def left(solver, A):
     return (b - A * x).norm() / b.norm()
 
 
-def test_smoothers_estimate_by_themselves_where_multigrid_is_indefinite(monkeypatch):
+def test_smoothers_estimate_by_themselves():
     """The largest eigenvalue over the diagonal is 16, 2 without the entries between bodies."""
+    assert left(*problem(1.0)) < 1e-8
     solver, A = problem(1.0)
-    assert left(solver, A) < 1e-8
-    assert solver.counts.factorisations == 2
-    assert left(solver, A) < 1e-8
-    assert solver.counts.factorisations == 2  # from then on
-    solver.clear()
-    assert OF_AGGREGATES not in solver.options.grown
-    monkeypatch.setattr(LinearSolver, "_overshoots", lambda _: False)
+    solver.options.given["pc_gamg_use_sa_esteig"] = True
     with pytest.raises(LinearSolveFailed, match="PETSc reason -8"):
-        left(*problem(1.0))
-
-
-def test_the_usual_estimate_serves_again_where_the_matrix_is_indefinite():
-    """An estimate of their own does not help, and is not kept."""
-    solver, A = problem(-1.0)
-    with pytest.raises(LinearSolveFailed):
         left(solver, A)
-    assert OF_AGGREGATES not in solver.options.grown
 
 
-def test_nothing_is_tried_where_the_coarsest_level_is_indefinite():
-    """Then the matrix is."""
+def test_negative_pivots_of_the_coarsest_level():
+    """There the matrix is indefinite."""
     solver, A = problem(-1.0, second=1.0)
     with pytest.raises(LinearSolveFailed):
         left(solver, A)
     assert solver.negative_pivots() > 0
-    assert solver.counts.factorisations == 1
-
-
-@pytest.mark.parametrize("database", [False, True])
-def test_the_choice_of_the_user_stays(database):
-    """Who has set the option keeps it, and no set-up is made in vain."""
-    solver, A = problem(1.0)
-    given = PETSc.Options(solver.options.prefix) if database else solver.options.given
-    given[OF_AGGREGATES] = True
-    try:
-        with pytest.raises(LinearSolveFailed):
-            left(solver, A)
-    finally:
-        del given[OF_AGGREGATES]
     assert solver.counts.factorisations == 1

@@ -26,7 +26,7 @@ from dolfinx_mortar.qp.negative_eigenvalues import (
     negative_pivots,
 )
 from dolfinx_mortar.qp.operator import Operator
-from dolfinx_mortar.qp.options import OF_AGGREGATES, SolverOptions, check_options
+from dolfinx_mortar.qp.options import SolverOptions, check_options
 from dolfinx_mortar.qp.preconditioner import (
     RENEWAL_COST,
     LinearCounts,
@@ -267,12 +267,10 @@ class LinearSolver:
         """Free the matrices and their factorisations; collective."""
         for kind in list(self._setups):
             self._drop(kind)
-        self.options.grown.pop(OF_AGGREGATES, None)
 
     def abandon(self) -> None:
         """Use no matrix of before, as an error may have left it locked; without communication."""
         self._setups = {}  # freed when PETSc collects its garbage
-        self.options.grown.pop(OF_AGGREGATES, None)
 
     def _drop(self, kind: bool) -> None:
         """Free one of them, and what has its preconditioner; collective."""
@@ -409,48 +407,12 @@ class LinearSolver:
         self.counts.solves += 1
         first = norm = operator.residual(b, x, held, z).norm()
         if not norm <= atol:
-            norm = self._correct(b, x, held, atol, norm)
+            norm = self._iterate(b, x, held, atol, norm)
         self._judge(b, x, (first, norm, atol), self.counts.iterations - before)
         return operator.z
 
-    def _correct(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, atol: float, norm: float) -> float:
-        """Correct x until the norm of its residual is below the tolerance or round-off; return it.
-
-        Where multigrid is indefinite, the smoothers estimate eigenvalues by themselves, and from
-        then on; unless that does not help: then the matrix may be indefinite.
-        """
-        norm = self._iterate(b, x, held, atol, norm)
-        if norm <= max(atol, self._operator.round_off(x)) or not self._overshoots():
-            return norm
-        self._estimate_anew(True)
-        norm = self._iterate(b, x, held, atol, norm)
-        if not norm <= max(atol, self._operator.round_off(x)):
-            self._estimate_anew(False)
-        return norm
-
-    def _overshoots(self) -> bool:
-        """Tell whether smoothers may have made multigrid indefinite in the last iteration."""
-        multigrid = self.setup.preconditioner.multigrid
-        if multigrid is None or not multigrid.follows or multigrid.negative:
-            return False
-        chosen = PETSc.Options(self.options.prefix).hasName(OF_AGGREGATES)
-        if chosen or OF_AGGREGATES in self.options.given or OF_AGGREGATES in self.options.grown:
-            return False
-        indefinite = PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC
-        return bool(self._ksp.getConvergedReason() == indefinite)
-
-    def _estimate_anew(self, anew: bool) -> None:
-        """Let smoothers estimate eigenvalues by themselves or not, from the next set-up on."""
-        if anew:
-            self.options.grown[OF_AGGREGATES] = False
-        else:
-            del self.options.grown[OF_AGGREGATES]
-        self.setup.preconditioner.begin_anew()
-        if anew and self._comm.rank == 0:
-            log.info("multigrid is indefinite: its smoothers estimate eigenvalues by themselves")
-
     def _iterate(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, atol: float, norm: float) -> float:
-        """Correct x in the same way with the present method, until it fails; return the norm.
+        """Correct x until the norm of its residual is below the tolerance or round-off; return it.
 
         It ends as well if a new factorisation does not reduce it.
         """

@@ -124,14 +124,6 @@ def _product_of_few(X: PETSc.Mat, P: PETSc.Mat) -> PETSc.Mat:
     return rows_of(P, rows).transposeMatMult(rows_of(X, rows).matMult(P))
 
 
-def _create_inner(comm: PETSc.Comm, prefix: str) -> PETSc.PC:
-    """Return a PC with the options of PETSc's database; collective."""
-    pc = PETSc.PC().create(comm)
-    pc.setOptionsPrefix(prefix)
-    pc.setFromOptions()
-    return pc
-
-
 class Multigrid:
     """Context of a PETSc PC of type python: M^-1 above, with any PC for B^-1.
 
@@ -145,7 +137,9 @@ class Multigrid:
 
     def __init__(self, A: PETSc.Mat, prefix: str) -> None:
         """Create the inner PC; its options are read at every set-up."""
-        self.inner = _create_inner(A.comm, prefix)
+        self.inner = PETSc.PC().create(A.comm)
+        self.inner.setOptionsPrefix(prefix)
+        self.inner.setFromOptions()
         self.B: PETSc.Mat | None = None
         self.E: PETSc.Mat | None = None
         self.held: Ints = np.empty(0, dtype=np.int32)  # now
@@ -160,28 +154,18 @@ class Multigrid:
         """Tell whether the finest level uses the present matrix."""
         return bool(self.inner.getType() == PETSc.PC.Type.GAMG)
 
-    def replace_inner(self) -> PETSc.PC:
-        """Return a new inner PC in place of the present one, which is destroyed; collective."""
-        old = self.inner
-        self.inner, self.B, self.E = _create_inner(old.comm, old.getOptionsPrefix()), None, None
-        old.destroy()
-        return self.inner
-
     def clear(self) -> None:
         """Free the matrices of the inner PC."""
         self.inner.reset()
         self.B = self.E = None
 
-    def renew(
-        self, data: Preconditioning, held: Ints, *, definite: bool, estimate: bool = False
-    ) -> None:
+    def renew(self, data: Preconditioning, held: Ints, *, definite: bool) -> None:
         """Set up with another matrix; collective.
 
         Args:
             data: the matrix.
             held: unknowns that it holds.
             definite: whether it is.
-            estimate: whether smoothers estimate eigenvalues by themselves.
         """
         data.B.setOption(PETSc.Mat.Option.SPD, definite)
         self.B, self.E = data.B, data.change.E
@@ -205,7 +189,7 @@ class Multigrid:
             if self.follows:
                 self._forget_factors()
             if data.between is not None and self.follows:
-                self._join(data.B, data.between, estimate=estimate)
+                self._join(data.B, data.between)
         self.negative = count_negative(self._coarsest) if self.follows and definite else 0
         self.inner.setReusePreconditioner(True)  # the finest matrix changes, coarse levels stay
         if self.follows:
@@ -217,11 +201,11 @@ class Multigrid:
             product = self.inner.getMGSmoother(level).getOperators()[0]
             call("MatProductClear", ctypes.c_void_p(product.handle))
 
-    def _join(self, B: PETSc.Mat, between: PETSc.Mat, *, estimate: bool) -> None:
+    def _join(self, B: PETSc.Mat, between: PETSc.Mat) -> None:
         """Add what couples the parts to the matrices of all levels; collective.
 
-        In place: the smoothers refer to them. Of the finest, Jacobi reads the diagonal only. Those
-        that estimate eigenvalues have done so of what the matrices were before, and do it again.
+        In place: the smoothers refer to them, which estimate their eigenvalues then. Of the finest,
+        Jacobi reads the diagonal only.
         """
         if not self._needs_diagonal:
             _add(B, between)
@@ -230,7 +214,7 @@ class Multigrid:
             smoother = self.inner.getMGSmoother(level - 1)
             own = smoother.getOperators()[0]
             _add(own, between)
-            if estimate and level > 1:
+            if level > 1:
                 smoother.setOperators(own)
             free_unused(B.comm.tompi4py())
 

@@ -30,13 +30,9 @@ MULTIGRID = {
     "pc_gamg_threshold": 0.005,
     "mg_levels_ksp_max_it": 3,
     "mg_levels_ksp_chebyshev_esteig": "0,0.1,0,1.2",
+    "pc_gamg_use_sa_esteig": False,
     "ksp_max_it": 500,
 }
-# Whether smoothers of GAMG take the largest eigenvalues that aggregation has estimated. They are
-# those of a matrix without the entries between bodies, see `multigrid`: 8.1 instead of 12.5 for a
-# stiff slave on a soft master (sweep finite, seed 5026, bulk moduli 591 and 6), where 1.2 times 8.1
-# makes the preconditioner indefinite. An estimate of their own costs ten products a level.
-OF_AGGREGATES = "pc_gamg_use_sa_esteig"
 DIRECT = ("cholesky", "lu")
 # First letters of options that choose or limit a method; others only show what it does.
 OF_METHODS = ("pc_", "mg_", "ksp_type", "ksp_max_it")

@@ -17,7 +17,7 @@ from dolfinx_mortar.algebra.parallel import free_unused
 from dolfinx_mortar.arrays import LIMIT, TINY, Ints
 from dolfinx_mortar.qp.multigrid import Multigrid, OwnUnknowns, Unknowns
 from dolfinx_mortar.qp.operator import Operator
-from dolfinx_mortar.qp.options import OF_AGGREGATES, SolverOptions
+from dolfinx_mortar.qp.options import SolverOptions
 from dolfinx_mortar.qp.schur import SchurComplement
 
 # Iterations above those of a new one that are worth a renewal. A numeric factorisation in 2D costs
@@ -206,16 +206,6 @@ class Preconditioner:
         if self.multigrid is not None:
             self.multigrid.clear()
 
-    def begin_anew(self) -> None:
-        """Let the next set-up read all options of multigrid; collective.
-
-        PETSc keeps the eigenvalues that smoothers were given, also where a PC is reset.
-        """
-        assert self.multigrid is not None, "a factorisation"
-        with self.options.database(self.options.prefix):
-            self.pc = self.multigrid.replace_inner()
-        self.held = None
-
     def renew(self, held: Ints, counts: LinearCounts) -> str:
         """Set up again; return cause and remedy of a failure, else "" (collective)."""
         if self.multigrid is not None:
@@ -227,9 +217,7 @@ class Preconditioner:
             with self.options.database(self.options.prefix):
                 data = self.unknowns.preconditioning(held)
                 free_unused(self.comm)
-                estimate = OF_AGGREGATES in self.options.grown
-                definite = self.operator.definite
-                self.multigrid.renew(data, held, definite=definite, estimate=estimate)
+                self.multigrid.renew(data, held, definite=self.operator.definite)
                 self._followed = self.operator.state, held.copy()
             counts.factorisations += 1
         self.held, self._state = held.copy(), self._present()
