@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.congruence import Congruence, CongruentOperator
+from dolfinx_mortar.algebra.congruence import Congruence, CongruentOperator, UpperHalf
 from dolfinx_mortar.algebra.csr import add_blocks, csr_of, set_csr
-from dolfinx_mortar.algebra.half import UpperHalf
 from dolfinx_mortar.algebra.parallel import free_unused
 from dolfinx_mortar.algebra.triplets import BlockMatrix
 from tests.meshes import two_blocks

@@ -80,12 +80,10 @@ def test_held_unknowns_keep_their_values(qp: BoundQP) -> None:
 
 @pytest.mark.mpi
 def test_the_factorisation_serves_a_few_more_held_unknowns(qp: BoundQP) -> None:
-    linear = LinearSolver(COMM, prefix="few_", refactor_after=30)
+    linear = LinearSolver(COMM, prefix="few_")
     assert solved(linear, qp, qp.bounded) <= RTOL
     assert solved(linear, qp, qp.bounded[1:]) <= RTOL
     assert linear.counts.factorisations == 1
-    assert solved(linear, qp, none()) <= RTOL  # far away, but 30 iterations are allowed
-    assert linear.counts.symbolic == 1
 
 
 @pytest.mark.mpi
@@ -95,7 +93,7 @@ def test_a_slow_old_factorisation_is_renewed_at_once(qp: BoundQP) -> None:
     before = linear.counts.iterations
     assert solved(linear, qp, none()) <= RTOL
     assert linear.counts.factorisations == 2
-    assert linear.counts.iterations - before <= 4 + linear.setup.renewal.after
+    assert linear.counts.iterations - before <= 4
 
 
 @pytest.mark.mpi
@@ -109,8 +107,10 @@ def test_a_slightly_changed_matrix_needs_no_factorisation(qp: BoundQP) -> None:
     assert linear.counts.factorisations == 1
     diagonal.array[::2] *= 3.0
     qp.A.setDiagonal(diagonal)
+    before = linear.counts.iterations
     assert solved(linear, qp, none()) <= RTOL
-    assert linear.counts.factorisations == 2
+    assert linear.counts.factorisations == 2  # an old one has as many iterations as two cost
+    assert linear.counts.iterations - before <= 2 * linear.setup.renewal.after + 2
     assert linear.counts.symbolic == 1
 
 
@@ -343,15 +343,6 @@ def test_an_option_that_the_database_overrides_is_not_named(
 
 
 # -- when to renew
-
-
-def test_a_rate_that_promises_more_than_a_new_one_costs_is_slow() -> None:
-    renewal = Renewal(6, direct=True)
-    assert not renewal.is_slow([1.0, 0.9, 0.8], 1e-9)  # too early to tell
-    assert renewal.is_slow([1.0, 0.1, 0.01, 0.001], 1e-10)  # seven more
-    assert not renewal.is_slow([1.0, 0.1, 0.01, 0.001], 1e-8)  # five more
-    assert renewal.is_slow([1.0, 2.0, 2.0, 2.0], 1e-1)
-    assert not renewal.is_slow([1.0, 0.1, 0.01, 0.001], 1e-2)  # done
 
 
 def test_a_factorisation_is_renewed_for_a_mask_that_differs_by_more_than_it_costs() -> None:

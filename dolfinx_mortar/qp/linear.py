@@ -19,20 +19,19 @@ from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.arrays import EPS, LIMIT, QUARTER_OF_DIGITS, ROUND_OFF, Ints
 from dolfinx_mortar.qp.friction import Sliding
 from dolfinx_mortar.qp.multigrid import Unknowns
-from dolfinx_mortar.qp.negative_eigenvalues import (
+from dolfinx_mortar.qp.operator import (
+    Operator,
     count_negative,
     counts_pivots,
     meets_negative_curvature,
     negative_pivots,
 )
-from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions, check_options
 from dolfinx_mortar.qp.preconditioner import (
     RENEWAL_COST,
     LinearCounts,
     Preconditioner,
     Renewal,
-    SlownessTest,
 )
 from dolfinx_mortar.qp.schur import SchurComplement
 
@@ -91,8 +90,6 @@ class LinearSolver:
             precedence.
         multigrid: whether multigrid is the default preconditioner.
         unknowns: those of multigrid; by default those of the matrix.
-        refactor_after: iterations that cost as much as a new factorisation or set-up; measured
-            values by default.
 
     Attributes:
         options: the PETSc options.
@@ -114,14 +111,12 @@ class LinearSolver:
         options: Mapping[str, Any] | None = None,
         multigrid: bool = False,
         unknowns: Unknowns | None = None,
-        refactor_after: int | None = None,
     ) -> None:
         check_options(comm, prefix, options)
         self.options = SolverOptions(prefix, options, multigrid=multigrid)
         self.counts = LinearCounts()
         self._comm = comm
         self.unknowns = unknowns
-        self._refactor_after = refactor_after
         self.description = "not used yet"
         self._setups: dict[bool, MatrixSetup] = {}  # by whether the matrix is definite
         self._kind = True  # of the present matrix
@@ -214,6 +209,7 @@ class LinearSolver:
         ksp = PETSc.KSP().create(self._comm)
         ksp.setOptionsPrefix(self.options.prefix)
         ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+        ksp.setConvergenceHistory(reset=True)
         with self.options.database(self.options.prefix):
             ksp.setFromOptions()
             schur = None
@@ -228,7 +224,7 @@ class LinearSolver:
             ksp.setNormType(PETSc.KSP.NormType.DEFAULT)
         ksp.setOperators(operator.matrix)
         sliding = self._iteration(operator, ksp.getPC())
-        after = self._refactor_after or RENEWAL_COST["direct" if self.direct else "iterative"]
+        after = RENEWAL_COST["direct" if self.direct else "iterative"]
         renewal = Renewal(after, direct=self.direct)
         limit, dx = ksp.getTolerances()[3], A.createVecRight()
         parts = operator, ksp, sliding, preconditioner, renewal, limit, dx
@@ -256,6 +252,7 @@ class LinearSolver:
         ksp.setType(PETSc.KSP.Type.GMRES)
         ksp.setPCSide(PETSc.PC.Side.RIGHT)
         ksp.setPC(PETSc.PC().createPython(Applied(pc), comm=self._comm))
+        ksp.setConvergenceHistory(reset=True)
         ksp.setOperators(operator.sliding_matrix)
         return ksp
 
@@ -406,7 +403,7 @@ class LinearSolver:
         before = self.counts.iterations
         self.counts.solves += 1
         first = norm = operator.residual(b, x, held, z).norm()
-        if not norm <= atol:
+        if not norm <= max(atol, operator.round_off(x)):
             norm = self._iterate(b, x, held, atol, norm)
         self._judge(b, x, (first, norm, atol), self.counts.iterations - before)
         return operator.z
@@ -460,16 +457,14 @@ class LinearSolver:
         except LinAlgError as error:
             raise NotDefinite(f"nothing holds a body ({error})") from error
         stale = not setup.preconditioner.is_of(held)
-        ksp, floor = self._ksp, self._operator.round_off(x) * (EPS / ROUND_OFF)
-
-        reduction = max(max(atol, floor) / norm, EPS)
-        test = SlownessTest(setup.renewal, reduction, setup.max_iterations, stale=stale)
-        if ksp.getType() != "preonly":
-            ksp.setConvergenceTest(test)
-        ksp.setTolerances(max_it=setup.max_iterations)
+        floor, limit = self._operator.round_off(x) * (EPS / ROUND_OFF), setup.max_iterations
+        if stale and self.direct:  # many, which a new one would have saved
+            limit = min(limit, 2 * setup.renewal.after)
+        ksp, reduction = self._ksp, max(EPS, max(atol, floor) / norm)
+        ksp.setTolerances(rtol=reduction, atol=0.0, divtol=1.0 / EPS, max_it=limit)
         ksp.solve(setup.operator.r, setup.dx)
         self.counts.iterations += max(1, ksp.getIterationNumber())
-        setup.renewal.learn(test.norms, stale=stale)
+        setup.renewal.learn(ksp.getConvergenceHistory(), stale=stale)
         self.counts.seconds_solve += perf_counter() - begin
 
     def _judge(

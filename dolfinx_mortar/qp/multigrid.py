@@ -33,7 +33,7 @@ from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.algebra.csr import call, csr_of, rows_of
 from dolfinx_mortar.algebra.parallel import free_unused
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Ints
-from dolfinx_mortar.qp.negative_eigenvalues import count_negative
+from dolfinx_mortar.qp.operator import count_negative
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ It is renewed as soon as that is cheaper than to continue with it. The decisions
 residuals, not on clocks, so that they are the same on all ranks.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -14,7 +13,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.parallel import free_unused
-from dolfinx_mortar.arrays import LIMIT, TINY, Ints
+from dolfinx_mortar.arrays import LIMIT, TINY, Floats, Ints
 from dolfinx_mortar.qp.multigrid import Multigrid, OwnUnknowns, Unknowns
 from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions
@@ -64,17 +63,6 @@ class Renewal:
         self.fresh_rate = 0.0  # log of the reduction per iteration when it was new
         self.excess = 0.0  # iterations above those of a new one, since it was new
 
-    def is_slow(self, norms: Sequence[float], wanted: float) -> bool:
-        """Tell whether the residual norms predict that a renewal is cheaper.
-
-        A rate counts from half as many iterations on as a renewal costs.
-        """
-        its = len(norms) - 1
-        if 2 * its < self.after or norms[-1] <= wanted:
-            return False
-        rate = np.log(norms[-1] / norms[0]) / its
-        return bool(rate >= 0.0 or np.log(wanted / norms[-1]) / rate > self.after)
-
     def is_far(self, different: int) -> bool:
         """Tell whether to renew without a try, for so many unknowns that are newly held or free.
 
@@ -88,44 +76,15 @@ class Renewal:
         self.excess += SHARE_OF_RESTART * self.after
         return self.excess <= self.after
 
-    def learn(self, norms: Sequence[float], *, stale: bool) -> None:
+    def learn(self, norms: Floats, *, stale: bool) -> None:
         """Observe the residual norms of a solve with a new or an old set-up."""
-        its, reached = len(norms) - 1, 0.0
+        its, reached = max(len(norms) - 1, 0), 0.0
         if its > 0 and norms[0] > 0.0:
             reached = float(np.log(max(norms[-1] / norms[0], TINY)))
         if not stale:
             self.fresh_rate, self.excess = reached / its if its else self.fresh_rate, 0.0
         elif self.fresh_rate < 0.0:
             self.excess += its - reached / self.fresh_rate
-
-
-class SlownessTest:
-    """PETSc convergence test: at the tolerance, or when an old factorisation is too slow.
-
-    Args:
-        renewal: what has been observed.
-        reduction: of the residual.
-        limit: largest number of iterations.
-        stale: whether the factorisation is an old one.
-    """
-
-    def __init__(self, renewal: Renewal, reduction: float, limit: int, *, stale: bool) -> None:
-        self.renewal, self.reduction, self.limit, self.stale = renewal, reduction, limit, stale
-        self.norms: list[float] = []
-
-    def __call__(self, ksp: PETSc.KSP, its: int, norm: float) -> int:
-        """Return PETSc's reason to stop, or that there is none."""
-        Reason = PETSc.KSP.ConvergedReason
-        self.norms.append(norm)
-        if not np.isfinite(norm):
-            return int(Reason.DIVERGED_NANORINF)
-        if norm <= (wanted := self.reduction * self.norms[0]):
-            return int(Reason.CONVERGED_RTOL)
-        if its >= self.limit:
-            return int(Reason.DIVERGED_MAX_IT)
-        if self.stale and self.renewal.direct and self.renewal.is_slow(self.norms, wanted):
-            return int(Reason.CONVERGED_ITS)
-        return int(Reason.CONVERGED_ITERATING)
 
 
 class Preconditioner:
