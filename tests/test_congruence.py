@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.congruence import Congruence, CongruentOperator, UpperHalf
+from dolfinx_mortar.algebra.congruence import Congruence, CongruentOperator, UpperHalf, as_aij
 from dolfinx_mortar.algebra.csr import add_blocks, csr_of, set_csr
 from dolfinx_mortar.algebra.parallel import free_unused
 from dolfinx_mortar.algebra.triplets import BlockMatrix
@@ -62,7 +62,9 @@ def random_vector(K, rng):
 
 def diagonal_by_hand(K, C):
     """Return that of (I + C)^T D (I + C) for the diagonal D of K."""
-    alone = PETSc.Mat().createDiagonal(K.getDiagonal()).convert("aij")
+    alone = as_aij(K).copy()
+    alone.zeroEntries()
+    alone.setDiagonal(K.getDiagonal())
     return Congruence(alone, C).product.getDiagonal()
 
 

@@ -37,13 +37,12 @@ def test_a_solution_depends_on_the_program_alone() -> None:
     assert found.linear_iterations == expected.linear_iterations
 
 
-@pytest.mark.mpi
-def test_all_updates_cost_two_factorisations() -> None:
-    linear = LinearSolver(COMM, prefix="one_")
-    qp = membrane(48)
+def test_all_updates_cost_one_factorisation() -> None:
+    linear = LinearSolver(COMM_SELF, prefix="one_")
+    qp = membrane(48, comm=COMM_SELF)
     solution = solve(qp, linear=linear)
-    assert solution.factorisations <= 2
-    assert solution.linear_iterations <= 12
+    assert solution.factorisations == 1
+    assert solution.linear_iterations <= 3
 
 
 def _dense(A: PETSc.Mat) -> np.ndarray:

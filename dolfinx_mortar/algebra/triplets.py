@@ -59,10 +59,11 @@ class Triplets:
 
     def __init__(
         self,
-        comm: MPI.Comm,
+        comm: MPI.Intracomm,
         layout: Layout,
         rows: npt.ArrayLike,
         columns: npt.ArrayLike,
+        *,
         d: int = 1,
     ) -> None:
         i, j = (np.array(v, dtype=PETSc.IntType).ravel() for v in (rows, columns))  # PETSc sorts
@@ -119,13 +120,18 @@ class BlockMatrix:
     """
 
     def __init__(
-        self, comm: MPI.Comm, layout: Layout, d: int, rows: npt.ArrayLike, columns: npt.ArrayLike
+        self,
+        comm: MPI.Intracomm,
+        layout: Layout,
+        d: int,
+        rows: npt.ArrayLike,
+        columns: npt.ArrayLike,
     ) -> None:
         self._filled: Floats | None = None
         first = comm.exscan(layout.size_local) or 0
         i = d * (np.asarray(rows, dtype=np.int64) + first)[:, None, None] + np.arange(d)[:, None]
         j = d * np.asarray(columns, dtype=np.int64)[:, None, None] + np.arange(d)
-        self._sums = Triplets(comm, layout, *np.broadcast_arrays(i, j), d)
+        self._sums = Triplets(comm, layout, *np.broadcast_arrays(i, j), d=d)
         self.matrix = self._sums.zero()
 
     def of(self, blocks: Floats) -> PETSc.Mat:
