@@ -3,7 +3,6 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from itertools import cycle
 from unittest.mock import patch
 
@@ -15,8 +14,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.geometry import area
 from dolfinx_mortar.interfaces.system import InterfaceSystem
-from dolfinx_mortar.mortar import common_normals, curvature_correction, edges, integrals
-from dolfinx_mortar.mortar.surface import accumulate
+from dolfinx_mortar.mortar import common_normals, curvature_correction, integrals
 
 FAR = 1e3  # all nodes are near
 
@@ -93,7 +91,6 @@ class Differences:
         *,
         fixed=None,
         weight=None,
-        open=False,
         slid=0.0,
         loaded=np.inf,
     ):
@@ -103,7 +100,6 @@ class Differences:
             noise: Height of the waves.
             fixed: Returns which components (n, d) at points are prescribed.
             weight: Of the integrals.
-            open: Whether all slave nodes are on edges.
             slid: How far what lies above 0 has been moved along x since the partners were found.
             loaded: Nodes beyond this x have no tractions, and no rows but those beside the others.
         """
@@ -113,9 +109,6 @@ class Differences:
         interface.take(self, V)
         interface.check(V, weight is not None, "small")
         self.system, self.u = InterfaceSystem(V, [interface], ~free, weight), fem.Function(V)
-        if open:
-            (sides,) = self.system.sides
-            self.system.sides = [replace(sides, edges=np.ones(len(sides.slave.nodes), dtype=bool))]
         self.start, self.du = noise * wavy(X, 0.0) * free, wavy(X, 2.0) * free
         self.before = self.start - 0.3 * noise * wavy(X, 4.0) * free
         self.before[X[:, -1] > 0.005, 0] -= slid
@@ -201,7 +194,7 @@ class Differences:
 
     def _features(self):
         """Return what the case contains; collective."""
-        link, slave = self.link, self.link.sides.slave
+        link = self.link
         found = {
             "partly": not self.on.all(),
             "held": ((self.old.slot >= 0).any(axis=1) & self.on).any(),
@@ -210,13 +203,7 @@ class Differences:
         }
         if (operators := self.old.operators) is not None:
             found["step"] = operators.segments.reach is not None
-        if (on_edges := link.sides.edges) is not None:
-            found["edges"] = (on_edges[: slave.owned] & self.on).any()
-            kept = np.zeros((len(slave.nodes), 1))
-            kept[: slave.owned, 0] = self.on
-            keep = accumulate(slave, kept)[:, 0] > 0.0
-            at = link.pairing, operators.segments, self.u, keep, on_edges, link.banned[slave.nodes]
-            if (sharing := edges.find_sharing(*at)) is not None:
-                found["open"] = ((sharing.closed > 0.0) & (sharing.closed < 1.0)).any()
-                found["wide"] = (sharing.closed == 0.0).any()
+        if (spreads := link.sides.spreads) is not None:
+            S = spreads.at(self.u)[np.searchsorted(spreads.nodes, link.nodes)]
+            found["edges"] = (common_normals._edged(S, np.sin(np.radians(20)) ** 2) & self.on).any()
         return {name for name, here in found.items() if self.comm.allreduce(bool(here), op=MPI.LOR)}

@@ -11,9 +11,8 @@ from dolfinx import fem
 from dolfinx.mesh import exterior_facet_indices, meshtags
 from dolfinx_mortar.geometry.crossings import find_crossings, near_pairs
 from dolfinx_mortar.geometry.facets import facet_sizes
-from dolfinx_mortar.mortar.edges import SUNK
 from dolfinx_mortar.mortar.surface import create_surface, facets_at, nodal_sagittas
-from dolfinx_mortar.report.penetration import find_crossing
+from dolfinx_mortar.report.penetration import SUNK, find_crossing
 from tests import lug_case
 from tests.box_piles import THREE, create_boxes
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, UPPER, two_blocks

@@ -17,11 +17,12 @@ from dolfinx_mortar.mortar import (
     common_normals,
     curvature_correction,
     duals,
-    edges,
+    integrals,
     self_contact,
     surface,
 )
 from tests import (
+    test_corners,
     test_curvature_jumps,
     test_dual,
     test_edges,
@@ -35,8 +36,8 @@ from tests import (
 ROOT = Path(__file__).resolve().parent.parent
 NUMBERS = [
     "BLUR", "CHUNK", "EPS", "FACING", "HALF_OF_DIGITS", "JUMP", "LEAST_COVERAGE", "LEAST_WEIGHT",
-    "LIMIT", "PROJECTIONS", "QUARTER_OF_DIGITS", "REACH", "ROUND_OFF", "SAME", "STAYS", "STEP",
-    "SUNK", "THROUGH", "TINY", "TURN", "VERTICES", "area._HIGHEST", "segments._SLIDING",
+    "LIMIT", "PROJECTIONS", "QUARTER_OF_DIGITS", "REACH", "ROUND_OFF", "SAME", "STEP",
+    "THROUGH", "TINY", "TURN", "VERTICES", "area._HIGHEST", "integrals._FALL", "segments._SLIDING",
     "surface._MOST_WARPED",
 ]  # fmt: skip
 # Numbers that its cases do not reach: absurd values, and tests that fail with them. LEAST_WEIGHT is
@@ -66,10 +67,10 @@ FELT = {
         (0.5,),
         lambda: test_curvature_jumps.test_what_varies_smoothly_does_not_jump(3.0, 32, 0.25),
     ),
-    "SUNK": (
-        edges,
+    "_FALL": (
+        integrals,
         (1e12,),
-        test_edges.test_a_corner_beside_a_clamped_node_does_not_sink_in,
+        lambda: test_corners.test_what_stands_back_behind_a_step_does_not_count("triangle", 1, 0.0),
     ),
     "REACH": (
         self_contact,

@@ -43,9 +43,9 @@ class Plane(Interface):
         said = f"point={self.point.tolist()}, normal={self.normal.tolist()}"
         return f"{super().__repr__()[:-1]}, {said})"
 
-    def couple(self, sides, pairing, pattern, banned, u, before=None):
+    def couple(self, sides, pairing, pattern, banned, u):
         slave, nodes = sides.slave, sides.nodes
-        n, d = len(nodes), len(self.normal)
+        d = len(self.normal)
         areas = tributary_weights(facets_at(slave, slave.X))
         areas = sum_at_nodes(slave, areas[:, :, None])[: slave.owned, 0]
         fixed = sides.fixed[nodes]
@@ -63,7 +63,6 @@ class Plane(Interface):
             normals=normals,
             heights=kept * (self.normal @ self.point),  # gap n.(x - p) = -n_j.x - h_j
             coverage=full_coverage(sides),
-            lost=np.zeros((n, 1), dtype=bool),
         )
 
 

@@ -27,7 +27,7 @@ def bodies(cell, degree, swap=False, part="sides", surface="facets", friction=0.
         swap: The upper one.
         part: "sides", whole "skins", "middles" of sides, or both as one that meets "itself".
     """
-    names = "noise", "fixed", "weight", "open", "slid", "loaded"
+    names = "noise", "fixed", "weight", "slid", "loaded"
     own = {k: options.pop(k) for k in names if k in options}
     create, given = meshes.two_blocks, BLOCKS
     if "hedron" in cell:
@@ -115,11 +115,6 @@ def raised(x):
     return moved(x, (0.6 if x.shape[1] == 2 else 1.0) * beyond(x, 0.8))
 
 
-def tilted(x):
-    """Let the gap between the bodies shrink along x: facets are partly open, then open, or not."""
-    return moved(x, 0.02 * (1.3 - x[:, 0]) * (x[:, -1] > 0.0))
-
-
 def sunk(x):
     """Sink a part of the upper body beyond the middle of the lower one."""
     return moved(x, -0.8 * beyond(x))
@@ -159,12 +154,6 @@ SMOOTH = {"surface": "smooth", "transform": bent, "gap": 0.01}
 HIDING = {"transform": overhanging, "gap": 0.01, "noise": 0.01}
 STEP = {**HIDING, "transform": raised}
 BEHIND = {**HIDING, "transform": sunk}
-OPEN = {"open": True, "noise": 2e-3, "gap": 0.003}
-LITTLE_FACES = {
-    **OPEN,
-    "x_lower": (0.5, 1.65),
-    "x_upper": (1.12, 2.12),
-}  # little of two facets faces
 ALIKE = {"n_lower": (4, 1), "n_upper": (3, 1), "x_lower": (0.0, 1.0), "x_upper": (0.0, 1.1)}
 SKINS = {"part": "skins", "noise": 1e-3}
 BESIDE = {"n_lower": (6, 4), "n_upper": (5, 4), "x_lower": (0.0, 1.0), "x_upper": (0.63, 1.17)}
@@ -194,14 +183,12 @@ ROWS = [  # cell, degree, what it has to contain, options
     ("triangle", 2, "step", STEP),
     ("triangle", 1, "partly", BEHIND),
     ("triangle", 1, "lost", {"slid": -0.2, "gap": 0.01}),
-    ("triangle", 1, "edges open", LITTLE_FACES),
-    ("triangle", 2, "edges open", {**LITTLE_FACES, "weight": around, "swap": True}),
     ("triangle", 1, "held", {**ROLLERS, **ALIKE}),
     ("triangle", 1, "held", {**ROLLERS, **ALIKE, "x_upper": (-0.4, 1.1), "n_upper": (2, 1)}),
     ("triangle", 2, "held", {**MIRRORS, **ALIKE, "order": 2}),
     ("triangle", 1, "edges", {**SKINS, **BESIDE}),
     ("triangle", 2, "edges", {**SKINS, **BESIDE, "swap": True}),
-    ("triangle", 1, "edges open", {**SKINS, **BEYOND}),
+    ("triangle", 1, "", {**SKINS, **BEYOND}),
     ("tetrahedron", 1, "partly", {}),
     ("tetrahedron", 1, "", OVER),
     ("tetrahedron", 1, "partly", {"friction": None, "swap": True}),
@@ -209,22 +196,19 @@ ROWS = [  # cell, degree, what it has to contain, options
     ("tetrahedron", 1, "partly", {"loaded": 0.2}),
     ("tetrahedron", 1, "partly", HIDING),
     ("tetrahedron", 1, "partly", BEHIND),
-    ("tetrahedron", 1, "edges open wide", {**OPEN, "transform": tilted}),
     ("tetrahedron", 2, "partly", {"noise": 0.01, "swap": True}),  # 256 pairs around a node
     ("tetrahedron", 2, "", {**OVER, "noise": 0.01, "order": 2}),
-    ("tetrahedron", 2, "edges open", OPEN),
     ("tetrahedron", 1, "edges", FLANKS),
-    ("tetrahedron", 2, "edges open", FLANKS),
+    ("tetrahedron", 2, "edges", FLANKS),
     ("hexahedron", 1, "edges", {**SKINS, "upper": (0.23, 0.77, 0.21, 0.75), "swap": True}),
     ("hexahedron", 1, "edges", {**CORNER, "swap": True}),
-    ("hexahedron", 1, "edges open", {**SKINS, **LITTLE, "swap": True}),
+    ("hexahedron", 1, "", {**SKINS, **LITTLE, "swap": True}),
     ("hexahedron", 1, "partly", {}),
     ("hexahedron", 1, "smooth", {**SMOOTH, **OVER}),
     ("hexahedron", 1, "held", {**ROLLERS, "upper": UNIT}),
     ("hexahedron", 1, "held", {**MIRRORS, "upper": UNIT, "swap": True}),
     ("hexahedron", 2, "partly smooth", {**SMOOTH, "noise": 0.01}),
     ("hexahedron", 2, "smooth", {**SMOOTH, **OVER, "noise": 0.01, "order": 2}),
-    ("hexahedron", 2, "edges open", OPEN),
     *((cell, 1, "partly", {"part": "itself"}) for cell in ("triangle", "tetrahedron")),
     *(("triangle", degree, "held partly", tool) for tool in (PLANAR, RING) for degree in (1, 2)),
     *(("triangle", 1, "held partly", {**tool, "surface": "smooth"}) for tool in (PLANAR, RING)),

@@ -26,8 +26,7 @@ from dolfinx_mortar.interfaces.constraints import Limit, create_law
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
 from dolfinx_mortar.interfaces.mortar_interface import SURFACES
-from dolfinx_mortar.mortar.edges import check_angle
-from dolfinx_mortar.mortar.faces import Faces, find_faces
+from dolfinx_mortar.mortar.faces import Faces, check_angle, find_faces
 from dolfinx_mortar.mortar.facing_bodies import Facing, Skin, find_facing
 from dolfinx_mortar.mortar.surface import find_boundary
 from dolfinx_mortar.spaces import check_space

@@ -37,7 +37,6 @@ from dolfinx_mortar.interfaces.slip_partners import Partners, ToolPartners
 from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
 from dolfinx_mortar.mortar.common_normals import carried, in_planes
 from dolfinx_mortar.mortar.duals import find_duals
-from dolfinx_mortar.mortar.edges import find_sharing
 from dolfinx_mortar.mortar.integrals import some_points
 from dolfinx_mortar.mortar.pairing import receive
 from dolfinx_mortar.mortar.surface import (
@@ -218,13 +217,9 @@ class ContactDerivatives(LinkDerivatives):
         self, link: CoupledSides, u: fem.Function, segments: Segments, keep: Bools, given: Tractions
     ) -> Derivatives:
         """Return the derivatives on this rank; collective."""
-        pairing, common, edges = link.mortar[0], link.coupling.common, link.sides.edges
+        pairing, common = link.mortar[0], link.coupling.common
         assert common is not None
-        sharing = None
-        if edges is not None:
-            banned = link.banned[link.sides.slave.nodes]
-            sharing = find_sharing(pairing, segments, u, keep, edges, banned)
-        at = pairing, u, segments, keep, given, link.pattern.smooth, sharing
+        at = pairing, u, segments, keep, given, link.pattern.smooth
         return differentiate(*at, receive(pairing, common.of_master))
 
     def slips(

@@ -32,7 +32,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem, la
-from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes
+from dolfinx_mortar.algebra.parallel import sums_at_nodes
 from dolfinx_mortar.algebra.triplets import BlockMatrix
 from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
@@ -42,7 +42,7 @@ from dolfinx_mortar.mortar.curvature_correction import NodeShape, SmoothSide
 from dolfinx_mortar.mortar.duals import Coverage
 from dolfinx_mortar.mortar.operators import MortarOperators
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
-from dolfinx_mortar.mortar.surface import Surface, accumulate
+from dolfinx_mortar.mortar.surface import Surface
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,6 @@ class Sides:
     mirrors: Bools  # (local nodes, d) those of planes of symmetry, of both sides: `find_mirrors`
     dependent: Bools  # (n,) owned slave nodes that depend on other ones, which may be kept
     unilateral: bool  # whether they can open
-    edges: Bools | None = None  # (n,) slave nodes of a contact on edges
     weight: Weight | None = None  # of all integrals over the interface; None for 1
     spreads: Spreads | None = None  # of the normals around the nodes of contacts of two sides
     judged: Sequence[tuple[Bools, Floats]] = ()  # of slave and master: `judge_supports`
@@ -117,14 +116,8 @@ class Coupling:
     normals: Floats  # (n, d) outward; 0 if nothing but prescribed directions is left
     heights: Floats  # (n,) by how much the gap is smaller than n.(P x - x_j), see `Link.gaps`
     coverage: Coverage  # how far the nodes face the master
-    lost: Bools  # (n, c) nodes that have lost a multiplier in the course of the step
     operators: MortarOperators | None = None  # of which it is made; None without a master
     common: CommonNormals | None = None  # with the prescribed directions; of contacts of two sides
-
-    @property
-    def returned(self) -> Bools:
-        """Nodes (n, c) that have lost a multiplier in the course of the step and got it back."""
-        return self.kept & self.lost
 
     @cached_property
     def rows(self) -> Floats:
@@ -146,7 +139,6 @@ def check_coupling(name: str, found: Coupling, sides: Sides, pattern: Pattern) -
         "weight": (n, c),
         "normals": (n, d),
         "heights": (n,),
-        "lost": (n, c),
     }
     check_shapes(name, found, shapes)
     size = np.linalg.norm(found.R, axis=1).prod(axis=1)
@@ -424,20 +416,8 @@ def free_directions(normals: Floats, fixed: Bools) -> tuple[Floats, Floats]:
     return np.where(some, free / np.maximum(left, TINY)[:, None], 0.0), left
 
 
-def returned_nodes(sides: Sides, before: Coupling | None) -> Bools | None:
-    """Return the local slave nodes (n, c) that have returned; None if none has; collective."""
-    if before is None or not any_rank(sides.V.mesh.comm, before.returned.any())[0]:
-        return None
-    marks = np.zeros((len(sides.slave.nodes), before.returned.shape[1]))
-    marks[: sides.slave.owned] = before.returned
-    return np.asarray(accumulate(sides.slave, marks) > 0)
-
-
-def couple_in(
-    frame: Frame, kept: Bools, before: Coupling | None, *, blocks: Floats, **rest: Any
-) -> Coupling:
-    """Return the coupling in a frame, and which nodes it has lost since the one before."""
-    lost = np.zeros_like(kept) if before is None else before.lost | (before.kept & ~kept)
+def couple_in(frame: Frame, kept: Bools, *, blocks: Floats, **rest: Any) -> Coupling:
+    """Return the coupling in a frame."""
     blocks.flags.writeable = False
     return Coupling(
         blocks=blocks,
@@ -446,6 +426,5 @@ def couple_in(
         directions=frame.directions,
         kept=kept,
         normals=frame.normals,
-        lost=lost,
         **rest,
     )

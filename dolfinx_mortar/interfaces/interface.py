@@ -173,7 +173,6 @@ class Interface(Collective, Results, ABC):
         pattern: Pattern,
         banned: Bools,
         u: fem.Function | None,
-        before: Coupling | None = None,
     ) -> Coupling:
         """Return frames, weights and Q at X + u; collective.
 
@@ -183,7 +182,6 @@ class Interface(Collective, Results, ABC):
             pattern: of Q.
             banned: (local nodes,) slave nodes that may not carry a multiplier.
             u: displacement, None for X.
-            before: of the last geometry of the step; in its first one none.
         """
 
     # -- what acts -------------------------------------------------------------------------------

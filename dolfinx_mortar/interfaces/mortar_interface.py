@@ -24,14 +24,13 @@ from dolfinx_mortar.interfaces.coupling import (
     create_pattern,
     free_directions,
     mark,
-    returned_nodes,
     with_ghosts,
 )
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface
 from dolfinx_mortar.mortar.common_normals import common_normals
 from dolfinx_mortar.mortar.curvature_correction import NodeShape, find_shape, find_smooth_sides
 from dolfinx_mortar.mortar.duals import Coverage, find_coverage, node_weights
-from dolfinx_mortar.mortar.edges import check_angle, find_edges
+from dolfinx_mortar.mortar.faces import check_angle
 from dolfinx_mortar.mortar.integrals import drop_far, find_segments
 from dolfinx_mortar.mortar.mirrors import judge_supports
 from dolfinx_mortar.mortar.operators import SmoothSides, create_operators
@@ -141,7 +140,6 @@ class MortarInterface(Interface):
         if self.slave != self.master:
             master = create_surface(V, self.facet_tags, self.master, "master")
         dependent = dependent_nodes(slave)[: slave.owned]
-        edges = find_edges(slave, self.feature_angle) if self.unilateral else None
         mirrors = np.zeros_like(fixed)
         judged: list[tuple[Bools, Floats]] = []
         shapes: list[NodeShape] = []
@@ -154,7 +152,7 @@ class MortarInterface(Interface):
             if self.unilateral or (self.smooth and not side.curved):
                 shapes.append(find_shape(side, fixed, angle, own))
         marks, can_open, both = (mark(slave), mark(master)), self.unilateral, 2 // len(every)
-        at = V, slave, master, *marks, fixed, mirrors, dependent, can_open, edges
+        at = V, slave, master, *marks, fixed, mirrors, dependent, can_open
         return Sides(*at, weight=weight, judged=judged, shapes=both * shapes)
 
     def pair(
@@ -207,7 +205,6 @@ class MortarInterface(Interface):
         pattern: Pattern,
         banned: Bools,
         u: fem.Function | None,
-        before: Coupling | None = None,
     ) -> Coupling:
         """Integrate D and M at X + u on the fixed pattern, see `Interface.couple`; collective."""
         assert pairing is not None
@@ -218,12 +215,7 @@ class MortarInterface(Interface):
         fixed, free = sides.fixed[slave.nodes], ~banned[slave.nodes, None]
         _, left = free_directions(normals, fixed)
         allowed = self.may_carry(left, fixed) & free
-        options: dict[str, Any] = {
-            "returned": returned_nodes(sides, before),
-            "edges": sides.edges,
-            "claimed": banned[slave.nodes],
-            **({} if pattern.smooth is None else self.corrections(pattern.smooth)),
-        }
+        options = {} if pattern.smooth is None else self.corrections(pattern.smooth)
         operators = create_operators(pairing, u, segments, normals, allowed, **options)
         common = None
         if sides.spreads is not None:
@@ -243,7 +235,6 @@ class MortarInterface(Interface):
         return couple_in(
             frame,
             kept,
-            before,
             blocks=blocks,
             P=operators.P,
             weight=operators.weight,

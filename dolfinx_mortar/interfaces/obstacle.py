@@ -37,7 +37,6 @@ from dolfinx_mortar.interfaces.coupling import (
     couple_in,
     create_pattern,
     free_directions,
-    returned_nodes,
 )
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
 from dolfinx_mortar.interfaces.mortar_interface import is_smooth
@@ -242,7 +241,6 @@ class Obstacle(Movable, Unilateral):
         pattern: Pattern,
         banned: Bools,
         u: fem.Function | None,
-        before: Coupling | None = None,
     ) -> Coupling:
         """Integrate D and the gaps at X + u, see `Interface.couple`; collective."""
         assert isinstance(pattern, SidePattern) and pattern.side is not None
@@ -260,9 +258,7 @@ class Obstacle(Movable, Unilateral):
         near = at_nodes.value <= FACETS * side.facet_length
         if any_rank(comm, banned[slave.nodes].any())[0]:  # others have the rest
             facing &= near[slave.facets].any(axis=1)
-        returned = returned_nodes(sides, before)
-        returned = None if returned is None else returned[:, 0]
-        found = integrate_side(side, x, facing, allowed, returned)
+        found = integrate_side(side, x, facing, allowed)
         frame = self.frame(into[own], found.kept, sides.fixed[sides.nodes])
         gaps, _ = point_gaps(pattern, pose, self.tool.asked, u, found.segments, found.x)
         at = means(side, found, np.column_stack([found.x, gaps]))
@@ -272,7 +268,6 @@ class Obstacle(Movable, Unilateral):
         return couple_in(
             frame,
             kept,
-            before,
             blocks=self.blocks(found.P, frame, pattern.row),
             P=found.P,
             weight=np.where(kept, found.weight, 0.0),

@@ -170,7 +170,6 @@ class RigidSide(Movable, Interface):
         pattern: Pattern,
         banned: Bools,
         u: fem.Function | None,
-        before: Coupling | None = None,
     ) -> Coupling:
         """Return that all nodes are held in all directions, see `Interface.couple`; collective."""
         self._refuse(sides, banned[sides.nodes], "an earlier interface has", "of the two")
@@ -193,7 +192,6 @@ class RigidSide(Movable, Interface):
             normals=nodal_normals(slave, x)[: slave.owned],
             heights=np.zeros(n),
             coverage=full_coverage(sides),
-            lost=np.zeros((n, 1), dtype=bool),
         )
 
     def _refuse(self, sides: Sides, wrong: Bools, who: str, whose: str) -> None:

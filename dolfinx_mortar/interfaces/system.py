@@ -70,8 +70,7 @@ class Paired:
 class Configuration:
     """All interfaces at given positions: a function of these, and of where they were paired.
 
-    Pairs serve until the sides have slid past them, and T holds its nodes until others come near;
-    within a step, multipliers that were lost are known.
+    Pairs serve until the sides have slid past them, and T holds its nodes until others come near.
     """
 
     links: Sequence[Link] = ()  # the interfaces with their pairings and couplings
@@ -254,18 +253,13 @@ class InterfaceSystem:
 
     # -- configurations --------------------------------------------------------------------------
 
-    def at(self, u: fem.Function | None, before: Configuration | None = None) -> Configuration:
-        """Pair and couple the surfaces at X + u and settle the claims; no T yet; collective.
-
-        Args:
-            u: displacement, None for X.
-            before: of the same step, with the nodes that have lost a multiplier in it.
-        """
+    def at(self, u: fem.Function | None) -> Configuration:
+        """Pair and couple the surfaces at X + u and settle the claims; no T yet; collective."""
         if not self.interfaces:
             return Configuration()
         at = self._pair(u)
         near = [np.ones(len(sides.nodes), dtype=bool) for sides in self.sides]
-        links = self._coupled(u, near, before)
+        links = self._coupled(u, near)
         return Configuration(links, self._reused.claims, paired_at=at, searched=True)
 
     def _pair(self, u: fem.Function | None) -> Floats:
@@ -301,42 +295,29 @@ class InterfaceSystem:
         self._reused = replace(self._reused, pairs=found, claims=claims, at_X={}, paired_at=at)
         return at
 
-    def _coupled(
-        self, u: fem.Function | None, near: Sequence[Bools], before: Configuration | None = None
-    ) -> list[Link]:
+    def _coupled(self, u: fem.Function | None, near: Sequence[Bools]) -> list[Link]:
         """Return the interfaces at X + u with the pairs and claims of the last search."""
         links, claims = [], self._reused.claims
         assert claims is not None
         for k, (interface, sides) in enumerate(zip(self.interfaces, self.sides, strict=True)):
             parts = sides, *self._reused.pairs[k], claims.banned[k]
-            coupling = self._couple(k, parts, u, before.links[k].coupling if before else None)
+            coupling = self._couple(k, parts, u)
             links.append(Link(*parts[:3], coupling, near[k], claims.banned[k], interface))
         return links
 
-    def _couple(
-        self,
-        k: int,
-        parts: tuple[Any, ...],
-        u: fem.Function | None,
-        before: Coupling | None,
-    ) -> Coupling:
-        """Return what an interface's `couple` returns at X + u, checked; collective.
+    def _couple(self, k: int, parts: tuple[Any, ...], u: fem.Function | None) -> Coupling:
+        """Return what the `couple` of interface k returns for parts at X + u, checked; collective.
 
-        Args:
-            k: number of the interface.
-            parts: what else `couple` takes.
-            before: of the last geometry of the step; in its first one None. Then what lasts is
-                asked once a search: ties, and contacts of frozen geometry.
+        What lasts is asked once a search: ties, and contacts of frozen geometry.
         """
         interface = self.interfaces[k]
         at = None if interface.stays else u
-        lasts = self.sides[k].master is not None and is_ours(interface)
-        first = at is None and lasts and before is None
-        if first and k in self._reused.at_X:
+        lasts = at is None and self.sides[k].master is not None and is_ours(interface)
+        if lasts and k in self._reused.at_X:
             return self._reused.at_X[k]
         sides, pairing, pattern, banned = parts
-        found = interface.couple(sides, pairing, pattern, banned, at, before)
-        if first:
+        found = interface.couple(sides, pairing, pattern, banned, at)
+        if lasts:
             self._reused = replace(self._reused, at_X={**self._reused.at_X, k: found})
         return found
 
@@ -345,7 +326,7 @@ class InterfaceSystem:
         if u is not None and link.interface.stays and link.pairing and is_ours(link.interface):
             return link
         parts = link.sides, link.pairing, link.pattern, link.banned
-        return replace(link, coupling=self._couple(k, parts, u, link.coupling))
+        return replace(link, coupling=self._couple(k, parts, u))
 
     def begin(self, u: fem.Function | None, known: Paired | None) -> Configuration:
         """Return what a step begins with at X + u; no T yet; collective.
@@ -413,11 +394,11 @@ class InterfaceSystem:
         if not self.interfaces:
             return False
         if self._slid(u, None if everywhere else [link.near for link in before.links]):
-            return self.enter(self.at(u, before), x, before.increment)
+            return self.enter(self.at(u), x, before.increment)
         links = [self._followed(k, link, u) for k, link in enumerate(before.links)]
         assert before.claims is not None and before.transformation is not None
         if self._are_outdated(before.claims, links):
-            return self.enter(self.at(u, before), x, before.increment)
+            return self.enter(self.at(u), x, before.increment)
         reach = find_reach(links, x, self.n, before.increment, self.facet_length)
         if any_rank(self.V.mesh.comm, reach.missing(links))[0]:
             return self._enter(before, [replace(link, near=reach.near(link)) for link in links])

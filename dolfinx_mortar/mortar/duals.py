@@ -42,7 +42,7 @@ facets across the contact radius, differ from Hertz' by 1.0 % (rms over the inne
 radius), with 1/5 by 0.7 %; forces are the same to 5e-4.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
@@ -80,12 +80,6 @@ a facet (2D, hexahedra, tetrahedra) 1e-5 shows up to 80 times the pressure besid
 times, 0.025 to 0.1 at most twice. From 1e-5 to 0.1 forces differ by up to 0.5 % in 2D, 2 % in 3D,
 and iterations by two.
 """
-STAYS = 0.5
-"""A node that has lost its multiplier in the course of a step, and got it back, keeps it down to
-this part of that coverage. Its multiplier moves the bodies, and so changes its coverage: where the
-rim of a box presses into another one (sweep second3, seed 20001) it alternated without end between
-.042 with a multiplier and .053 without one."""
-
 LEAST_WEIGHT = 0.01
 """A node has a weight if it is more than this part of the area of its facets: those of straight
 facets have 1/36 or more, those on an axis phi^2/120, phi being the angle by which a facet bends."""
@@ -335,18 +329,12 @@ def _find_weightless(pairing: Integrated, segments: Segments) -> tuple[Bools, Fl
     return np.asarray(none), np.asarray(sums[:, 2] / np.maximum(sums[:, 1], TINY))
 
 
-def _least(stays: Bools | None) -> Floats:
-    """Return `LEAST_COVERAGE` (n,), less of nodes that stay."""
-    return np.asarray(LEAST_COVERAGE * np.where(False if stays is None else stays, STAYS, 1.0))
-
-
 def default_keep(
     pairing: Integrated,
     segments: Segments,
     covered: Floats,
     tributary: Floats,
     allowed: Bools | None = None,
-    stays: Bools | None = None,
     N_s: Floats | None = None,
 ) -> Bools:
     """Choose the slave nodes that carry a multiplier, the same on any number of ranks (collective).
@@ -359,18 +347,16 @@ def default_keep(
         covered: Covered weight (n,) of each slave node, of `node_weights`.
         tributary: Whole weight (n,), of `node_weights`.
         allowed: Nodes (n,) that may be kept; all if not given.
-        stays: Nodes (n,) that are kept down to less, `STAYS`; none if not given.
         N_s: Values (q, k) of the slave shape functions, if they are at hand.
     """
-    least = _least(stays)
     allowed = np.ones(len(covered), dtype=bool) if allowed is None else allowed
     none, _ = _find_weightless(pairing, segments)
     coverage = np.where(allowed & ~none, covered, 0.0) / np.where(none, 1.0, tributary)
-    keep = coverage > least
+    keep = coverage > LEAST_COVERAGE
     if pairing.slave.element.shares:  # a vertex needs mid-side nodes whose functions it shares
         left = node_weights(pairing, segments, keep, N_s)[0] / np.where(none, 1.0, tributary)
         coverage = np.where(left > HALF_OF_DIGITS * coverage, coverage, 0.0)
-        keep &= left > least
+        keep &= left > LEAST_COVERAGE
     facets = pairing.slave.facets[segments.covered]
     facets = facets[~keep[facets].any(axis=1) & (coverage[facets] > 0).any(axis=1)]
     rescued = np.zeros(len(covered))
@@ -385,9 +371,7 @@ def choose_duals(
     segments: Segments,
     weights: tuple[Floats, Floats],
     allowed: Bools,
-    stays: Bools | None,
     N_s: Floats,
-    opened: Callable[[Floats, Bools], Floats] | None = None,
 ) -> tuple[Bools, Floats]:
     """Return the slave nodes (n,) that carry a multiplier, and w Phi_j (q, k) (collective).
 
@@ -399,16 +383,13 @@ def choose_duals(
     Args:
         weights: Covered and whole weights of `node_weights`.
         allowed: Nodes (n,) that may be kept.
-        stays: Nodes (n,) that are kept down to less; none if not given.
         N_s: Values (q, k) of the slave shape functions.
-        opened: Returns w Phi_j for the nodes kept from those of `weighted_duals`; see `open_duals`.
     """
     while True:  # each time with fewer nodes
-        keep = default_keep(pairing, segments, *weights, allowed, stays, N_s)
+        keep = default_keep(pairing, segments, *weights, allowed, N_s)
         Phi = weighted_duals(pairing, segments, keep, N_s)
-        Phi = Phi if opened is None else opened(Phi, keep)
         force = integrate_values(pairing, segments, Phi, np.ones(len(Phi)))
-        pulls = keep & (force <= _least(stays) * weights[0])
+        pulls = keep & (force <= LEAST_COVERAGE * weights[0])
         if not any_rank(pairing.slave.V.mesh.comm, pulls.any())[0]:
             return keep, Phi
         allowed = allowed & ~pulls

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Faces of bodies: exterior facets that join at less than a feature angle; over all ranks."""
+"""Faces of bodies: exterior facets that join at less than a feature angle, and their edges."""
 
 from dataclasses import dataclass
 from itertools import count
+from typing import Any
 
 from mpi4py import MPI
 
@@ -11,8 +12,25 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx import fem
-from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
-from dolfinx_mortar.geometry.facets import Facets, facet_normals
+from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.geometry.curvature import unit
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
+from dolfinx_mortar.geometry.segments import Segments
+from dolfinx_mortar.mortar.pairing import Pairing, received_facets
+
+
+def check_angle(feature_angle: Any) -> float:
+    """Return the angle from which on facets meet in an edge, if it is one.
+
+    Raises:
+        ValueError: unless 0 < feature_angle <= 180.
+    """
+    if not is_number(feature_angle) or not 0.0 < feature_angle <= 180.0:
+        raise ValueError(
+            f"feature_angle is {feature_angle!r}: give degrees, 0 < feature_angle <= 180"
+        )
+    return float(feature_angle)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,3 +111,27 @@ def _components(n: int, a: Longs, b: Longs) -> tuple[int, Longs]:
     """Return the number of connected parts of a graph with n vertices, and that of each."""
     parts, found = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), False)
     return int(parts), np.asarray(found, dtype=np.int64)
+
+
+def facing_edges(pairing: Pairing, segments: Segments, feature_angle: float) -> Bools:
+    """Return the slave facets (m,) that convex edges or corners of the master face; collective.
+
+    On more than a twentieth of what such a facet faces, the master's normal is turned from the mean
+    there by more than half of the feature angle, and normals point apart. At X.
+
+    Args:
+        feature_angle: Degrees between facets from which on they meet in an edge.
+    """
+    on, count, w = segments.slave, len(pairing.slave.facets), segments.weight
+    received = received_facets(pairing, None)
+    n = facet_normals(received)[segments.master]
+    x = points_of(received, segments.master, segments.xi_m)
+    whole = np.maximum(np.bincount(on, w, count), TINY)
+    middle, mean = (
+        np.stack([np.bincount(on, w * part, count) for part in v.T], axis=1) / whole[:, None]
+        for v in (x, n)
+    )
+    turned = (n * unit(mean)[on]).sum(axis=1) < np.cos(np.radians(feature_angle / 2))
+    apart = ((x - middle[on]) * (n - mean[on])).sum(axis=1)
+    convex = np.bincount(on, w * apart, count) > 0.0
+    return np.asarray(convex & (np.bincount(on, w * turned, count) > 0.05 * whole))

@@ -37,14 +37,9 @@ from dolfinx_mortar.mortar.surface import (
     sum_at_nodes,
 )
 
-SUNK = 0.05
-"""Share of the size of a facet up to which a corner may lie in it without a note of the report.
-
-In 280 steps of the tests (pins, balls, blocks and sockets, elastic, plastic, with friction) it is
-.04 at most, apart from the sagittas of facets; a corner between nodes penetrates as far as it is
-pressed. So a gap at a node counts as open from this share on, see `open_duals`: between 0 and it
-dual functions are shared out in part.
-"""
+_FALL = 0.3
+"""Share of the size of a facet over which weights fall at least, see `_near_parts`: a step that is
+lower counts in part, and changes a gap by up to a sixth of it."""
 
 _OF_POINTS = "pair", "slave", "master", "xi_s", "xi_m", "weight"  # what segments say of each point
 
@@ -173,10 +168,10 @@ def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Fa
     slope of the energy, .99 % with 3 h / 2; 3 to 6 mean |tan a| slow a rolling disc). So with the
     rise H of a point over the nearest one of all these facets, its weight has the factor
 
-        1 - (H - r) / max(r, 6 SUNK h),     at least 0, at most 1.
+        1 - (H - r) / max(r, .3 h),     at least 0, at most 1.
 
     Smooth sides have 1 where they are not steep, and a step that is too low to be left out raises a
-    gap by up to `SUNK` h. The exact tangent holds what facets beside the slave facet say.
+    gap by up to h / 20. The exact tangent holds what facets beside the slave facet say.
 
     Args:
         facets: The slave facets at X + u.
@@ -212,7 +207,7 @@ def _reaches(slave: Surface, least: Floats, sums: Floats, size: Floats) -> Float
     around = sum_at_nodes(slave, sums[:, None].repeat(slave.facets.shape[1], axis=1))
     rise, length = np.moveaxis(around[slave.facets].sum(axis=1), 1, 0)
     room = np.minimum(1.5, 8.0 * rise / np.maximum(length, TINY))
-    return np.stack([least + room * size, 1.0 / (np.maximum(room, 6.0 * SUNK) * size)], axis=1)
+    return np.stack([least + room * size, 1.0 / (np.maximum(room, _FALL) * size)], axis=1)
 
 
 @numba.njit(cache=True)

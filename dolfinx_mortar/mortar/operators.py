@@ -27,7 +27,6 @@ from dolfinx_mortar.mortar.duals import (
     node_weights,
     weighted_duals,
 )
-from dolfinx_mortar.mortar.edges import find_sharing, open_duals
 from dolfinx_mortar.mortar.integrals import Integrated, integrate_values, sums_of_products
 from dolfinx_mortar.mortar.pairing import Pairing
 
@@ -62,9 +61,6 @@ def create_operators(
     normals: Floats,
     allowed: Bools,
     *,
-    returned: Bools | None = None,
-    edges: Bools | None = None,
-    claimed: Bools | None = None,
     heights_of: SmoothSides | None = None,
     motions_of: SmoothSides | None = None,
 ) -> MortarOperators:
@@ -74,33 +70,19 @@ def create_operators(
         u: Displacement, None for X.
         normals: Outward unit normals (n, d) of the local slave nodes there.
         allowed: Local slave nodes (n, c) that may carry a multiplier, for each choice.
-        returned: Those (n, c) that lost their multiplier in this step and got it back; none if not
-            given.
-        edges: Those (n,) on edges, where functions beside open facets differ; none if not given.
-        claimed: Those (n,) that have their multiplier elsewhere; none if not given.
         heights_of: Smooth surfaces at X, by whose heights the gap is corrected.
         motions_of: Smooth surfaces at X, by whose offsets P is corrected.
     """
     comm, own = pairing.slave.V.mesh.comm, slice(None, pairing.slave.owned)
     N_s = pairing.slave.element.shape_functions(segments.xi_s)
     weights = node_weights(pairing, segments, N_s=N_s)
-    claimed = np.zeros(len(allowed), dtype=bool) if claimed is None else claimed
-
-    def opened(Phi: Floats, keep: Bools) -> Floats:
-        if edges is None:
-            return Phi
-        sharing = find_sharing(pairing, segments, u, keep, edges, claimed)
-        return open_duals(pairing, segments, Phi, keep, sharing)
-
     # choices that keep the same nodes share one integration
     differ = any_rank(comm, *(allowed != allowed[:, :1]).any(axis=0))
     choices = [c if differ[c] else 0 for c in range(allowed.shape[1])]
     Phi: dict[int, Floats] = {}
     matrices: dict[int, tuple[Floats, Floats]] = {}
     for c in sorted(set(choices)):
-        stays = None if returned is None else returned[:, c]
-        given = pairing, segments, weights, allowed[:, c], stays, N_s
-        keep, Phi[c] = choose_duals(*given, opened)
+        keep, Phi[c] = choose_duals(pairing, segments, weights, allowed[:, c], N_s)
         matrices[c] = integrate_matrices(pairing, segments, keep, Phi[c], N_s)
     entries_D, entries_M = (np.column_stack([matrices[c][i] for c in choices]) for i in (0, 1))
     weight = np.zeros((pairing.slave.owned, len(choices)))

@@ -5,9 +5,8 @@ Eq. 16, B_I v <= c_I, with B_I = N^T (D - M) of eq. 17 and c_I = -N^T (D - M) X 
 blocks of D and M are those of eqs. 19 and 20, times the identity.
 
 They are the solver's own `operators`, of which it keeps one entry per pair of nodes and makes a
-change of basis (`interfaces.basis`). It has the normals of both sides (`common_normals`), at edges
-other dual functions (`edges`), and not the averaged normals and functions here, unless
-`feature_angle` asks for them.
+change of basis (`interfaces.basis`). It has the normals of both sides (`common_normals`), not the
+averaged ones here, unless `feature_angle` asks for them.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.csr import csr_of
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.mortar.common_normals import common_normals, find_spreads
-from dolfinx_mortar.mortar.edges import check_angle, find_edges
+from dolfinx_mortar.mortar.faces import check_angle
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.operators import create_operators
 from dolfinx_mortar.mortar.pairing import Weight, create_pairing
@@ -98,8 +97,8 @@ def assemble_mortar(
             segments, normals and gap belong to X + u.
         weight: Factor of all integrals at points X of the slave side, (q, d) -> (q,), such as
             2 pi r; 1 if not given.
-        feature_angle: Degrees between slave facets from which on they meet in an edge, with the
-            normals and dual functions of `Contact` there; no edges if not given.
+        feature_angle: Degrees between facets from which on they meet in an edge, for the normals
+            of `Contact`; averaged ones if not given.
 
     Raises:
         ValueError: On all ranks, for tags, spaces and displacements that do not fit.
@@ -118,8 +117,7 @@ def assemble_mortar(
     pairing = create_pairing(W, *surfaces, u, moving=False, weight=weight)
     segments, averaged = find_segments(pairing, u)
     everything = np.ones((len(averaged), 1), dtype=bool)
-    edges = None if feature_angle is None else find_edges(surfaces[0], feature_angle)
-    operators = create_operators(pairing, u, segments, averaged, everything, edges=edges)
+    operators = create_operators(pairing, u, segments, averaged, everything)
     own = surfaces[0].nodes[: surfaces[0].owned]
     kept, normals = operators.kept[:, 0], operators.normals
     node_D = pairing.D.matrix(operators.D[:, 0])

@@ -12,9 +12,8 @@ multiplier, with N~ = T N of `duals.absorbed`, m = T S T^T and d = T S 1,
 
     A = diag(d) m^-1,   dA = (diag(dd) - A dm) m^-1,   C = (A - mean of its rows) T + 1 / count.
 
-Beside open edges C is a mean of two such, with shares that depend on the opening (`edges`). Tools
-have no master: for H stands minus the integral of N_j phi. In the plane, in space and for tools it
-is the same; no other function has derivatives by coordinates.
+Tools have no master: for H stands minus the integral of N_j phi. In the plane, in space and for
+tools it is the same; no other function has derivatives by coordinates.
 """
 
 from typing import NamedTuple
@@ -25,12 +24,11 @@ from dolfinx_mortar.arrays import Bools, Floats
 
 
 class Basis(NamedTuple):
-    """Dual functions of facets (p,), with all shared out, then perhaps those with nothing."""
+    """What the dual functions of facets (p,) are made of."""
 
-    T: Floats  # (p, 1 or 2, k, k)
-    inverse: Floats  # (p, 1 or 2, k, k) m^-1, 0 for nodes without multiplier
-    kept: Bools  # (p, 1 or 2, k)
-    closed: Floats  # (p,) share of the first
+    T: Floats  # (p, k, k)
+    inverse: Floats  # (p, k, k) m^-1, 0 for nodes without multiplier
+    kept: Bools  # (p, k)
 
 
 class Fixed(NamedTuple):
@@ -69,7 +67,6 @@ def apply(
     moments: Floats,
     changes: Floats,
     basis: Basis,
-    shares: Floats,
     fixed: Fixed,
     x: Floats,
     y: Floats,
@@ -81,20 +78,14 @@ def apply(
         moments: (p, k, k + m + 1) S, R and H side by side.
         changes: (p, z, k, k + m + 1) their derivatives.
         basis: dual functions.
-        shares: (p, z) the derivatives of the share of the first of these.
         fixed: what does not change.
         x: (p, k, d) nodes of the slave facets.
         y: (p, m, d) those of the masters.
         others: number of the first coordinate of a master.
     """
     (p, k, d), m, (_, z, _, size) = x.shape, y.shape[1], changes.shape
-    S, dS, C, dC = moments[:, :, :k], changes[..., :k], np.zeros((p, k, k)), np.zeros((p, z, k, k))
-    for i, sign in enumerate((1.0, -1.0)[: basis.T.shape[1]]):
-        one, change = duals(S, dS, basis.T[:, i], basis.inverse[:, i], basis.kept[:, i])
-        share = (basis.closed if i == 0 else 1.0 - basis.closed)[:, None, None]
-        one *= basis.kept[:, 0, :, None]  # dC of others counts for nothing: they have no rows
-        C += share * one
-        dC += share[:, None] * change + sign * shares[:, :, None, None] * one[:, None]
+    C, dC = duals(moments[:, :, :k], changes[..., :k], *basis)
+    C *= basis.kept[:, :, None]  # dC of others counts for nothing: they have no rows
     DM, w = C @ moments, 2 * d + 1
     D, M = DM[:, :, :k], DM[:, :, k:-1]
     by_nodes = np.zeros((p, size, w))  # gaps of D and M, b, and C H

@@ -25,9 +25,8 @@ from dolfinx_mortar.geometry.curvature import (
 )
 from dolfinx_mortar.geometry.curvature import edges as edges_of
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.moments import Sums, add_whole, fill_turns
+from dolfinx_mortar.geometry.moments import Sums, add_whole
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.mortar import edges
 from dolfinx_mortar.mortar.curvature_correction import (
     Curved,
     SmoothSide,
@@ -35,7 +34,6 @@ from dolfinx_mortar.mortar.curvature_correction import (
     pair_sagittas,
 )
 from dolfinx_mortar.mortar.duals import Duals, absorbing, find_duals
-from dolfinx_mortar.mortar.edges import Sharing, widest_openings
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.product_rule import Basis, Fixed, Results, apply
 from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals
@@ -78,19 +76,7 @@ class _Sides(NamedTuple):
     place: Longs  # (P, l) nodes of the masters among y
     deepest: Floats  # (P,)
     factor: Floats  # (p, k) weight of the integrals at the nodes
-    partly: Longs  # (p,) node with the widest opening where it matters, else -1
     reach: Floats  # (p, 2) see `Segments`; (p, 0) where weights fall nowhere
-
-    def some(self, facets: Longs) -> "_Sides":
-        """Return some slave facets, ascending, and what they face."""
-        count = np.diff(self.start)
-        pairs = np.isin(np.repeat(np.arange(len(count)), count), facets)
-        start = np.append(0, np.cumsum(count[facets]))
-        x, n, y, factor, reach = (
-            v[facets] for v in (self.x, self.n, self.y, self.factor, self.reach)
-        )
-        of_pairs = self.place[pairs], self.deepest[pairs]
-        return _Sides(x, n, y, start, *of_pairs, factor, self.partly[facets], reach)
 
 
 class _Surfaces(NamedTuple):
@@ -120,32 +106,6 @@ def _add_motions_of_heights(sides: _Sides, surfaces: _Surfaces, sums: Sums) -> N
     np.add.at(H[:, others:].reshape(p, -1, d, k), (of[:, None], sides.place), by_x[:, k:])
 
 
-def _share_slopes(f: int, sides: _Sides, corners: int, moments: Floats, changes: Floats) -> Floats:
-    """Return the derivatives (z,) of 1 - o_j / (SUNK L), see `edges`, of facet f.
-
-    Args:
-        corners: of a slave facet.
-        moments: (k, k + m + 1) of the positive part of N_j.
-        changes: (z, k, k + m + 1) their derivatives.
-    """
-    x, y, j = sides.x[f], sides.y[f], sides.partly[f]
-    (k, d), row, changes = x.shape, moments[j, :-1], changes[:, j, :-1]
-    nodes, weight, turns = np.concatenate([-x, y]), row[:k].sum(), np.empty((corners, d))
-    n = np.array([fill_turns(axis, x[:corners], turns) for axis in np.eye(d)])
-    offsets = x - x.mean(axis=0)
-    far = (offsets**2).sum(axis=1).argmax()
-    square = (offsets[far] ** 2).sum()
-    scale = 1.0 / (weight * edges.SUNK * 2.0 * np.sqrt(square))
-    opening = scale * fill_turns(row @ nodes, x[:corners], turns)
-    shares = opening / weight * changes[:, :k].sum(axis=1) - scale * (changes @ nodes @ n)
-    own = shares[: d * k].reshape(k, d)
-    own += scale * row[:k, None] * n
-    own += opening / square * np.outer((np.arange(k) == far) - 1.0 / k, offsets[far])
-    own[:corners] -= scale * turns
-    shares[len(shares) - y.size :] -= scale * np.outer(row[k:], n).ravel()
-    return np.asarray(shares)
-
-
 def _differentiate(
     sides: _Sides,
     surfaces: _Surfaces,
@@ -167,14 +127,7 @@ def _differentiate(
     sums = _sums(sides, heights, tables, (c * moved - lengths, lengths))
     if moved:
         _add_motions_of_heights(sides, surfaces, sums)
-    shares, some = np.zeros(sums.changes.shape[:2]), np.flatnonzero(sides.partly >= 0)
-    if len(some):
-        part = sides.some(some)
-        positive = _sums(part, (Q_s[:0], Q_m[:0], surfaces.arcs[:0]), tables, positive=True)
-        for i, f in enumerate(some):
-            one = positive.values[i], positive.changes[i]
-            shares[f] = _share_slopes(i, part, tables.corners, *one)
-    return apply(sums.values, sums.changes, basis, shares, fixed, sides.x, sides.y, others)
+    return apply(sums.values, sums.changes, basis, fixed, sides.x, sides.y, others)
 
 
 def _sums(
@@ -211,7 +164,7 @@ def differentiate_whole(
     """
     (p, k, d), element, kept = facets.x.shape, facets.element, duals.kept
     T = absorbing(element.shares, kept)
-    basis = Basis(T[:, None], duals.inverse[:, None], kept[:, None], np.ones(p))
+    basis = Basis(T, duals.inverse, kept)
     fixed = Fixed(c, np.zeros((p, k, d)), np.zeros((p, 0, d)))
     rule = tuple(
         np.ascontiguousarray(f(xi)) for f in (element.shape_functions, element.derivatives)
@@ -219,8 +172,7 @@ def differentiate_whole(
     size = k * d
     moments, changes = np.zeros((p, k, k + 1)), np.zeros((p, size, k, k + 1))
     add_whole(facets.x, by_x, rule, weights, phi, moments, changes)
-    shares, y = np.zeros((p, size)), np.empty((p, 0, d))
-    found = apply(moments, changes, basis, shares, fixed, facets.x, y, size)
+    found = apply(moments, changes, basis, fixed, facets.x, np.empty((p, 0, d)), size)
     return found.F.reshape(p, k, d, k, d), found.G.reshape(p, k, k, d), found.D
 
 
@@ -232,7 +184,6 @@ def differentiate(
     keep: Bools,
     given: Tractions,
     smooth: tuple[SmoothSide, SmoothSide] | None = None,
-    sharing: Sharing | None = None,
     normals: Floats | None = None,
 ) -> Derivatives:
     """Return the derivatives of forces and weighted gaps at X + u (collective).
@@ -243,7 +194,6 @@ def differentiate(
         keep: Local slave nodes (n,) that carry a multiplier.
         given: Normals and tractions.
         smooth: Smooth surfaces at X; None for facets.
-        sharing: What is shared out beside edges; None without.
         normals: n_l (nm, d) of the received master nodes; zero if not given.
     """
     slave, master = pairing.slave, received_facets(pairing, u)
@@ -254,12 +204,7 @@ def differentiate(
     )
     used = np.unique(segments.pair)
     surfaces = _surfaces(pairing, u, smooth, used)
-    bases = [find_duals(pairing, segments, keep)]
-    closed: Floats = np.ones(len(facets.x))
-    partly: Longs = np.full(len(facets.x), -1)
-    if sharing is not None:
-        bases.append(find_duals(pairing, segments, keep | sharing.silent))
-        closed, partly = sharing.closed, widest_openings(pairing, segments, u, sharing)
+    duals = find_duals(pairing, segments, keep)
     factor = np.ones(slave.facets.shape)
     if pairing.weight is not None:
         factor = pairing.weight(slave.X)[slave.facets]
@@ -280,15 +225,10 @@ def differentiate(
             group.place,
             pairing.deepest[used[group.pairs]],
             factor[s],
-            partly[s],
             np.zeros((len(s), 0)) if segments.reach is None else segments.reach[s],
         )
-        basis = Basis(
-            np.stack([absorbing(slave.element.shares, one.kept[s]) for one in bases], axis=1),
-            np.stack([one.inverse[s] for one in bases], axis=1),
-            np.stack([one.kept[s] for one in bases], axis=1),
-            closed[s],
-        )
+        kept = duals.kept[s]
+        basis = Basis(absorbing(slave.element.shares, kept), duals.inverse[s], kept)
         fixed = Fixed(given.tractions[own], given.normals[own], normals[group.nodes])
         found = _differentiate(sides, _some(surfaces, group.pairs), tables, basis, fixed)
         _add_parts(parts, found, given, sides, own, n + group.nodes)

@@ -112,26 +112,19 @@ def whole_facets(side: WholeSide, x: Floats, facing: Bools) -> tuple[Segments, F
     return segments, points_of(facets, which, at)
 
 
-def integrate_side(
-    side: WholeSide,
-    x: Floats,
-    facing: Bools,
-    allowed: Bools,
-    returned: Bools | None = None,
-) -> SideOperators:
+def integrate_side(side: WholeSide, x: Floats, facing: Bools, allowed: Bools) -> SideOperators:
     """Integrate D over the facets that face something; collective.
 
     Args:
         x: (n, d) positions of its local nodes.
         facing: (m,) facets of this rank.
         allowed: (n,) local nodes that may carry a multiplier.
-        returned: (n,) those that lost it in this step and got it back; None for none.
     """
     slave, own = side.slave, slice(None, side.slave.owned)
     segments, points = whole_facets(side, x, facing)
     N = slave.element.shape_functions(segments.xi_s)
     weights = node_weights(side, segments, N_s=N)
-    keep, Phi = choose_duals(side, segments, weights, allowed, returned, N)
+    keep, Phi = choose_duals(side, segments, weights, allowed, N)
     blocks = sums_of_products(Phi, N, segments.slave, len(slave.facets))
     among = keep[slave.facets]
     blocks[(among[:, :, None] & among[:, None]) & ~in_D(slave.element)] = 0.0

@@ -22,7 +22,7 @@ from dolfinx_mortar.newton_method.linearisation import Balance
 from dolfinx_mortar.newton_method.residuals import gap_round_off
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.penetration import Crossing, notes_on_crossings, notes_on_overlaps
-from dolfinx_mortar.report.resolution import note_on_facets, notes_on_resolution, notes_on_rims
+from dolfinx_mortar.report.resolution import note_on_facets, notes_on_resolution
 from dolfinx_mortar.report.small_strain import (
     LARGE,
     LeftOut,
@@ -176,7 +176,7 @@ def note_pressures(end: StepEnd) -> list[str]:
         notes += note_on_facets(link, x, u, forces, stiffness, diagonal, potential)
         if any_rank(end.problem.comm, forces[link.nodes].any())[0]:
             few += notes_on_resolution(link, end.contacts)
-    return notes + few + notes_on_rims(end.links)
+    return notes + few
 
 
 DIAGNOSES: tuple[Diagnosis, ...] = note_partners, note_strains, note_pressures

@@ -280,24 +280,6 @@ def oscillation(link: Link, contacts: Contacts) -> float:
     return ratio(amplitude, pressure)
 
 
-def notes_on_rims(links: Sequence[Link]) -> list[str]:
-    """Return a note for each interface with nodes that lost and regained a multiplier; collective.
-
-    They keep it although they are covered less than other nodes have to be
-    (`mortar.duals.STAYS`). Nodes that are well covered again are not noted.
-    """
-    notes = list[str]()
-    for link in links:
-        faces = link.coupling.coverage.faces
-        own = int((link.coupling.returned.any(axis=1) & ~faces).sum())
-        if count := link.sides.V.mesh.comm.allreduce(own, op=MPI.SUM):
-            seen = "gained and lost their multiplier by turns, and keep it"
-            why = "Each state leads to the other. Finer meshes at the rim make it matter less"
-            who = f"{link.interface}: {count} slave nodes at the rim of the other side"
-            notes.append(Note(f"{who} {seen}", why))
-    return notes
-
-
 def _peak_patch(link: Link, contacts: Contacts) -> tuple[int, bool]:
     """Return how many nodes the patch with the peak has, and whether it ends; collective.
 

@@ -7,10 +7,6 @@ normals, of which those on planes of symmetry depend on supports.
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any
-from unittest import mock
-
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -20,8 +16,6 @@ import numpy.typing as npt
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, la
-from dolfinx_mortar.interfaces.coupling import returned_nodes
-from dolfinx_mortar.mortar import paper
 from tests.sweep import slips
 from tests.sweep.problems import RandomProblem
 
@@ -196,7 +190,7 @@ def _contact(
     link = problem.system.link(contact)
     pair = {"slave": sides[0], "master": sides[1], "u": u}
     pair["feature_angle"] = contact.feature_angle
-    mortar = _assemble(link, V, case.facet_tags, weight=weight, **pair)
+    mortar = dm.assemble_mortar(V, case.facet_tags, weight=weight, **pair)
     B = mortar.D - mortar.M
     nodes = mortar.nodes - V.dofmap.index_map.local_range[0]
     loose = free.reshape(-1, d)[nodes]
@@ -214,7 +208,7 @@ def _contact(
     size = weight
     if is_ring(case):  # of the section, not of what it sweeps
         tractions *= np.repeat(_growth(case, contact, nodes), d)
-        plain = _assemble(link, V, case.facet_tags, **pair)
+        plain = dm.assemble_mortar(V, case.facet_tags, **pair)
         size = _row_norms(plain.D)[::d]
     floor = NO_PRESSURE * _stiffest(case)
     worst = _complementarity(V.mesh.comm, pressure[acts], gap[acts], size, d, floor)
@@ -235,14 +229,6 @@ def _contact(
     size = max(np.abs(total).max(), np.abs(contact.force).max(), TINY)
     force = float(np.abs(total - contact.force).max() / size)
     return _apply(B, tractions, transposed=True), worst | {"force": force}
-
-
-def _assemble(link: Any, *args: Any, **pair: Any) -> Any:
-    """Return the paper's matrices, with nodes that have returned kept as the step keeps them."""
-    returned = returned_nodes(link.sides, link.coupling)
-    create = partial(paper.create_operators, returned=returned)
-    with mock.patch.object(paper, "create_operators", create):
-        return dm.assemble_mortar(*args, **pair)
 
 
 def _growth(case: RandomProblem, contact: dm.Contact, nodes: npt.NDArray[np.int64]) -> Floats:
