@@ -20,6 +20,7 @@ has less, the degree ends at the highest there is, and the error grows to 1e-8 a
 is refused.
 """
 
+from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -27,33 +28,12 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, SAME, Floats, Ints, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, SAME, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry import plane
 from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls
-from dolfinx_mortar.geometry.moments import (
-    FIFTH,
-    FIRST,
-    INNER,
-    KERNEL,
-    SECOND,
-    THIRD,
-    Sums,
-    add_heights,
-    add_row,
-    begin_point,
-    create_point,
-    fill_area,
-    fill_functions,
-    fill_rows,
-    fill_slopes,
-    fill_turns,
-    gather,
-    move_to,
-)
+from dolfinx_mortar.geometry.moments import Points, Sums, create_points, functions, sums, turns
 from dolfinx_mortar.geometry.parts import (
-    all_pairs,
-    carry,
     count,
     first_order,
     on_facets,
@@ -72,7 +52,7 @@ from dolfinx_mortar.geometry.plane import (
     slopes,
     slopes_of,
 )
-from dolfinx_mortar.geometry.tolerances import ROUND_OFF
+from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND, THIRD
 
 _HIGHEST = 24
 """Highest degree of the quadrature, which limits it on facets of low quality, as said above."""
@@ -352,10 +332,10 @@ def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners, least
 
 @numba.njit(**KERNEL)
 def _place(  # type: ignore[no-untyped-def]
-    x_s, x_m, bilinear, pairs, centre, axes, radius, which, corners, rule, whole, points, weights,
-    start
+    x_s, x_m, bilinear, pairs, centre, axes, radius, which, corners, size, rule, whole, points,
+    weights, start
 ):  # fmt: skip
-    """Return the pair, xi_s, xi_m and weight of all quadrature points.
+    """Return the pair, xi_s, xi_m and weight of all quadrature points on triangles of some size.
 
     Weights are those on whole facets, otherwise on the reference facet of their parts.
     """
@@ -373,12 +353,11 @@ def _place(  # type: ignore[no-untyped-def]
             project(x_s[s], centre[s], axes[s], S)
             project(x_m[m], centre[s], axes[s], M)
             of_S, of_M = _maps(S, bilinear[0]), _maps(M, bilinear[1])
-        size = _area(corners[t])
         for i in range(start[rule[t]], start[rule[t] + 1]):
             at = _inside(corners[t], points[i, 0], points[i, 1])
             r0, r1, s0, s1, J = _point(S, M, of_S, of_M, bilinear, *at)
             xi_s[q, 0], xi_s[q, 1], xi_m[q, 0], xi_m[q, 1] = r0, r1, s0, s1
-            weight[q] = weights[i] * size / J
+            weight[q] = weights[i] * size[t] / J
             if whole:
                 weight[q] *= radius[s] ** 2 * _jacobian(of_S, bilinear[0], J, r0, r1)
             pair[q] = which[t]
@@ -416,11 +395,10 @@ def _point(S, M, of_S, of_M, bilinear, x, y):  # type: ignore[no-untyped-def]
     return xi, eta, r0, r1, J
 
 
-@numba.njit(**KERNEL)
-def _area(c):  # type: ignore[no-untyped-def]
-    """Return the area of a triangle (3, 2)."""
-    ux, uy, vx, vy = c[1, 0] - c[0, 0], c[1, 1] - c[0, 1], c[2, 0] - c[0, 0], c[2, 1] - c[0, 1]
-    return (ux * vy - uy * vx) / 2
+def _areas(c: Floats) -> Floats:
+    """Return the areas (t,) of triangles (t, 3, 2)."""
+    u, v = c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]
+    return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / 2
 
 
 @numba.njit(**KERNEL)
@@ -430,47 +408,6 @@ def _jacobian(maps, bilinear, J, xi, eta):  # type: ignore[no-untyped-def]
         return J  # in its own plane
     s0, s1 = slopes_of(*maps, xi, eta)
     return J * np.sqrt(1 + s0 * s0 + s1 * s1)
-
-
-class Tables(NamedTuple):
-    """What `moments` needs of the two types of facets."""
-
-    slave: Floats  # (k, 9) coefficients of functions, see `moments.fill_functions`
-    master: Floats  # (l, 9)
-    part: Floats  # (v, 9) those of the slave's parts
-    nodes_s: Longs  # (a, v) nodes of the parts
-    nodes_m: Longs
-    of_slave: Floats  # (a, 3, 9) the parts on the reference facet
-    of_master: Floats
-    bilinear: tuple[bool, bool]
-    second: bool  # whether points are carried from parts to facets
-    scale: float  # area of the reference facet over that of the parts' ones
-    corners: int  # of a slave facet
-    points: Floats  # (q, 2)
-    weights: Floats  # (q,)
-    ends: Floats  # (2, g) points and weights of a rule on [0, 1]
-
-
-def tables(slave: FacetElement, master: FacetElement, smooth: bool) -> Tables:
-    """Return the tables of two types, of smooth surfaces with their heights."""
-    part_s, part_m = slave.part or slave, master.part or master
-    degree = _degree_of_moments(slave, master, smooth)
-    t, weights = np.polynomial.legendre.leggauss((degree + 3) // 2)
-    return Tables(
-        slave.table,
-        master.table,
-        part_s.table,
-        np.array(slave.sub_facets, dtype=np.int64),
-        np.array(master.sub_facets, dtype=np.int64),
-        on_reference(slave),
-        on_reference(master),
-        (part_s.bilinear, part_m.bilinear),
-        slave.part is not None or master.part is not None,
-        slave.size / (count(slave) * part_s.size),
-        len(slave.vertices),
-        *triangle_rule(degree),
-        np.stack([(1.0 + t) / 2, weights / 2]),
-    )
 
 
 def _degree_of_moments(slave: FacetElement, master: FacetElement, smooth: bool) -> int:
@@ -485,242 +422,23 @@ def _degree_of_moments(slave: FacetElement, master: FacetElement, smooth: bool) 
 
 
 @numba.njit(**KERNEL)
-def _fill_coefficients(x, table, c):  # type: ignore[no-untyped-def]
-    """Write the coefficients (3, 9) of a facet x (k, 3), see `parts.coefficients`."""
-    for i in range(3):
-        for a in range(9):
-            c[i, a] = 0.0
-            for j in range(len(x)):
-                c[i, a] += table[j, a] * x[j, i]
-
-
-@numba.njit(**KERNEL)
-def _fill_tangents(x, df, row, first, T):  # type: ignore[no-untyped-def]
-    """Write the tangents (2, 3) of a facet x (k, 3), of derivatives df[row, first] and so on."""
-    for h in range(2):
-        for i in range(3):
-            T[h, i] = 0.0
-            for j in range(len(x)):
-                T[h, i] += df[row + h, first + j] * x[j, i]
-
-
-@numba.njit(**KERNEL)
-def _invert(T, K):  # type: ignore[no-untyped-def]
-    """Write dxi/dx (2, 2) of the map to the plane with tangents T (2, 3)."""
-    scale = 1.0 / (T[0, 0] * T[1, 1] - T[0, 1] * T[1, 0])
-    K[0, 0], K[0, 1], K[1, 0], K[1, 1] = T[1, 1], -T[1, 0], -T[0, 1], T[0, 0]
-    for h in range(2):
-        for i in range(2):
-            K[h, i] *= scale
-
-
-@numba.njit(**KERNEL)
-def _dot(a, b):  # type: ignore[no-untyped-def]
-    """Return a.b of vectors (3,)."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-class _Sides(NamedTuple):
-    """Slave facet, its part, and a part of a master, in the plane; lengths over the part's size."""
-
-    x: Floats  # (k, 3)
-    y: Floats  # (l, 3)
-    P: Floats  # (v, 3)
-    Q: Floats  # (v', 3)
-    C_s: Floats  # (1, 3, 9) coefficients of the facets
-    C_m: Floats  # (1, 3, 9)
-    n: Floats  # (3,) normal, along which distances are those of the facets
-
-
-class _Maps(NamedTuple):
-    """Maps to the plane at a point."""
-
-    N: Floats  # (v,) functions of the slave's part
-    dN: Floats  # (2, v)
-    V: Floats  # (2, 3) its tangents
-    K: Floats  # (2, 2) dxi/dx of the part
-    T: Floats  # (2, 3) tangents of the slave facet
-    U: Floats  # (2, 3) of the master
-    G: Floats  # (2, 2) dxi/dx of the master
-    by_T: Floats  # (2, 3) those of the logarithm of the area by T
-    apart: Floats  # (3,) from the slave's point to the master's
-    shares: Floats  # (k,) functions of the part at the nodes of the facet
-    rates: Floats  # (k, 3) of the logarithm of the weight by these
-    unit: Floats  # (3, 3)
-
-
-@numba.njit(**KERNEL)
-def _create_maps(v, k):  # type: ignore[no-untyped-def]
-    """Return room for the maps of a part with v nodes of a facet with k."""
-    V, T, U, by_T = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
-    K, G = np.empty((2, 2)), np.empty((2, 2))
-    at = np.empty(3), np.empty(k), np.empty((k, 3)), np.eye(3)
-    return _Maps(np.empty(v), np.empty((2, v)), V, K, T, U, G, by_T, *at)
-
-
-@numba.njit(**INNER)
-def _place_at(x, y, i, j, sides, of_P, of_Q, tables, p, m):  # type: ignore[no-untyped-def]
-    """Write the point over (x, y) of parts i and j; return area over that in the plane, or NaN."""
-    k, last, n, C = len(sides.x), len(p.f) - 1, m.apart, sides.C_s
-    r, s, t, u, J = _point(sides.P, sides.Q, of_P, of_Q, tables.bilinear, x, y)
-    if tables.second:
-        fill_functions(tables.part, r, s, m.N, FIRST)
-        fill_slopes(tables.part, r, s, m.dN, FIRST, FIRST)
-        _fill_tangents(sides.P, m.dN, FIRST, FIRST, m.V)
-        places = tables.of_slave[i], tables.of_master[j], (r, s, t, u)
-        r, s, t, u, _ = carry(C, FIRST, m.unit, sides.C_m, *places)
-    for a in range(k, last):
-        p.df[0, a] = p.df[1, a] = 0.0
-    fill_functions(tables.slave, r, s, p.f, FIRST)
-    fill_slopes(tables.slave, r, s, p.df, FIRST, FIRST)
-    fill_functions(tables.master, t, u, p.f, k)
-    fill_slopes(tables.master, t, u, p.df, THIRD, k)
-    _fill_tangents(sides.x, p.df, FIRST, FIRST, m.T)
-    _fill_tangents(sides.y, p.df, THIRD, k, m.U)
-    _invert(m.U, m.G)
-    _invert(m.V if tables.second else m.T, m.K)
-    area = fill_area(m.T, n, m.by_T)
-    p.by_weight[0] = p.by_weight[1] = p.by_weight[2] = p.by_weight[3] = 0.0
-    for h in range(3):
-        rr = 2.0 * (C[0, h, 6] + s * (C[0, h, 7] + s * C[0, h, 8]))
-        rs = C[0, h, 4] + 2.0 * (s * C[0, h, 5] + r * (C[0, h, 7] + 2.0 * s * C[0, h, 8]))
-        ss = 2.0 * (C[0, h, 2] + r * (C[0, h, 5] + r * C[0, h, 8]))
-        p.by_weight[0] += m.by_T[0, h] * rr + m.by_T[1, h] * rs
-        p.by_weight[1] += m.by_T[0, h] * rs + m.by_T[1, h] * ss
-        m.apart[h] = 0.0
-        for b in range(k, last):
-            m.apart[h] += p.f[b] * sides.y[b - k, h]
-        for a in range(k):
-            m.apart[h] -= p.f[a] * sides.x[a, h]
-    return tables.scale * area / J if np.isfinite(t) else np.nan
-
-
-@numba.njit(**INNER)
-def _fall(reach, sides, m, p):  # type: ignore[no-untyped-def]
-    """Return the part of a weight that its gap leaves, and its logarithm's rate; add it by xi.
-
-    Args:
-        reach: (2,) the gap from which on weights fall, and how fast; empty where nothing falls.
-    """
-    if len(reach) == 0:
-        return 1.0, 0.0
-    part = 1.0 - reach[1] * (_dot(sides.n, m.apart) - reach[0])
-    if part >= 1.0 or part <= 0.0:
-        return min(max(part, 0.0), 1.0), 0.0
-    rate = -reach[1] / part
-    for h in range(2):
-        p.by_weight[h] -= rate * _dot(sides.n, m.T[h])
-        p.by_weight[2 + h] += rate * _dot(sides.n, m.U[h])
-    return part, rate
-
-
-@numba.njit(**INNER)
-def _combine(p, h, a, b):  # type: ignore[no-untyped-def]
-    """Replace two derivatives by two combinations of them."""
-    for i in range(p.df.shape[1]):
-        x, y = p.df[h, i], p.df[h + 1, i]
-        p.df[h, i], p.df[h + 1, i] = a[0] * x + a[1] * y, b[0] * x + b[1] * y
-    x, y = p.by_weight[h], p.by_weight[h + 1]
-    p.by_weight[h], p.by_weight[h + 1] = a[0] * x + a[1] * y, b[0] * x + b[1] * y
-
-
-@numba.njit(**INNER)
-def _number(ids, a):  # type: ignore[no-untyped-def]
-    """Return where a is among some numbers (v,), v if it is none of them."""
-    v = 0
-    while v < len(ids) and ids[v] != a:
-        v += 1
-    return v
-
-
-@numba.njit(**INNER)
-def _find_rates(p, m, i, of_P, sides, ids_s, tables, rate):  # type: ignore[no-untyped-def]
-    """Write the changes of a point that stays where it is in the plane.
-
-    Those of the logarithm of its weight by the slave's nodes at fixed xi, and in place of
-    derivatives by xi those by places in the plane: where nodes of the part move by dx, its xi
-    change by -K dx, those of the facet with them, and those of the master by G times what the
-    slave's point moves more than the master's.
-    """
-    K, G, T, L, (c0, c1) = m.K, m.G, m.T, tables.of_slave, (of_P[0][3], of_P[1][3])
-    curved = tables.second or tables.bilinear[0]
-    for a in range(len(sides.x)):
-        v, m.shares[a] = _number(ids_s, a), 0.0
-        for t in range(3):
-            m.rates[a, t] = -rate * p.f[a] * sides.n[t]
-            if curved:
-                m.rates[a, t] += p.df[0, a] * m.by_T[0, t] + p.df[1, a] * m.by_T[1, t]
-        if v < len(ids_s):
-            N, N0, N1 = p.f[a], p.df[0, a], p.df[1, a]
-            if tables.second:
-                N, N0, N1 = m.N[v], m.dN[0, v], m.dN[1, v]
-            m.shares[a] = N
-            for t in range(2 if curved else 0):  # the Jacobian of the part
-                m.rates[a, t] -= N0 * K[0, t] + N1 * K[1, t]
-                m.rates[a, t] += N * K[0, t] * (K[1, 0] * c0 + K[1, 1] * c1)
-                m.rates[a, t] += N * K[1, t] * (K[0, 0] * c0 + K[0, 1] * c1)
-    _combine(p, THIRD, (G[0, 0], G[1, 0]), (G[0, 1], G[1, 1]))
-    if not tables.second:
-        _combine(p, FIRST, (K[0, 0], K[1, 0]), (K[0, 1], K[1, 1]))
-        return
-    l0, l1, l2, l3 = L[i, 0, 3], L[i, 0, 1], L[i, 1, 3], L[i, 1, 1]
-    B00, B01 = l0 * K[0, 0] + l1 * K[1, 0], l0 * K[0, 1] + l1 * K[1, 1]
-    B10, B11 = l2 * K[0, 0] + l3 * K[1, 0], l2 * K[0, 1] + l3 * K[1, 1]
-    _combine(p, FIRST, (B00, B10), (B01, B11))
-    for h in range(2):
-        _add_motion(p, h, T[0, h] * B00 + T[1, h] * B10, T[0, h] * B01 + T[1, h] * B11)
-
-
-@numba.njit(**INNER)
-def _add_motion(p, h, a, b):  # type: ignore[no-untyped-def]
-    """Add multiples of a derivative by places over the master to those by motions of the part."""
-    p.by_weight[0] += a * p.by_weight[2 + h]
-    p.by_weight[1] += b * p.by_weight[2 + h]
-    for q in range(p.df.shape[1]):
-        p.df[0, q] += a * p.df[2 + h, q]
-        p.df[1, q] += b * p.df[2 + h, q]
-
-
-@numba.njit(**INNER)
-def _add_changes(p, m, rate, sides, place, pair, tables, totals):  # type: ignore[no-untyped-def]
-    """Add the derivatives of a point that stays where it is in the plane, see `_find_rates`."""
-    k, n = len(sides.x), sides.n
-    for a in range(k):
-        for t in range(2):
-            add_row(p, t, -m.shares[a], totals, 3 * a + t)
-            if tables.second:
-                add_row(p, 2 + t, p.f[a], totals, 3 * a + t)
-        for t in range(3):
-            add_row(p, FIFTH, m.rates[a, t], totals, 3 * a + t)
-    for b in range(place.shape[1]):
-        z, one = 3 * (k + place[pair, b]), p.f[k + b]
-        for t in range(2):
-            add_row(p, 2 + t, -one, totals, z + t)
-        for t in range(3):
-            add_row(p, FIFTH, rate * one * n[t], totals, z + t)
-    for t in range(3):
-        add_row(p, FIFTH, rate * m.apart[t], totals, len(totals) - 4 + t)
-
-
-@numba.njit(**KERNEL)
-def _nearest_line(c, e, X, ids, first, best):  # type: ignore[no-untyped-def]
-    """Return how far edge e of a triangle is from the edges of a polygon, and which, if nearer.
+def _nearest_line(c, e, P, r, best):  # type: ignore[no-untyped-def]
+    """Return how far edge e of a triangle is from those of polygon r, and which, if nearer.
 
     Args:
         c: (3, 2) the triangle.
-        X: (n, 3) nodes.
-        ids: (v,) those of the polygon, less first.
-        best: distance, and nodes of an edge found before.
+        P: (v, 3) the polygon.
+        best: distance, polygon and corner found before.
     """
     f = (e + 1) % 3
-    for v in range(len(ids)):
-        a, b = first + ids[v], first + ids[(v + 1) % len(ids)]
-        dx, dy = X[b, 0] - X[a, 0], X[b, 1] - X[a, 1]
-        one = dx * (c[e, 1] - X[a, 1]) - dy * (c[e, 0] - X[a, 0])
-        two = dx * (c[f, 1] - X[a, 1]) - dy * (c[f, 0] - X[a, 0])
+    for v in range(len(P)):
+        o = (v + 1) % len(P)
+        dx, dy = P[o, 0] - P[v, 0], P[o, 1] - P[v, 1]
+        one = dx * (c[e, 1] - P[v, 1]) - dy * (c[e, 0] - P[v, 0])
+        two = dx * (c[f, 1] - P[v, 1]) - dy * (c[f, 0] - P[v, 0])
         distance = max(abs(one), abs(two)) / np.sqrt(dx * dx + dy * dy)
         if distance < best[0]:
-            best = distance, a, b
+            best = distance, r, v
     return best
 
 
@@ -737,37 +455,37 @@ def _is_next(corners, which, t):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def _add_coordinates(radius, part, facet, X, axes, ids, falls, by_X, by_x):  # type: ignore[no-untyped-def]
-    """Add derivatives by_X (3 n, ..) of coordinates in a plane to by_x (3 (n - 1), ..) in space.
+def _find_edges(x_s, x_m, bilinear, pairs, centre, axes, which, corners, hidden):  # type: ignore[no-untyped-def]
+    """Return the edges of triangles that move with nodes.
 
-    They do not change with a motion of all nodes in the plane and along its normal; it tilts with
-    the nodes of the part. The last of the n vectors is the normal of the facet, if weights fall.
+    Returns:
+        Triangle, edge, pair of parts of whose master an edge of the line is, less than 0 for the
+        slave, and the first corner of that (q, 4).
     """
-    n, width, tilted = len(X), by_X.shape[1], np.empty((1, by_X.shape[1]))
-    for z in range(9 * (n - 1)):
-        a, i, t = z // 9, z // 3 % 3, z % 3
-        for q in range(width):
-            by_x[3 * a + i, q] += axes[t, i] * by_X[3 * a + t, q]
-    for s in range(2):
-        for q in range(width):
-            tilted[0, q] = 0.0
-        for a in range(n):
-            for q in range(width):
-                tilted[0, q] += X[a, s] * by_X[3 * a + 2, q] - X[a, 2] * by_X[3 * a + s, q]
-        _add_turned(radius, axes[s], part, ids, tilted, FIRST, by_x)
-    for t in range(3 if falls else 0):
-        _add_turned(radius**2, axes[t], facet, np.arange(len(facet)), by_X, 3 * (n - 1) + t, by_x)
-
-
-@numba.njit(**KERNEL)
-def _add_turned(factor, axis, x, ids, by_turn, row, by_x):  # type: ignore[no-untyped-def]
-    """Add derivatives by axis.n, in a row, to those by the nodes x (v, 3) with the normal n."""
-    turns = np.empty(x.shape)
-    fill_turns(axis, x, turns)
-    for v in range(len(x)):
-        for i in range(3):
-            for q in range(by_x.shape[1]):
-                by_x[3 * ids[v] + i, q] += factor * turns[v, i] * by_turn[row, q]
+    found, q, none = np.empty((3 * len(which), 4), np.int64), 0, np.int64(-1)
+    S, M, N = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3)), np.empty((x_m.shape[1], 3))
+    for t in range(len(which)):
+        r, (s, m) = which[t], pairs[which[t]]
+        if t == 0 or which[t] != which[t - 1]:
+            project(x_s[s], centre[s], axes[s], S)
+            project(x_m[m], centre[s], axes[s], M)
+        for e in range(3):
+            if e != 1 and _is_next(corners, which, t + e // 2):
+                continue
+            line = _nearest_line(corners[t], e, S, none, (HALF_OF_DIGITS, none, none))
+            if line[2] < 0:
+                line = _nearest_line(corners[t], e, M, r, line)
+            if line[2] < 0 and hidden[s]:
+                r = np.int64(np.searchsorted(pairs[:, 0], s))
+                while r < len(pairs) and pairs[r, 0] == s:
+                    project(x_m[pairs[r, 1]], centre[s], axes[s], N)
+                    line = _nearest_line(corners[t], e, N, r, line)
+                    r += 1
+                r = which[t]
+            if line[2] >= 0:
+                found[q, 0], found[q, 1], found[q, 2], found[q, 3] = t, e, line[1], line[2]
+                q += 1
+    return found[:q]
 
 
 def moments(
@@ -777,11 +495,10 @@ def moments(
     start: Longs,
     place: Longs,
     deepest: Floats,
-    reach: Floats,
     factor: Floats,
+    reach: Floats,
     heights: tuple[Floats, Floats, Floats],
-    positive: bool,
-    tables: Tables,
+    types: tuple[FacetElement, FacetElement],
     found: Sums,
 ) -> None:
     """Add the moments of slave facets x (p, k, 3) and their masters, and derivatives.
@@ -792,147 +509,229 @@ def moments(
         start: (p + 1,) first pairs of the facets.
         place: (c, l) nodes of the pairs' masters.
         deepest: (c,) see `place_points`.
-        reach: (p, 2) see `_fall`; (p, 0) where nothing falls.
-        factor: (p, k) of `moments.begin_point`, as heights.
-        positive: of `moments.fill_rows`.
-        tables: of `tables`.
-        found: `moments.Sums`, by the coordinates of x and y.
+        factor: (p, k) see `create_points`; reach likewise.
+        heights: of pairs (c,), see `create_points`.
+        types: of the facets of both sides.
+        found: by the coordinates of x and y.
     """
-    a, b = len(tables.nodes_s), len(tables.nodes_m)
+    slave, master = types
     of = np.repeat(np.arange(len(x), dtype=np.int32), np.diff(start))
-    pairs, pair = all_pairs(np.stack([of, np.arange(len(of), dtype=np.int32)], axis=1), a, b)
-    parts_s, parts_m = (
-        np.take(v, nodes, axis=1).reshape(-1, nodes.shape[1], 3)
-        for v, nodes in ((x, tables.nodes_s), (y[of[:, None], place], tables.nodes_m))
-    )
-    ids = np.take(place, tables.nodes_m, axis=1).reshape(len(parts_m), -1)
-    centre, axes, radius = planes = create_planes(parts_s)
-    at = tables.bilinear, pairs, deepest[pair] / radius[pairs[:, 0]], centre, axes
-    which, corners, hidden = _triangulate(parts_s, parts_m, bounding_balls(parts_m), *at)
-    slave, master = pairs[which].T.astype(np.int64)
-    first = np.searchsorted(slave, np.arange(len(parts_s) + 1))
-    normals = np.cross(x[:, 2] - x[:, 0], x[:, tables.corners - 1] - x[:, 1])
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    triangles = first, master - b * start[slave // a], corners, hidden
-    masters = start, place, ids
-    given = reach, factor, heights
-    _add_moments(
-        x, y, normals, (parts_s, *planes), triangles, masters, given, positive, tables, found
-    )
+    pairs = np.stack([of, np.arange(len(of), dtype=np.int32)], axis=1)
+    over = _find_overlaps(Facets(slave, x), Facets(master, y[of[:, None], place]), pairs, deepest)
+    given = _Given(over, place, factor, reach, heights, turns(slave, x), _frames(over))
+    degree = _degree_of_moments(slave, master, heights[0].size > 0)
+    points, weights = np.polynomial.legendre.leggauss((degree + 3) // 2)
+    t, rule = (1.0 + points) / 2, triangle_rule(degree)
+    line, nodes = (np.stack([t, 0.0 * t], axis=1), weights / 2), np.concatenate([x, y], axis=1)
+    inner = _create(given, over.which, over.corners, _areas(over.corners), rule)
+    _add_inner(over, inner, found)
+    edges = _find_edges(*over.sides, *over.planes[:2], over.which, over.corners, over.hidden)
+    ends = over.corners[edges[:, :1], (edges[:, 1:2] + [0, 1]) % 3]
+    which, one = over.which[edges[:, 0]], np.ones(len(edges))
+    crossing = _create(given, which, ends[:, [0, 1, 1]], one, line)
+    ids = _nodes_of_lines(given, crossing.part, edges[:, 2], edges[:, 3:] + [0, 1])
+    lines = nodes[crossing.facet[:, None], ids]
+    _add_edges(over, crossing, lines, ends, t, ids, found)
 
 
-@numba.njit(**KERNEL)
-def _add_moments(x, y, normals, parts, triangles, masters, given, positive, tables, found):  # type: ignore[no-untyped-def]
-    """Add the moments of all parts of slave facets, and their derivatives; see `moments`."""
-    (parts_s, centre, axes, radius), (first, which, corners, hidden) = parts, triangles
-    (start, place, ids), (a, v), b = masters, tables.nodes_s.shape, len(tables.nodes_m)
-    k, m, l, (reach, factor, heights) = x.shape[1], y.shape[1], place.shape[1], given  # noqa: E741
-    z, size, X = 3 * (k + m + 1), k * (k + m + 1), np.zeros((k + m + 1, 3))
-    sides = _Sides(X[:k], np.empty((l, 3)), np.empty((v, 3)), np.empty((ids.shape[1], 3)),
-                   np.empty((1, 3, 9)), np.empty((1, 3, 9)), X[k + m])  # fmt: skip
-    for s in range(len(radius)):
-        f, ids_s, t, end = s // a, tables.nodes_s[s % a], first[s], first[s + 1]
-        project(x[f], centre[s], axes[s], X[:k])
-        project(y[f], centre[s], axes[s], X[k : k + m])
-        for i in range(3):
-            X[k + m, i] = radius[s] ** 2 * _dot(axes[s, i], normals[f])
-        gather(X, ids_s, sides.P)
-        _fill_coefficients(sides.x, tables.slave, sides.C_s[0])
-        by_X = np.zeros((z, k, k + m + 1))
-        ids_m = ids[b * start[f] : b * start[f + 1]]
-        at, of = _list_points(corners[t:end], which[t:end], X, ids_s, ids_m, k, hidden[s], tables)
-        to = sides, hidden[s], (reach[f], factor[f], heights), positive, tables, by_X, found
-        _add_points(s % a, f, start[f], at, of, X, radius[s] ** 2, ids_m, place, *to)
-        plane = radius[s], parts_s[s], x[f, : tables.corners], X, axes[s], ids_s, reach.shape[1] > 0
-        _add_coordinates(*plane, by_X.reshape(z, size), found.changes[f].reshape(z - 3, size))
+class _Given(NamedTuple):
+    """What the points of pairs (c,) of slave facets (p,) with others are made of."""
+
+    over: "_Overlaps"
+    place: Longs  # see `moments`
+    factor: Floats
+    reach: Floats
+    heights: Sequence[Floats]
+    tilts: tuple[Floats, Floats]  # `turns` of the slave facets
+    frames: tuple[Floats, Floats, Floats]  # see `_frames`
 
 
-@numba.njit(**KERNEL)
-def _list_points(corners, which, X, ids_s, ids_m, k, hidden, tables):  # type: ignore[no-untyped-def]
-    """Return the points of triangles (t, 3, 2), and those on the edges that move with nodes.
+class _OfPairs(NamedTuple):
+    """Points (s, q) of triangles, or of lines, of pairs of facets."""
 
-    Returns:
-        Place, weight and edge turned outwards (q, 5); part of a master, and two nodes (q, 3), less
-        than 0 inside.
+    at: Points
+    xi: Floats  # (s, q, 2) on the slave's part
+    part: Longs  # (s,) of the slave
+    facet: Longs  # (s,)
+    pair: Ints  # (s,)
+    nodes: Longs  # (s, k + l) of both facets, those of the slave first
+    x: Floats  # (s, k + l, 3) these, from the centre of the part on
+    frame: tuple[Floats, Floats, Floats]  # see `_frames`
+
+
+def _create(
+    given: _Given, which: Longs, corners: Floats, size: Floats, rule: tuple[Floats, Floats]
+) -> _OfPairs:
+    """Return the points of a rule on triangles (s, 3, 2) of some size, of pairs of parts (s,).
+
+    Those of which the line through them does not meet the master have no weight.
     """
-    t, g = len(tables.weights), tables.ends.shape[1]
-    at, of = (
-        np.empty((len(corners) * (t + 3 * g), 5)),
-        np.empty((len(corners) * (t + 3 * g), 3), np.int64),
+    over, tilts = given.over, given.tilts
+    slave, master, a = over.slave, over.master, count(over.slave.element)
+    first, q = np.zeros(len(which), dtype=np.int64), len(rule[1])
+    at = which, corners, size, first, False, *rule, np.array([0, q])
+    on, xi, xi_m, weight = _place(*over.sides, *over.planes, *at)
+    part, shape, xi_s = over.pairs[which, 0].astype(np.int64), (len(which), q, -1), xi
+    if slave.element.part or master.element.part:
+        on_parts = {"xi_s": xi, "xi_m": xi_m, "weight": weight}
+        xi_s, xi_m, _ = on_facets(slave, master, over.planes[1], over.pairs[on], **on_parts)
+        weight *= slave.element.size / (a * (slave.element.part or slave.element).size)
+    lost = np.isnan(xi_m[:, 0])
+    xi_m[lost], weight[lost] = 0.0, 0.0
+    xi, xi_s, xi_m = (v.reshape(shape) for v in (xi, xi_s, xi_m))
+    facet, pair = part // a, over.of[which]
+    nodes = slave.x[facet], master.x[pair]
+    points = create_points(
+        functions(slave.element, xi_s),
+        functions(master.element, xi_m)[:2],
+        nodes,
+        weight.reshape(shape[:2]),
+        (given.factor[facet], given.reach[facet]),
+        (tilts[0][facet], tilts[1][facet]),
+        [v[pair] if len(v) else v for v in given.heights],
     )
-    n, none = 0, np.int64(-1)
-    for s in range(len(corners)):
-        c, size = corners[s], _area(corners[s])
-        for q in range(t):
-            at[n, 0], at[n, 1] = _inside(c, tables.points[q, 0], tables.points[q, 1])
-            at[n, 2], of[n, 0], of[n, 1] = tables.weights[q] * size, which[s], -1
-            n += 1
-        for e in range(3):
-            if e != 1 and _is_next(corners, which, s + e // 2):
-                continue
-            line = _nearest_line(c, e, X, ids_s, none + 1, (HALF_OF_DIGITS, none, none))
-            if line[1] < 0:
-                line = _nearest_line(c, e, X, ids_m[which[s]], k, line)
-            for r in range(len(ids_m) if hidden and line[1] < 0 else 0):
-                line = _nearest_line(c, e, X, ids_m[r], k, line)
-            dx, dy = c[(e + 1) % 3, 0] - c[e, 0], c[(e + 1) % 3, 1] - c[e, 1]
-            for q in range(g if line[1] >= 0 else 0):
-                at[n, 0], at[n, 1] = (
-                    c[e, 0] + tables.ends[0, q] * dx,
-                    c[e, 1] + tables.ends[0, q] * dy,
-                )
-                at[n, 2], at[n, 3], at[n, 4] = tables.ends[1, q], dy, -dx
-                of[n, 0], of[n, 1], of[n, 2] = which[s], line[1], line[2]
-                n += 1
-    return at[:n], of[:n]
+    k = slave.x.shape[1]
+    own = np.broadcast_to(np.arange(k), (len(which), k))
+    which = np.concatenate([own, k + given.place[pair]], axis=1)
+    x = np.concatenate(nodes, axis=1) - over.planes[0][part][:, None]
+    u, n, turned = (v[part] for v in given.frames)
+    return _OfPairs(points, xi, part, facet, pair, which, x, (u, n, turned))
+
+
+def _nodes_of_lines(given: _Given, part: Longs, pair: Longs, corners: Longs) -> Longs:
+    """Return the nodes (s, 2) at corners of parts: of the slave's, or of the master's of a pair.
+
+    Args:
+        part: (s,) of the slave.
+        pair: (s,) of parts; less than 0 for the slave.
+    """
+    over, sides = given.over, []
+    of_master = over.pairs[pair, 1]
+    for facets, of in ((over.slave, part), (over.master, of_master)):
+        nodes = np.array(facets.element.sub_facets)[of % count(facets.element)]
+        sides.append(np.take_along_axis(nodes, corners % nodes.shape[1], axis=1))
+    others = over.slave.x.shape[1] + np.take_along_axis(
+        given.place[over.of[pair]], sides[1], axis=1
+    )
+    return np.where(pair[:, None] < 0, sides[0], others)
+
+
+def _oblique(V: Floats, n: Floats) -> Floats:
+    """Return the vectors (s, q, 2, 3) dual to tangents V that are normal to n (s, 1, 3)."""
+    first, second = np.cross(V[:, :, 1], n), np.cross(n, V[:, :, 0])
+    size = (V[:, :, 0] * first).sum(axis=2)[..., None, None]
+    return np.stack([first, second], axis=2) / size
+
+
+def _frames(over: "_Overlaps") -> tuple[Floats, Floats, Floats]:
+    """Return axes u (p, 2, 3) and normals n (p, 3) of the planes of parts, and turns (p, 2, k, 3).
+
+    Those are u.dn by the nodes of the facets.
+    """
+    axes = over.planes[1] * over.planes[2][:, None, None]
+    u, n, every = axes[:, :2], axes[:, 2], np.arange(len(axes))
+    _, g = turns(over.parts.element, over.parts.x)
+    along = u @ np.swapaxes(g, 1, 2) @ _scattered(over.slave.element, every)
+    return u, n, -along[..., None] * n[:, None, None]
+
+
+def _scattered(element: FacetElement, part: Longs) -> Floats:
+    """Return which nodes of their facets those of parts are, (s, v, k)."""
+    nodes = np.array(element.sub_facets)[part % count(element)]
+    return np.eye(element.nodes)[nodes]
+
+
+def _add_inner(over: "_Overlaps", inner: _OfPairs, found: Sums) -> None:
+    """Add the moments of triangles, and their derivatives at points that stay in the plane.
+
+    Where nodes of the part move by dx, its xi change by -K dx, those of the facet with them, and
+    those of the master by G times what the slave's point moves more than the master's. The weight
+    is that of the facet over the Jacobian of the part in the plane.
+    """
+    at, (u, n, tilts), slave, X = inner.at, inner.frame, over.slave.element, inner.x
+    (s, q, k), E = at.N.shape, _scattered(slave, inner.part)
+    N, dN, ddN = (sums(v, E) for v in functions(over.parts.element, inner.xi))
+    V, bend = sums(dN, X[:, :k]), sums(ddN[:, :, 0, 1], X[:, :k])
+    K, G = (_oblique(v, n[:, None]) for v in (V, at.U))
+    c = on_reference(slave)[inner.part % count(slave)][:, :2]
+    B = c[:, None, :, [3, 1]] @ K  # xi of the facet change by -B dx
+    by = np.zeros((s, q, 5, inner.nodes.shape[1], 3))
+    by_x, by_y, N = by[..., :k, :], by[..., k:, :], N[:, :, None, :, None]
+    by_x[:, :, :2] = -B[..., None, :] * N
+    by_x[:, :, 2:4] = G[..., None, :] * at.N[:, :, None, :, None]
+    by_x[:, :, 2:4] -= (G @ np.swapaxes(at.T, 2, 3) @ B)[..., None, :] * N
+    by_y[:, :, 2:4] = -G[..., None, :] * at.f[:, :, None, k:-1, None]
+    by[:, :, 4] = at.by_nodes
+    by_x[:, :, 4] -= np.swapaxes(dN, 2, 3) @ K
+    along = (K @ bend[..., None])[:, :, ::-1]  # of the Jacobian by xi of the part
+    by_x[:, :, 4] += N[:, :, 0] * (np.swapaxes(along, 2, 3) @ K)
+    # the plane tilts: as if all nodes turned back
+    back = n[:, None, None] * (u @ np.swapaxes(X, 1, 2))[..., None]
+    back -= u[:, :, None] * (X @ n[:, :, None])[:, None]
+    rates: Floats = by.reshape(s, 5 * q, -1)
+    rates[..., : 3 * k] += rates @ back.reshape(s, 2, -1).swapaxes(1, 2) @ tilts.reshape(s, 2, -1)
+    rates = rates.reshape(s, q, 5, -1)
+    values, changes = at.differentiate(rates[:, :, :2], rates[:, :, 2:4], rates[:, :, 4])
+    columns = _columns(inner, found)
+    none = np.zeros((s, 1), dtype=np.int64)
+    _scatter(found.values[:, None], inner.facet, none, columns, values[:, None])
+    _scatter(found.changes, inner.facet, inner.nodes, columns, changes)
+    found.add_heights(at, inner.pair)
+
+
+def _columns(inner: _OfPairs, found: Sums) -> Longs:
+    """Return the columns (s, k + l + 1) of moments of pairs among those of facets."""
+    last = np.full((len(inner.pair), 1), found.values.shape[2] - 1)
+    return np.concatenate([inner.nodes, last], axis=1)
+
+
+def _add_edges(
+    over: "_Overlaps",
+    inner: _OfPairs,
+    lines: Floats,
+    ends: Floats,
+    t: Floats,
+    ids: Longs,
+    found: Sums,
+) -> None:
+    """Add the derivatives by what crosses edges of triangles (s,).
+
+    Args:
+        lines: (s, 2, 3) nodes of the lines that the edges lie on.
+        ends: (s, 2, 2) of the edges, anticlockwise around their triangles.
+        t: (q,) places of the points, from 0 to 1.
+        ids: (s, 2) which nodes these are.
+    """
+    at, (u, n, tilts) = inner.at, inner.frame
+    (s, q, k), radius = at.N.shape, over.planes[2][inner.part]
+    lines = lines - over.planes[0][inner.part][:, None]
+    first, second = np.moveaxis(lines @ np.swapaxes(u, 1, 2) / radius[:, None, None], 1, 0)
+    along, way = second - first, ends[:, 1] - ends[:, 0]
+    points = ends[:, :1] + t[:, None] * way[:, None] - first[:, None]
+    share = (points @ along[:, :, None])[..., 0] / (along**2).sum(axis=1)[:, None]
+    share = np.stack([1.0 - share, share], axis=2)
+    outwards = way[:, ::-1] * [1.0, -1.0] / radius[:, None]
+    by = np.empty((s, q, k + 2, 3))
+    by[:, :, k:] = share[..., None] * (outwards[:, None] @ u)[:, None]
+    height = share @ (lines @ n[:, :, None])
+    by[:, :, :k] = (-height * outwards[:, None] @ tilts.reshape(s, 2, -1)).reshape(s, q, k, 3)
+    rows = (at.weight[..., None] * at.N)[..., None] * at.f[:, :, None]
+    changes = np.swapaxes(by.reshape(s, q, -1), 1, 2) @ rows.reshape(s, q, -1)
+    nodes = np.concatenate([inner.nodes[:, :k], ids], axis=1)
+    changes = changes.reshape(s, -1, *rows.shape[2:])
+    _scatter(found.changes, inner.facet, nodes, _columns(inner, found), changes)
 
 
 @numba.njit(**KERNEL)
-def _add_points(  # type: ignore[no-untyped-def]
-    i, f, first, at, of, X, unit, ids_m, place, sides, hidden, given, positive, tables, by_X, found
-):  # fmt: skip
-    """Add the moments of points of part i of slave facet f, and their derivatives."""
-    (reach, factor, heights), k, l, b = given, len(sides.x), place.shape[1], len(tables.nodes_m)  # noqa: E741
-    of_P = of_Q = _maps(sides.P, tables.bilinear[0])
-    p, maps, ids_s = create_point(k, l), _create_maps(len(sides.P), k), tables.nodes_s[i]
-    last, values = len(by_X), found.values[f]
-    totals = np.zeros((last + 1, k * (k + l + 1)))  # of a pair; values are the last
-    for q in range(len(at)):
-        r = of[q, 0]
-        pair = first + r // b
-        if q == 0 or of[q - 1, 0] != r:
-            gather(X[k:], ids_m[r], sides.Q)
-            gather(X[k:], place[pair], sides.y)
-            _fill_coefficients(sides.y, tables.master, sides.C_m[0])
-            of_Q = _maps(sides.Q, tables.bilinear[1])
-        x, y, w = at[q, 0], at[q, 1], at[q, 2]
-        w *= unit * _place_at(x, y, i, r % b, sides, of_P, of_Q, tables, p, maps)
-        if np.isfinite(w):
-            scale = begin_point(p, factor, pair, heights)
-            left, rate = _fall(reach, sides, maps, p)
-            w, inner = w * scale * left, of[q, 1] < 0
-            if inner:
-                _find_rates(p, maps, i, of_P, sides, ids_s, tables, rate)
-                fill_rows(p, k, w, positive, inner)
-                add_row(p, FIFTH, 1.0, totals, last)
-                add_heights(p, k, pair, found)
-                _add_changes(p, maps, rate, sides, place, pair, tables, totals)
-            else:
-                fill_rows(p, k, w, positive, inner)
-                v, o = of[q, 1], of[q, 2]
-                dx, dy = X[o, 0] - X[v, 0], X[o, 1] - X[v, 1]
-                share = ((x - X[v, 0]) * dx + (y - X[v, 1]) * dy) / (dx * dx + dy * dy)
-                for t in range(2):
-                    add_row(p, FIFTH, (1.0 - share) * at[q, 3 + t], totals, 3 * v + t)
-                    add_row(p, FIFTH, share * at[q, 3 + t], totals, 3 * o + t)
-        if q + 1 == len(at) or of[q + 1, 0] != r:
-            move_to(totals, last, k, place, pair, values)
-            for a in range(last // 3 if hidden else k + l + 1):
-                n = a if hidden or a < k else last // 3 - 1
-                if not hidden and k <= a < k + l:
-                    n = k + place[pair, a - k]
-                for t in range(3):
-                    move_to(totals, 3 * n + t, k, place, pair, by_X[3 * n + t])
+def _scatter(to, facets, nodes, columns, values):  # type: ignore[no-untyped-def]
+    """Add values (s, r d, k, n) of nodes (s, r) and columns (s, n) to those of facets (s,)."""
+    d = values.shape[1] // nodes.shape[1]
+    for s in range(len(values)):
+        for z in range(values.shape[1]):
+            row = d * nodes[s, z // d] + z % d
+            for j in range(values.shape[2]):
+                for a in range(values.shape[3]):
+                    to[facets[s], row, j, columns[s, a]] += values[s, z, j, a]
 
 
 def place_points(
@@ -955,22 +754,47 @@ def place_points(
     simple_s, simple_m = first_order(slave), first_order(master)
     if simple_s is not None and simple_m is not None:
         slave, master = simple_s, simple_m
-    parts_s, parts_m = parts_of(slave), parts_of(master)
-    of_parts, of = pairs_of_parts(pairs, slave.element, master.element)
-    centre, axes, radius = create_planes(parts_s.x)
-    bilinear = parts_s.element.bilinear, parts_m.element.bilinear
-    sides = parts_s.x, parts_m.x, bilinear, of_parts
-    limits = deepest[of] / radius[of_parts[:, 0]]  # lengths in the planes are relative
-    balls = bounding_balls(parts_m.x)
-    which, corners, _ = _triangulate(*sides[:2], balls, *sides[2:], limits, centre, axes)
-    rule = _choose_rules(*sides, centre, axes, which, corners, least)
+    over = _find_overlaps(slave, master, pairs, deepest)
+    at, triangles = (*over.sides, *over.planes), (over.which, over.corners)
+    rule = _choose_rules(*at[:-1], *triangles, least)
     whole = slave.element.part is None and master.element.part is None
-    at = centre, axes, radius, which, corners, rule, whole
-    pair, xi_s, xi_m, weight = _place(*sides, *at, *_rules())
+    sizes = _areas(over.corners)
+    pair, xi_s, xi_m, weight = _place(*at, *triangles, sizes, rule, whole, *_rules())
     if whole:
         return pair, xi_s, xi_m, weight
     points = {"xi_s": xi_s, "xi_m": xi_m, "weight": weight}
-    return of[pair], *on_facets(slave, master, axes, of_parts[pair], **points)
+    return over.of[pair], *on_facets(slave, master, at[5], over.pairs[pair], **points)
+
+
+class _Overlaps(NamedTuple):
+    """Facets that lie over each other in the auxiliary planes of the slave's parts."""
+
+    slave: Facets  # (ms,)
+    master: Facets  # (mm,)
+    parts: Facets  # of the slave
+    sides: tuple[Floats, Floats, tuple[bool, bool], Ints]  # parts, whether bilinear, pairs of parts
+    of: Ints  # (p',) pair of facets of each of those
+    planes: tuple[Floats, Floats, Floats]  # see `create_planes`
+    which: Longs  # (t,) pairs of parts of the triangles
+    corners: Floats  # (t, 3, 2) of these
+    hidden: Bools  # (parts,) whether masters hide others
+
+    @property
+    def pairs(self) -> Ints:
+        """Pairs of parts (p', 2)."""
+        return self.sides[3]
+
+
+def _find_overlaps(slave: Facets, master: Facets, pairs: Ints, deepest: Floats) -> _Overlaps:
+    """Return the triangles in which facets lie over each other, see `place_points`."""
+    parts_s, parts_m = parts_of(slave), parts_of(master)
+    pairs, of = pairs_of_parts(pairs, slave.element, master.element)
+    planes = create_planes(parts_s.x)
+    sides = parts_s.x, parts_m.x, (parts_s.element.bilinear, parts_m.element.bilinear), pairs
+    limits = deepest[of] / planes[2][pairs[:, 0]]  # lengths in the planes are relative
+    balls = bounding_balls(parts_m.x)
+    found = _triangulate(*sides[:2], balls, *sides[2:], limits, *planes[:2])
+    return _Overlaps(slave, master, parts_s, sides, of, planes, *found)
 
 
 def _least_degree(slave: FacetElement, master: FacetElement) -> int:

@@ -63,6 +63,19 @@ class FacetElement:
         found[:, mine] = np.linalg.inv(values).T.round(12) + 0.0  # multiples of 1/4
         return found
 
+    @cached_property
+    def slopes(self) -> Floats:
+        """The table, those of the first derivatives and of the second ones (n, 9)."""
+        e = self.points.shape[1]
+
+        def by(table: Floats, a: int) -> Floats:
+            powers = np.moveaxis(table.reshape(-1, 3, 3), 1 + a, 1)
+            slopes = np.pad(powers[:, 1:] * [[1.0], [2.0]], ((0, 0), (0, 1), (0, 0)))
+            return np.moveaxis(slopes, 1, 1 + a).reshape(-1, 9)
+
+        first = [by(self.table, a) for a in range(e)]
+        return np.concatenate([self.table, *first, *(by(f, a) for f in first for a in range(e))])
+
 
 def _interval(xi: Floats) -> Floats:
     """Return the linear functions of the interval (q, 2) at xi (q, 1).

@@ -96,17 +96,23 @@ def surface_gradients(facets: Facets, which: Ints, xi: Floats) -> tuple[Floats, 
     >>> (25 * g).tolist(), (5 * n).tolist()
     ([[[3.0, 4.0], [-3.0, -4.0]]], [[-4.0, 3.0]])
     """
-    dN, x = facets.element.derivatives(xi), facets.x[which]
-    a = np.swapaxes(dN, 1, 2) @ x
-    normal = _normals(a)
-    if x.shape[2] == 2:
-        dual = a
-    else:
-        turned = np.stack([a[:, 1], -a[:, 0]], axis=1)
-        dual = np.asarray(np.cross(turned, normal[:, None]), dtype=np.float64)
-    size = np.maximum((normal**2).sum(axis=1), TINY)
-    gradients = dN @ (dual / size[:, None, None])
-    return np.asarray(gradients), np.asarray(normal / np.sqrt(size)[:, None])
+    dN = facets.element.derivatives(xi)
+    dual, normal = dual_basis(np.swapaxes(dN, 1, 2) @ facets.x[which])
+    size = np.sqrt(np.maximum((normal**2).sum(axis=1), TINY))
+    return np.asarray(dN @ dual), np.asarray(normal / size[:, None])
+
+
+def dual_basis(a: Floats) -> tuple[Floats, Floats]:
+    """Return the vectors (.., d-1, d) dual to tangents a (.., d-1, d), and the normals (.., d).
+
+    The dual ones are tangential, and the normals as long as the length or the area of a.
+    """
+    normal, dual = _normals(a), a
+    if a.shape[-1] > 2:
+        turned = np.stack([a[..., 1, :], -a[..., 0, :]], axis=-2)
+        dual = np.asarray(np.cross(turned, normal[..., None, :]), dtype=np.float64)
+    size = np.maximum((normal**2).sum(axis=-1), TINY)
+    return dual / size[..., None, None], normal
 
 
 def _normals(a: Floats) -> Floats:

@@ -13,7 +13,7 @@ a + b xi + c xi^2; straight facets have c = 0.
 """
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numba
 import numpy as np
@@ -22,8 +22,8 @@ import numpy.typing as npt
 from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.moments import FIRST, KERNEL, SECOND, Sums
-from dolfinx_mortar.geometry.tolerances import ROUND_OFF
+from dolfinx_mortar.geometry.moments import Sums, create_points, functions, turns
+from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND
 
 
 @numba.njit(**KERNEL)
@@ -195,82 +195,6 @@ def _place(x_s, n_s, x_m, pairs, which, ends, points, weights):  # type: ignore[
     return xi_s, xi_m, weight
 
 
-class Tables(NamedTuple):
-    """What `moments` needs of the two types of facets."""
-
-    slave: Floats  # (k, 3) coefficients of 1, xi, xi^2 of the functions
-    master: Floats  # (l, 3)
-    corners: int  # of a slave facet
-    points: Floats  # (q,)
-    weights: Floats  # (q,)
-
-
-def tables(slave: FacetElement, master: FacetElement, smooth: bool) -> Tables:
-    """Return the tables of two types, the same for smooth surfaces."""
-    rule = gauss_points(2 * max(slave.degree, master.degree) + 1)
-    return Tables(slave.table[:, ::3], master.table[:, ::3], len(slave.vertices), *rule)
-
-
-class _Points(NamedTuple):
-    """Points (s, q) of segments."""
-
-    N: Floats  # (s, q, k) functions of the slave facet
-    M: Floats  # (s, q, m) functions of the masters' nodes
-    apart: Floats  # (s, q, 2) x - y
-    n: Floats  # (s, q, 2) direction of projection
-    tangent: Floats  # (s, q, 2) dx/dxi
-    slope: Floats  # (s, q) of f = (x - y) x n by xi, with fixed y
-
-    def by_nodes(self) -> Floats:
-        """Return the derivatives (s, q, 2 k + m, 2) of f by x, n and y."""
-        along, across = _turned(self.n)[:, :, None], _turned(self.apart)[:, :, None]
-        N, M = self.N[..., None], self.M[..., None]
-        return np.concatenate([N * along, -N * across, -M * along], axis=2)
-
-
-def _points(N: Floats, dN: Floats, M: Floats, x: Floats, n: Floats, y: Floats) -> _Points:
-    """Return points with functions N and M at the nodes x (s, k, 2) and y (s, m, 2)."""
-    apart, normal, tangent = N @ x - M @ y, N @ n, dN @ x
-    slope = _cross(tangent, normal) + _cross(apart, dN @ n)
-    return _Points(N, M, apart, normal, tangent, slope)
-
-
-class _Height(NamedTuple):
-    """Heights of a smooth surface at points (s, q)."""
-
-    h: Floats
-    by_xi: Floats
-    by_chord: Floats  # by the logarithm of the chord's length, of arcs
-
-
-def _height(N: Floats, dN: Floats, Q: Floats, arcs: Floats) -> _Height:
-    """Return N.Q N as heights of arcs (s, 1, 2), see `curvature.heights_of_arcs`."""
-    QN, curvature, square = N @ Q, arcs[..., 0], arcs[..., 1]
-    h, left = (QN * N).sum(axis=2), 1.0 - square
-    root, across = np.sqrt(square), np.sqrt(square + 2.0 * curvature * h)
-    # curvature is c / L^2, left a quarter of c times that
-    rate = left / root + (left - 2.0 * curvature * h) / across
-    both, by_xi = root + across, 2.0 * (QN * dN).sum(axis=2) / across
-    return _Height(2.0 * h / both, by_xi, -2.0 * h / both**2 * rate)
-
-
-def _functions(table: Floats, xi: Floats) -> list[Floats]:
-    """Return functions with coefficients (k, 3) at xi (s, q), and their first two derivatives."""
-    one, none = np.ones_like(xi), np.zeros_like(xi)
-    powers = (one, xi, xi**2), (none, one, 2.0 * xi), (none, none, 2.0 * one)
-    return [np.stack(p, axis=-1) @ table.T for p in powers]
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    """Return a x b of vectors (.., 2)."""
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
-
-
-def _turned(v: Floats) -> Floats:
-    """Return vectors (.., 2) turned clockwise by a right angle."""
-    return np.asarray(v[..., ::-1] * [1.0, -1.0])
-
-
 def moments(
     x: Floats,
     n: Floats,
@@ -278,11 +202,10 @@ def moments(
     start: Longs,
     place: Longs,
     deepest: Floats,
-    reach: Floats,
     factor: Floats,
+    reach: Floats,
     heights: tuple[Floats, Floats, Floats],
-    positive: bool,
-    tables: Tables,
+    types: tuple[FacetElement, FacetElement],
     found: Sums,
 ) -> None:
     """Add the moments of slave facets x (p, k, 2) and their masters, and derivatives.
@@ -293,113 +216,85 @@ def moments(
         start: (p + 1,) first pairs of the facets.
         place: (c, l) nodes of the pairs' masters.
         deepest: (c,) see `place_points`.
-        reach: (p, 2) the gap from which on weights fall, and how fast; (p, 0) where nothing falls.
-        factor: (p, k) that of the weight at the nodes, interpolated.
-        heights: Q of both facets, (c, k, k) and (c, l, l), and arcs (c, 2, 2); empty without.
-        positive: whether only what is positive of N_j counts.
-        tables: of `tables`.
+        factor: (p, k) see `create_points`; reach likewise.
+        heights: of pairs (c,), see `create_points`.
+        types: of the facets of both sides.
         found: by the coordinates of x, n and y.
     """
-    k, m, t = x.shape[1], y.shape[1], tables.points
+    slave, master = types
+    (k, m), (t, weights) = (x.shape[1], y.shape[1]), gauss_points(_count(*types))
     of = np.repeat(np.arange(len(x), dtype=np.int32), np.diff(start))
     pairs = np.stack([of, np.arange(len(of), dtype=np.int32)], axis=1)
-    Y, kinds = y[of[:, None], place], (tables.slave, tables.slave, tables.master)
-    facets = [table.T @ v for table, v in zip(kinds, (x, n, Y), strict=True)]
+    Y = y[of[:, None], place]
+    kinds = (slave, x), (slave, n), (master, Y)
+    facets = [_polynomials(element, v) for element, v in kinds]
     which, ends = _clip(*facets, np.ascontiguousarray(Y[:, :2]), pairs, deepest)
-    xi, eta, _ = _place(*facets, pairs, which, ends, t, tables.weights)
-    xi, eta, half = xi.reshape(-1, len(t)), eta.reshape(-1, len(t)), np.diff(ends)[:, :, None] / 2
-    on, spread = of[which], np.eye(m)[place[which]]
-    (N, dN, ddN), (N_m, dN_m, _) = _functions(tables.slave, xi), _functions(tables.master, eta)
-    at, along_m = _points(N, dN, N_m @ spread, x[on], n[on], y[on]), dN_m @ Y[which]
-    by_gap = np.where(np.abs(eta) < 1.0, 1.0 / _cross(along_m, at.n), 0.0)  # held at an end
-    # functions of both sides and heights, and their derivatives by xi and by eta
-    f, by_xi, by_eta = (np.zeros((*xi.shape, k + m + 1)) for _ in range(3))
-    f[..., :k], f[..., k:-1], by_xi[..., :k], by_eta[..., k:-1] = N, at.M, dN, dN_m @ spread
-    sides = [(N, dN, by_xi), (N_m, dN_m, by_eta)] if heights[0].size else []
-    arcs = []
-    for i, (one, d_one, by) in enumerate(sides):
-        arcs.append(_height(one, d_one, heights[i][which], heights[2][which, i, None]))
-        f[..., -1] += arcs[i].h
-        by[..., -1] = arcs[i].by_xi
-    slope = (by_gap * at.slope)[..., None]  # deta/dxi
-    by_xi += slope * by_eta
-    w, w_xi, fall, by_weight = _weigh(at, dN, ddN @ x[on], x[on], factor[on], reach[on])
-    w, w_eta = w * tables.weights * half[..., 0], (along_m * fall).sum(axis=2)[..., None]
-    if positive:
-        dN, N = np.where(N < 0.0, 0.0, dN), np.maximum(N, 0.0)
-    v, dv = (w[..., None] * u for u in (N, dN + N * (w_xi[..., None] + slope * w_eta)))
-    rows, rows_xi, rows_eta = (v[..., None] * g[:, :, None] for g in (f, by_xi, by_eta + w_eta * f))
-    rows_xi += dv[..., None] * f[:, :, None]
-    rows, rows_xi, rows_eta = (
-        r.reshape(*xi.shape, k * (k + m + 1)) for r in (rows, rows_xi, rows_eta)
+    xi, eta, _ = (v.reshape(-1, len(t), 1) for v in _place(*facets, pairs, which, ends, t, weights))
+    on, half, n = of[which], np.diff(ends)[:, :, None] / 2, n[of[which]]
+    at = create_points(
+        functions(slave, xi),
+        functions(master, eta)[:2],
+        (x[on], Y[which]),
+        weights * half[..., 0],
+        (factor[on], reach[on]),
+        turns(slave, x[on]),
+        [v[which] if len(v) else v for v in heights],
+        np.eye(m)[place[which]],
     )
-    signs = np.array([[-1.0], [1.0]])
-    by_ends = (1.0 + signs * t) / 2 @ rows_xi + signs / (2.0 * half) * rows.sum(axis=1)[:, None]
     is_end = np.zeros((len(x), m), dtype=bool)
     is_end[of[:, None], place[:, :2]] = True
-    moving = _end_rates(tables.slave, ends, x[on], n[on], y[on], is_end[on])
-    rates = np.concatenate([by_gap[..., None, None] * at.by_nodes(), by_weight, moving], axis=1)
-    rates = rates.reshape(*rates.shape[:2], 4 * k + 2 * m).swapaxes(1, 2)
-    change = rates @ np.concatenate([rows_eta, rows, by_ends], axis=1)
-    np.add.at(found.values, on, rows.sum(axis=1).reshape(-1, *found.values.shape[1:]))
-    np.add.at(found.changes, on, change.reshape(-1, *found.changes.shape[1:]))
-    for i, (one, _, _) in enumerate(sides):
-        if len(found.chords):
-            np.add.at(found.chords[:, :, i], which, (v * arcs[i].by_chord[..., None]).sum(axis=1))
-        elif len(E := (found.E_s, found.E_m)[i]):
-            np.add.at(E, which, np.einsum("sqj,sqa,sqb->sjab", v, one, one))
+    moving = _end_rates(slave, ends, x[on], n, y[on], is_end[on])
+    by_s = np.stack([1.0 - t, 1.0 + t], axis=1) / 2 @ moving
+    normal, M = at.N @ n, at.f[..., k:-1]
+    across = np.where(np.abs(eta) < 1.0, _cross(at.U, normal[:, :, None]), np.inf)  # held at an end
+    slope = _cross(at.T[:, :, 0], normal) - _cross(at.apart, (at.dN @ n[:, None])[:, :, 0])
+    by_m = (_by_nodes(at.N, M, normal, -at.apart) + slope[..., None] * by_s) / across
+    by_w = np.insert(at.by_nodes, [k] * k, 0.0, axis=2).reshape(by_s.shape)
+    by_w += np.diff(moving, axis=1) / (2.0 * half)
+    values, changes = at.differentiate(by_s[:, :, None], by_m[:, :, None], by_w)
+    np.add.at(found.values, on, values)
+    np.add.at(found.changes, on, changes)
+    found.add_heights(at, which)
 
 
-def _weigh(
-    at: _Points, dN: Floats, bend: Floats, x: Floats, factor: Floats, reach: Floats
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the weight (s, q) of points per xi, and the derivatives of its logarithm.
+def _cross(a: Floats, b: Floats) -> Floats:
+    """Return a x b of vectors (.., 2)."""
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
-    Those by xi (s, q), by y (s, q, 2), and by the nodes (s, q, 2 k + m, 2) at fixed xi and eta.
+
+def _by_nodes(N: Floats, M: Floats, n: Floats, apart: Floats) -> Floats:
+    """Return the derivatives (s, q, 2 (2 k + m)) of (x - y) x n by the nodes of x, n and y.
+
+    Args:
+        N: (s, q, k) functions of x and n.
+        M: (s, q, m) those of y.
+        n: (s, q, 2).
+        apart: (s, q, 2) x - y.
     """
-    N, t, square = at.N, at.tangent, (at.tangent**2).sum(axis=2, keepdims=True)
-    scale, chord = (N @ factor[:, :, None])[..., 0], (x[:, 1] - x[:, 0])[:, None]
-    w_xi = (dN @ factor[:, :, None])[..., 0] / np.where(scale > 0.0, scale, np.inf)  # on an axis
-    w_xi += (t * bend).sum(axis=2) / square[..., 0]
-    w, fall = scale * np.sqrt(square[..., 0]), np.zeros_like(t)
-    by_nodes = np.zeros((*w.shape, 2 * N.shape[2] + at.M.shape[2], 2))
-    by_x, by_y = by_nodes[:, :, : N.shape[2]], by_nodes[:, :, 2 * N.shape[2] :]
-    by_x += dN[..., None] * (t / square)[:, :, None]
-    if reach.size:
-        length = np.sqrt((chord**2).sum(axis=2, keepdims=True))
-        normal = _turned(chord) / length
-        gap = -(at.apart * normal).sum(axis=2)
-        part = 1.0 - reach[:, 1:] * (gap - reach[:, :1])
-        rate = -reach[:, 1:] / np.where((part > 0.0) & (part < 1.0), part, np.inf)
-        fall = rate[..., None] * normal
-        w, w_xi = w * np.clip(part, 0.0, 1.0), w_xi - (t * fall).sum(axis=2)
-        by_x -= N[..., None] * fall[:, :, None]
-        by_y += at.M[..., None] * fall[:, :, None]
-        turning = rate[..., None] / length * _turned(-at.apart - gap[..., None] * normal)
-        by_x[:, :, 0] += turning
-        by_x[:, :, 1] -= turning
-    return w, w_xi, fall, by_nodes
+    along, across = (v[:, :, None, ::-1] * [1.0, -1.0] for v in (n, apart))
+    N, M = N[..., None], M[..., None]
+    parts = np.concatenate([N * along, -N * across, -M * along], axis=2)
+    return parts.reshape(*parts.shape[:2], -1)
 
 
 def _end_rates(
-    table: Floats, ends: Floats, x: Floats, n: Floats, y: Floats, is_end: Bools
+    slave: FacetElement, ends: Floats, x: Floats, n: Floats, y: Floats, is_end: Bools
 ) -> Floats:
-    """Return the derivatives (s, 2, 2 k + m, 2) of the ends of segments, 0 where a side ends.
+    """Return the derivatives (s, 2, 2 (2 k + m)) of the ends of segments, 0 where a side ends.
 
     Args:
         is_end: (s, m) which of y are ends of masters: an end of a segment moves with the nearest.
     """
-    (s, m, _), (N, dN, _) = y.shape, _functions(table, ends)
-    M = np.tile(np.eye(m), (s, 2, 1))
-    at = _points(N.repeat(m, axis=1), dN.repeat(m, axis=1), M, x, n, y)
-    off, slopes = np.abs(_cross(at.apart, at.n)).reshape(s, 2, m), at.slope.reshape(s, 2, m)
-    best = np.where(is_end[:, None], off, np.inf).argmin(axis=2)[..., None]
-    slope = np.take_along_axis(slopes, best, axis=2)
+    N, dN, _ = functions(slave, ends[..., None])
+    normal, apart = N @ n, (N @ x)[:, :, None] - y[:, None]
+    off = np.where(is_end[:, None], np.abs(_cross(apart, normal[:, :, None])), np.inf)
+    best = off.argmin(axis=2)[..., None]
+    apart = np.take_along_axis(apart, best[..., None], axis=2)[:, :, 0]
+    M = (best == np.arange(y.shape[1])).astype(float)
+    slope = _cross(dN[:, :, 0] @ x, normal) + _cross(apart, dN[:, :, 0] @ n)
     inside = np.abs(ends) < 1.0 - HALF_OF_DIGITS  # otherwise sides end together
-    by_nodes = at.by_nodes()
-    all_rates = by_nodes.reshape(s, 2, m, *by_nodes.shape[2:])
-    rates = np.take_along_axis(all_rates, best[..., None, None], axis=2)[:, :, 0]
-    return np.where(inside[..., None, None], -rates / slope[..., None], 0.0)
+    rates = -_by_nodes(N, M, normal, apart) / slope[..., None]
+    return np.where(inside[..., None], rates, 0.0)
 
 
 def _polynomials(element: FacetElement, v: Floats) -> Floats:
@@ -421,6 +316,11 @@ def gauss_points(n: int) -> tuple[Floats, Floats]:
     """
     points, weights = np.polynomial.legendre.leggauss(n)  # .5 ms: eigenvalues of a matrix
     return points, weights
+
+
+def _count(slave: FacetElement, master: FacetElement) -> int:
+    """Return how many Gauss points a segment has."""
+    return 2 * max(slave.degree, master.degree) + 1
 
 
 def place_points(
@@ -445,7 +345,6 @@ def place_points(
     x_m = _polynomials(master.element, master.x)
     corners = np.ascontiguousarray(master.x[:, master.element.vertices])
     which, ends = _clip(x_s, n, x_m, corners, pairs, deepest)
-    degree = max(slave.element.degree, master.element.degree)
-    points, weights = gauss_points(2 * degree + 1)
+    points, weights = gauss_points(_count(slave.element, master.element))
     xi_s, xi_m, weight = _place(x_s, n, x_m, pairs, which, ends, points, weights)
     return np.repeat(which, len(points)), xi_s[:, None], xi_m[:, None], weight

@@ -7,75 +7,25 @@ h of smooth surfaces and the weight of the integrals,
     S_jk = int N_j N_k,     R_jl = int N_j N_l,     H_j = int N_j h.
 
 `line.moments` and `area.moments` add them up over the points of all segments of a slave facet, with
-their derivatives by the coordinates of the nodes. Points stay where they are on the slave facet in
-the plane, in its auxiliary plane in space; there xi of both facets change by a step of Newton's
-method, and the integrals by what crosses the ends of the segments (theorem of transport):
+their derivatives by the coordinates of the nodes. In the plane points move with the ends of their
+segment. In space they stay where they are in the auxiliary plane of the slave facet, and integrals
+change by what crosses the edges of the segments (theorem of transport),
 
-    d int f = int df + sum over ends of f times their velocity outwards.
+    d int f = int df + sum over edges of f times their velocity outwards.
 
-An end of a segment moves with the node, or with the line between two nodes, that it lies on; so
-nothing that cuts, hides or halves has derivatives.
+An end or an edge of a segment moves with the node, or with the line between two nodes, that it lies
+on; so nothing that cuts, hides or halves has derivatives. They say how xi of both facets change
+with the nodes; all else is the same in the plane, in space and below tools, and stands here.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
-from dolfinx_mortar.arrays import Floats
-
-KERNEL = {
-    "cache": True,
-    "error_model": "numpy",
-    "fastmath": {"contract"},
-    "no_cfunc_wrapper": True,
-}
-"""Of functions that clip and place: those with the same options share what numba makes of them."""
-FIRST, SECOND, THIRD, FIFTH = (np.int64(i) for i in (0, 1, 2, 4))
-"""Places: a literal number has a type of its own, so that what takes it compiles for each."""
-INNER = {
-    "error_model": "numpy",
-    "fastmath": {"contract", "nsz", "reassoc"},
-    "forceinline": True,
-    "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
-    "_nrt": False,
-}
-"""Of functions in loops that make no array: to count references takes longer than a point."""
-
-
-# Arrays with numbers of rows: a view of each would cost as much as a point.
-
-
-@numba.njit(**INNER)
-def fill_functions(table, xi, eta, f, first):  # type: ignore[no-untyped-def]
-    """Write N_j = sum_ab table[j, 3 a + b] xi^a eta^b to f[first + j]; in the plane eta is 0."""
-    for j in range(len(table)):
-        c0 = table[j, 0] + eta * (table[j, 1] + eta * table[j, 2])
-        c1 = table[j, 3] + eta * (table[j, 4] + eta * table[j, 5])
-        c2 = table[j, 6] + eta * (table[j, 7] + eta * table[j, 8])
-        f[first + j] = c0 + xi * (c1 + xi * c2)
-
-
-@numba.njit(**INNER)
-def fill_slopes(table, xi, eta, df, h, first):  # type: ignore[no-untyped-def]
-    """Write the derivatives of the functions of `fill_functions` to df[h] and df[h + 1]."""
-    for j in range(len(table)):
-        c1 = table[j, 3] + eta * (table[j, 4] + eta * table[j, 5])
-        c2 = table[j, 6] + eta * (table[j, 7] + eta * table[j, 8])
-        d1 = table[j, 1] + xi * (table[j, 4] + xi * table[j, 7])
-        d2 = table[j, 2] + xi * (table[j, 5] + xi * table[j, 8])
-        df[h, first + j], df[h + 1, first + j] = c1 + 2.0 * xi * c2, d1 + 2.0 * eta * d2
-
-
-class Point(NamedTuple):
-    """A point of a pair of facets with k and l nodes; in the plane eta counts for nothing."""
-
-    f: Floats  # (k + l + 1,) N of the slave facet, N of the master, h
-    df: Floats  # (4, k + l + 1) their derivatives by xi_s, eta_s, xi_m and eta_m
-    by_weight: Floats  # (4,) those of the logarithm of the weight
-    by_height: Floats  # (k + l + 1,) those of h by N
-    rows: Floats  # (5, k (k + l + 1)) derivatives of N_j f w, and w N_j f itself
+from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.geometry.elements import FacetElement
+from dolfinx_mortar.geometry.facets import Facets, dual_basis, surface_gradients
 
 
 class Sums(NamedTuple):
@@ -87,192 +37,185 @@ class Sums(NamedTuple):
     E_m: Floats  # (c, k, l, l) over the master
     chords: Floats  # (c, k, 2) dH_j by the logarithms of both chords' lengths; (0, ..) without arcs
 
-
-@numba.njit(**KERNEL)
-def create_point(k, l):  # type: ignore[no-untyped-def] # noqa: E741
-    """Return room for a point."""
-    n = k + l + 1
-    return Point(np.zeros(n), np.zeros((4, n)), np.zeros(4), np.zeros(n), np.empty((5, k * n)))
-
-
-@numba.njit(**INNER)
-def _height(p, first, Q, c):  # type: ignore[no-untyped-def]
-    """Return N.Q N over a facet, and write its derivatives by N."""
-    h, by, n = 0.0, p.by_height, Q.shape[1]
-    for i in range(n):
-        by[first + i] = 0.0
-        for j in range(n):
-            by[first + i] += 2.0 * Q[c, i, j] * p.f[first + j]
-        h += 0.5 * p.f[first + i] * by[first + i]
-    return h
+    def add_heights(self, points: "Points", pairs: Ints) -> None:
+        """Add the derivatives of H at the points of some pairs (s,) by what heights depend on."""
+        v = points.weight[..., None] * points.N
+        for i, (E, N) in enumerate(zip((self.E_s, self.E_m), points.own, strict=True)):
+            if len(E):
+                np.add.at(E, pairs, np.einsum("sqj,sqa,sqb->sjab", v, N, N, optimize=True))
+            if len(self.chords):
+                both = (v * points.by_chords[i][..., None]).sum(axis=1)
+                np.add.at(self.chords[:, :, i], pairs, both)
 
 
-@numba.njit(**INNER)
-def begin_point(p, factor, c, heights):  # type: ignore[no-untyped-def]
-    """Write h and its derivatives, and add those of the weight; return the factor.
+class Points(NamedTuple):
+    """Points (s, q) of pairs of facets with k and l nodes in d dimensions."""
 
-    Args:
-        p: the point, of pair c, with all functions.
-        factor: (k,) that of the weight at the nodes, interpolated.
-        heights: Q of both facets, (c, k, k) and (c, l, l); empty without.
-    """
-    Q_s, Q_m, _ = heights
-    k, scale, along, across = len(factor), 0.0, 0.0, 0.0
-    for j in range(k):
-        scale += factor[j] * p.f[j]
-        along += factor[j] * p.df[0, j]
-        across += factor[j] * p.df[1, j]
-    inverse = 1.0 / scale if scale > 0.0 else 0.0  # on an axis
-    p.by_weight[0] += along * inverse
-    p.by_weight[1] += across * inverse
-    if len(Q_s) == 0:
-        return scale
-    last, by = len(p.f) - 1, p.by_height
-    p.f[last] = _height(p, FIRST, Q_s, c) + _height(p, k, Q_m, c)
-    for h in range(4):
-        p.df[h, last] = 0.0
-        for a in range(last):
-            p.df[h, last] += by[a] * p.df[h, a]
-    return scale
+    N: Floats  # (s, q, k) functions of the slave
+    dN: Floats  # (s, q, d-1, k)
+    dM: Floats  # (s, q, d-1, l) of the master
+    f: Floats  # (s, q, k + l + 1) N of both and h
+    by_N: Floats  # (s, q, k + l) dh by the functions
+    T: Floats  # (s, q, d-1, d) tangents of the slave
+    U: Floats  # (s, q, d-1, d) of the master
+    apart: Floats  # (s, q, d) from the slave's point to the master's
+    weight: Floats  # (s, q)
+    by_xi: Floats  # (s, q, 2 d-2) derivatives of its logarithm, by xi of both facets
+    by_nodes: Floats  # (s, q, k + l, d) and by their nodes at fixed xi
+    own: tuple[Floats, Floats]  # functions of the nodes of the two facets
+    by_chords: list[Floats]  # (s, q) dh by the logarithms of the lengths of chords
 
+    def differentiate(self, by_s: Floats, by_m: Floats, by_w: Floats) -> tuple[Floats, Floats]:
+        """Return the moments (s, k, k + l + 1), and their derivatives (s, z, k, k + l + 1).
 
-@numba.njit(**INNER)
-def fill_rows(p, k, w, positive, whole):  # type: ignore[no-untyped-def]
-    """Write the rows of a point with weight w, only the last unless whole.
-
-    If positive, only what is positive of N_j counts.
-    """
-    n = len(p.f)
-    for j in range(k):
-        size = 0.0 if positive and p.f[j] < 0.0 else w
-        v = size * p.f[j]
-        for h in range(4 if whole else 0):
-            dv = v * p.by_weight[h] + size * p.df[h, j]
-            for a in range(n):
-                p.rows[h, n * j + a] = dv * p.f[a] + v * p.df[h, a]
-        for a in range(n):
-            p.rows[4, n * j + a] = v * p.f[a]
+        Args:
+            by_s: (s, q, d-1, z) derivatives of xi on the slave.
+            by_m: (s, q, d-1, z) on the master.
+            by_w: (s, q, z) those of the logarithm of the weight at fixed xi.
+        """
+        e, v = by_s.shape[2], self.weight[..., None] * self.N
+        rates = self.by_xi[:, :, None]
+        by_w = by_w + (rates[..., :e] @ by_s + rates[..., e:] @ by_m)[:, :, 0]
+        sides = (by_s, self.dN), (by_m, self.dM)
+        by_N = np.concatenate([np.swapaxes(by, 2, 3) @ df for by, df in sides], axis=3)
+        by_f = np.concatenate([by_N, by_N @ self.by_N[..., None]], axis=3)
+        by_v = self.weight[..., None, None] * by_f[..., : v.shape[2]]
+        return products(v, self.f, by_v + by_w[..., None] * v[:, :, None], by_f)
 
 
-@numba.njit(**INNER)
-def add_row(p, h, factor, totals, z):  # type: ignore[no-untyped-def]
-    """Add a multiple of a row to totals[z]."""
-    if factor != 0.0:
-        for i in range(totals.shape[1]):
-            totals[z, i] += factor * p.rows[h, i]
-
-
-@numba.njit(**INNER)
-def gather(x, ids, P):  # type: ignore[no-untyped-def]
-    """Write some nodes of x (n, d) into P (v, d)."""
-    for v in range(len(ids)):
-        for i in range(x.shape[1]):
-            P[v, i] = x[ids[v], i]
-
-
-@numba.njit(**INNER)
-def add_heights(p, k, c, found):  # type: ignore[no-untyped-def]
-    """Add the derivatives of H by the heights' Q of pair c."""
-    n = len(p.f)
-    for j in range(k if len(found.E_s) else 0):
-        for a in range(k):
-            for b in range(k):
-                found.E_s[c, j, a, b] += p.rows[4, n * j + a] * p.f[b]
-        for a in range(k, n - 1):
-            for b in range(k, n - 1):
-                found.E_m[c, j, a - k, b - k] += p.rows[4, n * j + a] * p.f[b]
-
-
-@numba.njit(**KERNEL)
-def move_to(totals, z, k, place, r, by):  # type: ignore[no-untyped-def]
-    """Add totals[z] of pair r, k (k + l + 1), to those of a facet (k, k + m + 1); clear them."""
-    n = totals.shape[1] // k
-    for j in range(k):
-        for a in range(n):
-            at = a if a < k else (k + place[r, a - k] if a < n - 1 else by.shape[1] - 1)
-            by[j, at] += totals[z, n * j + a]
-            totals[z, n * j + a] = 0.0
-
-
-@numba.njit(**KERNEL)
-def fill_turns(axis, x, turns):  # type: ignore[no-untyped-def]
-    """Return axis.n for the mean normal n of a facet, and write its derivatives by x (v, d)."""
-    v, d = x.shape
-    a, b, last = np.zeros(3), np.zeros(3), v - 1
-    b[2] = 1.0 if d == 2 else 0.0  # of a line: across its plane
-    for i in range(d):
-        a[i] = x[2, i] - x[0, i] if d > 2 else x[1, i] - x[0, i]
-        b[i] += x[last, i] - x[1, i]
-    n, t = np.empty(3), np.empty(3)
-    square = size = along = 0.0
-    for i in range(3):
-        g, h = (i + 1) % 3, (i + 2) % 3
-        n[i] = a[g] * b[h] - a[h] * b[g]
-        square += n[i] * n[i]
-        along += n[i] * axis[i] if i < d else 0.0
-    size = np.sqrt(square)
-    for i in range(3):
-        t[i] = ((axis[i] if i < d else 0.0) - along / square * n[i]) / size
-    for i in range(d):
-        for j in range(v):
-            turns[j, i] = 0.0
-    for i in range(d):
-        g, h = (i + 1) % 3, (i + 2) % 3
-        by_a, by_b = b[g] * t[h] - b[h] * t[g], t[g] * a[h] - t[h] * a[g]
-        turns[2 if d > 2 else 1, i] += by_a
-        turns[0, i] -= by_a
-        if d > 2:
-            turns[last, i] += by_b
-            turns[1, i] -= by_b
-    return along / size
-
-
-@numba.njit(**KERNEL)
-def add_whole(x, by_x, rule, weights, phi, values, changes):  # type: ignore[no-untyped-def]
-    """Add the moments of whole facets x (p, k, d) below a tool, H being minus int N_j phi.
+def products(v: Floats, f: Floats, by_v: Floats, by_f: Floats) -> tuple[Floats, Floats]:
+    """Return sums over points of v_j f_a (s, k, n), and their derivatives (s, z, k, n).
 
     Args:
-        by_x: (p, q, k, d) derivatives of phi by the nodes.
-        rule: N (q, k) at the points of a rule, and their derivatives (q, k, d - 1).
-        weights: (p, q).
+        v: (s, q, k).
+        f: (s, q, n).
+        by_v: (s, q, z, k) derivatives.
+        by_f: (s, q, z, n).
+    """
+    (s, q, z, k), n, v = by_v.shape, f.shape[2], np.swapaxes(v, 1, 2)
+    changes = (np.swapaxes(by_v.reshape(s, q, z * k), 1, 2) @ f).reshape(s, z, k, n)
+    changes += np.swapaxes((v @ by_f.reshape(s, q, z * n)).reshape(s, k, z, n), 1, 2)
+    return v @ f, changes
+
+
+def functions(element: FacetElement, xi: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return functions (s, q, k) of an element at xi (s, q, d-1), and their derivatives.
+
+    The first ones (s, q, d-1, k) and the second ones (s, q, d-1, d-1, k).
+    """
+    (s, q, e), k = xi.shape, element.nodes
+    one, both = np.ones(s * q), xi.reshape(-1, e).T
+    powers = [np.stack([one, v, v * v]) for v in (*both, 0.0 * one)[:2]]  # in the plane eta is 0
+    found = element.slopes @ (powers[0][:, None] * powers[1]).reshape(9, -1)
+    N, first, second = np.split(found.T.reshape(s, q, -1), [k, k + k * e], axis=2)
+    return N, first.reshape(s, q, e, k), second.reshape(s, q, e, e, k)
+
+
+def sums(N: Floats, x: Floats) -> Floats:
+    """Return sum_k N_k x_k (s, q, .., d) of values N (s, q, .., k) and nodes x (s, k, d)."""
+    return (N.reshape(len(x), -1, x.shape[1]) @ x).reshape(*N.shape[:-1], x.shape[2])
+
+
+def turns(element: FacetElement, x: Floats) -> tuple[Floats, Floats]:
+    """Return the mean normals n (m, d) of facets x (m, k, d), and g (m, k, d).
+
+    dn = -sum_a g_a (n.dx_a), g being the gradients of the corners' functions in the middle.
+    """
+    part = element.part or element
+    xi = part.points[list(part.vertices)].mean(axis=0)
+    corners = Facets(part, x[:, : part.nodes])
+    which = np.arange(len(x), dtype=np.int32)
+    g, n = surface_gradients(corners, which, np.broadcast_to(xi, (len(x), len(xi))))
+    return n, np.pad(g, ((0, 0), (0, x.shape[1] - part.nodes), (0, 0)))
+
+
+def height(N: Floats, Q: Floats, arcs: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return N.Q N (s, q) as heights of arcs (s, 2), see `curvature.heights_of_arcs`.
+
+    And its derivatives by N (s, q, k), and by the logarithm of the chord's length.
+    """
+    QN, curvature, square = N @ Q, arcs[:, None, 0], arcs[:, None, 1]
+    h, left = (QN * N).sum(axis=2), 1.0 - square
+    root, across = np.sqrt(square), np.sqrt(square + 2.0 * curvature * h)
+    # curvature is c / L^2, left a quarter of c times that
+    rate = left / root + (left - 2.0 * curvature * h) / across
+    both = root + across
+    return 2.0 * h / both, 2.0 * QN / across[..., None], -2.0 * h / both**2 * rate
+
+
+def create_points(
+    slave: tuple[Floats, Floats, Floats],
+    master: tuple[Floats, Floats],
+    nodes: tuple[Floats, Floats],
+    weight: Floats,
+    given: tuple[Floats, Floats],
+    tilts: tuple[Floats, Floats],
+    heights: Sequence[Floats],
+    spread: Floats | None = None,
+) -> Points:
+    """Return points of pairs of facets.
+
+    Args:
+        slave: N, dN, ddN of `functions`.
+        master: N and dN.
+        nodes: (s, k, d) and (s, l, d).
+        weight: (s, q) on the reference facet of the slave.
+        given: factor (s, k) of the weight at the nodes, interpolated; reach (s, 2), the gap from
+            which on weights fall and how fast, or (s, 0).
+        tilts: `turns` of the slave facets.
+        heights: Q (s, k, k) and (s, l, l) of both facets and arcs (s, 2, 2); empty without.
+        spread: (s, l, m) which of m nodes are those of the master, if the points are to have these.
+    """
+    (N, dN, ddN), (M, dM), (x, y), (factor, reach) = slave, master, nodes, given
+    own, factor = (N, M), factor[:, :, None]
+    T, U, apart = sums(dN, x), sums(dM, y), sums(M, y) - sums(N, x)
+    dual, normal = dual_basis(T)
+    scale = sums(N, factor)
+    by_s = (dual[:, :, None] * sums(ddN, x)).sum(axis=(3, 4))
+    by_s += sums(dN, factor)[..., 0] / np.where(scale > 0.0, scale, np.inf)  # on an axis
+    weight = weight * scale[..., 0] * np.linalg.norm(normal, axis=2)
+    h, by_N, by_chords = np.zeros(weight.shape), [np.zeros_like(N), np.zeros_like(M)], []
+    for i, one in enumerate(own if heights[0].size else ()):
+        rise, by_N[i], by_chord = height(one, heights[i], heights[2][:, i])
+        h += rise
+        by_chords.append(by_chord)
+    if spread is not None:
+        M, dM, by_N[1] = M @ spread, dM @ spread[:, None], by_N[1] @ spread
+    by_m, by_x = np.zeros_like(by_s), np.swapaxes(dN, 2, 3) @ dual
+    by_y = np.zeros((*M.shape, x.shape[2]))
+    if reach.size:
+        n, g = tilts
+        part = 1.0 - reach[:, 1:] * ((apart @ n[:, :, None])[..., 0] - reach[:, :1])
+        rate = -reach[:, 1:] / np.where((part > 0.0) & (part < 1.0), part, np.inf)
+        fall, weight = rate[..., None] * n[:, None], weight * np.clip(part, 0.0, 1.0)
+        by_s -= (T @ fall[..., None])[..., 0]
+        by_m += (U @ fall[..., None])[..., 0]
+        by_x -= (N + apart @ np.swapaxes(g, 1, 2))[..., None] * fall[:, :, None]
+        by_y += M[..., None] * fall[:, :, None]
+    f = np.concatenate([N, M, h[..., None]], axis=2)
+    by_xi, by_nodes = np.concatenate([by_s, by_m], axis=2), np.concatenate([by_x, by_y], axis=2)
+    by_both = np.concatenate(by_N, axis=2)
+    return Points(N, dN, dM, f, by_both, T, U, apart, weight, by_xi, by_nodes, own, by_chords)
+
+
+def whole(
+    facets: Facets, xi: Floats, weights: Floats, phi: Floats, by_x: Floats
+) -> tuple[Floats, Floats]:
+    """Return the moments (p, k, k + 1) of whole facets below a tool, H being minus int N_j phi.
+
+    And their derivatives (p, d k, k, k + 1).
+
+    Args:
+        xi: (q, d-1) points of a rule.
+        weights: (p, q) on the reference facet.
         phi: (p, q).
-        values: (p, k, k + 1).
-        changes: (p, d k, k, k + 1).
+        by_x: (p, q, k, d) derivatives of phi by the nodes.
     """
-    (N, dN), (k, d) = rule, x.shape[1:]
-    T, by_T, n = np.zeros((2, 3)), np.empty((2, 3)), np.empty(3)
-    for f in range(len(x)):
-        for q in range(len(N)):
-            for i in range(3):
-                T[0, i] = T[1, i] = 0.0
-            T[1, 2] = 1.0 if d == 2 else 0.0  # of a line: across its plane
-            for z in range(d * k):
-                for h in range(d - 1):
-                    T[h, z % d] += dN[q, z // d, h] * x[f, z // d, z % d]
-            w = weights[f, q] * fill_area(T, n, by_T)
-            for j in range(k):
-                v = w * N[q, j]
-                for b in range(k):
-                    values[f, j, b] += v * N[q, b]
-                values[f, j, k] -= v * phi[f, q]
-                for z in range(d * k):
-                    rate = by_T[0, z % d] * dN[q, z // d, 0]
-                    rate += by_T[1, z % d] * dN[q, z // d, 1] if d > 2 else 0.0
-                    for b in range(k):
-                        changes[f, z, j, b] += rate * v * N[q, b]
-                    changes[f, z, j, k] -= v * (rate * phi[f, q] + by_x[f, q, z // d, z % d])
-
-
-@numba.njit(**KERNEL)
-def fill_area(T, n, by_T):  # type: ignore[no-untyped-def]
-    """Return the area of tangents T (2, 3), write n (3,) of its length, and dlog area/dT (2, 3)."""
-    square = 0.0
-    for i in range(3):
-        g, h = (i + 1) % 3, (i + 2) % 3
-        n[i] = T[0, g] * T[1, h] - T[0, h] * T[1, g]
-        square += n[i] * n[i]
-    for i in range(3):
-        g, h = (i + 1) % 3, (i + 2) % 3
-        by_T[0, i] = (T[1, g] * n[h] - T[1, h] * n[g]) / square
-        by_T[1, i] = (n[g] * T[0, h] - n[h] * T[0, g]) / square
-    return np.sqrt(square)
+    N, dN, _ = (v[0] for v in functions(facets.element, xi[None]))
+    dual, normal = dual_basis(dN @ facets.x[:, None])
+    v = (weights * np.linalg.norm(normal, axis=2))[..., None] * N
+    by_w = (np.swapaxes(dN, 1, 2) @ dual).reshape(*phi.shape, -1)
+    f = np.concatenate([np.broadcast_to(N, v.shape), -phi[..., None]], axis=2)
+    by_f = np.zeros((*by_w.shape, f.shape[2]))
+    by_f[..., -1] = -by_x.reshape(by_w.shape)
+    return products(v, f, by_w[..., None] * v[:, :, None], by_f)

@@ -15,8 +15,7 @@ import numpy as np
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
-from dolfinx_mortar.geometry.moments import FIRST, KERNEL, SECOND, THIRD
-from dolfinx_mortar.geometry.tolerances import ROUND_OFF
+from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND, THIRD
 
 
 def count(element: FacetElement) -> int:

@@ -13,9 +13,8 @@ import numpy as np
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls
-from dolfinx_mortar.geometry.moments import FIRST, KERNEL, SECOND, THIRD
 from dolfinx_mortar.geometry.parts import count, pairs_of_parts, parts_of
-from dolfinx_mortar.geometry.tolerances import ROUND_OFF
+from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND, THIRD
 
 VERTICES = 32
 """Space for the vertices of a polygon (cost only).

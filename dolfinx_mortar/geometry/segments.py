@@ -28,8 +28,8 @@ from dolfinx_mortar.geometry.facets import (
     facet_sizes,
     tributary_weights,
 )
-from dolfinx_mortar.geometry.moments import KERNEL
 from dolfinx_mortar.geometry.parts import count, parts_of
+from dolfinx_mortar.geometry.tolerances import KERNEL
 
 FACING = 0.2
 """A master facet faces a slave facet if n_s . n_m < -FACING for all n_s of the slave facet.

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Round-off of the geometry, relative to the size of a facet.
+"""What kernels have in common: round-off relative to the size of a facet, and numba's options.
 
-Numba compiles it in and does not notice a change here: touch the files with kernels, too.
+Numba compiles both in and does not notice a change here: touch the files with kernels, too.
 """
+
+import numpy as np
 
 from dolfinx_mortar.arrays import EPS
 
@@ -11,3 +13,13 @@ ROUND_OFF = 512 * EPS
 
 Where errors add up, a small multiple of it is used.
 """
+
+KERNEL = {
+    "cache": True,
+    "error_model": "numpy",
+    "fastmath": {"contract"},
+    "no_cfunc_wrapper": True,
+}
+"""Of functions that clip and place: those with the same options share what numba makes of them."""
+FIRST, SECOND, THIRD = (np.int64(i) for i in range(3))
+"""Places: a literal number has a type of its own, so that what takes it compiles for each."""

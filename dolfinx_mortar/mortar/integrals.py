@@ -25,8 +25,8 @@ from dolfinx_mortar.geometry.facets import (
     points_of,
     tributary_weights,
 )
-from dolfinx_mortar.geometry.moments import KERNEL
 from dolfinx_mortar.geometry.segments import Segments, create_segments
+from dolfinx_mortar.geometry.tolerances import KERNEL
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
     Surface,

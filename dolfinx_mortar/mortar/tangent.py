@@ -24,8 +24,9 @@ from dolfinx_mortar.geometry.curvature import (
     node_pairs,
 )
 from dolfinx_mortar.geometry.curvature import edges as edges_of
+from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.moments import Sums, add_whole
+from dolfinx_mortar.geometry.moments import Sums, whole
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.curvature_correction import (
     Curved,
@@ -109,7 +110,7 @@ def _add_motions_of_heights(sides: _Sides, surfaces: _Surfaces, sums: Sums) -> N
 def _differentiate(
     sides: _Sides,
     surfaces: _Surfaces,
-    tables: line.Tables | area.Tables,
+    types: tuple[FacetElement, FacetElement],
     basis: Basis,
     fixed: Fixed,
 ) -> Results:
@@ -124,7 +125,7 @@ def _differentiate(
             for v, t in zip(surfaces[:2], surfaces.tables, strict=True)
         )
     heights, moved = (Q_s, Q_m, surfaces.arcs), surfaces.slopes.size > 0
-    sums = _sums(sides, heights, tables, (c * moved - lengths, lengths))
+    sums = _sums(sides, heights, types, (c * moved - lengths, lengths))
     if moved:
         _add_motions_of_heights(sides, surfaces, sums)
     return apply(sums.values, sums.changes, basis, fixed, sides.x, sides.y, others)
@@ -133,18 +134,15 @@ def _differentiate(
 def _sums(
     sides: _Sides,
     heights: tuple[Floats, Floats, Floats],
-    tables: line.Tables | area.Tables,
-    counts: tuple[int, int] = (0, 0),
-    positive: bool = False,
+    types: tuple[FacetElement, FacetElement],
+    counts: tuple[int, int],
 ) -> Sums:
     """Return the moments; counts: of derivatives by Q, and by lengths."""
     (p, k, d), m, l = sides.x.shape, sides.y.shape[1], sides.place.shape[1]  # noqa: E741
     z, n = d * (k + sides.n.shape[1] + m), k + m + 1
     E_s, E_m = (np.zeros((counts[0], k, v, v)) for v in (k, l))
     sums = Sums(np.zeros((p, k, n)), np.zeros((p, z, k, n)), E_s, E_m, np.zeros((counts[1], k, 2)))
-    (line if d == 2 else area).moments(
-        *sides[:6], sides.reach, sides.factor, heights, positive, tables, sums
-    )
+    (line if d == 2 else area).moments(*sides, heights, types, sums)
     return sums
 
 
@@ -166,13 +164,8 @@ def differentiate_whole(
     T = absorbing(element.shares, kept)
     basis = Basis(T, duals.inverse, kept)
     fixed = Fixed(c, np.zeros((p, k, d)), np.zeros((p, 0, d)))
-    rule = tuple(
-        np.ascontiguousarray(f(xi)) for f in (element.shape_functions, element.derivatives)
-    )
-    size = k * d
-    moments, changes = np.zeros((p, k, k + 1)), np.zeros((p, size, k, k + 1))
-    add_whole(facets.x, by_x, rule, weights, phi, moments, changes)
-    found = apply(moments, changes, basis, fixed, facets.x, np.empty((p, 0, d)), size)
+    sums = whole(facets, xi, weights, phi, by_x)
+    found = apply(*sums, basis, fixed, facets.x, np.empty((p, 0, d)), k * d)
     return found.F.reshape(p, k, d, k, d), found.G.reshape(p, k, k, d), found.D
 
 
@@ -212,7 +205,6 @@ def differentiate(
     y = np.empty_like(pairing.master_X)
     y[pairing.master_facets] = master.x
     types = facets.element, master.element
-    tables = (line if d == 2 else area).tables(*types, surfaces.c_s.shape[1] > 0)
     parts: dict[str, list[Blocks]] = {field.name: [] for field in fields(Derivatives)}
     for group in _groups(pairing, used):
         s = group.facets
@@ -230,7 +222,7 @@ def differentiate(
         kept = duals.kept[s]
         basis = Basis(absorbing(slave.element.shares, kept), duals.inverse[s], kept)
         fixed = Fixed(given.tractions[own], given.normals[own], normals[group.nodes])
-        found = _differentiate(sides, _some(surfaces, group.pairs), tables, basis, fixed)
+        found = _differentiate(sides, _some(surfaces, group.pairs), types, basis, fixed)
         _add_parts(parts, found, given, sides, own, n + group.nodes)
     return Derivatives(**parts)
 
