@@ -478,8 +478,7 @@ def test_a_step_that_fails_from_there_begins_without(monkeypatch):
 
     monkeypatch.setattr(newton._Step, "run", failing)
     begun = tool.travel[1]
-    options = {"qp": "active-set", "rtol": 1e-6, "max_it": 50, "level": 0.6}
-    report = newton.solve_step(problem, predict=predictors.predict, **options)
+    report = dm.newton(problem, level=0.6)
     assert travels[0] < begun == travels[1] == pytest.approx(tool.travel[1], rel=0.5)
     assert any("led nowhere in 0 iterations" in note for note in report.notes)
     assert len(report.iterations) == report.newton_iterations > 0

@@ -57,7 +57,8 @@ from dolfinx_mortar.newton_method.subproblem import Iterate, Solution, Subproble
 from dolfinx_mortar.newton_method.tunnelling import describe_passing
 from dolfinx_mortar.persistence.committed import Before, Gained
 from dolfinx_mortar.problem.checks import check_controls, check_problem
-from dolfinx_mortar.problem.problem import ContactProblem, Predictor
+from dolfinx_mortar.problem.predictors import predict
+from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import LinearSolver
 from dolfinx_mortar.step_report import Iteration, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.step_end import finish
@@ -121,7 +122,6 @@ def solve_step(
     overlap: float = 0.0,
     level: float | None = None,
     linear: LinearSolver | None = None,
-    predict: Predictor | None = None,
 ) -> StepReport:
     """Solve one load step; see `newton`.
 
@@ -133,8 +133,6 @@ def solve_step(
         overlap: depth by which the sides may still overlap at the end, if they do at the start.
         level: as in `newton`.
         linear: linear solver of the step; that of the problem by default.
-        predict: where the step starts, see `problem.predictors`; if that leads nowhere, it
-            is solved without.
     """
     problem.check_ranks(qp=qp, rtol=rtol, max_it=max_it, level=level)
     check_controls(qp, rtol, max_it)
@@ -148,8 +146,7 @@ def solve_step(
     try:
         with problem.timings("total"), from_callbacks():
             try:
-                how = level, overlap, predict
-                gained = _solve(problem, report, linear, before, max_it, how)
+                gained = _solve(problem, report, linear, before, max_it, (level, overlap))
                 assert problem.outcome is not None
                 start = before if last is None or last.before is None else last.before
                 problem.outcome = replace(problem.outcome, level=level, before=start, gained=gained)
@@ -184,14 +181,14 @@ def _solve(
     linear: LinearSolver,
     before: Before,
     max_it: int,
-    how: tuple[float | None, float, Predictor | None],
+    how: tuple[float | None, float],
 ) -> Gained | None:
     """Solve a step from where the last one promises; if that fails, without; collective.
 
     Returns:
         What the iterations have added, of a step to another level.
     """
-    level, overlap, predict = how
+    level, overlap = how
     for predictor in (None if problem.in_time else predict, None):
         data = problem.begin_step(level, predictor)
         qps = Subproblem(problem, data, report.backend, report.rtol, linear)

@@ -34,7 +34,6 @@ from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.newton_method.failures import AS_BEFORE
 from dolfinx_mortar.persistence.checkpoints import Saved, read
 from dolfinx_mortar.persistence.committed import Walk
-from dolfinx_mortar.problem.predictors import predict
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import LinearSolver, QPNotSolved
 from dolfinx_mortar.report.reaction import reactions
@@ -157,7 +156,6 @@ class Solves:
             overlap=level.overlap,
             level=level.time,
             linear=linear,
-            predict=predict,
         )
 
 
