@@ -179,6 +179,17 @@ def test_a_force_may_drive_it(geometry):
         dm.newton(problem)
 
 
+def test_a_commit_keeps_what_is_set_before_it():
+    case = Pressed()
+    tie = case.tie()
+    problem = case.problem([case.plane, tie])
+    case.press(0.01)
+    dm.newton(problem)
+    tie.tightening = np.array([0.0, 1e-3])
+    problem.commit()
+    assert tie.tightening.tolist() == [0.0, 1e-3]
+
+
 DEPTHS = {0.25: 0.005, 0.5: 0.01, 0.75: 0.004, 1.0: 0.012}
 
 

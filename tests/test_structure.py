@@ -4,12 +4,14 @@
 import ast
 import functools
 import re
+import types
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 import dolfinx_mortar
+from dolfinx_mortar.interfaces.interface import Interface
 
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 
@@ -237,3 +239,10 @@ def attributes(kind):
         if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)
         if isinstance(node.value, ast.Name) and node.value.id == "self"
     }
+
+
+def test_an_interface_answers_fifteen_questions():
+    """What one kind alone needs stays in that kind."""
+    kinds = types.FunctionType, property
+    own = [name for name, member in vars(Interface).items() if isinstance(member, kinds)]
+    assert len(own) <= 15, own

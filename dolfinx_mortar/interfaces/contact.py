@@ -15,7 +15,7 @@ lambda_j g_j = 0 are bounds in the basis of `dolfinx_mortar.interfaces.basis`, w
 the reaction of that bound is D_jj lambda_j.
 """
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -183,8 +183,6 @@ class Contact(Unilateral, MortarInterface):
         ValueError: for tags that are none, unknown names, an unknown surface or angle, negative
             or infinite limits, and both ``friction`` and ``tresca``.
     """
-
-    may_meet_itself: ClassVar[bool] = True
 
     def __init__(
         self,

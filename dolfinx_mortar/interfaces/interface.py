@@ -64,8 +64,8 @@ class Interface(Collective, Results, ABC):
 
     `Contact` and `Tie` do so by another side of the mesh. A kind of your own says in `couple` at
     which nodes, along which directions and by how much; perhaps in `constraints` which bounds
-    follow. What its methods raise on one rank is raised on all when the call is over. So of what is
-    collective, a method may only do what all ranks reach.
+    follow. What its methods raise on one rank is raised on all when the call is over, see
+    `Collective`.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
@@ -236,12 +236,12 @@ class Interface(Collective, Results, ABC):
     # -- what steps change -----------------------------------------------------------------------
 
     def state(self, ended: bool) -> dict[str, Floats]:
-        """Return what steps change, beside results: finite numbers, by name; collective.
+        """Return copies of what steps change, beside results; collective.
 
-        Names and lengths do not change.
+        Finite numbers by names that do not change, in arrays of lengths that do not change.
 
         Args:
-            ended: whether the state is that with which a next step begins.
+            ended: whether the state is that with which the next step begins.
         """
         return {}
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -64,8 +64,6 @@ class MortarInterface(Interface):
         ValueError: for tags that are none, unknown names, and an unknown surface or angle.
     """
 
-    may_meet_itself: ClassVar[bool] = False  # whether one tag may be both sides
-
     def __init__(
         self,
         facet_tags: MeshTags,
@@ -78,7 +76,7 @@ class MortarInterface(Interface):
         super().__init__(facet_tags, slave=slave)
         self.master: int = tag_of(facet_tags, master, "master")
         check_tag("master", self.master)
-        if self.slave == self.master and not self.may_meet_itself:
+        if self.slave == self.master and not self.unilateral:
             raise ValueError(
                 f"slave and master are both tag {label(facet_tags, self.slave)}: give two "
                 "different tags"

@@ -19,7 +19,7 @@ from dolfinx_mortar.algebra.errors import is_ours
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
-from dolfinx_mortar.interfaces.claims import Claims, are_outdated, resolve_claims
+from dolfinx_mortar.interfaces.claims import Claims, are_outdated, notes_on_splits, resolve_claims
 from dolfinx_mortar.interfaces.constraints import (
     ROOM,
     Constraints,
@@ -42,8 +42,8 @@ from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.mortar_interface import have_slid
 from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent, MovingGeometry
 from dolfinx_mortar.interfaces.near import find_reach, touches_far_nodes
+from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.slip_partners import Partners
-from dolfinx_mortar.interfaces.splits import notes_on_splits
 from dolfinx_mortar.interfaces.tool import Outline
 from dolfinx_mortar.mortar.common_normals import find_spreads
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
@@ -511,8 +511,8 @@ class InterfaceSystem:
     @property
     def driven(self) -> bool:
         """Whether loads drive tools or rigid sides."""
-        pairs = zip(self.interfaces, self.sides, strict=True)
-        return any(sides.master is None and one.driven() is not None for one, sides in pairs)
+        offered = [interface.driven() for interface in self.interfaces]
+        return any(one is not None and not isinstance(one, Bolt) for one in offered)
 
     @property
     def has_friction(self) -> bool:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Mesh tying."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from petsc4py import PETSc
@@ -11,11 +11,10 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arguments import as_numbers, is_number
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.coupling import CoupledSides, Sides
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
-from dolfinx_mortar.interfaces.jump import Jump, check_jump, nodal_function, values_at
 from dolfinx_mortar.interfaces.mortar_interface import Frame, MortarInterface
 from dolfinx_mortar.interfaces.pretension import (
     Bolt,
@@ -29,7 +28,11 @@ from dolfinx_mortar.interfaces.pretension import (
 )
 from dolfinx_mortar.mortar.operators import SmoothSides
 from dolfinx_mortar.mortar.pairing import Weight
-from dolfinx_mortar.spaces import check_mesh
+from dolfinx_mortar.spaces import check_mesh, check_nodal, check_real
+from ufl.core.expr import Expr
+
+Jump = Sequence[float] | Floats | fem.Constant | fem.Function | Callable[[Floats], Floats] | None
+"""A vector in Cartesian components, the same everywhere or one at each point."""
 
 # Unless the user says how far, ties reach from the least distance of their sides to this part of
 # the larger facet more. Facets that stand for one smooth surface, or two at a constant distance,
@@ -139,7 +142,7 @@ class Tie(MortarInterface):
 
     @jump.setter
     def jump(self, value: Jump) -> None:
-        self._jump: Jump = check_jump(value, self._components)
+        self._jump: Jump = _check_jump(value, self._components)
 
     @property
     def tightening(self) -> Floats:
@@ -148,7 +151,7 @@ class Tie(MortarInterface):
 
     @tightening.setter
     def tightening(self, value: Floats) -> None:
-        self._tightening: Floats = check_jump(np.asarray(value), self._components)
+        self._tightening: Floats = _check_jump(np.asarray(value), self._components)
 
     @property
     def pretension(self) -> Force:
@@ -228,9 +231,9 @@ class Tie(MortarInterface):
             return None
         with raised_together(V.mesh.comm):
             check_mesh("jump", self.jump, V)
-        given = nodal_function(self.jump, V)
+        given = _nodal_function(self.jump, V)
         with raised_together(V.mesh.comm):
-            return values_at(given, V, nodes) + self.tightening
+            return _values_at(given, V, nodes) + self.tightening
 
     def driven(self) -> Bolt | None:
         """Return the overlap that a pretension drives; None where the jump is held.
@@ -287,3 +290,87 @@ def _check_within(within: Any) -> float | None:
             "None for what the facets' size makes plausible"
         )
     return float(within)
+
+
+def _check_jump(jump: Any, d: int) -> Any:
+    """Return a jump as it is kept, numbers as an array; without communication.
+
+    Args:
+        jump: what a user gives.
+        d: how many components it needs.
+
+    Raises:
+        ValueError: for what is none, has another shape, or holds NaN or infinity.
+    """
+    if jump is None:
+        return None
+    example = ", ".join(["0"] * (d - 1) + ["0.1"])
+    wanted = (
+        f"give {d} Cartesian components of a length, [{example}], or a Constant, a Function or a "
+        "function of points x (3, n) that has them"
+    )
+    if isinstance(jump, fem.Constant | fem.Function):
+        check_real("jump", jump)
+        if isinstance(jump, fem.Function):
+            check_nodal("jump", jump, (d,), wanted)
+        elif jump.value.shape != (d,):
+            raise ValueError(f"jump is a Constant of shape {jump.value.shape}: {wanted}")
+        return jump
+    if isinstance(jump, Expr):  # those can be called, too
+        raise ValueError(
+            f"jump is an expression of UFL, {type(jump).__name__}: interpolate it into a Function "
+            "of the displacement's space, and that again where it changes between steps"
+        )
+    if callable(jump):
+        return jump
+    values = as_numbers(jump)
+    if values is None:
+        raise ValueError(f"jump is {jump!r}: {wanted}")
+    if values.shape != (d,):
+        raise ValueError(f"jump is {jump!r}, of shape {values.shape}: {wanted}")
+    if not np.isfinite(values).all():
+        raise ValueError(f"jump is {jump!r}: it must be finite; {wanted}")
+    return values
+
+
+def _nodal_function(jump: Any, V: fem.FunctionSpace) -> Any:
+    """Return a Function as one of V, all else as it is; collective for Functions."""
+    if not isinstance(jump, fem.Function) or jump.function_space == V:
+        return jump
+    jump.x.scatter_forward()
+    nodal = fem.Function(V)
+    nodal.interpolate(jump)
+    return nodal
+
+
+def _values_at(jump: Any, V: fem.FunctionSpace, nodes: Ints) -> Floats:
+    """Return the jump (n, d) at owned nodes; without communication.
+
+    Args:
+        jump: what `_check_jump` has returned, a Function as one of V.
+        nodes: (n,) local numbers.
+
+    Raises:
+        ValueError: if a function of points returns another shape.
+    """
+    d = V.dofmap.index_map_bs
+    if jump is None:
+        return np.zeros((len(nodes), d))
+    if isinstance(jump, fem.Function):
+        return np.array(jump.x.array.reshape(-1, d)[nodes])
+    if isinstance(jump, fem.Constant):
+        return np.tile(jump.value, (len(nodes), 1))
+    if isinstance(jump, np.ndarray):
+        return np.tile(jump, (len(nodes), 1))
+    if not len(nodes):  # functions need not handle an empty set of points
+        return np.zeros((0, d))
+    x = np.ascontiguousarray(V.tabulate_dof_coordinates()[nodes].T)
+    found = as_numbers(jump(x))
+    if found is None:
+        raise ValueError("jump: the function returns no real numbers; it must return a vector (d,)")
+    if found.shape != (d, len(nodes)):
+        raise ValueError(
+            f"jump: the function returns the shape {found.shape} for {len(nodes)} points x (3, n); "
+            f"it must return {(d, len(nodes))}, a vector for each point"
+        )
+    return found.T

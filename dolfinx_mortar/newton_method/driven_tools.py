@@ -213,7 +213,7 @@ def find_drives(problem: ContactProblem, known: Floats | None = None) -> Drives 
         reach=np.where(reach > 0.0, reach, 1.0),
         held=np.concatenate([np.zeros(0, dtype=np.int32), *held]),
         follows=np.repeat([tool.holds for _, tool in parts], counts),
-        sides=np.repeat([tool.holds and link.sides.hold for link, tool in parts], counts),
+        sides=np.repeat([tool.holds and not isinstance(tool, Bolt) for _, tool in parts], counts),
         moved=moved,
         curve=curve,
         product=product,

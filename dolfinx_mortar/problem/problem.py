@@ -518,9 +518,10 @@ class ContactProblem:
             ended = outcome.ended if outcome and outcome.ended else self.ends_of_interfaces()
             self.terms.commit()
             self.committed.commit(self.owned_u, outcome)
+            states = [interface.state(False) for interface in self.interfaces]
             with raised_together(self.comm):
-                for interface, end in zip(self.interfaces, ended, strict=True):
-                    interface.restore(end)
+                for interface, now, end in zip(self.interfaces, states, ended, strict=True):
+                    interface.restore({**now, **end})
             self.outcome = None
 
     @contextmanager
@@ -557,8 +558,12 @@ class ContactProblem:
         return self.ended_here() if self.in_time else None
 
     def ends_of_interfaces(self) -> list[Any]:
-        """Return the state of each interface with which the next step begins; collective."""
-        return [interface.state(True) for interface in self.interfaces]
+        """Return what a commit changes of the state of each interface; collective."""
+        pairs = [(one.state(False), one.state(True)) for one in self.interfaces]
+        return [
+            {name: v for name, v in end.items() if not np.array_equal(v, now[name])}
+            for now, end in pairs
+        ]
 
     def ended_here(self) -> StepOutcome | None:
         """Return the outcome of the last step, None if u has been reset since; collective."""

@@ -341,7 +341,8 @@ def _walk(
         except NewtonNotConverged as error:
             failures += 1
             if not parts:
-                if any(one.rigid or one.driven() for one in problem.interfaces):
+                rigid = [one for one in problem.interfaces if one.rigid is not None]
+                if rigid or problem.system.driven:
                     loading.set(problem, reached.time)
                 overlap = find_overlap(problem, solves.rtol)
                 reached = replace(reached, overlap=overlap)
