@@ -12,7 +12,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.interfaces.coupling import Pattern, Sides, with_ghosts
+from dolfinx_mortar.interfaces.coupling import CoupledSides, Pattern, Sides, with_ghosts
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.mortar.duals import LEAST_COVERAGE, Coverage
 from dolfinx_mortar.mortar.integrals import find_segments
@@ -191,17 +191,14 @@ def resolve_claims(
     )
 
 
-def are_outdated(
-    claims: Claims,
-    sides: Sequence[Sides],
-    patterns: Sequence[Pattern],
-    coverage: Sequence[Coverage],
-) -> bool:
+def are_outdated(claims: Claims, links: Sequence[CoupledSides]) -> bool:
     """Tell whether bodies have slid so far that claims must be settled anew; collective.
 
     That is so if a node no longer faces the master of its interface, but another one's, or if an
     interface depends on another one that it did not depend on before.
     """
+    sides = [link.sides for link in links]
+    coverage = [link.coupling.coverage for link in links]
     if len(sides) < 2:
         return False
     n = sides[0].n_owned
@@ -211,8 +208,8 @@ def are_outdated(
         faces[k, side.nodes] = found.faces
     own = np.arange(n)
     outdated = [bool((~faces[claims.owner, own] & faces[best, own]).any())]
-    for i, (side, pattern) in enumerate(zip(sides, patterns, strict=True)):
-        leant_on = find_referenced(side, pattern, claims.banned[i][:n], coverage[i])
+    for i, link in enumerate(links):
+        leant_on = find_referenced(link.sides, link.pattern, claims.banned[i][:n], coverage[i])
         for k, other in enumerate(sides):
             hit = leant_on & other.on_slave[:n] & ~claims.banned[k][:n]
             outdated.append(bool(hit.any()) and i != k and (i, k) not in claims.dependencies)

@@ -265,35 +265,28 @@ class InterfaceSystem:
     def _pair(self, u: fem.Function | None) -> Floats:
         """Pair the surfaces at X + u, and settle the claims; return u (n,) there; collective."""
         self.searches += 1
-        displacements = [None if i.stays else u for i in self.interfaces]
-        unknown = [None] * len(self.interfaces)
+        every = list(zip(self.interfaces, self.sides, strict=True))
+        at = [None if interface.stays else u for interface in self.interfaces]
+        unknown: list[tuple[Pairing | None, Pattern] | None] = [None] * len(every)
+        earlier = self._reused.pairs or unknown
         found = [
-            interface.pair(sides, v, again=self.faced, earlier=earlier)
-            for interface, sides, v, earlier in zip(
-                self.interfaces,
-                self.sides,
-                displacements,
-                self._reused.pairs or unknown,
-                strict=True,
-            )
+            interface.pair(sides, v, again=self.faced, earlier=known)
+            for (interface, sides), v, known in zip(every, at, earlier, strict=True)
         ]
         self.faced = True
-        pairings, patterns = zip(*found, strict=True)
-        if len(self.sides) > 1:
+        coverage = [full_coverage(self.sides[0])]
+        if len(every) > 1:  # else there is nobody to share with
             coverage = [
-                interface.measure_coverage(*of)
-                for interface, *of in zip(
-                    self.interfaces, self.sides, pairings, displacements, strict=True
-                )
+                interface.measure_coverage(sides, pairing, v)
+                for (interface, sides), (pairing, _), v in zip(every, found, at, strict=True)
             ]
-        else:  # nobody to share with
-            coverage = [full_coverage(self.sides[0])]
+        patterns = [pattern for _, pattern in found]
         claims = resolve_claims(self.interfaces, self.sides, patterns, coverage)
-        notes = notes_on_splits(self.interfaces, self.sides, coverage, displacements)
+        notes = notes_on_splits(self.interfaces, self.sides, coverage, at)
         claims = replace(claims, notes=claims.notes + notes)
-        at = np.zeros(0) if u is None else u.x.array[: self.n * self.V.dofmap.bs].copy()
-        self._reused = replace(self._reused, pairs=found, claims=claims, at_X={}, paired_at=at)
-        return at
+        where = np.zeros(0) if u is None else u.x.array[: self.n * self.V.dofmap.bs].copy()
+        self._reused = replace(self._reused, pairs=found, claims=claims, at_X={}, paired_at=where)
+        return where
 
     def _coupled(self, u: fem.Function | None, near: Sequence[Bools]) -> list[Link]:
         """Return the interfaces at X + u with the pairs and claims of the last search."""
@@ -305,20 +298,24 @@ class InterfaceSystem:
             links.append(Link(*parts[:3], coupling, near[k], claims.banned[k], interface))
         return links
 
-    def _couple(self, k: int, parts: tuple[Any, ...], u: fem.Function | None) -> Coupling:
-        """Return what the `couple` of interface k returns for parts at X + u, checked; collective.
+    def _couple(
+        self,
+        k: int,
+        parts: tuple[Sides, Pairing | None, Pattern, Bools],
+        u: fem.Function | None,
+    ) -> Coupling:
+        """Return what the `couple` of interface k returns for parts at X + u; collective.
 
         What lasts is asked once a search: ties, and contacts of frozen geometry.
         """
-        interface = self.interfaces[k]
+        interface, reused = self.interfaces[k], self._reused
         at = None if interface.stays else u
-        lasts = at is None and self.sides[k].master is not None and is_ours(interface)
-        if lasts and k in self._reused.at_X:
-            return self._reused.at_X[k]
-        sides, pairing, pattern, banned = parts
-        found = interface.couple(sides, pairing, pattern, banned, at)
+        lasts = at is None and parts[1] is not None and is_ours(interface)
+        if lasts and k in reused.at_X:
+            return reused.at_X[k]
+        found = interface.couple(*parts, at)
         if lasts:
-            self._reused = replace(self._reused, at_X={**self._reused.at_X, k: found})
+            self._reused = replace(reused, at_X={**reused.at_X, k: found})
         return found
 
     def _followed(self, k: int, link: Link, u: fem.Function | None) -> Link:
@@ -352,7 +349,7 @@ class InterfaceSystem:
             return self.at(u)
         links, claims = self._coupled(u, known.near), self._reused.claims
         assert claims is not None
-        if self._are_outdated(claims, links):
+        if are_outdated(claims, links):
             return self.at(u)
         return Configuration(links, claims, paired_at=known.at)
 
@@ -397,7 +394,7 @@ class InterfaceSystem:
             return self.enter(self.at(u), x, before.increment)
         links = [self._followed(k, link, u) for k, link in enumerate(before.links)]
         assert before.claims is not None and before.transformation is not None
-        if self._are_outdated(before.claims, links):
+        if are_outdated(before.claims, links):
             return self.enter(self.at(u), x, before.increment)
         reach = find_reach(links, x, self.n, before.increment, self.facet_length)
         if any_rank(self.V.mesh.comm, reach.missing(links))[0]:
@@ -435,12 +432,6 @@ class InterfaceSystem:
             if not interface.stays and u is not None and pairing is not None:
                 slid.append(have_slid(sides, pairing, u, None if near is None else near[k]))
         return any(slid)
-
-    def _are_outdated(self, claims: Claims, links: Sequence[Link]) -> bool:
-        """Tell whether the claims must be settled anew; collective."""
-        patterns = [link.pattern for link in links]
-        coverage = [link.coupling.coverage for link in links]
-        return are_outdated(claims, self.sides, patterns, coverage)
 
     @contextmanager
     def put_back(self) -> Iterator[None]:
