@@ -167,7 +167,12 @@ def test_a_coefficient_of_another_degree_than_the_displacement(cell, degree, oth
     mu.x.array[own:] = np.nan
     mu.x.array[:own] = 0.5 + 0.1 * x[:, 0]
     nodes = V.tabulate_dof_coordinates()[: case.problem.n]
-    assert largest(case.contact.law.values(case.contact.gap.function_space) - (0.5 + 0.1 * nodes[:, 0])) < 1e-14
+    assert (
+        largest(
+            case.contact.law.values(case.contact.gap.function_space) - (0.5 + 0.1 * nodes[:, 0])
+        )
+        < 1e-14
+    )
     # 0, 0.17 and 0.3 in turns, so that zeros have all kinds of neighbours
     mu.x.array[:own] = np.array([0.0, 0.17, 0.3])[
         np.round(7 * x[:, :2].sum(axis=1)).astype(int) % 3

@@ -153,9 +153,7 @@ class Obstacle(Movable, Unilateral):
 
     def given(self) -> dict[str, Any]:
         """Return what all ranks have to give the same, by name; see `agreement`."""
-        names = "shape", "point", "position", "rotation", "load"
-        given = super().given() | {name: getattr(self.tool, name) for name in names}
-        return given | {"surface": self.meant, "distances": self.tool.probed()}
+        return super().given() | self.tool.given() | {"surface": self.meant}
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Raise a ValueError for shapes that are none in d dimensions, or not of revolution."""
@@ -174,14 +172,6 @@ class Obstacle(Movable, Unilateral):
         low, high = -ends[:d], ends[d:]
         axes = np.stack([low, (low + high) / 2.0, high], axis=1)
         self.tool.probes = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, d)
-
-    def state(self, ended: bool) -> dict[str, Floats]:
-        """Return where the tool was at the last commit, from which slips count, and its travel."""
-        return self.tool.state(ended)
-
-    def restore(self, state: Mapping[str, Floats]) -> None:
-        """Restore where the tool was."""
-        self.tool.restore(state)
 
     # -- geometry --------------------------------------------------------------------------------
 
@@ -330,10 +320,6 @@ class Obstacle(Movable, Unilateral):
 
     # -- results ---------------------------------------------------------------------------------
 
-    def driven(self) -> Tool | None:
-        """Return the tool, which loads drive; None where all of its motion is prescribed."""
-        return self.tool if self.load else None
-
     @property
     def tool_force(self) -> Floats:
         """Resultant (d,) exerted on the tool."""
@@ -345,6 +331,4 @@ class Obstacle(Movable, Unilateral):
 
         Of rings, see `moment`.
         """
-        force = np.concatenate([self.master_force, np.zeros(3 - len(self.master_force))])
-        place = self._resultant("place")
-        return np.asarray(self.master_moment - np.cross(place, force))
+        return self._about_place(self.master_moment, self.master_force)

@@ -98,6 +98,11 @@ class Results:
             raise NoResult(self, name)
         return np.asarray(getattr(self.resultants, name))
 
+    def _about_place(self, moment: Floats, force: Floats) -> Floats:
+        """Return a moment (3,) about the origin as that about the place of a rigid body."""
+        whole = np.append(force, np.zeros(3 - len(force)))
+        return np.asarray(moment - np.cross(self._resultant("place"), whole))
+
     def _function(self, name: str) -> fem.Function:
         if name not in self.nodal:
             raise NoResult(self, name)

@@ -26,7 +26,7 @@ from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import tributary_weights
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides
 from dolfinx_mortar.interfaces.interface import Interface, full_coverage
-from dolfinx_mortar.interfaces.tool import Driven, Load, Movable, Pose, RigidBody, check_point, spun
+from dolfinx_mortar.interfaces.tool import Load, Movable, Pose, RigidBody, check_point, spun
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals, sum_at_nodes
 
@@ -133,21 +133,12 @@ class RigidSide(Movable, Interface):
 
     def given(self) -> dict[str, Any]:
         """Return what all ranks have to give the same, by name; see `agreement`."""
-        names = "point", "position", "rotation", "load"
-        return super().given() | {name: getattr(self.rigid, name) for name in names}
+        return super().given() | self.rigid.given()
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Take note of the kinematics: forces act at X where strains are small."""
         self.rigid.revolved, self.rigid.small = revolved, strain == "small"
         self.stays = self.rigid.small
-
-    def state(self, ended: bool) -> dict[str, Floats]:
-        """Return how far loads have moved it."""
-        return self.rigid.state(ended)
-
-    def restore(self, state: Mapping[str, Floats]) -> None:
-        """Take that over."""
-        self.rigid.restore(state)
 
     # -- nodes -----------------------------------------------------------------------------------
 
@@ -208,13 +199,7 @@ class RigidSide(Movable, Interface):
         X = V.tabulate_dof_coordinates()[nodes, : len(self.reference)]
         return self.rigid.moved(X) - X
 
-    def driven(self) -> Driven | None:
-        """Return the motions that given forces drive; None where all of them are prescribed."""
-        return self.rigid if self.load else None
-
     @property
     def reference_moment(self) -> Floats:
         """Moment (3,) about its point of the forces that hold it; the last component in a plane."""
-        force = np.concatenate([self.force, np.zeros(3 - len(self.force))])
-        place = self._resultant("place")
-        return np.asarray(self.moment - np.cross(place, force))
+        return self._about_place(self.moment, self.force)

@@ -209,6 +209,10 @@ class RigidBody:
         """The point, by which position and rotation say where it is; for checkpoints."""
         return {"reference": self.point.tolist()}
 
+    def given(self) -> dict[str, Any]:
+        """Return what all ranks have to give the same, by name."""
+        return {name: getattr(self, name) for name in ("point", "position", "rotation", "load")}
+
     def place(self) -> Floats:
         """Return where its point is (d,), about which moments are given."""
         return self.pose().position
@@ -296,6 +300,18 @@ class Movable:
     @load.setter
     def load(self, value: Mapping[str, Load] | None) -> None:
         self.rigid.load = self.rigid.check_load(value)
+
+    def state(self, ended: bool) -> dict[str, Floats]:
+        """Return how far loads have moved it; of tools, where they were at the last commit, too."""
+        return self.rigid.state(ended)
+
+    def restore(self, state: Mapping[str, Floats]) -> None:
+        """Take that over."""
+        self.rigid.restore(state)
+
+    def driven(self) -> Driven | None:
+        """Return the motions that given forces drive; None where all of them are prescribed."""
+        return self.rigid if self.load else None
 
     @property
     def travel(self) -> Floats:
@@ -412,6 +428,10 @@ class Tool(RigidBody):
             return type(error).__name__
         size = float(np.abs(self.probes).max(initial=0.0))
         return [size, *found] if np.isfinite(found).all() else "NaN or infinity"
+
+    def given(self) -> dict[str, Any]:
+        """Return the same with the shape, and distances from it."""
+        return super().given() | {"shape": self.shape, "distances": self.probed()}
 
     @property
     def identity(self) -> dict[str, Any]:
