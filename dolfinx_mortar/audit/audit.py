@@ -156,10 +156,8 @@ def _held_but(link: Link, axis: Floats) -> Motion:
 def _facet_motion(link: Link) -> Motion:
     """Return the part of a relative motion that is within the error of facet normals; collective.
 
-    Averaged normals of uneven facets are off those of the true side, at most by half the angle
-    between facet and nodal normal in the mean (a quarter of the facets' unevenness of it on a
-    circle): sliding along the side shows as much normal motion. Flat sides have no such part. The
-    slips are vectors, for a length is not linear in the motion.
+    At most half the angle between facet and nodal normals, in the mean: sliding along the side
+    shows as much normal motion. As vectors, for a length is not linear in the motion.
     """
     comm = link.sides.V.mesh.comm
     edge = link.interface.feature_angle
@@ -192,11 +190,8 @@ def facet_angle(surface: Surface, feature_angle: float, comm: MPI.Comm) -> float
 def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec, increment: float) -> None:
     """Raise a ValueError on all ranks if two sides face each other only through their bodies.
 
-    That is so if every slave node is deeper inside the master body than any body is large, and
-    deeper than the prescribed motions of both sides, for which smaller steps help; smaller overlaps
-    are admissible. Where the two sides are parts of one surface, it is so as soon as a slave
-    node lies that deep (faces of a crack share nodes, too, but do not overlap), or if all facets
-    that face each other do so across the body.
+    So if every slave node is deeper inside the master body than any body is large and prescribed
+    motions help; of parts of one surface, if one is, or if all that face do so across the body.
     """
     interface, kept = link.interface, link.coupling.kept.all(axis=1)
     normal = -link.gaps(x)

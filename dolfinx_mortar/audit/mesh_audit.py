@@ -2,9 +2,8 @@
 """The audit of the mesh: coordinates that are NaN, cells collapsed, inverted or folded.
 
 The sign of one cell's Jacobian has no meaning, because dolfinx numbers a cell's nodes in any order.
-Compared are the signs within quadrilaterals, hexahedra and cells of degree two, at the points of a
-Gauss rule (of degree one with two points along each edge), and the sides of a facet on which two
-triangles or tetrahedra lie. A sign that changes at a corner only has no effect on integrals.
+Compared are the signs within cells, at the points of a Gauss rule, and the sides of a facet on
+which two triangles or tetrahedra lie.
 """
 
 from dataclasses import dataclass
@@ -88,8 +87,7 @@ def jacobians(x: Floats, kind: str, points: Floats, degree: int = 1) -> Floats:
 def _points(kind: str, degree: int) -> Floats:
     """Return the reference points (q, d) at which signs are compared.
 
-    Two along each edge of quadrilaterals and hexahedra, of degree two three; one in simplices, of
-    degree two those of a rule of degree four.
+    Two along each edge of quadrilaterals and hexahedra, three of degree two.
     """
     exact = 3 * degree - 2 if kind in SIMPLICES else 2 * degree + 1
     points, _ = basix.make_quadrature(basix.CellType[kind], exact)
@@ -112,10 +110,7 @@ def _determinants(vectors: list[Floats]) -> Floats:
 
 
 def _round_off(x: Floats) -> Floats:
-    """Return the error of the Jacobian of cells x (k, d, n), EPS |x| h^(d-1) times operations.
-
-    |x| is the cell's largest coordinate, h its longest edge.
-    """
+    """Return the error of the Jacobian of cells x (k, d, n), EPS |x| h^(d-1) times operations."""
     most, least = x.max(axis=0), x.min(axis=0)
     largest, extent = np.maximum(most, -least).max(axis=0), (most - least).max(axis=0)
     return np.asarray(ROUND_OFF * largest * extent ** (x.shape[1] - 1))
@@ -134,9 +129,8 @@ def _own_cells(mesh: Mesh, kind: str) -> _Cells:
 def _beside_neighbour(cells: _Cells) -> Bools:
     """Tell which simplices (n,) lie on the same side of a facet as their neighbour; collective.
 
-    The sides are the signs of det(x_1 - x_0, .., x_d - x_0) with the facet's vertices in the order
-    of their global numbers and the cell's other vertex last. In a sound mesh they add up to 0. The
-    order of numbers changes the sign once for each pair of vertices that it exchanges.
+    Signs of det(x_1 - x_0, .., x_d - x_0), facet vertices in the order of their global numbers and
+    the other one last, add up to 0 in a sound mesh.
     """
     topology, d = cells.mesh.topology, cells.x.shape[1]
     topology.create_entities(d - 1)
@@ -158,14 +152,7 @@ def _beside_neighbour(cells: _Cells) -> Bools:
 
 
 def _reject(cells: _Cells, bad: Any, what: str, remedy: str) -> None:
-    """Raise a ValueError on all ranks if any cell is bad; collective.
-
-    Args:
-        cells: the owned cells.
-        bad: (n,) the ones to name.
-        what: what they are or have.
-        remedy: what to do.
-    """
+    """Raise a ValueError on all ranks if any cell is bad; collective."""
     count, total = cells.mesh.comm.allreduce(np.array([bad.sum(), len(bad)]), op=MPI.SUM)
     if count == 0:
         return

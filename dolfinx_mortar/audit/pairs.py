@@ -281,16 +281,7 @@ def _find(
 def _facing_nodes(
     V: fem.FunctionSpace, nodes: Ints, facing: Facing, sides: dict[tuple[int, int], _Side]
 ) -> Longs:
-    """Return how many nodes two sides (s, s) share where they face their partners; collective.
-
-    At any distance, as the search for contacts has none.
-
-    Args:
-        V: of the displacement.
-        nodes: (m, k) local nodes of the exterior facets of this rank.
-        facing: all facets that face each other.
-        sides: what is near.
-    """
+    """Return how many nodes two sides (s, s) share where they face their partners; collective."""
     bodies, faces = facing.label[:, :, 0], facing.label[:, 0, 1]
     seen = []
     for side in sides.values():
@@ -302,13 +293,7 @@ def _facing_nodes(
 def _shared_nodes(
     V: fem.FunctionSpace, body_of_cell: Longs, part: Longs
 ) -> dict[tuple[int, int], int]:
-    """Return how many nodes bodies of one part have in common; collective.
-
-    Args:
-        V: of the displacement.
-        body_of_cell: (owned cells,).
-        part: (bodies,) connected part of each.
-    """
+    """Return how many nodes bodies of one part have in common; collective."""
     several = np.flatnonzero(np.bincount(part)[part] > 1)
     cells = V.dofmap.list[: len(body_of_cell)]
     common = np.triu(_common_nodes(V, [cells[body_of_cell == k] for k in several]), 1)
@@ -329,10 +314,7 @@ def _common_nodes(V: fem.FunctionSpace, sets: Sequence[Ints]) -> Longs:
 
 
 def _ordered_parts(V: fem.FunctionSpace) -> tuple[Longs, int]:
-    """Return the connected part of each owned cell, and how many there are; collective.
-
-    In the order of the smallest coordinates of their boxes, which are exact on any ranks.
-    """
+    """Return the connected part of each owned cell, and how many there are; collective."""
     bodies = find_bodies(V)
     d = V.mesh.geometry.dim
     x = V.tabulate_dof_coordinates()[: len(bodies.label), :d]

@@ -47,10 +47,9 @@ class Roles:
 def choose_roles(given: Candidates) -> Roles:
     """Return the roles in which slaves are fine and few of their nodes lose a constraint.
 
-    A node can be the slave in one contact. It loses the constraint of another one where both slave
-    sides have it and face their masters there. A contact needs the slave nodes of others that its
-    master side has; where contacts need each other's in a cycle, all nodes that would close it lose
-    their constraint, see `interfaces.claims`: perhaps a whole side, and bodies pass.
+    A node can be the slave in one contact, and loses the constraint of another one; where contacts
+    need each other's slave nodes in a cycle, those that would close it lose theirs, perhaps a whole
+    side, see `interfaces.claims`.
 
     The choice has, in this order, the fewest slaves that are more than `COARSE` times as coarse as
     their masters; the fewest slave faces that face two masters at a node, as facets there reach
@@ -84,8 +83,7 @@ def _related(given: Candidates) -> Iterator[Longs]:
 def _search(given: Candidates) -> Longs:
     """Return the best roles (p,) of a few related pairs, or good ones of many.
 
-    Of many, single pairs are turned, from the finer slaves on, as long as that is better for them
-    and for what is linked with them, by two links at most: longer cycles are not looked at.
+    Of many, single pairs are turned as long as that is better for them and what is linked.
     """
     own, other = given.sizes.T
     finer = (other < own * (1.0 - HALF_OF_DIGITS)).astype(np.int64)
@@ -148,11 +146,7 @@ def assess(given: Candidates, slave: Longs) -> Roles:
 
 
 def _close_cycles(needed: Longs) -> dict[tuple[int, int], int]:
-    """Return which nodes are removed from the second of two contacts, as `resolve_claims` does.
-
-    Args:
-        needed: (p, p) slave nodes of the second that the master side of the first one has.
-    """
+    """Return which nodes are removed from the second of two contacts, as `resolve_claims` does."""
     label = connected_components(coo_array(needed), directed=True, connection="strong")[1]
     needs: dict[int, set[int]] = {}
     removed: dict[tuple[int, int], int] = {}

@@ -134,10 +134,7 @@ def audit_sides(link: Link, x: PETSc.Vec) -> InterfaceAudit:
 
 
 def _count_facets(link: Link) -> tuple[int, int]:
-    """Return the numbers of slave and of master facets of this rank.
-
-    Of a surface that meets itself, those that are near each other.
-    """
+    """Return the numbers of slave and of master facets of this rank."""
     sides, pairing = link.sides, link.pairing
     if sides.master is None:
         return len(sides.slave.facets), 0
@@ -151,8 +148,7 @@ def _count_facets(link: Link) -> tuple[int, int]:
 def _count_facing_away(pairing: Pairing) -> int:
     """Return how many slave facets of this rank touch a master facet that looks the same way.
 
-    "Touch" means that the nearest master facet is within one facet length at X. Facets at a right
-    angle, around a corner, merely have no partners.
+    Touching is within one facet length at X; at a right angle there are merely no partners.
     """
     x_s = pairing.slave.X[pairing.slave.facets]
     x_m = pairing.master_X[pairing.master_facets]
@@ -184,8 +180,7 @@ def _measure_reach(link: Link) -> TieReach | None:
 def _find_unheld(link: Link) -> str | None:
     """Return the slave facets without a multiplier that meet several master facets; collective.
 
-    Over one master facet both sides are linear, and agree where their nodes do; over several
-    nothing asks the nodes of the master between them to follow.
+    Over one master facet both sides are linear; over several nothing asks its nodes to follow.
     """
     if not link.pairing:
         return None
@@ -222,8 +217,7 @@ def _remedy(link: Link) -> str:
 def _warnings_on_reach(link: Link, reach: TieReach) -> list[str]:
     """Return a warning where points at a distance are tied or left out by default.
 
-    Facets that meet at the feature angle a or less stand off a smooth surface by no more than
-    their sagittas, tan(a / 4) / 2 of their length on either side.
+    Facets that meet at the feature angle a stand off by sagittas, tan(a / 4) / 2 of their length.
     """
     plain = np.tan(np.radians(link.interface.feature_angle / 4))
     told = []

@@ -217,11 +217,7 @@ def describe_corners(link: Link, x: PETSc.Vec) -> str:
 
 
 def _master_corners(link: Link, x: PETSc.Vec) -> str:
-    """Say where an edge or a corner of the master presses on slave facets; collective.
-
-    The gap there is a mean over both of its flanks, and changes by their slopes where it moves
-    along the side, with and without friction. Near are gaps of at most a facet.
-    """
+    """Say where an edge or a corner of the master presses on slave facets; collective."""
     pairing, operators = link.mortar
     slave, comm = link.sides.slave, link.sides.V.mesh.comm
     near, length = np.zeros(len(slave.nodes)), mean_facet_length(slave)
@@ -240,11 +236,7 @@ def _master_corners(link: Link, x: PETSc.Vec) -> str:
 
 
 def _tool_corners(link: Link, tool: Tool, x: PETSc.Vec) -> str:
-    """Say where nodes lie in an inner corner of the tool, which has no one normal; collective.
-
-    There grad phi turns by 30 degrees or more within a quarter of a facet to either side, such
-    that phi has its ridge: a node that touches one face has the normal of the other one next.
-    """
+    """Say where nodes lie in an inner corner of the tool, which has no one normal; collective."""
     comm, d = link.sides.V.mesh.comm, link.sides.fixed.shape[1]
     at = x.array_r.reshape(-1, d)[link.nodes][link.coupling.kept[:, 0]]
     length, pose = mean_facet_length(link.sides.slave), tool.pose()
@@ -268,10 +260,7 @@ def _tool_corners(link: Link, tool: Tool, x: PETSc.Vec) -> str:
 
 
 def _first_place(comm: MPI.Comm, places: Floats, length: float) -> str:
-    """Return the coordinates of the first of places (p, d) of all ranks, "" if there is none.
-
-    What is round-off of the length is zero; collective.
-    """
+    """Return the coordinates of the first of places (p, d) of all ranks, "" if there is none."""
     told = [place for part in comm.allgather(places[:1].tolist()) for place in part][:1]
     least = HALF_OF_DIGITS * length
     return ", ".join(f"{c if abs(c) > least else 0.0:.3g}" for place in told for c in place)

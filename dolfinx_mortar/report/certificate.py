@@ -76,10 +76,7 @@ def find_pull(problem: ContactProblem, contacts: Contacts) -> float:
 
 
 def _pull_of_patches(link: Link, forces: Floats) -> float:
-    """Return the largest pull of a patch over the sum of forces; these are on slave nodes (n, d).
-
-    Collective.
-    """
+    """Return the largest pull of a patch over the sum of forces on nodes (n, d); collective."""
     d, n = forces.shape[1], link.coupling.normals
     area, exerted = link.coupling.weight[:, :1] * n, link.transpose(forces)[0][link.nodes]
     size = np.linalg.norm(exerted, axis=1)
@@ -176,7 +173,7 @@ def create_certificate(
 def _finite_strain(problem: ContactProblem) -> dict[str, float]:
     """Return the smallest J, and the largest moment of a body's internal forces at X + u.
 
-    A law whose energy does not depend on rotations, psi(Q F) = psi(F), makes none; collective.
+    A law whose energy does not depend on rotations, psi(Q F) = psi(F), makes no moment.
     """
     volumes = problem.solid.volumes
     if volumes is None:

@@ -116,12 +116,7 @@ class EnergyLedger:
         ]
 
     def _impulses(self, restored: float) -> list[list[float] | None]:
-        """Return those of the contacts until the end of the step.
-
-        Args:
-            restored: time for which the sum of the forces at its start and end has restored the
-                energy.
-        """
+        """Return those of the contacts until the end of the step."""
         before, self._acting = self._acting, self._resultants()
         time = 0.5 * self.inertia.start.dt + restored
         return [
@@ -293,13 +288,7 @@ class EnergyLedger:
     def _in_bodies(
         self, before: Ends, after: Ends, potential: float | None
     ) -> tuple[float, float, float]:
-        """Return the stored energy after a step, the dissipated one, and the work of heat.
-
-        Args:
-            before: forces at the start.
-            after: forces at the end.
-            potential: before the step was committed, None without one.
-        """
+        """Return the stored energy after a step, the dissipated one, and the work of heat."""
         inner, start = 0.0, self._potential
         if before.internal is not None and after.internal is not None:
             mean = 0.5 * (before.internal + after.internal)
@@ -312,11 +301,7 @@ class EnergyLedger:
         return stored, potential - stored, heat
 
     def _turned(self, motion: Motion, before: Ends, after: Ends, groups: list[Bools]) -> Motion:
-        """Return a motion with the angular momentum that the forces on groups imply; collective.
-
-        These are loads and, of bodies on tools, what the tools do. At finite strain; the linear
-        theory keeps it about X.
-        """
+        """Return a motion with the angular momentum that the forces on groups imply; collective."""
         inertia, total = self.inertia, self.inertia.sum
         mass, dt, tools = inertia.mass, inertia.start.dt, self._tools[:, None]
         ends = (before, inertia.values("velocity"), 1.0), (after, motion.velocity, -1.0)
@@ -395,11 +380,7 @@ class EnergyLedger:
         return bool(any_rank(self.problem.comm, heavy)[0])
 
     def _tool_way(self, before: Floats, after: Floats) -> Floats:
-        """Return how far tools carry the nodes that they touch in the step, (owned nodes, d).
-
-        A node belongs to the interface that gave it a multiplier, otherwise to the first one on
-        whose side it is.
-        """
+        """Return how far tools carry the nodes that they touch in the step, (owned nodes, d)."""
         X = self.inertia.mass.X
         way, free = np.zeros_like(before), np.ones(len(before), dtype=bool)
         links = self.problem.system.unilateral
@@ -434,17 +415,8 @@ class EnergyLedger:
     ) -> tuple[Motion, float, float, float, float]:
         """Return a motion that an impulse of contact forces has given an energy; collective.
 
-        Args:
-            motion: at the end of the step.
-            responses: to the forces of contact and of friction, None if there are none.
-            forces: of contact and of friction (owned nodes, d), which the impulse has in the same
-                share.
-            way: of the tools, see `_tool_way`.
-            energy: for who moves with the tool.
-
-        Returns:
-            The motion, the works of tools and of friction that are in it beside the energy, the
-            part of the energy that it has not got, and the time for which the forces have acted.
+        Also the works of tools and of friction beside the energy, what of it is missing, and the
+        time for which the forces have acted.
         """
         if responses is None:
             return motion, 0.0, 0.0, energy, 0.0
@@ -468,12 +440,7 @@ class EnergyLedger:
 
 
 def _not_restored(share: float, *, unsolved: bool) -> Note:
-    """Return the note on energy that contact has kept, or has made, in a step.
-
-    Args:
-        share: what the bodies have not got back, over the largest energy; negative if too much.
-        unsolved: whether there is no response to the impulse.
-    """
+    """Return the note on energy that contact has kept, or has made, in a step."""
     what = "taken from the bodies without giving it back" if share > 0.0 else "given to the bodies"
     why = "Its forces are too small along the motion for the impulse that restores the energy"
     if unsolved:

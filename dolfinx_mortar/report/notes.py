@@ -115,8 +115,7 @@ def _frozen(end: StepEnd) -> list[str]:
 def _turn(problem: ContactProblem, link: Link, contacts: Contacts) -> float:
     """Return atan2(|sum_j z_j N_j x n_j|, sum_j z_j N_j . n_j), how far normals turned; collective.
 
-    z_j are the reactions, N_j and n_j the averaged normals at X and now. The flanks of a dent turn
-    against each other, which cancels.
+    z_j are the reactions, N_j and n_j the normals at X and now; flanks of a dent cancel.
     """
     slave, d = link.sides.slave, problem.d
     at_X, now = np.zeros((2, slave.owned, 3))
@@ -131,8 +130,7 @@ def _turn(problem: ContactProblem, link: Link, contacts: Contacts) -> float:
 def _turned_tools(end: StepEnd) -> list[str]:
     """Say which tools turn so far in a step that slips are wrong; collective.
 
-    Along a surface they are those of arcs up to half a turn, see `slip_partners`. Of a turn by a
-    about its normal they are the parts r sin(a) of chords, of arcs r a.
+    Slips are arcs up to half a turn along a surface, chords r sin(a) about its normal.
     """
     notes, sliding = list[str](), end.contacts.sliding
     for link in end.links:

@@ -113,11 +113,8 @@ def notes_on_overlaps(
 def _depths(link: Link, tool: Tool, u: fem.Function) -> tuple[Floats, Floats, Floats]:
     """Return how deep points of integration and middles of facets are in a tool; collective.
 
-    Depths over the length of their facets (q,), depths (q,) and points (q, d) at X + u. And how
-    deep the tool lies below its own point, of the facet that is nearest to that along its normal: a
-    ball may be smaller than what is between the others. Where nodes alone have distances, the tool
-    lies less deep in facets by what the surface through the nodes bends away from it, as a bore
-    from its shaft; that is taken in the middles of facets.
+    And how deep the tool lies below its own point, since a ball may be smaller than what is between
+    the others; nodal distances count less what the surface through the nodes bends away.
     """
     assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
     side, pose, x = link.pattern.side, tool.pose(), coordinates(link.sides.slave, u)
@@ -156,12 +153,9 @@ def _find_overlaps(
 ) -> tuple[Floats, Floats, Floats, Bools]:
     """Return overlaps (p,) over the finer facet, depths, points (p, d), where supports hold slaves.
 
-    At the integration points of the segments, at vertices of each side over facets of the other,
-    and where edges of both sides cross; of smooth sides less the sagittas. What is less than
-    `unseen`, or on facets less than `SUNK`, is zero, but on an axis, where smooth surfaces are as
-    high as their facets. Pairs of facets that face each other over less than `SUNK` of the smaller
-    one are left out: a body's far side is paired so where its edges come to lie over the other
-    body's. Collective.
+    At integration points, vertices and crossing edges; of smooth sides less the sagittas, but on an
+    axis. Pairs that face each other over less than `SUNK` of the smaller facet are left out: a
+    body's far side is paired so. What is less than `unseen`, on facets `SUNK`, is zero.
     """
     pairing, segments = link.mortar[0], link.mortar[1].segments
     own, smooth, (s, m) = pairing.slave, link.pattern.smooth, pairing.pairs.T
@@ -205,8 +199,7 @@ def _vertices_in(
 ) -> tuple[Floats, Ints, Floats]:
     """Return depths (p,) of vertices of facets a below facets b, their pairs, and the points.
 
-    Of those alone that are deeper than the least (pairs,). Facets count as flat: what they bow out
-    is taken off.
+    Facets count as flat: what they bow out is taken off.
     """
     corners, n = other.x[:, list(other.element.vertices)], facet_normals(other)
     middle, found = corners.mean(axis=1), []
@@ -226,9 +219,8 @@ def _crossing_edges(
 ) -> list[tuple[Floats, Ints, Floats]]:
     """Return depths (p,) of edges of facets s below those of facets m, as `_vertices_in` does.
 
-    Along the common normal of two edges in space that leaves both facets, where they cross as seen
-    along it. Left out are edges that are parallel but for `FACING`, and facets over which the gap
-    changes by less than `SUNK` from an integration point to a corner, a quarter of their length.
+    Along the common normal of two edges that leaves both facets; not of edges parallel but for
+    `FACING`, nor over which the gap changes by less than `SUNK` to a corner.
     """
     n_s, n_m = facet_normals(slave)[s], facet_normals(master)[m]
     inclined = (n_s * n_m).sum(axis=1) > -np.sqrt(1.0 - (4 * SUNK) ** 2)
@@ -360,9 +352,8 @@ def find_crossing(problem: ContactProblem) -> Crossing:
 def _least_at_edges(found: Crossings, depth: Floats) -> Floats:
     """Return the least of the depths (p,) of all facets that share an edge and cross with it.
 
-    The edge between the top of a block and its flank lies along a flank of another block that
-    stands on it and ends there. By round-off it crosses that, far from both of its ends, where no
-    contact has its own flank; but its top sees where the other block ends.
+    An edge at the top of a block lies along the flank of another one that ends there: by round-off
+    it crosses that far from its ends, but the top sees where the flank ends.
     """
     edges = np.column_stack([found.ends, found.pairs[:, 1]])
     _, edge = np.unique(edges, axis=0, return_inverse=True)
@@ -374,8 +365,7 @@ def _least_at_edges(found: Crossings, depth: Floats) -> Floats:
 def _seen_reach(one: _Skin, other: _Skin) -> Floats:
     """Return how far (m,) facets reach behind others, infinity where no interface sees all of that.
 
-    The flank of a block that stands on a larger one ends in nodes of the contact. These say how
-    deep it is: a facet below them, which rises beside the flank, reaches beyond it by half of it.
+    A flank that stands on a side ends in nodes that say how deep it is.
     """
     behind = -np.einsum("mkd,md->mk", other.x - one.x[:, :1], one.normals)
     seen = (one.sides[:, None] & other.on[:, :, ::-1]).any(axis=(2, 3))
@@ -385,13 +375,7 @@ def _seen_reach(one: _Skin, other: _Skin) -> Floats:
 def _from_seen_edges(place: Floats, one: _Skin, other: _Skin) -> Floats:
     """Return how far (m,) from an edge that an interface sees facets are crossed, or infinity.
 
-    The end of a ring on a shaft is crossed by facets along the shaft, far from both of their ends,
-    but beside the rim of the bore, by the sagittas of both.
-
-    Args:
-        place: (m, d) where edges of facets cross others.
-        one: (m,) those with the edges.
-        other: (m,) those which are crossed.
+    The end of a ring on a shaft is crossed by facets along the shaft beside the rim of the bore.
     """
     d, least = place.shape[1], np.full(len(place), np.inf)
     beside = ~(one.sides & other.sides[:, ::-1]).any(axis=(1, 2))

@@ -56,10 +56,7 @@ Find = Callable[
 
 
 def _means(link: Link, u: fem.Function | None, find: Find) -> Floats:
-    """Return the means (n,) at the slave nodes of what sides have at points; collective.
-
-    Values (q,), or (q, k) for each node of the facets.
-    """
+    """Return the means (n,) at the slave nodes of what sides have at points; collective."""
     (pairing, operators), sides = link.mortar, link.sides
     smooth = link.pattern.smooth or link.pattern.nearby
     assert smooth is not None, "of contacts only"
@@ -108,16 +105,15 @@ def note_on_facets(
 ) -> list[str]:
     """Return a note on a contact if facets make its pressures inaccurate; collective.
 
-    Gaps are known to h_j: of facets, by which smooth surfaces, of tools too, would be nearer, less
-    the mean where nodes carry; of smooth surfaces of degree 1, what they miss of round sides
-    (`missed_gaps`). Compared with the contact forces z_j are K^_jj h_j, with the stiffness of both
-    sides in series (`_in_series`), at the nodes that carry; of smooth surfaces, and where none
-    carries, also at those that might, as the gap is less than h_j. An even h_j is counted two to
-    four times, with the stiffness of single nodes.
+    Gaps are known to h_j: of facets, by which smooth surfaces would be nearer, less the mean where
+    nodes carry; of smooth surfaces of degree 1, what they miss of round sides (`missed_gaps`).
+    Compared with the contact forces z_j are K^_jj h_j, with the stiffness of both sides in series,
+    at the nodes that carry or might, as the gap is less than h_j. An even h_j is counted two to
+    four times.
 
-    Even facets on a tool: with the forces F of an overlap w bodies store Psi = F w / 2. Facets add
-    -h to w: the work -z.h of the forces is 2 Psi (1 - F'/F), F' the force of the smooth surface. On
-    rings of 4 to 64 facets a quarter it is that to 1 %; what other loads store makes it smaller.
+    Even facets on a tool: with the forces F of an overlap w bodies store Psi = F w / 2, and the
+    work -z.h of the forces is 2 Psi (1 - F'/F), F' the force of the smooth surface (on rings of 4
+    to 64 facets a quarter to 1 %; what other loads store makes it smaller).
 
     Args:
         link: the interface.
@@ -179,7 +175,7 @@ def _missed(link: Link, u: fem.Function | None) -> Floats | None:
 def _heights_at_tool(link: Link, tool: Tool, u: fem.Function | None) -> Floats | None:
     """Return how much nearer a tool would be to smooth surfaces (n,) at the owned slave nodes.
 
-    None where facets are what is meant, or stand for these already; collective.
+    None where facets are what is meant, or stand for these already.
     """
     pattern, slave = link.pattern, link.sides.slave
     assert isinstance(pattern, SidePattern) and pattern.side is not None
@@ -200,12 +196,7 @@ def _heights_at_tool(link: Link, tool: Tool, u: fem.Function | None) -> Floats |
 def _in_series(link: Link, k: Floats, diagonal: PETSc.Vec) -> Floats:
     """Return the stiffness (n,) of slave nodes in series with that of the master; collective.
 
-    A force n_j on slave node j is P_jl n_j on the master's nodes, which give by sum_l P_jl^2
-    n_j.(n_j / K_ll).
-
-    Args:
-        k: (n,) of the slave nodes alone.
-        diagonal: of K.
+    P_jl n_j on the master's nodes give by sum_l P_jl^2 n_j.(n_j / K_ll).
     """
     n, P, own = link.coupling.normals, link.pattern.scalars, diagonal.array_r
     P.fill(link.coupling.P[:, 0, None, None] ** 2)
@@ -283,9 +274,8 @@ def oscillation(link: Link, contacts: Contacts) -> float:
 def _peak_patch(link: Link, contacts: Contacts) -> tuple[int, bool]:
     """Return how many nodes the patch with the peak has, and whether it ends; collective.
 
-    It ends where its nodes have open neighbours that could close. Connected are active nodes of one
-    facet, over all ranks. Of a model cut by planes of symmetry the whole patch counts: a node off
-    all planes stands for two to the number of planes.
+    It ends where its nodes have open neighbours that could close. A node off all of a model's
+    planes of symmetry stands for two to the number of planes.
     """
     slave, nodes = link.sides.slave, link.nodes
     active, planes = contacts.active[nodes], link.sides.mirrors[nodes].sum(axis=1)
@@ -323,12 +313,7 @@ def _pairs(facets: Longs, on: Bools) -> Longs:
 
 
 def _patches(table: Floats, pairs: Longs) -> list[Floats]:
-    """Return the rows of a table (n, 1 + c) of each patch, without their numbers.
-
-    Args:
-        table: numbers of nodes, and more of them.
-        pairs: connected ones (p, 2), by number.
-    """
+    """Return the rows of a table (n, 1 + c) of each patch, without their numbers."""
     table = table[np.argsort(table[:, 0])]
     ends = np.searchsorted(table[:, 0], pairs)
     graph = coo_array((np.ones(len(ends)), ends.T), shape=(len(table), len(table)))
@@ -337,11 +322,7 @@ def _patches(table: Floats, pairs: Longs) -> list[Floats]:
 
 
 def _measure(patches: Sequence[Floats]) -> tuple[int, bool]:
-    """Return the size of the patch with the largest multiplier, and whether it ends.
-
-    Args:
-        patches: multiplier, prescribed components and open neighbours of nodes, (n, 3) each.
-    """
+    """Return the size of the patch with the largest multiplier, and whether it ends."""
     if not patches:
         return 0, False
     fixed, open_ = max(patches, key=lambda patch: float(patch[:, 0].max()))[:, 1:].T

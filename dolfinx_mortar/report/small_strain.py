@@ -2,9 +2,8 @@
 """The error of the small-strain measure, estimated after every step, and notes on it.
 
 The small strain neglects the term H^T H / 2 of the Green-Lagrange strain, H = grad u. Of a strain e
-it is about e / 2 relatively, which is also what different measures of finite strain differ by. Of a
-rotation by an angle a it is a^2 / 2, an error in any measure. Finite plasticity in the logarithmic
-strain space has a range, too.
+it is about e / 2 relatively, by which measures of finite strain differ, too; of a rotation by an
+angle a it is a^2 / 2, an error in any measure.
 """
 
 from dataclasses import dataclass
