@@ -56,6 +56,16 @@ BLIND = (
     "not tell whether a tangent is indefinite, and nothing was added to it: choose the default, "
     "petsc_options={'pc_type': 'cholesky', 'pc_factor_mat_solver_type': 'mumps'}"
 )
+IN_CORNER = "at ({}) the body reaches into an inner corner of the tool, which has no one normal"
+ROUND_IT = (
+    "there: give each side of the body its own tag and Obstacle with one face of the tool, or "
+    "round the corner of the tool by a radius of a quarter of a facet to a whole one"
+)
+AT_FACETS = "around X = ({}) an edge or a corner of the master lies at facets of the slave side"
+EXCHANGE = (
+    "where a gap is a mean over both flanks of an edge, not even in small steps: exchange slave "
+    "and master, or refine the slave there"
+)
 HARDEN = "or give the law hardening"
 # Blocks of MooneyRivlin (NeoHooke), K/mu = 500, between smooth plates lose their stability at a
 # height of .62 (.64) on quadrilaterals of degree 2, .54 as a continuum, by eigenvalues of tangents.
@@ -207,36 +217,36 @@ def _flow(problem: ContactProblem) -> str:
     )
 
 
-def describe_corners(link: Link, x: PETSc.Vec) -> str:
-    """Say where corners of a master or tool have no one normal at x = X + u; collective."""
-    if (tool := link.interface.tool) is not None:
-        return _tool_corners(link, tool, x)
-    # of a side that meets itself, which part is the slave is not for the user to say
-    meets = link.pairing is not None and not link.sides.meet_themselves
-    return _master_corners(link, x) if meets else ""
+def with_corners(problem: ContactProblem, error: StepFailed) -> StepFailed:
+    """Return the error with corners without a normal, which may be its cause; collective."""
+    seen, why, x = list[str](), [error.why], problem.positions()
+    for link in problem.system.unilateral:
+        where, tool = "", link.interface.tool
+        if tool is not None:
+            where, what, remedy = _tool_corners(link, tool, x), IN_CORNER, ROUND_IT
+        elif link.pairing is not None and not link.sides.meet_themselves:
+            # of a side that meets itself, which part is the slave is not for the user to say
+            where, what, remedy = _master_corners(link, x), AT_FACETS, EXCHANGE
+        if where:
+            seen.append(f"{link.interface!r}: {what.format(where)}")
+            why.append(f"Newton's method need not converge {remedy}")
+    told = StepFailed(". ".join(["; ".join(seen), str(error)]), ". ".join(filter(None, why)))
+    return told if seen else error
 
 
 def _master_corners(link: Link, x: PETSc.Vec) -> str:
-    """Say where an edge or a corner of the master presses on slave facets; collective."""
+    """Return where an edge or a corner of the master presses on slave facets; collective."""
     pairing, operators = link.mortar
     slave, comm = link.sides.slave, link.sides.V.mesh.comm
     near, length = np.zeros(len(slave.nodes)), mean_facet_length(slave)
     near[: slave.owned] = link.coupling.kept[:, 0] & (np.abs(link.gaps(x)) <= length)
     faced = facing_edges(pairing, operators.segments, link.interface.feature_angle)
     found = faced & (accumulate(slave, near) > 0)[slave.facets].any(axis=1)
-    where = _first_place(comm, slave.X[slave.facets[found]].mean(axis=1), length)
-    if not where:
-        return ""
-    return (
-        f"{link.interface!r}: around X = ({where}) an edge or a corner of the master lies at "
-        "facets of the slave side, over which its gap is a mean, so that Newton's method need not "
-        "converge, not even in small steps: exchange slave and master, or refine the slave "
-        "there"
-    )
+    return _first_place(comm, slave.X[slave.facets[found]].mean(axis=1), length)
 
 
 def _tool_corners(link: Link, tool: Tool, x: PETSc.Vec) -> str:
-    """Say where nodes lie in an inner corner of the tool, which has no one normal; collective."""
+    """Return where nodes lie in an inner corner of the tool; collective."""
     comm, d = link.sides.V.mesh.comm, link.sides.fixed.shape[1]
     at = x.array_r.reshape(-1, d)[link.nodes][link.coupling.kept[:, 0]]
     length, pose = mean_facet_length(link.sides.slave), tool.pose()
@@ -248,15 +258,7 @@ def _tool_corners(link: Link, tool: Tool, x: PETSc.Vec) -> str:
             ahead, behind = (pose.distance(tool.asked, near + s * beside) for s in (1, -1))
             turn = (ahead.gradient - behind.gradient) @ way
             ridge |= turn <= -2.0 * np.sin(np.radians(0.5 * FEATURE_ANGLE))
-    where = _first_place(comm, near[ridge], length)
-    if not where:
-        return ""
-    return (
-        f"{link.interface!r}: at ({where}) the body reaches into an inner corner of the tool, "
-        "which has no one normal there, so that Newton's method need not converge: give each "
-        "side of the body its own tag and Obstacle with one face of the tool, or round the corner "
-        "of the tool by a radius of a quarter of a facet to a whole one"
-    )
+    return _first_place(comm, near[ridge], length)
 
 
 def _first_place(comm: MPI.Comm, places: Floats, length: float) -> str:

@@ -227,7 +227,7 @@ class _Step:
                 exact = not undone and self.is_exact(old)
                 new, residual = self.iterate(number, old, residuals, exact=exact)
             except failures.StepFailed as error:
-                raise self.told(error) from error
+                raise failures.with_corners(self.problem, error) from error
             if self.problem.comm.rank == 0:
                 log.info("%s", self.report.iterations[-1])
             if undone := self.leads_away(residual, residuals):
@@ -243,7 +243,7 @@ class _Step:
                 old = self.renewed(new)
             residuals.append(residual)
         end = failures.StepFailed(f"Newton did not converge in max_it={max_it} iterations")
-        raise self.told(end)
+        raise failures.with_corners(self.problem, end)
 
     def renewed(self, old: Iterate) -> Iterate:
         """Return an iterate in another T; collective."""
@@ -369,13 +369,6 @@ class _Step:
     def tools(self) -> list[tuple[Interface, dict[str, Floats]]]:
         """Return where the tools are that forces drive."""
         return [(i, i.state(False)) for i in self.problem.interfaces if i.driven() is not None]
-
-    def told(self, error: failures.StepFailed) -> failures.StepFailed:
-        """Return the error with corners without a normal, which may be its cause; collective."""
-        x, links = self.problem.positions(), self.problem.system.unilateral
-        found = [failures.describe_corners(link, x) for link in links]
-        corners = "; ".join(told for told in found if told)
-        return failures.StepFailed(f"{corners}. {error}", error.why) if corners else error
 
     def first(self) -> Iterate:
         """Return the initial iterate."""
