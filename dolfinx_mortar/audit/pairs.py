@@ -21,7 +21,6 @@ from dolfinx_mortar.arrays import Ints, Longs
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from dolfinx_mortar.audit.neighbours import are_near
 from dolfinx_mortar.audit.roles import Candidates, choose_roles
-from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.interfaces.constraints import Limit, create_law
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
@@ -226,8 +225,7 @@ class _Found:
     """Results of the search."""
 
     names: Sequence[str]  # of the bodies
-    facets: Facets  # exterior ones of this rank
-    entities: Longs  # their numbers in the mesh
+    entities: Longs  # of the exterior facets of this rank
     faces: Faces
     sides: dict[tuple[int, int], _Side]  # by body and the other one
     joined: dict[tuple[str, str], int]  # nodes that bodies share
@@ -275,7 +273,7 @@ def _find(
         deep = deep[deep.distance >= least]
         _raise_none(_sides(comm, deep if np.isfinite(least) else facing), names, within, told)
     numbers, common = entities.astype(np.int64), _facing_nodes(V, boundary.nodes, facing, sides)
-    return _Found(names, facets, numbers, faces, sides, joined, common)
+    return _Found(names, numbers, faces, sides, joined, common)
 
 
 def _facing_nodes(

@@ -7,7 +7,7 @@ an indefinite end by Newton's method.
 
 import logging
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,19 +49,6 @@ class StepEnd:
     rtol: float  # of the step
     limit: float  # norm of the forces that it may leave out of balance
 
-    @property
-    def links(self) -> Sequence[Link]:
-        """The interfaces as they are coupled."""
-        return self.problem.system.links
-
-    @property
-    def unilateral(self) -> Sequence[Link]:
-        """Those of them that can open."""
-        return self.problem.system.unilateral
-
-
-Diagnosis = Callable[[StepEnd], list[str]]  # collective; returns the same notes on all ranks
-
 
 def note_partners(end: StepEnd) -> list[str]:
     """Say what has left its partner: slides, turns, pulls, or lies in it."""
@@ -73,13 +60,13 @@ def note_partners(end: StepEnd) -> list[str]:
         notes.append(Note(seen, why))
     if end.overlap == 0.0:  # else a part of an initial overlap is left, as deep as was asked for
         closed = end.contacts.active
-        notes += notes_on_overlaps(end.unilateral, end.problem.u, closed, end.rtol)
+        notes += notes_on_overlaps(end.problem.system.unilateral, end.problem.u, closed, end.rtol)
     return notes + notes_on_crossings(end.problem, end.crossing)
 
 
 def _missed_tools(end: StepEnd) -> list[str]:
     """Say which tools nothing can meet; on sides that they share, another one may have the node."""
-    notes, links = list[str](), end.links
+    notes, links = list[str](), end.problem.system.links
     why = (
         "Either no facet of the side faces the tool (its normal has to point out of the tool, "
         "towards the body), or Dirichlet data hold all nodes: see problem.audit()"
@@ -96,7 +83,7 @@ def _missed_tools(end: StepEnd) -> list[str]:
 def _frozen(end: StepEnd) -> list[str]:
     """Say where contacts slid or turned too far for frozen geometry; collective."""
     notes, problem, length = list[str](), end.problem, end.problem.system.facet_length
-    for link in end.unilateral:
+    for link in end.problem.system.unilateral:
         slip = slipped(link, problem.vector(problem.owned_u))
         slip[~end.contacts.active[link.nodes]] = 0.0
         farthest = float(maximum(problem.comm, slip.max(initial=0.0))[0])
@@ -133,7 +120,7 @@ def _turned_tools(end: StepEnd) -> list[str]:
     Slips are arcs up to half a turn along a surface, chords r sin(a) about its normal.
     """
     notes, sliding = list[str](), end.contacts.sliding
-    for link in end.links:
+    for link in end.problem.system.links:
         tool = link.interface.tool
         if tool is None or link.interface.law is None or sliding is None:
             continue
@@ -169,7 +156,7 @@ def note_pressures(end: StepEnd) -> list[str]:
     forces[forces <= np.maximum(end.limit, stiffness * gap_round_off(end.problem.u))] = 0.0
     x, u = end.problem.positions(), end.problem.configuration
     notes, few = list[str](), list[str]()
-    for link in end.unilateral:
+    for link in end.problem.system.unilateral:
         diagonal, potential = end.problem.K.getDiagonal, end.problem.solid.potential
         notes += note_on_facets(link, x, u, forces, stiffness, diagonal, potential)
         if any_rank(end.problem.comm, forces[link.nodes].any())[0]:
@@ -177,7 +164,7 @@ def note_pressures(end: StepEnd) -> list[str]:
     return notes + few
 
 
-DIAGNOSES: tuple[Diagnosis, ...] = note_partners, note_strains, note_pressures
+DIAGNOSES = note_partners, note_strains, note_pressures  # the same notes on all ranks
 
 
 def find_notes(end: StepEnd) -> list[str]:

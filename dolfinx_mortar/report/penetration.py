@@ -24,7 +24,7 @@ from dolfinx_mortar.geometry.crossings import (
     near_others,
     near_pairs,
 )
-from dolfinx_mortar.geometry.elements import LINE2, TRI3, FacetElement
+from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import (
     Facets,
     are_inside,
@@ -228,11 +228,11 @@ def _crossing_edges(
         return []
     s, m, pairs = s[inclined], m[inclined], pairs[inclined]
     n_s, n_m = n_s[inclined], n_m[inclined]
-    found = []
-    for i, i_end in _edges(slave.element):
-        p, dp = slave.x[s, i], slave.x[s, i_end] - slave.x[s, i]
-        for j, j_end in _edges(master.element):
-            q, dq = master.x[m, j], master.x[m, j_end] - master.x[m, j]
+    found, (x, y) = [], (f.x[k][:, list(f.element.vertices)] for f, k in ((slave, s), (master, m)))
+    for i in range(x.shape[1]):
+        p, dp = x[:, i], x[:, i - 1] - x[:, i]
+        for j in range(y.shape[1]):
+            q, dq = y[:, j], y[:, j - 1] - y[:, j]
             n = np.cross(dp, dq)
             square = (n * n).sum(axis=1)
             some = square > (FACING * np.linalg.norm(dp, axis=1) * np.linalg.norm(dq, axis=1)) ** 2
@@ -245,15 +245,6 @@ def _crossing_edges(
             depth = ((q - p) * n).sum(axis=1)
             found.append((depth[some], pairs[some], (p + at_p[:, None] * dp)[some]))
     return found
-
-
-def _edges(element: FacetElement) -> list[tuple[int, int]]:
-    """Return the nodes at the ends of edges; second-order ones are two, up to their middles."""
-    n = len(element.vertices)
-    ends = [(i, (i + 1) % n) for i in range(n)]
-    if element.degree == 1:
-        return ends
-    return [half for i, end in ends for half in ((i, n + i), (n + i, end))]
 
 
 def _lengths(facets: Facets) -> Floats:
