@@ -64,7 +64,8 @@ def check_mesh(mesh: Mesh) -> None:
     _reject(cells, collapsed, "have collapsed, without volume", "remesh there")
     order = "the nodes of a cell are in dolfinx's order (a tensor product, not around it)"
     remedy = f"check that no node was moved too far, and that {order}"
-    _reject(cells, _mixed(J, noise), "are inverted: the Jacobian changes sign inside", remedy)
+    mixed = (J > noise).any(axis=0) & (J < -noise).any(axis=0)
+    _reject(cells, mixed, "are inverted: the Jacobian changes sign inside", remedy)
     if kind in SIMPLICES:
         what = "lie on the same side of a facet as a neighbour: one of the two is inverted or"
         remedy = "check that no node was moved through a cell"
@@ -92,11 +93,6 @@ def _points(kind: str, degree: int) -> Floats:
     exact = 3 * degree - 2 if kind in SIMPLICES else 2 * degree + 1
     points, _ = basix.make_quadrature(basix.CellType[kind], exact)
     return np.asarray(points)
-
-
-def _mixed(J: Floats, noise: Floats) -> Bools:
-    """Tell in which cells (n,) Jacobians (q, n) have both signs, beyond round-off."""
-    return np.asarray((J > noise).any(axis=0) & (J < -noise).any(axis=0))
 
 
 def _determinants(vectors: list[Floats]) -> Floats:

@@ -65,14 +65,10 @@ class Pairs:
         return iter((self.tags, self.contacts))
 
     def __str__(self) -> str:
-        head = f"{'slave':24} {'facets':>7} {'size':>8}  {'master':24} {'facets':>7} {'size':>8}"
-        lines = [f"{head} {'area':>8} {'distance':>9}"]
+        lines = ["slave (facets, size), master (facets, size): area, distance"]
         for p in self.found:
-            sides = (
-                f"{name:24} {count:7} {size:8.3g}"
-                for name, count, size in zip((p.slave, p.master), p.facets, p.sizes, strict=True)
-            )
-            lines.append(f"{'  '.join(sides)} {p.area:8.3g} {p.distance:9.3g}")
+            one, other = (f"({n}, {size:.3g})" for n, size in zip(p.facets, p.sizes, strict=True))
+            lines.append(f"{p.slave} {one}, {p.master} {other}: {p.area:.3g}, {p.distance:.3g}")
         lines += [describe_joined(self.joined)] if self.joined else []
         return "\n".join([*lines, *self.lost])
 
