@@ -36,7 +36,7 @@ The impulse takes a solve, a fifth of a step, with friction two. It waits until 
 restore is more than rtol of the largest energy so far, which contact that lasts reaches seldom.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -44,6 +44,8 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank, ratio
 from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats
+from dolfinx_mortar.interfaces.coupling import Sides
+from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.newton_method.impulse import respond
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import LinearSolver
@@ -322,23 +324,25 @@ class EnergyLedger:
         named = self.problem.solid.kinematics.rigid_motions(x)
         return [motion for name, motion in named.items() if name.startswith("rotation")]
 
+    def _on(self, which: Callable[[Sides, Interface], bool]) -> Bools:
+        """Return which nodes (owned nodes,) are on some of the slave sides."""
+        on = np.zeros(len(self.inertia.mass.X), dtype=bool)
+        for sides, interface in zip(
+            self.problem.system.sides, self.problem.interfaces, strict=True
+        ):
+            if which(sides, interface):
+                on |= sides.on_slave[: len(on)]
+        return on
+
     @cached_property
     def _tools(self) -> Bools:
         """Which nodes (owned nodes,) are on sides that may meet rigid tools."""
-        n, on = len(self.inertia.mass.X), np.zeros(len(self.inertia.mass.X), dtype=bool)
-        for side in self.problem.system.sides:
-            if side.master is None:
-                on |= side.on_slave[:n]
-        return on
+        return self._on(lambda sides, _: sides.master is None)
 
     @cached_property
     def _driven(self) -> Bools:
         """Which nodes (owned nodes, 1) are on sides that may meet tools that loads drive."""
-        on = np.zeros((len(self.inertia.mass.X), 1), dtype=bool)
-        for side, interface in zip(self.problem.system.sides, self.problem.interfaces, strict=True):
-            if interface.driven() is not None:
-                on[side.nodes] = True
-        return on
+        return self._on(lambda _, one: one.driven() is not None)[:, None]
 
     @cached_property
     def _free(self) -> list[Bools]:
@@ -355,12 +359,8 @@ class EnergyLedger:
     @cached_property
     def _held(self) -> Bools:
         """Which nodes (owned nodes,) supports hold, or rigid sides and tools that cannot let go."""
-        held = np.asarray(self.problem.supports.owned.any(axis=1))
-        n = len(held)
-        for sides in self.problem.system.sides:
-            if sides.hold:
-                held |= sides.on_slave[:n]
-        return held
+        held = self._on(lambda sides, _: sides.hold)
+        return np.asarray(held | self.problem.supports.owned.any(axis=1))
 
     def _groups(self, held: Bools) -> list[Bools]:
         """Return the groups of which none of these nodes (owned nodes,) is a part; collective."""
