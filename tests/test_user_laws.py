@@ -129,13 +129,22 @@ MISTAKES = {
     "no elastic stress": ({"elastic_stress": None}, r"Variant has no elastic_stress; add"),
     "no stress": ({"stress": None}, r"Variant has no stress or energy; add energy\(strain"),
     "no update": ({"updated_state": None}, r"Variant has no updated_state; add"),
-    "state is a list": ({"state": ["alpha"]}, r"Variant: state is \['alpha'\]; give a dictionary"),
-    "state shape": ({"state": {"w": (2,)}}, r"Variant: state 'w' has the shape \(2,\)"),
-    "state hides": ({"state": {"stress": ()}}, r"Variant: state has the name 'stress'; choose"),
-    "state hides gap": ({"state": {"gap": ()}}, r"Variant: state has the name 'gap'; choose"),
-    "forgotten": ({"updated_state": forgets_alpha}, r"updated_state does not return 'alpha'"),
-    "unknown": ({"updated_state": one_too_many}, r"updated_state returns 'beta', but `state` decl"),
-    "nothing": ({"updated_state": lambda e, s, p: None}, r"updated_state returns None; it must"),
+    "state is a list": ({"state": ["alpha"]}, r"Variant: state is \['alpha'\]: give a dictionary"),
+    "state shape": ({"state": {"w": (2,)}}, r"Variant: state: the shape of 'w' is \(2,\)"),
+    "state hides": ({"state": {"stress": ()}}, r"Variant: state: a name is 'stress': choose"),
+    "state hides gap": ({"state": {"gap": ()}}, r"Variant: state: a name is 'gap': choose"),
+    "forgotten": (
+        {"updated_state": forgets_alpha},
+        r"updated_state returns the state plastic_strain, but",
+    ),
+    "unknown": (
+        {"updated_state": one_too_many},
+        r"updated_state returns the state alpha, beta, plastic",
+    ),
+    "nothing": (
+        {"updated_state": lambda e, s, p: None},
+        r"updated_state: the state is None: return",
+    ),
     "update shape": (
         {"updated_state": lambda e, s, p: {"plastic_strain": s["alpha"], "alpha": s["alpha"]}},
         r"updated_state: plastic_strain has the shape \(\); it must be \(3, 3\)",
@@ -177,7 +186,7 @@ def test_mistakes_are_named_at_construction(mistake):
 
 @pytest.mark.mpi
 def test_a_parameter_that_is_no_number_is_named():
-    with pytest.raises(ValueError, match=r"Isotropic: the parameter Y = 'soft' is no number"):
+    with pytest.raises(ValueError, match=r"Isotropic: the parameter Y is 'soft': give a number"):
         create_solid(Isotropic(1000.0, 0.3, "soft", 1.0))
 
 

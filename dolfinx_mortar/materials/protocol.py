@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
+from dolfinx_mortar.arguments import Rule, check, instance, one_of
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.ranges import Range, named_parameters
 from ufl.core.expr import Expr
@@ -231,10 +232,7 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
             f"{', no '.join(missing)}; {remedies}."
         )
     strain = getattr(kind, "strain", "small")
-    if strain not in ("small", "finite"):
-        raise ValueError(
-            f"{kind.__name__}: strain is {strain!r}: declare ClassVar 'small' or 'finite'."
-        )
+    check(f"{kind.__name__}: strain", strain, one_of("small", "finite"))
     law = Law(
         name=kind.__name__,
         strain=strain,
@@ -258,21 +256,16 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
 def _check_parameters(law: Law, material: Any) -> None:
     """Raise ValueError unless the parameters are numbers or UFL, and ranges name parameters."""
     given = named_parameters(material)
-    names = list(given)
     for name in law.ranges:
-        if name not in names:
-            raise ValueError(
-                f"{law.name}: ranges has {name!r}, which is no parameter; there are "
-                f"{', '.join(names) or 'none'}."
-            )
-    for name in names:
-        value = given[name]
-        if not isinstance(value, Real) and not (isinstance(value, Expr) and value.ufl_shape == ()):
-            raise ValueError(
-                f"{law.name}: the parameter {name} = {value!r} is no number, and no scalar "
-                "Constant, Function or UFL expression, or a tuple of these; a field that is no "
-                "parameter is declared as ClassVar."
-            )
+        check(f"{law.name}: ranges: a name", name, one_of(*given))
+    remedy = (
+        "give a number, a scalar Constant, Function or UFL expression, or a tuple of these; "
+        "declare a field that is no parameter as ClassVar"
+    )
+    for name, value in given.items():
+        scalar = isinstance(value, Real) or (isinstance(value, Expr) and value.ufl_shape == ())
+        if not scalar:
+            raise ValueError(f"{law.name}: the parameter {name} is {value!r}: {remedy}")
 
 
 def _is_isotropic(name: str, material: Any, state: Any) -> bool:
@@ -306,17 +299,16 @@ def _fitting(material: Any, part: str) -> Callable[..., Any] | None:
 
 def _checked_state(law: str, state: Any) -> Mapping[str, tuple[int, ...]]:
     """Return the declared internal variables, or raise ValueError for a name or shape."""
-    if not isinstance(state, Mapping):
-        raise ValueError(f"{law}: state is {state!r}; give a dictionary, name -> shape.")
+    check(f"{law}: state", state, instance(Mapping, "give a dictionary, name -> shape"))
+    free = Rule[str](
+        f"choose a text other than {', '.join(RESERVED)}",
+        lambda name: name if isinstance(name, str) and name not in RESERVED else None,
+    )
+    shapes = Rule[tuple[int, ...]](
+        "give () for a scalar or (3, 3) for a symmetric tensor",
+        lambda shape: shape if shape in ((), (3, 3)) else None,
+    )
     for name, shape in state.items():
-        if not isinstance(name, str) or name in RESERVED:
-            raise ValueError(
-                f"{law}: state has the name {name!r}; choose a text other than "
-                f"{', '.join(RESERVED)}."
-            )
-        if shape not in ((), (3, 3)):
-            raise ValueError(
-                f"{law}: state {name!r} has the shape {shape!r}; it must be () for a scalar "
-                "or (3, 3) for a symmetric tensor."
-            )
-    return state
+        check(f"{law}: state: a name", name, free)
+        check(f"{law}: state: the shape of {name!r}", shape, shapes)
+    return dict(state)

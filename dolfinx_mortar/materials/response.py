@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 import ufl
+from dolfinx_mortar.arguments import check, instance
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.materials import plane_stress
 from dolfinx_mortar.materials.plane_stress import (
@@ -148,16 +149,16 @@ def _updated_state(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) ->
         return {}
     new = _guarded(law, "updated_state", strain, state, p)
     where = f"{law.name}.updated_state"
-    if not isinstance(new, Mapping):
-        raise ValueError(f"{where} returns {new!r}; it must return a dictionary by name.")
-    declared = ", ".join(law.state) or "nothing"
-    for name in new:
-        if name not in law.state:
-            raise ValueError(f"{where} returns {name!r}, but `state` declares {declared}.")
-    for name in law.state:
-        if name not in new:
-            raise ValueError(f"{where} does not return {name!r}, which `state` declares.")
+    _check_state(law, where, new)
     return {name: _shaped(f"{where}: {name}", new[name], law.state[name]) for name in law.state}
+
+
+def _check_state(law: Law, where: str, new: Any) -> None:
+    """Raise ValueError unless a law returns the internal variables that it declares."""
+    check(f"{where}: the state", new, instance(Mapping, "return a dictionary by name"))
+    if set(new) != set(law.state):
+        given, declared = (", ".join(sorted(names)) or "nothing" for names in (new, law.state))
+        raise ValueError(f"{where} returns the state {given}, but `state` declares {declared}.")
 
 
 def _call(law: Law, method: str, shape: tuple[int, ...], *arguments: Any) -> Expr:
@@ -273,15 +274,12 @@ def _updated(
     except Exception as error:
         what = f"{type(error).__name__}: {error}"
         raise ValueError(f"{where} raised {what} (at {q} points){_remedy(error)}") from error
-    if not isinstance(found, tuple) or len(found) != 3 or not isinstance(found[2], Mapping):
+    if not isinstance(found, tuple) or len(found) != 3:
         raise ValueError(
-            f"{where} returns {type(found).__name__}; it must return stress, tangent, new state "
-            "(a dictionary by name)."
+            f"{where} returns {type(found).__name__}; it must return stress, tangent, new state"
         )
     stress, tangent, new = found
-    if set(new) != set(law.state):
-        given, declared = (", ".join(sorted(names)) or "nothing" for names in (new, law.state))
-        raise ValueError(f"{where} returns the state {given}, but `state` declares {declared}.")
+    _check_state(law, where, new)
     C = shaped_array(f"{where}: the tangent", tangent, (q, 3, 3, 3, 3))
     return PointValues(
         shaped_array(f"{where}: the stress", stress, (q, 3, 3)),

@@ -27,7 +27,6 @@ from dolfinx_mortar.arguments import (
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.solid.solid import Solid
-from dolfinx_mortar.spaces import check_real
 
 GEOMETRIES = ("updated", "reference")
 CUTS = ("halve", "none")
@@ -66,8 +65,6 @@ def check_arguments(
     if sides:
         _check_weight(solid)
     conditions = _check_conditions(_as_list("bcs", conditions), solid.V)
-    if loads is not None:
-        _check_loads(loads, solid.V)
     finite = np.isfinite(solid.V.mesh.geometry.x).all()
     if any_rank(solid.V.mesh.comm, not finite)[0]:
         raise ValueError("the mesh's coordinates hold NaN or infinity; check the mesh")
@@ -169,21 +166,3 @@ def _check_conditions(bcs: Sequence[Any], V: fem.FunctionSpace) -> list[fem.Diri
                 "Constants or Functions of type float64"
             )
     return list(bcs)
-
-
-def _check_loads(loads: Any, V: fem.FunctionSpace) -> None:
-    """Raise a ValueError unless the loads are a linear form of V's test function."""
-    wanted = "give a linear form, for example inner(t, v) * ds"
-    if isinstance(loads, fem.Form):
-        raise ValueError(f"loads is a compiled form: {wanted}, in UFL as it is before fem.form")
-    if not isinstance(loads, ufl.Form):  # its repr may fill pages
-        raise ValueError(f"loads is a {type(loads).__name__}: {wanted}")
-    check_real("loads", *loads.coefficients(), *loads.constants())
-    if len(loads.arguments()) != 1:
-        raise ValueError(f"loads has {len(loads.arguments())} arguments, not one: {wanted}")
-    space = loads.arguments()[0].ufl_function_space()
-    if space != V.ufl_function_space():
-        raise ValueError(
-            "loads: the test function belongs to another space; make it with "
-            "TestFunction(u.function_space)"
-        )

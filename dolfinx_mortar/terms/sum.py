@@ -16,7 +16,7 @@ from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import is_defined_here, is_ours, raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arguments import as_numbers, is_number
+from dolfinx_mortar.arguments import array, check, instance, number
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.solid.mean_volume import VolumeStep
 from dolfinx_mortar.solid.solid import Solid
@@ -346,40 +346,27 @@ def _addends(term: Term, energy: Callable[[], object]) -> Floats | None:
     given = energy()
     if given is None:
         return None
-    addends = as_numbers(given)
-    if addends is None:
-        raise ValueError(
-            f"{type(term).__name__}.energy() has returned {given!r}: return this rank's share of "
-            "the energy, a number, or None if there is no potential"
-        )
-    return np.atleast_1d(addends)
+    remedy = "return this rank's share of the energy, a number, or None if there is no potential"
+    rule = array(finite=False, remedy=remedy)
+    return np.atleast_1d(check(f"{type(term).__name__}.energy()", given, rule))
 
 
 def _stride(term: Term) -> float:
     """Return how far a node may move by what a term knows."""
-    found = term.stride()
-    if not (is_number(found) and found >= 0.0):
-        raise ValueError(f"it returns {found!r}: return a length, a finite number >= 0")
-    return float(found)
+    return check("it", term.stride(), number("a finite length", least=0.0))
 
 
 def _couplings(term: Term) -> Sequence[Any]:
     """Return the dense blocks of a term."""
-    found = term.couplings
-    if not isinstance(found, list | tuple):
-        raise ValueError(f"it is {found!r}: give a list of arrays of global dofs, () for none")
-    return found
+    rule = instance((list, tuple), "give a list of arrays of global dofs, () for none")
+    return list(check("it", term.couplings, rule))
 
 
 def _dofs(name: str, dofs: object, n: int) -> np.ndarray:
     """Return the global dofs of a dense block as PETSc knows them."""
-    given = np.asarray(dofs)
-    if given.ndim != 1 or given.dtype.kind not in "iu" or ((given < 0) | (given >= n)).any():
-        raise ValueError(
-            f"{name}: couplings holds {dofs!r}: give arrays of global dofs, integers from 0 to "
-            f"{n - 1}"
-        )
-    return given.astype(PETSc.IntType)
+    remedy = f"give arrays of global dofs, integers from 0 to {n - 1}"
+    rule = array((None,), remedy=remedy, holds=lambda k: np.isin(k, np.arange(n)).all())
+    return check(f"{name}: couplings: one", dofs, rule).astype(PETSc.IntType)
 
 
 def check_terms(comm: MPI.Comm, terms: Any, u: fem.Function) -> list[Term]:
@@ -389,13 +376,10 @@ def check_terms(comm: MPI.Comm, terms: Any, u: fem.Function) -> list[Term]:
         ValueError: on all ranks, naming what is missing.
     """
     with raised_together(comm):
-        if not isinstance(terms, Sequence) or isinstance(terms, str):
-            raise ValueError(f"terms is {terms!r}: give a list of terms, [] for none")
+        check("terms", terms, instance((list, tuple), "give a list of terms, [] for none"))
         for k, term in enumerate(terms):
-            if isinstance(term, type) or not isinstance(term, Term):
-                raise ValueError(
-                    f"terms[{k}] is {term!r}: give an instance of a subclass of dolfinx_mortar.Term"
-                )
+            remedy = "give an instance of a subclass of dolfinx_mortar.Term"
+            check(f"terms[{k}]", term, instance(Term, remedy))
             if any(term is other for other in terms[:k]):
                 raise ValueError(f"terms holds the same object {term!r} twice: give it once")
             _check_signatures(k, term)
@@ -429,18 +413,16 @@ def _check_signatures(k: int, term: Term) -> None:
 def _check_state(k: int, term: Term, V: fem.FunctionSpace) -> None:
     """Raise a ValueError unless the state of a term is made of nodal Functions on the mesh of V."""
     what = f"state of terms[{k}], a {type(term).__name__}"
-    if not isinstance(term.state, Mapping):
-        raise ValueError(f"{what}, is {term.state!r}: give a dictionary of Functions by name")
+    check(what, term.state, instance(Mapping, "give a dictionary of Functions by name"))
     nodes = V.dofmap.index_map
+    sizes = nodes.size_global, nodes.size_local
     for name, f in term.state.items():
         if not (isinstance(name, str) and name and "/" not in name):
             raise ValueError(f"{what}, has the name {name!r}: give a text without '/'")
-        layout = f.function_space.dofmap.index_map if isinstance(f, fem.Function) else None
-        if (
-            layout is None
-            or f.function_space.mesh is not V.mesh
-            or ((layout.size_global, layout.size_local) != (nodes.size_global, nodes.size_local))
-        ):
+        on = f.function_space if isinstance(f, fem.Function) else None
+        layout = on.dofmap.index_map if on is not None and on.mesh is V.mesh else None
+        fits = layout is not None and (layout.size_global, layout.size_local) == sizes
+        if not fits:
             raise ValueError(
                 f"{what}: {name!r} is {f!r}: give a Function on solid.V or its scalar space"
             )

@@ -24,6 +24,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arguments import check, instance
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import MatrixForm, Term, assemble, create_vector
@@ -49,8 +50,7 @@ class DeadLoads(Term):
         Raises:
             ValueError: if it cannot work, with the remedy.
         """
-        check_loads(solid.u, loads)
-        check_measures("loads", loads, solid.mesh)
+        check_form(solid.u, "loads", loads, arguments=1, dead=True)
         self._u = solid.u
         self._form = fem.form(weighted(loads, solid))
         self._vector = create_vector(solid.V)
@@ -112,8 +112,7 @@ class WeakForm(Term):
         self, solid: Solid, *, energy: ufl.Form | None = None, residual: ufl.Form | None = None
     ) -> None:
         """Check and compile the forms; collective."""
-        if not isinstance(solid, Solid):
-            raise ValueError(f"WeakForm: solid is {solid!r}: give the Solid of the bodies")
+        check("WeakForm: solid", solid, instance(Solid, "give the Solid of the bodies"))
         u, V = solid.u, solid.V
         check_same_on_all_ranks(V.mesh.comm, energy=energy, residual=residual)
         name, form = ("energy", energy) if residual is None else ("residual", residual)
@@ -173,63 +172,59 @@ class WeakForm(Term):
         return MatrixForm(form), fem_petsc.create_matrix(form)
 
 
-def check_loads(u: fem.Function, loads: Any) -> None:
-    """Raise ValueError if loads depend on u: they are assembled once, at the start of a step."""
-    if isinstance(loads, ufl.Form) and any(_is_displacement(u, c) for c in loads.coefficients()):
-        raise ValueError(f"loads contain the displacement solid.u ({u.name}): {REMEDY}")
-
-
 WANTED = (
     "give a functional of solid.u, for example 0.5 * k * inner(u, u) * ds",
     "give a linear form of solid.u and a test function, for example k * inner(u, v) * ds",
+    "give a linear form, for example inner(t, v) * ds",
 )
 
 
-def check_form(u: fem.Function, name: str, form: Any, *, arguments: int = 0) -> None:
-    """Raise ValueError unless a form of u with so many test functions can be added; collective."""
-    wanted = WANTED[arguments]
-    if isinstance(form, fem.Form):
-        raise ValueError(f"{name} is a compiled form: {wanted}, in UFL as before fem.form")
+def check_form(
+    u: fem.Function, name: str, form: Any, *, arguments: int = 0, dead: bool = False
+) -> None:
+    """Raise ValueError unless a form can be added; collective.
+
+    Args:
+        u: displacement, which the form contains.
+        name: of the argument.
+        form: with integrals over cells and exterior facets.
+        arguments: number of test functions.
+        dead: whether it is one of loads, which do not contain u.
+    """
+    wanted = WANTED[arguments + dead]
     if not isinstance(form, ufl.Form):  # its repr may fill pages
-        raise ValueError(f"{name} is a {type(form).__name__}: {wanted}")
+        compiled = "compiled form, not in UFL" if isinstance(form, fem.Form) else ""
+        raise ValueError(f"{name} is a {compiled or type(form).__name__}: {wanted}")
     check_real(name, *form.coefficients(), *form.constants())
-    if len(form.arguments()) != arguments:
-        count = len(form.arguments())
-        expected = "one" if arguments else "none"
-        raise ValueError(f"{name} has {count} test or trial functions, not {expected}: {wanted}")
+    count = len(form.arguments())
+    if count != arguments:
+        raise ValueError(f"{name} has {count} test or trial functions: {wanted}")
     kinds = sorted({i.integral_type() for i in form.integrals()} - {"cell", "exterior_facet"})
-    if kinds:
+    if kinds and not dead:
         raise ValueError(
             f"{name}: integrals over {', '.join(kinds)}; only cells (dx) and exterior facets "
             "(ds) are possible"
         )
-    _check_spaces(u, name, form)
-    check_measures(name, form, u.function_space.mesh)
-
-
-def _check_spaces(u: fem.Function, name: str, form: ufl.Form) -> None:
-    """Raise ValueError unless a form contains u itself, and lives on its mesh only."""
-    coefficients = form.coefficients()
-    parts = [c for c in coefficients if c is not u and _is_displacement(u, c)]
-    if parts:
+    mine = [c for c in form.coefficients() if _is_displacement(u, c)]
+    if dead and mine:
+        raise ValueError(f"{name} contain the displacement solid.u ({u.name}): {REMEDY}")
+    if any(c is not u for c in mine):
         raise ValueError(f"{name} contains u.sub(i), which UFL cannot differentiate: write u[i]")
-    domain = u.function_space.mesh.ufl_domain()
-    if any(other != domain for other in form.ufl_domains()):
-        raise ValueError(f"{name} is on another mesh than solid.u: integrate over solid.mesh")
-    for c in coefficients:
-        if c.ufl_function_space().ufl_domain() != domain:
-            raise ValueError(f"{name}: the Function {c} is on another mesh than solid.u")
-    space = u.function_space.ufl_function_space()
-    if any(argument.ufl_function_space() != space for argument in form.arguments()):
+    V = u.function_space
+    if any(v.ufl_function_space() != V.ufl_function_space() for v in form.arguments()):
         raise ValueError(
             f"{name}: the test function belongs to another space; make it with "
             "TestFunction(u.function_space)"
         )
-    if not any(c is u for c in coefficients):
+    others = {c.ufl_function_space().ufl_domain() for c in form.coefficients()}
+    if {*others, *form.ufl_domains()} != {V.mesh.ufl_domain()}:
+        raise ValueError(f"{name} is, or has a Function, on another mesh than solid.u")
+    if not mine and not dead:
         raise ValueError(
             f"{name} does not contain the displacement solid.u, so it exerts no force: write it "
             "with that very Function"
         )
+    check_measures(name, form, V.mesh)
 
 
 def weighted(form: ufl.Form, solid: Solid) -> ufl.Form:
