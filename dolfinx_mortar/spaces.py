@@ -30,9 +30,8 @@ def check_space(
         on_cells: whether facets have to lie on the cells.
 
     Raises:
-        ValueError: For what is no function space, meshes in single precision, a complex PETSc,
-            other cell types or dimensions, subspaces, other elements than vector Lagrange of
-            degree 1 or 2, and cells of a higher degree than the displacement.
+        ValueError: for what is no space of Lagrange functions of degree 1 or 2, in double
+            precision, on cells that are supported and of no higher degree.
     """
     if not isinstance(V, dolfinx.fem.FunctionSpace):
         of = "" if scalar else " of displacements"

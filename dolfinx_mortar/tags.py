@@ -38,8 +38,7 @@ class Tags(mesh.MeshTags):
             names: tag by name, the same on all ranks.
 
         Raises:
-            ValueError: for what is no MeshTags, names that are no strings, and tags that are no
-                integers of 32 bits.
+            ValueError: naming a wrong argument.
         """
         check("tags", tags, instance(mesh.MeshTags, "give a dolfinx.mesh.MeshTags"))
         check("names", names, instance(Mapping, "give a dictionary, name -> tag"))

@@ -155,8 +155,8 @@ def check(
         The largest errors found; ``print`` it.
 
     Raises:
-        ValueError: for arguments that make no sense, and where the law does not fit, with strain,
-            state, component and both values.
+        ValueError: naming a wrong argument; where the law does not fit, with strain, state,
+            component and both values.
     """
     parts = create_law("law", law, plane_stress=plane_stress)
     _check_arguments(parts, size, seed, strain)

@@ -54,7 +54,7 @@ class DruckerPrager(Material):
     (2008), section 8.3.
 
     Raises:
-        ValueError: if E <= 0, nu is outside (-1, 0.5), Y <= 0, beta <= 0 or a number is not finite.
+        ValueError: naming a parameter that is out of its range.
     """
 
     E: Parameter  # Young's modulus

@@ -28,8 +28,8 @@ class Ogden(PointwiseLaw):
     Nonlinear Solid Mechanics (2000), section 6.5.
 
     Raises:
-        ValueError: if mu and alpha are no tuples of one length, an alpha is 0, K <= 0, the shear
-            modulus is not positive, or a number is not finite.
+        ValueError: naming a parameter that is out of its range, and for a shear modulus that is not
+            positive.
     """
 
     mu: tuple[Parameter, ...]  # stress

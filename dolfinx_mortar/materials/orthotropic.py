@@ -29,8 +29,7 @@ class Orthotropic(Material):
     Source: R. M. Jones, Mechanics of Composite Materials (1999), section 2.3.
 
     Raises:
-        ValueError: if a modulus is not positive, the energy is not positive for all strains, or a
-            number is not finite.
+        ValueError: naming a modulus that is out of its range, and if the energy is not positive.
     """
 
     E1: Parameter  # Young's modulus along axis 1

@@ -97,8 +97,7 @@ class VonMisesVoce(Material):
     Source: E. Voce, J. Inst. Metals 74 (1948) 537-562, for the saturation.
 
     Raises:
-        ValueError: if E <= 0, nu is outside (-1, 0.5), Y <= 0, b <= 0, one of a, H and Q is
-            negative, or a number is not finite.
+        ValueError: naming a parameter that is out of its range.
     """
 
     E: Parameter  # Young's modulus

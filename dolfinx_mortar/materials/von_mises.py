@@ -100,8 +100,7 @@ class VonMises(Material):
     the stored energy plus dissipation of the step, minimised over the plastic strain.
 
     Raises:
-        ValueError: if E <= 0, nu is outside (-1, 0.5), Y <= 0, a < 0, H < 0 or a number is not
-            finite.
+        ValueError: naming a parameter that is out of its range.
     """
 
     E: Parameter  # Young's modulus

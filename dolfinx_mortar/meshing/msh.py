@@ -65,11 +65,10 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
         comm: communicator of the mesh.
 
     Raises:
-        OSError: if there is no such file, or it cannot be read.
-        ValueError: if the file is no .msh file or damaged; has no physical groups, or empty ones;
-            if cells are in no group or in several, of several kinds, of an unknown kind, lines, or
-            a surface in space; if a group of sides has elements that are no facets of a body.
-        RuntimeError: if gmsh is not installed. All errors are raised on all ranks.
+        OSError: if there is no such file, or it cannot be read. ValueError: if the file is damaged
+            or no .msh file; if cells are in no physical group or several, of several kinds or an
+            unknown one; if a group is empty, or of no facets of bodies.
+        RuntimeError: without gmsh. All on all ranks.
     """
     check("comm", comm, instance(MPI.Intracomm, "give a communicator, such as MPI.COMM_WORLD"))
     file = check_path(comm, path)

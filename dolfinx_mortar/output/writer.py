@@ -87,11 +87,9 @@ class Writer:
                 another HDF5 file, such as out.2.h5.
 
         Raises:
-            ValueError: For another suffix, files that cannot be written or are open in another
-                Writer, notes that are no JSON values, something else than a problem, a file to be
-                resumed that is not a Writer's or has lost its HDF5 files, or cells without a name
-                in XDMF (on all ranks).
-            OSError: If there is no space on the disk (on all ranks).
+            ValueError: on all ranks, naming a wrong argument, as files that cannot be written,
+                resumed, or are open in another Writer.
+            OSError: on all ranks, if there is no space on the disk.
         """
         V = _space(problem)
         self.comm: MPI.Intracomm = V.mesh.comm

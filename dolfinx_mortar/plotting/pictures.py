@@ -107,8 +107,8 @@ def field(
         What `mesh` returns.
 
     Raises:
-        ValueError: for unknown names (the message lists those there are), tensors, Functions of
-            another mesh or that jump from cell to cell; else as `mesh` does.
+        ValueError: for unknown names, tensors, Functions of another mesh or that jump from cell to
+            cell; else as `mesh` does.
     """
     solid = getattr(problem, "solid", problem)
     V = getattr(solid, "V", None)
@@ -158,9 +158,8 @@ def pressure(
         What `mesh` returns.
 
     Raises:
-        ValueError: for interfaces of other problems, or used by one made later, problems without
-            any, unknown ``over``, and `over` in space; else as `mesh` does.
-        NoResult: before the first step, a RuntimeError.
+        ValueError: for interfaces of other problems, and wrong ``over``; else as `mesh` does.
+        NoResult: before the first step.
     """
     chosen = _chosen(problem, interfaces, over)
     V: fem.FunctionSpace = problem.solid.V

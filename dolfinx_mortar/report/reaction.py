@@ -80,9 +80,8 @@ def reaction(
         Force, moment and point, the same on all ranks.
 
     Raises:
-        ValueError: on all ranks, before the first step, for a support that is none (an unknown tag,
-            dofs that are out of range or not prescribed), for a point that is none, and if a
-            problem made later uses one of the interfaces.
+        ValueError: on all ranks, naming a wrong argument, before the first step, and if a problem
+            made later uses one of the interfaces.
     """
     check_problem(problem, ContactProblem)
     problem.check_owned()

@@ -75,8 +75,7 @@ class Intersection(_Combined):
         shapes: one or more, of the same dimension.
 
     Raises:
-        ValueError: for none, for what is no shape, for different dimensions, and for shapes that
-            are found to have nothing in common.
+        ValueError: naming a wrong argument, and for shapes that have nothing in common.
     """
 
     sign = -1.0

@@ -44,9 +44,7 @@ class SignedDistance(Shape):
             where a derivative of a function is not given.
 
     Raises:
-        ValueError: for what is no function and no scalar expression of x alone, coordinates that
-            are not 2 or 3 finite ones, derivatives beside an expression, and a length that is not
-            > 0, or missing. When it is evaluated, for another shape, and NaN.
+        ValueError: naming a wrong argument; when it is evaluated, for another shape, and NaN.
 
     Example:
         >>> from basix.ufl import element

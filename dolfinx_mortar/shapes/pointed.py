@@ -84,8 +84,7 @@ class Cone(_Pointed):
         radius: of the tip, 0 for a sharp one.
 
     Raises:
-        ValueError: for other than 2 or 3 finite coordinates, an angle out of range, an axis of 0,
-            and a negative radius.
+        ValueError: naming a wrong argument.
     """
 
     def __init__(self, tip: Any, half_angle: Any, axis: Any, radius: Any = 0.0) -> None:
@@ -120,8 +119,7 @@ class Wedge(_Pointed):
         edge: direction of the edge in space, across the axis; none in the plane.
 
     Raises:
-        ValueError: for other than 2 or 3 finite coordinates, an angle out of range, an axis or an
-            edge of 0, an edge that is not across the axis, none in space, and a negative radius.
+        ValueError: naming a wrong argument, as an edge that is not across the axis.
     """
 
     def __init__(

@@ -42,9 +42,8 @@ class Polyline(Curved):
             distance from that: the body must not get there.
 
     Raises:
-        ValueError: for what is no array of finite points, fewer than 3 of a polygon or 2 of a line,
-            points that coincide with the next ones, edges that go back along the one before or
-            cross others, a polygon whose points go clockwise, and a crease that is no such angle.
+        ValueError: naming a wrong argument; for points that coincide with the next ones, edges that
+            go back or cross others, and a polygon whose points go clockwise, with their place.
     """
 
     def __init__(

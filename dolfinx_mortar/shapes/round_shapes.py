@@ -75,8 +75,7 @@ class Cylinder(_Round):
         axis: direction of the axis, d components; none in plane problems.
 
     Raises:
-        ValueError: for other than 2 or 3 finite coordinates, a radius that is not > 0, an axis of
-            0, and none in space.
+        ValueError: naming a wrong argument.
     """
 
     def __init__(self, centre: Any, radius: Any, axis: Any = None) -> None:
@@ -118,8 +117,7 @@ class Torus(_Round):
         axis: direction of the axis, d components; (0, 1) in axisymmetric problems if not given.
 
     Raises:
-        ValueError: for other than 2 or 3 finite coordinates, radii that are not > 0, an axis of 0,
-            and none in space.
+        ValueError: naming a wrong argument.
     """
 
     def __init__(self, centre: Any, radius: Any, tube: Any, axis: Any = None) -> None:

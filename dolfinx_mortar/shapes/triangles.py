@@ -48,10 +48,9 @@ class Triangles(Curved):
             from that: the body must not get there.
 
     Raises:
-        ValueError: for files that cannot be read or are no STL, arrays of other shapes, numbers
-            that are not finite, corners that are no points, triangles without area, holes
-            (without ``rim``), triangles turned against their neighbours, edges of more than two,
-            a body turned inside out, and a crease that is no such angle.
+        ValueError: naming a wrong argument; for files that cannot be read or are no STL, triangles
+            without area or turned against their neighbours, holes (without ``rim``), edges of more
+            than two, and a body turned inside out.
     """
 
     def __init__(

@@ -148,8 +148,7 @@ def by_cells(
         cover: whether each cell has to have an entry.
 
     Raises:
-        ValueError: on all ranks, without entries or tags, for tags that no cell has, and cells
-            without an entry.
+        ValueError: on all ranks, for tags of no cell, and cells without an entry.
     """
     if not given or cell_tags is None:
         raise ValueError(f"{name} is a dictionary by cell tag: give an entry, and cell_tags")

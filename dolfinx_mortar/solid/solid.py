@@ -130,13 +130,9 @@ class Solid(Term):
                 need a potential.
 
         Raises:
-            ValueError: if u is complex or in another kind of space, materials and tags do not
-                match, the quadrature degree is no integer from 0 to 30, the kinematics are unknown,
-                for another dimension, or the mesh lies beyond their axis, the eigenstrain has
-                another shape, is not symmetric, has an unknown tag or undefined values, there is no
-                volumetric part to reduce, or a law lacks a part, raises, or returns something of
-                the wrong name or shape, or, with energies, has no potential; the message names the
-                law and the part. And if ranks give different numbers, names or laws.
+            ValueError: on all ranks, naming an argument that is wrong or differs between ranks; for
+                a mesh beyond the axis; for a law that lacks a part, raises, or returns something of
+                the wrong name or shape, with law and part.
         """
         check("u", u, instance(fem.Function, "give the displacement, a dolfinx.fem.Function"))
         # before anything that ranks do together

@@ -145,8 +145,7 @@ class Inertia(Term):
     Khenous, P. Laborde, Y. Renard, Eur. J. Mech. A 27 (2008) 918-932, for the mass.
 
     Raises:
-        ValueError: on all ranks, for densities that are missing or not positive, unknown tags
-            and velocities of another space or shape.
+        ValueError: on all ranks, naming a wrong argument.
     """
 
     linear = True

@@ -85,8 +85,7 @@ class PointForce(PointTerm):
             step; in the plane per thickness, in axisymmetry on the whole ring.
 
     Raises:
-        ValueError: on all ranks, for a point without a node, with the nearest one, or with a node
-            of each of two bodies; for a value that is none, and for NaN at the start of a step.
+        ValueError: on all ranks, naming a wrong argument, and for a point with no node, or several.
     """
 
     has_tangent = False

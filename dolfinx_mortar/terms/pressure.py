@@ -54,8 +54,7 @@ class Pressure(WeakForm):
             plate has none.
 
     Raises:
-        ValueError: for a solid of small strain, tags of another mesh, a tag that no facet or one
-            inside the mesh has, a p that is no scalar or holds a test function, or ``closed`` in
+        ValueError: naming a wrong argument, as a tag of facets inside the mesh, or ``closed`` in
             plane stress; at the start of a step, for a p that is NaN or infinite.
     """
 
