@@ -150,11 +150,11 @@ def test_mohr_and_coulomb_are_met(angle):
 def test_wrong_arguments():
     good = {"E": 1.0, "nu": 0.3, "Y": 1.0, "beta": 0.5}
     for name, value in [("E", 0.0), ("nu", 0.5), ("Y", 0.0), ("beta", 0.0), ("beta", math.nan)]:
-        with pytest.raises(ValueError, match=f"DruckerPrager: {name} = "):
+        with pytest.raises(ValueError, match=f"DruckerPrager: {name} is "):
             dm.DruckerPrager(**(good | {name: value}))
     make = dm.DruckerPrager.from_mohr_coulomb
     for angle, match, message in [
-        (90.0, "extension", "friction_angle = 90.0 must be"),
+        (90.0, "extension", "friction_angle is 90.0: give"),
         (30.0, "outer", "match is 'outer'; choose one of 'compression', 'extension', 'plane str"),
     ]:
         with pytest.raises(ValueError, match=message):

@@ -190,18 +190,18 @@ def test_complex_build(case, monkeypatch):
 )
 def test_material_constants(bad, name):
     good = {"E": 1000.0, "nu": 0.3, "Y": 1.0, "a": 10.0}
-    with rejected(f"VonMises: {name} = ", "finite number"):
+    with rejected(f"VonMises: {name} is ", "finite number"):
         dm.VonMises(**(good | bad))
     if name in ("E", "nu"):
         elastic = {k: v for k, v in (good | bad).items() if k in ("E", "nu")}
-        with rejected(f"Elastic: {name} = ", "finite number"):
+        with rejected(f"Elastic: {name} is ", "finite number"):
             dm.Elastic(**elastic)
 
 
 @pytest.mark.parametrize("name", ["yield_stress", "plastic_modulus"])
 def test_uniaxial_constants_by_the_names_of_their_arguments(name):
     test = {"yield_stress": 450.0, "plastic_modulus": 15e3}
-    with rejected(f"from_uniaxial: {name} = -1.0"):
+    with rejected(f"from_uniaxial: {name} is -1.0"):
         dm.VonMises.from_uniaxial(200e3, 0.3, **(test | {name: -1.0}))
 
 

@@ -251,7 +251,7 @@ def test_uniaxial_saturation():
         strain = stress / E * np.diag([1.0, -NU, -NU]) + plastic * np.diag([1.0, -0.5, -0.5])
         assert np.allclose(p.stress(strain), np.diag([stress, 0, 0]), atol=1e-7)
         assert np.isclose(p.commit()[0, 0], plastic, rtol=1e-9)
-    with pytest.raises(ValueError, match=r"rate = 0.0 must be"):
+    with pytest.raises(ValueError, match=r"rate is 0.0: give"):
         VonMisesVoce.from_uniaxial(E, NU, 450.0, saturation=200.0, rate=0.0)
     with pytest.raises(ValueError, match="got satturation; it takes saturation="):
         VonMisesVoce.from_uniaxial(E, NU, 450.0, satturation=200.0)
@@ -285,10 +285,10 @@ def test_saturation_of_nothing_is_mixed_hardening(rng):
 def test_wrong_parameters(name, value):
     good = {"E": 1.0, "nu": 0.3, "Y": 1.0, "a": 0.0, "H": 0.0, "Q": 0.0, "b": 1.0}
     VonMisesVoce(**good)
-    with pytest.raises(ValueError, match=f"VonMisesVoce: {name} = "):
+    with pytest.raises(ValueError, match=f"VonMisesVoce: {name} is "):
         VonMisesVoce(**(good | {name: value}))
     if name == "H":
-        with pytest.raises(ValueError, match="VonMises: H = "):
+        with pytest.raises(ValueError, match="VonMises: H is "):
             VonMises(1.0, 0.3, 1.0, 0.0, value)
-    with pytest.raises(ValueError, match=r"isotropic = 1.5 must be"):
+    with pytest.raises(ValueError, match=r"isotropic is 1.5: give"):
         VonMises.from_uniaxial(1.0, 0.3, 1.0, 0.1, isotropic=1.5)

@@ -285,10 +285,10 @@ def test_wrong_parameters(name: str, value: float) -> None:
     """A parameter out of its range is named."""
     good = {"E": 1.0, "nu": 0.3, "Y": 1.0, "a": 0.0}
     VonMises(**good)
-    with pytest.raises(ValueError, match=f"VonMises: {name} = "):
+    with pytest.raises(ValueError, match=f"VonMises: {name} is "):
         VonMises(**(good | {name: value}))
     if name in ("E", "nu"):
-        with pytest.raises(ValueError, match=f"Elastic: {name} = "):
+        with pytest.raises(ValueError, match=f"Elastic: {name} is "):
             Elastic(**({"E": 1.0, "nu": 0.3} | {name: value}))
 
 

@@ -310,7 +310,7 @@ def test_a_heated_plate():
 @pytest.mark.mpi
 def test_it_is_refused_in_space():
     space = create_displacement(create_domain("tetrahedron"))
-    with rejected("plane_stress", "for meshes in 2D"):
+    with rejected("plane_stress", "on a mesh in 3D choose"):
         dm.Solid(space, dm.Elastic(1.0, 0.3), kinematics="plane_stress")
 
 

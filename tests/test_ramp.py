@@ -166,8 +166,8 @@ def test_keys_that_are_none():
     for ramp, words in (
         ([(press.top, ROWS)], "give a dictionary {Constant: [(level, value), ...]}"),
         (1.0, "ramp is 1.0: give a dictionary"),
-        ({"top": rows}, "ramp: table 1 is for 'top': its key must be a dolfinx Constant"),
-        ({press.top: ROWS, press.problem.u: rows}, "ramp: table 2 is for"),
+        ({"top": rows}, "ramp: table 1: the key is 'top': give a dolfinx Constant"),
+        ({press.top: ROWS, press.problem.u: rows}, "ramp: table 2: the key is"),
     ):
         with rejected(words):
             next(press.walk(LEVELS, on_time=None, ramp=ramp))

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arguments import check, number
 from dolfinx_mortar.arrays import Bools, Floats
 from ufl.core.expr import Expr
 
@@ -82,13 +82,9 @@ def check_fields(law: Any) -> None:
 def check_parameters(law: str, **ranges: tuple[Parameter, float, float, bool]) -> None:
     """Raise ValueError unless each parameter=(value, *`Range`) is a finite number in it, or UFL."""
     for name, (value, lower, upper, closed) in ranges.items():
-        limits = lower, upper, closed
-        if isinstance(value, Expr):
-            continue
-        if not is_number(value) or not _inside(np.asarray(value, float), *limits):
-            raise ValueError(
-                f"{law}: {name} = {value!r} must be a finite number in {interval(*limits)}."
-            )
+        if not isinstance(value, Expr):
+            above, least = (-np.inf, lower) if closed else (lower, -np.inf)
+            check(f"{law}: {name}", value, number(above=above, least=least, below=upper))
 
 
 def wrong_values(

@@ -123,12 +123,8 @@ def _unrolled(values: Any) -> Any:
 
 
 def _as_list(name: str, given: Any) -> list[Any]:
-    """Return the members of a sequence; a lone object is an error with a hint."""
-    if given is None:
-        raise ValueError(f"{name} is None: give a list, [] for none")
-    if not isinstance(given, Iterable):
-        raise ValueError(f"{name} is {given!r}: give a list, [{name[:-1]}]")
-    return list(given)
+    """Return the members of a sequence."""
+    return list(check(name, given, instance(Iterable, "give a list, [] for none")))
 
 
 def _check_interfaces(interfaces: list[Any]) -> list[Interface]:

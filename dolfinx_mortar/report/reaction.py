@@ -235,14 +235,8 @@ def _dofs_of_conditions(problem: ContactProblem, bcs: Sequence[Any]) -> list[Int
 
 def _check_dofs(problem: ContactProblem, support: Any) -> Ints:
     """Return local dofs if they are some of this rank."""
-    try:
-        dofs = np.asarray(support)
-    except ValueError:
-        dofs = np.zeros((0, 0))
-    if dofs.ndim != 1 or (dofs.size and dofs.dtype.kind not in "iu"):
-        raise ValueError(
-            f"support is {support!r}: give a Dirichlet condition, a tag, or an array of local dofs"
-        )
+    remedy = "give a Dirichlet condition, a tag, or an array of local dofs"
+    dofs = check("support", support, array((None,), remedy=remedy))
     layout = problem.V.dofmap.index_map
     size = problem.d * (layout.size_local + layout.num_ghosts)
     bad = dofs[(dofs < 0) | (dofs >= size)]

@@ -249,7 +249,7 @@ def choose_kinematics(given: Any, d: int) -> Kinematics:
     chosen = KINEMATICS.get(given) if isinstance(given, str) else given
     fits = isinstance(chosen, Kinematics) and chosen.dimension in (None, d)
     rule = Rule(f"on a mesh in {d}D {choices}", lambda _: chosen if fits else None)
-    return check("kinematics", given, rule)
+    return check("kinematics", getattr(given, "name", given), rule)
 
 
 def on_axis(kinematics: Kinematics, mesh: Mesh, x: Floats) -> Bools:

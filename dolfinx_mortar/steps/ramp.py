@@ -3,6 +3,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from mpi4py import MPI
@@ -11,7 +12,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.arguments import as_numbers
+from dolfinx_mortar.arguments import Rule, as_numbers, check, check_optional, instance
 from dolfinx_mortar.arrays import SAME, Floats
 
 Rows = list[list[float]]
@@ -54,8 +55,8 @@ def read_ramps(comm: MPI.Comm, ramp: Any) -> list[Ramp]:
         named |= {f"ramp: table {k}": one for k, (_, one) in enumerate(given, start=1)}
         named |= {f"ramp: key {k}": one for k, (one, _) in enumerate(given, start=1)}
     check_same_on_all_ranks(comm, **named)
-    if ramp is not None and not isinstance(ramp, Mapping):
-        raise ValueError(f"ramp is {ramp!r}: give a dictionary {{Constant: [(level, value), ...]}}")
+    remedy = "give a dictionary {Constant: [(level, value), ...]}"
+    check_optional("ramp", ramp, instance(Mapping, remedy))
     return [_read(f"ramp: table {k}", *one) for k, one in enumerate(given, start=1)]
 
 
@@ -67,26 +68,21 @@ def _listed(table: Any) -> Any:
 
 def _read(name: str, constant: Any, table: Any) -> Ramp:
     """Return the ramp of one table."""
-    if not isinstance(constant, fem.Constant):
-        raise ValueError(
-            f"{name} is for {constant!r}: its key must be a dolfinx Constant, such as the value of "
-            "a Dirichlet condition or of a traction"
-        )
+    remedy = "give a dolfinx Constant, such as the value of a Dirichlet condition or a traction"
+    check(f"{name}: the key", constant, instance(fem.Constant, remedy))
     shape = constant.value.shape
     wanted = f"give rows (level, value), at least two, with values of shape {shape}"
-    if not isinstance(table, list) or len(table) < 2:
-        raise ValueError(f"{name} is {table!r}: {wanted}")
-    rows = [_row(row, shape) for row in table]
-    for k, (given, row) in enumerate(zip(table, rows, strict=True), start=1):
-        if row is None:
-            raise ValueError(f"{name}: row {k} is {given!r}: {wanted}, in finite numbers")
+    many = isinstance(table, list) and len(table) > 1
+    check(name, table, Rule(wanted, lambda table: table if many else None))
+    rule = Rule(f"{wanted}, in finite numbers", partial(_row, shape))
+    rows = [check(f"{name}: row {k}", row, rule) for k, row in enumerate(table, start=1)]
     levels, values = np.array(rows)[:, 0], np.array(rows)[:, 1:]
     if (np.diff(levels) <= 0.0).any():
         raise ValueError(f"{name} has levels {levels.tolist()}: they must rise from row to row")
     return Ramp(constant, levels, values)
 
 
-def _row(row: Any, shape: tuple[int, ...]) -> list[float] | None:
+def _row(shape: tuple[int, ...], row: Any) -> list[float] | None:
     """Return level and components of a row, None if it is no pair of finite numbers."""
     if not isinstance(row, Sequence | np.ndarray) or len(row) != 2:
         return None
