@@ -24,7 +24,7 @@ from petsc4py import PETSc
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, lapack, solve_triangular
-from scipy.sparse import bsr_array, csc_array, csr_array, eye_array
+from scipy.sparse import csc_array, csr_array, eye_array
 from scipy.sparse.linalg import splu
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator, decouple
@@ -94,13 +94,11 @@ class _Change:
         """Return T^-T x (k,)."""
         return np.asarray(x - self._back.T @ x[self.places])
 
-    def inverse_change(self, rows: Ints) -> csr_array:
-        """Return some rows (m,) of T^-1 - 1 (m, k)."""
-        on = np.isin(rows, self.places)
-        starts = np.concatenate([[0], np.cumsum(on)])
-        which = np.searchsorted(self.places, rows[on])
-        taken = csr_array((-np.ones(which.size), which, starts), (rows.size, self.places.size))
-        return taken @ self._back
+    def solve_rows(self, M: Floats, rows: Ints) -> Floats:
+        """Return some rows (m,) of T^-1 M (m, j)."""
+        found, on = M[rows], np.isin(rows, self.places)
+        found[on] -= (self._back @ M)[np.searchsorted(self.places, rows[on])]
+        return found
 
     def congruent(self, M: Floats, *, transposed: bool = False) -> Floats:
         """Return T M T^T, or T^T M T, for symmetric M (k, k)."""
@@ -123,8 +121,9 @@ def _divided(F: csr_array, places: Ints, d: int) -> csr_array:
     if s % d == 0 and np.array_equal(i // d, j // d):
         blocks = np.tile(np.eye(d), (s // d, 1, 1))
         blocks[i // d, i % d, j % d] += values
-        numbers = np.arange(s // d + 1)
-        return bsr_array((np.linalg.inv(blocks), numbers[:-1], numbers), (s, s)).tocsr() @ F
+        others = np.repeat(np.arange(s).reshape(-1, 1, d), d, axis=1)
+        inverse = np.linalg.inv(blocks).ravel(), others.ravel(), np.arange(0, d * s + 1, d)
+        return csr_array(inverse, (s, s)) @ F
     inner = csc_array((values, (i, j)), (s, s)) + eye_array(s, format="csc")
     return csr_array(splu(inner).solve(F.toarray()))
 
@@ -254,9 +253,8 @@ class SchurComplement:
             return _Basis(T, known, nothing, nothing)
         if T is None:
             return _Basis(T, known, self.R[known], self.R[np.ix_(known, known)])
-        change = T.inverse_change(known)
-        NR = self.R[known] + change @ self.R
-        return _Basis(T, known, NR, NR[:, known] + (change @ NR.T).T)
+        NR = T.solve_rows(self.R, known)
+        return _Basis(T, known, NR, T.solve_rows(NR.T, known))
 
     def _holds(self, held: Ints) -> Bools:
         """Tell which of G are these unknowns, or decoupled."""
