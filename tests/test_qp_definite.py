@@ -18,7 +18,6 @@ from dolfinx_mortar.qp import (
     solve,
 )
 from dolfinx_mortar.qp import operator as operators
-from dolfinx_mortar.qp.multigrid import Multigrid, OwnUnknowns
 from dolfinx_mortar.qp.operator import Operator
 
 COMM = MPI.COMM_WORLD
@@ -107,24 +106,6 @@ def test_what_needs_a_definite_matrix_says_so(rng: np.random.Generator) -> None:
     falling = from_arrays(-np.eye(3), -np.ones(3), np.full(3, -INF), np.zeros(3), COMM)
     with pytest.raises(QPNotSolved, match=r"came back.*open and close in turn: refine the mesh"):
         solve(replace(falling, definite=False))  # z = -1 where closed, x = 1 where open
-
-
-@pytest.mark.filterwarnings("error")
-def test_a_zero_on_the_diagonal_divides_nothing() -> None:
-    """There the preconditioner stays what it is, so that it has no unit."""
-    A = spread(np.eye(N), np.ones(N), np.full(N, INF)).A
-    multigrid = Multigrid(A, "zero_")
-    multigrid.inner.setType("none")
-    data = OwnUnknowns(A).preconditioning(np.zeros(0, np.int32))
-    r = A.createVecRight()
-    own = np.arange(r.local_size, dtype=np.int32)
-    multigrid.renew(data, own, definite=False)
-    diagonal = np.where(own % 2, 0.0, 4.0)
-    multigrid.hold(own[:0], diagonal)
-    z = r.duplicate()
-    r.set(8.0)
-    multigrid.apply(multigrid.inner, r, z)
-    assert z.array_r.tolist() == np.where(own % 2, 8.0, 2.0).tolist()
 
 
 @pytest.mark.parametrize("lowest", [-1.0, -1e-3, 1e-3])

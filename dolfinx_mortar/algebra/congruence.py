@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import ctypes
 import logging
+import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 from petsc4py import PETSc
 
@@ -86,19 +88,71 @@ class ProductOfBases:
         refill(self.product, [self._CtR, self._right])
 
 
-class OperatorOfBases:
-    """(I + C)^T A (I + D) for a sum A and products of such factors, decoupled at some unknowns.
+class ContextOf:
+    """Context of a PETSc Mat of type python whose owner does what PETSc calls.
 
-    The same as `ProductOfBases`, without a matrix.
+    PETSc keeps contexts where Python cannot see that: Mat and owner would keep each other for ever.
+    """
+
+    def __init__(self, owner: object) -> None:
+        self._owner = weakref.ref(owner)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._owner(), name)
+
+
+class _Decoupled(ABC):
+    """An operator without a matrix, decoupled at some unknowns.
 
     Attributes:
-        matrix: a PETSc Mat of type python; its diagonal is the given one, which is near to its own.
+        matrix: a PETSc Mat of type python.
+        decoupled: owned unknowns that are decoupled.
+        diagonal: (n,) before decoupling; may be near to the operator's own.
+        scale: the entry at decoupled unknowns, the mean of the diagonal.
     """
 
     def __init__(self, like: PETSc.Mat) -> None:
-        self._product = _BasesProduct(like)
-        self.matrix = PETSc.Mat().createPython(like.getSizes(), self._product, comm=like.comm)
+        self.decoupled: Ints = np.empty(0, dtype=np.int32)
+        self.diagonal, self.scale = like.createVecRight(), 1.0
+        self._x = like.createVecRight()
+        self.matrix = PETSc.Mat().createPython(like.getSizes(), ContextOf(self), comm=like.comm)
         self.matrix.setUp()
+
+    @abstractmethod
+    def product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Set y to the product with x, nothing decoupled; collective."""
+
+    def changed(self) -> None:
+        """Tell PETSc so; read the mean of the diagonal; collective."""
+        self.scale = self.diagonal.sum() / self.diagonal.getSize()
+        self.matrix.stateIncrease()
+
+    # -- called by PETSc -------------------------------------------------------------------------
+
+    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Set y to the product with x."""
+        x.copy(self._x)
+        self._x.array[self.decoupled] = 0.0
+        self.product(self._x, y)
+        y.array[self.decoupled] = self.scale * x.array_r[self.decoupled]
+
+    def getDiagonal(self, mat: PETSc.Mat, d: PETSc.Vec) -> None:
+        """Set d to the diagonal."""
+        self.diagonal.copy(d)
+        d.array[self.decoupled] = self.scale
+
+
+class OperatorOfBases(_Decoupled):
+    """(I + C)^T A (I + D) for a sum A and products of such factors, decoupled at some unknowns.
+
+    The same as `ProductOfBases`, without a matrix.
+    """
+
+    def __init__(self, like: PETSc.Mat) -> None:
+        super().__init__(like)
+        self._parts: Sequence[PETSc.Mat] = []
+        self._bases: Sequence[tuple[PETSc.Mat, PETSc.Mat]] = []
+        self._u, self._change = like.createVecRight(), like.createVecRight()
 
     def follow(
         self,
@@ -115,65 +169,20 @@ class OperatorOfBases:
             decoupled: their rows and columns are those of the identity times the mean diagonal.
             diagonal: (n,) approximate diagonal.
         """
-        self._product.parts, self._product.bases = list(parts), list(bases)
-        self._product.decoupled = decoupled
-        diagonal.copy(self._product.diagonal)
-        self._product.scale = diagonal.sum() / diagonal.getSize()
-        self.matrix.stateIncrease()
-
-    @property
-    def scale(self) -> float:
-        """The entry at decoupled unknowns, the mean of the diagonal."""
-        return self._product.scale
+        self._parts, self._bases, self.decoupled = parts, bases, decoupled
+        diagonal.copy(self.diagonal)
+        self.changed()
 
     def product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Set y to the product with x, nothing decoupled; collective."""
-        self._product.whole(x, y)
-
-
-class _Decoupled(ABC):
-    """Context of an operator's Mat, decoupled at some unknowns."""
-
-    def __init__(self, like: PETSc.Mat) -> None:
-        self.decoupled: Ints = np.empty(0, dtype=np.int32)
-        self.diagonal, self.scale = like.createVecRight(), 1.0
-        self._x = like.createVecRight()
-
-    @abstractmethod
-    def whole(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with x, nothing decoupled; collective."""
-
-    # -- called by PETSc -------------------------------------------------------------------------
-
-    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        x.copy(self._x)
-        self._x.array[self.decoupled] = 0.0
-        self.whole(self._x, y)
-        y.array[self.decoupled] = self.scale * x.array_r[self.decoupled]
-
-    def getDiagonal(self, mat: PETSc.Mat, d: PETSc.Vec) -> None:
-        self.diagonal.copy(d)
-        d.array[self.decoupled] = self.scale
-
-
-class _BasesProduct(_Decoupled):
-    """Context of the Mat of `OperatorOfBases`."""
-
-    def __init__(self, like: PETSc.Mat) -> None:
-        super().__init__(like)
-        self.parts: list[PETSc.Mat] = []
-        self.bases: list[tuple[PETSc.Mat, PETSc.Mat]] = []
-        self._u, self._change = like.createVecRight(), like.createVecRight()
-
-    def whole(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         x.copy(self._u)
-        for _, D in reversed(self.bases):
+        for _, D in reversed(self._bases):
             D.mult(self._u, self._change)
             self._u.axpy(1.0, self._change)
         y.set(0.0)
-        for part in self.parts:
+        for part in self._parts:
             part.multAdd(self._u, y, y)
-        for C, _ in self.bases:
+        for C, _ in self._bases:
             C.multTranspose(y, self._change)
             y.axpy(1.0, self._change)
 
@@ -305,60 +314,58 @@ class _FarColumns:
         y.restoreLocalVector(self._y)
 
 
-class CongruentOperator:
+class CongruentOperator(_Decoupled):
     """(I + C)^T K (I + C), decoupled at some unknowns, for changing K, C and unknowns.
 
     With contact in 3D the matrix would have 2.3 times the entries of K, and no equal patterns of
     the rows of a node, which make products fast: one takes 5 times as long as with K (22 thousand
-    unknowns), that with C a tenth of it.
+    unknowns), that with C a tenth of it. A copy of `matrix` is an explicit matrix.
 
     Attributes:
-        matrix: a PETSc Mat of type python; its copy is an explicit matrix.
+        K: the matrix in the middle, and
+        half: the same for products.
+        C: the present C; None for 0.
     """
 
     def __init__(self, K: PETSc.Mat, half: Halved | None = None) -> None:
-        self._product = _Product(K, half or Halved(K))
-        self.matrix = PETSc.Mat().createPython(K.getSizes(), self._product, comm=K.comm)
-        self.matrix.setUp()
-
-    @property
-    def K(self) -> PETSc.Mat:
-        """The matrix in the middle."""
-        return self._product.K
-
-    @property
-    def C(self) -> PETSc.Mat | None:
-        """The present C; None for 0."""
-        return self._product.C
-
-    @property
-    def half(self) -> Halved:
-        """K for products."""
-        return self._product.half
-
-    @property
-    def decoupled(self) -> Ints:
-        """Owned unknowns that are decoupled."""
-        return self._product.decoupled
-
-    @property
-    def diagonal(self) -> PETSc.Vec:
-        """The diagonal (n,) before decoupling, of a K whose diagonal alone C changes."""
-        return self._product.diagonal
-
-    @property
-    def scale(self) -> float:
-        """The entry at decoupled unknowns, the mean of the diagonal."""
-        return self._product.scale
+        super().__init__(K)
+        self.K, self.half = K, half or Halved(K)
+        self.C: PETSc.Mat | None = None
+        self._of_K, self._state = K.createVecRight(), -1  # diagonal of K, and K's state then
+        self._moved = K.createVecRight()
 
     def follow(self, C: PETSc.Mat | None, decoupled: Ints) -> None:
-        """Set C (None for 0) and the decoupled owned unknowns; read the values of K; collective."""
-        self._product.follow(C, decoupled)
-        self.matrix.stateIncrease()
+        """Set C (None for 0) and the decoupled owned unknowns; read the values of K; collective.
+
+        The diagonal is that of a K without entries off its own.
+        """
+        self.C, self.decoupled = C, decoupled
+        self.half.use_half()
+        if self._state != int(self.K.stateGet()):
+            self.K.getDiagonal(self._of_K)
+            self._state = int(self.K.stateGet())
+        self._of_K.copy(self.diagonal)
+        if C is not None:
+            self._add_change(C)
+        self.changed()
+
+    def _add_change(self, C: PETSc.Mat) -> None:
+        """Add the change of the diagonal by C, sum_r C_rj (C_rj + 2 delta_rj) K_rr; collective."""
+        start, columns, values = csr_of(C)
+        rows, first = np.repeat(np.arange(len(start) - 1), np.diff(start)), C.getOwnershipRange()[0]
+        terms = values * (values + 2.0 * (columns == rows + first)) * self._of_K.array_r[rows]
+        self.diagonal.setValues(columns, terms, PETSc.InsertMode.ADD_VALUES)
+        self.diagonal.assemble()
 
     def product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Set y to the product with x, nothing decoupled; collective."""
-        self._product.whole(x, y)
+        if self.C is None:
+            self.half.factor.mult(x, y)
+            return
+        self.C.multAdd(x, x, self._moved)
+        self.half.factor.mult(self._moved, y)
+        self.C.multTranspose(y, self._moved)
+        y.axpy(1.0, self._moved)
 
     def split(self, parts: Ints) -> tuple[PETSc.Mat, PETSc.Mat | None]:
         """Return the explicit matrix in two, B within the parts and X between them; collective.
@@ -369,63 +376,6 @@ class CongruentOperator:
         Returns:
             B, and X with rows near C only; None for C = 0.
         """
-        return self._product.split(parts)
-
-
-class _Product(_Decoupled):
-    """Context of the operator's Mat, without a reference to it: PETSc could not free a cycle."""
-
-    def __init__(self, K: PETSc.Mat, half: Halved) -> None:
-        super().__init__(K)
-        self.K, self.half = K, half
-        self.C: PETSc.Mat | None = None
-        self._of_K, self._state = K.createVecRight(), -1  # diagonal of K, and K's state then
-        self._moved = K.createVecRight()
-
-    def follow(self, C: PETSc.Mat | None, decoupled: Ints) -> None:
-        self.C, self.decoupled = C, decoupled
-        self.half.use_half()
-        if self._state != int(self.K.stateGet()):
-            self.K.getDiagonal(self._of_K)
-            self._state = int(self.K.stateGet())
-        self._of_K.copy(self.diagonal)
-        if C is not None:
-            self._add_change(C)
-        self.scale = self.diagonal.sum() / self.diagonal.getSize()
-
-    def _add_change(self, C: PETSc.Mat) -> None:
-        """Add the change of the diagonal by C, sum_r C_rj (C_rj + 2 delta_rj) K_rr; collective."""
-        start, columns, values = csr_of(C)
-        rows, first = np.repeat(np.arange(len(start) - 1), np.diff(start)), C.getOwnershipRange()[0]
-        terms = values * (values + 2.0 * (columns == rows + first)) * self._of_K.array_r[rows]
-        self.diagonal.setValues(columns, terms, PETSc.InsertMode.ADD_VALUES)
-        self.diagonal.assemble()
-
-    def whole(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        if self.C is None:
-            self.half.factor.mult(x, y)
-            return
-        self.C.multAdd(x, x, self._moved)
-        self.half.factor.mult(self._moved, y)
-        self.C.multTranspose(y, self._moved)
-        y.axpy(1.0, self._moved)
-
-    # -- called by PETSc -------------------------------------------------------------------------
-
-    def multTranspose(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        self.mult(mat, x, y)  # K is symmetric
-
-    def duplicate(self, mat: PETSc.Mat, op: int) -> PETSc.Mat:
-        """Return the explicit matrix."""
-        self.half.release_half()
-        if self.C is not None:
-            explicit = Congruence(self.K, self.C).product
-        else:
-            explicit = self.K.convert("aij", out=PETSc.Mat())
-        decouple(explicit, self.decoupled, self.scale)
-        return explicit
-
-    def split(self, parts: Ints) -> tuple[PETSc.Mat, PETSc.Mat | None]:
         self.half.release_half()
         within, between = self.K.convert("aij", out=PETSc.Mat()), None
         if self.C is not None:
@@ -436,6 +386,22 @@ class _Product(_Decoupled):
             within.axpy(1.0, inside, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         decouple(within, self.decoupled, self.scale)
         return within, between
+
+    # -- called by PETSc -------------------------------------------------------------------------
+
+    def multTranspose(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Set y to the product with x: K is symmetric."""
+        self.mult(mat, x, y)
+
+    def duplicate(self, mat: PETSc.Mat, op: int) -> PETSc.Mat:
+        """Return the explicit matrix."""
+        self.half.release_half()
+        if self.C is not None:
+            explicit = Congruence(self.K, self.C).product
+        else:
+            explicit = self.K.convert("aij", out=PETSc.Mat())
+        decouple(explicit, self.decoupled, self.scale)
+        return explicit
 
 
 def _change(K: PETSc.Mat, C: PETSc.Mat) -> PETSc.Mat:

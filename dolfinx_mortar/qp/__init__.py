@@ -19,7 +19,7 @@ from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 from dolfinx_mortar.qp.multigrid import Change, Preconditioning, Unknowns
 from dolfinx_mortar.qp.options import MULTIGRID, check_options
 from dolfinx_mortar.qp.scalars import NoResistance, moved
-from dolfinx_mortar.qp.solver import available, check_friction, check_name, solve
+from dolfinx_mortar.qp.solver import available, check_name, solve
 
 __all__ = [
     "KKT",
@@ -39,7 +39,6 @@ __all__ = [
     "UnusableQP",
     "available",
     "check",
-    "check_friction",
     "check_name",
     "check_options",
     "moved",

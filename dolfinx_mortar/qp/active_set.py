@@ -189,7 +189,7 @@ def _solve_law(problem: HeldProblem, start: State) -> tuple[Outcome, str]:
         return outcome, EXACT
     found, cause = None, None
     try:
-        found = _solve_given(problem, problem.best.state if problem.best else start)
+        found = _solve_given(problem, problem.best or start)
     except LinearSolveFailed as error:
         cause = error
     if found is None:
@@ -234,7 +234,7 @@ def _update(problem: HeldProblem, start: State, level: int) -> Outcome:
             outcome = update(hold, first, problem.qp.comm, level=level)
             if not outcome.reason or _is_convex(problem.qp):
                 return outcome
-            first = problem.best.state if problem.best else start
+            first = problem.best or start
         except LinearSolveFailed as error:
             reason = f"an active set could not be solved ({error})"
             outcome, first = Outcome(first, 0, reason), State.holding(problem.qp)

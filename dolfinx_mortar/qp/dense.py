@@ -19,6 +19,7 @@ import numpy as np
 from numpy.linalg import norm
 from scipy.linalg import LinAlgError, lapack
 
+from dolfinx_mortar.algebra.congruence import ContextOf
 from dolfinx_mortar.arrays import (
     EPS,
     HALF_OF_DIGITS,
@@ -30,9 +31,8 @@ from dolfinx_mortar.arrays import (
     Longs,
 )
 from dolfinx_mortar.qp.bound_qp import BoundQP, reaction
-from dolfinx_mortar.qp.friction import Sliding, state_of
+from dolfinx_mortar.qp.friction import Sliding
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver, NotDefinite
-from dolfinx_mortar.qp.operator import ContextOf
 
 
 class Dense:
@@ -49,9 +49,6 @@ class Dense:
         self.S, self.diagonal = S, diagonal
         self.scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diag(S)), EPS * np.abs(diagonal)))
         self.matrix = PETSc.Mat().createPython(S.shape, ContextOf(self), PETSc.COMM_SELF)
-        self._key = b""
-        self._free: Longs = np.zeros(0, dtype=np.int64)
-        self._lu = self._pivots = np.zeros(0)
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Set y to the product with x."""
@@ -75,7 +72,11 @@ class Dense:
         sliding: Sliding | None = None,
         **others: object,
     ) -> PETSc.Vec:
-        """Solve for what is not held, in place; see `LinearSolver.solve`."""
+        """Solve for what is not held, in place; see `LinearSolver.solve`.
+
+        Raises:
+            NotDefinite: if the free rows are singular.
+        """
         values, right, result = x.array, b.array_r, b.duplicate()
         found = right - self.S @ values
         rest = found.copy()
@@ -85,9 +86,11 @@ class Dense:
         rest[held] = 0.0
         first = float(norm(rest))
         if first > self.round_off(x):
-            self._factorise(held, sliding)
-            free = self._free
-            step, _ = lapack.dgetrs(self._lu, self._pivots, rest[free] * self.scale[free])
+            M, free = self._free(self.S if sliding is None else _slipping(self.S, sliding), held)
+            lu, pivots, failed = lapack.dgetrf(M, overwrite_a=True)
+            if failed or not np.abs(np.diag(lu)).min(initial=1.0) > 64 * len(M) * EPS:
+                raise NotDefinite("nothing holds a body: a state leaves the matrix singular")
+            step, _ = lapack.dgetrs(lu, pivots, rest[free] * self.scale[free])
             values[free] += step * self.scale[free]
             found = right - self.S @ values
             force = max(first, *(float(norm(v)) for v in (right, found)))
@@ -96,37 +99,18 @@ class Dense:
         result.array[:] = found
         return result
 
-    def _factorise(self, held: Ints, sliding: Sliding | None) -> None:
-        """Factorise the free rows, unless these are the last ones.
-
-        Raises:
-            NotDefinite: if they are singular.
-        """
-        key = state_of(held, sliding)
-        if key == self._key:
-            return
-        free = np.ones(len(self.S), dtype=bool)
-        free[held] = False
-        self._free = np.flatnonzero(free)
-        M = self.S if sliding is None else _slipping(self.S, sliding)
-        s = self.scale[self._free]
-        M = M[np.ix_(self._free, self._free)] * np.outer(s, s)
-        self._lu, self._pivots, failed = lapack.dgetrf(M, overwrite_a=True)
-        least = np.abs(np.diag(self._lu)).min(initial=1.0)
-        self._key = key
-        if failed or not least > 64 * len(s) * EPS:
-            self._key = b""
-            raise NotDefinite("nothing holds a body: a state leaves the condensed matrix singular")
+    def _free(self, M: Floats, held: Ints) -> tuple[Floats, Longs]:
+        """Return the free part of a matrix (k, k), scaled, and which unknowns it has."""
+        free = np.setdiff1d(np.arange(len(M)), held)
+        s = self.scale[free]
+        return M[np.ix_(free, free)] * np.outer(s, s), free
 
     def negative(self, held: Ints) -> int:
         """Return how many eigenvalues of the free part of S are negative."""
-        free = np.ones(len(self.S), dtype=bool)
-        free[held] = False
-        s = self.scale[free]
-        M = self.S[np.ix_(free, free)] * np.outer(s, s)
-        if not len(s) or lapack.dpotrf(M, lower=True)[1] == 0:
+        M, _ = self._free(self.S, held)
+        if not len(M) or lapack.dpotrf(M, lower=True)[1] == 0:
             return 0
-        return int((np.linalg.eigvalsh((M + M.T) / 2) < -ROUND_OFF * len(s)).sum())
+        return int((np.linalg.eigvalsh((M + M.T) / 2) < -ROUND_OFF * len(M)).sum())
 
 
 def _slipping(S: Floats, sliding: Sliding) -> Floats:

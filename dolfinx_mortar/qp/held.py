@@ -9,7 +9,7 @@ needed.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from hashlib import blake2b
 from typing import Any, Protocol
 
@@ -164,14 +164,6 @@ def came_back(active: Any, seen: set[int], comm: MPI.Comm) -> bool:
     return known
 
 
-@dataclass(frozen=True)
-class Best:
-    """The state with the least error so far."""
-
-    state: State
-    error: float  # a force
-
-
 class Solver(Protocol):
     """Solves linear systems with held unknowns; see `LinearSolver`."""
 
@@ -214,7 +206,8 @@ class HeldProblem:
         self.z = reaction(qp, x)
         self.guessed = self.z.norm()
         self.reactions: float | None = None  # at the bounds; unknown before the first solve
-        self.best: Best | None = None
+        self.best: State | None = None  # with the least error so far, a force
+        self.error = np.inf
         self.level = LOOSE  # of the last solve
 
     def forget(self) -> None:
@@ -234,7 +227,7 @@ class HeldProblem:
             LinearSolveFailed: if the state leaves a body unconstrained.
         """
         if level > self.level:  # smaller errors become visible
-            self.level, self.best = level, self.best and replace(self.best, error=np.inf)
+            self.level, self.error = level, np.inf
         atol, law, comm = self.solve(state, level), self.qp.friction, self.qp.comm
         if is_noise(self.qp, self.x, self.z):
             return Found(state, 0, satisfied=True)
@@ -252,8 +245,8 @@ class HeldProblem:
             missing = np.where(state.slips(law) != new.slips(law), missing, 0.0)
         tops = maximum(comm, strength.max(initial=0.0), missing.max(initial=0.0))
         largest = float(tops.max())
-        if largest < (self.best.error if self.best else np.inf):
-            self.best = Best(state, largest)
+        if largest < self.error:
+            self.best, self.error = state, largest
         if worst:
             new = state.towards(new, strength >= largest, missing >= largest)
         changes = int(comm.allreduce(changes))

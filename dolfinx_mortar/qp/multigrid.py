@@ -32,7 +32,7 @@ import numpy as np
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.algebra.csr import call, csr_of, rows_of
 from dolfinx_mortar.algebra.parallel import free_unused
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Ints
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Ints
 from dolfinx_mortar.qp.operator import count_negative
 
 
@@ -128,7 +128,7 @@ class Multigrid:
     """Context of a PETSc PC of type python: M^-1 above, with any PC for B^-1.
 
     The finest level of PETSc's GAMG uses the present matrix. With other PCs, unknowns that were
-    held at the set-up and are free now are preconditioned by their diagonal where it is not zero.
+    held at the set-up and are free now are preconditioned by the mean of the diagonal.
 
     Args:
         A: (n, n) matrix of the QP.
@@ -143,9 +143,6 @@ class Multigrid:
         self.B: PETSc.Mat | None = None
         self.E: PETSc.Mat | None = None
         self.held: Ints = np.empty(0, dtype=np.int32)  # now
-        self.held_by_B: Ints = self.held
-        self.freed: Ints = self.held
-        self.freed_diagonal: Floats = np.empty(0)
         self.negative = 0  # eigenvalues of the coarsest level's matrix
         self._r, self._v = A.createVecRight(), A.createVecRight()
 
@@ -169,7 +166,7 @@ class Multigrid:
         """
         data.B.setOption(PETSc.Mat.Option.SPD, definite)
         self.B, self.E = data.B, data.change.E
-        self.held_by_B = self.held = held
+        self.held = held
         basis = orthonormal(data.motions)
         if basis:
             data.B.setBlockSize(basis[0].getBlockSize())
@@ -258,13 +255,6 @@ class Multigrid:
         self.E, self.held = change.E, held
         self.B.setDiagonal(change.matrix.getDiagonal())  # all that the smoother reads of B
 
-    def hold(self, held: Ints, diagonal: Floats) -> None:
-        """Set the unknowns that are held now, and the diagonal of the QP's matrix."""
-        self.held = held
-        freed = np.asarray(np.setdiff1d(self.held_by_B, held), dtype=np.int32)
-        self.freed = freed[diagonal[freed] != 0.0]  # some are 0 in matrices that are not definite
-        self.freed_diagonal = diagonal[self.freed]
-
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """Set z = M^-1 r (called by PETSc)."""
         r.copy(self._r)
@@ -276,5 +266,4 @@ class Multigrid:
         if self.E is not None:
             self.E.mult(self._v, self._r)
             z.axpy(-1.0, self._r)
-        z.array[self.freed] = r.array_r[self.freed] / self.freed_diagonal
         z.array[self.held] = 0.0

@@ -10,16 +10,13 @@ preconditioner has to be positive: the factorisation of multigrid's coarsest lev
 inverts a negative eigenvalue and hides it, and is asked itself.
 """
 
-import weakref
-from typing import Any
-
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import decouple
-from dolfinx_mortar.arrays import ROUND_OFF, Floats, Ints
+from dolfinx_mortar.arrays import ROUND_OFF, Ints
 from dolfinx_mortar.qp.friction import Sliding
 
 # Of |b| / sqrt(n): what is left of the part along an eigenvector that has been resolved. With a
@@ -52,24 +49,6 @@ class FreePart:
         """Set y = A^T x, zero at held unknowns; without slipping nodes (called by PETSc)."""
         self.A.multTranspose(x, y)
         y.array[self.held] = 0.0
-
-
-class ContextOf:
-    """Context of a PETSc Mat of type python whose products its owner forms.
-
-    PETSc keeps contexts where Python cannot see that: Mat and owner would keep each other for ever.
-    """
-
-    def __init__(self, owner: Any) -> None:
-        self._owner = weakref.ref(owner)
-
-    def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with x (called by PETSc)."""
-        self._owner().mult(mat, x, y)  # type: ignore[union-attr]
-
-    def getDiagonal(self, mat: PETSc.Mat, y: PETSc.Vec) -> None:
-        """Set y to the diagonal (called by PETSc)."""
-        self._owner().getDiagonal(mat, y)  # type: ignore[union-attr]
 
 
 class Operator:
@@ -112,11 +91,6 @@ class Operator:
     def state(self) -> int:
         """A number that changes with the values of A."""
         return int(self.A.stateGet())
-
-    @property
-    def diagonal(self) -> Floats:
-        """Owned diagonal of A."""
-        return np.asarray(self._diagonal.array_r)
 
     def hold(self, held: Ints) -> None:
         """Hold these unknowns of the present A (collective)."""

@@ -197,7 +197,7 @@ class Preconditioner:
         if self.multigrid is None:
             return
         if not self.multigrid.follows:
-            self.multigrid.hold(held, self.operator.diagonal)
+            self.multigrid.held = held
             return
         now = self.operator.state
         same = self._followed[0] == now and np.array_equal(self._followed[1], held)

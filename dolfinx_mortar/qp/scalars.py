@@ -21,6 +21,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_mortar.algebra.congruence import ContextOf
 from dolfinx_mortar.algebra.parallel import maximum, norm
 from dolfinx_mortar.arrays import (
     HALF_OF_DIGITS,
@@ -35,7 +36,6 @@ from dolfinx_mortar.arrays import (
 from dolfinx_mortar.qp.bound_qp import BoundQP, Scalars
 from dolfinx_mortar.qp.friction import Friction, Sliding, state_of
 from dolfinx_mortar.qp.held import Solver
-from dolfinx_mortar.qp.operator import ContextOf
 
 
 class NoResistance(RuntimeError):

@@ -38,20 +38,18 @@ def check_name(backend: str) -> None:
     arguments.check("qp", backend, arguments.one_of(*available()))
 
 
-def check_friction(backend: str, friction: bool) -> None:
-    """Raise ValueError if there is friction, and a backend that is for bounds only."""
-    if friction and backend != ACTIVE_SET:
+def _check_scope(backend: str, qp: BoundQP) -> None:
+    """Raise ValueError for a QP that a backend is not for."""
+    named = {"friction": qp.friction, "tools or sides that forces drive": qp.scalars}
+    for name, given in named.items():
+        if given is not None and backend != ACTIVE_SET:
+            raise ValueError(
+                f"qp is {backend!r}, which is for bounds only: with {name} choose {ACTIVE_SET!r}"
+            )
+    if backend == INTERIOR_POINT and not qp.definite:
         raise ValueError(
-            f"qp is {backend!r}, which is for bounds only: with friction choose {ACTIVE_SET!r}"
-        )
-
-
-def check_scalars(backend: str, scalars: bool) -> None:
-    """Raise ValueError if forces drive tools or sides, and a backend is for bounds only."""
-    if scalars and backend != ACTIVE_SET:
-        raise ValueError(
-            f"qp is {backend!r}, which is for bounds only: with tools or sides that forces drive "
-            f"choose {ACTIVE_SET!r}"
+            f"qp is {backend!r}, which needs a symmetric positive definite matrix: choose "
+            f"{ACTIVE_SET!r}"
         )
 
 
@@ -91,13 +89,7 @@ def solve(
     """
     check_name(backend)
     arguments.check("qp", qp, arguments.instance(BoundQP, "give a BoundQP"))
-    check_friction(backend, qp.friction is not None)
-    check_scalars(backend, qp.scalars is not None)
-    if backend == INTERIOR_POINT and not qp.definite:
-        raise ValueError(
-            f"qp is {backend!r}, which needs a symmetric positive definite matrix: choose "
-            f"{ACTIVE_SET!r}"
-        )
+    _check_scope(backend, qp)
     validate(qp)
     if qp.scalars is None and (trivial := _nothing_to_do(qp, backend)) is not None:
         return trivial
