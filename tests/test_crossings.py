@@ -9,8 +9,8 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx.mesh import exterior_facet_indices, meshtags
-from dolfinx_mortar.geometry.crossings import find_crossings, near_pairs
 from dolfinx_mortar.geometry.facets import facet_sizes
+from dolfinx_mortar.geometry.flat import find_crossings, near_pairs
 from dolfinx_mortar.mortar.surface import create_surface, facets_at, nodal_sagittas
 from dolfinx_mortar.report.penetration import SUNK, find_crossing
 from tests import lug_case

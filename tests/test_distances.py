@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from dolfinx_mortar.geometry.distances import distances, facet_distances
 from dolfinx_mortar.geometry.elements import LINE2, QUAD4
 from dolfinx_mortar.geometry.facets import Facets, facet_normals
+from dolfinx_mortar.geometry.flat import distances, facet_distances
 from dolfinx_mortar.mortar.facing_bodies import Skin, find_facing
 
 MANY = settings(max_examples=40, deadline=None)

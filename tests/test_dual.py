@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from dolfinx_mortar.geometry.elements import QUAD9, TRI6
 from dolfinx_mortar.geometry.facets import Facets, tributary_weights
-from dolfinx_mortar.mortar import product_rule
+from dolfinx_mortar.mortar import tangent
 from dolfinx_mortar.mortar.duals import ALPHA, absorbed, absorbing, create_duals
 from dolfinx_mortar.mortar.integrals import covered_weights, sums_of_values
 from tests.polylines import assemble
@@ -148,7 +148,7 @@ def test_coefficients_are_those_of_the_values(k, end, least, t):
     if t < least:
         return
     S = (N.T @ (weight[:, None] * N))[None]
-    C, _ = product_rule.duals(S, S[:, None], absorbing((), keep), duals.inverse, keep)
+    C, _ = tangent.duals(S, S[:, None], absorbing((), keep), duals.inverse, keep)
     assert np.abs(N @ C[0].T - duals.Phi).max() < 1e-10 * np.abs(duals.Phi).max()
 
 

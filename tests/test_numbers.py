@@ -12,12 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from dolfinx_mortar.geometry import segments, turning
+from dolfinx_mortar.geometry import segments
 from dolfinx_mortar.mortar import (
     common_normals,
     curvature_correction,
     duals,
     integrals,
+    passing,
     self_contact,
     surface,
 )
@@ -77,7 +78,7 @@ FELT = {
         (0.1,),
         test_self_contact.test_parts_that_come_near_ask_for_a_search,
     ),
-    "TURN": (turning, (1e9,), lambda: test_passing.test_a_hub_may_turn_in_a_ring(90.0, 2)),
+    "TURN": (passing, (1e9,), lambda: test_passing.test_a_hub_may_turn_in_a_ring(90.0, 2)),
     "_MOST_WARPED": (
         surface,
         (0.0, 0.9),

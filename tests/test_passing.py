@@ -11,10 +11,10 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import meshtags
-from dolfinx_mortar.geometry.sweep import find_passing
-from dolfinx_mortar.geometry.turning import RigidMotion
+from dolfinx_mortar.geometry.flat import find_passing
 from dolfinx_mortar.interfaces import tool as tool_poses
 from dolfinx_mortar.mortar import passing
+from dolfinx_mortar.mortar.passing import RigidMotion
 from dolfinx_mortar.newton_method import failures, tunnelling
 from dolfinx_mortar.newton_method.tunnelling import describe_passing
 from tests.close_fits import rings

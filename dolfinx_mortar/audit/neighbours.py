@@ -7,8 +7,8 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.arrays import Bools, Floats, Longs
-from dolfinx_mortar.geometry.crossings import bounds, near_others
 from dolfinx_mortar.geometry.facets import facet_sizes
+from dolfinx_mortar.geometry.flat import bounds, near_others
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.facing_bodies import Facing, Skin, find_facing
 from dolfinx_mortar.supports.bodies import Bodies, name_of

@@ -25,8 +25,14 @@ from dolfinx_mortar.interfaces.constraints import Limit, create_law
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
 from dolfinx_mortar.interfaces.mortar_interface import SURFACES
-from dolfinx_mortar.mortar.faces import Faces, check_angle, find_faces
-from dolfinx_mortar.mortar.facing_bodies import Facing, Skin, find_facing
+from dolfinx_mortar.mortar.facing_bodies import (
+    Faces,
+    Facing,
+    Skin,
+    check_angle,
+    find_faces,
+    find_facing,
+)
 from dolfinx_mortar.mortar.surface import find_boundary
 from dolfinx_mortar.spaces import check_space
 from dolfinx_mortar.supports.bodies import find_bodies

@@ -476,7 +476,8 @@ def _find_edges(x_s, x_m, bilinear, pairs, centre, axes, which, corners, hidden)
             if line[2] < 0:
                 line = _nearest_line(corners[t], e, M, r, line)
             if line[2] < 0 and hidden[s]:
-                r = np.int64(np.searchsorted(pairs[:, 0], s))
+                while r > 0 and pairs[r - 1, 0] == s:
+                    r -= 1
                 while r < len(pairs) and pairs[r, 0] == s:
                     project(x_m[pairs[r, 1]], centre[s], axes[s], N)
                     line = _nearest_line(corners[t], e, N, r, line)

@@ -178,7 +178,7 @@ def _gauss(n: int, tdim: int) -> tuple[Floats, Floats]:
 def triangle_rule(degree: int) -> tuple[Floats, Floats]:
     """Return points (q, 2) and weights (q,), sum 1, of a rule of such a degree on the triangle."""
     found = basix.make_quadrature(basix.CellType.triangle, degree)
-    points, weights = (np.asarray(part, dtype=np.float64) for part in found)
+    points, weights = (np.array(part, dtype=np.float64, order="C") for part in found)
     return points, weights / weights.sum()
 
 

@@ -9,7 +9,7 @@ n_j, t_j, ..,
 with D on the diagonal, and D_other its other entries: columns of removed nodes, and of the vertices
 on which mid-side nodes of six-node triangles depend (`mortar.duals`). Here
 S_j = diag(1 in constrained directions); for ties of smooth surfaces P_jl I is completed by the
-motions D_jj^-1 int Phi_j A_l of `dolfinx_mortar.geometry.offset_vectors`. Then w is the relative
+motions D_jj^-1 int Phi_j A_l of `curvature_correction.point_motions`. Then w is the relative
 displacement of the two sides in those directions, and every constraint is a bound on w. Without a
 master Q is empty, and w the motion of the node itself.
 

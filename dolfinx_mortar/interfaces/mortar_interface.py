@@ -30,7 +30,7 @@ from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface
 from dolfinx_mortar.mortar.common_normals import common_normals
 from dolfinx_mortar.mortar.curvature_correction import NodeShape, find_shape, find_smooth_sides
 from dolfinx_mortar.mortar.duals import Coverage, find_coverage, node_weights
-from dolfinx_mortar.mortar.faces import check_angle
+from dolfinx_mortar.mortar.facing_bodies import check_angle
 from dolfinx_mortar.mortar.integrals import drop_far, find_segments
 from dolfinx_mortar.mortar.mirrors import judge_supports
 from dolfinx_mortar.mortar.operators import SmoothSides, create_operators

@@ -74,7 +74,7 @@ class Tie(MortarInterface):
             axis of the bolt, out of the slave side. None is the mean normal of the slave side.
         surface: "facets" ties points of facets, u_s = P u_m as in the paper; "smooth" the surfaces
             for which they stand: where facets are apart by r, u_s = P u_m + (motion of r), see
-            `dolfinx_mortar.geometry.offset_vectors`. D and M are the same.
+            `dolfinx_mortar.mortar.curvature_correction.point_motions`. D and M are the same.
         feature_angle: degrees between two facets from which on they meet in an edge, which stays
             one; for smooth surfaces.
         within: largest distance over which sides are tied, a length: facets any points of which are

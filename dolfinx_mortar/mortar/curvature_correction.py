@@ -28,8 +28,7 @@ from dolfinx_mortar.geometry.curvature import (
     sagitta_tensors,
     unit,
 )
-from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
-from dolfinx_mortar.geometry.offset_vectors import offset_motions
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of, surface_gradients
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.mirrors import find_mirrors
 from dolfinx_mortar.mortar.pairing import Pairing, receive, received_facets
@@ -462,9 +461,18 @@ def facet_stretches(pairing: Pairing, u: dolfinx.fem.Function) -> tuple[Floats, 
 def point_motions(
     segments: Segments, sides: tuple[SmoothSide, SmoothSide]
 ) -> Callable[[slice], Floats]:
-    """Return a function that gives A_l (q, k, d, d) of offset vectors at a part of the points.
+    r"""Return a function that gives A_l (q, k, d, d) of offset vectors at a part of the points.
 
-    See `dolfinx_mortar.geometry.offset_vectors`.
+    The points of a segment differ by r = x_s - x_m, which moves with the bodies. The constraint
+    u_s = u_m resists a rotation by strains of the size of r, and its forces at the ends of r have a
+    moment. To first order it is u_s = u_m + sum_l A_l u_l, with g_l = grad N_l on the master,
+
+        A_l u_l = u_l (g_l.r) - (r.n) g_l (n.u_l) + n (H_t g_l).u_l:
+
+    the displacement at the foot of x_s on the tangent plane, the rotation -(grad u)^T n of the
+    normal part of r, and the change H : E of the heights of the smooth surfaces (`curvature`) by
+    the strain, H = 1/2 sum_{a<b} N_a N_b C_ab of both sides, H_t its tangential part. A rigid
+    motion u = a + W x gives W r, for all surfaces and distances, so that moments balance.
 
     Args:
         segments: the segments at X.
@@ -477,8 +485,13 @@ def point_motions(
         s, m = segments.slave[part], segments.master[part]
         xi_s, xi_m = segments.xi_s[part], segments.xi_m[part]
         H = heights(slave.facets, C_s, s, xi_s) + heights(master.facets, C_m, m, xi_m)
-        offsets = points_of(slave.facets, s, xi_s) - points_of(master.facets, m, xi_m)
-        return offset_motions(master.facets, m, xi_m, offsets, H)
+        r = points_of(slave.facets, s, xi_s) - points_of(master.facets, m, xi_m)
+        g, n = surface_gradients(master.facets, m, xi_m)
+        along, stretch = np.einsum("qi,qi->q", r, n), g @ H
+        stretch -= (stretch @ n[:, :, None]) * n[:, None]
+        stretch, carried = stretch[:, :, None], along[:, None, None, None] * g[..., None]
+        A = n[:, None, :, None] * stretch - carried * n[:, None, None]
+        return A + (g @ r[:, :, None])[..., None] * np.eye(n.shape[1])
 
     return at
 

@@ -31,12 +31,14 @@ from dolfinx_mortar.geometry.segments import (
     sliding_margins,
     sort_in_space,
 )
-from dolfinx_mortar.mortar.receivers import create_groups, find_receivers, group_cones
 from dolfinx_mortar.mortar.self_contact import Roles, divide, has_changed
 from dolfinx_mortar.mortar.surface import (
     Surface,
     coordinates,
+    create_groups,
     facets_at,
+    find_receivers,
+    group_cones,
     nodal_normals,
     thickness_stretches,
 )

@@ -25,7 +25,7 @@ from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.csr import csr_of
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.mortar.common_normals import common_normals, find_spreads
-from dolfinx_mortar.mortar.faces import check_angle
+from dolfinx_mortar.mortar.facing_bodies import check_angle
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.operators import create_operators
 from dolfinx_mortar.mortar.pairing import Weight, create_pairing

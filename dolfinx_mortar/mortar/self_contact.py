@@ -14,8 +14,8 @@ import numpy as np
 from scipy.sparse import csr_array, triu
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
-from dolfinx_mortar.geometry.distances import facet_distances
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
+from dolfinx_mortar.geometry.flat import facet_distances
 
 REACH = 4.0
 """Facets that are at most so many diameters apart are divided at a search (cost only).

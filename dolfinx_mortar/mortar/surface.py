@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """One side of an interface as flat arrays: nodes, facets, coordinates and normals."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -21,6 +21,7 @@ from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Lon
 from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
 from dolfinx_mortar.geometry.facets import (
     Facets,
+    bounding_balls,
     distortions,
     facet_normals,
     facet_sizes,
@@ -28,9 +29,9 @@ from dolfinx_mortar.geometry.facets import (
     scaled_normals,
     surface_gradients,
 )
-from dolfinx_mortar.geometry.thickness import thickness
+from dolfinx_mortar.geometry.flat import thickness
+from dolfinx_mortar.geometry.segments import Cones, create_cones, find_meeting, sort_in_space
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
-from dolfinx_mortar.mortar.receivers import create_groups, find_receivers, group_cones
 from dolfinx_mortar.spaces import check_space, connected_parts
 from dolfinx_mortar.tags import check_entities, check_tag, label, labels, tag_of
 
@@ -538,3 +539,41 @@ def mean_facet_length(surface: Surface) -> float:
     local = np.array([np.linalg.norm(edges, axis=1).sum(), len(edges)])
     total, count = surface.V.mesh.comm.allreduce(local)
     return float(total / count)
+
+
+def create_groups(x: Floats) -> list[Ints]:
+    """Divide facets x (m, k, d) into groups of neighbours, at most sqrt(m) rounded up.
+
+    Few groups make short messages, small ones send few facets that are not needed.
+    """
+    order = sort_in_space(x.mean(axis=1)).astype(np.int32)
+    size = 1
+    while size**2 < len(x):  # powers of 2: those blocks are compact
+        size *= 2
+    return [order[first : first + size] for first in range(0, len(x), size)]
+
+
+def group_cones(x: Floats, directions: Floats, groups: list[Ints], margin: Floats) -> Cones:
+    """Bound the projections of groups of facets.
+
+    Args:
+        x: Nodes (m, k, d) of the facets.
+        directions: Unit vectors (m, k', d) whose cone holds the directions of each facet.
+        groups: Facets of each group.
+        margin: Lateral margin (m,) of the facets.
+    """
+    cones = [create_cones(x[:0], directions[:0], margin[:0])]  # there may be no group
+    for group in groups:
+        nodes, normals = (v[group].reshape(1, -1, x.shape[2]) for v in (x, directions))
+        cones.append(create_cones(nodes, normals, margin[group].max(keepdims=True)))
+    names = (field.name for field in fields(Cones))
+    return Cones(*(np.concatenate([getattr(cone, name) for cone in cones]) for name in names))
+
+
+def find_receivers(comm: MPI.Intracomm, cones: Cones, facets: Facets) -> Bools:
+    """Return which of the own facets (m, ranks) ranks can need, by their cones (collective)."""
+    needed = np.zeros((len(facets.x), comm.size), dtype=bool)
+    balls = bounding_balls(facets.x)
+    for rank, others in enumerate(comm.allgather(cones)):
+        needed[find_meeting(others, *balls)[:, 1], rank] = True
+    return needed

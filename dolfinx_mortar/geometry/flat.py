@@ -1,0 +1,315 @@
+# SPDX-License-Identifier: MIT
+"""Flat facets, lines and triangles: distances, crossings, points that pass, what is behind."""
+
+from dataclasses import dataclass, fields
+from itertools import chain
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats, Longs
+from dolfinx_mortar.geometry.elements import LINE2, TRI3
+from dolfinx_mortar.geometry.facets import (
+    Facets,
+    are_inside,
+    bounding_balls,
+    facet_normals,
+    facet_sizes,
+)
+from dolfinx_mortar.geometry.segments import Cones, are_facing, find_meeting
+
+
+def distances(a: Floats, b: Floats) -> Floats:
+    """Return the distance (p,) of each facet of a to that of b; 0 where they meet.
+
+    The least of those between edges, in space also between the vertices of one and the face of the
+    other; 0 where an edge of one pierces the face of the other (Ericson, Real-Time Collision
+    Detection, 2005, sections 5.1.9 and 5.1.10).
+
+    Args:
+        a: vertices (p, d, d) of lines or triangles.
+        b: those of the others (p, d, d).
+
+    Example:
+        >>> a = np.array([[[0.0, 0.0], [1.0, 0.0]]] * 2)
+        >>> b = np.array([[[4.0, 4.0], [9.0, 4.0]], [[0.5, -1.0], [0.5, 1.0]]])
+        >>> distances(a, b).tolist()
+        [5.0, 0.0]
+    """
+    d = a.shape[2]
+    edges = [(k, (k + 1) % d) for k in range(1 if d == 2 else 3)]
+    square: Floats = np.full(len(a), np.inf)
+    for i, j in edges:
+        for k, m in edges:
+            square = np.minimum(square, _between_lines(a[:, i], a[:, j], b[:, k], b[:, m]))
+    if d > 2:
+        for x, y in ((a, b), (b, a)):
+            n = facet_normals(Facets(TRI3, y))
+            for k in range(3):
+                above = np.einsum("pi,pi->p", x[:, k] - y[:, 0], n)
+                over = are_inside(y, n, x[:, k])
+                square = np.where(over, np.minimum(square, above**2), square)
+            for i, j in edges:
+                square[_pierce(x[:, i], x[:, j], y, n)] = 0.0
+    return np.sqrt(square)
+
+
+def _between_lines(p: Floats, q: Floats, r: Floats, s: Floats) -> Floats:
+    """Return the squared distances (m,) of the lines from p to q and from r to s, (m, d) each."""
+    v, w, across = q - p, s - r, p - r
+    a, e, b = (np.einsum("mi,mi->m", *of) for of in ((v, v), (w, w), (v, w)))
+    c, f = (np.einsum("mi,mi->m", of, across) for of in (v, w))
+    found = np.full(len(p), np.inf)
+    for point, end, way, length in ((p, r, w, e), (q, r, w, e), (r, p, v, a), (s, p, v, a)):
+        share = np.einsum("mi,mi->m", point - end, way) / np.maximum(length, TINY)
+        nearest = end + np.clip(share, 0.0, 1.0)[:, None] * way
+        found = np.minimum(found, ((point - nearest) ** 2).sum(axis=1))
+    angle = a * e - b * b  # of parallel lines an end is as near as any point
+    skew = angle > EPS * a * e
+    angle = np.where(skew, angle, 1.0)
+    t, u = (b * f - c * e) / angle, (a * f - b * c) / angle
+    inside = skew & (t >= 0.0) & (t <= 1.0) & (u >= 0.0) & (u <= 1.0)
+    apart = across + t[:, None] * v - u[:, None] * w
+    return np.where(inside, np.minimum(found, (apart**2).sum(axis=1)), found)
+
+
+def _pierce(p: Floats, q: Floats, x: Floats, n: Floats) -> Bools:
+    """Tell (m,) whether the lines from p to q, (m, 3) each, pierce triangles x with normals n."""
+    before, after = (np.einsum("mi,mi->m", end - x[:, 0], n) for end in (p, q))
+    crosses = before * after < 0.0
+    share = before / np.where(crosses, before - after, 1.0)
+    return np.asarray(crosses & are_inside(x, n, p + share[:, None] * (q - p)))
+
+
+def facet_distances(a: Facets, b: Facets) -> Floats:
+    """Return the distances (p,) of facets a (p) and b (p), each flat between its vertices.
+
+    Quadrilaterals count as their two halves.
+    """
+    found = np.full(len(a.x), np.inf)
+    for x in _halves(a):
+        for y in _halves(b):
+            found = np.minimum(found, distances(x, y))
+    return found
+
+
+def _halves(facets: Facets) -> list[Floats]:
+    """Return the lines or triangles (m, d, d) of which facets consist."""
+    x = facets.x[:, np.array(facets.element.vertices)]
+    return [x[:, [0, 1, 2]], x[:, [0, 2, 3]]] if facets.element.bilinear else [x]
+
+
+@dataclass(frozen=True, eq=False)
+class Crossings:
+    """Edges of flat facets that cross other flat facets."""
+
+    pairs: Longs  # (p, 2) the facet with the edge, the facet that it crosses
+    depth: Floats  # (p,) how far the edge reaches beyond that facet, to its nearer end
+    place: Floats  # (p, d) where it crosses
+    ends: Floats  # (p, 2 d) both ends of the edge, ordered: facets that share it have the same
+
+    def part(self, which: Bools) -> "Crossings":
+        """Return some of them."""
+        return Crossings(*(getattr(self, field.name)[which] for field in fields(self)))
+
+
+def bounds(x: Floats) -> tuple[Floats, Floats]:
+    """Return the smallest and largest coordinates (m, d) of few points (m, k, d).
+
+    NumPy's reduction along the middle axis takes two to five times as long.
+
+    Example:
+        >>> [end.tolist() for end in bounds(np.array([[[0.0, 3.0], [1.0, 2.0]]]))]
+        [[[0.0, 2.0]], [[1.0, 3.0]]]
+    """
+    low = high = x[:, 0]
+    for k in range(1, x.shape[1]):
+        low, high = np.minimum(low, x[:, k]), np.maximum(high, x[:, k])
+    return low, high
+
+
+def near_others(x: Floats, body: Longs, boxes: Floats) -> Bools:
+    """Tell (m,) which facets x (m, k, d) of bodies (m,) meet the box of another body.
+
+    Args:
+        x: vertices.
+        body: number of the body of each facet.
+        boxes: smallest and largest coordinates (bodies, 2, d).
+    """
+    low, high = bounds(x)
+    near = np.zeros(len(x), dtype=bool)
+    for other in range(len(boxes)):
+        meets = (low <= boxes[other, 1]) & (high >= boxes[other, 0])
+        near |= meets.all(axis=1) & (body != other)
+    return near
+
+
+def find_crossings(x: Floats, pairs: Longs) -> Crossings:
+    """Return where facets cross.
+
+    Args:
+        x: vertices (m, d, d) of lines or triangles.
+        pairs: (p, 2) those to look at, each once.
+
+    Example:
+        >>> line = np.array([[[1.0, 0.0], [-1.0, 0.0]], [[0.5, 3.0], [0.5, -1.0]]])
+        >>> found = find_crossings(line, np.array([[0, 1]]))
+        >>> found.pairs.tolist(), found.depth.tolist(), found.place.tolist()
+        ([[0, 1], [1, 0]], [0.5, 1.0], [[0.5, 0.0], [0.5, 0.0]])
+    """
+    d = x.shape[2]
+    pairs = np.concatenate([pairs, pairs[:, ::-1]])
+    normals = facet_normals(Facets(LINE2 if d == 2 else TRI3, x))
+    found = []
+    for k in range(1 if d == 2 else 3):
+        p, q, n = x[pairs[:, 0], k], x[pairs[:, 0], (k + 1) % d], normals[pairs[:, 1]]
+        start = x[pairs[:, 1], 0]
+        before, after = ((end - start) * n for end in (p, q))
+        d0, d1 = before.sum(axis=1), after.sum(axis=1)
+        some = np.flatnonzero(d0 * d1 < 0.0)
+        share = (d0[some] / (d0 - d1)[some])[:, None]
+        place = p[some] + share * (q - p)[some]
+        inside = are_inside(x[pairs[some, 1]], n[some], place)
+        some, place = some[inside], place[inside]
+        depth, ends = np.minimum(np.abs(d0), np.abs(d1))[some], ordered(p[some], q[some])
+        found.append((pairs[some], depth, place, ends))
+    return Crossings(*(np.concatenate([part[i] for part in found]) for i in range(4)))
+
+
+def ordered(p: Floats, q: Floats) -> Floats:
+    """Return the points p and q (m, d) beside each other (m, 2 d), the lower one first.
+
+    Example:
+        >>> ordered(np.array([[1.0, 0.0]]), np.array([[1.0, -2.0]])).tolist()
+        [[1.0, -2.0, 1.0, 0.0]]
+    """
+    differ = (p != q).argmax(axis=1)[:, None]
+    turned = np.take_along_axis(p > q, differ, axis=1)
+    return np.where(turned, np.hstack([q, p]), np.hstack([p, q]))
+
+
+def near_pairs(x: Floats, group: Longs, apart: Bools) -> Longs:
+    """Return pairs (p, 2) of facets whose boxes meet, each once.
+
+    Args:
+        x: vertices (m, k, d).
+        group: number (m,) of the group of each.
+        apart: (groups, groups) which of them to compare, symmetric.
+
+    Facets are sorted into classes of size, each twice the last, so that a small one is not compared
+    with all small ones within the reach of the largest. In each direction distances are measured in
+    the largest extents there: boxes of flat facets are thin.
+    """
+    low, high = bounds(x)
+    centre, half = (low + high) / 2, (high - low) / 2
+    size = np.frexp(half.max(axis=1, initial=0.0))[1]
+    found = [np.zeros((0, 2), dtype=np.int64)]
+    for power, one in np.unique(np.stack([size, group], axis=1), axis=0):
+        larger = np.flatnonzero((size == power) & (group == one))
+        once = (size < power) | ((size == power) & (group >= one))
+        within = (low <= high[larger].max(axis=0)) & (high >= low[larger].min(axis=0))
+        smaller = np.flatnonzero(once & apart[one, group] & within.all(axis=1))
+        if len(smaller) == 0:
+            continue
+        unit = half[larger].max(axis=0) + half[smaller].max(axis=0)
+        unit = np.maximum(unit, HALF_OF_DIGITS * np.maximum(unit.max(), TINY))
+        tree = cKDTree(centre[larger] / unit)
+        reach = 1.0 + HALF_OF_DIGITS  # beyond round-off
+        near = tree.query_ball_point(centre[smaller] / unit, reach, p=np.inf)
+        counts = [len(b) for b in near]
+        a = np.repeat(smaller, counts)
+        b = larger[np.fromiter(chain.from_iterable(near), np.int64, sum(counts))]
+        meet = ((low[a] <= high[b]) & (high[a] >= low[b])).all(axis=1)
+        meet &= (size[a] < power) | (group[a] != one) | (a < b)
+        found.append(np.stack([a[meet], b[meet]], axis=1))
+    return np.concatenate(found)
+
+
+def flat_parts(facets: Facets) -> Floats:
+    """Return lines (m, 2, 2) or triangles (m or 2m, 3, 3) between the vertices of facets.
+
+    Example:
+        >>> from dolfinx_mortar.geometry.elements import QUAD4
+        >>> x = np.array([[[0.0, 0, 5], [2, 0, 5], [2, 1, 5], [0, 1, 5]]])
+        >>> flat_parts(Facets(QUAD4, x)).shape
+        (2, 3, 3)
+    """
+    return np.concatenate(_halves(facets))
+
+
+def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
+    """Return which points (q,) pass from before a facet to behind it, ascending.
+
+    Points, vertices and distances are taken as linear in time, which they are in the frame of a
+    facet that does not rotate.
+
+    Args:
+        p: points (n, d) at the start and at the end.
+        x: vertices (m, d, d) of lines or triangles at the start and at the end, with outward
+            normals as in `area_vectors`.
+
+    Example:
+        >>> line = np.array([[[1.0, 0.0], [-1.0, 0.0]]])  # y > 0 is before it
+        >>> points = np.array([[0.0, 1], [5, 1], [0, -1]])
+        >>> find_passing((points, points * [1, -1]), (line, line)).tolist()
+        [0]
+        >>> find_passing((points, points * [1, -1]), (line, line - [[0.0, 3]])).tolist()
+        []
+    """
+    if len(p[0]) == 0 or len(x[0]) == 0:
+        return np.zeros(0, dtype=np.int64)
+    carried = (x[1] - x[0]).mean(axis=(0, 1))  # a common translation does not count
+    p, x = (p[0], p[1] - carried), (x[0], x[1] - carried)
+    middle = (x[0] + x[1]).mean(axis=1) / 2
+    reach = np.linalg.norm(np.stack(x) - middle[:, None], axis=3).max()
+    way = np.linalg.norm(p[1] - p[0], axis=1)
+    near = cKDTree(middle).query_ball_point(
+        (p[0] + p[1]) / 2, way / 2 + reach * (1 + HALF_OF_DIGITS)
+    )
+    a = np.repeat(np.arange(len(near)), [len(b) for b in near])
+    b = np.concatenate([np.array(b, dtype=np.int64) for b in near])
+    element = LINE2 if x[0].shape[2] == 2 else TRI3
+    normals = [facet_normals(Facets(element, y)) for y in x]
+    d0, d1 = (((p[k][a] - x[k][b, 0]) * normals[k][b]).sum(axis=1) for k in (0, 1))
+    crossing = (d0 > 0.0) & (d1 <= 0.0)
+    a, b = a[crossing], b[crossing]
+    t = (d0[crossing] / (d0 - d1)[crossing])[:, None]
+    at = p[0][a] + t * (p[1][a] - p[0][a])
+    facets = x[0][b] + t[:, None] * (x[1][b] - x[0][b])
+    return np.unique(a[are_inside(facets, facet_normals(Facets(element, facets)), at)])
+
+
+def thickness(facets: Facets, others: Facets) -> Floats:
+    """Return the thickness (m,) of the body behind facets.
+
+    The distance from the middle of a facet, against its outward normal, to the nearest of the other
+    facets that faces the opposite way; infinite where there is none. Facets are taken as the flat
+    ones of their vertices.
+
+    Args:
+        facets: Facets (m,).
+        others: Facets of the same side, with or without these ones.
+
+    Example:
+        >>> from dolfinx_mortar.geometry.elements import LINE2
+        >>> x = np.array([[[0.0, 0], [2, 0]], [[3, 1], [-1, 1]], [[2, 5], [0, 5]]])
+        >>> strip = Facets(LINE2, x)
+        >>> thickness(strip, strip)
+        array([1., 1., 5.])
+    """
+    corners = np.array(facets.element.vertices)
+    x, y = facets.x[:, corners], others.x[:, corners]
+    n, n_other = facet_normals(facets), facet_normals(others)
+    size = facet_sizes(x)
+    middle = x.mean(axis=1)
+    rays = Cones(middle, n, HALF_OF_DIGITS * size, np.zeros(len(x)))
+    a, b = find_meeting(rays, *bounding_balls(y)).T
+    across = are_facing(n[a][:, None], n_other[b])
+    a, b = a[across], b[across]
+    along = np.einsum("pi,pi->p", middle[a] - y[b].mean(axis=1), n_other[b])
+    depth = along / np.einsum("pi,pi->p", n[a], n_other[b])
+    hit = are_inside(y[b], n_other[b], middle[a] - depth[:, None] * n[a])
+    hit &= depth > HALF_OF_DIGITS * size[a]  # the other face of a crack lies before the facet
+    result = np.full(len(x), np.inf)
+    np.minimum.at(result, a[hit], depth[hit])
+    return result
