@@ -10,7 +10,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.geometry.curvature import unit
+from dolfinx_mortar.geometry.facets import unit
 from dolfinx_mortar.mortar.common_normals import _mean
 from dolfinx_mortar.report.penetration import notes_on_overlaps
 from tests.ball_case import create_problem

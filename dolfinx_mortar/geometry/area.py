@@ -43,16 +43,13 @@ from dolfinx_mortar.geometry.parts import (
 )
 from dolfinx_mortar.geometry.plane import (
     VERTICES,
-    bilinear_map,
     create_planes,
     height_at,
     inverse,
-    inverse_of,
     project,
     slopes,
-    slopes_of,
 )
-from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND, THIRD
+from dolfinx_mortar.geometry.tolerances import KERNEL, ROUND_OFF
 
 _HIGHEST = 24
 """Highest degree of the quadrature, which limits it on facets of low quality, as said above."""
@@ -345,33 +342,23 @@ def _place(  # type: ignore[no-untyped-def]
     pair, weight = np.empty(total, np.int64), np.empty(total)
     xi_s, xi_m = np.empty((total, 2)), np.empty((total, 2))
     S, M = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3))
-    of_S, of_M = _maps(S, bilinear[0]), _maps(M, bilinear[1])
     q = 0
     for t in range(len(which)):
         s, m = pairs[which[t]]
         if t == 0 or which[t] != which[t - 1]:
             project(x_s[s], centre[s], axes[s], S)
             project(x_m[m], centre[s], axes[s], M)
-            of_S, of_M = _maps(S, bilinear[0]), _maps(M, bilinear[1])
         for i in range(start[rule[t]], start[rule[t] + 1]):
-            at = _inside(corners[t], points[i, 0], points[i, 1])
-            r0, r1, s0, s1, J = _point(S, M, of_S, of_M, bilinear, *at)
-            xi_s[q, 0], xi_s[q, 1], xi_m[q, 0], xi_m[q, 1] = r0, r1, s0, s1
+            x, y = _inside(corners[t], points[i, 0], points[i, 1])
+            xi_s[q, 0], xi_s[q, 1], J = inverse(S, bilinear[0], x, y)
+            xi_m[q, 0], xi_m[q, 1], _ = inverse(M, bilinear[1], x, y)
             weight[q] = weights[i] * size[t] / J
             if whole:
-                weight[q] *= radius[s] ** 2 * _jacobian(of_S, bilinear[0], J, r0, r1)
+                s0, s1 = slopes(S, bilinear[0], xi_s[q, 0], xi_s[q, 1])
+                weight[q] *= radius[s] ** 2 * J * np.sqrt(1 + s0 * s0 + s1 * s1)
             pair[q] = which[t]
             q += 1
     return pair, xi_s, xi_m, weight
-
-
-@numba.njit(**KERNEL)
-def _maps(P, bilinear):  # type: ignore[no-untyped-def]
-    """Return the three maps of `plane.bilinear_map`, made once for a pair; zeros if affine."""
-    if bilinear:
-        return bilinear_map(P, FIRST), bilinear_map(P, SECOND), bilinear_map(P, THIRD)
-    none = 0.0, 0.0, 0.0, 0.0
-    return none, none, none
 
 
 @numba.njit(**KERNEL)
@@ -381,33 +368,10 @@ def _inside(c, r, s):  # type: ignore[no-untyped-def]
     return x, c[0, 1] + r * (c[1, 1] - c[0, 1]) + s * (c[2, 1] - c[0, 1])
 
 
-@numba.njit(**KERNEL)
-def _point(S, M, of_S, of_M, bilinear, x, y):  # type: ignore[no-untyped-def]
-    """Return xi_s, xi_m and the slave's plane Jacobian at a point of the plane."""
-    if bilinear[0]:
-        xi, eta, J = inverse_of(of_S[0], of_S[1], x, y)
-    else:
-        xi, eta, J = inverse(S, bilinear[0], x, y)
-    if bilinear[1]:
-        r0, r1, _ = inverse_of(of_M[0], of_M[1], x, y)
-    else:
-        r0, r1, _ = inverse(M, bilinear[1], x, y)
-    return xi, eta, r0, r1, J
-
-
 def _areas(c: Floats) -> Floats:
     """Return the areas (t,) of triangles (t, 3, 2)."""
     u, v = c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]
     return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / 2
-
-
-@numba.njit(**KERNEL)
-def _jacobian(maps, bilinear, J, xi, eta):  # type: ignore[no-untyped-def]
-    """Return the area of a facet per reference area, J being that of its projection."""
-    if not bilinear:
-        return J  # in its own plane
-    s0, s1 = slopes_of(*maps, xi, eta)
-    return J * np.sqrt(1 + s0 * s0 + s1 * s1)
 
 
 def _degree_of_moments(slave: FacetElement, master: FacetElement, smooth: bool) -> int:

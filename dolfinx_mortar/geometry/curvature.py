@@ -50,10 +50,8 @@ along them, as found with the sums before, without its isotropic part (that of a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from itertools import combinations
 
-import numba
 import numpy as np
 
 from dolfinx_mortar.arrays import EPS, TINY, Bools, Floats, Ints
@@ -63,6 +61,7 @@ from dolfinx_mortar.geometry.facets import (
     area_vectors,
     facet_normals,
     scaled_normals,
+    unit,
 )
 
 STEP = EPS * EPS
@@ -345,39 +344,9 @@ def heights(facets: Facets, sagitta: Floats, which: Ints, xi: Floats) -> Floats:
         xi: (q, d-1) reference coordinates.
     """
     element = height_element(facets.element, sagitta)
-    if xi.shape[1] == 2 and sagitta.ndim == 2:
-        h = np.empty(len(xi))
-        _polynomials(sagitta @ _height_coefficients(element), which, xi, h)
-        return h
     a, b = node_pairs(element)
     N = element.shape_functions(xi)
     return np.asarray(0.5 * np.einsum("qe,qe...->q...", N[:, a] * N[:, b], sagitta[which]))
-
-
-@cache
-def _height_coefficients(element: FacetElement) -> Floats:
-    """Return N_a N_b / 2 as coefficients (e, g^2) of xi^i eta^j at g i + j."""
-    g = 2 * element.degree + 1
-    i, j = (power.ravel() for power in np.indices((g, g)))
-    grid = np.column_stack([i, j]) * (2.0 / (g - 1)) - 1.0
-    a, b = node_pairs(element)
-    N = element.shape_functions(grid)
-    return np.linalg.solve(grid[:, :1] ** i * grid[:, 1:] ** j, N[:, a] * N[:, b] / 2).T
-
-
-@numba.njit(cache=True, fastmath={"contract"})
-def _polynomials(c, which, xi, values):  # type: ignore[no-untyped-def]
-    """Fill the values (q,) of polynomials with the coefficients c (p, g^2) of xi^i eta^j."""
-    g = 5 if c.shape[1] == 25 else 3
-    for q in range(len(which)):
-        p, r, s = which[q], xi[q, 0], xi[q, 1]
-        value = 0.0
-        for i in range(g - 1, -1, -1):
-            along = 0.0
-            for j in range(g - 1, -1, -1):
-                along = along * s + c[p, g * i + j]
-            value = value * r + along
-        values[q] = value
 
 
 def arcs_of_chords(facets: Facets, sagitta: Floats) -> Floats:
@@ -418,11 +387,6 @@ def edges(facets: Facets, element: FacetElement | None = None) -> Floats:
     """Return x_b - x_a (m, e, d) for the pairs of vertices of facets, or of nodes of a type."""
     a, b = node_pairs(element or first_order(facets.element))
     return np.asarray(facets.x[:, b] - facets.x[:, a])
-
-
-def unit(v: Floats) -> Floats:
-    """Return vectors (.., d) of length one, zero for zero."""
-    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1), TINY)[..., None])
 
 
 def first_order(element: FacetElement) -> FacetElement:

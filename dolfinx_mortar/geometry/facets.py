@@ -53,8 +53,12 @@ def facet_normals(facets: Facets) -> Floats:
         >>> facet_normals(Facets(LINE2, np.array([[[7.0, 7.0], [4.0, 3.0]]]))) * 5
         array([[-4.,  3.]])
     """
-    n = area_vectors(facets)
-    return n / np.maximum(np.linalg.norm(n, axis=1), TINY)[:, None]
+    return unit(area_vectors(facets))
+
+
+def unit(v: Floats) -> Floats:
+    """Return vectors (.., d) of length one, zero for zero."""
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1), TINY)[..., None])
 
 
 def normals_at_nodes(facets: Facets) -> Floats:

@@ -161,26 +161,6 @@ def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def carry(slave, f, axes, P, of_slave, of_master, at):  # type: ignore[no-untyped-def]
-    """Return xi_s and xi_m on two facets of a point on parts of them, and the Jacobian there.
-
-    Args:
-        slave: Coefficients (.., 3, 9), of which f is the slave facet's.
-        axes: Of the plane of the slave's part.
-        P: The master facet along them.
-        of_slave: (3, 9) the part on the reference facet; `of_master` likewise.
-        at: xi_s and xi_m on the parts, four numbers.
-    """
-    r, s = _on_facet(of_slave, at[0], at[1])
-    x, y, z, area = _point(slave, f, r, s)
-    u = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
-    v = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
-    p, q = _on_facet(of_master, at[2], at[3])
-    p, q = meet(P, u, v, p, q)
-    return r, s, p, q, area
-
-
-@numba.njit(**KERNEL)
 def _place(  # type: ignore[no-untyped-def]
     slave, master, reference_s, reference_m, axes, part, xi_s, xi_m, weight, scale
 ):
@@ -194,11 +174,13 @@ def _place(  # type: ignore[no-untyped-def]
             i, j = np.int64(part[q, 0]), np.int64(part[q, 1])
             of_i, of_j = i // a, j // b
             along(master, of_j, axes[i], P)
-        at = xi_s[q, 0], xi_s[q, 1], xi_m[q, 0], xi_m[q, 1]
-        of = reference_s[i - a * of_i], reference_m[j - b * of_j]
-        r, s, p, t, J = carry(slave, of_i, axes[i], P, *of, at)
-        on_s[q, 0], on_s[q, 1], on_m[q, 0], on_m[q, 1] = r, s, p, t
-        area[q] = weight[q] * scale * J
+        r, s = _on_facet(reference_s[i - a * of_i], xi_s[q, 0], xi_s[q, 1])
+        x, y, z, J = _point(slave, of_i, r, s)
+        u = axes[i, 0, 0] * x + axes[i, 0, 1] * y + axes[i, 0, 2] * z
+        v = axes[i, 1, 0] * x + axes[i, 1, 1] * y + axes[i, 1, 2] * z
+        p, t = _on_facet(reference_m[j - b * of_j], xi_m[q, 0], xi_m[q, 1])
+        on_s[q, 0], on_s[q, 1], area[q] = r, s, weight[q] * scale * J
+        on_m[q, 0], on_m[q, 1] = meet(P, u, v, p, t)
     return on_s, on_m, area
 
 

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints
-from dolfinx_mortar.geometry.facets import Facets, bounding_balls
+from dolfinx_mortar.geometry.facets import Facets, bounding_balls, unit
 from dolfinx_mortar.geometry.parts import count, pairs_of_parts, parts_of
 from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND, THIRD
 
@@ -173,47 +173,10 @@ def create_planes(x: Floats) -> tuple[Floats, Floats, Floats]:
     """
     centre, radius = bounding_balls(x)
     radius = np.maximum(radius, TINY)
-    axes = np.empty((len(x), 3, 3))
-    _fill_axes(x, radius, axes)
-    return centre, axes, radius
-
-
-@numba.njit(**KERNEL)
-def _fill_axes(x, radius, axes):  # type: ignore[no-untyped-def]
-    """Write the axes (m, 3, 3) of facets (m, k, 3)."""
-    for f in range(len(x)):
-        fill_axes(x[f], radius[f], axes[f])
-
-
-@numba.njit(**KERNEL)
-def fill_axes(x, radius, axes):  # type: ignore[no-untyped-def]
-    """Write the axes of the plane of a facet x (k, 3), see `create_planes`."""
-    last = len(x) - 1  # of triangles the same corner as the one before
-    n = axes[2]
-    for i in range(3):
-        j, h = (i + 1) % 3, (i + 2) % 3
-        n[i] = (x[2, j] - x[0, j]) * (x[last, h] - x[1, h])
-        n[i] -= (x[2, h] - x[0, h]) * (x[last, j] - x[1, j])
-    _scale(n, 1.0)
-    along = n[0] * (x[1, 0] - x[0, 0]) + n[1] * (x[1, 1] - x[0, 1]) + n[2] * (x[1, 2] - x[0, 2])
-    for i in range(3):
-        axes[0, i] = x[1, i] - x[0, i] - along * n[i]
-    _scale(axes[0], radius)
-    for i in range(3):
-        j, h = (i + 1) % 3, (i + 2) % 3
-        axes[1, i] = n[j] * axes[0, h] - n[h] * axes[0, j]
-    for i in range(3):
-        n[i] /= radius
-
-
-@numba.njit(**KERNEL)
-def _scale(v, size):  # type: ignore[no-untyped-def]
-    """Divide v (3,) by its length and a size."""
-    square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-    if square > 0.0:
-        factor = 1.0 / (np.sqrt(square) * size)
-        for i in range(3):
-            v[i] *= factor
+    n = unit(np.asarray(np.cross(x[:, 2] - x[:, 0], x[:, -1] - x[:, 1]), dtype=np.float64))
+    first = x[:, 1] - x[:, 0]
+    first = unit(first - (first * n).sum(axis=1)[:, None] * n)
+    return centre, np.stack([first, np.cross(n, first), n], axis=1) / radius[:, None, None], radius
 
 
 @numba.njit(**KERNEL)
@@ -249,13 +212,8 @@ def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
         # by projection on b: on slivers xi is inexact, but the point stays where it is
         eta = ((p0 - xi * a0) * b0 + (p1 - xi * a1) * b1) / (b0 * b0 + b1 * b1)
         return xi, eta, abs(J)
-    return inverse_of(bilinear_map(P, FIRST), bilinear_map(P, SECOND), x, y)
-
-
-@numba.njit(**KERNEL)
-def inverse_of(first, second, x, y):  # type: ignore[no-untyped-def]
-    """See `inverse`, of a bilinear map with such components."""
-    (m0, a0, b0, c0), (m1, a1, b1, c1) = first, second
+    m0, a0, b0, c0 = bilinear_map(P, FIRST)
+    m1, a1, b1, c1 = bilinear_map(P, SECOND)
     p0, p1 = m0 - x, m1 - y
     A = a0 * c1 - a1 * c0
     centre = a0 * b1 - a1 * b0
@@ -289,15 +247,9 @@ def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
     """
     if not bilinear:
         return 0.0, 0.0
-    return slopes_of(
-        bilinear_map(P, FIRST), bilinear_map(P, SECOND), bilinear_map(P, THIRD), xi, eta
-    )
-
-
-@numba.njit(**KERNEL)
-def slopes_of(first, second, height, xi, eta):  # type: ignore[no-untyped-def]
-    """See `slopes`, of a bilinear map with such components."""
-    (_, a0, b0, c0), (_, a1, b1, c1), (_, a2, b2, c2) = first, second, height
+    _, a0, b0, c0 = bilinear_map(P, FIRST)
+    _, a1, b1, c1 = bilinear_map(P, SECOND)
+    _, a2, b2, c2 = bilinear_map(P, THIRD)
     a0, a1, a2 = a0 + eta * c0, a1 + eta * c1, a2 + eta * c2
     b0, b1, b2 = b0 + xi * c0, b1 + xi * c1, b2 + xi * c2
     J = a0 * b1 - a1 * b0

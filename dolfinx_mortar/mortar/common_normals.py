@@ -47,8 +47,7 @@ import numpy as np
 from dolfinx import fem, la
 from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes, values_at
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, TINY, Bools, Floats, Ints, Longs
-from dolfinx_mortar.geometry.curvature import unit
-from dolfinx_mortar.geometry.facets import Facets, facet_normals, surface_gradients
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, surface_gradients, unit
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.integrals import sums_of_values
 from dolfinx_mortar.mortar.pairing import Pairing, receive, received_facets
@@ -60,6 +59,7 @@ from dolfinx_mortar.mortar.surface import (
     coordinates,
     create_sums,
     facets_at,
+    means_at_nodes,
     nodal_normals,
 )
 
@@ -139,11 +139,11 @@ def find_spreads(
     S = _covariances(V, at_vertices, boundary.facets, mirrors)
     width = np.trace(S, axis1=1, axis2=2)
     beside = width[at_vertices].mean(axis=1, keepdims=True)
-    blur = BLUR * _means(V, nodes, beside)[:, 0] + HALF_OF_DIGITS
+    blur = BLUR * means_at_nodes(V, nodes, beside)[:, 0] + HALF_OF_DIGITS
     between = np.delete(nodes, vertices, axis=1)
     if V.element.basix_element.degree > 1:
         of_facets = S[at_vertices].mean(axis=1).reshape(len(nodes), S.shape[1] ** 2)
-        S += _means(V, between, of_facets).reshape(S.shape)
+        S += means_at_nodes(V, between, of_facets).reshape(S.shape)
     nodes, _, sums = create_sums(V, np.flatnonzero(marks.array > 0.0).astype(np.int32))
     S = _with_images(S, mirrors)[nodes]
     turned = np.flatnonzero(np.trace(S, axis1=1, axis2=2) > HALF_OF_DIGITS)
@@ -158,21 +158,6 @@ def find_spreads(
     return Spreads(V, nodes, sums, S, mirrors, turned, around, at, *slopes)
 
 
-def _means(V: fem.FunctionSpace, nodes: Ints, values: Floats) -> Floats:
-    """Return the means (local nodes, c) over facets at nodes (m, k) of values (m, c); collective.
-
-    Zero at other nodes.
-    """
-    c = values.shape[1] + 1
-    sums = la.vector(V.dofmap.index_map, c)
-    sums.array[:] = 0.0
-    at, each = sums.array.reshape(-1, c), np.column_stack([values, np.ones(len(values))])
-    add_at_nodes(at, np.ascontiguousarray(nodes), each[:, None].repeat(nodes.shape[1], axis=1))
-    sums.scatter_reverse(la.InsertMode.add)
-    sums.scatter_forward()
-    return np.asarray(at[:, :-1] / np.maximum(at[:, -1:], 1.0))
-
-
 def _with_images(S: Floats, mirrors: Bools) -> Floats:
     """Return the means (n, d, d) of tensors and their images in planes of symmetry."""
     off = ~np.eye(S.shape[1], dtype=bool) & (mirrors[:, :, None] | mirrors[:, None])
@@ -184,7 +169,7 @@ def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Boo
     n = facet_normals(facets)
     d = n.shape[1]
     products = (n[:, :, None] * n[:, None]).reshape(len(n), d * d)
-    found = _means(V, nodes, np.hstack([n, products]))
+    found = means_at_nodes(V, nodes, np.hstack([n, products]))
     mean = np.where(mirrors, 0.0, found[:, :d])
     S = found[:, d:].reshape(-1, d, d) - mean[:, :, None] * mean[:, None]
     return _with_images(S, mirrors)

@@ -26,11 +26,10 @@ from dolfinx_mortar.geometry.curvature import (
     one_ring_sums,
     own_curvatures,
     sagitta_tensors,
-    unit,
 )
-from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of, surface_gradients
+from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of, surface_gradients, unit
 from dolfinx_mortar.geometry.segments import Segments
-from dolfinx_mortar.mortar.mirrors import find_mirrors
+from dolfinx_mortar.mortar.mirrors import find_mirrors, ring_sums
 from dolfinx_mortar.mortar.pairing import Pairing, receive, received_facets
 from dolfinx_mortar.mortar.surface import (
     Surface,
@@ -145,21 +144,17 @@ def _classify(
     feature_angle: float,
 ) -> NodeNormals:
     """Return the normals of sums over one-rings, and which are open or sharp; collective."""
-    n, around = parts
-    columns = np.concatenate([n, around, np.abs(around).sum(axis=2, keepdims=True)], axis=2)
-    total = sum_at_nodes(surface, columns)
-    d = mirrors.shape[1]
-    n, gap, size = unit(total[:, :d]), total[:, d:-1], total[:, -1]
-    is_open = np.linalg.norm(gap, axis=1) > HALF_OF_DIGITS * size
+    (n, gap, limit), d = ring_sums(surface, parts), mirrors.shape[1]
+    is_open = np.linalg.norm(gap, axis=1) > limit
     limits = np.cos(np.radians(feature_angle / 2)), HALF_OF_DIGITS  # of cosines
     completed = straightened = is_open & mirrors.any(axis=1)
     if d > 2:  # one mirror closes a one-ring that begins and ends on it; in the plane any does
-        off_plane = np.linalg.norm(np.where(mirrors, gap, 0.0), axis=1) > HALF_OF_DIGITS * size
+        off_plane = np.linalg.norm(np.where(mirrors, gap, 0.0), axis=1) > limit
         completed = straightened & ((mirrors.sum(axis=1) > 1) | ~off_plane)
     straight = unit(np.where(mirrors, 0.0, n))
     n = np.where(straightened[:, None], straight, n)  # where a rim meets the plane, too
     along = np.einsum("mki,mi->mk", n[surface.facets], facet_normals(facets))
-    beyond = np.stack([along < limit for limit in limits], axis=2)
+    beyond = np.stack([along < least for least in limits], axis=2)
     counts = sum_at_nodes(surface, beyond)
     n = np.where(counts[:, 1:] > 0, 0.0, n)
     sharp = counts.max(axis=1) > 0

@@ -19,8 +19,14 @@ from scipy.sparse.csgraph import connected_components
 from dolfinx import fem
 from dolfinx_mortar.arguments import is_number
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
-from dolfinx_mortar.geometry.curvature import unit
-from dolfinx_mortar.geometry.facets import Facets, are_inside, facet_normals, facet_sizes, points_of
+from dolfinx_mortar.geometry.facets import (
+    Facets,
+    are_inside,
+    facet_normals,
+    facet_sizes,
+    points_of,
+    unit,
+)
 from dolfinx_mortar.geometry.flat import facet_distances
 from dolfinx_mortar.geometry.segments import Segments, create_segments, find_candidates
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
@@ -29,7 +35,7 @@ from dolfinx_mortar.mortar.surface import (
     create_groups,
     find_receivers,
     group_cones,
-    thickness_behind,
+    thickness_of_bodies,
 )
 
 
@@ -71,7 +77,11 @@ def find_facing(
         asked: (m,) which of them to project, on all of the others; all if not given.
         deep: whether facets are partners however deep they lie in another body.
     """
-    depth = np.full(len(skin.part), np.inf) if deep else THROUGH * _thickness(comm, skin)
+    depth = (
+        np.full(len(skin.part), np.inf)
+        if deep
+        else THROUGH * thickness_of_bodies(comm, skin.facets, skin.part, skin.facets, skin.part)
+    )
     own = np.flatnonzero(np.ones(len(depth), dtype=bool) if asked is None else asked)
     facets = skin.facets[own]
     others, part, label, behind = _receive(comm, facets, skin, depth)
@@ -137,18 +147,6 @@ def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
     return np.where(
         least < -HALF_OF_DIGITS * size, np.where(inside & (along < 0.0), along, otherwise), distance
     )
-
-
-def _thickness(comm: MPI.Intracomm, skin: Skin) -> Floats:
-    """Return how thick (m,) the parts are behind their facets; collective.
-
-    One by one, as parts may overlap.
-    """
-    found = np.full(len(skin.part), np.inf)
-    for part in np.unique(np.concatenate(comm.allgather(np.unique(skin.part)))):
-        of = np.flatnonzero(skin.part == part)
-        found[of] = thickness_behind(skin.facets[of], skin.facets[of], comm)
-    return found
 
 
 def _receive(

@@ -23,8 +23,8 @@ from dataclasses import replace
 import numpy as np
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, QUARTER_OF_DIGITS, SAME, Bools, Floats
-from dolfinx_mortar.geometry.curvature import one_ring_sums, unit
-from dolfinx_mortar.geometry.facets import facet_normals
+from dolfinx_mortar.geometry.curvature import one_ring_sums
+from dolfinx_mortar.geometry.facets import facet_normals, unit
 from dolfinx_mortar.mortar.surface import Surface, facets_at, sum_at_nodes
 
 
@@ -53,7 +53,8 @@ def judge_supports(surface: Surface, fixed: Bools, feature_angle: float) -> tupl
         feature_angle: degrees between facets from which on they meet in an edge; across an edge
             nothing is known of the curvature.
     """
-    n, closed = _one_rings(surface)
+    n, gap, limit = ring_sums(surface, one_ring_sums(facets_at(surface, surface.X)))
+    closed = np.asarray(np.linalg.norm(gap, axis=1) <= limit)
     tilt, mirrors = np.zeros(fixed.shape), fixed & ~fixed.all(axis=1, keepdims=True)
     for i in range(fixed.shape[1]):
         some = fixed[surface.facets, i].any(axis=1)
@@ -124,11 +125,15 @@ def _by_chords(side: Surface, n: Floats, weights: Floats, which: Bools) -> Float
     return result
 
 
-def _one_rings(surface: Surface) -> tuple[Floats, Bools]:
-    """Return the normals (n, d) of one-rings, and which of them are closed (n,); collective."""
-    parts, around = one_ring_sums(facets_at(surface, surface.X))
-    columns = np.concatenate([parts, around, np.abs(around).sum(axis=2, keepdims=True)], axis=2)
-    total = sum_at_nodes(surface, columns)
-    d = parts.shape[2]
-    gap = np.linalg.norm(total[:, d:-1], axis=1)
-    return unit(total[:, :d]), np.asarray(gap <= HALF_OF_DIGITS * total[:, -1])
+def ring_sums(surface: Surface, parts: tuple[Floats, Floats]) -> tuple[Floats, Floats, Floats]:
+    """Return unit normals (n, d), gaps (n, c) and their limits (n,) of one-rings; collective.
+
+    A one-ring is closed where the length of its gap is not above its limit.
+
+    Args:
+        parts: of `one_ring_sums`.
+    """
+    n, around = parts
+    columns = np.concatenate([n, around, np.abs(around).sum(axis=2, keepdims=True)], axis=2)
+    total, d = sum_at_nodes(surface, columns), n.shape[2]
+    return unit(total[:, :d]), total[:, d:-1], HALF_OF_DIGITS * total[:, -1]

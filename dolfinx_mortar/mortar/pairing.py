@@ -156,7 +156,7 @@ def _create_triplets(
     return found[0], found[1]
 
 
-def _pattern_of_P(slave: Surface, D: Triplets, M: Triplets) -> dict[str, Any]:
+def pattern_of_P(slave: Surface, D: Triplets, *M: Triplets) -> dict[str, Any]:
     """Return rows and columns of P, and where its entries and the D_jj lie among those of D."""
     index_map = slave.V.dofmap.index_map
     nodes = slave.nodes[: slave.owned]
@@ -165,8 +165,8 @@ def _pattern_of_P(slave: Surface, D: Triplets, M: Triplets) -> dict[str, Any]:
     on = D.rows + index_map.local_range[0] == D.columns
     off, diagonal = np.flatnonzero(~on), np.flatnonzero(on)
     return {
-        "row": position[np.concatenate([D.rows[off], M.rows])],
-        "column": np.concatenate([D.columns[off], M.columns]),
+        "row": position[np.concatenate([D.rows[off], *(A.rows for A in M)])],
+        "column": np.concatenate([D.columns[off], *(A.columns for A in M)]),
         "off_diagonal": off.astype(np.int32),
         "diagonal": (diagonal.astype(np.int32), position[D.rows[diagonal]]),
     }
@@ -291,7 +291,7 @@ def create_pairing(
         received=received,
         D=D,
         M=M,
-        **_pattern_of_P(slave, D, M),
+        **pattern_of_P(slave, D, M),
         weight=weight,
         roles=roles,
     )

@@ -35,7 +35,7 @@ from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
 from dolfinx_mortar.geometry.flat import find_passing, flat_parts
 from dolfinx_mortar.mortar.pairing import THROUGH
-from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, thickness_behind
+from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, thickness_of_bodies
 
 
 @dataclass(frozen=True)
@@ -56,20 +56,14 @@ class Middles:
 def find_middles(surface: Surface, body_of: Ints, skin: Facets, bodies: Ints) -> Middles:
     """Return the middles of the bodies behind a surface, by all their exterior facets; collective.
 
-    Bodies are measured one by one, since they may overlap.
-
     Args:
         body_of: number (m,) of the body behind each of its facets.
         skin: exterior facets of this rank.
         bodies: number of the body of each of those.
     """
-    comm, facets = surface.V.mesh.comm, facets_at(surface, surface.X)
-    depth = np.full(len(body_of), np.inf)
-    for body in np.unique(np.concatenate(comm.allgather(np.unique(body_of)))):
-        mine = np.flatnonzero(body_of == body)
-        thickness = thickness_behind(facets[mine], skin[np.flatnonzero(bodies == body)], comm)
-        depth[mine] = THROUGH * thickness
-    return Middles(surface, depth)
+    facets = facets_at(surface, surface.X)
+    depth = thickness_of_bodies(surface.V.mesh.comm, facets, body_of, skin, bodies)
+    return Middles(surface, THROUGH * depth)
 
 
 @dataclass(frozen=True)

@@ -283,28 +283,48 @@ def _thickness(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) -> Flo
     )
     if not partly or not (around or edges):
         return result
-    count, part = connected_parts(V)
+    _, part = connected_parts(V)
     boundary = find_boundary(V)
-    own, of = np.where(unknown, part[nodes[:, 0]], -1), part[boundary.nodes[:, 0]]
-    for body in range(count):
-        if any_rank(comm, (own == body).any())[0]:
-            everything = boundary.facets[np.flatnonzero(of == body)]
-            result[own == body] = thickness_behind(facets[own == body], everything, comm)
+    own, of = part[nodes[unknown, 0]], part[boundary.nodes[:, 0]]
+    result[unknown] = thickness_of_bodies(comm, facets[unknown], own, boundary.facets, of)
     return result
+
+
+def thickness_of_bodies(
+    comm: MPI.Intracomm, facets: Facets, body: Ints | Longs, others: Facets, of: Ints | Longs
+) -> Floats:
+    """Return the `thickness` (m,) behind facets among all others of their body; collective.
+
+    Bodies are measured one by one, since they may overlap.
+    """
+    found = np.full(len(body), np.inf)
+    for one in np.unique(np.concatenate(comm.allgather(np.unique(body)))):
+        mine = np.flatnonzero(body == one)
+        found[mine] = thickness_behind(facets[mine], others[np.flatnonzero(of == one)], comm)
+    return found
 
 
 def _meet_at_edges(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) -> bool:
     """Tell whether some facets of this rank meet others at more than 60 degrees; collective."""
     n = facet_normals(facets)
-    sums = dolfinx.la.vector(V.dofmap.index_map, n.shape[1])
+    mean = means_at_nodes(V, nodes, n)[nodes]
+    along = (mean * n[:, None]).sum(axis=2)
+    return bool((along < np.sqrt(0.75) * np.linalg.norm(mean, axis=2)).any())
+
+
+def means_at_nodes(V: dolfinx.fem.FunctionSpace, nodes: Ints, values: Floats) -> Floats:
+    """Return the means (local nodes, c) over facets at nodes (m, k) of values (m, c); collective.
+
+    Zero at other nodes.
+    """
+    c = values.shape[1] + 1
+    sums = dolfinx.la.vector(V.dofmap.index_map, c)
     sums.array[:] = 0.0
-    at = sums.array.reshape(-1, n.shape[1])
-    for column in nodes.T:
-        np.add.at(at, column, n)
+    at, each = sums.array.reshape(-1, c), np.column_stack([values, np.ones(len(values))])
+    add_at_nodes(at, np.ascontiguousarray(nodes), each[:, None].repeat(nodes.shape[1], axis=1))
     sums.scatter_reverse(dolfinx.la.InsertMode.add)
     sums.scatter_forward()
-    along = (at[nodes] * n[:, None]).sum(axis=2)
-    return bool((along < np.sqrt(0.75) * np.linalg.norm(at[nodes], axis=2)).any())
+    return np.asarray(at[:, :-1] / np.maximum(at[:, -1:], 1.0))
 
 
 def thickness_behind(facets: Facets, others: Facets, comm: MPI.Intracomm) -> Floats:

@@ -25,7 +25,7 @@ from dolfinx_mortar.mortar.duals import (
 )
 from dolfinx_mortar.mortar.integrals import sums_of_products
 from dolfinx_mortar.mortar.operators import in_D, inverse, mean_values
-from dolfinx_mortar.mortar.pairing import Weight
+from dolfinx_mortar.mortar.pairing import Weight, pattern_of_P
 from dolfinx_mortar.mortar.surface import Surface, facets_at, mean_facet_length
 
 
@@ -64,21 +64,8 @@ def create_whole_side(slave: Surface, weight: Weight | None) -> WholeSide:
     block = (*nodes.shape, nodes.shape[1])
     places = (np.broadcast_to(v, block) for v in (nodes[:, :, None], nodes[:, None]))
     D = Triplets(slave.V.mesh.comm, index_map, *places)
-    own = slave.nodes[: slave.owned]
-    position = np.full(index_map.size_local, -1, dtype=np.int32)
-    position[own] = np.arange(len(own), dtype=np.int32)
-    on = D.rows + index_map.local_range[0] == D.columns
-    off, diagonal = (np.flatnonzero(which).astype(np.int32) for which in (~on, on))
-    return WholeSide(
-        slave=slave,
-        D=D,
-        row=position[D.rows[off]],
-        column=D.columns[off],
-        off_diagonal=off,
-        diagonal=(diagonal, position[D.rows[diagonal]]),
-        facet_length=mean_facet_length(slave),
-        weight=weight,
-    )
+    length = mean_facet_length(slave)
+    return WholeSide(slave=slave, D=D, **pattern_of_P(slave, D), facet_length=length, weight=weight)
 
 
 def rule_of(element: FacetElement) -> tuple[Floats, Floats]:
