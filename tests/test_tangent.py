@@ -49,15 +49,17 @@ def bodies(cell, degree, swap=False, part="sides", surface="facets", friction=0.
     return Differences(V, contact, **own)
 
 
-def body(cell, degree, shape, surface=None, side=False, **options):
+def body(cell, degree, shape, surface=None, side=False, bow=0.0, **options):
     """Return the upper side of a body, beside which some nodes are held, on a tool.
 
     Args:
         side: Whether another side belongs to it, which does not face the tool.
+        bow: How much lower the side is at x = 1 than at 0, in the plane.
     """
     if cell == "triangle":
         case = Block(n=4 if degree == 1 else 3, size=1.0, fine=0.7, degree=degree)
         V, tags = case.V, case.facets
+        case.mesh.geometry.x[:, 1] -= bow * case.mesh.geometry.x[:, 0] ** 2
         values = np.where(side & (tags.values == AXIS), TOP, tags.values)
         tags = mesh.meshtags(case.mesh, 1, tags.indices, values)
     else:
@@ -211,7 +213,11 @@ ROWS = [  # cell, degree, what it has to contain, options
     ("hexahedron", 2, "smooth", {**SMOOTH, **OVER, "noise": 0.01, "order": 2}),
     *((cell, 1, "partly", {"part": "itself"}) for cell in ("triangle", "tetrahedron")),
     *(("triangle", degree, "held partly", tool) for tool in (PLANAR, RING) for degree in (1, 2)),
-    *(("triangle", 1, "held partly", {**tool, "surface": "smooth"}) for tool in (PLANAR, RING)),
+    *(
+        ("triangle", degree, "held partly", {**tool, "surface": "smooth", "bow": 0.2})
+        for tool in (PLANAR, RING)
+        for degree in (1, 2)
+    ),
     ("triangle", 1, "held partly", LEVELS),
     ("tetrahedron", 1, "held partly", SOLID),
     ("tetrahedron", 2, "held partly", SOLID),

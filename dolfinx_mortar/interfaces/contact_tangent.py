@@ -36,6 +36,7 @@ from dolfinx_mortar.interfaces.coupling import CoupledSides, node_motions
 from dolfinx_mortar.interfaces.slip_partners import Partners, ToolPartners
 from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
 from dolfinx_mortar.mortar.common_normals import carried, in_planes
+from dolfinx_mortar.mortar.curvature_correction import side_slopes
 from dolfinx_mortar.mortar.duals import find_duals
 from dolfinx_mortar.mortar.integrals import some_points
 from dolfinx_mortar.mortar.pairing import receive
@@ -408,6 +409,8 @@ class ToolDerivatives(LinkDerivatives):
         if link.pattern.nodal:
             slope = found.gradient[slave.facets[segments.slave]]
         by_x = slave.element.shape_functions(segments.xi_s)[:, :, None] * slope
+        if link.pattern.own is not None and not link.pattern.nodal:
+            by_x -= side_slopes(slave, link.pattern.own, u, segments.slave, segments.xi_s)
         xi, _ = rule_of(slave.element)
         per_point = slave.element.size * segments.weight.reshape(-1, len(xi))
         per_point /= np.linalg.norm(scaled_normals(facets, xi), axis=2)

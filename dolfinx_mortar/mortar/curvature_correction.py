@@ -21,6 +21,7 @@ from dolfinx_mortar.geometry.curvature import (
     edge_sagittas,
     edges,
     end_angles,
+    height_table,
     heights,
     heights_of_arcs,
     one_ring_sums,
@@ -28,6 +29,7 @@ from dolfinx_mortar.geometry.curvature import (
     sagitta_tensors,
 )
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of, surface_gradients, unit
+from dolfinx_mortar.geometry.moments import height
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.mirrors import find_mirrors, ring_sums
 from dolfinx_mortar.mortar.pairing import Pairing, receive, received_facets
@@ -265,13 +267,40 @@ def side_heights(
         which: (q,) the facet of each point.
         xi: (q, d-1) reference coordinates.
     """
-    facets, c = facets_at(surface, coordinates(surface, u)), side.sagitta
-    if u is not None:
-        c = c * thickness_stretches(surface, u)[surface.facets].mean(axis=1, keepdims=True)
+    facets, c, arcs = _at(surface, side, u)
     h = heights(facets, c, which, xi)
-    if u is not None and facets.x.shape[2] == 2 and not surface.curved:
-        h = heights_of_arcs(arcs_of_chords(facets, c)[which], h)
-    return h
+    return h if arcs is None else heights_of_arcs(arcs[which], h)
+
+
+def _at(
+    surface: Surface, side: SmoothSide, u: dolfinx.fem.Function | None
+) -> tuple[Facets, Floats, Floats | None]:
+    """Return the facets of a side of second order at X + u, c_ab and arcs, if any; collective."""
+    facets, c = facets_at(surface, coordinates(surface, u)), side.sagitta
+    if u is None:
+        return facets, c, None
+    c = c * thickness_stretches(surface, u)[surface.facets].mean(axis=1, keepdims=True)
+    round_ = facets.x.shape[2] == 2 and not surface.curved
+    return facets, c, arcs_of_chords(facets, c) if round_ else None
+
+
+def side_slopes(
+    surface: Surface, side: SmoothSide, u: dolfinx.fem.Function, which: Ints, xi: Floats
+) -> Floats:
+    """Return the derivatives (q, k, d) of `side_heights` by the nodes; collective.
+
+    By the lengths of the chords of arcs; strains along the normal are held.
+    """
+    facets, c, arcs = _at(surface, side, u)
+    slopes = np.zeros((len(which), *facets.x.shape[1:]))
+    if arcs is not None:
+        table = height_table(surface.element, c.shape[1])
+        Q = np.asarray(np.tensordot(c, table, 1), dtype=np.float64)
+        N = surface.element.shape_functions(xi)[:, None]
+        e = edges(facets)[which, 0]
+        by_length = height(N, Q[which], arcs[which])[2] / (e**2).sum(axis=1, keepdims=True)
+        slopes[:, 1], slopes[:, 0] = by_length * e, -by_length * e
+    return slopes
 
 
 def count_edges(normals: NodeNormals, owned: int) -> Ints:

@@ -11,7 +11,7 @@ from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.tool import Tool
-from dolfinx_mortar.mortar.faces import facing_edges
+from dolfinx_mortar.mortar.facing_bodies import facing_edges
 from dolfinx_mortar.mortar.surface import accumulate, mean_facet_length
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.step_report import NewtonNotConverged, Note, StepReport

@@ -9,7 +9,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, ratio
 from dolfinx_mortar.arrays import SAME, Floats
-from dolfinx_mortar.geometry.curvature import unit
+from dolfinx_mortar.geometry.facets import unit
 from dolfinx_mortar.interfaces.constraints import SlipLimits
 from dolfinx_mortar.interfaces.coupling import along_and_across, relative_motions
 from dolfinx_mortar.interfaces.link import Link, set_results_of, set_sliding

@@ -17,13 +17,6 @@ from dolfinx import fem, la
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.audit.neighbours import boxes_of
-from dolfinx_mortar.geometry.crossings import (
-    Crossings,
-    bounds,
-    find_crossings,
-    near_others,
-    near_pairs,
-)
 from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -33,8 +26,15 @@ from dolfinx_mortar.geometry.facets import (
     facet_sizes,
     points_of,
 )
+from dolfinx_mortar.geometry.flat import (
+    Crossings,
+    bounds,
+    find_crossings,
+    flat_parts,
+    near_others,
+    near_pairs,
+)
 from dolfinx_mortar.geometry.segments import FACING
-from dolfinx_mortar.geometry.sweep import flat_parts
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
 from dolfinx_mortar.mortar.curvature_correction import point_heights, side_heights

@@ -17,8 +17,7 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm, ratio
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.audit.sides import SPOILT, are_flat
-from dolfinx_mortar.geometry.curvature import unit
-from dolfinx_mortar.geometry.facets import points_of
+from dolfinx_mortar.geometry.facets import points_of, unit
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
