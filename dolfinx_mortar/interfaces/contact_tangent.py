@@ -7,7 +7,7 @@ Of a rigid tool the product rule is in `mortar.tangent`.
 The tractions t_j = lambda_j n_j + tau_j turn with n_j, dn_j = -(I - n n^T) Hess phi dx_j, and their
 tangents as in `moving_geometry`. For phi stands what `point_gaps` has there: of distances of nodes
 their interpolation. The change of heights of second order by the strain of the bodies along the
-normal is left out, and that of arcs in the plane by the length of their chords.
+normal is left out.
 """
 
 from __future__ import annotations
