@@ -38,7 +38,7 @@ BELOW = {
     },
     "newton_method": {
         *("problem", "persistence", "supports", "terms"),
-        *("algebra", "interfaces", "mortar", "qp"),
+        *("algebra", "interfaces", "mortar", "qp", "solid"),
     },
     "report": {
         *("newton_method", "problem", "persistence", "supports", "audit"),

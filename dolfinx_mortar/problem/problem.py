@@ -34,9 +34,8 @@ from dolfinx_mortar.interfaces.tool import Outline
 from dolfinx_mortar.persistence import checkpoints
 from dolfinx_mortar.persistence.committed import Before, Committed, ProblemState, StepOutcome
 from dolfinx_mortar.problem.checks import check_arguments
-from dolfinx_mortar.problem.jumps import check_jumps
 from dolfinx_mortar.problem.preconditioning import UnknownsOfBodies
-from dolfinx_mortar.problem.step_data import StepData
+from dolfinx_mortar.problem.step_data import StepData, check_jumps
 from dolfinx_mortar.qp import LinearSolver, check_options
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term

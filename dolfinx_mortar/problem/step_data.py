@@ -1,13 +1,19 @@
 # SPDX-License-Identifier: MIT
-"""The data of a step, read once at its start."""
+"""The data of a step, read once at its start; checks of the jumps and overlaps of ties."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from mpi4py import MPI
+
 import numpy as np
 
+from dolfinx import fem
+from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.slip_partners import Partners
+from dolfinx_mortar.interfaces.system import InterfaceSystem
 
 
 @dataclass(frozen=True)
@@ -27,3 +33,48 @@ class StepData:
     flows: bool = False
     begun: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) u before it was predicted
     travel: Floats | None = None  # (m,) by which tools were moved then; None where u was not
+
+
+def check_jumps(system: InterfaceSystem) -> None:
+    """Raise a ValueError, on all ranks, for jumps that are no vectors at the nodes; collective.
+
+    Also for NaN, and where sides are farther apart than the model is long.
+    """
+    V, comm = system.V, system.V.mesh.comm
+    for interface, sides in zip(system.interfaces, system.sides, strict=True):
+        if sides.unilateral or sides.hold or (apart := interface.apart(V, sides.nodes)) is None:
+            continue
+        bad = comm.allreduce(int(np.sum(~np.isfinite(apart))), op=MPI.SUM)
+        if bad:
+            raise ValueError(
+                f"jump: {bad} values of {interface} are NaN or infinite; check its data"
+            )
+        longest = float(maximum(comm, np.abs(apart).max(initial=0.0))[0])
+        if longest > (size := diagonal(V)):
+            raise ValueError(
+                f"jump: {interface} has a component of {longest:.4g}, more than the whole model's "
+                f"diagonal, {size:.4g}: give the displacement of the slave side relative to the "
+                "master side, in the unit of the mesh"
+            )
+
+
+def check_tightening(system: InterfaceSystem) -> str:
+    """Say which pretension needs an overlap longer than the model's diagonal, or ""; collective."""
+    size = diagonal(system.V)
+    for interface in system.interfaces:
+        if isinstance(bolt := interface.driven(), Bolt):
+            overlap = float(np.linalg.norm(bolt.overlap))
+            if overlap > size:
+                return (
+                    f"the pretension of {interface} needs an overlap of {overlap:.4g}, more than "
+                    f"the model's diagonal, {size:.4g}: the force may be too large for the "
+                    "stiffness of the bolt (check units of both)"
+                )
+    return ""
+
+
+def diagonal(V: fem.FunctionSpace) -> float:
+    """Return the diagonal of the box around the model; collective."""
+    x = V.tabulate_dof_coordinates()
+    ends = maximum(V.mesh.comm, *x.max(axis=0, initial=-np.inf), *(-x).max(axis=0, initial=-np.inf))
+    return float(np.linalg.norm(ends[:3] + ends[3:]))

@@ -15,10 +15,9 @@ from dolfinx_mortar.interfaces.coupling import along_and_across, relative_motion
 from dolfinx_mortar.interfaces.link import Link, set_results_of, set_sliding
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.newton_method.contacts import Contacts
-from dolfinx_mortar.newton_method.linearisation import Balance
+from dolfinx_mortar.newton_method.linearisation import Balance, growth
 from dolfinx_mortar.newton_method.residuals import Residuals
 from dolfinx_mortar.persistence.committed import Slips
-from dolfinx_mortar.problem.circumference import growth
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import Sliders
 from dolfinx_mortar.report.penetration import Crossing, find_crossing

@@ -6,8 +6,8 @@ from dolfinx_mortar.newton_method.failures import StepFailed, describe_cells
 from dolfinx_mortar.newton_method.residuals import Residuals, gap_round_off
 from dolfinx_mortar.newton_method.subproblem import Iterate, Subproblem
 from dolfinx_mortar.persistence.committed import StepOutcome
-from dolfinx_mortar.problem.jumps import check_tightening
 from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.problem.step_data import check_tightening
 from dolfinx_mortar.qp.linear import LinearSolveFailed
 from dolfinx_mortar.report.certificate import create_certificate, find_pull, set_results
 from dolfinx_mortar.report.notes import StepEnd, find_notes
