@@ -17,7 +17,7 @@ from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.report.small_strain import LARGEST_SHARE, find_left_out
 from dolfinx_mortar.solid.kinematics import plane_strain
 from tests.hertz_case import PLASTIC, create_case, create_mesh
-from tests.meshes import BOTTOM, TOP
+from tests.meshes import BOTTOM, LOWER, TOP, UPPER
 from tests.pressed_blocks import PressedBlocks
 from tests.solid_case import create_displacement, create_domain
 
@@ -327,6 +327,20 @@ def test_a_strain_in_a_small_part_is_noted(size, noted):
 def test_a_body_at_rest_leaves_nothing_out():
     c = Moved().move(np.zeros((2, 2))).certificate
     assert c.left_out_strain == c.left_out_work == c.left_out_lengths == c.rotation == 0.0
+
+
+def test_the_note_names_the_steepest_body_below_the_limits():
+    """One stretched by .13, and one turned by .112, of whose lengths more is left out."""
+    case = PressedBlocks()
+    problem = case.problem()
+    case.u.interpolate(lambda x: 0.112 * np.stack([-x[1], x[0]]), case.cells.find(LOWER))
+    case.u.interpolate(lambda x: np.stack([0.13 * x[0], 0.0 * x[0]]), case.cells.find(UPPER))
+    case.u.x.scatter_forward()
+    problem.solid.evaluate()
+    found = find_left_out(problem)
+    assert found.felt == 0 and found.lengths == pytest.approx(0.112**2 / np.sqrt(2.0), rel=1e-6)
+    assert problem.bodies.centre[found.told][1] > 0.0
+    assert found.own == pytest.approx((0.13, 0.0), rel=1e-6, abs=1e-9)
 
 
 def test_the_note_names_the_body_that_turns():

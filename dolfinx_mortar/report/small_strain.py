@@ -45,14 +45,15 @@ LARGE = 0.05
 class LeftOut:
     """The term that the small strain neglects; zero for another measure of strain."""
 
-    worst: int  # the body with the largest share
     felt: int  # number of bodies above the limits
     strain: float  # largest |H^T H| / 2
     largest: float  # largest strain in the bodies
     rotation: float  # largest rotation, radians
-    work: float  # error of forces: share of the work of the stresses, of the worst body
-    lengths: float  # mean |H^T H| / 2, of the worst body
-    steepest: tuple[float, int]  # largest strain or rotation of this rank, and in which owned cell
+    work: float  # error of forces: share of the work of the stresses, of the body with the most
+    lengths: float  # mean |H^T H| / 2, of that body
+    told: int  # the body to tell of, the worst one if it is above the limits, else the steepest
+    own: tuple[float, float]  # largest strain and rotation in it
+    steepest: tuple[float, int]  # the larger one on this rank, and in which owned cell
 
     @property
     def relative(self) -> float:
@@ -116,16 +117,18 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
     felt = np.maximum(share, 2.0 * means) / LARGEST_SHARE
     worst = int(np.argmax(felt))
     largest = float(maximum(comm, size.max(initial=0.0))[0])
-    steep = np.where(body == worst, np.maximum(highest[0], highest[2]), -1.0)
+    told = worst if felt[worst] >= 1.0 else int(np.argmax(np.maximum(strains, angles)))
+    steep = np.where(body == told, np.maximum(highest[0], highest[2]), -1.0)
     cell = int(np.argmax(steep)) if len(steep) else -1
     return LeftOut(
-        worst=worst,
         felt=int((felt >= 1.0).sum()),
         strain=largest,
         largest=float(strains.max()),
         rotation=float(angles.max()),
         work=float(max(share[worst], whole[worst] / 2)),
         lengths=float(means[worst]),
+        told=told,
+        own=(float(strains[told]), float(angles[told])),
         steepest=(float(steep.max(initial=-1.0)), cell),
     )
 
@@ -139,15 +142,15 @@ def notes_on_small_strain(problem: ContactProblem, found: LeftOut) -> list[str]:
     large = solid.gradients.small and max(found.largest, found.rotation) > LARGE
     if not found.felt and not large:
         return []
-    value, cell = found.steepest
+    (strain, rotation), (value, cell) = found.own, found.steepest
     cells = np.array([cell] if cell >= 0 else [], dtype=np.int32)
     place = mesh.compute_midpoints(domain, domain.topology.dim, cells)[:, : problem.d]
     *_, near = max(problem.comm.allgather((value, *place.tolist())))
     at = [float(f"{x:.3g}") for x in near]
     others = f" (and {found.felt - 1} more)" if found.felt > 1 else ""
     seen = (
-        f"{name_of(problem.bodies, [found.worst])}{others}: strains of up to {found.largest:.1%} "
-        f"and rotations of up to {np.degrees(found.rotation):.1f} degrees, near {at}"
+        f"{name_of(problem.bodies, [found.told])}{others}: strains of up to {strain:.1%} "
+        f"and rotations of up to {np.degrees(rotation):.1f} degrees, near {at}"
         f"{'' if found.felt else ', are no longer small'}; the small strain leaves out "
         f"up to {found.strain:.2g}, {found.work:.1%} of the work of the stresses and "
         f"{found.lengths:.2%} of lengths"
