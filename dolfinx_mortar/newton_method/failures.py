@@ -88,7 +88,7 @@ class StepFailed(Exception):
 def failed(problem: ContactProblem, report: StepReport, seen: str, *why: str) -> NewtonNotConverged:
     """Return the error of a step, whose causes `ContactProblem.diagnose` explains."""
     note = Note(seen, ". ".join(filter(None, why)))
-    problem.told[:] = [*report.notes, note]
+    problem.told[:] = report.notes, [note]
     return NewtonNotConverged(f"{seen}{AS_BEFORE}", report)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 from mpi4py import MPI
@@ -439,13 +440,15 @@ class ContactProblem:
         return new
 
     @cached_property
-    def told(self) -> list[str]:
-        """Notes on the last step, or on its failure."""
+    def told(self) -> list[list[str]]:
+        """Notes on the last step, which may still grow, and on its failure."""
         return []
 
     def diagnose(self) -> list[str]:
         """Return the notes on the last step, or on its failure, with explanations and remedies."""
-        return [". ".join(filter(None, (note, getattr(note, "why", "")))) for note in self.told]
+        return [
+            ". ".join(filter(None, (note, getattr(note, "why", "")))) for note in chain(*self.told)
+        ]
 
     def held_by_contact(self) -> list[str]:
         """Return the names of the bodies that contact alone holds at present; collective."""

@@ -171,7 +171,7 @@ def solve_step(
                 "solver does not use them"
             )
         report.notes += [note for note in problem.system.notes if note not in report.notes]
-    problem.told[:] = report.notes
+    problem.told[:] = [report.notes]
     return report
 
 
