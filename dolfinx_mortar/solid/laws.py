@@ -165,8 +165,8 @@ def by_cells(
             "all cells"
         )
     if lost := found.keys() - cells.keys():
-        there = labels(cell_tags, [tag for tag in cells if tag != UNTAGGED])
-        told = labels(cell_tags, lost)
+        there = labels(cell_tags, sorted(cells.keys() - {UNTAGGED}))
+        told = labels(cell_tags, sorted(lost, key=str))
         raise ValueError(f"{name}: no cell has the tag {told}; cell_tags has {there}")
     return found, values
 
