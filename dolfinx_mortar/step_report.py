@@ -210,6 +210,7 @@ class StepReport:
             "one began without it"
         )
         self.iterations.clear()
+        self.linear_solver = ""
 
     def quote(self, number: int, text: str) -> None:
         """Note what the QP backend says in an iteration, once for all that say the same."""

@@ -197,7 +197,7 @@ class Subproblem:
             except (backends.QPNotSolved, backends.UnusableQP) as error:
                 failed = failed or error
                 if near and not shift and self.finite and not self.solver.direct:
-                    break  # shifted steps would leave the saddle again: `load_steps` factorises
+                    break  # shifted steps would leave a saddle again
             else:
                 if not self.finite or not found.negative or (near and shift == 0.0):
                     return found

@@ -53,7 +53,7 @@ from dolfinx_mortar.newton_method.residuals import (
     largest_force,
     measure,
 )
-from dolfinx_mortar.newton_method.subproblem import Iterate, Solution, Subproblem
+from dolfinx_mortar.newton_method.subproblem import STABLE, Iterate, Solution, Subproblem
 from dolfinx_mortar.newton_method.tunnelling import describe_passing
 from dolfinx_mortar.persistence.committed import Before, Gained
 from dolfinx_mortar.problem.checks import check_controls, check_problem
@@ -140,13 +140,14 @@ def solve_step(
     if overlap > 0.0:
         report.notes.append(f"an initial overlap of {overlap:.3g} remains in this part")
     linear = linear or problem.linear
+    solvers = [linear]
     problem.go_back()
     last = problem.ended_here()
     before, earlier = Before(problem.state, problem.outcome), dict(problem.timings.seconds)
     try:
         with problem.timings("total"), from_callbacks():
             try:
-                gained = _solve(problem, report, linear, before, max_it, (level, overlap))
+                gained = _solve(problem, report, solvers, before, max_it, (level, overlap))
                 assert problem.outcome is not None
                 start = before if last is None or last.before is None else last.before
                 problem.outcome = replace(problem.outcome, level=level, before=start, gained=gained)
@@ -164,8 +165,10 @@ def solve_step(
                 raise
     finally:
         report.seconds = problem.timings.since(earlier)
-        report.linear_solver = linear.description
-        if report.converged and (unread := linear.options.unread()):
+        used = solvers[-1]  # of those that may have taken over
+        report.linear_solver += used.description
+        unread = [option for option in linear.options.unread() if option in used.options.unread()]
+        if report.converged and unread:
             report.notes.append(
                 f"petsc_options without effect: {', '.join(unread)}; they are misspelt, or this "
                 "solver does not use them"
@@ -178,7 +181,7 @@ def solve_step(
 def _solve(
     problem: ContactProblem,
     report: StepReport,
-    linear: LinearSolver,
+    solvers: list[LinearSolver],
     before: Before,
     max_it: int,
     how: tuple[float | None, float],
@@ -191,8 +194,8 @@ def _solve(
     level, overlap = how
     for predictor in (None if problem.in_time else predict, None):
         data = problem.begin_step(level, predictor)
-        qps = Subproblem(problem, data, report.backend, report.rtol, linear)
-        step = _Step(problem, report, overlap, qps)
+        qps = Subproblem(problem, data, report.backend, report.rtol, solvers[0])
+        step = _Step(problem, report, overlap, qps, solvers)
         try:
             end = step.run(max_it)
         except (*FAILED, NewtonNotConverged):
@@ -200,6 +203,7 @@ def _solve(
                 raise
             problem.undo(before)
             report.begin_anew()
+            del solvers[1:]
         else:
             break
     now = problem.committed.level
@@ -212,9 +216,14 @@ class _Step:
     """One load step in progress."""
 
     def __init__(
-        self, problem: ContactProblem, report: StepReport, overlap: float, qps: Subproblem
+        self,
+        problem: ContactProblem,
+        report: StepReport,
+        overlap: float,
+        qps: Subproblem,
+        solvers: list[LinearSolver],
     ) -> None:
-        self.problem, self.report, self.overlap = problem, report, overlap
+        self.problem, self.report, self.overlap, self.solvers = problem, report, overlap, solvers
         self.data, self.qps = qps.data, qps
         if qps.solver.direct:  # a step that was tried has left another factorisation
             qps.solver.forget(keep_definite=qps.linear)
@@ -222,10 +231,14 @@ class _Step:
     def run(self, max_it: int) -> Iterate:
         """Iterate until convergence; set the results and the certificate."""
         old, residuals, undone = self.first(), list[Residuals](), False
-        for number in range(1, max_it + 1):
+        while len(self.report.iterations) < max_it:
             try:
                 exact = not undone and self.is_exact(old)
-                new, residual = self.iterate(number, old, residuals, exact=exact)
+                new, residual = self.iterate(old, residuals, exact=exact)
+            except backends.QPNotSolved:
+                if not self.factorise(residuals):
+                    raise
+                continue
             except failures.StepFailed as error:
                 raise failures.with_corners(self.problem, error) from error
             if self.problem.comm.rank == 0:
@@ -252,10 +265,10 @@ class _Step:
         return replace(old, balance=balance, start=start)
 
     def iterate(
-        self, number: int, old: Iterate, residuals: list[Residuals], *, exact: bool
+        self, old: Iterate, residuals: list[Residuals], *, exact: bool
     ) -> tuple[Iterate, Residuals]:
         """Linearise, solve, search, update, measure; record the iteration in the report."""
-        problem = self.problem
+        problem, number = self.problem, len(self.report.iterations) + 1
         problem.raise_failed()
         free_unused(problem.comm)
         found = self.qps.solve(old, residuals, exact=exact)
@@ -274,7 +287,7 @@ class _Step:
         balance = self.balance(contacts)
 
         scales = old.scales
-        if number == 1:
+        if not residuals:
             scales = replace(scales, first=self.first_forces(lin))
         residual = self.residual(balance, contacts, lin.diagonal, scales, norm)
         self.report.quote(number, solved.note or found.rejected)
@@ -321,6 +334,27 @@ class _Step:
         return iterate, residual
 
     # -- the choice of the tangent ---------------------------------------------------------------
+
+    def factorise(self, residuals: list[Residuals]) -> bool:
+        """Factorise near a balance for the rest of the step, if multigrid may be replaced.
+
+        Conjugate gradients may fail there: the balance may be a saddle of the energy. Collective.
+        """
+        near = self.qps.finite and bool(residuals) and residuals[-1].forces < STABLE
+        given_up = self.qps.solver.description
+        other = self.qps.solver.factorising() if near else None
+        if other is None:
+            return False
+        self.qps = replace(self.qps, solver=other)
+        self.solvers.append(other)
+        done = len(self.report.iterations)
+        self.report.linear_solver = f"{given_up}, from iteration {done + 1} on "
+        told = f"{given_up} cannot solve the tangent near the balance, which may be a saddle of "
+        told += "the energy: the rest of this step is factorised"
+        self.report.notes.append(told)
+        if self.problem.comm.rank == 0:
+            log.info("%s", told)
+        return True
 
     def is_exact(self, old: Iterate) -> bool:
         """Tell whether the next QP has the exact tangent of the moving geometry.
