@@ -21,7 +21,7 @@ from dolfinx_mortar.geometry.curvature import (
 from dolfinx_mortar.geometry.elements import LINE2, LINE3, QUAD4, QUAD9, TRI3, TRI6
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.meshing.two_bodies import distribute
-from dolfinx_mortar.mortar.curvature_correction import count_edges, smooth_normals
+from dolfinx_mortar.mortar.curvature_correction import _count_edges, smooth_normals
 from dolfinx_mortar.mortar.mirrors import find_mirrors
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
 from tests.close_fits import create_ring
@@ -181,12 +181,13 @@ def test_the_common_surface_lies_between_its_sides(element, rng):
 
 @pytest.mark.parametrize("element", [TRI3, QUAD4])
 def test_needles_and_collapsed_facets_have_a_curvature(element, rng):
-    """What they cannot tell is left out."""
+    """What they cannot tell is left out, round-off of the sagittas too."""
     x = scattered(element, rng, 1.0)
     for width in (1e-3, 1e-12, 0.0):
         x[..., 1] *= width
         facets = Facets(element, x)
         c = (edges(facets) ** 2).sum(axis=2) / RADIUS
+        c *= 1.0 + 1e-13 * rng.standard_normal(c.shape)
         assert np.abs(curvatures(facets, c)).max() < 10.0 / RADIUS
 
 
@@ -400,7 +401,7 @@ def slit(cell):
 def edges_of(surface, fixed, angle):
     """Count nodes on edges, and those without a normal, over all ranks of the mesh."""
     normals = smooth_normals(surface, surface.X, fixed[surface.nodes], angle)
-    return surface.V.mesh.comm.allreduce(count_edges(normals, surface.owned))
+    return surface.V.mesh.comm.allreduce(_count_edges(normals, surface.owned))
 
 
 @pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])

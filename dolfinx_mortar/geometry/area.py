@@ -32,7 +32,15 @@ from dolfinx_mortar.arrays import HALF_OF_DIGITS, SAME, Bools, Floats, Ints, Lon
 from dolfinx_mortar.geometry import plane
 from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
 from dolfinx_mortar.geometry.facets import Facets, bounding_balls
-from dolfinx_mortar.geometry.moments import Points, Sums, create_points, functions, sums, turns
+from dolfinx_mortar.geometry.moments import (
+    Points,
+    Sides,
+    Sums,
+    create_points,
+    functions,
+    sums,
+    turns,
+)
 from dolfinx_mortar.geometry.parts import (
     count,
     first_order,
@@ -454,35 +462,19 @@ def _find_edges(x_s, x_m, bilinear, pairs, centre, axes, which, corners, hidden)
 
 
 def moments(
-    x: Floats,
-    n: Floats,
-    y: Floats,
-    start: Longs,
-    place: Longs,
-    deepest: Floats,
-    factor: Floats,
-    reach: Floats,
-    heights: tuple[Floats, Floats, Floats],
-    types: tuple[FacetElement, FacetElement],
-    found: Sums,
+    sides: Sides, heights: Sequence[Floats], types: tuple[FacetElement, FacetElement], found: Sums
 ) -> None:
-    """Add the moments of slave facets x (p, k, 3) and their masters, and derivatives.
+    """Add the moments of slave facets and their masters, and derivatives.
 
     Args:
-        n: of no use in space.
-        y: (p, m, 3) the different nodes of the masters.
-        start: (p + 1,) first pairs of the facets.
-        place: (c, l) nodes of the pairs' masters.
-        deepest: (c,) see `place_points`.
-        factor: (p, k) see `create_points`; reach likewise.
         heights: of pairs (c,), see `create_points`.
         types: of the facets of both sides.
         found: by the coordinates of x and y.
     """
+    x, _, y, _, place, deepest, factor, reach = sides
+    pairs = sides.pairs()
     slave, master = types
-    of = np.repeat(np.arange(len(x), dtype=np.int32), np.diff(start))
-    pairs = np.stack([of, np.arange(len(of), dtype=np.int32)], axis=1)
-    over = _find_overlaps(Facets(slave, x), Facets(master, y[of[:, None], place]), pairs, deepest)
+    over = _find_overlaps(Facets(slave, x), Facets(master, y[pairs[:, :1], place]), pairs, deepest)
     given = _Given(over, place, factor, reach, heights, turns(slave, x), _frames(over))
     degree = _degree_of_moments(slave, master, heights[0].size > 0)
     points, weights = np.polynomial.legendre.leggauss((degree + 3) // 2)
@@ -503,7 +495,7 @@ class _Given(NamedTuple):
     """What the points of pairs (c,) of slave facets (p,) with others are made of."""
 
     over: "_Overlaps"
-    place: Longs  # see `moments`
+    place: Longs  # see `Sides`
     factor: Floats
     reach: Floats
     heights: Sequence[Floats]

@@ -12,6 +12,7 @@ master's functions are extrapolated beyond their ends. The kernels take the coef
 a + b xi + c xi^2; straight facets have c = 0.
 """
 
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -19,10 +20,10 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.moments import Sums, create_points, functions, turns
+from dolfinx_mortar.geometry.moments import Sides, Sums, create_points, functions, turns
 from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND
 
 
@@ -196,35 +197,20 @@ def _place(x_s, n_s, x_m, pairs, which, ends, points, weights):  # type: ignore[
 
 
 def moments(
-    x: Floats,
-    n: Floats,
-    y: Floats,
-    start: Longs,
-    place: Longs,
-    deepest: Floats,
-    factor: Floats,
-    reach: Floats,
-    heights: tuple[Floats, Floats, Floats],
-    types: tuple[FacetElement, FacetElement],
-    found: Sums,
+    sides: Sides, heights: Sequence[Floats], types: tuple[FacetElement, FacetElement], found: Sums
 ) -> None:
-    """Add the moments of slave facets x (p, k, 2) and their masters, and derivatives.
+    """Add the moments of slave facets and their masters, and derivatives.
 
     Args:
-        n: (p, k, 2) directions of projection.
-        y: (p, m, 2) the different nodes of the masters.
-        start: (p + 1,) first pairs of the facets.
-        place: (c, l) nodes of the pairs' masters.
-        deepest: (c,) see `place_points`.
-        factor: (p, k) see `create_points`; reach likewise.
         heights: of pairs (c,), see `create_points`.
         types: of the facets of both sides.
         found: by the coordinates of x, n and y.
     """
+    x, n, y, _, place, deepest, factor, reach = sides
+    pairs = sides.pairs()
     slave, master = types
     (k, m), (t, weights) = (x.shape[1], y.shape[1]), gauss_points(_count(*types))
-    of = np.repeat(np.arange(len(x), dtype=np.int32), np.diff(start))
-    pairs = np.stack([of, np.arange(len(of), dtype=np.int32)], axis=1)
+    of = pairs[:, 0]
     Y = y[of[:, None], place]
     kinds = (slave, x), (slave, n), (master, Y)
     facets = [_polynomials(element, v) for element, v in kinds]

@@ -23,9 +23,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets, dual_basis, surface_gradients
+
+
+class Sides(NamedTuple):
+    """Slave facets (p,) and the master facets (c,) that they face, those of a facet together."""
+
+    x: Floats  # (p, k, d)
+    n: Floats  # (p, k, 2) directions of projection; (p, 0, 3) in space
+    y: Floats  # (p, m, d) the different nodes of the masters
+    start: Longs  # (p + 1,)
+    place: Longs  # (c, l) nodes of the masters among y
+    deepest: Floats  # (c,)
+    factor: Floats  # (p, k) weight of the integrals at the nodes
+    reach: Floats  # (p, 2) see `Segments`; (p, 0) where weights fall nowhere
+
+    def pairs(self) -> Ints:
+        """Return the pairs (c, 2) of slave facets and masters."""
+        of = np.repeat(np.arange(len(self.x), dtype=np.int32), np.diff(self.start))
+        return np.stack([of, np.arange(len(of), dtype=np.int32)], axis=1)
 
 
 class Sums(NamedTuple):

@@ -15,12 +15,14 @@ would need bounded boxes around the cones, large ones where these are oblique.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba
 import numpy as np
 
 from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry import area, line, plane
+from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import (
     Facets,
     bounding_balls,
@@ -203,7 +205,13 @@ class Segments:
     xi_m: Floats  # (q, d-1) reference coordinates of the projection on the master facet
     weight: Floats  # (q,) quadrature weight times Jacobian, positive
     facet_weights: Floats  # (ms, k) integral of N_j over each whole slave facet, covered or not
+    element: FacetElement  # of the slave facets
     reach: Floats | None = None  # (ms, 2) gap from which on weights fall, and how fast; None: none
+
+    @cached_property
+    def N(self) -> Floats:
+        """Values (q, k) of the slave's functions at the points."""
+        return self.element.shape_functions(self.xi_s)
 
     @property
     def covered(self) -> Ints:
@@ -306,4 +314,4 @@ def create_segments(
         which, xi_s, xi_m, weight = area.place_points(slave, *partners)
     pair = facing[which].astype(np.int32)
     s, m = np.ascontiguousarray(pairs[pair].T)  # kernels compile anew for each layout
-    return Segments(pair, s, m, xi_s, xi_m, weight, tributary_weights(slave))
+    return Segments(pair, s, m, xi_s, xi_m, weight, tributary_weights(slave), slave.element)

@@ -408,7 +408,7 @@ class ToolDerivatives(LinkDerivatives):
         slope = found.gradient[:, None]
         if link.pattern.nodal:
             slope = found.gradient[slave.facets[segments.slave]]
-        by_x = slave.element.shape_functions(segments.xi_s)[:, :, None] * slope
+        by_x = segments.N[:, :, None] * slope
         if link.pattern.own is not None and not link.pattern.nodal:
             by_x -= side_slopes(slave, link.pattern.own, u, segments.slave, segments.xi_s)
         xi, _ = rule_of(slave.element)

@@ -621,9 +621,8 @@ def point_gaps(
     with raised_together(slave.V.mesh.comm):  # what a user's function raises
         if pattern.nodal:
             found = pose.distance(shape, coordinates(slave, u))
-            N = slave.element.shape_functions(segments.xi_s)
             of_nodes = found.value[slave.facets[segments.slave]]
-            return np.asarray((N * of_nodes).sum(axis=1)), found
+            return np.asarray((segments.N * of_nodes).sum(axis=1)), found
         found = pose.distance(shape, points)
     if pattern.own is None:
         return found.value, found

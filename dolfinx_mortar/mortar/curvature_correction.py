@@ -205,19 +205,15 @@ def find_smooth_sides(
     """
     slave, master = pairing.slave, pairing.master
     own, other = shapes or [find_shape(side, fixed, feature_angle) for side in (slave, master)]
-    if not (isinstance(own, NodeNormals) and isinstance(other, NodeNormals)):
-        K_s, K_m = np.asarray(own), np.asarray(other)
-        K_m = np.stack([receive(pairing, row) for row in np.moveaxis(K_m, 1, 0)], axis=1)
-        return (
-            _over_curved(facets_at(slave, slave.X), slave.facets, K_s),
-            _over_curved(received_facets(pairing, None), pairing.master_facets, K_m),
-        )
-    on_slave = facets_at(slave, slave.X), own, slave.facets
-    on_master = received_facets(pairing, None), _received(pairing, other), pairing.master_facets
-    counts = count_edges(own, slave.owned), count_edges(other, master.owned)
-    sides = zip((on_slave, on_master), counts, strict=True)
-    a, b = (SmoothSide(*side, edge_sagittas(*side), edges) for side, edges in sides)
-    return a, b
+    facets, count = received_facets(pairing, None), _count_edges(other, master.owned)
+    if isinstance(other, NodeNormals):
+        other = _received(pairing, other)
+    else:
+        other = np.stack([receive(pairing, row) for row in np.moveaxis(other, 1, 0)], axis=1)
+    return (
+        _over(facets_at(slave, slave.X), own, slave.facets, _count_edges(own, slave.owned)),
+        _over(facets, other, pairing.master_facets, count),
+    )
 
 
 def find_smooth_side(surface: Surface, fixed: Bools, feature_angle: float) -> SmoothSide:
@@ -228,20 +224,18 @@ def find_smooth_side(surface: Surface, fixed: Bools, feature_angle: float) -> Sm
         fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
         feature_angle: see `smooth_normals`.
     """
-    facets = facets_at(surface, surface.X)
-    normals = find_shape(surface, fixed, feature_angle)
-    if not isinstance(normals, NodeNormals):
-        return _over_curved(facets, surface.facets, normals)
-    edges = count_edges(normals, surface.owned)
-    sagitta = edge_sagittas(facets, normals, surface.facets)
-    return SmoothSide(facets, normals, surface.facets, sagitta, edges)
+    shape = find_shape(surface, fixed, feature_angle)
+    count = _count_edges(shape, surface.owned)
+    return _over(facets_at(surface, surface.X), shape, surface.facets, count)
 
 
-def _over_curved(facets: Facets, nodes: Ints, K: Floats) -> SmoothSide:
-    """Return the smooth surface over curved facets (m,) with the curvatures K at nodes."""
-    at_vertices = K[nodes[:, list(facets.element.vertices)]]
+def _over(facets: Facets, shape: NodeShape, nodes: Ints, count: Ints) -> SmoothSide:
+    """Return the smooth surface over facets (m,) of what is known at nodes."""
+    if isinstance(shape, NodeNormals):
+        return SmoothSide(facets, shape, nodes, edge_sagittas(facets, shape, nodes), count)
+    at_vertices = shape[nodes[:, list(facets.element.vertices)]]
     sagitta = curved_sagittas(facets, own_curvatures(facets), at_vertices)
-    return SmoothSide(facets, None, nodes, sagitta, np.zeros(2, dtype=np.int32))
+    return SmoothSide(facets, None, nodes, sagitta, count)
 
 
 def _nodal_curvatures(surface: Surface) -> Floats:
@@ -303,8 +297,10 @@ def side_slopes(
     return slopes
 
 
-def count_edges(normals: NodeNormals, owned: int) -> Ints:
+def _count_edges(normals: NodeShape, owned: int) -> Ints:
     """Return how many owned nodes lie on an edge, and how many of them have no normal."""
+    if not isinstance(normals, NodeNormals):
+        return np.zeros(2, dtype=np.int32)
     none = np.abs(normals.n[:owned]).max(axis=1, initial=0.0) == 0.0
     return np.array([normals.sharp[:owned].sum(), none.sum()], dtype=np.int32)
 
@@ -366,11 +362,6 @@ def find_curved(
     return a, b
 
 
-def _meeting(segments: Segments) -> tuple[Ints, Ints]:
-    """Return the pairs that meet (p,), and which of them each point belongs to (q,)."""
-    return distinct(segments.pair)
-
-
 def distinct(numbers: Ints) -> tuple[Ints, Ints]:
     """Return the different ones of numbers (q,), ascending, and which of them each is (q,).
 
@@ -407,7 +398,7 @@ def point_heights(
         u: displacement, None for X.
         sides: the smooth surfaces at X.
     """
-    pairs, of = _meeting(segments)
+    pairs, of = distinct(segments.pair)
     c_s, c_m, arcs = pair_sagittas(pairing, u, sides, pairs)
     a, b = find_curved(pairing, u, sides, pairs)
     if pairing.slave.element.degree == 1:
@@ -452,7 +443,7 @@ def missed_heights(
     `common_sagittas` shortens by a projection. Both are of fourth order in the length of facets.
     The arguments are those of `point_heights`.
     """
-    pairs, of = _meeting(segments)
+    pairs, of = distinct(segments.pair)
     a, b = find_curved(pairing, u, sides, pairs)
     return _missed(a, b, of, segments.xi_s) + _missed(b, a, of, segments.xi_m)
 
@@ -537,7 +528,7 @@ def find_parting(
     clearance c, infinite for planes.
     The arguments are those of `point_heights`.
     """
-    pairs, of = _meeting(segments)
+    pairs, of = distinct(segments.pair)
     size = np.bincount(of, segments.weight, minlength=len(pairs))
     k_s, k_m = (
         np.trace(side.K, axis1=1, axis2=2) for side in find_curved(pairing, u, sides, pairs)

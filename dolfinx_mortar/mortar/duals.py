@@ -264,7 +264,7 @@ def create_duals(N: Floats, weight: Floats, slave: Ints, kept: Bools) -> Duals:
 
 @timed("~Mortar: node weights")
 def node_weights(
-    pairing: Integrated, segments: Segments, keep: Bools | None = None, N_s: Floats | None = None
+    pairing: Integrated, segments: Segments, keep: Bools | None = None
 ) -> tuple[Floats, Floats]:
     """Return int N~_j over the covered part and the whole slave side, (n,) each (collective).
 
@@ -272,12 +272,10 @@ def node_weights(
 
     Args:
         keep: Slave nodes (n,) that carry a multiplier; all if not given.
-        N_s: Values (q, k) of the slave shape functions, if they are at hand.
     """
     slave = pairing.slave
     shares, kept = slave.element.shares, None if keep is None else keep[slave.facets]
-    N_s = slave.element.shape_functions(segments.xi_s) if N_s is None else N_s
-    covered = covered_weights(N_s, segments.weight, segments.slave, len(slave.facets))
+    covered = covered_weights(segments.N, segments.weight, segments.slave, len(slave.facets))
     covered, whole = (absorbed(shares, v, kept) for v in (covered, segments.facet_weights))
     both = sum_at_nodes(slave, np.stack([covered, whole], axis=2))
     return both[:, 0], both[:, 1]
@@ -335,7 +333,6 @@ def default_keep(
     covered: Floats,
     tributary: Floats,
     allowed: Bools | None = None,
-    N_s: Floats | None = None,
 ) -> Bools:
     """Choose the slave nodes that carry a multiplier, the same on any number of ranks (collective).
 
@@ -347,14 +344,13 @@ def default_keep(
         covered: Covered weight (n,) of each slave node, of `node_weights`.
         tributary: Whole weight (n,), of `node_weights`.
         allowed: Nodes (n,) that may be kept; all if not given.
-        N_s: Values (q, k) of the slave shape functions, if they are at hand.
     """
     allowed = np.ones(len(covered), dtype=bool) if allowed is None else allowed
     none, _ = _find_weightless(pairing, segments)
     coverage = np.where(allowed & ~none, covered, 0.0) / np.where(none, 1.0, tributary)
     keep = coverage > LEAST_COVERAGE
     if pairing.slave.element.shares:  # a vertex needs mid-side nodes whose functions it shares
-        left = node_weights(pairing, segments, keep, N_s)[0] / np.where(none, 1.0, tributary)
+        left = node_weights(pairing, segments, keep)[0] / np.where(none, 1.0, tributary)
         coverage = np.where(left > HALF_OF_DIGITS * coverage, coverage, 0.0)
         keep &= left > LEAST_COVERAGE
     facets = pairing.slave.facets[segments.covered]
@@ -371,7 +367,6 @@ def choose_duals(
     segments: Segments,
     weights: tuple[Floats, Floats],
     allowed: Bools,
-    N_s: Floats,
 ) -> tuple[Bools, Floats]:
     """Return the slave nodes (n,) that carry a multiplier, and w Phi_j (q, k) (collective).
 
@@ -383,11 +378,10 @@ def choose_duals(
     Args:
         weights: Covered and whole weights of `node_weights`.
         allowed: Nodes (n,) that may be kept.
-        N_s: Values (q, k) of the slave shape functions.
     """
     while True:  # each time with fewer nodes
-        keep = default_keep(pairing, segments, *weights, allowed, N_s)
-        Phi = weighted_duals(pairing, segments, keep, N_s)
+        keep = default_keep(pairing, segments, *weights, allowed)
+        Phi = weighted_duals(pairing, segments, keep)
         force = integrate_values(pairing, segments, Phi, np.ones(len(Phi)))
         pulls = keep & (force <= LEAST_COVERAGE * weights[0])
         if not any_rank(pairing.slave.V.mesh.comm, pulls.any())[0]:
@@ -412,23 +406,17 @@ def _best_nodes(coverage: Floats, X: Floats) -> Ints:
     return np.asarray(np.argmax(best, axis=1), dtype=np.int32)
 
 
-def find_duals(
-    pairing: Integrated, segments: Segments, keep: Bools, N_s: Floats | None = None
-) -> Duals:
+def find_duals(pairing: Integrated, segments: Segments, keep: Bools) -> Duals:
     """Return the dual functions at the points of segments.
 
     Args:
         keep: Slave nodes (n,) that carry a multiplier; a node has the same value on all ranks.
-        N_s: Values (q, k) of the slave shape functions, if they are at hand.
     """
     element, kept = pairing.slave.element, keep[pairing.slave.facets]
-    N_s = element.shape_functions(segments.xi_s) if N_s is None else N_s
-    N_s = absorbed(element.shares, N_s, kept[segments.slave])
-    return create_duals(N_s, segments.weight, segments.slave, kept)
+    N = absorbed(element.shares, segments.N, kept[segments.slave])
+    return create_duals(N, segments.weight, segments.slave, kept)
 
 
-def weighted_duals(
-    pairing: Integrated, segments: Segments, keep: Bools, N_s: Floats | None = None
-) -> Floats:
+def weighted_duals(pairing: Integrated, segments: Segments, keep: Bools) -> Floats:
     """Return w Phi_j (q, k) at the points of segments, w their weights; see `find_duals`."""
-    return find_duals(pairing, segments, keep, N_s).Phi * segments.weight[:, None]
+    return find_duals(pairing, segments, keep).Phi * segments.weight[:, None]

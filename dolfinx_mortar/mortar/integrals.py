@@ -178,8 +178,7 @@ def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Fa
         master: The received ones.
     """
     slave, on, w = pairing.slave, segments.slave, segments.weight
-    count, element = len(facets.x), pairing.master.element
-    N = slave.element.shape_functions(segments.xi_s), element.shape_functions(segments.xi_m)
+    count, N = len(facets.x), (segments.N, pairing.master.element.shape_functions(segments.xi_m))
     at = facets.x, master.x, facet_normals(facets), facet_normals(master), on, segments.master
     gap, least, sums = np.empty(len(on)), np.full(count, np.inf), np.zeros((count, 2))
     _measure(gap, least, sums, *N, *at, w)

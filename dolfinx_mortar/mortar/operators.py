@@ -74,16 +74,15 @@ def create_operators(
         motions_of: Smooth surfaces at X, by whose offsets P is corrected.
     """
     comm, own = pairing.slave.V.mesh.comm, slice(None, pairing.slave.owned)
-    N_s = pairing.slave.element.shape_functions(segments.xi_s)
-    weights = node_weights(pairing, segments, N_s=N_s)
+    weights = node_weights(pairing, segments)
     # choices that keep the same nodes share one integration
     differ = any_rank(comm, *(allowed != allowed[:, :1]).any(axis=0))
     choices = [c if differ[c] else 0 for c in range(allowed.shape[1])]
     Phi: dict[int, Floats] = {}
     matrices: dict[int, tuple[Floats, Floats]] = {}
     for c in sorted(set(choices)):
-        keep, Phi[c] = choose_duals(pairing, segments, weights, allowed[:, c], N_s)
-        matrices[c] = integrate_matrices(pairing, segments, keep, Phi[c], N_s)
+        keep, Phi[c] = choose_duals(pairing, segments, weights, allowed[:, c])
+        matrices[c] = integrate_matrices(pairing, segments, keep, Phi[c])
     entries_D, entries_M = (np.column_stack([matrices[c][i] for c in choices]) for i in (0, 1))
     weight = np.zeros((pairing.slave.owned, len(choices)))
     places, nodes = pairing.diagonal
@@ -124,26 +123,23 @@ def integrate_matrices(
     segments: Segments,
     keep: Bools,
     Phi: Floats | None = None,
-    N_s: Floats | None = None,
 ) -> tuple[Floats, Floats]:
     """Return the entries of D (eq. 19) and M (eq. 20) on the patterns of the pairing (collective).
 
     Args:
         keep: Slave nodes (n,) that carry a multiplier; a node has the same value on all ranks.
         Phi: Their weighted functions of `weighted_duals`, if they are at hand.
-        N_s: Values (q, k) of the slave shape functions, if they are at hand.
 
     Returns:
         Entries (e,) of D and (f,) of M. Rows of removed nodes vanish; their columns in D do not.
         Over the kept nodes D is diagonal, but for mid-side nodes that depend on vertices (exactly:
         the other integrals vanish by construction, and their round-off is set to zero).
     """
-    N_s = pairing.slave.element.shape_functions(segments.xi_s) if N_s is None else N_s
     N_m = pairing.master.element.shape_functions(segments.xi_m)
     kept = keep[pairing.slave.facets]
     Phi = weighted_duals(pairing, segments, keep) if Phi is None else Phi
     paired = np.unique(pairing.pairs[:, 0])
-    blocks_D = sums_of_products(Phi, N_s, segments.slave, len(kept))[paired]
+    blocks_D = sums_of_products(Phi, segments.N, segments.slave, len(kept))[paired]
     both = kept[paired][:, :, None] & kept[paired][:, None, :]
     blocks_D[both & ~in_D(pairing.slave.element)] = 0.0
     blocks_M = sums_of_products(Phi, N_m, segments.pair, len(pairing.pairs))

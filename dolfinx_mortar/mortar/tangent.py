@@ -36,7 +36,7 @@ from dolfinx_mortar.geometry.curvature import common_sagittas, first_order, heig
 from dolfinx_mortar.geometry.curvature import edges as edges_of
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
-from dolfinx_mortar.geometry.moments import Sums, whole
+from dolfinx_mortar.geometry.moments import Sides, Sums, whole
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.curvature_correction import (
     Curved,
@@ -76,19 +76,6 @@ class Derivatives:
     b_p: Sequence[Blocks] = ()  # (d n, d n)
 
 
-class _Sides(NamedTuple):
-    """Slave facets (p,) and the master facets (P,) that they face, those of a facet together."""
-
-    x: Floats  # (p, k, d)
-    n: Floats  # (p, k, 2) directions of projection; (p, 0, 3) in space
-    y: Floats  # (p, m, d) the different nodes of the masters
-    start: Longs  # (p + 1,)
-    place: Longs  # (P, l) nodes of the masters among y
-    deepest: Floats  # (P,)
-    factor: Floats  # (p, k) weight of the integrals at the nodes
-    reach: Floats  # (p, 2) see `Segments`; (p, 0) where weights fall nowhere
-
-
 class _Surfaces(NamedTuple):
     """Smooth surfaces over the facets of pairs (P,)."""
 
@@ -100,7 +87,7 @@ class _Surfaces(NamedTuple):
     lengths: bool  # whether slopes are those of lengths
 
 
-def _add_motions_of_heights(sides: _Sides, surfaces: _Surfaces, sums: Sums) -> None:
+def _add_motions_of_heights(sides: Sides, surfaces: _Surfaces, sums: Sums) -> None:
     """Add the derivatives of H by what heights depend on."""
     (p, k, d), others = sides.x.shape, sides.x.shape[2] * (sides.x.shape[1] + sides.n.shape[1])
     if surfaces.lengths:
@@ -117,7 +104,7 @@ def _add_motions_of_heights(sides: _Sides, surfaces: _Surfaces, sums: Sums) -> N
 
 
 def _differentiate(
-    sides: _Sides,
+    sides: Sides,
     surfaces: _Surfaces,
     types: tuple[FacetElement, FacetElement],
     basis: Basis,
@@ -141,7 +128,7 @@ def _differentiate(
 
 
 def _sums(
-    sides: _Sides,
+    sides: Sides,
     heights: tuple[Floats, Floats, Floats],
     types: tuple[FacetElement, FacetElement],
     counts: tuple[int, int],
@@ -151,7 +138,7 @@ def _sums(
     z, n = d * (k + sides.n.shape[1] + m), k + m + 1
     E_s, E_m = (np.zeros((counts[0], k, v, v)) for v in (k, l))
     sums = Sums(np.zeros((p, k, n)), np.zeros((p, z, k, n)), E_s, E_m, np.zeros((counts[1], k, 2)))
-    (line if d == 2 else area).moments(*sides, heights, types, sums)
+    (line if d == 2 else area).moments(sides, heights, types, sums)
     return sums
 
 
@@ -218,7 +205,7 @@ def differentiate(
     for group in _groups(pairing, used):
         s = group.facets
         own = slave.facets[s]
-        sides = _Sides(
+        sides = Sides(
             facets.x[s],
             directions[s],
             y[group.nodes],
@@ -329,7 +316,7 @@ def _add_parts(
     parts: dict[str, list[Blocks]],
     found: Results,
     given: Tractions,
-    sides: _Sides,
+    sides: Sides,
     own: Ints,
     others: Ints,
 ) -> None:

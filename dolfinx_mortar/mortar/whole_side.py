@@ -95,7 +95,8 @@ def whole_facets(side: WholeSide, x: Floats, facing: Bools) -> tuple[Segments, F
     which, at = which[some], at[some]
     none = np.full(len(which), -1, dtype=np.int32)
     sums = tributary_weights(facets, whole)
-    segments = Segments(none, which, none, at, 0.0 * at, jacobians.ravel()[some], sums)
+    weight = jacobians.ravel()[some]
+    segments = Segments(none, which, none, at, 0.0 * at, weight, sums, element)
     return segments, points_of(facets, which, at)
 
 
@@ -109,10 +110,9 @@ def integrate_side(side: WholeSide, x: Floats, facing: Bools, allowed: Bools) ->
     """
     slave, own = side.slave, slice(None, side.slave.owned)
     segments, points = whole_facets(side, x, facing)
-    N = slave.element.shape_functions(segments.xi_s)
-    weights = node_weights(side, segments, N_s=N)
-    keep, Phi = choose_duals(side, segments, weights, allowed, N)
-    blocks = sums_of_products(Phi, N, segments.slave, len(slave.facets))
+    weights = node_weights(side, segments)
+    keep, Phi = choose_duals(side, segments, weights, allowed)
+    blocks = sums_of_products(Phi, segments.N, segments.slave, len(slave.facets))
     among = keep[slave.facets]
     blocks[(among[:, :, None] & among[:, None]) & ~in_D(slave.element)] = 0.0
     entries = side.D.sum(blocks)
