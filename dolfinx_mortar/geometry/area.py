@@ -528,7 +528,7 @@ def _create(
     first, q = np.zeros(len(which), dtype=np.int64), len(rule[1])
     at = which, corners, size, first, False, *rule, np.array([0, q])
     on, xi, xi_m, weight = _place(*over.sides, *over.planes, *at)
-    part, shape, xi_s = over.pairs[which, 0].astype(np.int64), (len(which), q, -1), xi
+    part, shape, xi_s = over.pairs[which, 0].astype(np.int64), (len(which), q, 2), xi
     if slave.element.part or master.element.part:
         on_parts = {"xi_s": xi, "xi_m": xi_m, "weight": weight}
         xi_s, xi_m, _ = on_facets(slave, master, over.planes[1], over.pairs[on], **on_parts)
@@ -625,9 +625,11 @@ def _add_inner(over: "_Overlaps", inner: _OfPairs, found: Sums) -> None:
     # the plane tilts: as if all nodes turned back
     back = n[:, None, None] * (u @ np.swapaxes(X, 1, 2))[..., None]
     back -= u[:, :, None] * (X @ n[:, :, None])[:, None]
-    rates: Floats = by.reshape(s, 5 * q, -1)
-    rates[..., : 3 * k] += rates @ back.reshape(s, 2, -1).swapaxes(1, 2) @ tilts.reshape(s, 2, -1)
-    rates = rates.reshape(s, q, 5, -1)
+    z = 3 * inner.nodes.shape[1]
+    rates: Floats = by.reshape(s, 5 * q, z)
+    back, tilts = back.reshape(s, 2, z), tilts.reshape(s, 2, 3 * k)
+    rates[..., : 3 * k] += rates @ back.swapaxes(1, 2) @ tilts
+    rates = rates.reshape(s, q, 5, z)
     values, changes = at.differentiate(rates[:, :, :2], rates[:, :, 2:4], rates[:, :, 4])
     columns = _columns(inner, found)
     none = np.zeros((s, 1), dtype=np.int64)
@@ -659,7 +661,7 @@ def _add_edges(
         t: (q,) places of the points, from 0 to 1.
         ids: (s, 2) which nodes these are.
     """
-    at, (u, n, tilts) = inner.at, inner.frame
+    at, (u, normal, tilts) = inner.at, inner.frame
     (s, q, k), radius = at.N.shape, over.planes[2][inner.part]
     lines = lines - over.planes[0][inner.part][:, None]
     first, second = np.moveaxis(lines @ np.swapaxes(u, 1, 2) / radius[:, None, None], 1, 0)
@@ -670,12 +672,13 @@ def _add_edges(
     outwards = way[:, ::-1] * [1.0, -1.0] / radius[:, None]
     by = np.empty((s, q, k + 2, 3))
     by[:, :, k:] = share[..., None] * (outwards[:, None] @ u)[:, None]
-    height = share @ (lines @ n[:, :, None])
-    by[:, :, :k] = (-height * outwards[:, None] @ tilts.reshape(s, 2, -1)).reshape(s, q, k, 3)
+    height = share @ (lines @ normal[:, :, None])
+    by[:, :, :k] = (-height * outwards[:, None] @ tilts.reshape(s, 2, 3 * k)).reshape(s, q, k, 3)
+    n, z = at.f.shape[2], 3 * (k + 2)
     rows = (at.weight[..., None] * at.N)[..., None] * at.f[:, :, None]
-    changes = np.swapaxes(by.reshape(s, q, -1), 1, 2) @ rows.reshape(s, q, -1)
+    changes = np.swapaxes(by.reshape(s, q, z), 1, 2) @ rows.reshape(s, q, k * n)
     nodes = np.concatenate([inner.nodes[:, :k], ids], axis=1)
-    changes = changes.reshape(s, -1, *rows.shape[2:])
+    changes = changes.reshape(s, z, k, n)
     _scatter(found.changes, inner.facet, nodes, _columns(inner, found), changes)
 
 

@@ -260,7 +260,7 @@ def _by_nodes(N: Floats, M: Floats, n: Floats, apart: Floats) -> Floats:
     along, across = (v[:, :, None, ::-1] * [1.0, -1.0] for v in (n, apart))
     N, M = N[..., None], M[..., None]
     parts = np.concatenate([N * along, -N * across, -M * along], axis=2)
-    return parts.reshape(*parts.shape[:2], -1)
+    return parts.reshape(*parts.shape[:2], 2 * parts.shape[2])
 
 
 def _end_rates(

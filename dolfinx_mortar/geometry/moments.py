@@ -18,6 +18,7 @@ on; so nothing that cuts, hides or halves has derivatives. They say how xi of bo
 with the nodes; all else is the same in the plane, in space and below tools, and stands here.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -125,13 +126,14 @@ def functions(element: FacetElement, xi: Floats) -> tuple[Floats, Floats, Floats
     one, both = np.ones(s * q), xi.reshape(-1, e).T
     powers = [np.stack([one, v, v * v]) for v in (*both, 0.0 * one)[:2]]  # in the plane eta is 0
     found = element.slopes @ (powers[0][:, None] * powers[1]).reshape(9, -1)
-    N, first, second = np.split(found.T.reshape(s, q, -1), [k, k + k * e], axis=2)
+    N, first, second = np.split(found.T.reshape(s, q, len(found)), [k, k + k * e], axis=2)
     return N, first.reshape(s, q, e, k), second.reshape(s, q, e, e, k)
 
 
 def sums(N: Floats, x: Floats) -> Floats:
     """Return sum_k N_k x_k (s, q, .., d) of values N (s, q, .., k) and nodes x (s, k, d)."""
-    return (N.reshape(len(x), -1, x.shape[1]) @ x).reshape(*N.shape[:-1], x.shape[2])
+    rows = N.reshape(len(x), math.prod(N.shape[1:-1]), x.shape[1])
+    return (rows @ x).reshape(*N.shape[:-1], x.shape[2])
 
 
 def turns(element: FacetElement, x: Floats) -> tuple[Floats, Floats]:
@@ -232,7 +234,7 @@ def whole(
     N, dN, _ = (v[0] for v in functions(facets.element, xi[None]))
     dual, normal = dual_basis(dN @ facets.x[:, None])
     v = (weights * np.linalg.norm(normal, axis=2))[..., None] * N
-    by_w = (np.swapaxes(dN, 1, 2) @ dual).reshape(*phi.shape, -1)
+    by_w = (np.swapaxes(dN, 1, 2) @ dual).reshape(*phi.shape, dN.shape[2] * dual.shape[3])
     f = np.concatenate([np.broadcast_to(N, v.shape), -phi[..., None]], axis=2)
     by_f = np.zeros((*by_w.shape, f.shape[2]))
     by_f[..., -1] = -by_x.reshape(by_w.shape)
