@@ -84,9 +84,8 @@ def missed_gaps(link: Link, u: fem.Function | None) -> Floats:
         slave = facets_at(pairing.slave, coordinates(pairing.slave, u))
         v = points_of(received_facets(pairing, u), segments.master, segments.xi_m)
         v -= points_of(slave, segments.slave, segments.xi_s)
-        N = pairing.slave.element.shape_functions(segments.xi_s)
         at_nodes = normals[pairing.slave.facets[segments.slave]]
-        n = unit((N[:, None] @ at_nodes)[:, 0])
+        n = unit((segments.N[:, None] @ at_nodes)[:, 0])
         missed = missed_heights(pairing, segments, *rest) - (n * v).sum(axis=1)
         return np.asarray((at_nodes @ v[:, :, None])[:, :, 0] + missed[:, None])
 
