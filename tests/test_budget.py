@@ -15,10 +15,10 @@ import dolfinx_mortar
 
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
-    "files": 245,
-    "tokens of code": 369_170,
-    "words of prose": 115_794,
-    "words of strings": 15_573,
+    "files": 216,
+    "tokens of code": 345_369,
+    "words of prose": 108_735,
+    "words of strings": 14_270,
 }
 LAYOUT = (
     *(tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),

@@ -15,7 +15,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx_mortar.steps import newton as newton_module
+from dolfinx_mortar.steps import step_end
 from dolfinx_mortar.steps import walk as stepping
 from tests.meshes import BOTTOM, TOP
 from tests.pressed_blocks import PressedBlocks, failing, rejected
@@ -203,7 +203,7 @@ def test_stop_by_the_user(case, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(newton_module, "create_certificate", interrupt)
+    monkeypatch.setattr(step_end, "create_certificate", interrupt)
     with pytest.raises(KeyboardInterrupt):
         dm.newton(problem)
     problem.commit()

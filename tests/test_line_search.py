@@ -15,7 +15,6 @@ from dolfinx_mortar.newton_method.linearisation import (
     linearise,
     to_displacement,
 )
-from dolfinx_mortar.steps import newton as newton_module
 from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.terms.sum import Terms
 from tests.block_piles import ABOVE, BELOW, PILE, Blocks
@@ -39,8 +38,8 @@ def test_a_step_too_long_is_halved():
 def test_energy_is_free_to_rise_where_supports_strain(law, monkeypatch):
     """A pulled bar: the first step is whole, and searched it would find nothing below zero."""
     searched = []
-    search = newton_module.search
-    monkeypatch.setattr(newton_module, "search", lambda *a: searched.append(1) or search(*a))
+    search = line_search.search
+    monkeypatch.setattr(line_search, "search", lambda *a: searched.append(1) or search(*a))
     b = Blocks(PILE[:1])
     pull = b.fix(1, ABOVE, component=1, value=2e-2)
     report = dm.newton(b.problem([], [b.fix(1, BELOW), pull], law=law))
@@ -51,8 +50,8 @@ def test_energy_is_free_to_rise_where_supports_strain(law, monkeypatch):
 def test_a_step_is_searched_where_supports_move_bodies_rigidly(monkeypatch):
     """They ask for no strain then, so that the energy has to fall from the first iteration on."""
     searched = []
-    search = newton_module.search
-    monkeypatch.setattr(newton_module, "search", lambda *a: searched.append(1) or search(*a))
+    search = line_search.search
+    monkeypatch.setattr(line_search, "search", lambda *a: searched.append(1) or search(*a))
     case = create_case(dm.meshing.hertz(COMM, kind="paper"), ELASTIC)
     case.press(0.1)
     report = dm.newton(case.problem)

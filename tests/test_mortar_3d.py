@@ -20,7 +20,7 @@ from dolfinx_mortar.mortar.paper import assemble_mortar
 from dolfinx_mortar.mortar.surface import accumulate, create_surface, facets_at, nodal_normals
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.report import certificate
-from dolfinx_mortar.steps import newton as newton_module
+from dolfinx_mortar.steps import step_end
 from tests.meshes_3d import (
     BACK,
     BOTTOM,
@@ -176,7 +176,7 @@ def test_contacts_that_pull_are_told(monkeypatch):
     assert pull > 0.9
     forces = link.coupling.weight * on[link.nodes, None] * link.coupling.normals
     assert certificate._pull_of_patches(link, forces) > 0.5
-    monkeypatch.setattr(newton_module, "find_pull", lambda *_: pull)
+    monkeypatch.setattr(step_end, "find_pull", lambda *_: pull)
     report = dm.newton(case.problem)
     assert report.certificate.sign == pull
     assert any(note.startswith("contacts pull, by ") for note in report.notes)

@@ -12,7 +12,7 @@ from dolfinx_mortar import meshing, newton
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.interfaces import near
 from dolfinx_mortar.interfaces.mortar_interface import MortarInterface
-from dolfinx_mortar.steps import newton as newton_module
+from dolfinx_mortar.newton_method import subproblem
 from tests.bolted_joint import Joint
 from tests.choice import crosswise, quick
 from tests.hertz_case import ELASTIC, create_case, create_mesh
@@ -48,7 +48,7 @@ def test_nodes_left_out_too_many_are_taken_back(monkeypatch, geometry, slave):
         return few if len(chosen) == 1 else chosen[-1]
 
     monkeypatch.setattr(near.Reach, "near", deepest_only)
-    linearise = newton_module.linearise
+    linearise = subproblem.linearise
 
     def in_one_basis(problem, balance, **options):
         """The bounds of a QP are those of all nodes that its T holds."""
@@ -56,7 +56,7 @@ def test_nodes_left_out_too_many_are_taken_back(monkeypatch, geometry, slave):
         assert len(balance.bounds.dofs) == held
         return linearise(problem, balance, **options)
 
-    monkeypatch.setattr(newton_module, "linearise", in_one_basis)
+    monkeypatch.setattr(subproblem, "linearise", in_one_basis)
     narrow, few = solve(geometry, slave)
     assert narrow.force == pytest.approx(case.force, rel=1e-9)
     same = np.abs(narrow.problem.u.x.array - case.problem.u.x.array).max(initial=0.0)

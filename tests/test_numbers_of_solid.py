@@ -55,6 +55,7 @@ SHARED = {
 }
 TABLES = {"COMPONENTS", "INDEX", "SHEAR", "TURNS", "UNTAGGED"}  # how tensors are stored, and a mark
 TABLES |= {"NORMAL", "_POSITIVE"}  # the tensor of a strain out of the plane, a range
+TABLES |= {"DEPTHS", "RADII"}  # ranges
 TABLES |= {"HIGHEST_RULE"}  # what is refused, in test_errors
 TABLES |= {"ANYWHERE", "_CORNERS", "GRADIENT"}  # a point and a cell, how gradients are stored
 TABLES |= {"LEAST_RATIO"}  # of plane stress, in test_plane_stress

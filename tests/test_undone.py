@@ -16,8 +16,7 @@ from dolfinx_mortar.qp import interior_point, schur
 from dolfinx_mortar.qp.dense import Dense
 from dolfinx_mortar.qp.operator import FreePart
 from dolfinx_mortar.report.energy_ledger import EnergyLedger
-from dolfinx_mortar.steps import newton as newton_module
-from dolfinx_mortar.steps import walk
+from dolfinx_mortar.steps import step_end, walk
 from tests import friction_case, tool_case
 from tests.pressed_blocks import PressedBlocks
 from tests.user_laws import Softening
@@ -141,7 +140,7 @@ def test_a_step_that_is_stopped_when_its_results_are_set(monkeypatch, error, whe
         raise error("no certificate")
 
     with monkeypatch.context() as patch:
-        patch.setattr(newton_module, where, stop)
+        patch.setattr(step_end, where, stop)
         case.push(0.02, -0.011)
         with pytest.raises(error, match="no certificate"):
             dm.newton(problem)

@@ -183,7 +183,7 @@ class Results:
         for name, values in shown.items():
             whole = np.concatenate(mesh.comm.allgather(values))
             order = np.lexsort(whole.T[::-1]) if order is None else order
-            parts[name] = whole[order] if whole.shape[1] > 1 else whole[order, 0]
+            parts[name] = whole[order, 0] if whole.size == len(whole) else whole[order]
         return parts
 
 

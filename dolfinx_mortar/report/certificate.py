@@ -54,17 +54,19 @@ def operator_errors(link: Link, X: Floats, facet_length: float) -> tuple[float, 
     return float(linear), float(sums)
 
 
-def find_pull(problem: ContactProblem, contacts: Contacts) -> float:
+def find_pull(problem: ContactProblem, contacts: Contacts, least: float = 0.0) -> float:
     """Return the largest pull of the contacts, over their largest push of the same kind.
 
     Multipliers lambda_j act with D_jj lambda_j on their own node, and with lambda_j int Phi_j on
     all. The resultants of connected patches along their mean normals are those of the forces on the
-    nodes; a patch that bends around by 90 degrees from it has none. Collective.
+    nodes; a patch that bends around by 90 degrees from it has none. Forces of at most ``least``,
+    what a step may leave out of balance, are none. Collective.
     """
     found = [0.0]
     for link in problem.system.unilateral:
         p, coupling = link.pattern, link.coupling
         z = coupling.weight[:, 0] * contacts.multipliers[link.nodes] * link.constrained[:, 0]
+        z[np.abs(z) <= least] = 0.0
         shared_out = np.bincount(p.row[: p.split], coupling.P[: p.split, 0], minlength=len(z))
         forces = np.stack([z, z * (1.0 - shared_out)])
         pull, push = maximum(

@@ -45,7 +45,7 @@ def finish(
         sliders = find_sliders(limits, contacts, iterate.stiffness, noise)
     left_out, crossing = find_left_out(problem), find_crossing(problem)
     stiffness = iterate.stiffness.array_r
-    pull = find_pull(problem, contacts)
+    pull = find_pull(problem, contacts, residual.limit)
     how = overlap, left_out, crossing, pull, report.rtol, residual.limit
     end = StepEnd(problem, iterate.balance, contacts, stiffness, *how)
     negative = iterate.negative or _ends_indefinite(qps, report)
