@@ -8,7 +8,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.interfaces import pretension
-from dolfinx_mortar.problem import jumps
+from dolfinx_mortar.problem import step_data
 from tests.bolted_joint import Joint
 from tests.glued_bar import CELLS, COMM, CONFINED, NU, Bar, E, largest
 from tests.meshes import BOTTOM, LEFT, TOP
@@ -192,7 +192,7 @@ def test_a_step_that_leads_too_far_is_undone(monkeypatch):
     dm.newton(problem, rtol=1e-11)
     problem.commit()
     before = [joint.u.x.array.copy(), joint.bolt.force, joint.bolt.tightening]
-    monkeypatch.setattr(jumps, "diagonal", lambda V: 0.011)  # the gap closes before
+    monkeypatch.setattr(step_data, "diagonal", lambda V: 0.011)  # the gap closes before
     words = ("the pretension of", "an overlap of 0.02897", "check units", "as before")
     with rejected(*words, error=dm.NewtonNotConverged):
         tighten(problem, {joint.bolt: 6.0}, joint.direction)

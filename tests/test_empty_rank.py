@@ -10,7 +10,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.supports.bodies import find_bodies
-from dolfinx_mortar.terms.weak_forms import check_loads
+from dolfinx_mortar.terms.weak_forms import check_form
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, RIGHT, TOP, TOP_OF_LOWER, two_blocks
 from tests.meshes_3d import two_boxes
 
@@ -67,7 +67,7 @@ def test_loads_with_the_displacement_are_refused_also_where_a_rank_has_no_values
     ds = ufl.Measure("ds", mesh, subdomain_data=facets)
     for inside in (u[1], u.sub(1)):
         with pytest.raises(ValueError, match=r"^loads contain the displacement"):
-            check_loads(u, -inside * v[1] * ds(TOP))
+            check_form(u, "loads", -inside * v[1] * ds(TOP), arguments=1, dead=True)
 
 
 def test_bodies_are_counted_without_the_empty_rank():

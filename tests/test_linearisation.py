@@ -10,6 +10,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.algebra.congruence import CongruentOperator
+from dolfinx_mortar.newton_method import linearisation
 from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
 from tests.meshes import BOTTOM, TOP
 from tests.pressed_blocks import PressedBlocks
@@ -48,14 +49,24 @@ def test_a_linear_tangent_is_assembled_once(solver, what, monkeypatch):
 @pytest.mark.parametrize(("bent", "products"), [(False, 0), (True, 1)])
 def test_products_with_nothing_are_not_formed(bent, products, monkeypatch):
     """Supports ask for increments in the first iteration, and only if they strain their body."""
-    case, calls = PressedBlocks(), []
+    case, calls, lifting = PressedBlocks(), [], []
     top = fem.Function(case.V)
     top.interpolate(lambda x: np.stack([0.0 * x[0], -0.01 - bent * 1e-3 * x[0] ** 2]))
     dofs = fem.locate_dofs_topological(case.V, 1, case.facets.find(TOP))
     bcs = [case.bc(BOTTOM), fem.dirichletbc(top, dofs)]
-    product = CongruentOperator.product
+    product, lift = CongruentOperator.product, linearisation._lifted
+
+    def lifted(*given):
+        lifting.append(given)
+        found = lift(*given)
+        lifting.clear()
+        return found
+
+    monkeypatch.setattr(linearisation, "_lifted", lifted)
     monkeypatch.setattr(
-        CongruentOperator, "product", lambda self, x, y: (calls.append(x), product(self, x, y))
+        CongruentOperator,
+        "product",
+        lambda self, x, y: (calls.extend(lifting), product(self, x, y))[1],
     )
     problem = case.problem(bcs=bcs, petsc_options=SOLVERS["iterative"], geometry="updated")
     report = dm.newton(problem, rtol=1e-10)
@@ -64,7 +75,10 @@ def test_products_with_nothing_are_not_formed(bent, products, monkeypatch):
 
 
 def test_both_forms_are_one_program():
-    """T^T K T formed, and applied: products, right-hand side, diagonal, with what is eliminated."""
+    """T^T K T formed, and applied: products and right-hand side, with what is eliminated.
+
+    The diagonal is a scale only, and of what is applied that without K off its diagonal.
+    """
     found = []
     for options in SOLVERS.values():
         case = PressedBlocks()
@@ -76,9 +90,9 @@ def test_both_forms_are_one_program():
         x = problem.vector(np.cos(problem.X))
         vectors = lin.qp.A * x, lin.qp.b, lin.diagonal, lin.qp.A.getDiagonal()
         found.append([vector.array.copy() for vector in vectors])  # these outlive the mesh
-    for formed, applied in zip(*found, strict=True):
+    for k, (formed, applied) in enumerate(zip(*found, strict=True)):
         assert formed.any()
-        assert np.abs(formed - applied).max() < 1e-12 * np.abs(formed).max()
+        assert np.abs(formed - applied).max() < (1e-12 if k < 2 else 1e-3) * np.abs(formed).max()
 
 
 class OwnSpring(dm.Term):

@@ -72,11 +72,7 @@ class Dense:
         sliding: Sliding | None = None,
         **others: object,
     ) -> PETSc.Vec:
-        """Solve for what is not held, in place; see `LinearSolver.solve`.
-
-        Raises:
-            NotDefinite: if the free rows are singular.
-        """
+        """Solve for what is not held, in place; see `LinearSolver.solve`."""
         values, right, result = x.array, b.array_r, b.duplicate()
         found = right - self.S @ values
         rest = found.copy()
@@ -140,10 +136,6 @@ class Condensed:
     Attributes:
         dense: the solver of the condensed linear systems.
         qp: the condensed QP.
-
-    Raises:
-        LinearSolveFailed: if A is singular with all of them held.
-        LinAlgError: if it is indefinite then.
     """
 
     def __init__(self, whole: BoundQP, linear: LinearSolver, held: Ints, values: Floats) -> None:

@@ -156,18 +156,18 @@ def by_cells(
     found = by_tag(cell_tags, given, name)
     own = values[: domain.topology.index_map(domain.topology.dim).size_local]
     cells: Counter[int] = sum(domain.comm.allgather(Counter(map(int, own))), Counter())
-    if lost := found.keys() - cells.keys():
-        there = labels(cell_tags, sorted(cells.keys() - {UNTAGGED}))
-        told = labels(cell_tags, sorted(lost, key=str))
-        raise ValueError(f"{name}: no cell has the tag {told}; cell_tags has {there}")
+    tagged, lost = cells.keys() - {UNTAGGED}, found.keys() - cells.keys()
     missing = cells.keys() - found.keys() if cover else set()
-    if missing:
+    if missing and not (tagged and lost):
         count = sum(cells[tag] for tag in missing)
         told = labels(cell_tags, sorted(missing)).replace(str(UNTAGGED), "none")
         raise ValueError(
             f"{name} has no entry for {count} cells of the tags {told}: add one for each, and tag "
             "all cells"
         )
+    if lost:
+        there, told = labels(cell_tags, sorted(tagged)), labels(cell_tags, sorted(lost, key=str))
+        raise ValueError(f"{name}: no cell has the tag {told}; cell_tags has {there}")
     return found, values
 
 
