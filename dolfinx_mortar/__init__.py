@@ -46,7 +46,7 @@ from dolfinx_mortar.terms.point_terms import PointForce, PointSpring
 from dolfinx_mortar.terms.pressure import Pressure
 from dolfinx_mortar.terms.weak_forms import WeakForm
 
-__version__ = "0.2.0"
+__version__ = "0.1.0"
 
 __all__ = [
     "Contact",
