@@ -166,15 +166,23 @@ def test_nothing_is_allocated_anew_within_a_step_nor_in_the_next(monkeypatch):
 @pytest.mark.parametrize("slow", [False, True])
 @pytest.mark.parametrize("before", [False, True])
 def test_where_the_exact_tangent_serves(finite, slow, before, first):
-    """From the second iteration on at finite strain, else where the fixed point is slow."""
+    """From the second iteration on at finite strain, else where the fixed point is slow.
+
+    Not where it has failed with residuals as large, or a tenth of these, nor after a tangent that
+    had to be shifted.
+    """
     qps = SimpleNamespace(finite=finite, may_be_exact=True)
-    iterations = [] if first else [SimpleNamespace(exact_tangent=before)]
-    step = SimpleNamespace(qps=qps, report=SimpleNamespace(iterations=iterations))
-    old = SimpleNamespace(slow=slow)
+    report = SimpleNamespace(iterations=[SimpleNamespace(exact_tangent=before)])
+    step = SimpleNamespace(qps=qps, report=report, missed=lambda residual: residual)
+    old, residuals = SimpleNamespace(slow=slow, barred=0.5, shift=0.0), [] if first else [0.4]
     is_exact = newton_module._Step.is_exact
-    assert is_exact(step, old) == (not first and (finite or slow or before))
-    qps.may_be_exact = False
-    assert not is_exact(step, old)
+    assert is_exact(step, old, residuals) == (not first and (finite or slow or before))
+    old.barred = 0.4
+    assert not is_exact(step, old, residuals)
+    old.barred, old.shift = 0.5, 0.1
+    assert not is_exact(step, old, residuals)
+    old.shift, qps.may_be_exact = 0.0, False
+    assert not is_exact(step, old, residuals)
 
 
 @pytest.mark.parametrize(

@@ -76,6 +76,7 @@ class Iterate:
     negative: bool = False  # whether the last tangent that could be shifted is indefinite
     turned: float = np.inf  # by how much the update of the geometry has changed contact forces
     slow: bool = False  # whether the fixed point is
+    barred: float = np.inf  # the exact tangent is not used above this residual
 
 
 @dataclass(frozen=True)
