@@ -3,6 +3,8 @@
 
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 import numpy.typing as npt
 
@@ -41,12 +43,12 @@ def cell_nodes(domain: mesh.Mesh) -> npt.NDArray[np.int32]:
 
 
 def scaled_mesh(domain: mesh.Mesh, scale: float) -> mesh.Mesh:
-    """Return a mesh of the same topology, with coordinates times a number."""
+    """Return the cells of this rank as a mesh of its own, with coordinates times a number."""
     cpp, old = domain._cpp_object, domain.geometry
     map_of_cells = getattr(old.cmap, "_cpp_object", old.cmap)
     given = old.index_map(), cell_nodes(domain), map_of_cells, scale * old.x[:, : old.dim]
     geometry = type(cpp.geometry)(*given, old.input_global_indices)
-    return mesh.Mesh(type(cpp)(domain.comm, cpp.topology, geometry), None)
+    return mesh.Mesh(type(cpp)(MPI.COMM_SELF, cpp.topology, geometry), None)
 
 
 def mesh_from_gmsh(
