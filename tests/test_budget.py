@@ -16,8 +16,8 @@ import dolfinx_mortar
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
     "files": 216,
-    "tokens of code": 345_453,
-    "words of prose": 108_762,
+    "tokens of code": 345_479,
+    "words of prose": 108_769,
     "words of strings": 14_270,
 }
 LAYOUT = (

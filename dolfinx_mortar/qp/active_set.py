@@ -237,6 +237,8 @@ def _update(problem: HeldProblem, start: State, level: int) -> Outcome:
             first = problem.best or start
         except LinearSolveFailed as error:
             reason = f"an active set could not be solved ({error})"
+            if problem.qp.friction is None and not isinstance(problem.linear, Bordered):
+                raise QPNotSolved(reason) from error  # other sets would hold no better
             outcome, first = Outcome(first, 0, reason), State.holding(problem.qp)
             problem.forget()
         level = TIGHT
