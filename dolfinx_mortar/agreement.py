@@ -93,11 +93,6 @@ def _excerpt(text: str, start: int) -> str:
     return f"{'... ' if start else ''}{text[start:end]}{' ...' if end < len(text) else ''}"
 
 
-def _is_constant(value: Any) -> bool:
-    """Tell whether a value is a Constant of dolfinx, wrapped or not."""
-    return isinstance(value, fem.Constant) or type(value).__name__.startswith("Constant_")
-
-
 def _texts(name: str, value: Any) -> list[tuple[str, str]]:
     """Return names and texts of what a value holds; what fails to tell counts by its type."""
     try:

@@ -16,9 +16,9 @@ import dolfinx_mortar
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
     "files": 216,
-    "tokens of code": 345_479,
-    "words of prose": 108_769,
-    "words of strings": 14_270,
+    "tokens of code": 345_447,
+    "words of prose": 108_757,
+    "words of strings": 14_269,
 }
 LAYOUT = (
     *(tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
