@@ -186,6 +186,22 @@ def test_where_the_exact_tangent_serves(finite, slow, before, first):
 
 
 @pytest.mark.parametrize(
+    ("rejected", "exact", "missed", "barred"),
+    [
+        (True, False, 0.5, 0.1),  # the exact tangent has failed: a tenth of what it began with
+        (False, False, 0.5, 0.2),  # the fixed point goes on,
+        (False, False, 2.0, np.inf),  # or has failed, too: sweep finite, seed 5013
+        (False, True, 2.0, 0.2),
+    ],
+)
+def test_how_long_the_exact_tangent_is_not_used(rejected, exact, missed, barred):
+    """Until residuals are a tenth of those at which it failed, or the fixed point raises them."""
+    found = SimpleNamespace(rejected=rejected, exact=exact)
+    step = SimpleNamespace(missed=lambda residual: residual)
+    assert newton_module._Step.barred(step, found, 0.2, missed, [3.0, 1.0]) == barred
+
+
+@pytest.mark.parametrize(
     ("turned", "before", "forces", "excess", "slow"),
     [
         (50.0, 100.0, 50.0, 1000.0, True),

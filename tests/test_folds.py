@@ -116,7 +116,11 @@ def test_a_ring_in_space():
 
 @pytest.mark.mpi
 def test_one_tag_for_two_bodies_that_slide_is_as_good_as_two():
-    """Over eight facets, with friction: new parts come near and are found."""
+    """Over eight facets, with friction: new parts come near and are found.
+
+    Pressed by .1, the leading flank leans so far that it faces the dent in front of it: a side of
+    the skin, not of the two bodies.
+    """
     domain, _, facets = create_blocks(COMM, [(0, 4, -1, 0, 16, 4), (0.3, 1.3, 0.01, 1, 8, 4)])
     domain.topology.create_connectivity(1, 2)
     skin = np.sort(dolfinx.mesh.exterior_facet_indices(domain.topology))
@@ -133,7 +137,7 @@ def test_one_tag_for_two_bodies_that_slide_is_as_good_as_two():
         problem = dm.ContactProblem(solid, [contact], bcs=bcs)
         forces = []
         for k in range(9):
-            push.value[:] = 0.25 * k, -0.1
+            push.value[:] = 0.25 * k, -0.08
             dm.newton(problem, rtol=1e-9)
             problem.commit()
             forces.append(contact.force)

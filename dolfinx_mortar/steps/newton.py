@@ -331,7 +331,7 @@ class _Step:
             found.negative,
             turned,
             self.is_slow(turned, old.turned, residual),
-            DIGIT * self.missed(residuals[-1]) if found.rejected else old.barred,
+            self.barred(found, old.barred, residual, residuals),
         )
         return iterate, residual
 
@@ -388,6 +388,15 @@ class _Step:
         if not self.report.iterations[-1].exact_tangent or residual.excess <= 1.0:
             return False
         return not self.missed(residual) <= self.missed(residuals[-1])
+
+    def barred(
+        self, found: Solution, old: float, residual: Residuals, residuals: list[Residuals]
+    ) -> float:
+        """Return the residual above which the exact tangent is not used next."""
+        if found.rejected:
+            return DIGIT * self.missed(residuals[-1])
+        raised = residuals and self.missed(residual) > self.missed(residuals[-1])
+        return np.inf if raised and not found.exact else old
 
     def missed(self, residual: Residuals) -> float:
         """Return what an iteration with the exact tangent has to lower.
