@@ -122,9 +122,9 @@ def test_two_free_bodies_collide(scheme):
     assert inertia.momentum() == pytest.approx(momentum)
 
 
-@pytest.mark.parametrize("g", quick([0.0, 2.0], 2.0))
-def test_two_free_bodies_collide_and_spin_at_finite_strain(g):
-    """Momentum stays, or is that of the weight, and its moment that of the weight's moments."""
+def spun(parts):
+    """Return the error of the moment of momentum of two blocks in steps of 4e-3 / parts."""
+    g = 2.0
     case = Blocks(
         (5, 4),
         (6, 5),
@@ -137,7 +137,7 @@ def test_two_free_bodies_collide_and_spin_at_finite_strain(g):
         gravity=g,
         velocity={LOWER: (0.0, 0.2), UPPER: (0.3, -1.0)},
     )
-    inertia, dt, touched = case.inertia, 4e-3, 0
+    inertia, dt, touched = case.inertia, 4e-3 / parts, 0
     upper = np.column_stack([np.zeros(case.problem.n), case.problem.X[:, 1] > 0.01])
     weight = -g * inertia.plain.times(upper)
 
@@ -145,21 +145,21 @@ def test_two_free_bodies_collide_and_spin_at_finite_strain(g):
         x = case.problem.X + case.problem.owned_u.reshape(-1, 2)
         return COMM.allreduce((x[:, 0] * weight[:, 1] - x[:, 1] * weight[:, 0]).sum())
 
-    moment, before = inertia.moment_of_momentum()[0], turning()
+    moment, before, errors = inertia.moment_of_momentum()[0], turning(), []
     size = abs(moment)
-    for step in steps(case.problem, dt * np.arange(1, 60), rtol=1e-12):
+    for step in steps(case.problem, dt * np.arange(1, 59 * parts + 1), rtol=1e-12):
         touched += bool(case.contact.force[1] > 0.0)
         moment += 0.5 * dt * (before + turning())
         before = turning()
-        assert inertia.moment_of_momentum()[0] == pytest.approx(moment, abs=1e-10 * size)
+        errors.append(abs(inertia.moment_of_momentum()[0] - moment) / size)
         assert inertia.momentum() == pytest.approx([0.3 * 0.85, -0.65 - 0.85 * g * step.time])
     assert touched > 5
     assert abs(step.report.ledger.defect) < 1e-2
+    return max(errors)
 
 
-def test_a_tool_gives_the_moment_of_its_forces_at_finite_strain(monkeypatch):
-    """By the trapezoidal rule: a block falls on a corner and turns; without the impulse."""
-    monkeypatch.setattr(energy_ledger, "respond", lambda *_: None)
+def rolled(parts):
+    """Return the same of a block that falls on its corner, in steps of 5e-3 / parts."""
     domain = dolfinx_mesh.create_rectangle(
         COMM, [[0.0, 0.0], [1.0, 0.5]], [4, 3], dolfinx_mesh.CellType.quadrilateral
     )
@@ -174,16 +174,25 @@ def test_a_tool_gives_the_moment_of_its_forces_at_finite_strain(monkeypatch):
     plane = dm.shapes.Plane([0.0, -0.01], [0.0, 1.0])
     floor = dm.Obstacle(tags, slave=1, shape=plane, friction=0.3)
     problem = dm.ContactProblem(solid, [floor], terms=[inertia])
-    dt, touched, before, largest = 5e-3, 0, 0.0, 0.0
+    dt, touched, before, largest, errors = 5e-3 / parts, 0, 0.0, 0.0, []
     moment = inertia.moment_of_momentum([0.0, -0.01])[0]
     size = abs(moment)
-    for _ in steps(problem, dt * np.arange(1, 41)):
+    for _ in steps(problem, dt * np.arange(1, 40 * parts + 1)):
         now = -floor.tool_moment[2]
         moment += 0.5 * dt * (before + now)
         before, touched, largest = now, touched + bool(now), max(largest, abs(now))
         found = inertia.moment_of_momentum([0.0, -0.01])[0]
-        assert found == pytest.approx(moment, abs=1e-10 * size)
+        errors.append(abs(found - moment) / size)
     assert touched > 5 and largest > 0.2 * size
+    return max(errors)
+
+
+@pytest.mark.parametrize(("turn", "error"), [(spun, 7e-5), (rolled, 2.1e-4)])
+def test_the_moment_of_momentum_is_of_second_order_at_finite_strain(turn, error):
+    """That of weights and of the forces of a tool, by the trapezoidal rule; momentum stays."""
+    found = turn(1)
+    assert found < error
+    assert turn(2) < found / 3.0
 
 
 @pytest.mark.slow
@@ -212,7 +221,7 @@ def test_two_boxes_collide_in_space(cell):
 @pytest.mark.slow
 @pytest.mark.parametrize("friction", [None, 0.3])
 def test_two_boxes_collide_in_space_at_finite_strain(friction):
-    """Rotations about three axes are given back: the moment of momentum stays to round-off."""
+    """Momentum stays, its moment but for the error of the steps."""
     mesh, cells, facets = two_boxes(
         COMM, (3, 3, 5), (4, 4, 5), gap=0.02, upper=(0.2, 1.2, 0.1, 1.1)
     )
@@ -226,7 +235,7 @@ def test_two_boxes_collide_in_space_at_finite_strain(friction):
     momentum = inertia.momentum()
     for step in steps(problem, 8e-3 * np.arange(1, 6), rtol=1e-12):  # residuals are impulses
         touched += bool(contact.force[2] > 0.0)
-        assert inertia.moment_of_momentum() == pytest.approx(moment, abs=1e-10)
+        assert inertia.moment_of_momentum() == pytest.approx(moment, abs=1e-4)
         assert inertia.momentum() == pytest.approx(momentum, abs=1e-10)
         taken.append(step.report.ledger.friction)
     assert touched == 3

@@ -29,14 +29,13 @@ Where an eigenstrain or parameters of laws change in a step, the potential chang
 forces' motion: by Psi - Psi_n - 1/2 (F + F_n).(u - u_n), F the internal forces, each at the data of
 its time. It counts as the work of loads.
 
-At finite strain neither the rule nor this impulse keeps the moment of momentum to round-off: free
-bodies are turned in the end, see `terms.free_rotation`; the energy of that is part of the defect.
+At finite strain the rule keeps the moment of momentum but for an error of third order in a step.
 
 The impulse takes a solve, a fifth of a step, with friction two. It waits until what it has to
 restore is more than rtol of the largest energy so far, which contact that lasts reaches seldom.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -44,15 +43,11 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank, ratio
 from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats
-from dolfinx_mortar.interfaces.coupling import Sides
-from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.newton_method.impulse import respond
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import LinearSolver
 from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.step_report import Ledger, Note, StepReport
-from dolfinx_mortar.supports.bodies import with_ties
-from dolfinx_mortar.terms.free_rotation import free_groups, give_back, moments
 from dolfinx_mortar.terms.inertia import Damping, Inertia, Motion
 
 # Smallest defect with a note: velocities, of which energies are squares, are then wrong by half a
@@ -244,8 +239,6 @@ class EnergyLedger:
         ]
         takes, slides = (self._sum(0.5 * f * (du - way)) for f in forces)
         terms = self._sum(np.abs((before.contact + after.contact) * du))
-        if self.conserve:
-            motion = self._turned(motion, before, after, self._on_tools)
         left, unsolved, restored = 0.0, False, 0.0
         owed = self.last.owed + takes + max(slides, 0.0)
         least = max(ROUND_OFF * terms, report.rtol * self.last.largest)
@@ -257,8 +250,6 @@ class EnergyLedger:
             work["supports"] += share
             work["friction"] += dragged
             unsolved, owed = found is None, 0.0
-        if self.conserve:
-            motion = self._turned(motion, before, after, self._free)
         inertia.finish(motion)
         impulses = self._impulses(restored)
         potential = self.problem.solid.potential()
@@ -302,76 +293,15 @@ class EnergyLedger:
         stored = self._potential = self.problem.solid.potential() or 0.0
         return stored, potential - stored, heat
 
-    def _turned(self, motion: Motion, before: Ends, after: Ends, groups: list[Bools]) -> Motion:
-        """Return a motion with the angular momentum that the forces on groups imply; collective."""
-        inertia, total = self.inertia, self.inertia.sum
-        mass, dt, tools = inertia.mass, inertia.start.dt, self._tools[:, None]
-        ends = (before, inertia.values("velocity"), 1.0), (after, motion.velocity, -1.0)
-        for on in groups:
-            missing: Floats = np.zeros(len(self._spins(mass.X)))
-            for end, velocity, sign in ends:
-                spins = self._spins(mass.X + end.u)
-                acting = end.loads - end.damping + np.where(tools, end.contact + end.friction, 0.0)
-                impulse = 0.5 * dt * acting + sign * mass.times(velocity)
-                missing = missing + moments(spins, impulse, on, total)
-            at = mass.X + after.u
-            v = give_back(mass, motion.velocity, at, missing, on, self._spins, total)
-            motion = replace(motion, velocity=v)
-        return motion
-
-    def _spins(self, x: Floats) -> list[Floats]:
-        """Return the rotations about the origin, none of rings."""
-        named = self.problem.solid.kinematics.rigid_motions(x)
-        return [motion for name, motion in named.items() if name.startswith("rotation")]
-
-    def _on(self, which: Callable[[Sides, Interface], bool]) -> Bools:
-        """Return which nodes (owned nodes,) are on some of the slave sides."""
-        on = np.zeros(len(self.inertia.mass.X), dtype=bool)
-        for sides, interface in zip(
-            self.problem.system.sides, self.problem.interfaces, strict=True
-        ):
-            if which(sides, interface):
-                on |= sides.on_slave[: len(on)]
-        return on
-
-    @cached_property
-    def _tools(self) -> Bools:
-        """Which nodes (owned nodes,) are on sides that may meet rigid tools."""
-        return self._on(lambda sides, _: sides.master is None)
-
     @cached_property
     def _driven(self) -> Bools:
         """Which nodes (owned nodes, 1) are on sides that may meet tools that loads drive."""
-        return self._on(lambda _, one: one.driven() is not None)[:, None]
-
-    @cached_property
-    def _free(self) -> list[Bools]:
-        """Marks (owned nodes,) of what meets or is tied, where no support or tool may hold it."""
-        return self._groups(self._held | self._tools)
-
-    @cached_property
-    def _on_tools(self) -> list[Bools]:
-        """Marks of groups that tools may hold, but no support."""
-        comm = self.problem.comm
-        groups = self._groups(self._held)
-        return [on for on in groups if any_rank(comm, (on & self._tools).any())[0]]
-
-    @cached_property
-    def _held(self) -> Bools:
-        """Which nodes (owned nodes,) supports hold, or rigid sides and tools that cannot let go."""
-        held = self._on(lambda sides, _: sides.hold)
-        return np.asarray(held | self.problem.supports.owned.any(axis=1))
-
-    def _groups(self, held: Bools) -> list[Bools]:
-        """Return the groups of which none of these nodes (owned nodes,) is a part; collective."""
-        problem = self.problem
-        if problem.solid.strain != "finite" or not self._spins(self.inertia.mass.X):
-            return []
-        bodies = with_ties(
-            problem.bodies, [(s.on_slave, s.on_master) for s in problem.system.sides]
-        )
-        label = bodies.label if bodies.group is None else bodies.group[bodies.label]
-        return free_groups(label, held, self.inertia.mass)
+        on = np.zeros((len(self.inertia.mass.X), 1), dtype=bool)
+        system = self.problem.system
+        for sides, interface in zip(system.sides, system.interfaces, strict=True):
+            if interface.driven() is not None:
+                on[sides.nodes] = True
+        return on
 
     def _contacts_have_mass(self) -> bool:
         """Return whether nodes that can touch have kept their mass; collective."""
