@@ -1,23 +1,19 @@
 # SPDX-License-Identifier: MIT
-r"""Segments in 3D: convex polygons in the auxiliary planes of the slave facets.
+"""Segments in 3D: convex polygons in the auxiliary planes of the slave facets.
 
-The auxiliary plane of a slave facet goes through its centre, normal to its mean normal. Both
-facets are projected on it along that normal; their intersection is a convex polygon, which is
-split into triangles. Straight edges stay straight, so that neighbours still share them and a
-surface is covered without holes. A point of the plane belongs to the points of the two facets
-above and below it: by an affine map for triangles, by the root of a quadratic equation for
-quadrilaterals. The weight of a point is its area in the plane over the cosine between the plane
-and the slave facet, which is 1 for plane facets.
+The auxiliary plane of a slave facet goes through its centre, normal to its mean normal. Both facets
+are projected on it; their intersection is a convex polygon, which is split into triangles. Straight
+edges stay straight, so that neighbours share them and the surface is covered without holes. The
+maps from the plane to the facets are affine for triangles, and the root of a quadratic equation for
+quadrilaterals. The weight of a point is its area in the plane over the cosine between the plane and
+the slave facet. Facets of second order are clipped as a whole where they are straight and flat,
+else in four parts.
 
-Facets of second order are clipped as a whole where all are straight and flat, else in four parts.
-
-On flat triangles the points integrate Phi_j N_l exactly, and so they do on parallelograms. The
-inverse map of other quadrilaterals is not a polynomial, nor is the cosine on warped ones; there the
-degree of the quadrature grows with the change of the Jacobian and of the slopes over a triangle, so
-that the two sides still exchange a constant pressure without loss. Measured, in parts of the facet:
-1e-14 where no corner of a quadrilateral has a quality (`facets.distortions`) below 0.6. Where one
-has less, the degree ends at the highest there is, and the error grows to 1e-8 at 0.3, where a mesh
-is refused.
+On flat triangles and parallelograms the integrals of Phi_j N_l are exact. On other quadrilaterals
+neither the inverse map nor the cosine is a polynomial: the degree of the quadrature grows with the
+change of the Jacobian and of the slopes over a triangle, so that a constant pressure is transmitted
+with an error of 1e-14 of the facet down to a quality (`facets.distortions`) of 0.6, and of 1e-8 at
+0.3, where meshes are refused.
 """
 
 from collections.abc import Sequence
@@ -60,7 +56,7 @@ from dolfinx_mortar.geometry.plane import (
 from dolfinx_mortar.geometry.tolerances import KERNEL, ROUND_OFF
 
 _HIGHEST = 24
-"""Highest degree of the quadrature, which limits it on facets of low quality, as said above."""
+"""Highest degree of the quadrature; it limits the accuracy on facets of low quality, see above."""
 
 
 @cache
@@ -87,7 +83,7 @@ def _depth(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
 def _overlap(P, Q):  # type: ignore[no-untyped-def]
     """Tell whether two projected facets share more than a line."""
     p, q = P.shape[0], Q.shape[0]
-    # a negative distance: an overlap as narrow as a thin polygon is none
+    # with a tolerance: overlaps as narrow as a thin polygon do not count
     if plane.is_beside(P, p, Q, q, plane.orientation(P, p), -64 * ROUND_OFF):
         return False
     return not plane.is_beside(Q, q, P, p, plane.orientation(Q, q), -64 * ROUND_OFF)
@@ -109,11 +105,7 @@ def _any_overlap(M, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _is_hidden(S, M, bilinear, i, j, pieces, sizes, common, spare):  # type: ignore[no-untyped-def]
-    """Tell whether facet j is nearer to the slave than facet i where their projections overlap.
-
-    The distances are compared at one point, whatever the order: of facets that coincide or cross,
-    one and only one hides the other.
-    """
+    """Tell whether facet j hides facet i, compared at one point for both orders of i and j."""
     a, b = min(i, j), max(i, j)
     if a == b or not _overlap(M[a], M[b]):
         return False
@@ -127,7 +119,7 @@ def _is_hidden(S, M, bilinear, i, j, pieces, sizes, common, spare):  # type: ign
     return behind if i == a else not behind
 
 
-# Loops in place of slices: each array assignment takes a second to compile.
+# Loops, not slices: each array assignment takes a second to compile.
 
 
 @numba.njit(**KERNEL)
@@ -139,7 +131,7 @@ def _copy(P, n, Q):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _doubled(a):  # type: ignore[no-untyped-def]
-    """Return an array of twice the length that begins with the contiguous array a."""
+    """Return a copy of the contiguous array a with twice its length."""
     result = np.empty((2 * len(a),) + a.shape[1:], a.dtype)  # noqa: RUF005
     x, y = a.reshape(-1), result.reshape(-1)
     for i in range(len(x)):
@@ -149,11 +141,7 @@ def _doubled(a):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyped-def]
-    """Return the parts of polygon i that no other of the n facets hides: points, sizes, number.
-
-    The polygon is cut by the edges of the projected facets that hide it, not by those of other
-    polygons, which can be as short as round-off and then have no direction.
-    """
+    """Return the parts of polygon i that no other of the n facets hides: points, sizes, number."""
     pieces = np.empty((2 * VERTICES, VERTICES, 2))
     sizes = np.empty(2 * VERTICES, np.int64)
     common, spare = np.empty((VERTICES, 2)), np.empty((VERTICES, 2))
@@ -164,7 +152,7 @@ def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyp
             continue
         sign = plane.orientation(M[j], M.shape[1])
         k = 0
-        while k < count:  # a cut adds a corner at most
+        while k < count:  # a cut adds at most one corner
             if count + VERTICES > len(sizes):
                 pieces, sizes = _doubled(pieces), _doubled(sizes)
             if sizes[k] + 2 * M.shape[1] > VERTICES:
@@ -207,7 +195,7 @@ def _clip(  # type: ignore[no-untyped-def]
     for r in range(first, last):
         P, m = M[count], pairs[r, 1]
         if _is_far(balls[0][m], balls[1][m], centre, axes):
-            continue  # most candidates, in a third of the time
+            continue  # quick rejection of most candidates
         project(x_m[m], centre, axes, P)
         sign = plane.orientation(P, n)
         if sign == 0 or plane.is_beside(P, n, S, k, sign, 0.0):
@@ -244,10 +232,7 @@ def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _split(S, x_m, balls, bilinear, pairs, deepest, first, last, centre, axes, which, corners, t):  # type: ignore[no-untyped-def]
-    """Append the triangles of the segments of one slave facet.
-
-    Return the pair (t,) and the corners (t, 3, 2) of all triangles, and whether pairs hide others.
-    """
+    """Append the triangles of one slave facet; return the arrays, and if masters hide others."""
     n = last - first
     M, row = np.empty((n, x_m.shape[1], 3)), np.empty(n, np.int64)
     pieces, sizes = np.empty((n, VERTICES, 2)), np.empty(n, np.int64)
@@ -267,14 +252,11 @@ def _split(S, x_m, balls, bilinear, pairs, deepest, first, last, centre, axes, w
 
 @numba.njit(**KERNEL)
 def _triangulate(x_s, x_m, balls, bilinear, pairs, deepest, centre, axes):  # type: ignore[no-untyped-def]
-    """Return the pair (t,) and the corners (t, 3, 2) of the triangles of all segments.
-
-    And whether masters of a slave facet hide others.
-    """
+    """Return pairs (t,), corners (t, 3, 2) of all triangles, and where masters hide others."""
     p, hidden = len(pairs), np.zeros(len(x_s), np.bool_)
     which, corners = np.empty(4 * p + 64, dtype=np.int64), np.empty((4 * p + 64, 3, 2))
     S = np.empty((x_s.shape[1], 3))
-    t = last = np.int64(0)  # a literal 0 has a type of its own: what is called would compile twice
+    t = last = np.int64(0)  # a literal 0 has a type of its own: callees would compile twice
     while last < p:
         first, s = last, pairs[last, 0]
         while last < p and pairs[last, 0] == s:
@@ -289,10 +271,7 @@ def _triangulate(x_s, x_m, balls, bilinear, pairs, deepest, centre, axes):  # ty
 
 @numba.njit(**KERNEL)
 def _changes(P, bilinear, corners):  # type: ignore[no-untyped-def]
-    """Return changes of a projected facet over a triangle, by its values at the corners.
-
-    The relative change of the Jacobian, and the largest squared difference of slopes.
-    """
+    """Return the relative change of the Jacobian over a triangle, and of slopes, squared."""
     if not bilinear:
         return 0.0, 0.0
     low, high, turn = np.inf, 0.0, 0.0
@@ -308,10 +287,7 @@ def _changes(P, bilinear, corners):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners, least):  # type: ignore[no-untyped-def]
-    """Return the number (t,) of the quadrature rule of each triangle.
-
-    `least` is the degree of the product of two functions.
-    """
+    """Return the rule (t,) of each triangle; `least` is the degree of two functions."""
     rule = np.full(len(which), least // 2 - 1)
     if not (bilinear[0] or bilinear[1]):
         return rule
@@ -325,9 +301,8 @@ def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners, least
         variation = max(variation, turn / 2)  # the weight contains sqrt(1 + slope^2)
         degree = float(least)
         if variation > 0.0:
-            # the singularities of the inverse maps lie 1 / variation triangles away; integrals of
-            # one function, of half of the degree, are the SAME then, and both sides exchange a
-            # constant pressure up to that: with EPS degrees are a third higher
+            # inverse maps are singular 1 / variation triangles away; SAME for one function, of half
+            # the degree
             degree = _HIGHEST
             if variation < 2.0:
                 degree = min(least // 2 + np.log(SAME) / np.log(variation / 2), degree)
@@ -383,25 +358,16 @@ def _areas(c: Floats) -> Floats:
 
 
 def _degree_of_moments(slave: FacetElement, master: FacetElement, smooth: bool) -> int:
-    """Return the degree of the quadrature of `moments`, of which derivatives are taken.
+    """Return the degree of the quadrature of `moments`: exact on flat first-order triangles.
 
-    Errors of these, in parts of the largest entry, on facets that noise warps and distorts:
-    hexahedra 7e-4, of second order 1e-3, tetrahedra of second order 1e-4; with degree 6, of twice
-    the points, 2e-5, 2e-4 and 1e-7. None on flat triangles of first order: functions have degree 1,
-    heights 2.
+    On facets warped by noise the errors of derivatives are at most 1e-3 of the largest entry.
     """
     return max(2 + smooth, min(_least_degree(slave, master), 4))
 
 
 @numba.njit(**KERNEL)
 def _nearest_line(c, e, P, r, best):  # type: ignore[no-untyped-def]
-    """Return how far edge e of a triangle is from those of polygon r, and which, if nearer.
-
-    Args:
-        c: (3, 2) the triangle.
-        P: (v, 3) the polygon.
-        best: distance, polygon and corner found before.
-    """
+    """Return the distance of edge e of triangle c from polygon r, r and its edge, if < best."""
     f = (e + 1) % 3
     for v in range(len(P)):
         o = (v + 1) % len(P)
@@ -428,11 +394,10 @@ def _is_next(corners, which, t):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _find_edges(x_s, x_m, bilinear, pairs, centre, axes, which, corners, hidden):  # type: ignore[no-untyped-def]
-    """Return the edges of triangles that move with nodes.
+    """Return edges (q, 4) of triangles that move with nodes, and their lines.
 
-    Returns:
-        Triangle, edge, pair of parts of whose master an edge of the line is, less than 0 for the
-        slave, and the first corner of that (q, 4).
+    Columns: triangle, edge, pair of parts whose master has the line (< 0: the slave), first corner
+    of the line.
     """
     found, q, none = np.empty((3 * len(which), 4), np.int64), 0, np.int64(-1)
     S, M, N = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3)), np.empty((x_m.shape[1], 3))
@@ -468,7 +433,6 @@ def moments(
 
     Args:
         heights: of pairs (c,), see `create_points`.
-        types: of the facets of both sides.
         found: by the coordinates of x and y.
     """
     x, _, y, _, place, deepest, factor, reach = sides
@@ -492,7 +456,7 @@ def moments(
 
 
 class _Given(NamedTuple):
-    """What the points of pairs (c,) of slave facets (p,) with others are made of."""
+    """Input of the points of pairs (c,) of slave facets (p,) with others."""
 
     over: "_Overlaps"
     place: Longs  # see `Sides`
@@ -512,17 +476,14 @@ class _OfPairs(NamedTuple):
     facet: Longs  # (s,)
     pair: Ints  # (s,)
     nodes: Longs  # (s, k + l) of both facets, those of the slave first
-    x: Floats  # (s, k + l, 3) these, from the centre of the part on
+    x: Floats  # (s, k + l, 3) of these nodes, relative to the centre of the part
     frame: tuple[Floats, Floats, Floats]  # see `_frames`
 
 
 def _create(
     given: _Given, which: Longs, corners: Floats, size: Floats, rule: tuple[Floats, Floats]
 ) -> _OfPairs:
-    """Return the points of a rule on triangles (s, 3, 2) of some size, of pairs of parts (s,).
-
-    Those of which the line through them does not meet the master have no weight.
-    """
+    """Return the points of a rule on triangles (s, 3, 2); weight 0 where the master is missed."""
     over, tilts = given.over, given.tilts
     slave, master, a = over.slave, over.master, count(over.slave.element)
     first, q = np.zeros(len(which), dtype=np.int64), len(rule[1])
@@ -556,12 +517,7 @@ def _create(
 
 
 def _nodes_of_lines(given: _Given, part: Longs, pair: Longs, corners: Longs) -> Longs:
-    """Return the nodes (s, 2) at corners of parts: of the slave's, or of the master's of a pair.
-
-    Args:
-        part: (s,) of the slave.
-        pair: (s,) of parts; less than 0 for the slave.
-    """
+    """Return nodes (s, 2) of edges of slave parts if pair < 0, else of the pair's master."""
     over, sides = given.over, []
     of_master = over.pairs[pair, 1]
     for facets, of in ((over.slave, part), (over.master, of_master)):
@@ -574,17 +530,14 @@ def _nodes_of_lines(given: _Given, part: Longs, pair: Longs, corners: Longs) -> 
 
 
 def _oblique(V: Floats, n: Floats) -> Floats:
-    """Return the vectors (s, q, 2, 3) dual to tangents V that are normal to n (s, 1, 3)."""
+    """Return the vectors (s, q, 2, 3) dual to tangents V, normal to n (s, 1, 3)."""
     first, second = np.cross(V[:, :, 1], n), np.cross(n, V[:, :, 0])
     size = (V[:, :, 0] * first).sum(axis=2)[..., None, None]
     return np.stack([first, second], axis=2) / size
 
 
 def _frames(over: "_Overlaps") -> tuple[Floats, Floats, Floats]:
-    """Return axes u (p, 2, 3) and normals n (p, 3) of the planes of parts, and turns (p, 2, k, 3).
-
-    Those are u.dn by the nodes of the facets.
-    """
+    """Return axes u (p, 2, 3) and normals n (p, 3) of planes, and u.dn by nodes (p, 2, k, 3)."""
     axes = over.planes[1] * over.planes[2][:, None, None]
     u, n, every = axes[:, :2], axes[:, 2], np.arange(len(axes))
     _, g = turns(over.parts.element, over.parts.x)
@@ -593,7 +546,7 @@ def _frames(over: "_Overlaps") -> tuple[Floats, Floats, Floats]:
 
 
 def _scattered(element: FacetElement, part: Longs) -> Floats:
-    """Return which nodes of their facets those of parts are, (s, v, k)."""
+    """Return the matrices (s, v, k) of nodes of parts among those of their facets."""
     nodes = np.array(element.sub_facets)[part % count(element)]
     return np.eye(element.nodes)[nodes]
 
@@ -602,8 +555,8 @@ def _add_inner(over: "_Overlaps", inner: _OfPairs, found: Sums) -> None:
     """Add the moments of triangles, and their derivatives at points that stay in the plane.
 
     Where nodes of the part move by dx, its xi change by -K dx, those of the facet with them, and
-    those of the master by G times what the slave's point moves more than the master's. The weight
-    is that of the facet over the Jacobian of the part in the plane.
+    those of the master by G times the difference of the motions of the slave's and the master's
+    points. The weight is that of the facet over the Jacobian of the part in the plane.
     """
     at, (u, n, tilts), slave, X = inner.at, inner.frame, over.slave.element, inner.x
     (s, q, k), E = at.N.shape, _scattered(slave, inner.part)
@@ -622,7 +575,7 @@ def _add_inner(over: "_Overlaps", inner: _OfPairs, found: Sums) -> None:
     by_x[:, :, 4] -= np.swapaxes(dN, 2, 3) @ K
     along = (K @ bend[..., None])[:, :, ::-1]  # of the Jacobian by xi of the part
     by_x[:, :, 4] += N[:, :, 0] * (np.swapaxes(along, 2, 3) @ K)
-    # the plane tilts: as if all nodes turned back
+    # a tilt of the plane acts like the opposite rotation of all nodes
     back = n[:, None, None] * (u @ np.swapaxes(X, 1, 2))[..., None]
     back -= u[:, :, None] * (X @ n[:, :, None])[:, None]
     z = 3 * inner.nodes.shape[1]
@@ -653,13 +606,13 @@ def _add_edges(
     ids: Longs,
     found: Sums,
 ) -> None:
-    """Add the derivatives by what crosses edges of triangles (s,).
+    """Add the derivatives by the motion of edges of triangles (s,), the boundary of the integrals.
 
     Args:
-        lines: (s, 2, 3) nodes of the lines that the edges lie on.
+        lines: (s, 2, 3) nodes of the lines that contain the edges.
         ends: (s, 2, 2) of the edges, anticlockwise around their triangles.
         t: (q,) places of the points, from 0 to 1.
-        ids: (s, 2) which nodes these are.
+        ids: (s, 2) numbers of the nodes of lines.
     """
     at, (u, normal, tilts) = inner.at, inner.frame
     (s, q, k), radius = at.N.shape, over.planes[2][inner.part]
@@ -702,10 +655,11 @@ def place_points(
     Facets whose projection is folded or inverted cover nothing.
 
     Args:
-        slave: Slave facets (ms,).
-        master: Master facets (mm,).
-        pairs: Pairs (p, 2) that face each other, ordered by slave facet.
-        deepest: How far (p,) behind the slave facet the master may lie, in the middle of a part.
+        slave: (ms,) facets.
+        master: (mm,) facets.
+        pairs: (p, 2) of facets that face each other, ordered by slave facet.
+        deepest: (p,) largest distance of the master behind the slave facet, in the middle of a
+            part.
 
     Returns:
         Index into the pairs (q,), xi_s (q, 2), xi_m (q, 2) and weight (q,) of the points.
@@ -727,16 +681,16 @@ def place_points(
 
 
 class _Overlaps(NamedTuple):
-    """Facets that lie over each other in the auxiliary planes of the slave's parts."""
+    """Facets that overlap in the auxiliary planes of the slave's parts."""
 
     slave: Facets  # (ms,)
     master: Facets  # (mm,)
     parts: Facets  # of the slave
     sides: tuple[Floats, Floats, tuple[bool, bool], Ints]  # parts, whether bilinear, pairs of parts
-    of: Ints  # (p',) pair of facets of each of those
+    of: Ints  # (p',) pair of facets of each pair of parts
     planes: tuple[Floats, Floats, Floats]  # see `create_planes`
     which: Longs  # (t,) pairs of parts of the triangles
-    corners: Floats  # (t, 3, 2) of these
+    corners: Floats  # (t, 3, 2) of the triangles
     hidden: Bools  # (parts,) whether masters hide others
 
     @property
@@ -746,7 +700,7 @@ class _Overlaps(NamedTuple):
 
 
 def _find_overlaps(slave: Facets, master: Facets, pairs: Ints, deepest: Floats) -> _Overlaps:
-    """Return the triangles in which facets lie over each other, see `place_points`."""
+    """Return the triangles in which facets overlap, see `place_points`."""
     parts_s, parts_m = parts_of(slave), parts_of(master)
     pairs, of = pairs_of_parts(pairs, slave.element, master.element)
     planes = create_planes(parts_s.x)
@@ -760,12 +714,8 @@ def _find_overlaps(slave: Facets, master: Facets, pairs: Ints, deepest: Floats) 
 def _least_degree(slave: FacetElement, master: FacetElement) -> int:
     """Return the degree on a triangle of the product of two functions, where maps are affine.
 
-    That is 2 and 4 for first-order triangles and quadrilaterals, 4 and 8 for those of second order.
-    Maps and areas of curved facets are no polynomials. Measured, paraboloids whose facets turn by
-    an angle phi: D_jj to 1e-5 phi^4, entries of M to 2e-3 phi^2 (triangles) and 1e-6 phi^2
-    (quadrilaterals) of the largest D_jj. Both sides of a pair see the same points, so that forces
-    and constants stay exact. The exact tangent has the derivatives of the integrals, not of the
-    sums over points: for second-order tetrahedra at edges forces differ by 2e-7 to 6e-6 of their
-    largest entry from differences, 4e-11 with degree 12.
+    Curved facets that turn by an angle phi have errors of 1e-5 phi^4 in D_jj, and in M of 2e-3
+    phi^2 D_jj (triangles) and 1e-6 phi^2 D_jj (quadrilaterals). Both sides of a pair have the same
+    points, so that forces and constants stay exact.
     """
     return max(slave.degree, master.degree) * (4 if slave.bilinear or master.bilinear else 2)
