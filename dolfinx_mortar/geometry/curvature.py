@@ -1,33 +1,24 @@
 # SPDX-License-Identifier: MIT
 """Smooth surfaces through the nodes of facets: normals, and heights over the facets.
 
-Facets deviate from a curved surface by their sagittas, which are as large as the gap between
-closely fitting sides. With unit normals n_a at the nodes x_a, the height of the smooth surface over
-a facet is
+Theory.md, Curved sides. With unit normals n_a at the nodes x_a, the height over a facet is
 
     h = 1/2 sum_{a<b} N_a N_b c_ab,     c_ab = (n_b - n_a).(x_b - x_a)
 
-over all pairs of nodes. On a sphere of radius R, c_ab = |x_b - x_a|^2 / R, and by Lagrange's
-identity h is exact to leading order; on plane sides it vanishes.
+over all pairs of nodes, at X. On a sphere of radius R, c_ab = |x_b - x_a|^2 / R, and by Lagrange's
+identity h is exact to leading order.
 
-Where two sides touch they share one surface: bodies of equal stiffness deform to the curvature K =
-(K_s - K_m) / 2, each for its own outward normal, with e_ab.K e_ab = c_ab. So c_ab is the mean of a
-side's own and that of the curvature of the other side (with its own alone, Hertzian forces are 1 to
-10 % too large). Heights are those at X: at X + u they would depend on every node that comes into
-contact, and Newton's method needs more iterations.
+Bodies of equal stiffness in contact have the common curvature K = (K_s - K_m) / 2, each for its own
+outward normal, with e_ab.K e_ab = c_ab; so c_ab is the mean of both sides (of its own side alone,
+Hertzian forces are 1 to 10 % too large). Facets of second order become curved with u: each side has
+its own c_ab, times the stretch along the normal.
 
-Second-order facets that are straight at X deform to curved ones; their heights are those at X, as
-functions of the vertices, times the stretch of the bodies along the normal, and each side has its
-own c_ab. Facets of a curved mesh deviate from the surface by third or fourth order of their length:
-N_a are the functions of all nodes, and c_ab is that of the facet's own curvature and its change
-along the facet (`curved_sagittas`).
-
-Normals are those of Max (J. Graphics Tools 4, 1999), n_a ~ sum (e_1 x e_2) / (|e_1|^2 |e_2|^2) over
-the facets at the node, with e_1 and e_2 their edges there; in the plane the chords' normals over
-their lengths. They are exact on spheres and circles if facets surround the node. In the plane,
-facets at a jump of curvature, such as the end of a fillet, have the curvature of their other end
-(`normal_changes`). On other surfaces, uneven one-rings in space cause errors: edges are first
-projected on the tangent plane, by half of |e|^2 times the deviatoric curvature along them.
+Normals are those of Max (J. Graphics Tools 4, 1999), n_a ~ sum (e_1 x e_2) / (|e_1|^2 |e_2|^2) with
+the edges e_1, e_2 of each facet at the node; in the plane the chords' normals over their lengths.
+They are exact on spheres and circles if facets surround the node. For other surfaces, edges in
+space are first projected on the tangent plane, by half of |e|^2 times the deviatoric curvature
+along them; in the plane, facets at a jump of curvature have that of their other end
+(`normal_changes`).
 """
 
 from __future__ import annotations
@@ -135,9 +126,8 @@ def _inverted(e: Floats) -> Floats:
 def normal_changes(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
     """Return changes of normals m_ab (m, e, d), n_b - n_a unless the normal of an end is one-sided.
 
-    If only b is regular, m_ab = 2 n_b, exact on spheres and cylinders. Between two open nodes, on
-    the rim, m_ab = n_b - n_a, in which the error cancels. If none is regular and one is sharp, m_ab
-    = 0.
+    If only b is regular, m_ab = 2 n_b, exact on spheres and cylinders; if none is, n_b - n_a, in
+    which errors cancel, or zero where an end is sharp.
 
     Args:
         normals: of all nodes.
@@ -161,11 +151,10 @@ def edge_sagittas(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
 def own_curvatures(facets: Facets) -> Floats:
     """Return the curvatures K (m, d, d), symmetric, fitted to the nodes of second-order facets.
 
-    Over the tangent plane in the middle, with the normal n, the height of a surface of constant
-    curvature is w = const + g.y - y.K y / 2 - |K y|^2 y.K y / 8. The coordinates y are along the
-    edges of the reference facet, so that the fit does not depend on the facet's shape. The larger
-    curvature k is added to the tangential K as k n n^T: the sum is I / R on spheres and (I - a a^T)
-    / R on cylinders with the axis a, for each of their facets.
+    Over the tangent plane in the middle, a surface of constant curvature has the height w = const +
+    g.y - y.K y / 2 - |K y|^2 y.K y / 8; y are coordinates along the edges of the reference facet.
+    The larger curvature k is added to the tangential K as k n n^T: the sum is I / R on spheres and
+    (I - a a^T) / R on cylinders with the axis a, for each of their facets.
 
     >>> from dolfinx_mortar.geometry.elements import LINE3
     >>> facet = Facets(LINE3, np.array([[[0.6, 0.8], [-0.6, 0.8], [0.0, 1.0]]]))
@@ -196,14 +185,11 @@ def own_curvatures(facets: Facets) -> Floats:
 def curved_sagittas(facets: Facets, K: Floats, at_vertices: Floats) -> Floats:
     """Return c_ab = e_ab.(K + 2/3 dK) e_ab (m, e) for all pairs of nodes of curved facets.
 
-    Normals n_a = K x_a are exact on spheres and cylinders; dK, the change of the curvature halfway
-    between a and b, makes h right to third order. It is interpolated between the vertices and
-    scaled by max(1 - 2 max |dK| / |K|, 0), since a jump of the curvature is no change along the
-    facet.
+    Exact to third order, with the change dK of the curvature halfway between a and b. It is scaled
+    by max(1 - 2 max |dK| / |K|, 0), since a jump of the curvature is no change along the facet.
 
     Args:
-        facets: facets (m,) of second order.
-        K: their curvatures (m, d, d).
+        K: curvatures (m, d, d) of the facets.
         at_vertices: (m, v, d, d) nodal means of these at their vertices.
 
     >>> from dolfinx_mortar.geometry.elements import LINE3
@@ -226,8 +212,8 @@ def curved_sagittas(facets: Facets, K: Floats, at_vertices: Floats) -> Floats:
 def sagitta_tensors(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
     """Return C_ab (m, e, d, d), the symmetric part of m_ab (x_b - x_a)^T; its trace is c_ab.
 
-    A strain E of the surface changes c_ab by C_ab : E. Tangential: m_ab without its component along
-    the facet's normal.
+    A strain E of the surface changes c_ab by C_ab : E. m_ab is without its component along the
+    facet's normal.
     """
     change, n = normal_changes(facets, normals, nodes), facet_normals(facets)[:, None]
     change -= (change * n).sum(axis=2, keepdims=True) * n
@@ -341,8 +327,7 @@ def arcs_of_chords(facets: Facets, sagitta: Floats) -> Floats:
 def heights_of_arcs(arcs: Floats, h: Floats) -> Floats:
     """Return the heights (q,) over chords, exact on circles: h^2 k + 2 h cos b = 2 h_0.
 
-    The correction of h_0 is of fourth order; without it the pressure of a second-order pin in a
-    hole with 30 facets has an error of 3 %.
+    With h_0 the pressure of a second-order pin in a hole with 30 facets has an error of 3 %.
 
     Args:
         arcs: k and cos^2 b (q, 2), see `arcs_of_chords`; k = 0 gives h_0.
