@@ -1,19 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Segments in 3D: convex polygons in the auxiliary planes of the slave facets.
 
-The auxiliary plane of a slave facet goes through its centre, normal to its mean normal. Both facets
-are projected on it; their intersection is a convex polygon, which is split into triangles. Straight
-edges stay straight, so that neighbours share them and the surface is covered without holes. The
-maps from the plane to the facets are affine for triangles, and the root of a quadratic equation for
-quadrilaterals. The weight of a point is its area in the plane over the cosine between the plane and
-the slave facet. Facets of second order are clipped as a whole where they are straight and flat,
-else in four parts.
+The auxiliary plane goes through the centre of a slave facet, normal to its mean normal. The
+intersection of both projected facets is a convex polygon, which is split into triangles. Weights
+are areas in the plane over the cosine between plane and slave facet. Facets of second order are
+clipped in four parts, unless they are straight and flat.
 
-On flat triangles and parallelograms the integrals of Phi_j N_l are exact. On other quadrilaterals
-neither the inverse map nor the cosine is a polynomial: the degree of the quadrature grows with the
-change of the Jacobian and of the slopes over a triangle, so that a constant pressure is transmitted
-with an error of 1e-14 of the facet down to a quality (`facets.distortions`) of 0.6, and of 1e-8 at
-0.3, where meshes are refused.
+Integrals of Phi_j N_l are exact on flat triangles and parallelograms. On other quadrilaterals the
+degree grows with the change of the Jacobian and of the slopes, so that constant pressures are
+transmitted with an error of 1e-14 of the facet down to a quality (`facets.distortions`) of 0.6, and
+of 1e-8 at 0.3, where meshes are refused.
 """
 
 from collections.abc import Sequence
@@ -554,9 +550,8 @@ def _scattered(element: FacetElement, part: Longs) -> Floats:
 def _add_inner(over: "_Overlaps", inner: _OfPairs, found: Sums) -> None:
     """Add the moments of triangles, and their derivatives at points that stay in the plane.
 
-    Where nodes of the part move by dx, its xi change by -K dx, those of the facet with them, and
-    those of the master by G times the difference of the motions of the slave's and the master's
-    points. The weight is that of the facet over the Jacobian of the part in the plane.
+    Where nodes of the part move by dx, its xi change by -K dx, and those of the master by G times
+    the difference of the motions of the slave's and the master's points.
     """
     at, (u, n, tilts), slave, X = inner.at, inner.frame, over.slave.element, inner.x
     (s, q, k), E = at.N.shape, _scattered(slave, inner.part)
