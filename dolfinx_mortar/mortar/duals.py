@@ -1,45 +1,26 @@
 # SPDX-License-Identifier: MIT
-r"""Dual functions of the multiplier, and which slave nodes carry one.
+"""Dual functions of the Lagrange multiplier, and the slave nodes that carry one.
 
-The dual basis functions are biorthogonal over the covered part of each facet. On one facet with
-the covered part G, Phi = A N with A = D m^-1, D = diag(int_G N_j) and m = int_G N N^T, so that
-int_G Phi_i N_j = delta_ij int_G N_j and sum_j Phi_j = 1. m is as good as singular when little of
-the facet is covered, so it is never formed: with the weights w and sqrt(w) N = Q R it follows that
-sqrt(w) Phi = Q R^-T D and m^-1 = R^-1 R^-T. Where a diagonal entry of R is round-off of its column,
-nothing but round-off is covered, and the functions of the nodes are equal. Where m^-1 has lost its
-digits, derivatives take the functions as they are. All that values and derivatives need to know of
-a facet is in `Duals`.
+Phi_j of the paper's eq. 20, biorthogonal over the covered part G of each facet: Phi = A N with A =
+D m^-1, D = diag(int_G N_j) and m = int_G N N^T, so that int_G Phi_i N_j = delta_ij int_G N_j and
+sum_j Phi_j = 1. m is almost singular when little of the facet is covered, so it is not formed: with
+the weights w and sqrt(w) N = Q R, sqrt(w) Phi = Q R^-T D and m^-1 = R^-1 R^-T. If a diagonal entry
+of R is round-off of its column, all functions of the facet are equal.
 
-These are the Phi_j of the paper's eq. 20, and what makes D of eq. 19 diagonal. The closed form
-given there, (1 -+ 3 xi) / 2, is that of a straight facet with two nodes, all of it covered.
+Nodes with little coverage or a negative integral have no multiplier. The functions of the kept
+nodes are biorthogonal among themselves, and 1 - sum_j Phi_j, which is orthogonal to all N_j kept,
+is added to them in equal parts. So constants remain in the space of multipliers, D stays diagonal,
+and the functions are bounded (those of a three-node facet by 4) however little is covered.
 
-Not every node keeps its function: too little of it may be covered, or its integral may be negative,
-as that of a second-order vertex function is over the far part of its facet. Then the functions of
-the kept nodes are biorthogonal among themselves, Phi_i = sum_j A_ij N_j over these nodes only, and
-what their sum misses of 1, which is orthogonal to all N_j kept, is shared out to them in equal
-parts. So constants stay in the space of multipliers and D stays diagonal over the kept nodes,
-however little is covered, and of a three-node facet none exceeds 4 where the vertex beyond is
-removed. (To share out removed functions of the whole basis has the same properties, but its
-functions grow as the inverse of the covered part: 21 at a fifth, 700 at a hundredth.)
-
-Vertex functions of six-node triangles integrate to zero, so D would be singular. So a share of the
+Vertex functions of six-node triangles integrate to zero, so D would be singular. A share of the
 mid-side functions is added to them (Popp, Wohlmuth, Gee and Wall, SIAM J. Sci. Comput. 34, 2012),
 
     N~_v = N_v + alpha sum_m N_m,      N~_m = (1 - 2 alpha) N_m,      alpha = 1 / 12,
 
-and Phi is biorthogonal to N~. For the displacement's own functions that leaves D_vv and D_mm on the
-diagonal, and D_mv = -alpha D_mm at the two ends of an edge: mid-side nodes depend on their ends.
-The function of a mid-side node without multiplier is not added, so that no vertex depends on
-another one.
-
-With alpha = 1/12 the centroid of N~_v is the vertex, on every flat facet by itself, as for the
-other facets, where the centroids of functions are their nodes; that of N~_m lies a fifth of the way
-to the opposite vertex whatever alpha is, on each side of the edge. So linear functions are nearly,
-not quite in the space. Ties of blocks of tetrahedra, the coarser side as slave, have the orders 3.0
-and 1.98 in L2 and H1 (jittered 2.9 and 1.86); with the 1/5 of that paper 2.54 and 1.54, which is
-what constants alone give, and an error 1.5 times as large. Pressures of a ball on a block, eight
-facets across the contact radius, differ from Hertz' by 1.0 % (rms over the inner 0.7 of the
-radius), with 1/5 by 0.7 %; forces are the same to 5e-4.
+and Phi is biorthogonal to N~. With N, D has D_vv and D_mm on the diagonal and D_mv = -alpha D_mm at
+both ends of an edge. The function of a mid-side node without multiplier is not added, so that no
+vertex depends on another one. With alpha = 1/12 the centroid of N~_v is the vertex, and tied
+tetrahedra have the orders 3.0 and 1.98 in L2 and H1; with the 1/5 of that paper 2.54 and 1.54.
 """
 
 from collections.abc import Sequence
@@ -75,14 +56,12 @@ from dolfinx_mortar.mortar.surface import accumulate, sum_at_nodes
 LEAST_COVERAGE = 0.05
 """A slave node carries a multiplier if more than this part of its tributary weight is covered.
 
-The pressure shown there is a force over what is covered. Under punches whose edges are anywhere in
-a facet (2D, hexahedra, tetrahedra) 1e-5 shows up to 80 times the pressure beside it, 0.005 five
-times, 0.025 to 0.1 at most twice. From 1e-5 to 0.1 forces differ by up to 0.5 % in 2D, 2 % in 3D,
-and iterations by two.
+Under the edges of punches, pressures are at most twice those beside them with 0.025 to 0.1, five
+times with 0.005 and 80 times with 1e-5; forces differ by up to 0.5 % in 2D, 2 % in 3D.
 """
 LEAST_WEIGHT = 0.01
-"""A node has a weight if it is more than this part of the area of its facets: those of straight
-facets have 1/36 or more, those on an axis phi^2/120, phi being the angle by which a facet bends."""
+"""Least weight of a node, as part of the area of its facets: 1/36 or more on straight facets,
+phi^2/120 on an axis where a facet bends by an angle phi."""
 
 ALPHA = 1 / 12
 """Share of a mid-side function that is added to each end of its edge: int (x - x_v) N~_v = 0.
@@ -99,8 +78,7 @@ def absorbed(
 
     Args:
         shares: of the FacetElement: mid-side nodes and the two ends of their edges.
-        values: N.
-        kept: (q, k) whether the nodes have multipliers; all if not given.
+        kept: (q, k) nodes with a multiplier; all if None.
 
     Example:
         >>> 12 * absorbed([(2, 0, 1)], np.array([[0.0, 0.0, 1.0]])).round(12)
@@ -108,7 +86,7 @@ def absorbed(
     """
     if not shares:
         return values
-    result = np.copy(values)  # in the same layout
+    result = np.copy(values)  # keeps the memory layout
     for middle, *ends in shares:
         part = ALPHA * values[:, middle] * (1.0 if kept is None else kept[:, middle])
         for end in ends:
@@ -118,7 +96,7 @@ def absorbed(
 
 
 def absorbing(shares: Sequence[tuple[int, int, int]], kept: Bools) -> Floats:
-    """Return T (m, k, k) with N~ = T N on facets of which nodes (m, k) have multipliers."""
+    """Return T (m, k, k) with N~ = T N on facets, for nodes (m, k) with multipliers."""
     T = np.repeat(np.eye(kept.shape[1])[None], len(kept), axis=0)
     for middle, *ends in shares:
         part = ALPHA * kept[:, middle]
@@ -129,10 +107,7 @@ def absorbing(shares: Sequence[tuple[int, int, int]], kept: Bools) -> Floats:
 
 @numba.njit(**SUMS)
 def _orthonormalise(Q, R):  # type: ignore[no-untyped-def]
-    """Replace the rows of Q (k, q) by those of Q^T with Q R; return the least R_jj / |row j|.
-
-    It is 0 if the rows are dependent.
-    """
+    """Replace the rows of Q (k, q) by those of Q^T with Q R; return the least R_jj / |row j|."""
     least = 1.0
     for j in range(len(Q)):
         length = np.sqrt(product(Q[j], Q[j]))
@@ -152,10 +127,7 @@ def _orthonormalise(Q, R):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SUMS)
 def _biorthogonalise(Q, roots, Phi, inverse):  # type: ignore[no-untyped-def]
-    """Fill Phi (k, q), biorthogonal to sqrt(w) N = Q, which is lost, and m^-1 (k, k); both are 0.
-
-    The roots are sqrt(w) (q,). m^-1 stays 0 where it has lost its digits.
-    """
+    """Fill zero Phi (k, q), biorthogonal to Q = sqrt(w) N, which is lost, and m^-1 if accurate."""
     k = len(Q)
     R, D, z = np.zeros((k, k)), np.empty(k), np.zeros((k, k))
     for j in range(k):
@@ -213,7 +185,7 @@ def _all_duals(N, weight, slave, keep):  # type: ignore[no-untyped-def]
         count = np.int64(0)
         for j in range(len(kept)):
             count += kept[j]
-        if count == 1:  # exact, and the only way where almost nothing is covered
+        if count == 1:  # exact, also where almost nothing is covered
             for j in range(len(kept)):
                 for q in range(a, b):
                     Phi[j, q] = kept[j]
@@ -225,15 +197,15 @@ def _all_duals(N, weight, slave, keep):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True, eq=False)
 class Duals:
-    """Dual functions of slave facets (m,), and what they depend on.
+    """Dual functions of slave facets (m,), and their data.
 
-    Phi_j = sum_b A_jb N~_b + (1 - sum_ib A_ib N~_b) / count over the kept nodes of a facet, with
-    A = diag(d) m^-1, d = int N~ and m = int N~ N~^T; N~ is that of `absorbed`.
+    Phi_j = sum_b A_jb N~_b + (1 - sum_ib A_ib N~_b) / count over the kept nodes of a facet, with A
+    = diag(d) m^-1, d = int N~ and m = int N~ N~^T, N~ of `absorbed`.
     """
 
     Phi: Floats  # (q, k) at the points
     kept: Bools  # (m, k) nodes with a multiplier
-    inverse: Floats  # (m, k, k) m^-1, 0 for other nodes, and where it has lost its digits
+    inverse: Floats  # (m, k, k) m^-1, 0 for other nodes, and where it is inaccurate
 
     def of(self, facets: Longs) -> "Duals":
         """Return those of some facets, at all points."""
@@ -243,18 +215,14 @@ class Duals:
 def create_duals(N: Floats, weight: Floats, slave: Ints, kept: Bools) -> Duals:
     """Return the dual functions Phi (eq. 20) of slave facets.
 
-    The function of a node that cannot carry a multiplier is zero; those of the kept nodes of the
-    facet add up to one all the same, so that constants stay in the space of multipliers. Where a
-    facet has no kept node, all functions vanish.
+    sum_q w Phi_i N_j = delta_ij sum_q w N_j for i and j kept. Functions of other nodes are zero;
+    those of the kept nodes of a facet add up to one.
 
     Args:
-        N: Values N~ (q, k) of the slave shape functions, see `absorbed`.
-        weight: Positive weights (q,) of the quadrature points.
-        slave: Slave facet (q,) of each point, ascending.
-        kept: For each slave facet and node (m, k), whether the node carries a multiplier.
-
-    Returns:
-        Phi with sum_q weight Phi_i N_j = delta_ij sum_q weight N_j for i and j kept.
+        N: (q, k) values N~ of the slave shape functions, see `absorbed`.
+        weight: (q,) positive quadrature weights.
+        slave: (q,) slave facet of each point, ascending.
+        kept: (m, k) nodes of slave facets with a multiplier.
     """
     columns, weight = np.ascontiguousarray(N.T), np.ascontiguousarray(weight)
     at = np.ascontiguousarray(slave), np.ascontiguousarray(kept)
@@ -266,12 +234,12 @@ def create_duals(N: Floats, weight: Floats, slave: Ints, kept: Bools) -> Duals:
 def node_weights(
     pairing: Integrated, segments: Segments, keep: Bools | None = None
 ) -> tuple[Floats, Floats]:
-    """Return int N~_j over the covered part and the whole slave side, (n,) each (collective).
+    """Return int N~_j (n,) over the covered part, and over the whole slave side (collective).
 
-    The former is D_jj of eq. 19 where all nodes carry a multiplier and N~ is N, see `absorbed`.
+    The former is D_jj of eq. 19 where all nodes carry a multiplier and N~ is N.
 
     Args:
-        keep: Slave nodes (n,) that carry a multiplier; all if not given.
+        keep: (n,) slave nodes with a multiplier; all if None.
     """
     slave = pairing.slave
     shares, kept = slave.element.shares, None if keep is None else keep[slave.facets]
@@ -283,16 +251,16 @@ def node_weights(
 
 @dataclass(frozen=True)
 class Coverage:
-    """How far the owned slave nodes face the master."""
+    """Coverage of the owned slave nodes by the master."""
 
     share: Floats  # (n,) covered share of the tributary weight
-    reached: Bools  # (n,) on a facet of which some part is covered
-    weightless: Bools  # (n,) without tributary weight: no multiplier, whatever is covered
+    reached: Bools  # (n,) on a facet that is covered in part
+    weightless: Bools  # (n,) without tributary weight: never a multiplier
     near: Bools | None = None  # (n,) of a tool: within its reach; None for all
 
     @property
     def faces(self) -> Bools:
-        """Which nodes (n,) face the master: enough is covered to carry a multiplier."""
+        """Nodes (n,) that are covered enough to carry a multiplier."""
         return np.asarray(
             (self.share > LEAST_COVERAGE) & (True if self.near is None else self.near)
         )
@@ -311,10 +279,10 @@ def find_coverage(
 
 
 def _find_weightless(pairing: Integrated, segments: Segments) -> tuple[Bools, Floats]:
-    """Return the slave nodes (n,) without weight, and the covered share of nodes' facets (n,).
+    """Return the slave nodes (n,) without weight, and covered shares of their facets (collective).
 
-    Of second order, with a weight 2 pi r, the functions of nodes on the axis integrate to nothing
-    but what the curvature of their facet leaves, of either sign: these have no D_jj. Collective.
+    With a weight 2 pi r, second-order functions of nodes on the axis integrate to zero but for the
+    curvature of the facet, with either sign.
     """
     slave = pairing.slave
     if slave.element.degree == 1:  # positive functions
@@ -334,22 +302,22 @@ def default_keep(
     tributary: Floats,
     allowed: Bools | None = None,
 ) -> Bools:
-    """Choose the slave nodes that carry a multiplier, the same on any number of ranks (collective).
+    """Return the slave nodes (n,) that may carry a multiplier, the same on any ranks (collective).
 
-    A node is kept if it has a weight of which more than 5 % is covered. Where that leaves a covered
-    facet without a kept node, the facet's best covered node is kept, so that no covered part of
-    the slave side is without multiplier.
+    Those with a weight of which more than `LEAST_COVERAGE` is covered. On a covered facet without
+    such a node, the best covered one is kept, so that no covered part of the slave side is without
+    multiplier.
 
     Args:
-        covered: Covered weight (n,) of each slave node, of `node_weights`.
-        tributary: Whole weight (n,), of `node_weights`.
-        allowed: Nodes (n,) that may be kept; all if not given.
+        covered: (n,) covered weights of `node_weights`.
+        tributary: (n,) whole weights of `node_weights`.
+        allowed: (n,) nodes that may be kept; all if None.
     """
     allowed = np.ones(len(covered), dtype=bool) if allowed is None else allowed
     none, _ = _find_weightless(pairing, segments)
     coverage = np.where(allowed & ~none, covered, 0.0) / np.where(none, 1.0, tributary)
     keep = coverage > LEAST_COVERAGE
-    if pairing.slave.element.shares:  # a vertex needs mid-side nodes whose functions it shares
+    if pairing.slave.element.shares:  # a vertex needs mid-side nodes that share their functions
         left = node_weights(pairing, segments, keep)[0] / np.where(none, 1.0, tributary)
         coverage = np.where(left > HALF_OF_DIGITS * coverage, coverage, 0.0)
         keep &= left > LEAST_COVERAGE
@@ -370,14 +338,13 @@ def choose_duals(
 ) -> tuple[Bools, Floats]:
     """Return the slave nodes (n,) that carry a multiplier, and w Phi_j (q, k) (collective).
 
-    Of those of `default_keep` the ones whose multipliers push: int Phi_j, the force of a unit
-    pressure and the row sum of D, contains what nodes without multiplier share out, and may be
-    negative where D_jj is positive, as that of a second-order vertex whose facets are covered in
-    their far corners. Such nodes may carry none, and the choice is made anew.
+    Nodes of `default_keep` with a positive int Phi_j, the force of a unit pressure and row sum of
+    D. It may be negative where D_jj is positive, as at second-order vertices whose facets are
+    covered in far corners. The choice is repeated without such nodes.
 
     Args:
-        weights: Covered and whole weights of `node_weights`.
-        allowed: Nodes (n,) that may be kept.
+        weights: covered and whole weights of `node_weights`.
+        allowed: (n,) nodes that may be kept.
     """
     while True:  # each time with fewer nodes
         keep = default_keep(pairing, segments, *weights, allowed)
@@ -390,14 +357,7 @@ def choose_duals(
 
 
 def _best_nodes(coverage: Floats, X: Floats) -> Ints:
-    """Return (m,) which node of each facet is covered best; of equal ones the last in space.
-
-    That is the one at the largest x, then y, then z, whatever the numbers and the round-off.
-
-    Args:
-        coverage: Covered part (m, k) of the nodes.
-        X: Coordinates (m, k, d).
-    """
+    """Return the best covered node (m,) of each facet; of equal ones that at the largest x, y."""
     best = coverage >= (1 - HALF_OF_DIGITS) * coverage.max(axis=1, initial=0.0)[:, None]
     size = facet_sizes(X)
     for x in np.moveaxis(X, 2, 0):
@@ -410,7 +370,7 @@ def find_duals(pairing: Integrated, segments: Segments, keep: Bools) -> Duals:
     """Return the dual functions at the points of segments.
 
     Args:
-        keep: Slave nodes (n,) that carry a multiplier; a node has the same value on all ranks.
+        keep: (n,) slave nodes with a multiplier, equal on all ranks.
     """
     element, kept = pairing.slave.element, keep[pairing.slave.facets]
     N = absorbed(element.shares, segments.N, kept[segments.slave])
