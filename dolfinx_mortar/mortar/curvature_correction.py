@@ -42,21 +42,18 @@ from dolfinx_mortar.mortar.surface import (
 )
 
 PROJECTIONS = 2
-"""How often edges are projected on the tangent plane in space.
+"""Number of projections of edges on the tangent plane in space.
 
 On a cylinder with uneven triangles, a tenth of its radius long, the errors of normals (rms) are
-4e-3 without projection (0.04 of the angle between facets), 3e-4 with one, 1e-4 with two and three;
-with half the size 1.4e-3, 7e-5, 1.6e-5 and 1.3e-5.
+4e-3 without projection, 3e-4 with one, 1e-4 with two and three.
 """
 JUMP = 3.0
-"""A change of curvature at a node in the plane is a jump if it is so many times those at its
-neighbours. Between parts of constant curvature with three facets each the ratio is infinite; it is
-at most 2.7 on 800 ellipses with axes 1 : 1.2 to 4 and 6 to 96 facets a quarter, even, graded or
-displaced by .3 of a facet, and tends to 1 with the size of the facets.
-"""
+"""Least ratio of a jump of curvature at a node in the plane to the changes at its neighbours:
+infinite between parts of constant curvature, at most 2.7 on ellipses with axes 1 : 1.2 to 4 and 6
+to 96 uneven facets a quarter."""
 
 NodeShape: TypeAlias = NodeNormals | Floats
-"""What is known of a smooth surface at nodes: normals, of curved facets curvatures (n, d, d)."""
+"""A smooth surface at its nodes: normals, or curvatures (n, d, d) of curved facets."""
 
 
 def smooth_normals(
@@ -64,19 +61,16 @@ def smooth_normals(
 ) -> NodeNormals:
     """Return the normals of the smooth surface at the nodes; collective.
 
-    There is none, n = 0, where the normal of a facet has no positive component along the sum: at a
-    cusp, between opposite facets, and where the sum over a closed one-ring cancels. On a plane of
-    symmetry, see `find_mirrors`, facets are completed by their mirror images, which removes the
-    component across it from the normal.
-
-    In space the sums of `one_ring_sums` are exact on spheres only. So edges are projected by the
-    deviatoric part of the curvatures that these normals give, and summed anew.
+    n = 0 where the normal of a facet has no positive component along the sum, as at a cusp. On a
+    plane of symmetry, see `find_mirrors`, mirror images complete the facets, and the normal has no
+    component across the plane. In space, edges are projected by the deviatoric curvature of these
+    normals, and the sums repeated.
 
     Args:
         x: coordinates (n, d) of its nodes.
         fixed: (n, d) components of the nodes with Dirichlet data.
-        feature_angle: degrees between facets from which on they meet in an edge.
-        mirrors: those of `find_mirrors` where they are known.
+        feature_angle: least angle of an edge between facets, in degrees.
+        mirrors: result of `find_mirrors`, if known.
     """
     facets = facets_at(surface, x)
     if mirrors is None:
@@ -92,11 +86,11 @@ def smooth_normals(
 
 
 def _find_jumps(surface: Surface, facets: Facets, normals: NodeNormals) -> Bools:
-    """Return at which nodes (n,) in the plane the curvature jumps; collective.
+    """Return the nodes (n,) in the plane where the curvature jumps; collective.
 
-    The curvature at a node is the angle between its facets over their mean length, its change along
-    a facet the difference between its ends. A jump at a node is seen in its two facets, and not in
-    those beyond; if one of these lies at an edge or a rim, there is nothing to compare with.
+    The curvature at a node is the angle between its facets over their mean length. At a jump it
+    changes along both facets of a node, but not along the next ones; beside an edge or a rim there
+    is no comparison.
     """
     ends = surface.facets[:, :2]
     angles, length = end_angles(facets, normals.n[ends])
@@ -107,9 +101,9 @@ def _find_jumps(surface: Surface, facets: Facets, normals: NodeNormals) -> Bools
     change = np.where(known, np.diff(curvature[ends], axis=1)[:, 0], 0.0)
     both = np.stack([change, np.abs(change), known], axis=1)[:, None].repeat(2, axis=1)
     across, around, count = _at_ends(surface, both).T
-    beyond = around[ends[:, ::-1]] - np.abs(change)[:, None]  # of the facet at the other end
+    beyond = around[ends[:, ::-1]] - np.abs(change)[:, None]  # along the facet at the other end
     size = np.abs(across)
-    largest = size[ends] > size[ends[:, ::-1]]  # a jump is seen at both ends of short facets
+    largest = size[ends] > size[ends[:, ::-1]]  # a jump changes both ends of short facets
     sure = (count[ends[:, ::-1]] == 2.0) & largest
     others, neighbours = _at_ends(surface, np.stack([beyond, sure], axis=2)).T
     above_round_off = size * total[:, 1] > HALF_OF_DIGITS  # an angle
@@ -117,16 +111,13 @@ def _find_jumps(surface: Surface, facets: Facets, normals: NodeNormals) -> Bools
 
 
 def _at_ends(surface: Surface, values: Floats) -> Floats:
-    """Return the sums (n, c) of values (m, 2, c) of lines and their ends; collective."""
+    """Return the sums (n, c) of values (m, 2, c) at the ends of lines; collective."""
     m, k = surface.facets.shape
     return sum_at_nodes(surface, np.concatenate([values, np.zeros((m, k - 2, values.shape[2]))], 1))
 
 
 def _deviators(surface: Surface, facets: Facets, normals: NodeNormals) -> Floats:
-    """Return the deviatoric curvatures (n, d, d) at nodes, for projections of edges; collective.
-
-    Means over those facets of a one-ring that have regular normals only.
-    """
+    """Return deviatoric curvatures (n, d, d), means of facets with regular normals; collective."""
     K = curvatures(facets, edge_sagittas(facets, normals, surface.facets))
     known = np.asarray(normals.regular[surface.facets].all(axis=1))
     n = facet_normals(facets)
@@ -154,7 +145,7 @@ def _classify(
         off_plane = np.linalg.norm(np.where(mirrors, gap, 0.0), axis=1) > limit
         completed = straightened & ((mirrors.sum(axis=1) > 1) | ~off_plane)
     straight = unit(np.where(mirrors, 0.0, n))
-    n = np.where(straightened[:, None], straight, n)  # where a rim meets the plane, too
+    n = np.where(straightened[:, None], straight, n)  # also where a rim meets the plane
     along = np.einsum("mki,mi->mk", n[surface.facets], facet_normals(facets))
     beyond = np.stack([along < least for least in limits], axis=2)
     counts = sum_at_nodes(surface, beyond)
@@ -169,16 +160,16 @@ class SmoothSide:
 
     facets: Facets  # (m,)
     normals: NodeNormals | None  # of all nodes; None over curved facets
-    nodes: Ints  # (m, k) which of them are the facets'
-    sagitta: Floats  # (m, e) c_ab of `edge_sagittas`, over curved facets of `curved_sagittas`
-    edges: Ints  # (2,) owned nodes of the surface on an edge, and those of them without a normal
+    nodes: Ints  # (m, k) the facets' nodes
+    sagitta: Floats  # (m, e) c_ab of `edge_sagittas`, or `curved_sagittas`
+    edges: Ints  # (2,) numbers of owned nodes on an edge, and without a normal
 
 
 @timed("~Mortar: smooth surfaces")
 def find_shape(
     surface: Surface, fixed: Bools, feature_angle: float, mirrors: Bools | None = None
 ) -> NodeShape:
-    """Return the shape of a side at its nodes at X, which no search changes; collective.
+    """Return the shape of a side at its nodes at X; collective.
 
     Args:
         fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
@@ -199,9 +190,9 @@ def find_smooth_sides(
     """Return the smooth surfaces of the slave and of the received master facets; collective.
 
     Args:
-        fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
+        fixed: see `find_shape`.
         feature_angle: see `smooth_normals`.
-        shapes: of both sides, see `find_shape`, where they are known.
+        shapes: of both sides, see `find_shape`, if known.
     """
     slave, master = pairing.slave, pairing.master
     own, other = shapes or [find_shape(side, fixed, feature_angle) for side in (slave, master)]
@@ -217,20 +208,14 @@ def find_smooth_sides(
 
 
 def find_smooth_side(surface: Surface, fixed: Bools, feature_angle: float) -> SmoothSide:
-    """Return the smooth surface of a side alone; collective.
-
-    Args:
-        surface: the side.
-        fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
-        feature_angle: see `smooth_normals`.
-    """
+    """Return the smooth surface of a side alone; collective. Arguments of `find_shape`."""
     shape = find_shape(surface, fixed, feature_angle)
     count = _count_edges(shape, surface.owned)
     return _over(facets_at(surface, surface.X), shape, surface.facets, count)
 
 
 def _over(facets: Facets, shape: NodeShape, nodes: Ints, count: Ints) -> SmoothSide:
-    """Return the smooth surface over facets (m,) of what is known at nodes."""
+    """Return the smooth surface over facets (m,) of a shape at nodes."""
     if isinstance(shape, NodeNormals):
         return SmoothSide(facets, shape, nodes, edge_sagittas(facets, shape, nodes), count)
     at_vertices = shape[nodes[:, list(facets.element.vertices)]]
@@ -252,10 +237,7 @@ def side_heights(
 ) -> Floats:
     """Return the heights (q,) of a side of second order over its facets at X + u; collective.
 
-    See `point_heights`.
-
     Args:
-        surface: the side.
         side: its smooth surface at X.
         u: displacement, None for X.
         which: (q,) the facet of each point.
@@ -283,7 +265,7 @@ def side_slopes(
 ) -> Floats:
     """Return the derivatives (q, k, d) of `side_heights` by the nodes; collective.
 
-    By the lengths of the chords of arcs; strains along the normal are held.
+    By the lengths of the chords of arcs, at constant strain along the normal.
     """
     facets, c, arcs = _at(surface, side, u)
     slopes = np.zeros((len(which), *facets.x.shape[1:]))
@@ -298,7 +280,7 @@ def side_slopes(
 
 
 def _count_edges(normals: NodeShape, owned: int) -> Ints:
-    """Return how many owned nodes lie on an edge, and how many of them have no normal."""
+    """Return the numbers of owned nodes on an edge, and without a normal."""
     if not isinstance(normals, NodeNormals):
         return np.zeros(2, dtype=np.int32)
     none = np.abs(normals.n[:owned]).max(axis=1, initial=0.0) == 0.0
@@ -307,29 +289,29 @@ def _count_edges(normals: NodeShape, owned: int) -> Ints:
 
 @dataclass(frozen=True)
 class Curved:
-    """Facets of one side where they are now, and the smooth surface over them."""
+    """Facets of one side at X + u, and the smooth surface over them."""
 
     facets: Facets  # (m,)
     sagitta: Floats  # (m, e) c_ab of the smooth surface
-    which: Ints  # (m,) their numbers: a facet is in several pairs
+    which: Ints  # (m,) their numbers; a facet may occur in several pairs
 
     @cached_property
     def K(self) -> Floats:
         """Their curvatures (m, d, d)."""
-        if self.facets.x.shape[2] == 2:  # cheaper than to find out which are the same
+        if self.facets.x.shape[2] == 2:  # cheaper than a search for equal ones
             return curvatures(self.facets, self.sagitta)
         first, again = self._first
         return curvatures(self.facets[first], self.sagitta[first])[again]
 
     @property
     def slopes(self) -> Floats:
-        """Derivatives (m, k, d, d, d) of these by their nodes."""
+        """Derivatives (m, k, d, d, d) of K by their nodes."""
         first, again = self._first
         return curvature_slopes(self.facets[first], self.sagitta[first])[again]
 
     @cached_property
     def _first(self) -> tuple[Ints, Ints]:
-        """Where the different facets are, and which of them each is (m,)."""
+        """Positions of the different facets, and the index of each among these (m,)."""
         _, again = distinct(self.which)
         first = np.empty(again.max(initial=-1) + 1, dtype=np.int32)
         first[again] = np.arange(len(again))
@@ -344,13 +326,12 @@ def find_curved(
 ) -> tuple[Curved, Curved]:
     """Return the slave's and the master's facets of pairs, with their curvatures; collective.
 
-    The facets are those at X + u, the c_ab those at X, which rigid motions do not change; see
-    `dolfinx_mortar.geometry.curvature` for the reason.
+    Facets are at X + u, c_ab at X, which rigid motions do not change.
 
     Args:
         u: displacement, None for X.
         sides: their smooth surfaces at X.
-        pairs: (p,) which of the candidate pairs.
+        pairs: (p,) numbers of candidate pairs.
     """
     s, m = pairing.pairs[pairs, 0], pairing.pairs[pairs, 1]
     slave = facets_at(pairing.slave, coordinates(pairing.slave, u))
@@ -363,10 +344,10 @@ def find_curved(
 
 
 def distinct(numbers: Ints) -> tuple[Ints, Ints]:
-    """Return the different ones of numbers (q,), ascending, and which of them each is (q,).
+    """Return the distinct ones of numbers (q,), ascending, and the index of each among these (q,).
 
-    They are not negative and small, so that marks do, where `np.unique` sorts: 10 to 12 % of the
-    time of an update of curved surfaces with hexahedra.
+    For small, nonnegative numbers; without the sort of `np.unique`, which takes 10 to 12 % of an
+    update of curved surfaces.
 
     >>> [found.tolist() for found in distinct(np.array([3, 1, 3, 5]))]
     [[1, 3, 5], [1, 0, 1, 2]]
@@ -384,17 +365,15 @@ def point_heights(
     u: dolfinx.fem.Function | None,
     sides: tuple[SmoothSide, SmoothSide],
 ) -> Floats:
-    """Return by how much (q,) the gap of the smooth surfaces is less than that of the facets.
+    """Return the sum of heights (q,), by which smooth surfaces are closer than facets; collective.
 
-    Heights are taken from the surface that both sides share where they touch; for second order,
-    where facets become curved with u, each side has its own. There mid-side nodes move with the
-    bodies below (or above) the surface, so that heights are h (1 + e_n) with the strain e_n along
-    the normal. With h alone the gaps of vertices and mid-side nodes differ by h e_n; the pressures
-    of that, E h e_n over the length of a facet, are of first order: 10 % between heated rings of 18
-    and 24 facets. At X there is no strain, and heights are h. Collective.
+    First-order sides share one surface, see `common_sagittas`. For second order, where facets
+    become curved with u, each side has its own, and heights are h (1 + e_n) with the strain e_n
+    along the normal: mid-side nodes move with the bodies. With h alone the error of pressures is of
+    first order, E h e_n over the length of a facet.
 
     Args:
-        segments: its segments at X + u.
+        segments: the segments at X + u.
         u: displacement, None for X.
         sides: the smooth surfaces at X.
     """
@@ -415,9 +394,8 @@ def pair_sagittas(
 ) -> tuple[Floats, Floats, Floats]:
     """Return the own c_ab (p, e) of both facets of pairs (p,), and arcs (p, 2, 2); collective.
 
-    Those of second order with the strain along the normal, see `point_heights`. Where facets are
-    straight lines of second order at X, which have become curved, arcs are those of
-    `arcs_of_chords`; others have the curvature 0.
+    For second order c_ab contains the strain along the normal, see `point_heights`. Arcs are those
+    of `arcs_of_chords` over second-order lines that are straight at X, else of curvature 0.
     """
     a, b = find_curved(pairing, u, sides, pairs)
     c, arcs = [a.sagitta, b.sagitta], np.tile([0.0, 1.0], (len(pairs), 2, 1))
@@ -435,13 +413,12 @@ def missed_heights(
     u: dolfinx.fem.Function | None,
     sides: tuple[SmoothSide, SmoothSide],
 ) -> Floats:
-    """Return by how much (q,) heights of degree 1 miss those of round surfaces; collective.
+    """Return the fourth-order error (q,) of heights of degree 1 over round surfaces; collective.
 
-    With nodes on a sphere of radius R a point x of a facet has |x|^2 = R^2 - 2 R h, where h is its
-    height of leading order. So the sphere is R - |x| = h + h^2 / (2 R) away along its own normal;
-    likewise a cylinder. And the other side has its curvature along the direction of an edge, which
-    `common_sagittas` shortens by a projection. Both are of fourth order in the length of facets.
-    The arguments are those of `point_heights`.
+    A point x of a facet with nodes on a sphere of radius R has |x|^2 = R^2 - 2 R h, with the height
+    h of leading order. The distance from the sphere is R - |x| = h + h^2 / (2 R); likewise on a
+    cylinder. And `common_sagittas` shortens edges by the projection on the other side. Arguments of
+    `point_heights`.
     """
     pairs, of = distinct(segments.pair)
     a, b = find_curved(pairing, u, sides, pairs)
@@ -449,7 +426,7 @@ def missed_heights(
 
 
 def _missed(side: Curved, other: Curved, of: Ints, xi: Floats) -> Floats:
-    """Return that (q,) of one side."""
+    """Return the error (q,) of one side."""
     e, n = edges(side.facets), facet_normals(other.facets)[:, None]
     seen = e - (e * n).sum(axis=2, keepdims=True) * n
     square = (e**2).sum(axis=2)
@@ -476,18 +453,18 @@ def facet_stretches(pairing: Pairing, u: dolfinx.fem.Function) -> tuple[Floats, 
 def point_motions(
     segments: Segments, sides: tuple[SmoothSide, SmoothSide]
 ) -> Callable[[slice], Floats]:
-    r"""Return a function that gives A_l (q, k, d, d) of offset vectors at a part of the points.
+    """Return a function that gives A_l (q, k, d, d) of offset vectors at a part of the points.
 
-    The points of a segment differ by r = x_s - x_m, which moves with the bodies. The constraint
-    u_s = u_m resists a rotation by strains of the size of r, and its forces at the ends of r have a
-    moment. To first order it is u_s = u_m + sum_l A_l u_l, with g_l = grad N_l on the master,
+    The points of a segment differ by the offset r = x_s - x_m, which moves with the bodies; u_s =
+    u_m would strain rotating bodies and have a moment. To first order the constraint is u_s = u_m +
+    sum_l A_l u_l, with g_l = grad N_l on the master,
 
         A_l u_l = u_l (g_l.r) - (r.n) g_l (n.u_l) + n (H_t g_l).u_l:
 
     the displacement at the foot of x_s on the tangent plane, the rotation -(grad u)^T n of the
-    normal part of r, and the change H : E of the heights of the smooth surfaces (`curvature`) by
-    the strain, H = 1/2 sum_{a<b} N_a N_b C_ab of both sides, H_t its tangential part. A rigid
-    motion u = a + W x gives W r, for all surfaces and distances, so that moments balance.
+    normal part of r, and the change H : E of the heights by the strain, H = 1/2 sum_{a<b} N_a N_b
+    C_ab of both sides, H_t its tangential part. A rigid motion u = a + W x gives W r, so that
+    moments balance.
 
     Args:
         segments: the segments at X.
@@ -522,11 +499,10 @@ def find_parting(
     u: dolfinx.fem.Function | None,
     sides: tuple[SmoothSide, SmoothSide],
 ) -> float:
-    """Return the mean of |k_s + k_m| over that of the larger of |k_s|, |k_m|, k = tr K; collective.
+    """Return the mean of |k_s + k_m| over that of max(|k_s|, |k_m|), k = tr K; collective.
 
     Over the covered area: 1 for a ball on a plane, c / R for a pin in a hole of radius R with the
-    clearance c, infinite for planes.
-    The arguments are those of `point_heights`.
+    clearance c, infinite for planes. Arguments of `point_heights`.
     """
     pairs, of = distinct(segments.pair)
     size = np.bincount(of, segments.weight, minlength=len(pairs))
