@@ -1,5 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Smooth surfaces over the facets of two sides: corrections of their gap and of offset vectors."""
+"""Smooth surfaces over the facets of two sides: corrections of their gap and of offset vectors.
+
+Arguments: `fixed` are components (local nodes, d) with Dirichlet data, `feature_angle` the least
+angle of an edge in degrees, `u` the displacement (None: X), `sides` smooth surfaces at X, `which`
+(q,) the facets and `xi` (q, d-1) the reference coordinates of points, `segments` those at X + u.
+Functions with a Pairing or Surface are collective.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -59,18 +65,14 @@ NodeShape: TypeAlias = NodeNormals | Floats
 def smooth_normals(
     surface: Surface, x: Floats, fixed: Bools, feature_angle: float, mirrors: Bools | None = None
 ) -> NodeNormals:
-    """Return the normals of the smooth surface at the nodes; collective.
+    """Return the normals of the smooth surface at the nodes with coordinates x (n, d); collective.
 
     n = 0 where the normal of a facet has no positive component along the sum, as at a cusp. On a
-    plane of symmetry, see `find_mirrors`, mirror images complete the facets, and the normal has no
-    component across the plane. In space, edges are projected by the deviatoric curvature of these
-    normals, and the sums repeated.
+    plane of symmetry (`mirrors` of `find_mirrors`), mirror images complete the facets. In space,
+    edges are projected by the deviatoric curvature of these normals, and the sums repeated.
 
     Args:
-        x: coordinates (n, d) of its nodes.
-        fixed: (n, d) components of the nodes with Dirichlet data.
-        feature_angle: least angle of an edge between facets, in degrees.
-        mirrors: result of `find_mirrors`, if known.
+        fixed: (n, d), of these nodes.
     """
     facets = facets_at(surface, x)
     if mirrors is None:
@@ -88,9 +90,8 @@ def smooth_normals(
 def _find_jumps(surface: Surface, facets: Facets, normals: NodeNormals) -> Bools:
     """Return the nodes (n,) in the plane where the curvature jumps; collective.
 
-    The curvature at a node is the angle between its facets over their mean length. At a jump it
-    changes along both facets of a node, but not along the next ones; beside an edge or a rim there
-    is no comparison.
+    It changes along both facets of such a node, but not along the next ones; beside an edge or a
+    rim there is no comparison.
     """
     ends = surface.facets[:, :2]
     angles, length = end_angles(facets, normals.n[ends])
@@ -169,13 +170,7 @@ class SmoothSide:
 def find_shape(
     surface: Surface, fixed: Bools, feature_angle: float, mirrors: Bools | None = None
 ) -> NodeShape:
-    """Return the shape of a side at its nodes at X; collective.
-
-    Args:
-        fixed: (local nodes, d) components of the nodes of V with Dirichlet data.
-        feature_angle: see `smooth_normals`.
-        mirrors: see `smooth_normals`.
-    """
+    """Return the shape of a side at its nodes at X; collective."""
     if surface.curved:
         return _nodal_curvatures(surface)
     return smooth_normals(surface, surface.X, fixed[surface.nodes], feature_angle, mirrors)
@@ -190,8 +185,6 @@ def find_smooth_sides(
     """Return the smooth surfaces of the slave and of the received master facets; collective.
 
     Args:
-        fixed: see `find_shape`.
-        feature_angle: see `smooth_normals`.
         shapes: of both sides, see `find_shape`, if known.
     """
     slave, master = pairing.slave, pairing.master
@@ -208,7 +201,7 @@ def find_smooth_sides(
 
 
 def find_smooth_side(surface: Surface, fixed: Bools, feature_angle: float) -> SmoothSide:
-    """Return the smooth surface of a side alone; collective. Arguments of `find_shape`."""
+    """Return the smooth surface of a side alone; collective."""
     shape = find_shape(surface, fixed, feature_angle)
     count = _count_edges(shape, surface.owned)
     return _over(facets_at(surface, surface.X), shape, surface.facets, count)
@@ -235,14 +228,7 @@ def _nodal_curvatures(surface: Surface) -> Floats:
 def side_heights(
     surface: Surface, side: SmoothSide, u: dolfinx.fem.Function | None, which: Ints, xi: Floats
 ) -> Floats:
-    """Return the heights (q,) of a side of second order over its facets at X + u; collective.
-
-    Args:
-        side: its smooth surface at X.
-        u: displacement, None for X.
-        which: (q,) the facet of each point.
-        xi: (q, d-1) reference coordinates.
-    """
+    """Return the heights (q,) of a side of second order over its facets at X + u; collective."""
     facets, c, arcs = _at(surface, side, u)
     h = heights(facets, c, which, xi)
     return h if arcs is None else heights_of_arcs(arcs[which], h)
@@ -265,7 +251,7 @@ def side_slopes(
 ) -> Floats:
     """Return the derivatives (q, k, d) of `side_heights` by the nodes; collective.
 
-    By the lengths of the chords of arcs, at constant strain along the normal.
+    By the lengths of chords, at constant strain along the normal.
     """
     facets, c, arcs = _at(surface, side, u)
     slopes = np.zeros((len(which), *facets.x.shape[1:]))
@@ -324,14 +310,9 @@ def find_curved(
     sides: tuple[SmoothSide, SmoothSide],
     pairs: Ints,
 ) -> tuple[Curved, Curved]:
-    """Return the slave's and the master's facets of pairs, with their curvatures; collective.
+    """Return the slave's and the master's facets of pairs (p,) with their curvatures; collective.
 
     Facets are at X + u, c_ab at X, which rigid motions do not change.
-
-    Args:
-        u: displacement, None for X.
-        sides: their smooth surfaces at X.
-        pairs: (p,) numbers of candidate pairs.
     """
     s, m = pairing.pairs[pairs, 0], pairing.pairs[pairs, 1]
     slave = facets_at(pairing.slave, coordinates(pairing.slave, u))
@@ -346,8 +327,7 @@ def find_curved(
 def distinct(numbers: Ints) -> tuple[Ints, Ints]:
     """Return the distinct ones of numbers (q,), ascending, and the index of each among these (q,).
 
-    For small, nonnegative numbers; without the sort of `np.unique`, which takes 10 to 12 % of an
-    update of curved surfaces.
+    For small, nonnegative numbers; the sort of `np.unique` takes 10 to 12 % of an update.
 
     >>> [found.tolist() for found in distinct(np.array([3, 1, 3, 5]))]
     [[1, 3, 5], [1, 0, 1, 2]]
@@ -367,15 +347,10 @@ def point_heights(
 ) -> Floats:
     """Return the sum of heights (q,), by which smooth surfaces are closer than facets; collective.
 
-    First-order sides share one surface, see `common_sagittas`. For second order, where facets
-    become curved with u, each side has its own, and heights are h (1 + e_n) with the strain e_n
-    along the normal: mid-side nodes move with the bodies. With h alone the error of pressures is of
-    first order, E h e_n over the length of a facet.
-
-    Args:
-        segments: the segments at X + u.
-        u: displacement, None for X.
-        sides: the smooth surfaces at X.
+    First-order sides share one surface, see `common_sagittas`. Second-order facets become curved
+    with u: each side has its own heights h (1 + e_n), e_n the strain along the normal, since
+    mid-side nodes move with the bodies. With h alone the error of pressures is of first order, E h
+    e_n over the length of a facet.
     """
     pairs, of = distinct(segments.pair)
     c_s, c_m, arcs = pair_sagittas(pairing, u, sides, pairs)
@@ -394,8 +369,8 @@ def pair_sagittas(
 ) -> tuple[Floats, Floats, Floats]:
     """Return the own c_ab (p, e) of both facets of pairs (p,), and arcs (p, 2, 2); collective.
 
-    For second order c_ab contains the strain along the normal, see `point_heights`. Arcs are those
-    of `arcs_of_chords` over second-order lines that are straight at X, else of curvature 0.
+    For second order c_ab contains the strain, see `point_heights`, and arcs are those of
+    `arcs_of_chords` if lines are straight at X; other arcs have no curvature.
     """
     a, b = find_curved(pairing, u, sides, pairs)
     c, arcs = [a.sagitta, b.sagitta], np.tile([0.0, 1.0], (len(pairs), 2, 1))
@@ -416,9 +391,8 @@ def missed_heights(
     """Return the fourth-order error (q,) of heights of degree 1 over round surfaces; collective.
 
     A point x of a facet with nodes on a sphere of radius R has |x|^2 = R^2 - 2 R h, with the height
-    h of leading order. The distance from the sphere is R - |x| = h + h^2 / (2 R); likewise on a
-    cylinder. And `common_sagittas` shortens edges by the projection on the other side. Arguments of
-    `point_heights`.
+    h of leading order. Its distance from the sphere is R - |x| = h + h^2 / (2 R); likewise on a
+    cylinder. And `common_sagittas` shortens edges by a projection on the other side.
     """
     pairs, of = distinct(segments.pair)
     a, b = find_curved(pairing, u, sides, pairs)
@@ -464,11 +438,7 @@ def point_motions(
     the displacement at the foot of x_s on the tangent plane, the rotation -(grad u)^T n of the
     normal part of r, and the change H : E of the heights by the strain, H = 1/2 sum_{a<b} N_a N_b
     C_ab of both sides, H_t its tangential part. A rigid motion u = a + W x gives W r, so that
-    moments balance.
-
-    Args:
-        segments: the segments at X.
-        sides: the smooth surfaces at X.
+    moments balance. Segments and surfaces are at X.
     """
     slave, master = sides
     C_s, C_m = (_tensors(side) for side in sides)
@@ -502,7 +472,7 @@ def find_parting(
     """Return the mean of |k_s + k_m| over that of max(|k_s|, |k_m|), k = tr K; collective.
 
     Over the covered area: 1 for a ball on a plane, c / R for a pin in a hole of radius R with the
-    clearance c, infinite for planes. Arguments of `point_heights`.
+    clearance c, infinite for planes.
     """
     pairs, of = distinct(segments.pair)
     size = np.bincount(of, segments.weight, minlength=len(pairs))
