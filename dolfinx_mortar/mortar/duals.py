@@ -2,23 +2,22 @@
 """Dual functions of the Lagrange multiplier, and the slave nodes that carry one.
 
 Phi_j of the paper's eq. 20, biorthogonal over the covered part G of each facet: Phi = A N with A =
-D m^-1, D = diag(int_G N_j) and m = int_G N N^T, so that int_G Phi_i N_j = delta_ij int_G N_j and
-sum_j Phi_j = 1. m is almost singular when little of the facet is covered, so it is not formed: with
-the weights w and sqrt(w) N = Q R, sqrt(w) Phi = Q R^-T D and m^-1 = R^-1 R^-T. If a diagonal entry
-of R is round-off of its column, all functions of the facet are equal.
+D m^-1, D = diag(int_G N_j) and m = int_G N N^T. m is almost singular when little is covered, so it
+is not formed: with the weights w and sqrt(w) N = Q R, sqrt(w) Phi = Q R^-T D and m^-1 = R^-1 R^-T.
+If a diagonal entry of R is round-off of its column, all functions of the facet are equal.
 
 Nodes with little coverage or a negative integral have no multiplier. The functions of the kept
 nodes are biorthogonal among themselves, and 1 - sum_j Phi_j, which is orthogonal to all N_j kept,
 is added to them in equal parts. So constants remain in the space of multipliers, D stays diagonal,
 and the functions are bounded (those of a three-node facet by 4) however little is covered.
 
-Vertex functions of six-node triangles integrate to zero, so D would be singular. A share of the
-mid-side functions is added to them (Popp, Wohlmuth, Gee and Wall, SIAM J. Sci. Comput. 34, 2012),
+Vertex functions of six-node triangles integrate to zero. A share of the mid-side functions is added
+to them (Popp, Wohlmuth, Gee and Wall, SIAM J. Sci. Comput. 34, 2012),
 
     N~_v = N_v + alpha sum_m N_m,      N~_m = (1 - 2 alpha) N_m,      alpha = 1 / 12,
 
 and Phi is biorthogonal to N~. With N, D has D_vv and D_mm on the diagonal and D_mv = -alpha D_mm at
-both ends of an edge. The function of a mid-side node without multiplier is not added, so that no
+both ends of an edge. Functions of mid-side nodes without multiplier are not added, so that no
 vertex depends on another one. With alpha = 1/12 the centroid of N~_v is the vertex, and tied
 tetrahedra have the orders 3.0 and 1.98 in L2 and H1; with the 1/5 of that paper 2.54 and 1.54.
 """
@@ -304,9 +303,8 @@ def default_keep(
 ) -> Bools:
     """Return the slave nodes (n,) that may carry a multiplier, the same on any ranks (collective).
 
-    Those with a weight of which more than `LEAST_COVERAGE` is covered. On a covered facet without
-    such a node, the best covered one is kept, so that no covered part of the slave side is without
-    multiplier.
+    More than `LEAST_COVERAGE` of their weight is covered. Of a covered facet without such a node
+    the best covered one is kept, so that no covered part is without multiplier.
 
     Args:
         covered: (n,) covered weights of `node_weights`.
@@ -338,9 +336,9 @@ def choose_duals(
 ) -> tuple[Bools, Floats]:
     """Return the slave nodes (n,) that carry a multiplier, and w Phi_j (q, k) (collective).
 
-    Nodes of `default_keep` with a positive int Phi_j, the force of a unit pressure and row sum of
-    D. It may be negative where D_jj is positive, as at second-order vertices whose facets are
-    covered in far corners. The choice is repeated without such nodes.
+    Nodes of `default_keep` with int Phi_j > 0, the force of a unit pressure. It may be negative
+    where D_jj is positive, as at second-order vertices whose facets are covered in far corners; the
+    choice is repeated without such nodes.
 
     Args:
         weights: covered and whole weights of `node_weights`.
@@ -357,7 +355,7 @@ def choose_duals(
 
 
 def _best_nodes(coverage: Floats, X: Floats) -> Ints:
-    """Return the best covered node (m,) of each facet; of equal ones that at the largest x, y."""
+    """Return the best covered node (m,) of each facet; of equal ones the last by x, y, z."""
     best = coverage >= (1 - HALF_OF_DIGITS) * coverage.max(axis=1, initial=0.0)[:, None]
     size = facet_sizes(X)
     for x in np.moveaxis(X, 2, 0):
