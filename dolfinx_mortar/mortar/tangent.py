@@ -1,22 +1,18 @@
 # SPDX-License-Identifier: MIT
-r"""Derivatives of contact forces and weighted gaps by the coordinates of both sides.
+"""Derivatives of contact forces and weighted gaps by the coordinates of both sides.
 
 With the moments S, R and H (`geometry.moments`), dual functions Phi_j = sum_b C_jb N_b, tractions
 c_j = lambda_j n_j + tau_j and the nodes x_k and y_l of both sides
 
     D = C S,   M = C R,   F_k = sum_j D_jk c_j,   F_l = -sum_j M_jl c_j,
-    G_j = n_j.(sum_l M_jl y_l - sum_k D_jk x_k) - (C H)_j,     b_j = sum_l M_jl n_l,
+    G_j = n_j.(sum_l M_jl y_l - sum_k D_jk x_k) - (C H)_j,     b_j = sum_l M_jl n_l.
 
-so that dD = dC S + C dS, dM = dC R + C dR, and the others follow. Over the nodes that carry a
-multiplier, with N~ = T N of `duals.absorbed`, m = T S T^T and d = T S 1,
+Over the nodes with a multiplier, with N~ = T N of `duals.absorbed`, m = T S T^T and d = T S 1,
 
     A = diag(d) m^-1,   dA = (diag(dd) - A dm) m^-1,   C = (A - mean of its rows) T + 1 / count.
 
-Tools have no master: for H stands minus the integral of N_j phi. In the plane, in space and for
-tools it is the same; no other function has derivatives by coordinates.
-
-Derivatives by the normals n_j, and of these by the coordinates, are apart: they may depend on
-facets of other ranks.
+For tools, without a master, H is minus the integral of N_j phi. Derivatives by the normals n_j are
+separate, since these depend on facets of other ranks. See theory.md, The exact tangent.
 """
 
 from __future__ import annotations
@@ -53,24 +49,23 @@ from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals
 class Tractions:
     """Constraint normals and tractions at the local slave nodes, as functions of the normals."""
 
-    normals: Floats  # (n, d) n_j of gaps; zero where no multiplier is carried
+    normals: Floats  # (n, d) n_j of gaps; zero without multiplier
     tractions: Floats  # (n, d) c_j
     changes: Floats  # (n, d, d) dc_j/dn_j
 
 
 @dataclass(frozen=True, eq=False)
 class Derivatives:
-    """Derivatives of the part of forces F, gaps G and b that this rank's slave facets have.
+    """Derivatives of forces F, gaps G and b, of this rank's slave facets; each the sum of parts.
 
-    Rows of F belong to the coordinates of the slave nodes, then of the received master nodes. Each
-    is the sum of parts.
+    Rows of F are coordinates of the slave nodes, then of the received master nodes.
     """
 
-    F_x: Sequence[Blocks]  # (d n + d nm, d n + d nm) by the coordinates of the same nodes
+    F_x: Sequence[Blocks]  # (d n + d nm, d n + d nm) by the coordinates
     F_n: Sequence[Blocks]  # (d n + d nm, d n) by the normals of contact
     G_x: Sequence[Blocks]  # (n, d n + d nm)
     G_n: Sequence[Blocks]  # (n, d n)
-    F_p: Sequence[Blocks] = ()  # (d n + d nm, d n) by the directions of projection in the plane
+    F_p: Sequence[Blocks] = ()  # (d n + d nm, d n) by the directions of projection (2D)
     G_p: Sequence[Blocks] = ()  # (n, d n)
     b_x: Sequence[Blocks] = ()  # (d n, d n + d nm) of b_j with fixed n_l
     b_p: Sequence[Blocks] = ()  # (d n, d n)
@@ -82,13 +77,13 @@ class _Surfaces(NamedTuple):
     c_s: Floats  # (P, e) c_ab; (P, 0) without
     c_m: Floats  # (P, e')
     arcs: Floats  # (P, 2, 2) see `curvature_correction.pair_sagittas`
-    slopes: Floats  # (P, s, k + l, d) derivatives by the nodes of c_ab, or of chords' log lengths
+    slopes: Floats  # (P, s, k + l, d) derivatives of c_ab, or log chord lengths
     tables: tuple[Floats, Floats]  # (e, k, k) see `height_table`
     lengths: bool  # whether slopes are those of lengths
 
 
 def _add_motions_of_heights(sides: Sides, surfaces: _Surfaces, sums: Sums) -> None:
-    """Add the derivatives of H by what heights depend on."""
+    """Add the derivatives of H by c_ab or chords."""
     (p, k, d), others = sides.x.shape, sides.x.shape[2] * (sides.x.shape[1] + sides.n.shape[1])
     if surfaces.lengths:
         rates = sums.chords
@@ -150,10 +145,9 @@ def differentiate_whole(
     Args:
         facets: (f,) at X + u.
         xi: (q, d-1) points of a rule.
-        weights: (f, q) its weights on the reference facet, times the factor of the integrals.
+        weights: (f, q) on the reference facet, times the factor of the integrals.
         phi: (f, q) distances.
         by_x: (f, q, k, d) their derivatives by the places of the nodes.
-        duals: of the facets.
         c: (f, k, d) tractions.
     """
     (p, k, d), element, kept = facets.x.shape, facets.element, duals.kept
@@ -178,12 +172,10 @@ def differentiate(
     """Return the derivatives of forces and weighted gaps at X + u (collective).
 
     Args:
-        pairing: The pair of surfaces.
-        segments: Its segments at X + u, of all slave facets or of some.
-        keep: Local slave nodes (n,) that carry a multiplier.
-        given: Normals and tractions.
-        smooth: Smooth surfaces at X; None for facets.
-        normals: n_l (nm, d) of the received master nodes; zero if not given.
+        segments: those at X + u, of all slave facets or of some.
+        keep: (n,) local slave nodes that carry a multiplier.
+        smooth: smooth surfaces at X; None for facets.
+        normals: n_l (nm, d) of the received master nodes; zero if None.
     """
     slave, master = pairing.slave, received_facets(pairing, u)
     x = coordinates(slave, u)
@@ -276,17 +268,17 @@ def _some(surfaces: _Surfaces, pairs: Longs) -> _Surfaces:
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Slave facets with as many different master nodes each."""
+    """Slave facets with the same number of master nodes."""
 
     facets: Longs  # (p,)
-    nodes: Ints  # (p, m) nodes that have been received
-    pairs: Longs  # (P,) positions of their pairs among all, those of a facet together
-    start: Longs  # (p + 1,) those of a facet
-    place: Longs  # (P, l) nodes of the master facets among those of the slave facet
+    nodes: Ints  # (p, m) received master nodes
+    pairs: Longs  # (P,) positions of their pairs among all, ordered by facet
+    start: Longs  # (p + 1,) first pair of each facet
+    place: Longs  # (P, l) master facets' nodes among those of the slave facet
 
 
 def _groups(pairing: Pairing, used: Ints) -> list[_Group]:
-    """Return the groups of the slave facets of some pairs, which are ordered by these."""
+    """Return the groups of the slave facets of some pairs, ordered by facet."""
     s, m = pairing.pairs[used].T.astype(np.int64)
     nodes = pairing.master_facets[m].astype(np.int64)
     size = len(pairing.master_nodes)
@@ -304,7 +296,7 @@ def _groups(pairing: Pairing, used: Ints) -> list[_Group]:
 
 
 def _parts(count: Longs, pairing: Pairing) -> Iterator[Longs]:
-    """Return facets with as many master nodes each, as many as fit into some MB."""
+    """Return facets with equal numbers of master nodes, in parts of limited memory."""
     k, d = pairing.slave.element.nodes, pairing.slave.X.shape[1]
     for m in np.unique(count):
         which = np.flatnonzero(count == m)
@@ -343,7 +335,7 @@ def _add_parts(
 
 
 class Basis(NamedTuple):
-    """What the dual functions of facets (p,) are made of."""
+    """Data of the dual functions of facets (p,)."""
 
     T: Floats  # (p, k, k)
     inverse: Floats  # (p, k, k) m^-1, 0 for nodes without multiplier
@@ -351,7 +343,7 @@ class Basis(NamedTuple):
 
 
 class Fixed(NamedTuple):
-    """What does not change with the coordinates."""
+    """Data that do not change with the coordinates."""
 
     c: Floats  # (p, k, d)
     n: Floats  # (p, k, d)
@@ -373,7 +365,7 @@ def duals(S: Floats, dS: Floats, T: Floats, inverse: Floats, kept: Bools) -> tup
     (p, z, k, _), V = dS.shape, inverse @ T
     part = kept / np.maximum(kept.sum(axis=1, keepdims=True), 1)
     AT = (T @ S).sum(axis=2)[:, :, None] * V
-    # diag(dd) - A dm by dS: without m^-1, which may be large, so that nothing cancels after it
+    # (diag(dd) - A dm) by dS, before the product with m^-1, which may be large: no cancellation
     rates = np.eye(k)[:, :, None, None] * T[:, :, None, :, None]
     rates = rates - AT[:, :, None, :, None] * T[:, None, :, None]
     change = dS.reshape(p, z, k * k) @ rates.reshape(p, k * k, k * k).swapaxes(1, 2)
@@ -396,15 +388,13 @@ def apply(
     Args:
         moments: (p, k, k + m + 1) S, R and H side by side.
         changes: (p, z, k, k + m + 1) their derivatives.
-        basis: dual functions.
-        fixed: what does not change.
         x: (p, k, d) nodes of the slave facets.
         y: (p, m, d) those of the masters.
         others: number of the first coordinate of a master.
     """
     (p, k, d), m, (_, z, _, size) = x.shape, y.shape[1], changes.shape
     C, dC = duals(moments[:, :, :k], changes[..., :k], *basis)
-    C *= basis.kept[:, :, None]  # dC of others counts for nothing: they have no rows
+    C *= basis.kept[:, :, None]  # rows of dC without multiplier are not used
     DM, w = C @ moments, 2 * d + 1
     D, M = DM[:, :, :k], DM[:, :, k:-1]
     by_nodes = np.zeros((p, size, w))  # gaps of D and M, b, and C H
