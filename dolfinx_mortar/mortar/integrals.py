@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-r"""Segments of a pair at X + u, and integrals over them.
+"""Segments of a pair at X + u, and integrals over them.
 
-Each slave facet is integrated by the rank that owns it; copies of the master facets travel to it.
-The weight of a pairing, such as 2 pi r, is a factor of all these integrals. It is taken at the
-points of the slave side where they are at X: there it stays what it was, and positive.
+Each slave facet is integrated by its owner; master facets are copied to that rank. The weight of a
+pairing, such as 2 pi r, is a factor of all integrals, at the points of the slave side at X, where
+it is positive.
 """
 
 from collections.abc import Callable
@@ -38,14 +38,13 @@ from dolfinx_mortar.mortar.surface import (
 )
 
 _FALL = 0.3
-"""Share of the size of a facet over which weights fall at least, see `_near_parts`: a step that is
-lower counts in part, and changes a gap by up to a sixth of it."""
+"""Least fall of weights, as a share of the size of a facet, see `_near_parts`: a lower step counts
+in part, and changes a gap by up to a sixth of it."""
 
-_OF_POINTS = "pair", "slave", "master", "xi_s", "xi_m", "weight"  # what segments say of each point
+_OF_POINTS = "pair", "slave", "master", "xi_s", "xi_m", "weight"  # of each point
 
-# The kernels spell out their sums: array expressions would take three times as long to compile.
-# Values of one function at all points lie side by side, and sums may be taken in any order, so that
-# the compiler adds up several points at once.
+# Explicit loops compile three times as fast as array expressions; values at points are contiguous,
+# and sums may be reordered, so that several points are added at once.
 SUMS = {**KERNEL, "fastmath": {"reassoc", "contract", "nsz"}}
 
 
@@ -70,7 +69,7 @@ def _add_products(blocks, Phi, N, where):  # type: ignore[no-untyped-def]
     """Add Phi (k, q) times N (l, q) of all points to blocks (size, k, l)."""
     first = 0
     while first < len(where):
-        last = first  # points of the same block mostly follow each other
+        last = first  # points of a block mostly are neighbours
         while last < len(where) and where[last] == where[first]:
             last += 1
         for i in range(len(Phi)):
@@ -80,12 +79,10 @@ def _add_products(blocks, Phi, N, where):  # type: ignore[no-untyped-def]
 
 
 def sums_of_products(Phi: Floats, N: Floats, where: Ints, size: int) -> Floats:
-    """Return the sums (size, k, l) of Phi (q, k) times N (q, l) over the points of each place.
+    """Return the sums (size, k, l) of Phi (q, k) times N (q, l) over the points of each place (q,).
 
     Args:
-        Phi: Values of functions, times the weights of the points.
-        N: Values of others.
-        where: Place (q,) of each point.
+        Phi: values of functions, times the weights of the points.
     """
     blocks = np.zeros((size, Phi.shape[1], N.shape[1]))
     _add_products(blocks, np.ascontiguousarray(Phi.T), np.ascontiguousarray(N.T), where)
@@ -93,14 +90,12 @@ def sums_of_products(Phi: Floats, N: Floats, where: Ints, size: int) -> Floats:
 
 
 def sums_of_values(Phi: Floats, values: Floats, where: Ints, size: int) -> Floats:
-    """Return the sums (size, k) of Phi (q, k) times values (q,) over the points of each place.
+    """Return the sums (size, k) of Phi (q, k) times values (q,) over the points of each place (q,).
 
-    In the order of the points, as `np.bincount` of each function, in a tenth of the time.
+    In the order of the points, in a tenth of the time of `np.bincount`.
 
     Args:
-        Phi: Values of functions, times the weights of the points.
-        values: Values at the points.
-        where: Place (q,) of each point.
+        Phi: values of functions, times the weights of the points.
     """
     sums = np.zeros((size, Phi.shape[1]))
     _add_values(sums, np.ascontiguousarray(Phi.T), np.ascontiguousarray(values), where)
@@ -119,10 +114,9 @@ def covered_weights(N_s: Floats, weight: Floats, slave: Ints, m: int) -> Floats:
     """Return the integrals (m, k) of N_j over the covered part of every slave facet (eq. 19).
 
     Args:
-        N_s: Values (q, k) of the slave shape functions.
-        weight: Weights (q,) of the quadrature points.
-        slave: Slave facet (q,) of each point.
-        m: Number of slave facets.
+        N_s: (q, k) values of the slave shape functions.
+        weight: (q,) quadrature weights.
+        slave: (q,) slave facet of each point.
 
     Example:
         >>> covered_weights(np.array([[0.75, 0.25]]), np.array([1.0]), np.array([1]), 2)
@@ -158,24 +152,18 @@ def find_segments(pairing: Pairing, u: dolfinx.fem.Function | None) -> tuple[Seg
 
 
 def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Facets) -> Segments:
-    """Return the segments without what stands back from the nearest part (collective).
+    """Return the segments with less weight of parts that lie far behind the nearest (collective).
 
-    Beside an edge or a corner of the master the next of its facets may lie at any distance H, and
-    dual functions are negative there: sides that touch beside it would stand up to H / 3 apart, or
-    lie as deep in each other. The inclinations a of facets explain a rise of r = 8 h mean |tan a|
-    over the facets at the nodes of a slave facet of size h, at most of 3 h / 2 (measured: with h
-    a round disc changes by 4e-4, with 7 h / 4 the force of sliding cantilevers is 1.03 % off the
-    slope of the energy, .99 % with 3 h / 2; 3 to 6 mean |tan a| slow a rolling disc). So with the
-    rise H of a point over the nearest one of all these facets, its weight has the factor
+    Beyond an edge the next master facet may be at any distance, where dual functions are negative.
+    With the rise H of a point over the nearest point and the rise r = min(8 mean |tan a|, 3/2) h
+    that inclinations a explain, over all facets at the nodes of a slave facet of size h, its weight
+    has the factor
 
         1 - (H - r) / max(r, .3 h),     at least 0, at most 1.
 
-    Smooth sides have 1 where they are not steep, and a step that is too low to be left out raises a
-    gap by up to h / 20. The exact tangent holds what facets beside the slave facet say.
-
-    Args:
-        facets: The slave facets at X + u.
-        master: The received ones.
+    8: lower factors slow a rolling disc. 3/2: with 1 a round disc changes by 4e-4; with 7/4 the
+    force of sliding cantilevers has an error of 1.03 instead of 0.99 %. See theory.md, Edges and
+    corners.
     """
     slave, on, w = pairing.slave, segments.slave, segments.weight
     count, N = len(facets.x), (segments.N, pairing.master.element.shape_functions(segments.xi_m))
@@ -187,19 +175,13 @@ def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Fa
     if part.min(initial=1.0) > 1.0 - HALF_OF_DIGITS:
         return segments
     some = np.bincount(segments.pair, part > 0.0, minlength=len(pairing.pairs)) > 0.0
-    # whole segments, of which some points have hardly a weight
+    # complete segments, with tiny weights at some points
     segments = replace(segments, weight=w * np.clip(part, EPS, 1.0), reach=reach)
     return some_points(segments, some[segments.pair])
 
 
 def _reaches(slave: Surface, least: Floats, sums: Floats, size: Floats) -> Floats:
-    """Return the gap (m, 2) from which on weights fall, and by how much over length; collective.
-
-    Args:
-        least: gaps (m,) of the nearest points of facets.
-        sums: (m, 2) of w |tan a|, w.
-        size: (m,) h.
-    """
+    """Return the gap (m, 2) above which weights fall, and the slope; collective."""
     nearest = np.full(len(slave.nodes), -np.inf)
     np.maximum.at(nearest, slave.facets, -least[:, None])
     least = -accumulate(slave, nearest, largest=True)[slave.facets].max(axis=1, initial=-np.inf)
@@ -232,10 +214,7 @@ def _measure(gap, least, sums, N_s, N_m, x_s, x_m, n_s, n_m, slave, master, weig
 def point_distances(
     pairing: Pairing, segments: Segments, u: dolfinx.fem.Function | None
 ) -> tuple[Floats, Floats]:
-    """Return |x_s - x_m| at the points (q,), and the larger of their two facets (q,) (collective).
-
-    The size of a facet is its diameter at X.
-    """
+    """Return |x_s - x_m| (q,), and the larger diameter (q,) at X of their facets (collective)."""
     slave = facets_at(pairing.slave, coordinates(pairing.slave, u))
     offsets = points_of(slave, segments.slave, segments.xi_s)
     offsets -= points_of(received_facets(pairing, u), segments.master, segments.xi_m)
@@ -253,13 +232,12 @@ def drop_far(
 ) -> Segments:
     """Return the segments without the pairs that are too far apart (collective).
 
-    A pair stays if all its points do, so that what stays is whole: functions of the nodes are
-    independent on it.
+    A pair is dropped as a whole, so that functions of the nodes remain independent.
 
     Args:
-        u: Displacement, None for X.
-        reach: Largest distances (q,) for sizes of facets (q,), see `point_distances`, and the least
-            distance of all.
+        u: displacement, None for X.
+        reach: function of the sizes of facets (q,), see `point_distances`, and the least distance
+            of all; returns the largest distances (q,).
     """
     distances, larger = point_distances(pairing, segments, u)
     comm = pairing.slave.V.mesh.comm
@@ -297,8 +275,7 @@ def integrate_values(
     """Return int Phi_j f (n,) at the slave nodes for values f (q,) at the points (collective).
 
     Args:
-        Phi: Weighted dual functions (q, k) of `weighted_duals`.
-        values: f.
+        Phi: weighted dual functions (q, k) of `weighted_duals`.
     """
     slave = pairing.slave
     parts = sums_of_values(Phi, values, segments.slave, len(slave.facets))
