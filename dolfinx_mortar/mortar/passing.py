@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: MIT
-"""Whether one side has passed through the other in a step, so that contact no longer finds it.
+"""Whether one side has passed through the other in a step, where contact does not find it.
 
-Facets deeper than a part of the thinner body are no partners (`THROUGH`), and there are none beyond
-an edge, so a side that moves far enough in one step has no partners at its end. The test is on the
-middle of the body behind each facet: as long as the sides have not passed through each other, it
-does not lie in the other body. Nor does it lie in a rigid tool, or the tool's point in the body.
-Middles count that are in their body at the start of the step.
+Facets deeper than a part of the thinner body are not paired (`THROUGH`), and there are none beyond
+an edge. The test is that the middle of the body behind each facet, if inside the body at the start,
+does not enter the other body or a rigid tool; nor the tool's point the body.
 
-Of a step only the start x_0 and the end x_1 are known. The rigid motion between them that fits
-best, x -> R x + c, is taken as steady: a rotation about a fixed line (in the plane, a point) with a
-shift along it, of which the share t is made at the time t,
+A step has a start x_0 and an end x_1. The rigid motion between them that fits best, x -> R x + c,
+is taken as steady, a rotation about a fixed line (in the plane, a point) with a shift along it, so
+that at the time t
 
     x(t) = R^t ((1 - t) x_0 + t R^-1 x_1).
 
-A corner moves along an arc. Where the rotation is small, paths are straight.
+Where the rotation is small, paths are straight.
 """
 
 from __future__ import annotations
@@ -40,13 +38,13 @@ from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, thick
 
 @dataclass(frozen=True)
 class Middles:
-    """The middle of the bodies behind the facets of a surface."""
+    """The middles of the bodies behind the facets of a surface."""
 
     surface: Surface
-    depth: Floats  # (m,) its distance from each facet at X
+    depth: Floats  # (m,) distance from each facet at X
 
     def at(self, u: fem.Function) -> tuple[Floats, Floats]:
-        """Return facets' centres (k, d) and the middles (k, d), of those with a finite depth."""
+        """Return centres (k, d) of facets and their middles (k, d), where the depth is finite."""
         finite, own = np.isfinite(self.depth), self.surface
         facets = facets_at(own, coordinates(own, u))[np.flatnonzero(finite)]
         faces = facets.x[:, np.array(own.element.vertices)].mean(axis=1)
@@ -54,12 +52,12 @@ class Middles:
 
 
 def find_middles(surface: Surface, body_of: Ints, skin: Facets, bodies: Ints) -> Middles:
-    """Return the middles of the bodies behind a surface, by all their exterior facets; collective.
+    """Return the middles of the bodies behind a surface; collective.
 
     Args:
-        body_of: number (m,) of the body behind each of its facets.
+        body_of: number (m,) of the body behind each facet.
         skin: exterior facets of this rank.
-        bodies: number of the body of each of those.
+        bodies: number of the body of each of these.
     """
     facets = facets_at(surface, surface.X)
     depth = thickness_of_bodies(surface.V.mesh.comm, facets, body_of, skin, bodies)
@@ -68,20 +66,17 @@ def find_middles(surface: Surface, body_of: Ints, skin: Facets, bodies: Ints) ->
 
 @dataclass(frozen=True)
 class SeenByTool:
-    """Where a rigid tool sees points, in coordinates that move with it."""
+    """Motion of points relative to a rigid tool."""
 
-    at: Callable[[float, Floats], Floats]  # points (.., d) at a time within the step, from 0 to 1
-    turn: Floats  # (1,) or (3,) of the tool in the step, in radians, with whole turns
+    at: Callable[[float, Floats], Floats]  # time in (0, 1), points (.., d) -> tool's frame
+    turn: Floats  # (1,) or (3,) rotation of the tool in the step, radians, with whole turns
     distance: Callable[[Floats], Floats]  # of such points (n,) from the tool, negative inside
     point: Floats  # (d,) of the tool
 
     def turns_round(self, body: RigidMotion) -> bool:
-        """Tell whether tool and body turn against each other by half a turn or more.
+        """Tell whether tool and body, given its motion in space, turn relatively by pi or more.
 
-        Then the shorter way around, which the start and the end of the step tell, is another one.
-
-        Args:
-            body: its motion in space.
+        The start and the end of a step determine the shorter rotation only.
         """
         against = body.rotation()
         against[-len(self.turn) :] -= self.turn
@@ -90,15 +85,15 @@ class SeenByTool:
     def ways(
         self, body: RigidMotion, seen: RigidMotion
     ) -> Callable[[Floats, Floats], list[Floats]]:
-        """Return a function of points (.., d) in space: those at the start and the end of a step.
+        """Return a function of points (.., d) in space at the start and the end: paths in the tool.
 
-        It gives what the tool sees of them at times within the step, one array for each. Of less
-        than half a turn that is a steady motion, see `mortar.passing`. Else the body turns
-        steadily in space, and the tool as its rotation says, about its point, which goes straight.
+        It gives their places in the tool's frame at times of the step, one array for each. For less
+        than half a turn the relative motion is steady; else the body turns steadily in space, and
+        the tool about its point, which moves straight.
 
         Args:
             body: its motion in space.
-            seen: its motion as the tool sees it.
+            seen: its motion in the tool's frame.
         """
         if not self.turns_round(body):
             steady = times_of([seen])
@@ -116,21 +111,19 @@ class SeenByTool:
 class Passing:
     """Bodies that have passed through a surface, over all ranks."""
 
-    surface: Surface | None  # through which, None for a tool
-    count: int  # facets of the other side behind which the middle of the body has passed
+    surface: Surface | None  # None for a tool
+    count: int  # facets whose middle has passed
     place: tuple[float, ...]  # of one of these facets, at the start
-    depth: float  # distance of the middle from that facet
+    depth: float  # distance of its middle
 
 
 def is_far(slave: Middles, master: Middles, before: Floats, now: Floats) -> bool:
-    """Tell whether two sides have moved so far that one may have passed through the other.
+    """Tell whether relative displacements of sides reach the least depth of a middle; collective.
 
-    That takes a relative displacement of the depth of the least middle, as sides touch at most at
-    the start of a step. No facets are looked at; collective.
+    Otherwise neither has passed through the other, since sides at most touch at the start of a
+    step.
 
     Args:
-        slave: one side.
-        master: the other side.
         before: displacements (owned nodes, d) at the start of the step.
         now: those at its end.
     """
@@ -147,15 +140,13 @@ def is_far(slave: Middles, master: Middles, before: Floats, now: Floats) -> bool
 def find_passed(
     slave: Middles, master: Middles, before: fem.Function, now: fem.Function
 ) -> Passing | None:
-    """Return the side through which the other one has passed, None if neither; collective.
+    """Return the side through which the other one has passed, or None; collective.
 
     All ranks get all facets of a side: call `is_far` first.
 
     Args:
-        slave: one side.
-        master: the other side.
         before: displacement at the start of the step.
-        now: displacement at its end.
+        now: that at its end.
     """
     found = _passed(slave, master.surface, before, now)
     return _passed(master, slave.surface, before, now) if found is None else found
@@ -170,7 +161,7 @@ def _passed(
     (faces, start_at), (_, end_at) = side.at(before), side.at(now)
     parts = [flat_parts(facets_at(other, coordinates(other, u))) for u in (before, now)]
     start, end = (np.concatenate(comm.allgather(part)) for part in parts)
-    d, origin = start.shape[2], start.mean(axis=(0, 1))  # the sums are made near it
+    d, origin = start.shape[2], start.mean(axis=(0, 1))  # for the accuracy of the sums
     frame = best_motion(rigid_sums(*((x - origin).reshape(-1, d) for x in (start, end))))
     sums = rigid_sums(*((f.x - origin).reshape(-1, d) for f in facets))
     motion = best_motion(comm.allreduce(sums, op=MPI.SUM)).seen_from(frame)
@@ -190,14 +181,13 @@ def _passed(
 
 
 def _outside(faces: Floats, middles: Floats, skin: Floats) -> Longs:
-    """Return which middles (q,) are not in the body behind their facet any more, ascending.
+    """Return the middles (q,) that have left the body behind their facet, ascending.
 
-    They stay straight behind it: of the end of a strip they are farther away than the strip is
-    thick, leave it through its skin as it bends, and may come back in, or into the next winding.
+    They stay straight behind it: at the end of a strip that bends they leave the body through its
+    skin, and may come back in.
 
     Args:
         faces: centres (k, d) of the facets.
-        middles: (k, d).
         skin: lines or triangles (m, d, d) of the side, outward, of all ranks.
     """
     inward = skin[:, ::-1]
@@ -205,7 +195,7 @@ def _outside(faces: Floats, middles: Floats, skin: Floats) -> Longs:
 
 
 def _first(side: Middles, through: Surface | None, faces: Floats, passed: Longs) -> Passing | None:
-    """Return what has passed, by the numbers of facets of this rank; collective."""
+    """Return the Passing, from the numbers of facets of this rank; collective."""
     comm, depth = side.surface.V.mesh.comm, side.depth[np.isfinite(side.depth)]
     count = comm.allreduce(len(passed), op=MPI.SUM)
     if not count:
@@ -220,18 +210,15 @@ def find_passed_tool(
 ) -> Passing | None:
     """Return whether a body and a rigid tool have passed through each other; collective.
 
-    Middles of the body that have been in the tool, or a point in the tool that has passed a facet,
-    where it is deeper in the tool than the facet is long or the middle deep. If less deep, it has
-    to go as much farther: a tip to which facets are chords lies a bit behind them. Paths are those
-    that the tool sees, along arcs where body and tool turn against each other, see
-    `SeenByTool.ways`. Parts of them that lie in the tool are found if they are longer than
-    `QUARTER_OF_DIGITS` of the middle's depth.
+    Either middles of the body have entered the tool, or a point of the tool, deeper in it than the
+    facet is long or its middle deep, has passed a facet. A point that is less deep has to go
+    farther by the difference, since chords lie behind a tip. Parts of a path in the tool are
+    detected if longer than `QUARTER_OF_DIGITS` of the depth of the middle.
 
     Args:
         side: of the body.
         before: displacement at the start of the step.
         now: that at its end.
-        seen: how the tool sees points.
     """
     comm, own = side.surface.V.mesh.comm, side.surface
     x = [coordinates(own, u) for u in (before, now)]
@@ -248,7 +235,7 @@ def find_passed_tool(
         return None
     ways = seen.ways(body, motion)
     (faces, start), (_, end) = side.at(before), side.at(now)
-    with raised_together(comm):  # what a user's function raises
+    with raised_together(comm):  # errors of a user's function
         entered = np.flatnonzero(_enter(ways(start, end), QUARTER_OF_DIGITS * depth, seen.distance))
     found = _first(side, None, faces, entered.astype(np.int64))
     if found is not None or not within:
@@ -262,10 +249,7 @@ def find_passed_tool(
 
 
 def depth_of_point(comm: MPI.Comm, seen: SeenByTool) -> float:
-    """Return how deep the tool's point is in it; collective.
-
-    -inf where it has no distance, as in an oval, on any rank.
-    """
+    """Return the depth of the tool's point in it, -inf if it has no distance; collective."""
     try:
         apart = float(seen.distance(seen.point[None])[0])
     except Exception:  # of a user's function
@@ -274,20 +258,18 @@ def depth_of_point(comm: MPI.Comm, seen: SeenByTool) -> float:
 
 
 def _behind(parts: Floats, most: float, less: float) -> Floats:
-    """Return lines or triangles (m, d, d) moved into their body by their size or `most`, - less."""
+    """Return lines or triangles (m, d, d) moved into their body by min(size, `most`) - less."""
     facets = Facets(LINE2 if parts.shape[2] == 2 else TRI3, parts)
     shift = np.maximum(np.minimum(facet_sizes(parts), most) - less, 0.0)
     return np.asarray(parts - (shift[:, None] * facet_normals(facets))[:, None])
 
 
 def _enter(ways: list[Floats], least: Floats, distance: Callable[[Floats], Floats]) -> Bools:
-    """Return which ways lead from where a distance is positive to where it is not.
-
-    Distances are not looked at where a way is too short for the last one that is known.
+    """Return which paths lead from positive distances to negative ones.
 
     Args:
         ways: points (n, d) at each of the times, straight between them.
-        least: (n,) the shortest parts in the tool that are looked for.
+        least: (n,) length of the shortest part that is looked for.
         distance: of points (n,).
 
     Example:
@@ -295,7 +277,7 @@ def _enter(ways: list[Floats], least: Floats, distance: Callable[[Floats], Float
         >>> _enter(ways, np.full(2, 0.02), lambda x: np.hypot(*x.T) - 0.01).tolist()
         [True, False]
     """
-    reach = distance(ways[0])  # which it is at least
+    reach = distance(ways[0])  # lower bounds
     inside, outside = reach < 0.0, reach > 0.0
     for a, b in pairwise(ways):
         before, reach = reach, reach - np.linalg.norm(b - a, axis=1)
@@ -313,15 +295,12 @@ def _cross(
     least: Floats,
     distance: Callable[[Floats], Floats],
 ) -> Bools:
-    """Return which straight ways (n, d) lead to where a distance is negative.
-
-    They are halved while they are longer than the distances of both ends together, between which
-    there may be a surface then.
+    """Return which straight paths (n, d) have points of negative distance, by bisection.
 
     Args:
-        ends: of the ways.
-        phi: distances (n,) of these, or less.
-        least: (n,) length that is halved no more.
+        ends: of the paths.
+        phi: lower bounds (n,) of the distances of these.
+        least: (n,) lengths that are not bisected.
         distance: of points.
     """
     (a, b), (near, far) = ends, phi
@@ -342,8 +321,8 @@ def _cross(
 
 
 TURN = 10.0
-"""Degrees by which a body turns between two times of a path, at most: the chord of an arc leaves it
-by 1 - cos(5 degrees) = 0.4 % of the radius, that of two such parts by 1.5 %."""
+"""Largest rotation in degrees between two times of a path: the chord of an arc deviates by 1 -
+cos(5 degrees) = 0.4 % of the radius, that of two such parts by 1.5 %."""
 
 
 @dataclass(frozen=True)
@@ -354,19 +333,19 @@ class RigidMotion:
     c: Floats  # (d,)
 
     def at(self, x: Floats) -> Floats:
-        """Return where points (.., d) arrive."""
+        """Return the images of points (.., d)."""
         return np.asarray(x @ self.R.T + self.c)
 
     def back(self, x: Floats) -> Floats:
-        """Return where points (.., d) come from."""
+        """Return the preimages of points (.., d)."""
         return np.asarray((x - self.c) @ self.R)
 
     def seen_from(self, other: RigidMotion) -> RigidMotion:
-        """Return the motion as seen from what makes another one."""
+        """Return the motion relative to another one."""
         return RigidMotion(other.R.T @ self.R, other.back(self.c))
 
     def rotation(self) -> Floats:
-        """Return the vector (3,) of the rotation, in radians; in the plane about the third axis."""
+        """Return the rotation vector (3,) in radians; in the plane along the third axis."""
         R, d = np.eye(3), len(self.c)
         R[:d, :d] = self.R
         return np.asarray(Rotation.from_matrix(R).as_rotvec())
@@ -376,7 +355,7 @@ class RigidMotion:
         return float(np.degrees(np.linalg.norm(self.rotation())))
 
     def part(self, t: float) -> RigidMotion:
-        """Return the share t of a steady motion that turns.
+        """Return the share t of a steady motion with a rotation.
 
         Example:
             >>> quarter = RigidMotion(np.array([[0.0, -1.0], [1.0, 0.0]]), np.array([2.0, 0.0]))
@@ -386,19 +365,19 @@ class RigidMotion:
         d = len(self.c)
         R = Rotation.from_rotvec(t * self.rotation()).as_matrix()[:d, :d]
         turns = np.eye(d) - self.R
-        fixed = np.linalg.pinv(turns) @ self.c  # on the line about which it turns
+        fixed = np.linalg.pinv(turns) @ self.c  # on the axis
         along = self.c - turns @ fixed
         return RigidMotion(R, fixed - R @ fixed + t * along)
 
 
 def rigid_sums(start: Floats, end: Floats) -> Floats:
-    """Return the sums over points (n, d) that `best_motion` takes, which add up over ranks."""
+    """Return the sums over points (n, d) for `best_motion`; they add up over ranks."""
     one = np.ones((len(start), 1))
     return np.concatenate([one, start], axis=1).T @ np.concatenate([one, start, end], axis=1)
 
 
 def best_motion(sums: Floats) -> RigidMotion:
-    """Return the rigid motion that fits best (Kabsch 1976), of sums by `rigid_sums`.
+    """Return the rigid motion that fits best (Kabsch 1976), from the sums of `rigid_sums`.
 
     Example:
         >>> x = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
