@@ -1,39 +1,23 @@
 # SPDX-License-Identifier: MIT
-r"""Normals of contact nodes, which are normals of both sides.
+"""Normals of contact nodes, common to both sides (theory.md, Normals).
 
-A contact force without friction is normal to both sides. How well a side knows its normal at a node
-is the spread of the normals n_f of all exterior facets there,
+With the spread of the normals n_f of all exterior facets at a node,
 
-    S = mean (n_f - n')(n_f - n')^T,      n' = mean n_f:
+    S = mean (n_f - n')(n_f - n')^T,      n' = mean n_f,
 
-nothing on a face, less the finer an arc, and on an edge much across it and nothing along it. So the
-normal of node j is the least-squares mean of those of both sides, a_j and b_j,
+the normal of node j is the least-squares mean of those of both sides, a_j and b_j,
 
     n_j = unit [C_m (C_s + C_m)^-1 a_j + C_s (C_s + C_m)^-1 b_j],   C_s = a_j a_j^T + S_s + eps I,
 
-C_m likewise: the normal of the face or of the flatter side where the other one has an edge, a
-corner or an arc, t_s x t_m where edges with the tangents t cross, the mean of equal sides; no angle
-decides. The force at slave node j goes to the master nodes l in parts of M_jl (paper, eq. 20). So
+C_m likewise, and b_j = -unit sum_l M_jl n_l, since the force at slave node j goes to the master
+nodes l in parts of M_jl (eq. 20).
 
-    b_j = -unit sum_l M_jl n_l:
-
-each node of either side is pressed along its own normal. The resultant on a flat side is then
-normal to it: with the nodal forces f and the symmetric compliance C of its normal motions, averaged
-normals turn by G C f, G being the central difference. Along equal facets far from the ends C and G
-commute and G is antisymmetric: the tangential resultant f.G C f is zero for any f. That of facet
-normals, or of means with other weights, is as large as the dent is steep.
-
-Spreads are those at X, which turn with the surface: a flat side does not become an edge where it is
-dented. Facets that are tied are none of them. Between vertices, at nodes of second order, S is
-the mean of the vertices'. eps has a part of the spreads at the vertices beside a node, so that the
-end of a flat part, where an arc or a corner begins, yields to the other side's face as these do.
-
-The normal of a side at a node, a_j or n_l, is the averaged one, but across an edge that of the
-facets that face the other side: of a block that stands flush on another one, not that of its flank.
-Up to half of the spread at the feature angle it is the averaged one, then a part of both.
-
-On a plane of symmetry all sums are those of the whole: with the images of the facets, and without
-the facets in the plane.
+Spreads at X turn with the surface, without tied facets; at mid-side nodes S is the mean of the
+vertices'. eps contains a part of the spreads at neighbouring vertices, so that the end of a flat
+part at an arc or corner yields to the other side's face. Across an edge a_j and n_l are the means
+of the facets that face the other side; up to half of the spread at the feature angle the averaged
+normals, between the two a part of both. On a plane of symmetry sums include the images of the
+facets, and exclude the facets in the plane.
 """
 
 from collections.abc import Callable, Sequence
@@ -64,31 +48,29 @@ from dolfinx_mortar.mortar.surface import (
 )
 
 BLUR = 1e-3
-"""Part of eps: share of the spreads beside a node.
-
-Of 1e-5 to 1e-1 resultants on a face differ by 1e-4, of crossing edges by .002.
-"""
+"""Part of eps: share of the spreads at neighbouring vertices. From 1e-5 to 1e-1 resultants on a
+face differ by 1e-4, of crossing edges by 0.002."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spreads:
-    """How the normals of the exterior facets around the nodes of contacts spread."""
+    """Spreads of the normals of the exterior facets around the nodes of contacts."""
 
     V: fem.FunctionSpace
     nodes: Ints  # (s,) local nodes of contacts, ascending
     sums: PETSc.Vec  # work vector of `accumulate` for these
     S: Floats  # (s, d, d) S + eps I at X
-    mirrors: Bools  # (local nodes, d) components of planes of symmetry
-    turned: Longs  # which of the nodes have a spread, that turns
+    mirrors: Bools  # (local nodes, d) components across planes of symmetry
+    turned: Longs  # indices of the nodes with a spread
     boundary: Boundary  # facets around these
-    places: Ints  # (m, k) of their nodes among `nodes`, behind these for others
-    gradients: Floats  # (m, k, d) of their functions in their middles at X
+    places: Ints  # (m, k) of their nodes among `nodes`, len(nodes) for others
+    gradients: Floats  # (m, k, d) of their shape functions in the middle at X
     normals: Floats  # (m, d) there
 
     def at(self, u: fem.Function | None) -> Floats:
         """Return S + eps I (s, d, d) at X + u; collective.
 
-        Turned by the rotations of the means of dx/dX over facets, normals being carried to normals.
+        Turned by the rotations of the means of dx/dX over facets, which map normals to normals.
         """
         S, d = self.S.copy(), self.S.shape[1]
         if u is None:
@@ -114,10 +96,10 @@ def find_spreads(
     """Return the spreads of normals at X; collective.
 
     Args:
-        boundary: All exterior facets.
-        contacts: Sides of contacts, one or more.
-        ties: Sides that are tied.
-        mirrors: (local nodes, d) components of planes of symmetry, see `find_mirrors`.
+        boundary: all exterior facets.
+        contacts: sides of contacts, one or more.
+        ties: sides that are tied.
+        mirrors: (local nodes, d) components across planes of symmetry, see `find_mirrors`.
     """
     V, nodes = contacts[0].V, boundary.nodes
     marks = la.vector(V.dofmap.index_map)
@@ -176,16 +158,12 @@ def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Boo
 
 
 def _rotations(F: Floats) -> Floats:
-    """Return the rotations (n, d, d) of tensors F.
-
-    By the iteration of Newton and Schulz, R <- R - R (R^T R - I) / 2, from singular values less
-    than the square root of 3 on: of small strains in a third of the time of decompositions.
-    """
+    """Return the rotations (n, d, d) of tensors F by Newton and Schulz' iteration."""
     R = F * np.sqrt(F.shape[1]) / np.linalg.norm(F, axis=(1, 2), keepdims=True)
     for _ in range(LIMIT):
         off = np.swapaxes(R, 1, 2) @ R - np.eye(R.shape[1])
         R -= R @ off / 2
-        if np.abs(off).max(initial=0.0) < HALF_OF_DIGITS:  # the last step has squared it
+        if np.abs(off).max(initial=0.0) < HALF_OF_DIGITS:  # quadratic: the last step squares it
             break
     return np.asarray(R)
 
@@ -196,8 +174,8 @@ class CommonNormals:
 
     n: Floats  # (n, d)
     of_master: Floats  # (m, d) n_l at the owned nodes of the master
-    below_edges: Bools  # (n,) coupled to an edge of the master, and on none
-    differentiate: Callable[[], tuple[Floats, Floats]]  # returns what follows
+    below_edges: Bools  # (n,) coupled to an edge of the master, on none of the slave
+    differentiate: Callable[[], tuple[Floats, Floats]]  # returns by_slave, by_master
 
     @cached_property
     def _derivatives(self) -> tuple[Floats, Floats]:
@@ -231,14 +209,12 @@ def common_normals(
 ) -> CommonNormals:
     """Return the normals of both sides at X + u; collective.
 
-    Averaged ones where nothing is coupled, or where no direction agrees with both sides, as of a
-    facet that overhangs the other side's corner.
+    The averaged ones where nothing is coupled, or no direction agrees with both sides.
 
     Args:
-        segments: Those at X + u.
-        M: Its entries (f,).
-        averaged: Averaged normals of the slave (n, d) there.
-        feature_angle: Degrees between facets from which on they meet in an edge.
+        M: its entries (f,).
+        averaged: averaged normals of the slave (n, d) at X + u.
+        feature_angle: least angle of an edge between facets, in degrees.
     """
     slave, master, V = pairing.slave, pairing.master, pairing.slave.V
     own, nodes, d = slave.nodes[: slave.owned], master.nodes[: master.owned], slave.X.shape[1]
@@ -310,10 +286,7 @@ def _across(n: Floats) -> Floats:
 def _facing(
     pairing: Pairing, segments: Segments, u: fem.Function | None, edged: Bools, edged_m: Bools
 ) -> tuple[Floats, Floats]:
-    """Return the sums of w N_j n_s and w N_l n_m over the points (owned nodes, d); collective.
-
-    All of them at the edged nodes (n,) of the slave and the master, at others parts.
-    """
+    """Return sums (owned nodes, d) of w N_j n_s and w N_l n_m, whole at edged nodes; collective."""
     V, slave, master = pairing.slave.V, pairing.slave, pairing.master
     flags = np.zeros_like(master.X)
     flags[:, 0] = edged_m
@@ -339,19 +312,12 @@ def _facing(
 
 
 def _edged(S: Floats, limit: float) -> Bools:
-    """Tell at which nodes (n,) facets rather meet in an edge, by their spreads (n, d, d)."""
+    """Return the nodes (n,) on an edge: spreads (n, d, d) of more than half of the limit."""
     return np.asarray(np.trace(S, axis1=1, axis2=2) > limit / 2)
 
 
 def _of_side(averaged: Floats, facing: Floats, S: Floats, limit: float) -> Floats:
-    """Return the normals (n, d) of one side.
-
-    Args:
-        averaged: (n, d).
-        facing: Sums (n, d) over what faces the other side.
-        S: (n, d, d).
-        limit: Spread from which on facets meet in an edge; up to half of it the averaged one.
-    """
+    """Return the normals (n, d) of one side: averaged ones, or across edges the facing ones."""
     edged = np.flatnonzero(_edged(S, limit) & facing.any(axis=1))
     if not len(edged):
         return averaged.copy()
@@ -367,8 +333,8 @@ def _of_side(averaged: Floats, facing: Floats, S: Floats, limit: float) -> Float
 def _mean(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> Floats:
     """Return the mean y (n, d) of unit vectors with given spreads.
 
-    With A and B = a a^T + S_a and b b^T + S_b, K = (A + B)^-1 and z = K (b - a),
-    y = B K a + A K b = a + A z.
+    With A and B = a a^T + S_a and b b^T + S_b, K = (A + B)^-1 and z = K (b - a), y = B K a + A K b
+    = a + A z.
     """
     A, B = (v[:, :, None] * v[:, None] + S for v, S in ((a, S_a), (b, S_b)))
     z = np.linalg.solve(A + B, (b - a)[:, :, None])
@@ -376,10 +342,10 @@ def _mean(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> Floats:
 
 
 def _mean_slopes(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> tuple[Floats, Floats]:
-    """Return the derivatives of `_mean` by a and b.
+    """Return the derivatives of `_mean` by a and b, with which the spreads turn.
 
-    dy = B K (da + dA z) + A K (db - dB z),
-    dA = da a^T + a da^T + W S_a - S_a W with W = da a^T - a da^T: spreads turn with their normals.
+    dy = B K (da + dA z) + A K (db - dB z), dA = da a^T + a da^T + W S_a - S_a W with W = da a^T - a
+    da^T.
     """
     one = np.eye(a.shape[1])
     A, B = (v[:, :, None] * v[:, None] + S for v, S in ((a, S_a), (b, S_b)))
