@@ -1,18 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Derivatives of contact forces and weighted gaps by the coordinates of both sides.
 
-With the moments S, R and H (`geometry.moments`), dual functions Phi_j = sum_b C_jb N_b, tractions
-c_j = lambda_j n_j + tau_j and the nodes x_k and y_l of both sides
-
-    D = C S,   M = C R,   F_k = sum_j D_jk c_j,   F_l = -sum_j M_jl c_j,
-    G_j = n_j.(sum_l M_jl y_l - sum_k D_jk x_k) - (C H)_j,     b_j = sum_l M_jl n_l.
-
-Over the nodes with a multiplier, with N~ = T N of `duals.absorbed`, m = T S T^T and d = T S 1,
-
-    A = diag(d) m^-1,   dA = (diag(dd) - A dm) m^-1,   C = (A - mean of its rows) T + 1 / count.
-
-For tools, without a master, H is minus the integral of N_j phi. Derivatives by the normals n_j are
-separate, since these depend on facets of other ranks. See theory.md, The exact tangent.
+Letters and formulas of theory.md, The exact tangent; moments S, R and H are those of
+`geometry.moments`. For tools, without a master, H is minus the integral of N_j phi. Derivatives by
+the normals n_j are separate, since these depend on facets of other ranks.
 """
 
 from __future__ import annotations
@@ -50,7 +41,7 @@ class Tractions:
     """Constraint normals and tractions at the local slave nodes, as functions of the normals."""
 
     normals: Floats  # (n, d) n_j of gaps; zero without multiplier
-    tractions: Floats  # (n, d) c_j
+    tractions: Floats  # (n, d) c_j = lambda_j n_j + tau_j
     changes: Floats  # (n, d, d) dc_j/dn_j
 
 
@@ -144,10 +135,9 @@ def differentiate_whole(
 
     Args:
         facets: (f,) at X + u.
-        xi: (q, d-1) points of a rule.
         weights: (f, q) on the reference facet, times the factor of the integrals.
-        phi: (f, q) distances.
-        by_x: (f, q, k, d) their derivatives by the places of the nodes.
+        phi: (f, q) distances at xi (q, d-1).
+        by_x: (f, q, k, d) their derivatives by the nodes.
         c: (f, k, d) tractions.
     """
     (p, k, d), element, kept = facets.x.shape, facets.element, duals.kept
@@ -361,7 +351,11 @@ class Results(NamedTuple):
 
 
 def duals(S: Floats, dS: Floats, T: Floats, inverse: Floats, kept: Bools) -> tuple[Floats, Floats]:
-    """Return C (p, k, k) of facets and its changes (p, z, k, k) for moments S and dS."""
+    """Return C (p, k, k), Phi_j = sum_b C_jb N_b, and its changes (p, z, k, k) for S and dS.
+
+    With N~ = T N, m = T S T^T and d = T S 1: A = diag(d) m^-1, C = (A - mean of its rows) T + 1 /
+    count.
+    """
     (p, z, k, _), V = dS.shape, inverse @ T
     part = kept / np.maximum(kept.sum(axis=1, keepdims=True), 1)
     AT = (T @ S).sum(axis=2)[:, :, None] * V
