@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Pairs of slave and master facets over all ranks, found once and used while the bodies slide.
+"""Candidate pairs of slave and master facets over all ranks, reused while the bodies slide.
 
-Each slave facet is integrated by its owner; copies of the master facets that it may meet travel to
-that rank. Only surfaces communicate, the volume mesh stays where it is.
+Each slave facet is integrated by its owner; master facets that it may meet are copied to that rank.
 """
 
 from __future__ import annotations
@@ -48,17 +47,17 @@ Weight = Callable[[Floats], Floats]
 THROUGH = 0.5
 """A facet further behind the slave than this part of the thinner body is on its far side.
 
-Overlaps end where contact begins, far less deep, and the far side lies one thickness deep. With
-parts from .25 to .9 stacks, edges and corners have the same iterations and forces.
+Overlaps where contact begins are far smaller, and the far side is one thickness away. From 0.25 to
+0.9 stacks, edges and corners have the same iterations and forces.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """Candidate pairs of facets, found at one configuration with a margin.
+    """Candidate pairs of facets at one configuration, with a margin.
 
-    The matrices have a row for each slave node j that this rank owns; the columns of P = D^-1 (M -
-    D_other) are those of D off its diagonal, then those of M.
+    The matrices have a row for each owned slave node j; the columns of P = D^-1 (M - D_other) are
+    those of D off its diagonal, then those of M.
     """
 
     slave: Surface
@@ -67,20 +66,20 @@ class Pairing:
     master_nodes: Longs  # (nm,) global nodes of the received master facets
     master_facets: Ints  # (mm, k) indices into master_nodes
     master_X: Floats  # (nm, d) their reference coordinates
-    deepest: Floats  # (p,) how far behind the slave facet a partner may lie; inf as a rule
-    sent: Bools  # (own master facets, ranks): which ranks have received them
+    deepest: Floats  # (p,) largest distance of a partner behind the slave facet, or inf
+    sent: Bools  # (own master facets, ranks) that have received them
     groups: list[Ints]  # slave facets of this rank in groups of neighbours
     scatter: PETSc.Scatter  # from a vector of V to the displacements of master_nodes
-    source: PETSc.Vec  # a vector of V: from where `receive` scatters
-    received: PETSc.Vec  # (d * nm) on this rank alone: target of the scatter
+    source: PETSc.Vec  # a vector of V: source of the scatter
+    received: PETSc.Vec  # (d * nm) on this rank: its target
     D: Triplets  # between nodes of V: int Phi_j N_l^s of all slave facets with candidates
     M: Triplets  # between nodes of V: int Phi_j N_l^m of all candidate pairs
-    row: Ints  # (e,) index into the owned slave nodes of each entry of P
+    row: Ints  # (e,) owned slave node of each entry of P
     column: Longs  # (e,) global node of each entry of P
-    off_diagonal: Ints  # positions among D's entries of those of P that come from D
-    diagonal: tuple[Ints, Ints]  # positions of D_jj among D's entries, and indices of the nodes j
+    off_diagonal: Ints  # positions among D's entries of those of P
+    diagonal: tuple[Ints, Ints]  # positions of D_jj among D's entries, and nodes j
     weight: Weight | None = None  # of all integrals over the slave side; None for 1
-    roles: Roles | None = None  # of a surface that meets itself
+    roles: Roles | None = None  # of a surface in self-contact
 
     @cached_property
     def order(self) -> Longs:
@@ -98,12 +97,7 @@ def _slave_facets(slave: Surface, u: dolfinx.fem.Function | None) -> tuple[Facet
 def _send_facets(
     master: Surface, receivers: Bools, deepest: Floats
 ) -> tuple[Longs, Ints, Floats, Floats]:
-    """Send copies of the master facets (collective).
-
-    Returns:
-        Global nodes (nm,), facets (mm, k) as indices into them, reference coordinates (nm, d), and
-        how deep partners may lie behind the facets (mm,).
-    """
+    """Send copies of master facets; return global nodes, facets, X, deepest (collective)."""
     V = master.V
     numbers = V.dofmap.index_map.local_to_global(master.nodes)[master.facets]
     X = master.X[master.facets]
@@ -116,11 +110,7 @@ def _send_facets(
 
 
 def _deepest(surface: Surface, u: dolfinx.fem.Function | None, itself: bool) -> Floats:
-    """Return how far (m,) behind the facets of a surface a partner may lie (collective).
-
-    Where a surface can meet itself, its other side is among what it meets: there the thickness is
-    the present one.
-    """
+    """Return how far (m,) behind facets a partner may lie, in self-contact at X + u."""
     if u is None or not itself:
         return THROUGH * surface.thickness
     stretch = thickness_stretches(surface, u)[surface.facets].min(axis=1, initial=np.inf)
@@ -130,7 +120,7 @@ def _deepest(surface: Surface, u: dolfinx.fem.Function | None, itself: bool) -> 
 def _create_scatter(
     V: dolfinx.fem.FunctionSpace, nodes: Longs
 ) -> tuple[PETSc.Scatter, PETSc.Vec, PETSc.Vec]:
-    """Create the scatter that brings values of V at global nodes to this rank (collective)."""
+    """Create the scatter of values of V at global nodes to this rank (collective)."""
     d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
     size = (d * index_map.size_local, d * index_map.size_global)
     source = PETSc.Vec().createMPI(size, comm=V.mesh.comm)
@@ -157,7 +147,7 @@ def _create_triplets(
 
 
 def pattern_of_P(slave: Surface, D: Triplets, *M: Triplets) -> dict[str, Any]:
-    """Return rows and columns of P, and where its entries and the D_jj lie among those of D."""
+    """Return rows and columns of P, and the places of its entries and of D_jj among those of D."""
     index_map = slave.V.dofmap.index_map
     nodes = slave.nodes[: slave.owned]
     position = np.full(index_map.size_local, -1, dtype=np.int32)
@@ -228,21 +218,16 @@ def create_pairing(
 ) -> Pairing:
     """Find the candidate pairs at X + u and fix the patterns of D and M for them (collective).
 
-    Where the surfaces move, the pairs provide for a relative sliding by half an edge or more;
-    `outside_margin` tells when that is used up, by sliding or by turning.
-
-    One surface as both meets itself: which of its facets are slaves is chosen at each search, see
-    `self_contact`.
+    Pairs of moving surfaces allow a relative sliding by half an edge or more, see `outside_margin`.
+    One surface as both sides is in self-contact: its slave facets are chosen at each search.
 
     Args:
-        u: Displacement, None for X.
-        moving: Whether the surfaces move.
-        again: Whether this is a later search. Sides that faced each other once may turn away: then
-            there are no pairs. At first that is a mistake of tags.
-        weight: Factor of all integrals over the slave side, 1 if not given. With 2 pi r those over
-            a line are those over the surface that it sweeps.
-        earlier: One of the same surfaces, whose patterns serve once more where the pairs are the
-            same.
+        u: displacement, None for X.
+        moving: whether the surfaces move.
+        again: whether this is a later search, in which sides may have turned away: then there are
+            no pairs, and no error.
+        weight: factor of all integrals over the slave side, 1 if None.
+        earlier: of the same surfaces; its patterns are reused if the pairs are the same.
 
     Raises:
         ValueError: On all ranks, if the sides share facets, belong to another space, u is not
@@ -313,17 +298,16 @@ def _master_coordinates(
     """Return the coordinates X + u (nm, d) of the received master nodes (collective)."""
     if u is None:
         return X
-    # Not from u.x.petsc_vec: dolfinx destroys that when Python deletes u, which ranks do at
-    # different times, and the next such vector of the space would then wait without end.
+    # Not u.x.petsc_vec: dolfinx destroys it with u, at different times on the ranks: a deadlock.
     source.array_w[:] = u.x.array[: source.local_size]
     scatter.scatter(source, received)
     return X + received.array_r.reshape(X.shape)
 
 
 def receive(pairing: Pairing, values: Floats) -> Floats:
-    """Return values (n, d) of the master's nodes at the received master nodes (nm, d) (collective).
+    """Return values (n, d) of the master's nodes, by their owners, at the received ones (nm, d).
 
-    Those of its owner count at each node.
+    Collective.
     """
     master, d = pairing.master, values.shape[1]
     own = slice(None, master.owned)
@@ -345,12 +329,11 @@ def outside_margin(
 ) -> bool:
     """Tell whether a segment at X + u can belong to a pair that is not a candidate (collective).
 
-    The broad phase without margin is repeated and must not find anything new, so the answer
-    depends on the relative motion of the two sides only, and False is always safe. True where u is
-    not finite: the search that is due then names it.
+    The search without margin must not find a new pair: the answer depends on the relative motion
+    only, and False is certain. True where u is not finite: the next search raises the error.
 
     Args:
-        among: Slave facets of this rank (ms,) to look at; all if not given.
+        among: (ms,) slave facets of this rank to be tested; all if None.
     """
     comm = pairing.slave.V.mesh.comm
     slave, n_s = _slave_facets(pairing.slave, u)
