@@ -53,7 +53,7 @@ class Derivatives:
     """
 
     F_x: Sequence[Blocks]  # (d n + d nm, d n + d nm) by the coordinates
-    F_n: Sequence[Blocks]  # (d n + d nm, d n) by the normals of contact
+    F_n: Sequence[Blocks]  # (d n + d nm, d n) by the normals
     G_x: Sequence[Blocks]  # (n, d n + d nm)
     G_n: Sequence[Blocks]  # (n, d n)
     F_p: Sequence[Blocks] = ()  # (d n + d nm, d n) by the directions of projection (2D)
@@ -134,7 +134,6 @@ def differentiate_whole(
     """Return dF (f, k, d, k, d), dg (f, k, k, d) and D (f, k, k) on whole facets, below a tool.
 
     Args:
-        facets: (f,) at X + u.
         weights: (f, q) on the reference facet, times the factor of the integrals.
         phi: (f, q) distances at xi (q, d-1).
         by_x: (f, q, k, d) their derivatives by the nodes.
@@ -163,7 +162,7 @@ def differentiate(
 
     Args:
         segments: those at X + u, of all slave facets or of some.
-        keep: (n,) local slave nodes that carry a multiplier.
+        keep: (n,) local slave nodes with a multiplier.
         smooth: smooth surfaces at X; None for facets.
         normals: n_l (nm, d) of the received master nodes; zero if None.
     """
@@ -377,13 +376,11 @@ def apply(
     y: Floats,
     others: int,
 ) -> Results:
-    """Return the derivatives of facets.
+    """Return the derivatives of facets with nodes x (p, k, d), and masters' nodes y (p, m, d).
 
     Args:
         moments: (p, k, k + m + 1) S, R and H side by side.
         changes: (p, z, k, k + m + 1) their derivatives.
-        x: (p, k, d) nodes of the slave facets.
-        y: (p, m, d) those of the masters.
         others: number of the first coordinate of a master.
     """
     (p, k, d), m, (_, z, _, size) = x.shape, y.shape[1], changes.shape
