@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: MIT
 """Whether one side has passed through the other in a step, where contact does not find it.
 
-Facets deeper than a part of the thinner body are not paired (`THROUGH`), and there are none beyond
-an edge. The test is that the middle of the body behind each facet, if inside the body at the start,
-does not enter the other body or a rigid tool; nor the tool's point the body.
+Facets deeper than a part of the thinner body, or beyond an edge, are not paired (`THROUGH`). The
+test: the middle of the body behind each facet, if inside the body at the start, must not enter the
+other body or a rigid tool; nor the tool's point the body.
 
-A step has a start x_0 and an end x_1. The rigid motion between them that fits best, x -> R x + c,
-is taken as steady, a rotation about a fixed line (in the plane, a point) with a shift along it, so
-that at the time t
+The rigid motion x -> R x + c that fits best between the start x_0 and the end x_1 of a step is
+taken as steady, a rotation about a fixed line (in the plane, a point) with a shift along it:
 
     x(t) = R^t ((1 - t) x_0 + t R^-1 x_1).
-
-Where the rotation is small, paths are straight.
 """
 
 from __future__ import annotations
@@ -56,8 +53,7 @@ def find_middles(surface: Surface, body_of: Ints, skin: Facets, bodies: Ints) ->
 
     Args:
         body_of: number (m,) of the body behind each facet.
-        skin: exterior facets of this rank.
-        bodies: number of the body of each of these.
+        bodies: number of the body of each exterior facet of this rank (skin).
     """
     facets = facets_at(surface, surface.X)
     depth = thickness_of_bodies(surface.V.mesh.comm, facets, body_of, skin, bodies)
@@ -74,10 +70,7 @@ class SeenByTool:
     point: Floats  # (d,) of the tool
 
     def turns_round(self, body: RigidMotion) -> bool:
-        """Tell whether tool and body, given its motion in space, turn relatively by pi or more.
-
-        The start and the end of a step determine the shorter rotation only.
-        """
+        """Tell whether tool and body, given its motion in space, turn relatively by pi or more."""
         against = body.rotation()
         against[-len(self.turn) :] -= self.turn
         return bool(np.linalg.norm(against) >= np.pi - HALF_OF_DIGITS)
@@ -87,13 +80,9 @@ class SeenByTool:
     ) -> Callable[[Floats, Floats], list[Floats]]:
         """Return a function of points (.., d) in space at the start and the end: paths in the tool.
 
-        It gives their places in the tool's frame at times of the step, one array for each. For less
-        than half a turn the relative motion is steady; else the body turns steadily in space, and
-        the tool about its point, which moves straight.
-
-        Args:
-            body: its motion in space.
-            seen: its motion in the tool's frame.
+        It gives one array for each time. For less than half a turn the relative motion, `seen`, is
+        steady; else `body` turns steadily in space, and the tool about its point, which moves
+        straight.
         """
         if not self.turns_round(body):
             steady = times_of([seen])
@@ -120,12 +109,8 @@ class Passing:
 def is_far(slave: Middles, master: Middles, before: Floats, now: Floats) -> bool:
     """Tell whether relative displacements of sides reach the least depth of a middle; collective.
 
-    Otherwise neither has passed through the other, since sides at most touch at the start of a
-    step.
-
-    Args:
-        before: displacements (owned nodes, d) at the start of the step.
-        now: those at its end.
+    Otherwise neither has passed through the other, since sides at most touch at the start `before`
+    of a step. Displacements (owned nodes, d).
     """
     sides = slave.surface, master.surface
     nodes = np.concatenate([side.nodes[: side.owned] for side in sides])
@@ -143,10 +128,6 @@ def find_passed(
     """Return the side through which the other one has passed, or None; collective.
 
     All ranks get all facets of a side: call `is_far` first.
-
-    Args:
-        before: displacement at the start of the step.
-        now: that at its end.
     """
     found = _passed(slave, master.surface, before, now)
     return _passed(master, slave.surface, before, now) if found is None else found
@@ -183,12 +164,7 @@ def _passed(
 def _outside(faces: Floats, middles: Floats, skin: Floats) -> Longs:
     """Return the middles (q,) that have left the body behind their facet, ascending.
 
-    They stay straight behind it: at the end of a strip that bends they leave the body through its
-    skin, and may come back in.
-
-    Args:
-        faces: centres (k, d) of the facets.
-        skin: lines or triangles (m, d, d) of the side, outward, of all ranks.
+    As the end of a strip bends, they leave it through its skin, and may come back in.
     """
     inward = skin[:, ::-1]
     return find_passing((faces, middles), (inward, inward))
@@ -211,14 +187,9 @@ def find_passed_tool(
     """Return whether a body and a rigid tool have passed through each other; collective.
 
     Either middles of the body have entered the tool, or a point of the tool, deeper in it than the
-    facet is long or its middle deep, has passed a facet. A point that is less deep has to go
-    farther by the difference, since chords lie behind a tip. Parts of a path in the tool are
-    detected if longer than `QUARTER_OF_DIGITS` of the depth of the middle.
-
-    Args:
-        side: of the body.
-        before: displacement at the start of the step.
-        now: that at its end.
+    facet is long or its middle deep, has passed a facet. A less deep point has to go farther by the
+    difference, since chords lie behind a tip. Parts of a path in the tool are detected if longer
+    than `QUARTER_OF_DIGITS` of the depth of the middle.
     """
     comm, own = side.surface.V.mesh.comm, side.surface
     x = [coordinates(own, u) for u in (before, now)]
@@ -265,12 +236,9 @@ def _behind(parts: Floats, most: float, less: float) -> Floats:
 
 
 def _enter(ways: list[Floats], least: Floats, distance: Callable[[Floats], Floats]) -> Bools:
-    """Return which paths lead from positive distances to negative ones.
+    """Return which paths, (n, d) at each time, lead from positive distances to negative ones.
 
-    Args:
-        ways: points (n, d) at each of the times, straight between them.
-        least: (n,) length of the shortest part that is looked for.
-        distance: of points (n,).
+    Parts shorter than `least` (n,) are not looked for.
 
     Example:
         >>> ways = [np.array([[-3.0, 0.0], [-3.0, 2.0]]), np.array([[9.0, 0.0], [9.0, 2.0]])]
@@ -297,11 +265,8 @@ def _cross(
 ) -> Bools:
     """Return which straight paths (n, d) have points of negative distance, by bisection.
 
-    Args:
-        ends: of the paths.
-        phi: lower bounds (n,) of the distances of these.
-        least: (n,) lengths that are not bisected.
-        distance: of points.
+    phi: lower bounds (n,) of the distances of the ends; paths shorter than `least` (n,) are not
+    bisected.
     """
     (a, b), (near, far) = ends, phi
     inside, left = far < 0.0, np.arange(len(a))
