@@ -36,11 +36,8 @@ from dolfinx_mortar.spaces import check_space, connected_parts
 from dolfinx_mortar.tags import check_entities, check_tag, label, labels, tag_of
 
 _MOST_WARPED = 0.3
-"""Least quality of facets that are accepted, see `distortions`: a verdict on meshes.
-
-It is the cosine between the normal at a corner and the mean normal, along which the facet is
-projected: at .3 areas are divided by more than three, and a deformation to 0 would fold it.
-"""
+"""Least quality of facets, see `distortions`: the cosine between the normal at a corner and the
+mean normal, along which the facet is projected. At 0.3 areas are divided by more than three."""
 
 
 class Nodes(Protocol):
@@ -59,21 +56,20 @@ class Nodes(Protocol):
 class Surface:
     """The marked facets that this rank integrates, and their nodes.
 
-    A facet is integrated by the rank that owns its cell. The nodes are those of these facets and
-    those that this rank owns on facets of other ranks, so that every node of the surface is known
-    to its owner.
+    A facet belongs to the rank that owns its cell. The nodes are those of these facets, and owned
+    ones on facets of other ranks, so that every node is known to its owner.
     """
 
     V: dolfinx.fem.FunctionSpace
     tag: int
     label: str  # of its tag, for messages
-    nodes: Ints  # (n,) local nodes, ascending: owned ones first, ghosts after them
-    owned: int  # number of owned nodes
+    nodes: Ints  # (n,) local nodes, ascending: owned ones before ghosts
+    owned: int
     element: FacetElement
-    facets: Ints  # (m, k) indices into nodes, such that the area vectors point outwards
+    facets: Ints  # (m, k) indices into nodes; area vectors point outwards
     entities: Ints  # (m,) local facets of the mesh
-    X: Floats  # (n, d) reference coordinates of the nodes
-    thickness: Floats  # (m,) of the body behind each facet at X; inf if nothing runs around it
+    X: Floats  # (n, d) reference coordinates
+    thickness: Floats  # (m,) of the body behind each facet at X, or inf
     sums: PETSc.Vec  # one entry per node, ghosted: work vector of `accumulate`
 
     @property
@@ -83,9 +79,9 @@ class Surface:
 
     @cached_property
     def behind(self) -> tuple[Ints, Floats, Floats, Floats]:
-        """Of the cells behind the facets: nodes (m, k), X (m, k, d), slopes, volume over area.
+        """Cells behind facets: nodes (m, k), X (m, k, d), slopes (d, m, k), volume over area (m,).
 
-        The derivatives (d, m, k) of their functions in the middle of the facet; the last (m,) at X.
+        Slopes: derivatives of the shape functions in the middle of the facet.
         """
         V, cell = self.V, self.V.mesh.basix_cell()
         cells, local = _cells_behind(V, self.entities)
@@ -152,24 +148,24 @@ def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str
 
 
 def _element(V: dolfinx.fem.FunctionSpace) -> FacetElement:
-    """Return the type of the facets of a space that is supported."""
+    """Return the type of the facets of a space."""
     return FACETS_OF[V.mesh.topology.cell_name(), V.element.basix_element.degree]
 
 
 def _cells_behind(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
-    """Return the cells (m,) behind exterior facets (m,), and which facets of them these are."""
+    """Return the cells (m,) behind exterior facets (m,), and the facets' numbers in them."""
     topology = V.mesh.topology
     tdim = topology.dim
     facet_cells = topology.connectivity(tdim - 1, tdim)
     cells = facet_cells.array[facet_cells.offsets[entities]]
     assert (cells < topology.index_map(tdim).size_local).all()
-    count = len(basix.topology(V.mesh.basix_cell())[tdim - 1])  # ranks may have no cell to ask
+    count = len(basix.topology(V.mesh.basix_cell())[tdim - 1])  # ranks may have no cell
     cell_facets = topology.connectivity(tdim, tdim - 1).array.reshape(-1, count)
     return cells, np.argmax(cell_facets[cells] == entities[:, None], axis=1)
 
 
 def _facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
-    """Return the local nodes (m, k) of facets, on the way around each, and their cells (m,)."""
+    """Return the local nodes (m, k) around facets, and their cells (m,)."""
     tdim, (cells, local) = V.mesh.topology.dim, _cells_behind(V, entities)
     count = len(basix.topology(V.mesh.basix_cell())[tdim - 1])
     order, layout = _element(V).order, V.dofmap.dof_layout
@@ -186,7 +182,7 @@ def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.Function
 
 
 def create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, PETSc.Vec]:
-    """Add the nodes used only by other ranks to their owner's; number them for `accumulate`."""
+    """Return nodes, also owned ones of other ranks' facets, how many are owned, and the vector."""
     index_map = V.dofmap.index_map
     number = dolfinx.la.vector(index_map)
     number.array[:] = 0.0
@@ -225,19 +221,16 @@ def _check_shapes(facets: Facets, comm: MPI.Comm, name: str) -> None:
 def create_surface(
     V: dolfinx.fem.FunctionSpace, facet_tags: dolfinx.mesh.MeshTags, tag: int | str, name: str
 ) -> Surface:
-    """Collect the exterior facets marked with `tag` (collective).
-
-    Tags may be given on any rank that has the facet, as owner or ghost.
+    """Collect the exterior facets marked with `tag`, a number or name, on any rank (collective).
 
     Args:
-        V: Vector Lagrange space on the mesh of all bodies.
-        facet_tags: Facet tags of the same mesh.
-        tag: Value that marks the surface, or its name if the tags have names.
+        V: vector Lagrange space on the mesh of all bodies.
+        name: of the argument, for messages.
 
     Raises:
-        ValueError: On all ranks, for a space that is not supported, tags of another mesh or
-            dimension, a tag that is no 32 bit integer or marks no or interior facets, coordinates
-            that are not finite, facets that are degenerate, inverted or badly warped.
+        ValueError: On all ranks, for an unsupported space, tags of another mesh or dimension, a tag
+            that is no 32 bit integer or marks no or interior facets, and facets that are not
+            finite, degenerate, inverted or badly warped.
     """
     check_space(V)
     element = _element(V)
@@ -266,14 +259,10 @@ def create_surface(
 
 
 def _thickness(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) -> Floats:
-    """Return how thick (m,) the bodies are behind the facets of a side; collective.
+    """Return the thickness (m,) of the bodies behind facets with local nodes (m, k); collective.
 
-    Up to a facet of this side, on any rank. Up to all facets of the body where a side encloses it
-    but for a face, such as its support, or has facets that meet at more than 60 degrees: what one
-    of its faces meets may lie behind another one.
-
-    Args:
-        nodes: (m, k) local nodes of the facets.
+    Up to facets of this side; of the whole body if the side encloses it but for a face, or has
+    facets that meet at more than 60 degrees.
     """
     comm = V.mesh.comm
     result = thickness_behind(facets, facets, comm)
@@ -295,7 +284,7 @@ def thickness_of_bodies(
 ) -> Floats:
     """Return the `thickness` (m,) behind facets among all others of their body; collective.
 
-    Bodies are measured one by one, since they may overlap.
+    Each body separately, since bodies may overlap.
     """
     found = np.full(len(body), np.inf)
     for one in np.unique(np.concatenate(comm.allgather(np.unique(body)))):
@@ -305,7 +294,7 @@ def thickness_of_bodies(
 
 
 def _meet_at_edges(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) -> bool:
-    """Tell whether some facets of this rank meet others at more than 60 degrees; collective."""
+    """Tell whether facets of this rank meet others at more than 60 degrees; collective."""
     n = facet_normals(facets)
     mean = means_at_nodes(V, nodes, n)[nodes]
     along = (mean * n[:, None]).sum(axis=2)
@@ -313,10 +302,7 @@ def _meet_at_edges(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) ->
 
 
 def means_at_nodes(V: dolfinx.fem.FunctionSpace, nodes: Ints, values: Floats) -> Floats:
-    """Return the means (local nodes, c) over facets at nodes (m, k) of values (m, c); collective.
-
-    Zero at other nodes.
-    """
+    """Return means (local nodes, c) over facets at nodes (m, k) of values (m, c); collective."""
     c = values.shape[1] + 1
     sums = dolfinx.la.vector(V.dofmap.index_map, c)
     sums.array[:] = 0.0
@@ -343,8 +329,8 @@ class Boundary:
     """All exterior facets of a mesh that this rank integrates, at X."""
 
     facets: Facets  # (m,)
-    cells: Ints  # (m,) the owned cells behind them
-    entities: Ints  # (m,) their numbers in the mesh
+    cells: Ints  # (m,) owned cells behind them
+    entities: Ints  # (m,) numbers in the mesh
     nodes: Ints  # (m, k) local nodes
 
     def __getitem__(self, which: Longs) -> "Boundary":
@@ -360,7 +346,7 @@ class Boundary:
 
 
 def _connect(topology: dolfinx.mesh.Topology) -> None:
-    """Make the connectivities between facets and cells; collective."""
+    """Create the connectivities between facets and cells; collective."""
     d = topology.dim
     topology.create_connectivity(d - 1, d)
     topology.create_connectivity(d, d - 1)
@@ -382,10 +368,7 @@ def cells_of(surface: Surface) -> Ints:
 
 
 def accumulate(surface: Nodes, values: npt.NDArray[Any], *, largest: bool = False) -> Floats:
-    """Sum values (n,) or (n, c) of the nodes over the ranks; all ranks get the sum (collective).
-
-    Or take the largest one.
-    """
+    """Return sums over ranks of nodal values (n,) or (n, c), or maxima; ghosts too (collective)."""
     mode = PETSc.InsertMode.MAX_VALUES if largest else PETSc.InsertMode.ADD_VALUES
     result = np.array(values, dtype=float)
     if surface.V.mesh.comm.size == 1:
@@ -402,10 +385,7 @@ def accumulate(surface: Nodes, values: npt.NDArray[Any], *, largest: bool = Fals
 
 
 def sum_at_nodes(surface: Surface, values: npt.NDArray[Any]) -> Floats:
-    """Return the sums (n, c) of values (m, k, c) of facets and their nodes (collective).
-
-    Over all facets at a node, those of other ranks included.
-    """
+    """Return the sums (n, c) at nodes of values (m, k, c) of facets of all ranks (collective)."""
     sums = np.zeros((len(surface.nodes), values.shape[2]))
     add_at_nodes(sums, surface.facets, np.ascontiguousarray(values, dtype=np.float64))
     return accumulate(surface, sums)
@@ -443,8 +423,8 @@ def facets_at(surface: Surface, x: Floats) -> Facets:
 def nodal_normals(surface: Surface, x: Floats) -> Floats:
     """Return the averaged unit normals (n, d) of the nodes (collective).
 
-    n_j is the normalised sum of the unit normals of all facets of this surface at node j, without
-    weights; zero where they cancel up to round-off, which has no direction.
+    Normalised sums of the unit normals of all facets of this surface at the node; zero where they
+    cancel up to round-off.
     """
     total = sum_at_nodes(surface, normals_at_nodes(facets_at(surface, x)))
     length = np.linalg.norm(total, axis=1)[:, None]
@@ -452,10 +432,10 @@ def nodal_normals(surface: Surface, x: Floats) -> Floats:
 
 
 def nodal_sagittas(surface: Surface, x: Floats) -> Floats:
-    """Return how far (n,) a surface is from its flat facets, their mean at each node; collective.
+    """Return the mean deviation (n,) of a surface from its flat facets at each node; collective.
 
-    Between nodes whose normals turn by an angle a, an arc with a chord L is off it by L a / 8; the
-    normal of the facet is a / 2 from those of its nodes.
+    An arc with a chord L that turns by an angle a deviates by L a / 8; the angle between the
+    normals of facet and node is a / 2.
     """
     facets = facets_at(surface, x)
     normals = nodal_normals(surface, x)[surface.facets]
@@ -467,11 +447,10 @@ def nodal_sagittas(surface: Surface, x: Floats) -> Floats:
 
 
 def normal_derivatives(surface: Surface, x: Floats) -> Floats:
-    """Return the terms (m, k, d, k, d) that facets add to the derivatives of nodal normals.
+    """Return the terms (m, k, d, k, d) of facets in the derivatives of nodal normals (collective).
 
-    [f, j, :, l, :] is the change of the averaged normal n_j with x_l by facet f: with its normal
-    n_f at node j and the surface gradients G_l there, n_j is along S = sum_f n_f, so that
-    dn_j = -(I - n_j n_j^T) / |S| sum_f G_l (n_f.dx_l). Collective.
+    [f, j, :, l, :] is the change of n_j with x_l by facet f, with its normal n_f and surface
+    gradients G_l at node j and S = sum_f n_f: dn_j = -(I - n_j n_j^T) / |S| sum_f G_l (n_f.dx_l).
     """
     facets = facets_at(surface, x)
     at_nodes = normals_at_nodes(facets)
@@ -486,10 +465,7 @@ def normal_derivatives(surface: Surface, x: Floats) -> Floats:
 
 
 def _gradients_at_nodes(facets: Facets) -> Floats:
-    """Return the surface gradients (m, k, k, d) of facets at their nodes, with `normals_at_nodes`.
-
-    [f, j, l] is that of N_l at node j.
-    """
+    """Return the surface gradients (m, k, k, d) of facets; [f, j, l] is that of N_l at node j."""
     element, (m, k, d) = facets.element, facets.x.shape
     points = element.points
     if element.degree == 1:  # the mean normal is that in the middle
@@ -500,12 +476,11 @@ def _gradients_at_nodes(facets: Facets) -> Floats:
 
 
 def carrying(surface: Surface, x: Floats, n: Floats, vectors: Floats) -> Floats:
-    """Return W (m, k, k), by which a surface carries vectors at its nodes with it; collective.
+    """Return W (m, k, k), by which vectors at nodes move with the surface; collective.
 
-    sum_f sum_l W_fjl x_l, over the facets of node j, is the vector v_j but for a part along n_j; as
-    the surface moves, it turns and stretches with the surface, since it is the mean over the facets
-    of F_f a_j with their deformation gradients F_f = sum_l x_l grad N_l^T, which for x are
-    I - n_f n_f^T. Nothing is carried where the facets of a node have no tangent in common.
+    sum_f sum_l W_fjl x_l, over the facets of node j, is v_j but for a part along n_j. It is the
+    mean over the facets of F_f a_j with the deformation gradients F_f = sum_l x_l grad N_l^T, I -
+    n_f n_f^T at x. Zero where the facets of a node have no common tangent.
 
     Args:
         x: coordinates (n, d) of its nodes.
@@ -533,8 +508,8 @@ def carrying(surface: Surface, x: Floats, n: Floats, vectors: Floats) -> Floats:
 def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
     """Return the stretch 1 / |F^-T n| (n,) of the bodies along the normals at X (collective).
 
-    At the nodes, the mean over their facets of the stretch at the centre: that of the volume of the
-    cell behind over that of the area. Rotations do not change it.
+    The mean over facets of the ratio of stretches of the volume behind and the area, at their
+    centre.
     """
     element, (nodes, X, slopes, height) = surface.element, surface.behind
     x = X + u.x.array.reshape(-1, X.shape[2])[nodes]
@@ -562,13 +537,10 @@ def mean_facet_length(surface: Surface) -> float:
 
 
 def create_groups(x: Floats) -> list[Ints]:
-    """Divide facets x (m, k, d) into groups of neighbours, at most sqrt(m) rounded up.
-
-    Few groups make short messages, small ones send few facets that are not needed.
-    """
+    """Divide facets x (m, k, d) into at most ceil(sqrt(m)) groups of neighbours."""
     order = sort_in_space(x.mean(axis=1)).astype(np.int32)
     size = 1
-    while size**2 < len(x):  # powers of 2: those blocks are compact
+    while size**2 < len(x):  # powers of 2: blocks are compact
         size *= 2
     return [order[first : first + size] for first in range(0, len(x), size)]
 
@@ -577,10 +549,9 @@ def group_cones(x: Floats, directions: Floats, groups: list[Ints], margin: Float
     """Bound the projections of groups of facets.
 
     Args:
-        x: Nodes (m, k, d) of the facets.
-        directions: Unit vectors (m, k', d) whose cone holds the directions of each facet.
-        groups: Facets of each group.
-        margin: Lateral margin (m,) of the facets.
+        x: nodes (m, k, d).
+        directions: unit vectors (m, k', d) of projection of each facet.
+        margin: lateral margin (m,).
     """
     cones = [create_cones(x[:0], directions[:0], margin[:0])]  # there may be no group
     for group in groups:
