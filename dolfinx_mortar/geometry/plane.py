@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Auxiliary planes of slave facets, and the convex polygons in them (compiled kernels, 3D).
 
-Lengths in a plane are relative: the slave facet has radius 1. A polygon is an array of vertices,
-anticlockwise, of which the first `n` count. Vertices that are nearer to a line than ROUND_OFF are
-taken to lie on it.
-
-Numba's cache of a caller in another file does not notice changes here: touch that file, too.
+Lengths in a plane are relative: the slave facet has radius 1. Polygons are anticlockwise, with `n`
+vertices in an array; vertices nearer to a line than ROUND_OFF lie on it. Numba's cache of a caller
+in another file does not notice changes here: touch that file, too.
 """
 
 import numba
@@ -17,10 +15,8 @@ from dolfinx_mortar.geometry.parts import count, pairs_of_parts, parts_of
 from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND, THIRD
 
 VERTICES = 32
-"""Space for the vertices of a polygon (cost only).
-
-Two quadrilaterals have 8 in common; each cut adds one, and polygons are halved before it is full.
-"""
+"""Space for the vertices of a polygon (cost only): 8 common to two quadrilaterals, one more for
+each cut; polygons are halved before it is full."""
 
 
 @numba.njit(**KERNEL)
@@ -49,7 +45,7 @@ def cut(P, n, ax, ay, bx, by, Q):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def halve(P, n, Q):  # type: ignore[no-untyped-def]
-    """Leave one half of P on this side of a diagonal, write the other into Q; return the sizes."""
+    """Keep one half of P on this side of a diagonal, write the other into Q; return the sizes."""
     half = n // 2
     for k in range(half, n):
         Q[k - half, 0], Q[k - half, 1] = P[k, 0], P[k, 1]
@@ -59,7 +55,7 @@ def halve(P, n, Q):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def measure(P, n):  # type: ignore[no-untyped-def]
-    """Return area and centroid (the mean of the vertices where there is no area) of P."""
+    """Return area and centroid (the mean of the vertices if the area is 0) of P."""
     area, x, y, mx, my = 0.0, 0.0, 0.0, P[0, 0], P[0, 1]
     for i in range(1, n):
         mx, my = mx + P[i, 0], my + P[i, 1]
@@ -78,7 +74,7 @@ def measure(P, n):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def is_thin(P, n):  # type: ignore[no-untyped-def]
-    """Tell whether P is as narrow as the errors of some cuts, or no polygon at all."""
+    """Tell whether P is as narrow as the errors of some cuts, or no polygon."""
     if n < 3:
         return True
     square = 0.0
@@ -90,10 +86,10 @@ def is_thin(P, n):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def orientation(P, n):  # type: ignore[no-untyped-def]
-    """Return 1 or -1 for an anticlockwise or clockwise convex polygon, 0 for anything else.
+    """Return 1 or -1 for an anticlockwise or clockwise convex polygon, 0 for any other.
 
-    A corner is straight if its area is less than HALF_OF_DIGITS of the sum over the corners: there
-    a quadrilateral has no inverse map. Corners of a triangle have equal areas.
+    A corner is straight if its area is less than HALF_OF_DIGITS of the sum over the corners:
+    quadrilaterals have no inverse map there.
     """
     least, most, whole = np.inf, -np.inf, 0.0
     for i in range(n):
@@ -143,10 +139,7 @@ def is_beside(P, n, Q, m, sign, distance):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def subtract(P, n, Q, m, sign, pieces, sizes, count, spare):  # type: ignore[no-untyped-def]
-    """Append the convex pieces of P without Q, of the given orientation; return the new count.
-
-    Each edge of Q cuts off a piece beyond it; the next edge cuts the rest.
-    """
+    """Append the convex pieces of P without Q, of the given orientation; return the new count."""
     rest = np.empty((VERTICES, 2))
     for i in range(n):
         rest[i, 0], rest[i, 1] = P[i, 0], P[i, 1]
@@ -169,7 +162,7 @@ def create_planes(x: Floats) -> tuple[Floats, Floats, Floats]:
     """Return centres (m, 3), axes (m, 3, 3) and radii (m,) of the auxiliary planes of facets x.
 
     Rows of the axes are two tangents and the normal, over the radius: (x - centre) @ axes.T has
-    the size of one.
+    radius 1.
     """
     centre, radius = bounding_balls(x)
     radius = np.maximum(radius, TINY)
@@ -198,18 +191,18 @@ def bilinear_map(P, i):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
-    """Return xi, eta and the size of the Jacobian where the projected facet P meets (x, y).
+    """Return xi, eta and the Jacobian's size where the projected facet P meets (x, y).
 
     With p = m - (x, y) of the bilinear map, the cross product of p + xi a + eta (b + xi c) = 0 and
-    b + xi c is C + B xi + A xi^2 = 0, and the derivative of its left-hand side is the Jacobian: the
-    root inside is the one where it has the sign of a x b.
+    b + xi c is C + B xi + A xi^2 = 0, whose derivative is the Jacobian: at the root inside it has
+    the sign of a x b.
     """
     if not bilinear:
         a0, a1, b0, b1 = P[1, 0] - P[0, 0], P[1, 1] - P[0, 1], P[2, 0] - P[0, 0], P[2, 1] - P[0, 1]
         J = a0 * b1 - a1 * b0
         p0, p1 = x - P[0, 0], y - P[0, 1]
         xi = (p0 * b1 - p1 * b0) / J
-        # by projection on b: on slivers xi is inexact, but the point stays where it is
+        # by projection on b: on slivers xi is inexact, the point is not
         eta = ((p0 - xi * a0) * b0 + (p1 - xi * a1) * b1) / (b0 * b0 + b1 * b1)
         return xi, eta, abs(J)
     m0, a0, b0, c0 = bilinear_map(P, FIRST)
@@ -221,7 +214,7 @@ def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
     C = p0 * b1 - p1 * b0
     sign = 1.0 if centre > 0.0 else -1.0
     J = np.sqrt(max(B * B - 4 * A * C, 0.0))
-    if sign * B > 0.0:  # the form that does not cancel
+    if sign * B > 0.0:  # without cancellation
         xi = -2 * C / (B + sign * J)
     else:
         xi = (sign * J - B) / (2 * A)
@@ -241,7 +234,7 @@ def height_at(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
-    """Return the two slopes of a facet against the plane at (xi, eta): minus those of its normal.
+    """Return the two slopes s of a facet against the plane at (xi, eta), minus those of its normal.
 
     The area of the facet per area in the plane is sqrt(1 + s_0^2 + s_1^2).
     """
@@ -258,7 +251,7 @@ def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _are_near(x_s, x_m, pairs, centre, axes, radius, margin):  # type: ignore[no-untyped-def]
-    """Tell (p,) whether the projections come closer than the margins."""
+    """Tell (p,) whether the projections are closer than the margins."""
     near = np.ones(len(pairs), dtype=np.bool_)
     k, n = x_s.shape[1], x_m.shape[1]
     S, M = np.empty((k, 3)), np.empty((n, 3))
@@ -278,13 +271,10 @@ def _are_near(x_s, x_m, pairs, centre, axes, radius, margin):  # type: ignore[no
 
 
 def are_near(slave: Facets, master: Facets, pairs: Ints, margin: Floats) -> Bools:
-    """Tell (p,) which pairs come closer than a margin when projected on the slave's plane.
+    """Tell (p,) which pairs are closer than a margin (ms,) when projected on the slave's plane.
 
     Args:
-        slave: Slave facets (ms,).
-        master: Master facets (mm,).
-        pairs: Pairs (p, 2), ordered by slave facet.
-        margin: Lateral margin (ms,).
+        pairs: (p, 2), ordered by slave facet.
     """
     a, b = parts_of(slave), parts_of(master)
     of_parts, of = pairs_of_parts(pairs, slave.element, master.element)
