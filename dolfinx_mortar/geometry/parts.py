@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Clipping in space takes first-order facets: each facet itself, or its four parts.
+"""First-order parts of facets for clipping in 3D: a facet itself, or four parts between its nodes.
 
-A second-order facet is divided at its mid-side nodes. Its parts are projected, clipped and mapped
-back like first-order facets; the points found then belong to the facet itself, and to its surface,
-curved or not.
-
-Facets of all types are x = sum_ab c_ab xi^a eta^b with a, b <= 2, so that one kernel serves them: a
-point and its two tangents take a third of the operations that shape functions do.
+Points on the parts of second-order facets are mapped to the facets' surface. Facets of all types
+are x = sum_ab c_ab xi^a eta^b with a, b <= 2: one kernel, with a third of the operations of shape
+functions.
 """
 
 import numba
@@ -19,12 +16,12 @@ from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND,
 
 
 def count(element: FacetElement) -> int:
-    """Return how many parts s a facet has."""
+    """Return the number s of parts of a facet."""
     return len(element.sub_facets)
 
 
 def parts_of(facets: Facets) -> Facets:
-    """Return the parts (m * s,) of facets (m,), those of a facet one after the other."""
+    """Return the parts (m * s,) of facets (m,), ordered by facet."""
     element = facets.element
     if element.part is None:
         return facets
@@ -33,9 +30,9 @@ def parts_of(facets: Facets) -> Facets:
 
 
 def first_order(facets: Facets) -> Facets | None:
-    """Return facets of first order that are these facets, None unless all are straight and flat.
+    """Return equal facets of first order, None unless all are straight and flat up to round-off.
 
-    Their reference coordinates are the same. Nodes count as straight within round-off of a facet.
+    The reference coordinates are the same.
     """
     element, x = facets.element, facets.x
     if element.part is None:
@@ -117,7 +114,7 @@ def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _point(c, m, r, s):  # type: ignore[no-untyped-def]
-    """Return a point of facet m, three numbers, and the area there per reference area."""
+    """Return a point of facet m, three numbers, and the area per reference area."""
     x0, a0, b0 = _component(c, m, FIRST, r, s)
     x1, a1, b1 = _component(c, m, SECOND, r, s)
     x2, a2, b2 = _component(c, m, THIRD, r, s)
@@ -143,11 +140,10 @@ def along(c, m, axes, P):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
-    """Return where a facet projected on a plane, P (1, 2, 9), has the point (x, y), or NaN.
+    """Return (r, s) where a facet projected on a plane, P (1, 2, 9), has the point (x, y), or NaN.
 
-    By Newton's method from (r, s), where the point is on a part of the facet. It converges
-    quadratically from within the part's sagitta times its slope: in two or three steps where the
-    normal of a part changes by a tenth of a radian, in one where facets are straight.
+    By Newton's method from (r, s) on a part of the facet; quadratic from within the part's sagitta
+    times its slope.
     """
     for _ in range(LIMIT):
         y0, a0, b0 = _component(P, FIRST, FIRST, r, s)
@@ -196,15 +192,14 @@ def on_facets(
 ) -> tuple[Floats, Floats, Floats]:
     """Return xi_s, xi_m (q, 2) and weights (q,) of points on the facets' true surfaces.
 
-    Coordinates of the master are NaN where the line through a point does not meet it.
+    xi_m is NaN where the line through a point does not meet the master.
 
     Args:
-        slave: Slave facets (ms,).
-        master: Master facets (mm,).
-        axes: Of the planes (ms * s, 3, 3) of the slave's parts, which are projected along the last.
-        part: (q, 2) parts of slave and master that lie over each other.
-        xi_s: (q, 2) reference coordinates on the slave's part.
-        xi_m: (q, 2) and on the master's.
+        axes: (ms * s, 3, 3) of the planes of the slave's parts; the last is the direction of
+            projection.
+        part: (q, 2) parts of slave and master.
+        xi_s: (q, 2) on the slave's part.
+        xi_m: (q, 2) on the master's.
         weight: (q,) on the reference facet of the slave's part.
     """
     part_s = slave.element.part or slave.element
