@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Types of facets: shape functions, quadrature, numbering. No other module depends on the type.
 
-The vertices of a facet come first, in their order around it; the nodes inside an edge or a facet
-follow. Reference facets are the interval [-1, 1], the triangle (0, 0), (1, 0), (0, 1) and the
-square [-1, 1]^2.
+Vertices come first, in their order around the facet; nodes on edges and inside follow. Reference
+facets are the interval [-1, 1], the triangle (0, 0), (1, 0), (0, 1) and the square [-1, 1]^2.
 """
 
 from __future__ import annotations
@@ -25,21 +24,21 @@ Functions = Callable[[Floats], Floats]
 class FacetElement:
     """Type of a facet."""
 
-    cell: str  # the reference facet in dolfinx's words
+    cell: str  # dolfinx's name of the reference facet
     size: float  # its length or area
     degree: int  # of the displacement along an edge
-    points: Floats  # (k, d-1) the nodes on the reference facet
+    points: Floats  # (k, d-1) nodes on the reference facet
     shape_functions: Functions  # N (q, k)
     derivatives: Functions  # dN_i / dxi_a (q, k, d-1)
-    vertex_functions: Functions  # N (q, k') of the first-order facet with these vertices
-    bilinear: bool  # the map of the vertices is bilinear, otherwise it is affine
-    rule: tuple[Floats, Floats]  # points (q, d-1) and weights (q,), sum 1, of an integral over it
-    vertices: tuple[int, ...]  # the nodes at the corners
-    sub_facets: tuple[tuple[int, ...], ...]  # nodes of the parts that are clipped in space
-    order: tuple[int, ...]  # node i on the way around is dolfinx's node order[i]
-    mirrored: tuple[int, ...]  # the nodes on the way around in the other direction
-    part: FacetElement | None = None  # type of the parts; None if the facet is its only part
-    # mid-side nodes and the ends of their edges, which take a share: mortar.duals.absorbed
+    vertex_functions: Functions  # N (q, k') of the vertices, first order
+    bilinear: bool  # map of the vertices, else affine
+    rule: tuple[Floats, Floats]  # points (q, d-1) and weights (q,), sum 1
+    vertices: tuple[int, ...]
+    sub_facets: tuple[tuple[int, ...], ...]  # nodes of the parts that are clipped in 3D
+    order: tuple[int, ...]  # node i of the cyclic order is dolfinx's order[i]
+    mirrored: tuple[int, ...]  # nodes in the opposite cyclic order
+    part: FacetElement | None = None  # type of the parts; None if undivided
+    # mid-side nodes and the ends of their edges: mortar.duals.absorbed
     shares: tuple[tuple[int, int, int], ...] = ()
 
     @property
@@ -65,7 +64,7 @@ class FacetElement:
 
     @cached_property
     def slopes(self) -> Floats:
-        """The table, those of the first derivatives and of the second ones (n, 9)."""
+        """The table and those of the first and second derivatives (n, 9)."""
         e = self.points.shape[1]
 
         def by(table: Floats, a: int) -> Floats:
@@ -111,7 +110,7 @@ def _quadratic_interval_derivatives(xi: Floats) -> Floats:
 
 def _triangle(xi: Floats) -> Floats:
     """Return the linear functions of the triangle (q, 3) at xi (q, 2)."""
-    (r, s), N = xi.T, np.empty((3, len(xi)))  # values of one function side by side, for sums
+    (r, s), N = xi.T, np.empty((3, len(xi)))  # values of a function contiguous
     N[0], N[1], N[2] = 1 - r - s, r, s
     return N.T
 
@@ -137,8 +136,7 @@ def _quadratic_triangle_derivatives(xi: Floats) -> Floats:
     return np.concatenate([(4 * L - 1) * dL, 4 * (L * d_beside + beside * dL)], axis=1)
 
 
-# Functions of the interval (ends, middle) whose product belongs to a node of the square: vertices,
-# edges around, centre.
+# functions of the interval (ends, middle) for each node of the square: vertices, edges, centre
 _R, _S = [0, 1, 1, 0, 2, 1, 2, 0, 2], [0, 0, 1, 1, 0, 2, 1, 2, 2]
 
 
@@ -169,14 +167,14 @@ def _product_derivatives(functions: Functions, derivatives: Functions, xi: Float
 
 
 def _gauss(n: int, tdim: int) -> tuple[Floats, Floats]:
-    """Return n Gauss points in each direction and their weights, on the interval or the square."""
+    """Return n Gauss points per direction and weights, on the interval or the square."""
     points, weights = np.polynomial.legendre.leggauss(n)
     xi = np.stack(np.meshgrid(*tdim * [points]), axis=-1).reshape(-1, tdim)
     return xi, np.asarray(reduce(np.multiply.outer, tdim * [weights / 2])).ravel()
 
 
 def triangle_rule(degree: int) -> tuple[Floats, Floats]:
-    """Return points (q, 2) and weights (q,), sum 1, of a rule of such a degree on the triangle."""
+    """Return points (q, 2) and weights (q,), sum 1, of a rule of a degree on the triangle."""
     found = basix.make_quadrature(basix.CellType.triangle, degree)
     points, weights = (np.array(part, dtype=np.float64, order="C") for part in found)
     return points, weights / weights.sum()
@@ -191,7 +189,7 @@ LINE2 = FacetElement(
     derivatives=_interval_derivatives,
     vertex_functions=_interval,
     bilinear=False,
-    rule=_gauss(2, 1),  # exact also with a weight that is linear, such as 2 pi r
+    rule=_gauss(2, 1),  # exact also with a linear weight such as 2 pi r
     vertices=(0, 1),
     sub_facets=((0, 1),),
     order=(0, 1),
@@ -273,4 +271,4 @@ FACETS_OF = {
     ("hexahedron", 1): QUAD4,
     ("hexahedron", 2): QUAD9,
 }
-"""The facets of the supported cells, by cell and degree of the displacement."""
+"""Facets of the supported cells, by cell and degree of the displacement."""
