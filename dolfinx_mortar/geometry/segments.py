@@ -1,17 +1,12 @@
 # SPDX-License-Identifier: MIT
-r"""Segments: the parts of slave facets that are projected on one master facet, with their points.
+"""Segments: parts of slave facets projected on one master facet, with their quadrature points.
 
-This module chooses by the space dimension, except for area vectors: directions of projection,
-clipping and splitting (`line`, `area`).
+A slave facet is projected along the interpolated averaged nodal normals in 2D (`line`), along its
+mean normal in 3D (`area`).
 
-A slave facet is projected along the interpolated averaged nodal normals in 2D, along its own mean
-normal in 3D.
-
-Which facets can lie over each other is found first, at any distance, in n log n. The length of a
-projection is not bounded, so what a slave facet can be projected on lies in an unbounded double
-cone, as a rule a narrow one. Master facets are enclosed in a hierarchy of balls, and each cone is
-tested from the largest balls down to the smallest. Trees of axis-aligned boxes (those of dolfinx)
-would need bounded boxes around the cones, large ones where these are oblique.
+Candidate pairs are found at any distance, in O(n log n): the projection of a slave facet lies in an
+unbounded double cone. Cones are tested against a hierarchy of balls around the master facets;
+axis-aligned boxes around oblique cones would be large.
 """
 
 from dataclasses import dataclass
@@ -36,8 +31,8 @@ from dolfinx_mortar.geometry.tolerances import KERNEL
 FACING = 0.2
 """A master facet faces a slave facet if n_s . n_m < -FACING for all n_s of the slave facet.
 
-A decision: the projection on the slave is FACING times as large, and steeper facets are taken for
-the flanks of a body, on which one slave point would act over five times its length.
+A choice: steeper facets are taken for the flanks of a body; a slave point would act there over five
+times its length.
 """
 _SLIDING = {2: 1.0, 3: 0.35}
 """Margin over a slave facet's diameter, by dimension (cost only: candidates against searches)."""
@@ -47,8 +42,7 @@ _SLIDING = {2: 1.0, 3: 0.35}
 class Cones:
     """Regions that contain the projections of slave facets, or of groups of them.
 
-    A cone is the set of points p with |lateral part of p - c| <= radius + |axial part| * slope,
-    lateral and axial with respect to its axis, on both sides of c.
+    Points p with |lateral part of p - c| <= radius + |axial part| * slope, on both sides of c.
     """
 
     centre: Floats  # (m, d)
@@ -61,18 +55,17 @@ def create_cones(x_s: Floats, n_s: Floats, margin: Floats) -> Cones:
     """Bound the projections of slave facets, plus a margin.
 
     Args:
-        x_s: Node coordinates (m, k, d); a group of facets is a facet with many nodes.
-        n_s: Unit nodal normals (m, k, d).
-        margin: Lateral margin (m,).
+        x_s: (m, k, d) nodes; a group of facets is a facet with many nodes.
+        n_s: (m, k, d) unit nodal normals.
+        margin: (m,) lateral margin.
     """
     centre, radius = bounding_balls(x_s)
     axis = n_s.mean(axis=1)
     axis /= np.maximum(np.linalg.norm(axis, axis=1), TINY)[:, None]
-    # of a half space or more: further than coordinates can tell
+    # a half space or more: beyond all coordinates
     cosine = np.clip((n_s * axis[:, None]).sum(axis=2).min(axis=1, initial=1.0), EPS, 1)
     slope = np.sqrt(1 - cosine**2) / cosine
-    # Normals start anywhere in the ball, hence the slope acts on one radius more; the last
-    # factor makes the cone contain its own facet in spite of round-off.
+    # normals start anywhere in the ball, hence radius * slope; the last factor is for round-off
     return Cones(centre, axis, (radius * (1 + slope) + margin) * (1 + HALF_OF_DIGITS), slope)
 
 
@@ -92,8 +85,8 @@ def _meets(c, axis, radius, slope, p, rho):  # type: ignore[no-untyped-def]
 def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-untyped-def]
     """Return all pairs (cone, ball of the first level) that can meet.
 
-    Level l has the balls start[l] to start[l + 1]; ball i of a level encloses the balls i b to
-    (i + 1) b - 1 of the level below, b = 2^d.
+    Level l has the balls start[l] to start[l + 1]; ball i of a level encloses the balls i b to (i +
+    1) b - 1 of the level below, b = 2^d.
     """
     branches = 2 ** centre.shape[1]
     pairs = np.empty((8 * (len(radius) + start[1]) + 64, 2), dtype=np.int32)
@@ -130,8 +123,8 @@ def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-
 def sort_in_space(x: Floats) -> Longs:
     """Return an order of points x (n, d) with compact aligned blocks of 2^j points, j >= d.
 
-    Each is half of one twice as long, cut across its longest side. Blocks in the order of scipy's
-    cKDTree or of Morton's curve straddle cuts: the search takes two to four times as long.
+    By halving blocks across their longest side; blocks of scipy's cKDTree or Morton's curve
+    straddle cuts: the search takes two to four times as long.
     """
     order = np.arange(len(x))
     half = smallest = 2 ** x.shape[1]
@@ -152,7 +145,7 @@ def sort_in_space(x: Floats) -> Longs:
 
 @numba.njit(**KERNEL)
 def _enclose(ball, rho, start):  # type: ignore[no-untyped-def]
-    """Fill in the balls of all levels but the first: see `_meeting`."""
+    """Fill the balls of all levels but the first, see `_meeting`."""
     branches, d = 2 ** ball.shape[1], ball.shape[1]
     for level in range(1, len(start) - 1):
         for k in range(start[level], start[level + 1]):
@@ -171,8 +164,7 @@ def _enclose(ball, rho, start):  # type: ignore[no-untyped-def]
 def find_meeting(cones: Cones, centre: Floats, radius: Floats, order: Longs | None = None) -> Ints:
     """Return the pairs (p, 2) of cones and balls that can meet, ordered by cone, then ball.
 
-    An order of the balls in space decides how fast they are found, not which: one of places where
-    they have been serves as well. By default it is made here.
+    The order of the balls in space affects speed only; made here by default.
     """
     n = len(radius)
     if len(cones.radius) == 0 or n == 0:
@@ -194,51 +186,45 @@ def find_meeting(cones: Cones, centre: Floats, radius: Floats, order: Longs | No
 class Segments:
     """Quadrature points of all segments, ordered by slave facet.
 
-    The weights contain the Jacobian of the slave facet: over the points of one slave facet they
-    add up to the length (area) of its part that is covered by the master side.
+    The weights contain the Jacobian of the slave facet: their sum over a slave facet is the length
+    (area) of its covered part.
     """
 
     pair: Ints  # (q,) index into the candidate pairs
     slave: Ints  # (q,) slave facet, ascending
-    master: Ints  # (q,) master facet
-    xi_s: Floats  # (q, d-1) reference coordinates on the slave facet
-    xi_m: Floats  # (q, d-1) reference coordinates of the projection on the master facet
-    weight: Floats  # (q,) quadrature weight times Jacobian, positive
-    facet_weights: Floats  # (ms, k) integral of N_j over each whole slave facet, covered or not
+    master: Ints
+    xi_s: Floats  # (q, d-1) reference coordinates
+    xi_m: Floats  # (q, d-1) those of the projected point
+    weight: Floats  # (q,) positive
+    facet_weights: Floats  # (ms, k) integral of N_j over each whole slave facet
     element: FacetElement  # of the slave facets
-    reach: Floats | None = None  # (ms, 2) gap from which on weights fall, and how fast; None: none
+    reach: Floats | None = None  # (ms, 2) gap above which weights fall, and slope; or None
 
     @cached_property
     def N(self) -> Floats:
-        """Values (q, k) of the slave's functions at the points."""
+        """Values (q, k) of the slave's shape functions at the points."""
         return self.element.shape_functions(self.xi_s)
 
     @property
     def covered(self) -> Ints:
-        """Slave facets (c,), ascending, of which some part is covered."""
+        """Slave facets (c,), ascending, that are covered in part."""
         first = np.ones(len(self.slave), dtype=bool)
         np.not_equal(self.slave[1:], self.slave[:-1], out=first[1:])
         return self.slave[first]
 
 
 def projection_directions(slave: Facets, n_s: Floats) -> Floats:
-    """Return the directions (m, k, d) in which slave facets are projected, (m, 1, d) if it is one.
-
-    Args:
-        slave: Slave facets (m,).
-        n_s: Unit averaged normals (m, k, d) at their nodes.
-    """
+    """Return the directions of projection (m, k, d) in 2D, which are n_s, or (m, 1, d) in 3D."""
     if slave.x.shape[2] == 2:
         return n_s
     return facet_normals(slave)[:, None]
 
 
 def bounding_directions(slave: Facets, n_s: Floats) -> Floats:
-    """Return unit vectors (m, k or 1, d) whose cone holds all directions of projection.
+    """Return unit vectors (m, k or 1, d) whose cone contains all directions of projection.
 
     Args:
-        slave: Slave facets (m,).
-        n_s: Unit averaged normals (m, k, d) at their nodes.
+        n_s: (m, k, d) unit averaged normals at the nodes.
     """
     if slave.x.shape[2] > 2:
         n = facet_normals(parts_of(slave))
@@ -254,7 +240,7 @@ def bounding_directions(slave: Facets, n_s: Floats) -> Floats:
 def sliding_margins(x_s: Floats) -> Floats:
     """Return the sliding (m,) within which candidates of slave facets x_s (m, k, d) suffice.
 
-    It is one facet in 2D and about half an edge in 3D, where candidates grow with the area.
+    One facet in 2D, about half an edge in 3D, where candidates grow with the area.
     """
     return _SLIDING[x_s.shape[2]] * facet_sizes(x_s)
 
@@ -267,18 +253,14 @@ def are_facing(n_s: Floats, n_m: Floats) -> Bools:
 def find_candidates(
     slave: Facets, n_s: Floats, master: Facets, margin: Floats, order: Longs | None = None
 ) -> Ints:
-    """Find the pairs of facets that can share a segment, at any distance from each other.
+    """Find the pairs (p, 2) of facets that can share a segment, at any distance.
+
+    Ordered by slave, then master; without margins still a superset of the pairs with segments.
 
     Args:
-        slave: Slave facets (ms,).
-        n_s: Unit averaged normals (ms, k, d) at their nodes.
-        master: Master facets (mm,).
-        margin: Lateral margin (ms,) for which to provide.
-        order: Of the master facets in space, if it is known; see `find_meeting`.
-
-    Returns:
-        Pairs (p, 2) of slave and master facet, ordered by slave, then master. Without margins they
-        are still a superset of the pairs that have segments.
+        n_s: (ms, k, d) unit averaged normals at the nodes.
+        margin: (ms,) lateral margin.
+        order: of the master facets in space, if known; see `find_meeting`.
     """
     cones = create_cones(slave.x, bounding_directions(slave, n_s), margin)
     pairs = find_meeting(cones, *bounding_balls(master.x), order)
@@ -293,16 +275,14 @@ def create_segments(
 ) -> Segments:
     """Project, clip, split and place quadrature points.
 
-    Where projections of several master facets overlap, the nearest one covers the slave. Facets too
-    deep behind the slave facet, on the far side of a body, cover and hide nothing.
+    The nearest of several master facets covers the slave; facets too deep behind it, on the far
+    side of a body, neither cover nor hide.
 
     Args:
-        slave: Slave facets (ms,).
-        n_s: Averaged normals (ms, k, d) at their nodes.
-        master: Master facets (mm,).
-        pairs: Candidates (p, 2), ordered by slave facet.
-        deepest: How far (p,) behind the slave facet, against its mean normal, the master may lie;
-            any depth if not given.
+        n_s: (ms, k, d) averaged normals at the nodes.
+        pairs: (p, 2) candidates, ordered by slave facet.
+        deepest: (p,) largest distance of the master behind the slave facet, against its mean
+            normal; any if None.
     """
     deepest = np.full(len(pairs), np.inf) if deepest is None else deepest
     n_s, n_m = projection_directions(slave, n_s), facet_normals(master)
@@ -313,5 +293,5 @@ def create_segments(
     else:
         which, xi_s, xi_m, weight = area.place_points(slave, *partners)
     pair = facing[which].astype(np.int32)
-    s, m = np.ascontiguousarray(pairs[pair].T)  # kernels compile anew for each layout
+    s, m = np.ascontiguousarray(pairs[pair].T)  # kernels compile for each layout
     return Segments(pair, s, m, xi_s, xi_m, weight, tributary_weights(slave), slave.element)
