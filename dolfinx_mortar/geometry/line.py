@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: MIT
-r"""Segments in 2D: intervals of slave facets, straight or curved.
+"""Segments in 2D: intervals of slave facets, straight or curved.
 
-A slave facet is x_s(xi) = sum_i N_i(xi) x_i with xi in [-1, 1], and it is projected along the
-interpolated averaged nodal normals n(xi) = sum_i N_i n_i (not normalised). The point x_m(eta) of
-the master facet that belongs to xi solves (x_s(xi) - x_m(eta)) x n(xi) = 0.
+A slave facet x_s(xi) = sum_i N_i(xi) x_i, xi in [-1, 1], is projected along the interpolated
+averaged nodal normals n(xi) = sum_i N_i n_i (not normalised): (x_s(xi) - x_m(eta)) x n(xi) = 0.
 
-Second-order facets are clipped as parabolas, not as two chords: the ends of a segment are where the
-normals of the curved slave facet meet the ends of the curved master facet, so that no function has
-a kink inside a segment. With chords, ends and normals are off by a share of the sagitta, and the
-master's functions are extrapolated beyond their ends. The kernels take the coefficients of
-a + b xi + c xi^2; straight facets have c = 0.
+Second-order facets are clipped as parabolas: with chords, ends and normals would be off by a share
+of the sagitta. Kernels take the coefficients of a + b xi + c xi^2.
 """
 
 from collections.abc import Sequence
@@ -45,12 +41,10 @@ def _moment(x, n, y0, y1, xi):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
-    """Return xi in [-1, 1] of the slave facet whose normal meets y; beyond an end, that end.
+    """Return xi in [-1, 1] where the slave's normal meets y; beyond an end, that end.
 
-    f(xi) = (x(xi) - y) x n(xi) falls along the facet as long as y is nearer than the point where
-    the normals of a concave facet meet; there is no answer (nan) behind that point. The root is
-    bracketed: the interval is halved unless Newton's step stays in it and is at most half of the
-    last step, so that the loop ends whatever f is.
+    f(xi) = (x(xi) - y) x n(xi) decreases while y is nearer than the centre of curvature of a
+    concave facet; nan behind it. Newton's method, safeguarded by bisection.
     """
     first, last = _moment(x, n, y0, y1, -1.0)[0], _moment(x, n, y0, y1, 1.0)[0]
     if first <= 0.0 or last >= 0.0:
@@ -74,27 +68,22 @@ def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _opposite(x, n, y, xi):  # type: ignore[no-untyped-def]
-    """Return eta on the master facet y (3, 2) that the normal of the slave facet meets at xi.
+    """Return eta of the master y (3, 2) on the slave's normal at xi: the root near that of a chord.
 
-    Of the two roots of a curved facet, the one that tends to the root of the straight facet. Where
-    the facets of an iterate are so curved that normals meet one of them more than once, a root may
-    lie beyond its ends, where functions have no bounds: then the nearest end.
+    Clipped to the ends, since strongly curved facets of an iterate may have roots beyond.
     """
     n0, n1 = _at(n, xi, FIRST), _at(n, xi, SECOND)
     C = (y[0, 0] - _at(x, xi, FIRST)) * n1 - (y[0, 1] - _at(x, xi, SECOND)) * n0
     B = y[1, 0] * n1 - y[1, 1] * n0
     A = y[2, 0] * n1 - y[2, 1] * n0
-    r = np.sqrt(max(B * B - 4 * A * C, 0.0))  # the form that does not cancel
+    r = np.sqrt(max(B * B - 4 * A * C, 0.0))  # without cancellation
     eta = -2 * C / (B + r if B > 0.0 else B - r)
     return min(max(eta, -1.0), 1.0)
 
 
 @numba.njit(**KERNEL)
 def _distances(x, n, y, xi):  # type: ignore[no-untyped-def]
-    """Return the distance along n(xi) to the master facet y, and how far y lies behind the slave.
-
-    The latter against the slave's mean normal.
-    """
+    """Return the distance along n(xi) to y, and the depth of y behind the slave's mean plane."""
     eta = _opposite(x, n, y, xi)
     p0, p1 = _at(x, xi, FIRST) - _at(y, eta, FIRST), _at(x, xi, SECOND) - _at(y, eta, SECOND)
     t0, t1 = x[1, 0], x[1, 1]
@@ -103,7 +92,7 @@ def _distances(x, n, y, xi):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _nearest(x, n, x_m, master, deepest, low, high, a, b):  # type: ignore[no-untyped-def]
-    """Return the candidate that covers [a, b] at the smallest distance, -1 if there is none."""
+    """Return the candidate that covers [a, b] at the smallest distance, or -1."""
     best, least = -1, np.inf
     for c in range(len(master)):
         if low[c] <= a and high[c] >= b:
@@ -124,16 +113,13 @@ def _insert(cuts, count, value):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _clip_facet(x, n, x_m, ends_m, pairs, deepest, first, last, which, ends, q):  # type: ignore[no-untyped-def]
-    """Append the segments of one slave facet, of pairs first to last; return how many there are.
-
-    No part of it occurs twice.
-    """
+    """Append the disjoint segments of one slave facet, of pairs first to last; return the count."""
     p, c, start = last - first, 0, q
     low, high, cuts = np.empty(p), np.empty(p), np.empty(2 * p)
     index, master, most = np.empty(p, np.int32), np.empty(p, np.int32), np.empty(p)
     for r in range(first, last):
         y = ends_m[pairs[r, 1]]
-        # the two sides are passed in opposite directions
+        # the two sides have opposite directions
         a = _project_node(x, n, y[1, 0], y[1, 1])
         b = _project_node(x, n, y[0, 0], y[0, 1])
         if (b - a) > 8 * ROUND_OFF:
@@ -183,7 +169,7 @@ def _point(x, n, y, low, high, t):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _place(x_s, n_s, x_m, pairs, which, ends, points, weights):  # type: ignore[no-untyped-def]
-    """Return xi_s, xi_m and weight of all quadrature points, those of a segment together."""
+    """Return xi_s, xi_m and weight of all quadrature points, ordered by segment."""
     k = len(points)
     xi_s, xi_m = np.empty(len(which) * k), np.empty(len(which) * k)
     weight = np.empty(len(which) * k)
@@ -203,7 +189,6 @@ def moments(
 
     Args:
         heights: of pairs (c,), see `create_points`.
-        types: of the facets of both sides.
         found: by the coordinates of x, n and y.
     """
     x, n, y, _, place, deepest, factor, reach = sides
@@ -232,7 +217,7 @@ def moments(
     moving = _end_rates(slave, ends, x[on], n, y[on], is_end[on])
     by_s = np.stack([1.0 - t, 1.0 + t], axis=1) / 2 @ moving
     normal, M = at.N @ n, at.f[..., k:-1]
-    across = np.where(np.abs(eta) < 1.0, _cross(at.U, normal[:, :, None]), np.inf)  # held at an end
+    across = np.where(np.abs(eta) < 1.0, _cross(at.U, normal[:, :, None]), np.inf)  # at an end
     slope = _cross(at.T[:, :, 0], normal) - _cross(at.apart, (at.dN @ n[:, None])[:, :, 0])
     by_m = (_by_nodes(at.N, M, normal, -at.apart) + slope[..., None] * by_s) / across
     by_w = np.insert(at.by_nodes, [k] * k, 0.0, axis=2).reshape(by_s.shape)
@@ -249,14 +234,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 
 def _by_nodes(N: Floats, M: Floats, n: Floats, apart: Floats) -> Floats:
-    """Return the derivatives (s, q, 2 (2 k + m)) of (x - y) x n by the nodes of x, n and y.
-
-    Args:
-        N: (s, q, k) functions of x and n.
-        M: (s, q, m) those of y.
-        n: (s, q, 2).
-        apart: (s, q, 2) x - y.
-    """
+    """Return the derivatives (s, q, 2 (2 k + m)) of (x - y) x n by the nodes of x, n and y."""
     along, across = (v[:, :, None, ::-1] * [1.0, -1.0] for v in (n, apart))
     N, M = N[..., None], M[..., None]
     parts = np.concatenate([N * along, -N * across, -M * along], axis=2)
@@ -266,11 +244,7 @@ def _by_nodes(N: Floats, M: Floats, n: Floats, apart: Floats) -> Floats:
 def _end_rates(
     slave: FacetElement, ends: Floats, x: Floats, n: Floats, y: Floats, is_end: Bools
 ) -> Floats:
-    """Return the derivatives (s, 2, 2 (2 k + m)) of the ends of segments, 0 where a side ends.
-
-    Args:
-        is_end: (s, m) which of y are ends of masters: an end of a segment moves with the nearest.
-    """
+    """Return the derivatives (s, 2, 2 (2 k + m)) of the ends of segments, 0 where a side ends."""
     N, dN, _ = functions(slave, ends[..., None])
     normal, apart = N @ n, (N @ x)[:, :, None] - y[:, None]
     off = np.where(is_end[:, None], np.abs(_cross(apart, normal[:, :, None])), np.inf)
@@ -295,34 +269,33 @@ def _polynomials(element: FacetElement, v: Floats) -> Floats:
 
 @cache
 def gauss_points(n: int) -> tuple[Floats, Floats]:
-    """Return n Gauss points on [-1, 1] and their weights, sum 2; nobody may change them.
+    """Return n Gauss points on [-1, 1] and their weights, sum 2; read only.
 
     >>> gauss_points(1)[0].tolist(), gauss_points(1)[1].tolist()
     ([0.0], [2.0])
     """
-    points, weights = np.polynomial.legendre.leggauss(n)  # .5 ms: eigenvalues of a matrix
+    points, weights = np.polynomial.legendre.leggauss(n)  # 0.5 ms
     return points, weights
 
 
 def _count(slave: FacetElement, master: FacetElement) -> int:
-    """Return how many Gauss points a segment has."""
+    """Return the number of Gauss points of a segment."""
     return 2 * max(slave.degree, master.degree) + 1
 
 
 def place_points(
     slave: Facets, n_s: Floats, master: Facets, pairs: Ints, deepest: Floats
 ) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
-    """Project, clip and place Gauss points on every segment: three, on facets of degree two five.
+    """Project, clip and place Gauss points on every segment: three, or five for degree two.
 
-    On straight parallel facets they integrate Phi_j N_l of both sides exactly. On others the map
-    between them is no polynomial, nor is the length of a curved one.
+    On straight parallel facets the integrals of Phi_j N_l are exact; on others neither the map
+    between them nor the length is polynomial.
 
     Args:
-        slave: Slave facets (ms,).
-        n_s: Averaged normals (ms, k, 2) at their nodes.
-        master: Master facets (mm,).
-        pairs: Pairs (p, 2) that face each other, ordered by slave facet.
-        deepest: How far (p,) behind the slave facet the master may lie, in the middle of a part.
+        n_s: (ms, k, 2) averaged normals at the nodes.
+        pairs: (p, 2) of facets that face each other, ordered by slave facet.
+        deepest: (p,) largest distance of the master behind the slave facet, in the middle of a
+            part.
 
     Returns:
         Index into the pairs (q,), xi_s (q, 1), xi_m (q, 1) and weight (q,) of the points.
