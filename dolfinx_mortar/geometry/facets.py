@@ -13,10 +13,10 @@ from dolfinx_mortar.geometry.elements import FacetElement
 
 @dataclass(frozen=True, eq=False)
 class Facets:
-    """Facets of one type somewhere in space."""
+    """Facets of one type in space."""
 
     element: FacetElement
-    x: Floats  # (m, k, d) coordinates of their nodes
+    x: Floats  # (m, k, d) nodes
 
     def __getitem__(self, which: Bools | Ints | Longs) -> Facets:
         return Facets(self.element, self.x[which])
@@ -25,8 +25,7 @@ class Facets:
 def area_vectors(facets: Facets) -> Floats:
     """Return the integral (m, d) of the outward unit normal over facets.
 
-    In 2D it is (t_y, -t_x) with t = x_2 - x_1; seen from its tip in 3D, the nodes are in
-    anticlockwise order.
+    (t_y, -t_x) with t = x_2 - x_1 in 2D; in 3D nodes are anticlockwise as seen from outside.
 
     Example:
         >>> from dolfinx_mortar.geometry.elements import QUAD4
@@ -62,10 +61,7 @@ def unit(v: Floats) -> Floats:
 
 
 def normals_at_nodes(facets: Facets) -> Floats:
-    """Return the outward unit normals (m, k, d) that facets have at their nodes.
-
-    On first-order facets the mean normal, also where they are warped.
-    """
+    """Return outward unit normals (m, k, d) of facets at nodes; for degree 1 the mean normal."""
     element, m = facets.element, len(facets.x)
     if element.degree == 1:
         return np.repeat(facet_normals(facets)[:, None], element.nodes, axis=1)
@@ -81,18 +77,14 @@ def points_of(facets: Facets, which: Ints, xi: Floats) -> Floats:
 
 
 def surface_gradients(facets: Facets, which: Ints, xi: Floats) -> tuple[Floats, Floats]:
-    """Return the surface gradients of the shape functions and the normals at points of facets.
+    """Return surface gradients (q, k, d) of shape functions, and outward unit normals (q, d).
 
-    grad N_l = sum_a dN_l/dxi_a a^a with a^a dual to the tangents a_a = sum_l dN_l/dxi_a x_l. It has
-    no normal part, and sum_l x_l grad N_l^T is the projection on the tangents.
+    grad N_l = sum_a dN_l/dxi_a a^a with a^a dual to the tangents a_a = sum_l dN_l/dxi_a x_l;
+    tangential, and sum_l x_l grad N_l^T is the projection on the tangents.
 
     Args:
-        facets: the facets (m,).
         which: (q,) facet of each point.
         xi: (q, d-1) reference coordinates.
-
-    Returns:
-        Gradients (q, k, d) and outward unit normals (q, d).
 
     >>> from dolfinx_mortar.geometry.elements import LINE2
     >>> line = Facets(LINE2, np.array([[[7.0, 7.0], [4.0, 3.0]]]))
@@ -107,9 +99,9 @@ def surface_gradients(facets: Facets, which: Ints, xi: Floats) -> tuple[Floats, 
 
 
 def dual_basis(a: Floats) -> tuple[Floats, Floats]:
-    """Return the vectors (.., d-1, d) dual to tangents a (.., d-1, d), and the normals (.., d).
+    """Return the tangential vectors (.., d-1, d) dual to tangents a (.., d-1, d), and normals.
 
-    The dual ones are tangential, and the normals as long as the length or the area of a.
+    Normals (.., d) are as long as the length or the area of a.
     """
     normal, dual = _normals(a), a
     if a.shape[-1] > 2:
@@ -127,10 +119,9 @@ def _normals(a: Floats) -> Floats:
 
 
 def bounding_balls(x: Floats) -> tuple[Floats, Floats]:
-    """Return centre (m, d) and radius (m,) of balls around the nodes x (m, k, d) of facets.
+    """Return centre (m, d) and radius (m,) of balls around facets with nodes x (m, k, d).
 
-    They contain the facets. Second-order facets are not in the convex hull of their nodes, but in
-    the ball unless they are so distorted that the audit refuses them.
+    They contain second-order facets, too, unless the audit refuses their distortion.
     """
     centre = x.mean(axis=1)
     return centre, np.sqrt(((x - centre[:, None]) ** 2).sum(axis=2).max(axis=1, initial=0.0))
@@ -142,12 +133,10 @@ def facet_sizes(x: Floats) -> Floats:
 
 
 def are_inside(x: Floats, n: Floats, p: Floats) -> Bools:
-    """Tell (m,) whether projections of points lie in facets, edges included.
+    """Tell (m,) whether points p (m, d), projected along n (m, d), lie in facets, edges included.
 
     Args:
-        x: Vertices (m, k, d).
-        n: Normals (m, d), along which the points are projected.
-        p: Points (m, d).
+        x: (m, k, d) vertices.
 
     Example:
         >>> x = np.array([[[0.0, 0], [2, 0]]])
@@ -162,20 +151,16 @@ def are_inside(x: Floats, n: Floats, p: Floats) -> Bools:
 
 
 def scaled_normals(facets: Facets, xi: Floats) -> Floats:
-    """Return normals (m, q, d) of facets at xi (q, d-1); their length is the Jacobian of the map.
-
-    Relative to the size of the reference facet, so that their means over it are areas.
-    """
+    """Return normals (m, q, d) at xi (q, d-1), as long as the Jacobian: their means are areas."""
     dN = facets.element.derivatives(xi)
     return facets.element.size * _normals(np.einsum("qka,mki->mqai", dN, facets.x))
 
 
 def tributary_weights(facets: Facets, factor: Floats | None = None) -> Floats:
-    """Return the integrals (m, k) of N_j, or of a factor times N_j, over whole facets.
+    """Return the integrals (m, k) of N_j over whole facets.
 
     Args:
-        facets: Facets (m,).
-        factor: Its values (m, q) at the points of the element's rule.
+        factor: (m, q) of the integrand, at the points of the element's rule.
 
     Example:
         >>> from dolfinx_mortar.geometry.elements import LINE2
@@ -192,9 +177,8 @@ def tributary_weights(facets: Facets, factor: Floats | None = None) -> Floats:
 def distortions(facets: Facets) -> Floats:
     """Return the least quality (m,) over the nodes of facets: 1 is best, 0 or less degenerate.
 
-    It is the cosine between the normal there and the mean normal; on second-order facets, the ratio
-    of the Jacobian there to its mean if that is less, so that mid-side nodes off the middle count.
-    It is negative where the facet is folded or inverted. Degenerate facets have 0.
+    The cosine between the normal there and the mean normal; for second order at most the ratio of
+    the Jacobian to its mean. Negative where the facet is folded or inverted.
 
     Example:
         >>> from dolfinx_mortar.geometry.elements import QUAD4
