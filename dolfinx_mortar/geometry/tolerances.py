@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""What kernels have in common: round-off relative to the size of a facet, and numba's options.
+"""Round-off relative to the size of a facet, and options of numba's kernels.
 
-Numba compiles both in and does not notice a change here: touch the files with kernels, too.
+Numba's cache does not notice a change here: touch the files with kernels, too.
 """
 
 import numpy as np
@@ -9,10 +9,8 @@ import numpy as np
 from dolfinx_mortar.arrays import EPS
 
 ROUND_OFF = 512 * EPS
-"""Error of a length relative to its facet, where coordinates are up to some hundred times as large.
-
-Where errors add up, a small multiple of it is used.
-"""
+"""Error of a length relative to its facet, for coordinates up to some hundred times as large; where
+errors add up, a small multiple of it is used."""
 
 KERNEL = {
     "cache": True,
@@ -20,6 +18,6 @@ KERNEL = {
     "fastmath": {"contract"},
     "no_cfunc_wrapper": True,
 }
-"""Of functions that clip and place: those with the same options share what numba makes of them."""
+"""Of functions that clip and place: functions with the same options share compiled code."""
 FIRST, SECOND, THIRD = (np.int64(i) for i in range(3))
-"""Places: a literal number has a type of its own, so that what takes it compiles for each."""
+"""Places: a literal number has a type of its own, and its callees would compile for each."""
