@@ -1,21 +1,13 @@
 # SPDX-License-Identifier: MIT
-r"""Moments of pairs of facets: all that forces, gaps and dual functions of contact need.
+"""Moments of pairs of facets, from which forces, gaps and dual functions of contact follow.
 
-Over the part of a slave facet that faces a master facet, with the functions N of both, the heights
-h of smooth surfaces and the weight of the integrals,
+Over the part of a slave facet that faces a master facet, with the shape functions N of both, the
+heights h of smooth surfaces and the weight of the integrals,
 
     S_jk = int N_j N_k,     R_jl = int N_j N_l,     H_j = int N_j h.
 
-`line.moments` and `area.moments` add them up over the points of all segments of a slave facet, with
-their derivatives by the coordinates of the nodes. In the plane points move with the ends of their
-segment. In space they stay where they are in the auxiliary plane of the slave facet, and integrals
-change by what crosses the edges of the segments (theorem of transport),
-
-    d int f = int df + sum over edges of f times their velocity outwards.
-
-An end or an edge of a segment moves with the node, or with the line between two nodes, that it lies
-on; so nothing that cuts, hides or halves has derivatives. They say how xi of both facets change
-with the nodes; all else is the same in the plane, in space and below tools, and stands here.
+`line.moments` and `area.moments` add them up over the segments of a slave facet, with their
+derivatives by the coordinates of the nodes: see theory.md, The exact tangent.
 """
 
 import math
@@ -30,16 +22,16 @@ from dolfinx_mortar.geometry.facets import Facets, dual_basis, surface_gradients
 
 
 class Sides(NamedTuple):
-    """Slave facets (p,) and the master facets (c,) that they face, those of a facet together."""
+    """Slave facets (p,) and the master facets (c,) that they face, ordered by slave facet."""
 
     x: Floats  # (p, k, d)
-    n: Floats  # (p, k, 2) directions of projection; (p, 0, 3) in space
-    y: Floats  # (p, m, d) the different nodes of the masters
+    n: Floats  # (p, k, 2) directions of projection; (p, 0, 3) in 3D
+    y: Floats  # (p, m, d) distinct nodes of the masters
     start: Longs  # (p + 1,)
     place: Longs  # (c, l) nodes of the masters among y
     deepest: Floats  # (c,)
-    factor: Floats  # (p, k) weight of the integrals at the nodes
-    reach: Floats  # (p, 2) see `Segments`; (p, 0) where weights fall nowhere
+    factor: Floats  # (p, k) nodal weights of the integrals
+    reach: Floats  # (p, 2) see `Segments`; (p, 0) without
 
     def pairs(self) -> Ints:
         """Return the pairs (c, 2) of slave facets and masters."""
@@ -48,16 +40,16 @@ class Sides(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Moments of slave facets (p,) with k nodes, of their masters m different ones, c pairs."""
+    """Moments of slave facets (p,) with k nodes, m nodes of their masters, c pairs."""
 
     values: Floats  # (p, k, k + m + 1) S, R and H side by side
     changes: Floats  # (p, z, k, k + m + 1) their derivatives
-    E_s: Floats  # (c, k, k, k) dH_j by Q_ab of heights over the slave facet; (0, ..) if not asked
-    E_m: Floats  # (c, k, l, l) over the master
-    chords: Floats  # (c, k, 2) dH_j by the logarithms of both chords' lengths; (0, ..) without arcs
+    E_s: Floats  # (c, k, k, k) dH_j by Q_ab of slave heights; (0, ..) if not needed
+    E_m: Floats  # (c, k, l, l) of master heights
+    chords: Floats  # (c, k, 2) dH_j by log lengths of both chords; (0, ..) without arcs
 
     def add_heights(self, points: "Points", pairs: Ints) -> None:
-        """Add the derivatives of H at the points of some pairs (s,) by what heights depend on."""
+        """Add the derivatives of H by the data of heights, at the points of some pairs (s,)."""
         v = points.weight[..., None] * points.N
         for i, (E, N) in enumerate(zip((self.E_s, self.E_m), points.own, strict=True)):
             if len(E):
@@ -70,19 +62,19 @@ class Sums(NamedTuple):
 class Points(NamedTuple):
     """Points (s, q) of pairs of facets with k and l nodes in d dimensions."""
 
-    N: Floats  # (s, q, k) functions of the slave
+    N: Floats  # (s, q, k) of the slave
     dN: Floats  # (s, q, d-1, k)
     dM: Floats  # (s, q, d-1, l) of the master
     f: Floats  # (s, q, k + l + 1) N of both and h
-    by_N: Floats  # (s, q, k + l) dh by the functions
+    by_N: Floats  # (s, q, k + l) dh by N
     T: Floats  # (s, q, d-1, d) tangents of the slave
     U: Floats  # (s, q, d-1, d) of the master
-    apart: Floats  # (s, q, d) from the slave's point to the master's
+    apart: Floats  # (s, q, d) x_m - x_s
     weight: Floats  # (s, q)
-    by_xi: Floats  # (s, q, 2 d-2) derivatives of its logarithm, by xi of both facets
-    by_nodes: Floats  # (s, q, k + l, d) and by their nodes at fixed xi
-    own: tuple[Floats, Floats]  # functions of the nodes of the two facets
-    by_chords: list[Floats]  # (s, q) dh by the logarithms of the lengths of chords
+    by_xi: Floats  # (s, q, 2 d-2) d log weight by xi of both facets
+    by_nodes: Floats  # (s, q, k + l, d) by the nodes at fixed xi
+    own: tuple[Floats, Floats]  # N of both facets
+    by_chords: list[Floats]  # (s, q) dh by log lengths of chords
 
     def differentiate(self, by_s: Floats, by_m: Floats, by_w: Floats) -> tuple[Floats, Floats]:
         """Return the moments (s, k, k + l + 1), and their derivatives (s, z, k, k + l + 1).
@@ -90,7 +82,7 @@ class Points(NamedTuple):
         Args:
             by_s: (s, q, d-1, z) derivatives of xi on the slave.
             by_m: (s, q, d-1, z) on the master.
-            by_w: (s, q, z) those of the logarithm of the weight at fixed xi.
+            by_w: (s, q, z) of the logarithm of the weight at fixed xi.
         """
         e, v = by_s.shape[2], self.weight[..., None] * self.N
         rates = self.by_xi[:, :, None]
@@ -105,11 +97,7 @@ class Points(NamedTuple):
 def products(v: Floats, f: Floats, by_v: Floats, by_f: Floats) -> tuple[Floats, Floats]:
     """Return sums over points of v_j f_a (s, k, n), and their derivatives (s, z, k, n).
 
-    Args:
-        v: (s, q, k).
-        f: (s, q, n).
-        by_v: (s, q, z, k) derivatives.
-        by_f: (s, q, z, n).
+    Of v (s, q, k) and f (s, q, n), with derivatives by_v (s, q, z, k) and by_f (s, q, z, n).
     """
     (s, q, z, k), n, v = by_v.shape, f.shape[2], np.swapaxes(v, 1, 2)
     changes = (np.swapaxes(by_v.reshape(s, q, z * k), 1, 2) @ f).reshape(s, z, k, n)
@@ -118,10 +106,7 @@ def products(v: Floats, f: Floats, by_v: Floats, by_f: Floats) -> tuple[Floats, 
 
 
 def functions(element: FacetElement, xi: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return functions (s, q, k) of an element at xi (s, q, d-1), and their derivatives.
-
-    The first ones (s, q, d-1, k) and the second ones (s, q, d-1, d-1, k).
-    """
+    """Return N (s, q, k) at xi (s, q, d-1), dN (s, q, d-1, k) and ddN (s, q, d-1, d-1, k)."""
     (s, q, e), k = xi.shape, element.nodes
     one, both = np.ones(s * q), xi.reshape(-1, e).T
     powers = [np.stack([one, v, v * v]) for v in (*both, 0.0 * one)[:2]]  # in the plane eta is 0
@@ -137,9 +122,9 @@ def sums(N: Floats, x: Floats) -> Floats:
 
 
 def turns(element: FacetElement, x: Floats) -> tuple[Floats, Floats]:
-    """Return the mean normals n (m, d) of facets x (m, k, d), and g (m, k, d).
+    """Return mean normals n (m, d) of facets x (m, k, d), and gradients g (m, k, d) of vertices.
 
-    dn = -sum_a g_a (n.dx_a), g being the gradients of the corners' functions in the middle.
+    dn = -sum_a g_a (n.dx_a), g in the middle of the facet.
     """
     part = element.part or element
     xi = part.points[list(part.vertices)].mean(axis=0)
@@ -150,14 +135,14 @@ def turns(element: FacetElement, x: Floats) -> tuple[Floats, Floats]:
 
 
 def height(N: Floats, Q: Floats, arcs: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return N.Q N (s, q) as heights of arcs (s, 2), see `curvature.heights_of_arcs`.
+    """Return heights N.Q N (s, q) of arcs (s, 2), see `curvature.heights_of_arcs`.
 
-    And its derivatives by N (s, q, k), and by the logarithm of the chord's length.
+    And derivatives by N (s, q, k), and by the logarithm of the chord's length.
     """
     QN, curvature, square = N @ Q, arcs[:, None, 0], arcs[:, None, 1]
     h, left = (QN * N).sum(axis=2), 1.0 - square
     root, across = np.sqrt(square), np.sqrt(square + 2.0 * curvature * h)
-    # curvature is c / L^2, left a quarter of c times that
+    # curvature is c / L^2, left c / 4 times that
     rate = left / root + (left - 2.0 * curvature * h) / across
     both = root + across
     return 2.0 * h / both, 2.0 * QN / across[..., None], -2.0 * h / both**2 * rate
@@ -180,11 +165,10 @@ def create_points(
         master: N and dN.
         nodes: (s, k, d) and (s, l, d).
         weight: (s, q) on the reference facet of the slave.
-        given: factor (s, k) of the weight at the nodes, interpolated; reach (s, 2), the gap from
-            which on weights fall and how fast, or (s, 0).
+        given: nodal weights (s, k) of the integrals; reach (s, 2) of `Segments`, or (s, 0).
         tilts: `turns` of the slave facets.
         heights: Q (s, k, k) and (s, l, l) of both facets and arcs (s, 2, 2); empty without.
-        spread: (s, l, m) which of m nodes are those of the master, if the points are to have these.
+        spread: (s, l, m) the master's nodes among m, for results by these.
     """
     (N, dN, ddN), (M, dM), (x, y), (factor, reach) = slave, master, nodes, given
     own, factor = (N, M), factor[:, :, None]
@@ -192,7 +176,7 @@ def create_points(
     dual, normal = dual_basis(T)
     scale = sums(N, factor)
     by_s = (dual[:, :, None] * sums(ddN, x)).sum(axis=(3, 4))
-    by_s += sums(dN, factor)[..., 0] / np.where(scale > 0.0, scale, np.inf)  # on an axis
+    by_s += sums(dN, factor)[..., 0] / np.where(scale > 0.0, scale, np.inf)  # 0 on an axis
     weight = weight * scale[..., 0] * np.linalg.norm(normal, axis=2)
     h, by_N, by_chords = np.zeros(weight.shape), [np.zeros_like(N), np.zeros_like(M)], []
     for i, one in enumerate(own if heights[0].size else ()):
@@ -221,14 +205,14 @@ def create_points(
 def whole(
     facets: Facets, xi: Floats, weights: Floats, phi: Floats, by_x: Floats
 ) -> tuple[Floats, Floats]:
-    """Return the moments (p, k, k + 1) of whole facets below a tool, H being minus int N_j phi.
+    """Return the moments (p, k, k + 1) of whole facets below a tool, where H is minus int N_j phi.
 
-    And their derivatives (p, d k, k, k + 1).
+    And derivatives (p, d k, k, k + 1).
 
     Args:
         xi: (q, d-1) points of a rule.
         weights: (p, q) on the reference facet.
-        phi: (p, q).
+        phi: (p, q) distances.
         by_x: (p, q, k, d) derivatives of phi by the nodes.
     """
     N, dN, _ = (v[0] for v in functions(facets.element, xi[None]))
