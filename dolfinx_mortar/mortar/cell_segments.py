@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-r"""Segments for integrals of a user's own: points with what both sides' functions are there.
+"""Segments for integrals of a user: points with the functions of both sides.
 
-A facet and the cell behind it share their nodes, so that a point sum_k N_k(xi) of the facet is the
-point sum_k N_k(xi) X_k of the reference cell, X_k being where the cell has the facet's nodes. Cells
-of the master side travel to the ranks that have received their facets.
+A point sum_k N_k(xi) of a facet is the point sum_k N_k(xi) X_k of the reference cell, with the
+places X_k of the facet's nodes in it. Master cells are sent to the ranks that have received their
+facets.
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ from dolfinx_mortar.spaces import check_space, find_positions
 class Segments:
     """Quadrature points where two sides face each other, on the slave facets of this rank.
 
-    An integral over the covered part of the slave side is the sum of the weights times the values
-    at the points, over all ranks. Lengths are those of the mesh. A side has k functions in a cell;
-    the dofs of a vector space are those of the d components of each.
+    An integral over the covered part of the slave side is the sum of weights times values over the
+    points of all ranks. Lengths are those of the mesh. A side has k functions in a cell; the dofs
+    of a vector space are those of the d components of each.
     """
 
     x: Floats  # (n, d) points of the slave side at X + u
-    weight: Floats  # (n,) of the area (length, in the plane) of the slave side at X + u, positive
+    weight: Floats  # (n,) of the area (length in 2D) of the slave side at X + u, positive
     normal: Floats  # (n, d) outward unit normals of the slave facets at X + u
-    gap: Floats  # (n,) from x to the master's point along the normal: < 0 where sides overlap
+    gap: Floats  # (n,) from x to the master along the normal: < 0 where sides overlap
     slave_cells: Longs  # (n,) global cells
     master_cells: Longs  # (n,) global cells, perhaps of other ranks
-    xi_slave: Floats  # (n, d) the points in the reference cells
+    xi_slave: Floats  # (n, d) in the reference cells
     xi_master: Floats  # (n, d)
     slave_dofs: Longs  # (n, k) global dofs; (n, k, d) of a vector space
     master_dofs: Longs  # (n, k) or (n, k, d), perhaps of other ranks
     slave_values: Floats  # (n, k) values of the functions
     master_values: Floats  # (n, k)
-    slave_gradients: Floats  # (n, k, d) gradients of the functions by the positions X + u
+    slave_gradients: Floats  # (n, k, d) by the positions X + u
     master_gradients: Floats  # (n, k, d)
 
 
@@ -61,12 +61,12 @@ class _Cells:
     """The cells behind m facets, one for each."""
 
     number: Longs  # (m,) global
-    places: Ints  # (m, k) which of its nodes those of the facet are
+    places: Ints  # (m, k) the facet's nodes among its nodes
     x: Floats  # (m, c, d) its nodes
     dofs: Longs  # (m, k) or (m, k, d) of V, global
 
     def sent(self, comm: MPI.Comm, receivers: Bools) -> _Cells:
-        """Return those that all ranks send to this one, by receivers (m, ranks); collective."""
+        """Return the cells sent to this rank, by receivers (m, ranks); collective."""
         own = self.number, self.places, self.x, self.dofs
         parts = comm.alltoall([tuple(v[to] for v in own) for to in receivers.T])
         return _Cells(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
@@ -108,20 +108,14 @@ def _place(x: Floats) -> str:
 
 def _tabulate(V: dolfinx.fem.FunctionSpace, xi: Floats) -> Floats:
     """Return values and derivatives (1 + d, q, k) of functions of V at xi (q, d) in a cell."""
-    one_more = np.vstack([xi, np.zeros(xi.shape[1])])  # basix 0.9 aborts where there is no point
+    one_more = np.vstack([xi, np.zeros(xi.shape[1])])  # basix 0.9 aborts without a point
     return np.asarray(V.element.basix_element.tabulate(1, one_more)[:, :-1, :, 0])
 
 
 def _evaluate(
     V: dolfinx.fem.FunctionSpace, side: Surface, cells: _Cells, which: Ints, on_facet: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return xi (n, d), x (n, d), values (n, k) and gradients (n, k, d) of V at points.
-
-    Args:
-        cells: Those behind the facets of the side.
-        which: Facet (n,) of each point.
-        on_facet: Reference coordinates (n, d-1) on it.
-    """
+    """Return xi (n, d), x (n, d), values (n, k) and gradients (n, k, d) of V at points."""
     W, N = side.V, side.element.shape_functions(on_facet)
     nodes = np.asarray(W.element.basix_element.points)[cells.places[which]]
     xi = np.einsum("nk,nki->ni", N, nodes)
@@ -140,26 +134,25 @@ def segments(
     master: int | str,
     u: dolfinx.fem.Function | None = None,
 ) -> Segments:
-    """Return the points for integrals over an interface whose meshes do not match (collective).
+    """Return the points for integrals over an interface of non-matching meshes (collective).
 
-    The slave side is divided where facets of the master side begin and end, so that functions of
-    both sides are smooth in each part. With the weights w_q and the functions N_i of the slave and
-    N_l of the master at the points, int N_i N_l = sum_q w_q N_i N_l over the covered part of the
-    slave side. They are the points of D and M: exact for products of two functions of V on the
-    parts where two flat triangles, or parallelograms, or parallel lines face each other.
+    The slave side is divided at the edges of master facets, so that functions of both sides are
+    smooth in each part: with the weights w_q and the functions N_i of the slave and N_l of the
+    master, int N_i N_l = sum_q w_q N_i N_l over the covered part. Exact for products of two
+    functions of V where two flat triangles, parallelograms or parallel lines face each other.
 
     Args:
-        V: Scalar or vector Lagrange space of degree 1 or 2 on the mesh of all bodies, of the
-            functions whose values are wanted.
-        facet_tags: Facet tags of the same mesh.
-        slave: Tag, or name if the tags have names, of the side that is integrated.
-        master: Tag or name of the other side.
-        u: Displacement, in any vector Lagrange space of degree 1 or 2 on this mesh: positions,
-            normals, areas and gradients are those at X + u, at X if it is not given.
+        V: scalar or vector Lagrange space of degree 1 or 2 on the mesh of all bodies, whose
+            functions are evaluated.
+        facet_tags: facet tags of the same mesh.
+        slave: tag, or name if the tags have names, of the side that is integrated.
+        master: tag or name of the other side.
+        u: displacement, in any vector Lagrange space of degree 1 or 2 on this mesh: positions,
+            normals, areas and gradients are those at X + u; None for X.
 
     Returns:
-        The points of the slave facets of this rank. What faces no master facet has none, nor has
-        what faces only those behind a body; how far the sides are apart does not matter.
+        The points of the slave facets of this rank, at any distance from the master; none where no
+        master facet faces them, or only one behind a body.
 
     Raises:
         ValueError: On all ranks, for tags, spaces and displacements that do not fit.
