@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Which exterior facets of one body face another body, and how far apart they are; over all ranks.
+"""Which exterior facets of a body face another body, and their distances; over all ranks.
 
-Each facet is projected along its normal, as a slave facet is, on what lies before it: the nearest
-facet hides those behind it, also one of its own body. So parts that face away, lie beside each
-other or behind a third body do not face each other, and an overlap is a negative distance.
+Each facet is projected along its normal, as a slave facet is; the nearest facet hides those behind
+it, also one of its own body. An overlap is a negative distance.
 """
 
 from dataclasses import dataclass, fields
@@ -45,7 +44,7 @@ class Skin:
 
     facets: Facets  # (m,)
     part: Longs  # (m,)
-    label: Longs  # (m, c) what else tells facets apart
+    label: Longs  # (m, c) further labels of facets
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +55,8 @@ class Facing:
     part: Longs  # (p, 2) connected parts of both
     label: Longs  # (p, 2, c) their labels
     size: Floats  # (p, 2) their diameters
-    area: Floats  # (p,) of the part of the first one that faces the second
-    distance: Floats  # (p,) between them; negative: how deep the first lies in the other part
+    area: Floats  # (p,) of the first that faces the second
+    distance: Floats  # (p,) negative: depth of the first in the other part
     place: Floats  # (p, d) middle of the first
 
     def __getitem__(self, which: Bools | Longs) -> "Facing":
@@ -67,15 +66,14 @@ class Facing:
 def find_facing(
     comm: MPI.Intracomm, skin: Skin, asked: Bools | None = None, *, deep: bool = False
 ) -> Facing:
-    """Return which facets of other parts the facets of a skin face, at any distance; collective.
+    """Return the facets of other parts that the facets of a skin face, at any distance; collective.
 
-    A facet that lies in another body by more than half of the thinner body is no partner, see
-    `pairing.THROUGH`: it lies beyond it. In an overlap the middle of a facet lies in the body.
+    Not facets deeper in another body than half of the thinner body, see `pairing.THROUGH`, unless
+    `deep`.
 
     Args:
         skin: all exterior facets of this rank.
-        asked: (m,) which of them to project, on all of the others; all if not given.
-        deep: whether facets are partners however deep they lie in another body.
+        asked: (m,) facets to project; all if None.
     """
     depth = (
         np.full(len(skin.part), np.inf)
@@ -93,7 +91,7 @@ def find_facing(
     least = _least_gaps(facets, others, segments, n[:, 0], len(pairs))
     a, b = pairs.T
     size = np.stack([facet_sizes(facets.x)[a], facet_sizes(others.x)[b]], axis=1)
-    # facets that lie beside each other overlap in their projections by round-off
+    # facets side by side overlap in their projections by round-off
     over = area > HALF_OF_DIGITS * size[:, 0] ** (facets.x.shape[2] - 1)
     found = np.flatnonzero(over & (part[b] != skin.part[own][a]))
     distance = _distances(facets[a[found]], others[b[found]], least[found])
@@ -114,7 +112,7 @@ def find_facing(
 def _least_gaps(
     facets: Facets, others: Facets, segments: Segments, n: Floats, count: int
 ) -> Floats:
-    """Return how far before a facet, along its normal, the other one of a pair begins (count,)."""
+    """Return the distance (count,) from a facet along its normal to the start of the other one."""
     apart = points_of(others, segments.master, segments.xi_m)
     apart -= points_of(facets, segments.slave, segments.xi_s)
     least = np.full(count, np.inf)
@@ -123,16 +121,10 @@ def _least_gaps(
 
 
 def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
-    """Return the distances (p,) of pairs; infinite where a facet merely looks past a body's edge.
+    """Return distances (p,) of pairs; inf where a facet sees the flank of a body past its edge.
 
-    A facet lies in the other body where its middle does. Otherwise, a facet just above another body
-    would see, askew, the next flank of that body behind itself. But facets that cross at less than
-    45 degrees touch: those of curved sides that fit, whose vertices lie in turn on either side.
-
-    Args:
-        facets: (p,) the first ones.
-        others: (p,) those which they face.
-        least: (p,) how far before the first one the other one begins, see `_least_gaps`.
+    A facet is in the other body if its middle is; but facets that cross at less than 45 degrees
+    touch: on curved sides that fit, vertices alternate.
     """
     size, vertices = facet_sizes(facets.x), others.x[:, np.array(others.element.vertices)]
     n, other = facet_normals(facets), facet_normals(others)
@@ -165,7 +157,7 @@ def _receive(
 
 
 def check_angle(feature_angle: Any) -> float:
-    """Return the angle from which on facets meet in an edge, if it is one.
+    """Return the least angle of an edge between facets, in degrees.
 
     Raises:
         ValueError: unless 0 < feature_angle <= 180.
@@ -182,7 +174,7 @@ class Faces:
     """The smooth faces into which edges divide the skins of bodies."""
 
     of_facets: Longs  # (m,) face of each facet of this rank; numbers of all ranks
-    beside: frozenset[tuple[int, int]]  # pairs of faces that meet in an edge, both ways
+    beside: frozenset[tuple[int, int]]  # pairs of faces with a common edge, both ways
 
 
 def find_faces(
@@ -190,11 +182,10 @@ def find_faces(
 ) -> Faces:
     """Divide exterior facets into faces; collective.
 
-    Two facets of one body with a common edge (in the plane: a common vertex) are of one face where
-    their normals differ by less than the feature angle.
+    Two facets of one body with a common edge (in the plane: vertex) are of one face where their
+    normals differ by less than the feature angle.
 
     Args:
-        V: the space, with the numbers of nodes.
         facets: (m,) exterior facets of this rank.
         nodes: (m, k) their local nodes.
         body: (m,) to which they belong.
@@ -210,7 +201,7 @@ def find_faces(
     parts, local = _components(m, owner[first[smooth]], owner[second[smooth]])
     own: Longs = local + (comm.exscan(parts) or 0)
 
-    # Where the other facet at an edge is one of another rank, faces are joined by all.
+    # at edges between ranks, all ranks join faces
     single = np.ones(len(keys), dtype=bool)
     single[first], single[second] = False, False
     sent = *(column[single] for column in columns), own[owner[single]]
@@ -236,7 +227,7 @@ def _edges(V: fem.FunctionSpace, facets: Facets, nodes: Ints) -> Longs:
 
 
 def _meeting(keys: Longs, normals: Floats, limit: float) -> tuple[Longs, Longs, Bools]:
-    """Return which rows (q,), (q,) have the same key, and where their normals are close."""
+    """Return the pairs of rows (q,), (q,) with the same key, and where their normals are close."""
     order = np.lexsort(keys.T)
     sorted_keys = keys[order]
     found: list[Longs] = [np.zeros((0, 2), dtype=np.int64)]
@@ -260,11 +251,8 @@ def _components(n: int, a: Longs, b: Longs) -> tuple[int, Longs]:
 def facing_edges(pairing: Pairing, segments: Segments, feature_angle: float) -> Bools:
     """Return the slave facets (m,) that convex edges or corners of the master face; collective.
 
-    On more than a twentieth of what such a facet faces, the master's normal is turned from the mean
-    there by more than half of the feature angle, and normals point apart. At X.
-
-    Args:
-        feature_angle: Degrees between facets from which on they meet in an edge.
+    On more than a twentieth of the area that such a facet faces, at X, the master's normal differs
+    from the mean by more than half of the feature angle (degrees), and normals diverge.
     """
     on, count, w = segments.slave, len(pairing.slave.facets), segments.weight
     received = received_facets(pairing, None)
