@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""A surface that meets itself: which of its facets can touch, and which of two is the slave.
+"""Self-contact: facets of a surface that can touch, and which of two is the slave.
 
-T expresses slave nodes by master nodes, so no node may be both. At each search the facets that are
-near each other are divided into slaves and masters such that of two facets that face each other
-one is the slave; a node of both kinds carries no multiplier.
+T expresses slave nodes by master nodes, so no node may be both. At each search the facets near
+others are divided into slaves and masters; a node of both kinds carries no multiplier.
 """
 
 from dataclasses import dataclass
@@ -18,21 +17,19 @@ from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
 from dolfinx_mortar.geometry.flat import facet_distances
 
 REACH = 4.0
-"""Facets that are at most so many diameters apart are divided at a search (cost only).
-
-A new search is due when others are half as near, which is still before they touch.
-"""
+"""Largest distance, in diameters, of facets that are divided at a search (cost only); others at
+half the distance require a new search, before they touch."""
 
 
 @dataclass(frozen=True, eq=False)
 class Roles:
-    """How a surface that meets itself was divided at a search."""
+    """Slaves and masters of a surface in self-contact, at a search."""
 
     slave: Bools  # (ms,) own facets
-    copies: Bools  # (mm,) whether the received ones are slaves
+    copies: Bools  # (mm,) received ones that are slaves
     nodes: tuple[Longs, Longs]  # (ms, k), (mm, k) global nodes of both
-    deepest: tuple[Floats, Floats]  # (ms,), (mm,) how far behind them a partner may lie
-    seen: Longs  # (q,) pairs that were near: own facet times mm plus received one, ascending
+    deepest: tuple[Floats, Floats]  # (ms,), (mm,) largest distance of a partner behind them
+    seen: Longs  # (q,) pairs that were near: own facet * mm + received one, ascending
     distance: Floats  # (q,) of these
 
 
@@ -41,12 +38,11 @@ def distances_in_reach(
 ) -> Floats:
     """Return the distances (p,) of pairs, in diameters of the larger facet; inf if not near.
 
-    Facets with a common node belong together, and what is deeper behind a facet than `deepest` is
-    the other side of the body.
+    Facets with a common node are not near, nor are those deeper behind a facet than `deepest`.
 
     Args:
         facets: own facets (ms,).
-        copies: the received ones (mm,).
+        copies: received ones (mm,).
         pairs: (p, 2) of these, facing each other.
         nodes: global nodes (ms, k) and (mm, k) of both.
         deepest: (p,) for each pair.
@@ -75,12 +71,10 @@ def choose_roles(
 ) -> tuple[Bools, Bools]:
     """Return which own (ms,) and which received facets (mm,) are slaves; collective.
 
-    Pair by pair, the nearest first: of two facets that face each other one is the slave and the
-    other one a master; neighbours, which are a diameter apart, have the same role; next, the slave
-    is the finer one where two differ in size at X, to the nearest power of two. What nearer ones
-    have decided stays. In parts that this leaves open the first facet in the order of coordinates
-    is a slave: roles that changed with every facet that comes near would not let Newton's method
-    converge. All ranks decide the same, from the pairs of all ranks.
+    Decided pair by pair, the nearest first: facets that face each other have opposite roles;
+    neighbours, a diameter apart, the same one; then the finer one at X, by powers of two, is the
+    slave. Undecided parts begin with a slave in the order of coordinates, so that roles do not
+    change with every new near facet. All ranks decide the same.
 
     Args:
         pairs: (p, 2) own and received facets that are near.
@@ -109,15 +103,7 @@ def _are_among(rows: Longs, keys: Longs) -> Bools:
 
 
 def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Bools:
-    """Return which facets (n,) are slaves.
-
-    Args:
-        keys: (n, k) their global nodes.
-        X: (n, k, d) the reference coordinates of these.
-        a: (p,) first facet of each pair.
-        b: (p,) second one.
-        distance: (p,) between them.
-    """
+    """Return which facets (n,), with global nodes `keys` (n, k), are slaves, by pairs a, b (p,)."""
     n = len(keys)
     if n == 0:
         return np.zeros(0, dtype=bool)
@@ -134,7 +120,7 @@ def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Boo
     unequal = powers != 0.0
     finer = np.stack([a[unequal], np.full(int(unequal.sum()), slaves)])
     first, second = np.concatenate([np.stack([a, b]), beside, finer], axis=1)
-    # neighbours are a diameter apart, and it is rather their roles that are the same
+    # neighbours are a diameter apart
     apart = np.concatenate([distance, np.ones(beside.shape[1]), 1.0 + distance[unequal]])
     different = np.concatenate(
         [np.ones(len(a)), np.zeros(beside.shape[1]), powers[unequal] > 0.0]
@@ -148,7 +134,7 @@ def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Boo
 
 
 def _neighbours(keys: Longs, least: int) -> Longs:
-    """Return the pairs (2, p) of facets with so many common nodes at least."""
+    """Return the pairs (2, p) of facets with at least so many common nodes."""
     n, k = keys.shape
     nodes, column = np.unique(keys, return_inverse=True)
     shape = (n, len(nodes))
@@ -167,15 +153,15 @@ def divide(
     X: tuple[Floats, Floats],
     deepest: tuple[Floats, Floats],
 ) -> tuple[Ints, Roles]:
-    """Return which candidates (p, 2) of a surface with itself remain, and the roles; collective.
+    """Return the candidates (p, 2) from slaves to masters, and the roles; collective.
 
     Args:
-        facets: own facets (ms,) where they are.
-        copies: the received ones (mm,).
+        facets: own facets (ms,) at X + u.
+        copies: received ones (mm,).
         pairs: candidates of these.
         nodes: global nodes (ms, k) and (mm, k).
         X: reference coordinates of the nodes (ms, k, d) and (mm, k, d).
-        deepest: (ms,) and (mm,) how far behind a facet a partner may lie.
+        deepest: (ms,) and (mm,) largest distance of a partner behind a facet.
     """
     limit = np.minimum(deepest[0][pairs[:, 0]], deepest[1][pairs[:, 1]])
     distance = distances_in_reach(facets, copies, pairs, nodes, limit)
@@ -190,13 +176,12 @@ def divide(
 def has_changed(roles: Roles, facets: Facets, copies: Facets, pairs: Ints) -> bool:
     """Tell whether facets of this rank are near others that were not divided from them.
 
-    Within half of the reach; where two are both slaves or both masters, because nearer pairs had
-    decided so, once they are half as far apart as they were then.
+    Within half of the reach; two slaves or two masters once their distance is half of that at the
+    division.
 
     Args:
-        roles: as they were divided.
-        facets: own facets (ms,) where they are now.
-        copies: the received ones (mm,).
+        facets: own facets (ms,) at X + u.
+        copies: received ones (mm,).
         pairs: (p, 2) that face each other now.
     """
     limit = np.minimum(roles.deepest[0][pairs[:, 0]], roles.deepest[1][pairs[:, 1]])
@@ -213,32 +198,32 @@ def has_changed(roles: Roles, facets: Facets, copies: Facets, pairs: Ints) -> bo
         known = roles.seen[place] == keys
         then = roles.distance[place]
     own, other = roles.slave[pairs[:, 0]], roles.copies[pairs[:, 1]]
-    settled = ~own & other  # the rank of the other one, the slave, looks at that
+    settled = ~own & other  # the rank of the slave tests that
     settled |= own & ~other & known
     settled |= (own == other) & known & (distance > then / 2)
     return bool((~settled).any())
 
 
 class _Parts:
-    """Facets in parts, in each of which all roles follow from one (union-find with parity)."""
+    """Parts of facets in which one role determines all (union-find with parity)."""
 
     def __init__(self, n: int) -> None:
         self.above = list(range(n))
-        self.odd = [False] * n  # whether a facet has another role than the one above
+        self.odd = [False] * n  # whether the role differs from that above
 
     def find(self, k: int) -> tuple[int, bool]:
-        """Return the root of a facet, and whether its role is another one."""
+        """Return the root of a facet, and whether its role differs."""
         way, odd = [], False
         while self.above[k] != k:
             way.append(k)
             k = self.above[k]
-        for one in reversed(way):  # all of them directly below the root
+        for one in reversed(way):  # path compression
             odd ^= self.odd[one]
             self.above[one], self.odd[one] = k, odd
         return k, odd
 
     def join(self, a: int, b: int, different: bool) -> None:
-        """Give two facets different roles, or the same; nothing if that has been decided."""
+        """Give two facets different roles, or the same, unless already decided."""
         (r, p), (s, q) = self.find(a), self.find(b)
         if r != s:
             self.above[max(r, s)] = min(r, s)
