@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: MIT
-r"""A slave side without a master: D and mean values over whole facets.
+"""A slave side without a master: D and mean values over whole facets.
 
     D_jl = int Phi_j N_l,      mean_j f = int Phi_j f / D_jj
 
-over the facets that face what the side may meet, with the dual functions of the nodes that carry a
-multiplier. Facets are taken whole, so the functions depend on which facets face it, not on where
-it ends.
+over the whole facets that face the tool, with the dual functions of the nodes with a multiplier.
 """
 
 from dataclasses import dataclass
@@ -35,10 +33,10 @@ class WholeSide:
 
     slave: Surface
     D: Triplets  # between nodes of V, of all facets
-    row: Ints  # (e,) index into the owned slave nodes of each entry of D off its diagonal
+    row: Ints  # (e,) owned slave node of each entry of D off its diagonal
     column: Longs  # (e,) its global node
     off_diagonal: Ints  # (e,) its position among D's entries
-    diagonal: tuple[Ints, Ints]  # positions of D_jj among D's entries, and indices of the nodes j
+    diagonal: tuple[Ints, Ints]  # positions of D_jj among D's entries, and nodes j
     facet_length: float  # mean, at X
     weight: Weight | None = None  # of all integrals, at X; None for 1
 
@@ -84,7 +82,7 @@ def whole_facets(side: WholeSide, x: Floats, facing: Bools) -> tuple[Segments, F
     m, q = jacobians.shape
     which = np.repeat(np.arange(m, dtype=np.int32), q)
     at, whole = np.tile(xi, (m, 1)), None
-    if side.weight is not None:  # at X, where it stays what it was, and positive
+    if side.weight is not None:  # at X, where it is positive
         points, _ = element.rule
         others = np.repeat(np.arange(m, dtype=np.int32), len(points))
         at_X = facets_at(slave, slave.X)
