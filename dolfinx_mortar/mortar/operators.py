@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-r"""Mortar operators D and M of a pair of surfaces, and P = D^-1 M.
+"""Mortar operators D and M of a pair of surfaces, and P = D^-1 M.
 
     D_jl = int Phi_j N_l^s,      M_jl = int Phi_j N_l^m      over the covered part of the slave side
 
-(eqs. 19 and 20 of the paper; the second function of eq. 20 has to be the master's) with the dual
-functions Phi_j of the slave nodes that carry a multiplier. D is diagonal over these nodes, but for
-mid-side nodes that depend on vertices. Nothing here knows which constraint the operators serve.
+(eqs. 19 and 20 of the paper) with the dual functions Phi_j of the slave nodes with a multiplier. D
+is diagonal over these, but for mid-side nodes that depend on vertices.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,19 +36,18 @@ SmoothSides = tuple[SmoothSide, SmoothSide]
 class MortarOperators:
     """D, M and P in one configuration, for each of c choices of the nodes with a multiplier.
 
-    A choice belongs to a direction of the multipliers: Dirichlet data may leave a node some of
-    them. Nodes are the n slave nodes that this rank owns; entries follow the patterns of the
-    pairing.
+    A choice belongs to a direction of the multipliers, of which Dirichlet data may leave some.
+    Nodes are the n owned slave nodes; entries follow the patterns of the pairing.
     """
 
     segments: Segments
     normals: Floats  # (n, d) outward unit normals
-    kept: Bools  # (n, c) nodes that carry a multiplier
+    kept: Bools  # (n, c) nodes with a multiplier
     D: Floats  # (e, c) entries of D; rows of other nodes vanish
     M: Floats  # (f, c) entries of M
     weight: Floats  # (n, c) D_jj, 0 where not kept
-    P: Floats  # (g, c) D_jj^-1 (M - D_other) on the pattern of P, D_other being D off its diagonal
-    heights: Floats  # (n,) by how much smooth surfaces are nearer than the facets; 0 for facets
+    P: Floats  # (g, c) D_jj^-1 (M - D_other) on the pattern of P, D_other off-diagonal
+    heights: Floats  # (n,) of smooth surfaces, to be subtracted from gaps; or 0
     coverage: Coverage
     motions: Floats | None = None  # (f, d, d) D_jj^-1 int Phi_j A_l, see `point_motions`
 
@@ -67,11 +65,11 @@ def create_operators(
     """Integrate D and M over segments at X + u (collective).
 
     Args:
-        u: Displacement, None for X.
-        normals: Outward unit normals (n, d) of the local slave nodes there.
-        allowed: Local slave nodes (n, c) that may carry a multiplier, for each choice.
-        heights_of: Smooth surfaces at X, by whose heights the gap is corrected.
-        motions_of: Smooth surfaces at X, by whose offsets P is corrected.
+        u: displacement, None for X.
+        normals: outward unit normals (n, d) of the local slave nodes there.
+        allowed: (n, c) local slave nodes that may carry a multiplier, for each choice.
+        heights_of: smooth surfaces at X for heights.
+        motions_of: smooth surfaces at X for offsets in P.
     """
     comm, own = pairing.slave.V.mesh.comm, slice(None, pairing.slave.owned)
     weights = node_weights(pairing, segments)
@@ -113,7 +111,7 @@ def create_operators(
 
 
 def inverse(weight: Floats) -> Floats:
-    """Return 1 / D_jj, zero where that is: at nodes without multiplier."""
+    """Return 1 / D_jj, zero at nodes without multiplier."""
     return np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0)
 
 
@@ -127,13 +125,12 @@ def integrate_matrices(
     """Return the entries of D (eq. 19) and M (eq. 20) on the patterns of the pairing (collective).
 
     Args:
-        keep: Slave nodes (n,) that carry a multiplier; a node has the same value on all ranks.
-        Phi: Their weighted functions of `weighted_duals`, if they are at hand.
+        keep: (n,) slave nodes with a multiplier, equal on all ranks.
+        Phi: their weighted functions of `weighted_duals`, if known.
 
     Returns:
         Entries (e,) of D and (f,) of M. Rows of removed nodes vanish; their columns in D do not.
-        Over the kept nodes D is diagonal, but for mid-side nodes that depend on vertices (exactly:
-        the other integrals vanish by construction, and their round-off is set to zero).
+        Over the kept nodes D is exactly diagonal, but for mid-side nodes that depend on vertices.
     """
     N_m = pairing.master.element.shape_functions(segments.xi_m)
     kept = keep[pairing.slave.facets]
@@ -164,7 +161,7 @@ def integrate_motions(
     """Return int Phi_j A_l (f, d, d) at the entries of M (collective).
 
     Args:
-        Phi: Weighted dual functions (q, k) of `weighted_duals` for each row of A_l.
+        Phi: weighted dual functions (q, k) of `weighted_duals` for each row of A_l.
         motions: A_l (q, k, d, d) at a part of the points for each node of their master facets.
     """
     d, k, m = len(Phi), pairing.slave.element.nodes, pairing.master.element.nodes
@@ -183,11 +180,11 @@ def integrate_motions(
 def mean_values(
     pairing: Integrated, segments: Segments, Phi: Floats, weight: Floats, at_points: Floats
 ) -> Floats:
-    """Return int Phi_j f / D_jj (n,) at the owned slave nodes (collective).
+    """Return int Phi_j f / D_jj (n,) at the owned slave nodes, 0 without multiplier (collective).
 
     Args:
-        Phi: Weighted dual functions (q, k) of `weighted_duals`.
-        weight: D_jj (n,); zero where that is.
+        Phi: weighted dual functions (q, k) of `weighted_duals`.
+        weight: D_jj (n,).
         at_points: f (q,).
     """
     total = integrate_values(pairing, segments, Phi, at_points)[: pairing.slave.owned]
