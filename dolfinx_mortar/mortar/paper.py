@@ -1,12 +1,8 @@
 # SPDX-License-Identifier: MIT
-r"""The matrices D, M and N as the paper writes them (eqs. 16 to 20), for users and for tests.
+"""The matrices D, M and N of the paper (eqs. 16 to 20), for users and tests.
 
-Eq. 16, B_I v <= c_I, with B_I = N^T (D - M) of eq. 17 and c_I = -N^T (D - M) X of eq. 18; the
-blocks of D and M are those of eqs. 19 and 20, times the identity.
-
-They are the solver's own `operators`, of which it keeps one entry per pair of nodes and makes a
-change of basis (`interfaces.basis`). It has the normals of both sides (`common_normals`), not the
-averaged ones here, unless `feature_angle` asks for them.
+They consist of the entries of the solver's `operators`, times the identity. The solver has the
+normals of `common_normals`, here only with `feature_angle`.
 """
 
 from __future__ import annotations
@@ -37,22 +33,19 @@ from dolfinx_mortar.spaces import check_space, find_positions
 class Mortar:
     """The paper's matrices. Row d*i + c belongs to component c of the slave node nodes[i].
 
-    Rows are distributed like the slave nodes; nodes that cannot carry a multiplier have no row. Of
-    a scalar space row i belongs to nodes[i], and there are no N and no gap.
+    Rows are distributed like the slave nodes; nodes without multiplier have no row. For a scalar
+    space row i belongs to nodes[i], without N and gap.
     """
 
     D: PETSc.Mat  # (d * m_I, dofs of V)
     M: PETSc.Mat  # (d * m_I, dofs of V)
-    N: PETSc.Mat | None  # (d * m_I, m_I), column i holds the outward slave normal of nodes[i]
+    N: PETSc.Mat | None  # (d * m_I, m_I), column i: outward slave normal of nodes[i]
     gap: PETSc.Vec | None  # (m_I,) weighted gap -N^T (D - M)(X + u), positive where open
     nodes: Longs  # (m_I of this rank,) global nodes in the order of the rows
 
 
 def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETSc.Mat:
-    """Return owned rows of a node matrix, every entry times the d x d identity (eqs. 19, 20).
-
-    Of a scalar space d = 1.
-    """
+    """Return owned rows of a node matrix, every entry times the d x d identity (eqs. 19, 20)."""
     d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
     start, columns, values = csr_of(A)
     shape = (index_map.size_local, index_map.size_global)
@@ -84,21 +77,21 @@ def assemble_mortar(
 ) -> Mortar:
     """Assemble the paper's matrices D, M and N and the weighted gap (collective).
 
-    The constraint of frictionless contact is B_I v <= c_I (eq. 16) for the displacement v with
-    B_I = N^T (D - M) (eq. 17) and c_I = -N^T (D - M) X (eq. 18); the weighted gap is c_I - B_I u.
-    Two sides are tied by (D - M) v = 0, also those of a scalar field, such as a temperature.
+    Frictionless contact is B_I v <= c_I (eq. 16) for the displacement v with B_I = N^T (D - M) (eq.
+    17) and c_I = -N^T (D - M) X (eq. 18); the weighted gap is c_I - B_I u. Sides are tied by (D -
+    M) v = 0, also those of a scalar field.
 
     Args:
-        V: Vector or scalar Lagrange space of degree 1 or 2 on the mesh of all bodies.
-        facet_tags: Facet tags of the same mesh.
-        slave: Tag, or name if the tags have names, of the side that carries the multipliers.
-        master: Tag or name of the other side.
-        u: Displacement, in V or in a vector Lagrange space of no higher degree on this mesh;
-            segments, normals and gap belong to X + u.
-        weight: Factor of all integrals at points X of the slave side, (q, d) -> (q,), such as
-            2 pi r; 1 if not given.
-        feature_angle: Degrees between facets from which on they meet in an edge, for the normals
-            of `Contact`; averaged ones if not given.
+        V: vector or scalar Lagrange space of degree 1 or 2 on the mesh of all bodies.
+        facet_tags: facet tags of the same mesh.
+        slave: tag, or name if the tags have names, of the side that carries the multipliers.
+        master: tag or name of the other side.
+        u: displacement, in V or in a vector Lagrange space of no higher degree on this mesh;
+            segments, normals and gap are those at X + u.
+        weight: factor of all integrals at points X of the slave side, (q, d) -> (q,), such as 2 pi
+            r; 1 if None.
+        feature_angle: least angle of an edge between facets in degrees, for the normals of
+            `Contact`; averaged normals if None.
 
     Raises:
         ValueError: On all ranks, for tags, spaces and displacements that do not fit.
