@@ -1,21 +1,18 @@
 # SPDX-License-Identifier: MIT
-"""Which supports at the ends of a side are planes of symmetry, as the curvature of the side tells.
+"""Which supports at the ends of a side are planes of symmetry, by the curvature of the side.
 
-A support at the end of a side prescribes a component e of the displacement. If it stands for a
-plane of symmetry, the side goes on as its image, and the normal of the smooth surface has no
-component along e there; if it is a roller on which a side ends at an angle, the normal keeps that
-component. Dirichlet data are the same, the sides are not. Where normals change linearly, chords are
-perpendicular to the mean of those at their ends,
+A support prescribes a component e of the displacement. On a plane of symmetry the image continues
+the side, and the normal of the smooth surface has no component along e; on a roller at an angle it
+has. Where normals change linearly, as on spheres and cylinders,
 
     (n_j + n_k).(x_k - x_j) = 0,
 
-exactly so on spheres and cylinders. From the vertices x_k of its facets that are off the support
-this gives the normal n_j of a node on it, and with the normals n_f of these facets
+so that the vertices x_k off the support give the normal n_j of a node on it. With the normals n_f
+of these facets
 
-    A = mean of n_f.e,     B = A - n_j.e,
+    A = mean of n_f.e,     B = A - n_j.e:
 
-by how much the facets are turned from the support, and from the side at the support. On a plane of
-symmetry A = B; on a flat side and one of a single facet B = 0.
+A = B on a plane of symmetry, B = 0 on a flat side or a single facet.
 """
 
 from dataclasses import replace
@@ -29,29 +26,20 @@ from dolfinx_mortar.mortar.surface import Surface, facets_at, sum_at_nodes
 
 
 def find_mirrors(surface: Surface, fixed: Bools, feature_angle: float) -> Bools:
-    """Return which prescribed components (n, d) are those of planes of symmetry; collective.
-
-    The side goes on as its image there: normals of the smooth surface, and those of contact, have
-    no such component. All other prescribed components are those of supports, which take forces but
-    say nothing about the shape of the side. The arguments are those of `judge_supports`.
-    """
+    """Return the components (n, d) across planes of symmetry, see `judge_supports`; collective."""
     return judge_supports(surface, fixed, feature_angle)[0]
 
 
 def judge_supports(surface: Surface, fixed: Bools, feature_angle: float) -> tuple[Bools, Floats]:
-    """Return which components (n, d) are those of planes of symmetry, and n_j.e (n, d); collective.
+    """Return the components (n, d) across planes of symmetry, and n_j.e (n, d), at X; collective.
 
-    At X, each component by itself. It is that of a plane of symmetry if A and B above have the same
-    sign and differ by a factor of at most two; or if the side meets the support at a right angle: A
-    vanishes, or is hidden in the scatter of n_f.e over the facets of the nodes around. A node of
-    which all components are prescribed is clamped, and inside a side nothing goes on. Nodes between
-    vertices have the means of these.
+    Those where A and B have the same sign and differ by a factor of at most two, or where the side
+    is normal to the support: A vanishes, or is less than the scatter of n_f.e. Not where all
+    components are prescribed, nor inside a side. Mid-side nodes have means of the vertices.
 
     Args:
-        surface: the side.
         fixed: (n, d) components of its nodes with Dirichlet data.
-        feature_angle: degrees between facets from which on they meet in an edge; across an edge
-            nothing is known of the curvature.
+        feature_angle: least angle of an edge, in degrees; edges tell no curvature.
     """
     n, gap, limit = ring_sums(surface, one_ring_sums(facets_at(surface, surface.X)))
     closed = np.asarray(np.linalg.norm(gap, axis=1) <= limit)
@@ -67,17 +55,10 @@ def judge_supports(surface: Surface, fixed: Bools, feature_angle: float) -> tupl
 def _judge(
     side: Surface, n: Floats, closed: Bools, fixed: Bools, i: int, feature_angle: float
 ) -> tuple[Bools, Floats]:
-    """Return both of a component i for the nodes (n,) of the facets that have it prescribed.
-
-    Args:
-        side: these facets of the side.
-        n: normals (n, d) of one-rings.
-        closed: (n,) which one-rings are closed.
-        fixed: (n,) nodes of which the component is prescribed.
-    """
+    """Return both of a component i for the nodes (n,) of the facets where it is prescribed."""
     vertices = side.facets[:, list(side.element.vertices)]
     held, n_f = fixed[vertices], facet_normals(facets_at(side, side.X))
-    weights = np.where(closed[vertices], 1.0, QUARTER_OF_DIGITS)  # others where these tell nothing
+    weights = np.where(closed[vertices], 1.0, QUARTER_OF_DIGITS)  # others only if alone
     cosines = np.einsum("mki,mi->mk", n[vertices], n_f)
     weights[held | (cosines < np.cos(np.radians(feature_angle / 2)))] = 0.0
     between = side.element.vertex_functions(side.element.points)
@@ -100,11 +81,7 @@ def _judge(
 
 
 def _by_chords(side: Surface, n: Floats, weights: Floats, which: Bools) -> Floats:
-    """Return the normals (n, d) that chords give at some nodes, elsewhere n (n, d); collective.
-
-    By least squares in the tangent plane, with weights (m, v) of the vertices of facets at the
-    other ends of chords. Where chords say nothing, n stays.
-    """
+    """Return the normals (n, d) by chords at some nodes, n at others or without; collective."""
     corners, d = list(side.element.vertices), n.shape[1]
     ends = side.facets[:, corners]
     x = side.X[ends]
@@ -128,7 +105,7 @@ def _by_chords(side: Surface, n: Floats, weights: Floats, which: Bools) -> Float
 def ring_sums(surface: Surface, parts: tuple[Floats, Floats]) -> tuple[Floats, Floats, Floats]:
     """Return unit normals (n, d), gaps (n, c) and their limits (n,) of one-rings; collective.
 
-    A one-ring is closed where the length of its gap is not above its limit.
+    A one-ring is closed if the length of its gap does not exceed its limit.
 
     Args:
         parts: of `one_ring_sums`.
