@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Segments in 3D: convex polygons in the auxiliary planes of the slave facets.
 
-The auxiliary plane goes through the centre of a slave facet, normal to its mean normal. The
-intersection of both projected facets is a convex polygon, which is split into triangles. Weights
-are areas in the plane over the cosine between plane and slave facet. Facets of second order are
-clipped in four parts, unless they are straight and flat.
+The plane is normal to the mean normal of a slave facet, through its centre. The intersection of
+both projected facets is split into triangles; weights are areas in the plane over the cosine
+between plane and slave facet. Facets of second order are clipped in four parts, unless straight and
+flat.
 
 Integrals of Phi_j N_l are exact on flat triangles and parallelograms. On other quadrilaterals the
-degree grows with the change of the Jacobian and of the slopes, so that constant pressures are
-transmitted with an error of 1e-14 of the facet down to a quality (`facets.distortions`) of 0.6, and
-of 1e-8 at 0.3, where meshes are refused.
+degree grows with the change of the Jacobian and of the slopes: constant pressures are transmitted
+with an error of 1e-14 down to a quality (`facets.distortions`) of 0.6, of 1e-8 at 0.3, where meshes
+are refused.
 """
 
 from collections.abc import Sequence
@@ -57,7 +57,7 @@ _HIGHEST = 24
 
 @cache
 def _rules() -> tuple[Floats, Floats, Longs]:
-    """Return points, weights (sum 1) and first points of the rules of degree 2, 4, ... ."""
+    """Return points, weights (sum 1) and first points of rules of degree 2, 4, ... ."""
     points, weights, start = [], [], [0]
     for degree in range(2, _HIGHEST + 2, 2):
         p, w = triangle_rule(degree)
@@ -101,7 +101,7 @@ def _any_overlap(M, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _is_hidden(S, M, bilinear, i, j, pieces, sizes, common, spare):  # type: ignore[no-untyped-def]
-    """Tell whether facet j hides facet i, compared at one point for both orders of i and j."""
+    """Tell whether facet j hides facet i; consistent for both orders of i and j."""
     a, b = min(i, j), max(i, j)
     if a == b or not _overlap(M[a], M[b]):
         return False
@@ -137,7 +137,7 @@ def _doubled(a):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyped-def]
-    """Return the parts of polygon i that no other of the n facets hides: points, sizes, number."""
+    """Return the parts of polygon i that none of n facets hides: points, sizes, number."""
     pieces = np.empty((2 * VERTICES, VERTICES, 2))
     sizes = np.empty(2 * VERTICES, np.int64)
     common, spare = np.empty((VERTICES, 2)), np.empty((VERTICES, 2))
@@ -170,7 +170,7 @@ def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyp
 
 @numba.njit(**KERNEL)
 def _is_far(middle, radius, centre, axes):  # type: ignore[no-untyped-def]
-    """Tell whether the projection of a ball is beside that of the slave facet's own ball."""
+    """Tell whether the projections of a ball and of the slave facet's are apart."""
     x = y = square = 0.0
     for i in range(3):
         offset, along = middle[i] - centre[i], axes[0, i]
@@ -210,7 +210,7 @@ def _clip(  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
-    """Append the triangles of a polygon that are larger than round-off; return the new arrays."""
+    """Append the triangles of a polygon, but for round-off; return the new arrays."""
     if t + VERTICES > len(which):
         which, corners = _doubled(which), _doubled(corners)
     least = ROUND_OFF * plane.measure(P, n)[0]
@@ -311,10 +311,7 @@ def _place(  # type: ignore[no-untyped-def]
     x_s, x_m, bilinear, pairs, centre, axes, radius, which, corners, size, rule, whole, points,
     weights, start
 ):  # fmt: skip
-    """Return the pair, xi_s, xi_m and weight of all quadrature points on triangles of some size.
-
-    Weights are those on whole facets, otherwise on the reference facet of their parts.
-    """
+    """Return pair, xi_s, xi_m and weight of all points; weights are on parts unless `whole`."""
     total = 0
     for t in range(len(which)):
         total += start[rule[t] + 1] - start[rule[t]]
@@ -354,10 +351,7 @@ def _areas(c: Floats) -> Floats:
 
 
 def _degree_of_moments(slave: FacetElement, master: FacetElement, smooth: bool) -> int:
-    """Return the degree of the quadrature of `moments`: exact on flat first-order triangles.
-
-    On facets warped by noise the errors of derivatives are at most 1e-3 of the largest entry.
-    """
+    """Return the degree for `moments`; errors of derivatives on warped facets are up to 1e-3."""
     return max(2 + smooth, min(_least_degree(slave, master), 4))
 
 
@@ -390,11 +384,7 @@ def _is_next(corners, which, t):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _find_edges(x_s, x_m, bilinear, pairs, centre, axes, which, corners, hidden):  # type: ignore[no-untyped-def]
-    """Return edges (q, 4) of triangles that move with nodes, and their lines.
-
-    Columns: triangle, edge, pair of parts whose master has the line (< 0: the slave), first corner
-    of the line.
-    """
+    """Return (q, 4) moving edges: triangle, edge, pair of the master's line or < 0, its corner."""
     found, q, none = np.empty((3 * len(which), 4), np.int64), 0, np.int64(-1)
     S, M, N = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3)), np.empty((x_m.shape[1], 3))
     for t in range(len(which)):
@@ -425,11 +415,10 @@ def _find_edges(x_s, x_m, bilinear, pairs, centre, axes, which, corners, hidden)
 def moments(
     sides: Sides, heights: Sequence[Floats], types: tuple[FacetElement, FacetElement], found: Sums
 ) -> None:
-    """Add the moments of slave facets and their masters, and derivatives.
+    """Add the moments of slave facets and their masters, and derivatives by x and y.
 
     Args:
         heights: of pairs (c,), see `create_points`.
-        found: by the coordinates of x and y.
     """
     x, _, y, _, place, deepest, factor, reach = sides
     pairs = sides.pairs()
@@ -459,7 +448,7 @@ class _Given(NamedTuple):
     factor: Floats
     reach: Floats
     heights: Sequence[Floats]
-    tilts: tuple[Floats, Floats]  # `turns` of the slave facets
+    tilts: tuple[Floats, Floats]  # of the slave facets
     frames: tuple[Floats, Floats, Floats]  # see `_frames`
 
 
@@ -471,15 +460,15 @@ class _OfPairs(NamedTuple):
     part: Longs  # (s,) of the slave
     facet: Longs  # (s,)
     pair: Ints  # (s,)
-    nodes: Longs  # (s, k + l) of both facets, those of the slave first
-    x: Floats  # (s, k + l, 3) of these nodes, relative to the centre of the part
+    nodes: Longs  # (s, k + l) of both facets, slave's first
+    x: Floats  # (s, k + l, 3) relative to the centre of the part
     frame: tuple[Floats, Floats, Floats]  # see `_frames`
 
 
 def _create(
     given: _Given, which: Longs, corners: Floats, size: Floats, rule: tuple[Floats, Floats]
 ) -> _OfPairs:
-    """Return the points of a rule on triangles (s, 3, 2); weight 0 where the master is missed."""
+    """Return the points of a rule on triangles (s, 3, 2); weight 0 off the master."""
     over, tilts = given.over, given.tilts
     slave, master, a = over.slave, over.master, count(over.slave.element)
     first, q = np.zeros(len(which), dtype=np.int64), len(rule[1])
@@ -550,8 +539,8 @@ def _scattered(element: FacetElement, part: Longs) -> Floats:
 def _add_inner(over: "_Overlaps", inner: _OfPairs, found: Sums) -> None:
     """Add the moments of triangles, and their derivatives at points that stay in the plane.
 
-    Where nodes of the part move by dx, its xi change by -K dx, and those of the master by G times
-    the difference of the motions of the slave's and the master's points.
+    A motion dx of the part's nodes changes xi by -K dx; xi of the master by G times the relative
+    motion.
     """
     at, (u, n, tilts), slave, X = inner.at, inner.frame, over.slave.element, inner.x
     (s, q, k), E = at.N.shape, _scattered(slave, inner.part)
@@ -601,13 +590,12 @@ def _add_edges(
     ids: Longs,
     found: Sums,
 ) -> None:
-    """Add the derivatives by the motion of edges of triangles (s,), the boundary of the integrals.
+    """Add the derivatives by the motion of edges of triangles (s,).
 
     Args:
-        lines: (s, 2, 3) nodes of the lines that contain the edges.
-        ends: (s, 2, 2) of the edges, anticlockwise around their triangles.
-        t: (q,) places of the points, from 0 to 1.
-        ids: (s, 2) numbers of the nodes of lines.
+        lines: (s, 2, 3) nodes of the lines that contain the edges, with numbers `ids`.
+        ends: (s, 2, 2) of the edges, anticlockwise.
+        t: (q,) places of the points in [0, 1].
     """
     at, (u, normal, tilts) = inner.at, inner.frame
     (s, q, k), radius = at.N.shape, over.planes[2][inner.part]
@@ -645,13 +633,9 @@ def _scatter(to, facets, nodes, columns, values):  # type: ignore[no-untyped-def
 def place_points(
     slave: Facets, master: Facets, pairs: Ints, deepest: Floats
 ) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
-    """Project, clip, split and place quadrature points.
-
-    Facets whose projection is folded or inverted cover nothing.
+    """Project, clip, split and place quadrature points; folded facets cover nothing.
 
     Args:
-        slave: (ms,) facets.
-        master: (mm,) facets.
         pairs: (p, 2) of facets that face each other, ordered by slave facet.
         deepest: (p,) largest distance of the master behind the slave facet, in the middle of a
             part.
@@ -681,11 +665,11 @@ class _Overlaps(NamedTuple):
     slave: Facets  # (ms,)
     master: Facets  # (mm,)
     parts: Facets  # of the slave
-    sides: tuple[Floats, Floats, tuple[bool, bool], Ints]  # parts, whether bilinear, pairs of parts
-    of: Ints  # (p',) pair of facets of each pair of parts
+    sides: tuple[Floats, Floats, tuple[bool, bool], Ints]  # parts, bilinear or not, pairs of parts
+    of: Ints  # (p',) pair of facets
     planes: tuple[Floats, Floats, Floats]  # see `create_planes`
     which: Longs  # (t,) pairs of parts of the triangles
-    corners: Floats  # (t, 3, 2) of the triangles
+    corners: Floats  # (t, 3, 2)
     hidden: Bools  # (parts,) whether masters hide others
 
     @property
@@ -707,10 +691,10 @@ def _find_overlaps(slave: Facets, master: Facets, pairs: Ints, deepest: Floats) 
 
 
 def _least_degree(slave: FacetElement, master: FacetElement) -> int:
-    """Return the degree on a triangle of the product of two functions, where maps are affine.
+    """Return the degree for products of two functions on affine facets.
 
-    Curved facets that turn by an angle phi have errors of 1e-5 phi^4 in D_jj, and in M of 2e-3
-    phi^2 D_jj (triangles) and 1e-6 phi^2 D_jj (quadrilaterals). Both sides of a pair have the same
-    points, so that forces and constants stay exact.
+    Facets that turn by phi have errors of 1e-5 phi^4 in D_jj, 2e-3 phi^2 D_jj (triangles) and 1e-6
+    phi^2 D_jj (quadrilaterals) in M; forces and constants stay exact, since both sides have the
+    same points.
     """
     return max(slave.degree, master.degree) * (4 if slave.bilinear or master.bilinear else 2)
