@@ -1,24 +1,21 @@
 # SPDX-License-Identifier: MIT
 """Smooth surfaces through the nodes of facets: normals, and heights over the facets.
 
-Theory.md, Curved sides. With unit normals n_a at the nodes x_a, the height over a facet is
+See theory.md, Curved sides. With unit normals n_a at the nodes x_a, the height over a facet is
 
     h = 1/2 sum_{a<b} N_a N_b c_ab,     c_ab = (n_b - n_a).(x_b - x_a)
 
 over all pairs of nodes, at X. On a sphere of radius R, c_ab = |x_b - x_a|^2 / R, and by Lagrange's
-identity h is exact to leading order.
-
-Bodies of equal stiffness in contact have the common curvature K = (K_s - K_m) / 2, each for its own
-outward normal, with e_ab.K e_ab = c_ab; so c_ab is the mean of both sides (of its own side alone,
-Hertzian forces are 1 to 10 % too large). Facets of second order become curved with u: each side has
-its own c_ab, times the stretch along the normal.
+identity h is exact to leading order. Bodies of equal stiffness in contact have the curvature K =
+(K_s - K_m) / 2, each for its own outward normal, with e_ab.K e_ab = c_ab; so c_ab is the mean of
+both sides (of one side alone, Hertzian forces are 1 to 10 % too large). Facets of second order
+become curved with u: each side has its own c_ab, times the stretch along the normal.
 
 Normals are those of Max (J. Graphics Tools 4, 1999), n_a ~ sum (e_1 x e_2) / (|e_1|^2 |e_2|^2) with
-the edges e_1, e_2 of each facet at the node; in the plane the chords' normals over their lengths.
-They are exact on spheres and circles if facets surround the node. For other surfaces, edges in
-space are first projected on the tangent plane, by half of |e|^2 times the deviatoric curvature
-along them; in the plane, facets at a jump of curvature have that of their other end
-(`normal_changes`).
+the edges of each facet at the node; in the plane the chords' normals over their lengths. They are
+exact on spheres and circles if facets surround the node. For other surfaces, edges in space are
+first projected on the tangent plane, by half of |e|^2 times the deviatoric curvature; in the plane,
+facets at a jump of curvature have that of their other end.
 """
 
 from __future__ import annotations
@@ -64,13 +61,8 @@ def one_ring_sums(
 ) -> tuple[Floats, Floats]:
     """Return the terms of each facet (m,) in the sums over the one-rings of its nodes.
 
-    Args:
-        n: normals (m, k, d) at their nodes, with K for a projection of the edges.
-        K: curvatures (m, k, d, d) there.
-
-    Returns:
-        The terms (m, k, d) of the normals, and terms (m, k, c) whose sum vanishes where facets
-        surround the node: each edge of the one-ring occurs twice, with opposite signs.
+    (m, k, d) for normals, and (m, k, c) with the sum zero where facets surround the node. With
+    normals n (m, k, d) and curvatures K (m, k, d, d) at the nodes, edges are projected.
 
     >>> from dolfinx_mortar.geometry.elements import LINE2
     >>> n, around = one_ring_sums(Facets(LINE2, np.array([[[2.0, 0.0], [0.0, 0.0]]])))
@@ -99,10 +91,7 @@ def one_ring_sums(
 def end_angles(facets: Facets, n: Floats) -> tuple[Floats, Floats]:
     """Return sines (m, 2) of the angles between lines and tangents at their ends, and lengths (m,).
 
-    On a circle of radius R a sine is half of the length over R.
-
-    Args:
-        n: normals (m, 2, 2) at the ends.
+    By normals n (m, 2, 2); on a circle of radius R a sine is half of the length over R.
     """
     chord = edges(facets)[:, 0]
     length = np.linalg.norm(chord, axis=1)
@@ -112,22 +101,22 @@ def end_angles(facets: Facets, n: Floats) -> tuple[Floats, Floats]:
 
 
 def _projected(e: Floats, n: Floats, K: Floats) -> Floats:
-    """Return edges e + 1/2 |e|^2 (t.K t) n (m, k, d) on the tangent plane, t their directions."""
+    """Return edges e + 1/2 |e|^2 (t.K t) n (m, k, d) on the tangent plane, t = e / |e|."""
     t = unit(e - np.einsum("mki,mki->mk", e, n)[..., None] * n)
     below = 0.5 * (e**2).sum(axis=2) * np.einsum("mki,mkij,mkj->mk", t, K, t)
     return np.asarray(e + below[..., None] * n)
 
 
 def _inverted(e: Floats) -> Floats:
-    """Return e / |e|^2: spheres through the origin become planes, so that the sums are exact."""
+    """Return e / |e|^2: spheres through the origin become planes."""
     return np.asarray(e / np.maximum((e**2).sum(axis=-1), TINY)[..., None])
 
 
 def normal_changes(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
     """Return changes of normals m_ab (m, e, d), n_b - n_a unless the normal of an end is one-sided.
 
-    If only b is regular, m_ab = 2 n_b, exact on spheres and cylinders; if none is, n_b - n_a, in
-    which errors cancel, or zero where an end is sharp.
+    If only b is regular, m_ab = 2 n_b, exact on spheres and cylinders; if none is, n_b - n_a, or
+    zero where an end is sharp.
 
     Args:
         normals: of all nodes.
@@ -151,10 +140,10 @@ def edge_sagittas(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
 def own_curvatures(facets: Facets) -> Floats:
     """Return the curvatures K (m, d, d), symmetric, fitted to the nodes of second-order facets.
 
-    Over the tangent plane in the middle, a surface of constant curvature has the height w = const +
-    g.y - y.K y / 2 - |K y|^2 y.K y / 8; y are coordinates along the edges of the reference facet.
-    The larger curvature k is added to the tangential K as k n n^T: the sum is I / R on spheres and
-    (I - a a^T) / R on cylinders with the axis a, for each of their facets.
+    The height of a surface of constant curvature over the tangent plane in the middle is w = const
+    + g.y - y.K y / 2 - |K y|^2 y.K y / 8, with y along the edges of the reference facet. The larger
+    curvature k is added as k n n^T: K is I / R on spheres and (I - a a^T) / R on cylinders with the
+    axis a.
 
     >>> from dolfinx_mortar.geometry.elements import LINE3
     >>> facet = Facets(LINE3, np.array([[[0.6, 0.8], [-0.6, 0.8], [0.0, 1.0]]]))
@@ -185,12 +174,12 @@ def own_curvatures(facets: Facets) -> Floats:
 def curved_sagittas(facets: Facets, K: Floats, at_vertices: Floats) -> Floats:
     """Return c_ab = e_ab.(K + 2/3 dK) e_ab (m, e) for all pairs of nodes of curved facets.
 
-    Exact to third order, with the change dK of the curvature halfway between a and b. It is scaled
-    by max(1 - 2 max |dK| / |K|, 0), since a jump of the curvature is no change along the facet.
+    Right to third order, with the change dK of the curvature halfway, times max(1 - 2 max |dK| /
+    |K|, 0), since a jump of the curvature is no change along the facet.
 
     Args:
-        K: curvatures (m, d, d) of the facets.
-        at_vertices: (m, v, d, d) nodal means of these at their vertices.
+        K: (m, d, d) of the facets.
+        at_vertices: (m, v, d, d) nodal means of K.
 
     >>> from dolfinx_mortar.geometry.elements import LINE3
     >>> facet = Facets(LINE3, np.array([[[0.1, 0.0], [-0.1, 0.0], [0.0, 0.001]]]))
@@ -223,9 +212,6 @@ def sagitta_tensors(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats
 
 def curvatures(facets: Facets, sagitta: Floats) -> Floats:
     """Return K (m, d, d) of facets, tangential and symmetric: e_ab.K e_ab = c_ab, least squares.
-
-    Args:
-        sagitta: c_ab (m, e) of `edge_sagittas` or `curved_sagittas`.
 
     >>> from dolfinx_mortar.geometry.elements import LINE2
     >>> facet = Facets(LINE2, np.array([[[2.0, 0.0], [0.0, 0.0]]]))
@@ -275,11 +261,7 @@ def _frame(facets: Facets) -> Floats:
 
 
 def height_table(element: FacetElement, e: int) -> Floats:
-    """Return N_a N_b / 2 (e, k, k), symmetric, as products of the functions of an element.
-
-    Args:
-        e: number of the c_ab, see `height_element`.
-    """
+    """Return N_a N_b / 2 (e, k, k), symmetric, as products of N of an element, for e c_ab."""
     of = height_element(element, np.empty((0, e)))
     V = np.eye(element.nodes) if of is element else of.shape_functions(element.points).T
     a, b = node_pairs(of)
@@ -290,10 +272,8 @@ def height_table(element: FacetElement, e: int) -> Floats:
 def common_sagittas(facets: Facets, sagitta: Floats, K_other: Floats) -> Floats:
     """Return c_ab (m, e) of the surface that two sides share where they touch.
 
-    Args:
-        facets: facets (m,) of one side.
-        sagitta: its c_ab (m, e).
-        K_other: curvatures (m, d, d) of the other side, for its own outward normal.
+    By c_ab (m, e) of one side, and the curvatures (m, d, d) of the other for its own outward
+    normal.
     """
     e = edges(facets)
     return np.asarray(0.5 * (sagitta - np.einsum("mei,mij,mej->me", e, K_other, e)))
@@ -303,7 +283,7 @@ def heights(facets: Facets, sagitta: Floats, which: Ints, xi: Floats) -> Floats:
     """Return the heights (q,) of the smooth surface over points of facets, along their normals.
 
     Args:
-        sagitta: c_ab (p, e); of tensors C_ab (p, e, d, d) the result is (q, d, d).
+        sagitta: c_ab (p, e), or tensors C_ab (p, e, d, d).
         which: (q,) row of sagitta for each point.
         xi: (q, d-1) reference coordinates.
     """
@@ -327,11 +307,8 @@ def arcs_of_chords(facets: Facets, sagitta: Floats) -> Floats:
 def heights_of_arcs(arcs: Floats, h: Floats) -> Floats:
     """Return the heights (q,) over chords, exact on circles: h^2 k + 2 h cos b = 2 h_0.
 
-    With h_0 the pressure of a second-order pin in a hole with 30 facets has an error of 3 %.
-
-    Args:
-        arcs: k and cos^2 b (q, 2), see `arcs_of_chords`; k = 0 gives h_0.
-        h: h_0 (q,) of `heights`.
+    With h_0 of `heights` (q,) pressures of second-order pins in holes with 30 facets are 3 % off.
+    For arcs (q, 2) see `arcs_of_chords`; k = 0 gives h_0.
 
     >>> from dolfinx_mortar.geometry.elements import LINE3
     >>> facet = Facets(LINE3, np.array([[[0.6, 0.8], [-0.6, 0.8], [0.0, 0.8]]]))
@@ -356,11 +333,7 @@ def first_order(element: FacetElement) -> FacetElement:
 
 
 def height_element(element: FacetElement, sagitta: Floats) -> FacetElement:
-    """Return the type with the functions N_a of heights: `element` if curved, else `first_order`.
-
-    Args:
-        sagitta: (m, e, ..) c_ab of its pairs of nodes.
-    """
+    """Return the type with the functions N_a of heights: `element` if curved, or `first_order`."""
     first = first_order(element)
     return first if sagitta.shape[1] == len(node_pairs(first)[0]) else element
 
