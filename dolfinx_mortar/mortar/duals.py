@@ -7,9 +7,9 @@ is not formed: with the weights w and sqrt(w) N = Q R, sqrt(w) Phi = Q R^-T D an
 If a diagonal entry of R is round-off of its column, all functions of the facet are equal.
 
 Nodes with little coverage or a negative integral have no multiplier. The functions of the kept
-nodes are biorthogonal among themselves, and 1 - sum_j Phi_j, which is orthogonal to all N_j kept,
-is added to them in equal parts. So constants remain in the space of multipliers, D stays diagonal,
-and the functions are bounded (those of a three-node facet by 4) however little is covered.
+nodes are biorthogonal among themselves; 1 - sum_j Phi_j, orthogonal to all N_j kept, is added to
+them in equal parts. So constants remain in the space of multipliers, D stays diagonal, and
+functions are bounded however little is covered.
 
 Vertex functions of six-node triangles integrate to zero. A share of the mid-side functions is added
 to them (Popp, Wohlmuth, Gee and Wall, SIAM J. Sci. Comput. 34, 2012),
@@ -18,8 +18,8 @@ to them (Popp, Wohlmuth, Gee and Wall, SIAM J. Sci. Comput. 34, 2012),
 
 and Phi is biorthogonal to N~. With N, D has D_vv and D_mm on the diagonal and D_mv = -alpha D_mm at
 both ends of an edge. Functions of mid-side nodes without multiplier are not added, so that no
-vertex depends on another one. With alpha = 1/12 the centroid of N~_v is the vertex, and tied
-tetrahedra have the orders 3.0 and 1.98 in L2 and H1; with the 1/5 of that paper 2.54 and 1.54.
+vertex depends on another one. With 1/12 the centroid of N~_v is the vertex, and tied tetrahedra
+have the orders 3.0 and 1.98 in L2 and H1; with the 1/5 of that paper 2.54 and 1.54.
 """
 
 from collections.abc import Sequence
@@ -76,7 +76,7 @@ def absorbed(
     """Return N~ (q, k) for values N (q, k) of the slave shape functions, or of their integrals.
 
     Args:
-        shares: of the FacetElement: mid-side nodes and the two ends of their edges.
+        shares: of the FacetElement.
         kept: (q, k) nodes with a multiplier; all if None.
 
     Example:
@@ -106,7 +106,7 @@ def absorbing(shares: Sequence[tuple[int, int, int]], kept: Bools) -> Floats:
 
 @numba.njit(**SUMS)
 def _orthonormalise(Q, R):  # type: ignore[no-untyped-def]
-    """Replace the rows of Q (k, q) by those of Q^T with Q R; return the least R_jj / |row j|."""
+    """Replace A^T (k, q) by Q^T of A = Q R; return the least R_jj / |row j|, or 0."""
     least = 1.0
     for j in range(len(Q)):
         length = np.sqrt(product(Q[j], Q[j]))
@@ -126,7 +126,7 @@ def _orthonormalise(Q, R):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SUMS)
 def _biorthogonalise(Q, roots, Phi, inverse):  # type: ignore[no-untyped-def]
-    """Fill zero Phi (k, q), biorthogonal to Q = sqrt(w) N, which is lost, and m^-1 if accurate."""
+    """Fill Phi (k, q), biorthogonal to Q = sqrt(w) N (lost), and m^-1 if accurate."""
     k = len(Q)
     R, D, z = np.zeros((k, k)), np.empty(k), np.zeros((k, k))
     for j in range(k):
@@ -150,7 +150,7 @@ def _biorthogonalise(Q, roots, Phi, inverse):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SUMS)
 def _facet_dual(N, weight, kept, count, first, last, Phi, inverse):  # type: ignore[no-untyped-def]
-    """Fill the functions (k, q) of one facet, of the `count` nodes kept, and m^-1 (k, k)."""
+    """Fill the functions (k, q) of one facet with `count` kept nodes, and m^-1."""
     Q, found = np.empty((count, last - first)), np.zeros((count, last - first))
     roots, which = np.sqrt(weight[first:last]), np.flatnonzero(kept)
     among = np.zeros((count, count))
@@ -173,7 +173,7 @@ def _facet_dual(N, weight, kept, count, first, last, Phi, inverse):  # type: ign
 
 @numba.njit(**SUMS)
 def _all_duals(N, weight, slave, keep):  # type: ignore[no-untyped-def]
-    """Return Phi (k, q) of the kept nodes and m^-1 (m, k, k); points are ordered by facet."""
+    """Return Phi (k, q) and m^-1 (m, k, k) of the kept nodes, points ordered by facet."""
     Phi, inverse = np.zeros(N.shape), np.zeros((len(keep), len(N), len(N)))
     a = np.int64(0)  # a literal 0 has a type of its own, also below: compiled twice
     while a < len(slave):
@@ -198,8 +198,8 @@ def _all_duals(N, weight, slave, keep):  # type: ignore[no-untyped-def]
 class Duals:
     """Dual functions of slave facets (m,), and their data.
 
-    Phi_j = sum_b A_jb N~_b + (1 - sum_ib A_ib N~_b) / count over the kept nodes of a facet, with A
-    = diag(d) m^-1, d = int N~ and m = int N~ N~^T, N~ of `absorbed`.
+    Phi_j = sum_b A_jb N~_b + (1 - sum_ib A_ib N~_b) / count over the kept nodes of a facet, A =
+    diag(d) m^-1, d = int N~, m = int N~ N~^T.
     """
 
     Phi: Floats  # (q, k) at the points
@@ -218,10 +218,10 @@ def create_duals(N: Floats, weight: Floats, slave: Ints, kept: Bools) -> Duals:
     those of the kept nodes of a facet add up to one.
 
     Args:
-        N: (q, k) values N~ of the slave shape functions, see `absorbed`.
-        weight: (q,) positive quadrature weights.
-        slave: (q,) slave facet of each point, ascending.
-        kept: (m, k) nodes of slave facets with a multiplier.
+        N: (q, k) values N~, see `absorbed`.
+        weight: (q,) positive.
+        slave: (q,) facet of each point, ascending.
+        kept: (m, k) nodes of facets with a multiplier.
     """
     columns, weight = np.ascontiguousarray(N.T), np.ascontiguousarray(weight)
     at = np.ascontiguousarray(slave), np.ascontiguousarray(kept)
@@ -235,10 +235,7 @@ def node_weights(
 ) -> tuple[Floats, Floats]:
     """Return int N~_j (n,) over the covered part, and over the whole slave side (collective).
 
-    The former is D_jj of eq. 19 where all nodes carry a multiplier and N~ is N.
-
-    Args:
-        keep: (n,) slave nodes with a multiplier; all if None.
+    The former is D_jj of eq. 19 if all nodes have a multiplier (`keep` is None) and N~ is N.
     """
     slave = pairing.slave
     shares, kept = slave.element.shares, None if keep is None else keep[slave.facets]
@@ -280,8 +277,7 @@ def find_coverage(
 def _find_weightless(pairing: Integrated, segments: Segments) -> tuple[Bools, Floats]:
     """Return the slave nodes (n,) without weight, and covered shares of their facets (collective).
 
-    With a weight 2 pi r, second-order functions of nodes on the axis integrate to zero but for the
-    curvature of the facet, with either sign.
+    Second-order functions of nodes on an axis, with the weight 2 pi r.
     """
     slave = pairing.slave
     if slave.element.degree == 1:  # positive functions
@@ -307,7 +303,7 @@ def default_keep(
     the best covered one is kept, so that no covered part is without multiplier.
 
     Args:
-        covered: (n,) covered weights of `node_weights`.
+        covered: (n,) of `node_weights`.
         tributary: (n,) whole weights of `node_weights`.
         allowed: (n,) nodes that may be kept; all if None.
     """
@@ -341,7 +337,7 @@ def choose_duals(
     choice is repeated without such nodes.
 
     Args:
-        weights: covered and whole weights of `node_weights`.
+        weights: of `node_weights`.
         allowed: (n,) nodes that may be kept.
     """
     while True:  # each time with fewer nodes
@@ -365,10 +361,9 @@ def _best_nodes(coverage: Floats, X: Floats) -> Ints:
 
 
 def find_duals(pairing: Integrated, segments: Segments, keep: Bools) -> Duals:
-    """Return the dual functions at the points of segments.
+    """Return the dual functions at the points of segments, for slave nodes `keep` (n,).
 
-    Args:
-        keep: (n,) slave nodes with a multiplier, equal on all ranks.
+    A node has the same `keep` on all ranks.
     """
     element, kept = pairing.slave.element, keep[pairing.slave.facets]
     N = absorbed(element.shares, segments.N, kept[segments.slave])
