@@ -69,10 +69,8 @@ def smooth_normals(
 
     n = 0 where the normal of a facet has no positive component along the sum, as at a cusp. On a
     plane of symmetry (`mirrors` of `find_mirrors`), mirror images complete the facets. In space,
-    edges are projected by the deviatoric curvature of these normals, and the sums repeated.
-
-    Args:
-        fixed: (n, d), of these nodes.
+    edges are projected by the deviatoric curvature of these normals, and the sums repeated. `fixed`
+    is (n, d).
     """
     facets = facets_at(surface, x)
     if mirrors is None:
@@ -88,11 +86,7 @@ def smooth_normals(
 
 
 def _find_jumps(surface: Surface, facets: Facets, normals: NodeNormals) -> Bools:
-    """Return the nodes (n,) in the plane where the curvature jumps; collective.
-
-    It changes along both facets of such a node, but not along the next ones; beside an edge or a
-    rim there is no comparison.
-    """
+    """Return the nodes (n,) where the curvature of a line jumps, along both facets; collective."""
     ends = surface.facets[:, :2]
     angles, length = end_angles(facets, normals.n[ends])
     halves = np.repeat(length[:, None] / 2, 2, axis=1)
@@ -118,7 +112,7 @@ def _at_ends(surface: Surface, values: Floats) -> Floats:
 
 
 def _deviators(surface: Surface, facets: Facets, normals: NodeNormals) -> Floats:
-    """Return deviatoric curvatures (n, d, d), means of facets with regular normals; collective."""
+    """Return deviatoric curvatures (n, d, d), means of regular facets; collective."""
     K = curvatures(facets, edge_sagittas(facets, normals, surface.facets))
     known = np.asarray(normals.regular[surface.facets].all(axis=1))
     n = facet_normals(facets)
@@ -157,7 +151,7 @@ def _classify(
 
 @dataclass(frozen=True)
 class SmoothSide:
-    """The smooth surface over the facets of one side, at X."""
+    """Smooth surface over the facets of one side, at X."""
 
     facets: Facets  # (m,)
     normals: NodeNormals | None  # of all nodes; None over curved facets
@@ -237,7 +231,7 @@ def side_heights(
 def _at(
     surface: Surface, side: SmoothSide, u: dolfinx.fem.Function | None
 ) -> tuple[Facets, Floats, Floats | None]:
-    """Return the facets of a side of second order at X + u, c_ab and arcs, if any; collective."""
+    """Return facets of a second-order side at X + u, c_ab and arcs, if any; collective."""
     facets, c = facets_at(surface, coordinates(surface, u)), side.sagitta
     if u is None:
         return facets, c, None
@@ -249,10 +243,7 @@ def _at(
 def side_slopes(
     surface: Surface, side: SmoothSide, u: dolfinx.fem.Function, which: Ints, xi: Floats
 ) -> Floats:
-    """Return the derivatives (q, k, d) of `side_heights` by the nodes; collective.
-
-    By the lengths of chords, at constant strain along the normal.
-    """
+    """Return derivatives (q, k, d) of `side_heights` by nodes, at constant strain; collective."""
     facets, c, arcs = _at(surface, side, u)
     slopes = np.zeros((len(which), *facets.x.shape[1:]))
     if arcs is not None:
@@ -327,7 +318,7 @@ def find_curved(
 def distinct(numbers: Ints) -> tuple[Ints, Ints]:
     """Return the distinct ones of numbers (q,), ascending, and the index of each among these (q,).
 
-    For small, nonnegative numbers; the sort of `np.unique` takes 10 to 12 % of an update.
+    For small, nonnegative numbers; `np.unique` takes 10 to 12 % of an update.
 
     >>> [found.tolist() for found in distinct(np.array([3, 1, 3, 5]))]
     [[1, 3, 5], [1, 0, 1, 2]]
@@ -347,10 +338,9 @@ def point_heights(
 ) -> Floats:
     """Return the sum of heights (q,), by which smooth surfaces are closer than facets; collective.
 
-    First-order sides share one surface, see `common_sagittas`. Second-order facets become curved
-    with u: each side has its own heights h (1 + e_n), e_n the strain along the normal, since
-    mid-side nodes move with the bodies. With h alone the error of pressures is of first order, E h
-    e_n over the length of a facet.
+    First-order sides share one surface, see `common_sagittas`. On second-order ones heights are h
+    (1 + e_n), e_n the strain along the normal, since mid-side nodes move with the bodies; with h
+    alone the error of pressures is of first order, E h e_n over the length of a facet.
     """
     pairs, of = distinct(segments.pair)
     c_s, c_m, arcs = pair_sagittas(pairing, u, sides, pairs)
@@ -369,8 +359,7 @@ def pair_sagittas(
 ) -> tuple[Floats, Floats, Floats]:
     """Return the own c_ab (p, e) of both facets of pairs (p,), and arcs (p, 2, 2); collective.
 
-    For second order c_ab contains the strain, see `point_heights`, and arcs are those of
-    `arcs_of_chords` if lines are straight at X; other arcs have no curvature.
+    For second order with the strain, see `point_heights`; arcs are curved over lines straight at X.
     """
     a, b = find_curved(pairing, u, sides, pairs)
     c, arcs = [a.sagitta, b.sagitta], np.tile([0.0, 1.0], (len(pairs), 2, 1))
@@ -390,9 +379,9 @@ def missed_heights(
 ) -> Floats:
     """Return the fourth-order error (q,) of heights of degree 1 over round surfaces; collective.
 
-    A point x of a facet with nodes on a sphere of radius R has |x|^2 = R^2 - 2 R h, with the height
-    h of leading order. Its distance from the sphere is R - |x| = h + h^2 / (2 R); likewise on a
-    cylinder. And `common_sagittas` shortens edges by a projection on the other side.
+    A point x of a facet with nodes on a sphere of radius R has |x|^2 = R^2 - 2 R h, h of leading
+    order: its distance from the sphere is R - |x| = h + h^2 / (2 R). And `common_sagittas` shortens
+    edges by a projection.
     """
     pairs, of = distinct(segments.pair)
     a, b = find_curved(pairing, u, sides, pairs)
@@ -429,16 +418,16 @@ def point_motions(
 ) -> Callable[[slice], Floats]:
     """Return a function that gives A_l (q, k, d, d) of offset vectors at a part of the points.
 
-    The points of a segment differ by the offset r = x_s - x_m, which moves with the bodies; u_s =
-    u_m would strain rotating bodies and have a moment. To first order the constraint is u_s = u_m +
-    sum_l A_l u_l, with g_l = grad N_l on the master,
+    The offset r = x_s - x_m moves with the bodies; u_s = u_m would strain rotating bodies and have
+    a moment. To first order the constraint is u_s = u_m + sum_l A_l u_l, with g_l = grad N_l on the
+    master,
 
         A_l u_l = u_l (g_l.r) - (r.n) g_l (n.u_l) + n (H_t g_l).u_l:
 
     the displacement at the foot of x_s on the tangent plane, the rotation -(grad u)^T n of the
     normal part of r, and the change H : E of the heights by the strain, H = 1/2 sum_{a<b} N_a N_b
     C_ab of both sides, H_t its tangential part. A rigid motion u = a + W x gives W r, so that
-    moments balance. Segments and surfaces are at X.
+    moments balance. All at X.
     """
     slave, master = sides
     C_s, C_m = (_tensors(side) for side in sides)
