@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Whether one side has passed through the other in a step, where contact does not find it.
 
-Facets deeper than a part of the thinner body, or beyond an edge, are not paired (`THROUGH`). The
-test: the middle of the body behind each facet, if inside the body at the start, must not enter the
-other body or a rigid tool; nor the tool's point the body.
+Facets deeper than a part of the thinner body, or beyond an edge, are not paired (`THROUGH`). So the
+middle of the body behind each facet, if inside the body at the start, must not enter the other body
+or a rigid tool; nor the tool's point the body.
 
-The rigid motion x -> R x + c that fits best between the start x_0 and the end x_1 of a step is
-taken as steady, a rotation about a fixed line (in the plane, a point) with a shift along it:
+The rigid motion x -> R x + c that fits a step from x_0 to x_1 best is taken as steady, a rotation
+about a fixed line (in 2D, a point) with a shift along it:
 
     x(t) = R^t ((1 - t) x_0 + t R^-1 x_1).
 """
@@ -51,9 +51,8 @@ class Middles:
 def find_middles(surface: Surface, body_of: Ints, skin: Facets, bodies: Ints) -> Middles:
     """Return the middles of the bodies behind a surface; collective.
 
-    Args:
-        body_of: number (m,) of the body behind each facet.
-        bodies: number of the body of each exterior facet of this rank (skin).
+    body_of (m,) and bodies are the numbers of the bodies of its facets and of the exterior facets,
+    skin.
     """
     facets = facets_at(surface, surface.X)
     depth = thickness_of_bodies(surface.V.mesh.comm, facets, body_of, skin, bodies)
@@ -70,7 +69,7 @@ class SeenByTool:
     point: Floats  # (d,) of the tool
 
     def turns_round(self, body: RigidMotion) -> bool:
-        """Tell whether tool and body, given its motion in space, turn relatively by pi or more."""
+        """Tell whether the relative rotation of tool and body is half a turn or more."""
         against = body.rotation()
         against[-len(self.turn) :] -= self.turn
         return bool(np.linalg.norm(against) >= np.pi - HALF_OF_DIGITS)
@@ -78,11 +77,10 @@ class SeenByTool:
     def ways(
         self, body: RigidMotion, seen: RigidMotion
     ) -> Callable[[Floats, Floats], list[Floats]]:
-        """Return a function of points (.., d) in space at the start and the end: paths in the tool.
+        """Return a function: points (.., d) in space at start and end -> paths in the tool's frame.
 
-        It gives one array for each time. For less than half a turn the relative motion, `seen`, is
-        steady; else `body` turns steadily in space, and the tool about its point, which moves
-        straight.
+        One array for each time. For less than half a turn the relative motion, `seen`, is steady;
+        else `body` turns steadily in space, and the tool about its point, which moves straight.
         """
         if not self.turns_round(body):
             steady = times_of([seen])
@@ -109,8 +107,8 @@ class Passing:
 def is_far(slave: Middles, master: Middles, before: Floats, now: Floats) -> bool:
     """Tell whether relative displacements of sides reach the least depth of a middle; collective.
 
-    Otherwise neither has passed through the other, since sides at most touch at the start `before`
-    of a step. Displacements (owned nodes, d).
+    Otherwise neither has passed the other, since sides at most touch at the start. Displacements
+    are (owned nodes, d).
     """
     sides = slave.surface, master.surface
     nodes = np.concatenate([side.nodes[: side.owned] for side in sides])
@@ -162,10 +160,7 @@ def _passed(
 
 
 def _outside(faces: Floats, middles: Floats, skin: Floats) -> Longs:
-    """Return the middles (q,) that have left the body behind their facet, ascending.
-
-    As the end of a strip bends, they leave it through its skin, and may come back in.
-    """
+    """Return the middles (q,) that have left the body behind their facet as it bends, ascending."""
     inward = skin[:, ::-1]
     return find_passing((faces, middles), (inward, inward))
 
@@ -186,10 +181,10 @@ def find_passed_tool(
 ) -> Passing | None:
     """Return whether a body and a rigid tool have passed through each other; collective.
 
-    Either middles of the body have entered the tool, or a point of the tool, deeper in it than the
-    facet is long or its middle deep, has passed a facet. A less deep point has to go farther by the
-    difference, since chords lie behind a tip. Parts of a path in the tool are detected if longer
-    than `QUARTER_OF_DIGITS` of the depth of the middle.
+    Either middles of the body have entered the tool, or the tool's point, deeper in it than the
+    facet is long or its middle deep, has passed a facet; if less deep, by the difference farther,
+    since chords lie behind a tip. Parts of a path in the tool are detected if longer than
+    `QUARTER_OF_DIGITS` of the depth of the middle.
     """
     comm, own = side.surface.V.mesh.comm, side.surface
     x = [coordinates(own, u) for u in (before, now)]
@@ -229,7 +224,7 @@ def depth_of_point(comm: MPI.Comm, seen: SeenByTool) -> float:
 
 
 def _behind(parts: Floats, most: float, less: float) -> Floats:
-    """Return lines or triangles (m, d, d) moved into their body by min(size, `most`) - less."""
+    """Return lines or triangles (m, d, d) moved inward by min(size, `most`) - less."""
     facets = Facets(LINE2 if parts.shape[2] == 2 else TRI3, parts)
     shift = np.maximum(np.minimum(facet_sizes(parts), most) - less, 0.0)
     return np.asarray(parts - (shift[:, None] * facet_normals(facets))[:, None])
@@ -263,11 +258,7 @@ def _cross(
     least: Floats,
     distance: Callable[[Floats], Floats],
 ) -> Bools:
-    """Return which straight paths (n, d) have points of negative distance, by bisection.
-
-    phi: lower bounds (n,) of the distances of the ends; paths shorter than `least` (n,) are not
-    bisected.
-    """
+    """Return which straight paths (n, d) enter negative distances, by bisection down to `least`."""
     (a, b), (near, far) = ends, phi
     inside, left = far < 0.0, np.arange(len(a))
     while left.size:
@@ -367,7 +358,7 @@ def times_of(motions: list[RigidMotion]) -> Floats:
 
 
 def path(motion: RigidMotion, times: Floats, start: Floats, end: Floats) -> Floats:
-    """Return points (t, .., d) at the times of a path, from those at its start and its end."""
+    """Return points (t, .., d) at the times of a path between its start and end."""
     if motion.angle() <= TURN:
         return np.stack([(1.0 - t) * start + t * end for t in times])
     held = motion.back(end)
