@@ -56,8 +56,8 @@ class Nodes(Protocol):
 class Surface:
     """The marked facets that this rank integrates, and their nodes.
 
-    A facet belongs to the rank that owns its cell. The nodes are those of these facets, and owned
-    ones on facets of other ranks, so that every node is known to its owner.
+    A facet belongs to the rank that owns its cell. Nodes are those of these facets, and owned ones
+    of other ranks' facets: every owner knows its nodes.
     """
 
     V: dolfinx.fem.FunctionSpace
@@ -153,7 +153,7 @@ def _element(V: dolfinx.fem.FunctionSpace) -> FacetElement:
 
 
 def _cells_behind(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
-    """Return the cells (m,) behind exterior facets (m,), and the facets' numbers in them."""
+    """Return the cells (m,) behind exterior facets, and the facets' numbers in them."""
     topology = V.mesh.topology
     tdim = topology.dim
     facet_cells = topology.connectivity(tdim - 1, tdim)
@@ -182,7 +182,7 @@ def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.Function
 
 
 def create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, PETSc.Vec]:
-    """Return nodes, also owned ones of other ranks' facets, how many are owned, and the vector."""
+    """Return nodes, with owned ones of other ranks' facets, the number owned, and the vector."""
     index_map = V.dofmap.index_map
     number = dolfinx.la.vector(index_map)
     number.array[:] = 0.0
@@ -224,7 +224,6 @@ def create_surface(
     """Collect the exterior facets marked with `tag`, a number or name, on any rank (collective).
 
     Args:
-        V: vector Lagrange space on the mesh of all bodies.
         name: of the argument, for messages.
 
     Raises:
@@ -259,11 +258,7 @@ def create_surface(
 
 
 def _thickness(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) -> Floats:
-    """Return the thickness (m,) of the bodies behind facets with local nodes (m, k); collective.
-
-    Up to facets of this side; of the whole body if the side encloses it but for a face, or has
-    facets that meet at more than 60 degrees.
-    """
+    """Return the thickness (m,) behind facets of a side, within it or its body; collective."""
     comm = V.mesh.comm
     result = thickness_behind(facets, facets, comm)
     unknown = np.isinf(result)
@@ -282,10 +277,7 @@ def _thickness(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) -> Flo
 def thickness_of_bodies(
     comm: MPI.Intracomm, facets: Facets, body: Ints | Longs, others: Facets, of: Ints | Longs
 ) -> Floats:
-    """Return the `thickness` (m,) behind facets among all others of their body; collective.
-
-    Each body separately, since bodies may overlap.
-    """
+    """Return the `thickness` (m,) behind facets among others of their own body; collective."""
     found = np.full(len(body), np.inf)
     for one in np.unique(np.concatenate(comm.allgather(np.unique(body)))):
         mine = np.flatnonzero(body == one)
@@ -423,8 +415,8 @@ def facets_at(surface: Surface, x: Floats) -> Facets:
 def nodal_normals(surface: Surface, x: Floats) -> Floats:
     """Return the averaged unit normals (n, d) of the nodes (collective).
 
-    Normalised sums of the unit normals of all facets of this surface at the node; zero where they
-    cancel up to round-off.
+    Normalised sums of the unit normals of all facets of the surface at the node; zero where they
+    cancel.
     """
     total = sum_at_nodes(surface, normals_at_nodes(facets_at(surface, x)))
     length = np.linalg.norm(total, axis=1)[:, None]
@@ -434,8 +426,7 @@ def nodal_normals(surface: Surface, x: Floats) -> Floats:
 def nodal_sagittas(surface: Surface, x: Floats) -> Floats:
     """Return the mean deviation (n,) of a surface from its flat facets at each node; collective.
 
-    An arc with a chord L that turns by an angle a deviates by L a / 8; the angle between the
-    normals of facet and node is a / 2.
+    L a / 8 for an arc with a chord L that turns by a; its facet and nodal normals differ by a / 2.
     """
     facets = facets_at(surface, x)
     normals = nodal_normals(surface, x)[surface.facets]
@@ -449,8 +440,8 @@ def nodal_sagittas(surface: Surface, x: Floats) -> Floats:
 def normal_derivatives(surface: Surface, x: Floats) -> Floats:
     """Return the terms (m, k, d, k, d) of facets in the derivatives of nodal normals (collective).
 
-    [f, j, :, l, :] is the change of n_j with x_l by facet f, with its normal n_f and surface
-    gradients G_l at node j and S = sum_f n_f: dn_j = -(I - n_j n_j^T) / |S| sum_f G_l (n_f.dx_l).
+    [f, j, :, l, :] is the change of n_j with x_l by facet f; with its normal n_f and surface
+    gradients G_l at node j and S = sum_f n_f, dn_j = -(I - n_j n_j^T) / |S| sum_f G_l (n_f.dx_l).
     """
     facets = facets_at(surface, x)
     at_nodes = normals_at_nodes(facets)
@@ -465,7 +456,7 @@ def normal_derivatives(surface: Surface, x: Floats) -> Floats:
 
 
 def _gradients_at_nodes(facets: Facets) -> Floats:
-    """Return the surface gradients (m, k, k, d) of facets; [f, j, l] is that of N_l at node j."""
+    """Return the surface gradients (m, k, k, d) of facets: [f, j, l] of N_l at node j."""
     element, (m, k, d) = facets.element, facets.x.shape
     points = element.points
     if element.degree == 1:  # the mean normal is that in the middle
@@ -476,16 +467,11 @@ def _gradients_at_nodes(facets: Facets) -> Floats:
 
 
 def carrying(surface: Surface, x: Floats, n: Floats, vectors: Floats) -> Floats:
-    """Return W (m, k, k), by which vectors at nodes move with the surface; collective.
+    """Return W (m, k, k), by which tangential vectors v_j (n, d) move with the surface; collective.
 
-    sum_f sum_l W_fjl x_l, over the facets of node j, is v_j but for a part along n_j. It is the
+    sum_f sum_l W_fjl x_l, over the facets of node j, is v_j but for a part along n_j (n, d): the
     mean over the facets of F_f a_j with the deformation gradients F_f = sum_l x_l grad N_l^T, I -
-    n_f n_f^T at x. Zero where the facets of a node have no common tangent.
-
-    Args:
-        x: coordinates (n, d) of its nodes.
-        n: unit normals (n, d) of the vectors, zero at nodes without a vector.
-        vectors: tangential vectors v_j (n, d).
+    n_f n_f^T at x. Zero where n_j is, or where facets have no common tangent.
     """
     facets, d = facets_at(surface, x), x.shape[1]
     n_f = normals_at_nodes(facets)
@@ -508,8 +494,7 @@ def carrying(surface: Surface, x: Floats, n: Floats, vectors: Floats) -> Floats:
 def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
     """Return the stretch 1 / |F^-T n| (n,) of the bodies along the normals at X (collective).
 
-    The mean over facets of the ratio of stretches of the volume behind and the area, at their
-    centre.
+    Means over facets of the change of volume behind over area, at the centre.
     """
     element, (nodes, X, slopes, height) = surface.element, surface.behind
     x = X + u.x.array.reshape(-1, X.shape[2])[nodes]
@@ -537,7 +522,7 @@ def mean_facet_length(surface: Surface) -> float:
 
 
 def create_groups(x: Floats) -> list[Ints]:
-    """Divide facets x (m, k, d) into at most ceil(sqrt(m)) groups of neighbours."""
+    """Divide facets x (m, k, d) into at most ceil(sqrt(m)) compact groups."""
     order = sort_in_space(x.mean(axis=1)).astype(np.int32)
     size = 1
     while size**2 < len(x):  # powers of 2: blocks are compact
@@ -546,12 +531,9 @@ def create_groups(x: Floats) -> list[Ints]:
 
 
 def group_cones(x: Floats, directions: Floats, groups: list[Ints], margin: Floats) -> Cones:
-    """Bound the projections of groups of facets.
+    """Bound the projections of groups of facets x (m, k, d) along directions (m, k', d).
 
-    Args:
-        x: nodes (m, k, d).
-        directions: unit vectors (m, k', d) of projection of each facet.
-        margin: lateral margin (m,).
+    With lateral margins (m,).
     """
     cones = [create_cones(x[:0], directions[:0], margin[:0])]  # there may be no group
     for group in groups:
