@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Derivatives of contact forces and weighted gaps by the coordinates of both sides.
 
-Letters and formulas of theory.md, The exact tangent; moments S, R and H are those of
-`geometry.moments`. For tools, without a master, H is minus the integral of N_j phi. Derivatives by
-the normals n_j are separate, since these depend on facets of other ranks.
+Letters and formulas are those of theory.md, The exact tangent. For tools, without a master, H is
+minus the integral of N_j phi. Derivatives by the normals n_j, which depend on facets of other
+ranks, are separate.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals
 
 @dataclass(frozen=True, eq=False)
 class Tractions:
-    """Constraint normals and tractions at the local slave nodes, as functions of the normals."""
+    """Normals and tractions at the local slave nodes, as functions of the normals."""
 
     normals: Floats  # (n, d) n_j of gaps; zero without multiplier
     tractions: Floats  # (n, d) c_j = lambda_j n_j + tau_j
@@ -47,9 +47,9 @@ class Tractions:
 
 @dataclass(frozen=True, eq=False)
 class Derivatives:
-    """Derivatives of forces F, gaps G and b, of this rank's slave facets; each the sum of parts.
+    """Derivatives of forces F, gaps G and b, of this rank's slave facets; sums of parts.
 
-    Rows of F are coordinates of the slave nodes, then of the received master nodes.
+    Rows of F: coordinates of the slave nodes, then of the received master nodes.
     """
 
     F_x: Sequence[Blocks]  # (d n + d nm, d n + d nm) by the coordinates
@@ -65,12 +65,12 @@ class Derivatives:
 class _Surfaces(NamedTuple):
     """Smooth surfaces over the facets of pairs (P,)."""
 
-    c_s: Floats  # (P, e) c_ab; (P, 0) without
+    c_s: Floats  # (P, e) c_ab, or (P, 0)
     c_m: Floats  # (P, e')
     arcs: Floats  # (P, 2, 2) see `curvature_correction.pair_sagittas`
-    slopes: Floats  # (P, s, k + l, d) derivatives of c_ab, or log chord lengths
+    slopes: Floats  # (P, s, k + l, d) of c_ab, or of log chord lengths
     tables: tuple[Floats, Floats]  # (e, k, k) see `height_table`
-    lengths: bool  # whether slopes are those of lengths
+    lengths: bool  # slopes are of lengths
 
 
 def _add_motions_of_heights(sides: Sides, surfaces: _Surfaces, sums: Sums) -> None:
@@ -161,7 +161,7 @@ def differentiate(
     """Return the derivatives of forces and weighted gaps at X + u (collective).
 
     Args:
-        segments: those at X + u, of all slave facets or of some.
+        segments: at X + u, of all slave facets or of some.
         keep: (n,) local slave nodes with a multiplier.
         smooth: smooth surfaces at X; None for facets.
         normals: n_l (nm, d) of the received master nodes; zero if None.
@@ -231,7 +231,7 @@ def _surfaces(
 
 
 def _slopes(side: Curved, other: Curved, shared: bool) -> tuple[Floats, Floats]:
-    """Return the derivatives (P, e, k, d) by the nodes of both sides, of the former's `slopes`."""
+    """Return the `slopes` (P, e, k, d) of one side by the nodes of both."""
     e, (a, b) = edges_of(side.facets), node_pairs(first_order(side.facets.element))
     (P, k, d), count = side.facets.x.shape, len(a)
     by_nodes, by_others = (
@@ -261,13 +261,13 @@ class _Group:
 
     facets: Longs  # (p,)
     nodes: Ints  # (p, m) received master nodes
-    pairs: Longs  # (P,) positions of their pairs among all, ordered by facet
+    pairs: Longs  # (P,) positions of their pairs, ordered by facet
     start: Longs  # (p + 1,) first pair of each facet
-    place: Longs  # (P, l) master facets' nodes among those of the slave facet
+    place: Longs  # (P, l) master facets' nodes among these
 
 
 def _groups(pairing: Pairing, used: Ints) -> list[_Group]:
-    """Return the groups of the slave facets of some pairs, ordered by facet."""
+    """Return the groups of the slave facets of pairs, ordered by facet."""
     s, m = pairing.pairs[used].T.astype(np.int64)
     nodes = pairing.master_facets[m].astype(np.int64)
     size = len(pairing.master_nodes)
@@ -285,7 +285,7 @@ def _groups(pairing: Pairing, used: Ints) -> list[_Group]:
 
 
 def _parts(count: Longs, pairing: Pairing) -> Iterator[Longs]:
-    """Return facets with equal numbers of master nodes, in parts of limited memory."""
+    """Return facets with equal numbers of master nodes, within limited memory."""
     k, d = pairing.slave.element.nodes, pairing.slave.X.shape[1]
     for m in np.unique(count):
         which = np.flatnonzero(count == m)
@@ -301,7 +301,7 @@ def _add_parts(
     own: Ints,
     others: Ints,
 ) -> None:
-    """Add the derivatives of a group of facets with nodes (p, k) and (p, m) to the parts."""
+    """Add the derivatives of a group of facets, nodes (p, k) and (p, m), to the parts."""
     (_, k, d), lines = sides.x.shape, sides.n.shape[1]
     both = np.concatenate([own, others], axis=1)
     z = found.F.shape[-1]
@@ -352,13 +352,13 @@ class Results(NamedTuple):
 def duals(S: Floats, dS: Floats, T: Floats, inverse: Floats, kept: Bools) -> tuple[Floats, Floats]:
     """Return C (p, k, k), Phi_j = sum_b C_jb N_b, and its changes (p, z, k, k) for S and dS.
 
-    With N~ = T N, m = T S T^T and d = T S 1: A = diag(d) m^-1, C = (A - mean of its rows) T + 1 /
+    With N~ = T N, m = T S T^T, d = T S 1: A = diag(d) m^-1, C = (A - mean of its rows) T + 1 /
     count.
     """
     (p, z, k, _), V = dS.shape, inverse @ T
     part = kept / np.maximum(kept.sum(axis=1, keepdims=True), 1)
     AT = (T @ S).sum(axis=2)[:, :, None] * V
-    # (diag(dd) - A dm) by dS, before the product with m^-1, which may be large: no cancellation
+    # diag(dd) - A dm by dS, before m^-1, which may be large: no cancellation
     rates = np.eye(k)[:, :, None, None] * T[:, :, None, :, None]
     rates = rates - AT[:, :, None, :, None] * T[:, None, :, None]
     change = dS.reshape(p, z, k * k) @ rates.reshape(p, k * k, k * k).swapaxes(1, 2)
@@ -381,7 +381,7 @@ def apply(
     Args:
         moments: (p, k, k + m + 1) S, R and H side by side.
         changes: (p, z, k, k + m + 1) their derivatives.
-        others: number of the first coordinate of a master.
+        others: first coordinate of a master.
     """
     (p, k, d), m, (_, z, _, size) = x.shape, y.shape[1], changes.shape
     C, dC = duals(moments[:, :, :k], changes[..., :k], *basis)
