@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Segments of a pair at X + u, and integrals over them.
 
-Each slave facet is integrated by its owner; master facets are copied to that rank. The weight of a
-pairing, such as 2 pi r, is a factor of all integrals, at the points of the slave side at X, where
-it is positive.
+Each slave facet is integrated by its owner; master facets are copied there. The weight of a
+pairing, such as 2 pi r, is a factor of all integrals, at points of the slave side at X, where it is
+positive.
 """
 
 from collections.abc import Callable
@@ -43,8 +43,8 @@ in part, and changes a gap by up to a sixth of it."""
 
 _OF_POINTS = "pair", "slave", "master", "xi_s", "xi_m", "weight"  # of each point
 
-# Explicit loops compile three times as fast as array expressions; values at points are contiguous,
-# and sums may be reordered, so that several points are added at once.
+# Loops compile three times as fast as array expressions; contiguous values and sums in any order
+# are added several at once.
 SUMS = {**KERNEL, "fastmath": {"reassoc", "contract", "nsz"}}
 
 
@@ -81,8 +81,7 @@ def _add_products(blocks, Phi, N, where):  # type: ignore[no-untyped-def]
 def sums_of_products(Phi: Floats, N: Floats, where: Ints, size: int) -> Floats:
     """Return the sums (size, k, l) of Phi (q, k) times N (q, l) over the points of each place (q,).
 
-    Args:
-        Phi: values of functions, times the weights of the points.
+    Phi contains the weights of the points.
     """
     blocks = np.zeros((size, Phi.shape[1], N.shape[1]))
     _add_products(blocks, np.ascontiguousarray(Phi.T), np.ascontiguousarray(N.T), where)
@@ -92,10 +91,7 @@ def sums_of_products(Phi: Floats, N: Floats, where: Ints, size: int) -> Floats:
 def sums_of_values(Phi: Floats, values: Floats, where: Ints, size: int) -> Floats:
     """Return the sums (size, k) of Phi (q, k) times values (q,) over the points of each place (q,).
 
-    In the order of the points, in a tenth of the time of `np.bincount`.
-
-    Args:
-        Phi: values of functions, times the weights of the points.
+    In the order of the points, in a tenth of the time of `np.bincount`. Phi contains weights.
     """
     sums = np.zeros((size, Phi.shape[1]))
     _add_values(sums, np.ascontiguousarray(Phi.T), np.ascontiguousarray(values), where)
@@ -112,11 +108,6 @@ def _add_values(sums, Phi, values, where):  # type: ignore[no-untyped-def]
 
 def covered_weights(N_s: Floats, weight: Floats, slave: Ints, m: int) -> Floats:
     """Return the integrals (m, k) of N_j over the covered part of every slave facet (eq. 19).
-
-    Args:
-        N_s: (q, k) values of the slave shape functions.
-        weight: (q,) quadrature weights.
-        slave: (q,) slave facet of each point.
 
     Example:
         >>> covered_weights(np.array([[0.75, 0.25]]), np.array([1.0]), np.array([1]), 2)
@@ -152,18 +143,15 @@ def find_segments(pairing: Pairing, u: dolfinx.fem.Function | None) -> tuple[Seg
 
 
 def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Facets) -> Segments:
-    """Return the segments with less weight of parts that lie far behind the nearest (collective).
+    """Return the segments with less weight of parts far behind the nearest one (collective).
 
-    Beyond an edge the next master facet may be at any distance, where dual functions are negative.
-    With the rise H of a point over the nearest point and the rise r = min(8 mean |tan a|, 3/2) h
-    that inclinations a explain, over all facets at the nodes of a slave facet of size h, its weight
-    has the factor
+    With the rise H over the nearest point and r = min(8 mean |tan a|, 3/2) h that inclinations a
+    explain, over all facets at the nodes of a slave facet of size h, weights have the factor
 
         1 - (H - r) / max(r, .3 h),     at least 0, at most 1.
 
-    8: lower factors slow a rolling disc. 3/2: with 1 a round disc changes by 4e-4; with 7/4 the
-    force of sliding cantilevers has an error of 1.03 instead of 0.99 %. See theory.md, Edges and
-    corners.
+    8: lower factors slow a rolling disc. 3/2: with 1 a round disc changes by 4e-4; with 7/4 sliding
+    cantilevers have an error of 1.03 instead of 0.99 %. See theory.md, Edges and corners.
     """
     slave, on, w = pairing.slave, segments.slave, segments.weight
     count, N = len(facets.x), (segments.N, pairing.master.element.shape_functions(segments.xi_m))
@@ -230,14 +218,12 @@ def drop_far(
     u: dolfinx.fem.Function | None,
     reach: Callable[[Floats, float], Floats],
 ) -> Segments:
-    """Return the segments without the pairs that are too far apart (collective).
-
-    A pair is dropped as a whole, so that functions of the nodes remain independent.
+    """Return the segments without the pairs that are too far apart, as a whole (collective).
 
     Args:
         u: displacement, None for X.
-        reach: function of the sizes of facets (q,), see `point_distances`, and the least distance
-            of all; returns the largest distances (q,).
+        reach: function of sizes of facets (q,), see `point_distances`, and the least distance of
+            all; returns the largest distances (q,).
     """
     distances, larger = point_distances(pairing, segments, u)
     comm = pairing.slave.V.mesh.comm
@@ -272,11 +258,7 @@ def _weigh(pairing: Pairing, segments: Segments, facets: Facets) -> Segments:
 def integrate_values(
     pairing: Integrated, segments: Segments, Phi: Floats, values: Floats
 ) -> Floats:
-    """Return int Phi_j f (n,) at the slave nodes for values f (q,) at the points (collective).
-
-    Args:
-        Phi: weighted dual functions (q, k) of `weighted_duals`.
-    """
+    """Return int Phi_j f (n,) at the slave nodes, Phi of `weighted_duals`, f (q,) (collective)."""
     slave = pairing.slave
     parts = sums_of_values(Phi, values, segments.slave, len(slave.facets))
     return sum_at_nodes(slave, parts[:, :, None])[:, 0]
