@@ -62,20 +62,20 @@ class Pairing:
 
     slave: Surface
     master: Surface
-    pairs: Ints  # (p, 2) slave facet of this rank, received master facet; ordered
-    master_nodes: Longs  # (nm,) global nodes of the received master facets
-    master_facets: Ints  # (mm, k) indices into master_nodes
+    pairs: Ints  # (p, 2) own slave facet, received master facet; ordered
+    master_nodes: Longs  # (nm,) global nodes of received facets
+    master_facets: Ints  # (mm, k) indices into these
     master_X: Floats  # (nm, d) their reference coordinates
-    deepest: Floats  # (p,) largest distance of a partner behind the slave facet, or inf
+    deepest: Floats  # (p,) largest depth of a partner, or inf
     sent: Bools  # (own master facets, ranks) that have received them
     groups: list[Ints]  # slave facets of this rank in groups of neighbours
-    scatter: PETSc.Scatter  # from a vector of V to the displacements of master_nodes
+    scatter: PETSc.Scatter  # from a vector of V to displacements of master_nodes
     source: PETSc.Vec  # a vector of V: source of the scatter
     received: PETSc.Vec  # (d * nm) on this rank: its target
-    D: Triplets  # between nodes of V: int Phi_j N_l^s of all slave facets with candidates
-    M: Triplets  # between nodes of V: int Phi_j N_l^m of all candidate pairs
+    D: Triplets  # int Phi_j N_l^s of all slave facets with candidates
+    M: Triplets  # int Phi_j N_l^m of all candidate pairs
     row: Ints  # (e,) owned slave node of each entry of P
-    column: Longs  # (e,) global node of each entry of P
+    column: Longs  # (e,) its global node
     off_diagonal: Ints  # positions among D's entries of those of P
     diagonal: tuple[Ints, Ints]  # positions of D_jj among D's entries, and nodes j
     weight: Weight | None = None  # of all integrals over the slave side; None for 1
@@ -223,10 +223,8 @@ def create_pairing(
 
     Args:
         u: displacement, None for X.
-        moving: whether the surfaces move.
-        again: whether this is a later search, in which sides may have turned away: then there are
-            no pairs, and no error.
-        weight: factor of all integrals over the slave side, 1 if None.
+        again: a later search: sides that have turned away have no pairs, and raise no error.
+        weight: factor of all integrals over the slave side; None for 1.
         earlier: of the same surfaces; its patterns are reused if the pairs are the same.
 
     Raises:
@@ -329,7 +327,7 @@ def outside_margin(
 ) -> bool:
     """Tell whether a segment at X + u can belong to a pair that is not a candidate (collective).
 
-    The search without margin must not find a new pair: the answer depends on the relative motion
+    A search without margin must not find a new pair: the answer depends on the relative motion
     only, and False is certain. True where u is not finite: the next search raises the error.
 
     Args:
