@@ -86,7 +86,7 @@ def smooth_normals(
 
 
 def _find_jumps(surface: Surface, facets: Facets, normals: NodeNormals) -> Bools:
-    """Return the nodes (n,) where the curvature of a line jumps, along both facets; collective."""
+    """Return the nodes (n,) in the plane where the curvature jumps; collective."""
     ends = surface.facets[:, :2]
     angles, length = end_angles(facets, normals.n[ends])
     halves = np.repeat(length[:, None] / 2, 2, axis=1)
