@@ -1,23 +1,18 @@
 # SPDX-License-Identifier: MIT
 """Normals of contact nodes, common to both sides (theory.md, Normals).
 
-With the spread of the normals n_f of all exterior facets at a node,
-
-    S = mean (n_f - n')(n_f - n')^T,      n' = mean n_f,
-
-the normal of node j is the least-squares mean of those of both sides, a_j and b_j,
+With the spread S = mean (n_f - n')(n_f - n')^T, n' = mean n_f, of the normals of all exterior
+facets at a node, the normal of node j is the least-squares mean of those of both sides, a_j and
+b_j,
 
     n_j = unit [C_m (C_s + C_m)^-1 a_j + C_s (C_s + C_m)^-1 b_j],   C_s = a_j a_j^T + S_s + eps I,
 
-C_m likewise, and b_j = -unit sum_l M_jl n_l, since the force at slave node j goes to the master
-nodes l in parts of M_jl (eq. 20).
-
-Spreads at X turn with the surface, without tied facets; at mid-side nodes S is the mean of the
-vertices'. eps contains a part of the spreads at neighbouring vertices, so that the end of a flat
-part at an arc or corner yields to the other side's face. Across an edge a_j and n_l are the means
-of the facets that face the other side; up to half of the spread at the feature angle the averaged
-normals, between the two a part of both. On a plane of symmetry sums include the images of the
-facets, and exclude the facets in the plane.
+C_m likewise, and b_j = -unit sum_l M_jl n_l. Spreads at X turn with the surface, without tied
+facets; at mid-side nodes S is the mean of the vertices'. eps contains a part of neighbouring
+spreads, so that the end of a flat part at an arc or corner yields to the other side's face. Across
+an edge a_j and n_l are means of the facets that face the other side; up to half of the spread at
+the feature angle the averaged normals, between the two a part of both. On a plane of symmetry sums
+include images, and exclude facets in the plane.
 """
 
 from collections.abc import Callable, Sequence
@@ -68,10 +63,7 @@ class Spreads:
     normals: Floats  # (m, d) there
 
     def at(self, u: fem.Function | None) -> Floats:
-        """Return S + eps I (s, d, d) at X + u; collective.
-
-        Turned by the rotations of the means of dx/dX over facets, which map normals to normals.
-        """
+        """Return S + eps I (s, d, d) at X + u, turned by the rotations of dx/dX; collective."""
         S, d = self.S.copy(), self.S.shape[1]
         if u is None:
             return S
@@ -99,7 +91,7 @@ def find_spreads(
         boundary: all exterior facets.
         contacts: sides of contacts, one or more.
         ties: sides that are tied.
-        mirrors: (local nodes, d) components across planes of symmetry, see `find_mirrors`.
+        mirrors: (local nodes, d), see `find_mirrors`.
     """
     V, nodes = contacts[0].V, boundary.nodes
     marks = la.vector(V.dofmap.index_map)
@@ -213,8 +205,8 @@ def common_normals(
 
     Args:
         M: its entries (f,).
-        averaged: averaged normals of the slave (n, d) at X + u.
-        feature_angle: least angle of an edge between facets, in degrees.
+        averaged: of the slave (n, d).
+        feature_angle: least angle of an edge, in degrees.
     """
     slave, master, V = pairing.slave, pairing.master, pairing.slave.V
     own, nodes, d = slave.nodes[: slave.owned], master.nodes[: master.owned], slave.X.shape[1]
@@ -333,8 +325,7 @@ def _of_side(averaged: Floats, facing: Floats, S: Floats, limit: float) -> Float
 def _mean(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> Floats:
     """Return the mean y (n, d) of unit vectors with given spreads.
 
-    With A and B = a a^T + S_a and b b^T + S_b, K = (A + B)^-1 and z = K (b - a), y = B K a + A K b
-    = a + A z.
+    A = a a^T + S_a, B = b b^T + S_b, K = (A + B)^-1, z = K (b - a): y = B K a + A K b = a + A z.
     """
     A, B = (v[:, :, None] * v[:, None] + S for v, S in ((a, S_a), (b, S_b)))
     z = np.linalg.solve(A + B, (b - a)[:, :, None])
@@ -344,7 +335,7 @@ def _mean(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> Floats:
 def _mean_slopes(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> tuple[Floats, Floats]:
     """Return the derivatives of `_mean` by a and b, with which the spreads turn.
 
-    dy = B K (da + dA z) + A K (db - dB z), dA = da a^T + a da^T + W S_a - S_a W with W = da a^T - a
+    dy = B K (da + dA z) + A K (db - dB z), dA = da a^T + a da^T + W S_a - S_a W, W = da a^T - a
     da^T.
     """
     one = np.eye(a.shape[1])
