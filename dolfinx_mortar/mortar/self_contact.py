@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Self-contact: facets of a surface that can touch, and which of two is the slave.
 
-T expresses slave nodes by master nodes, so no node may be both. At each search the facets near
-others are divided into slaves and masters; a node of both kinds carries no multiplier.
+At each search the facets near others are divided into slaves and masters. A node of both kinds
+carries no multiplier, since T expresses slave nodes by master nodes.
 """
 
 from dataclasses import dataclass
@@ -23,13 +23,13 @@ half the distance require a new search, before they touch."""
 
 @dataclass(frozen=True, eq=False)
 class Roles:
-    """Slaves and masters of a surface in self-contact, at a search."""
+    """Slaves and masters in self-contact, at a search."""
 
     slave: Bools  # (ms,) own facets
     copies: Bools  # (mm,) received ones that are slaves
-    nodes: tuple[Longs, Longs]  # (ms, k), (mm, k) global nodes of both
-    deepest: tuple[Floats, Floats]  # (ms,), (mm,) largest distance of a partner behind them
-    seen: Longs  # (q,) pairs that were near: own facet * mm + received one, ascending
+    nodes: tuple[Longs, Longs]  # (ms, k), (mm, k) global nodes
+    deepest: tuple[Floats, Floats]  # (ms,), (mm,) largest depth of a partner
+    seen: Longs  # (q,) near pairs: own facet * mm + received one, ascending
     distance: Floats  # (q,) of these
 
 
@@ -38,14 +38,13 @@ def distances_in_reach(
 ) -> Floats:
     """Return the distances (p,) of pairs, in diameters of the larger facet; inf if not near.
 
-    Facets with a common node are not near, nor are those deeper behind a facet than `deepest`.
+    Facets with a common node are not near, nor are those deeper behind a facet than `deepest` (p,).
 
     Args:
-        facets: own facets (ms,).
-        copies: received ones (mm,).
-        pairs: (p, 2) of these, facing each other.
-        nodes: global nodes (ms, k) and (mm, k) of both.
-        deepest: (p,) for each pair.
+        facets: own (ms,).
+        copies: received (mm,).
+        pairs: (p, 2) that face each other.
+        nodes: global (ms, k) and (mm, k).
     """
     found = np.full(len(pairs), np.inf)
     f, g = pairs.T
@@ -74,13 +73,13 @@ def choose_roles(
     Decided pair by pair, the nearest first: facets that face each other have opposite roles;
     neighbours, a diameter apart, the same one; then the finer one at X, by powers of two, is the
     slave. Undecided parts begin with a slave in the order of coordinates, so that roles do not
-    change with every new near facet. All ranks decide the same.
+    change with every near facet. All ranks decide the same.
 
     Args:
         pairs: (p, 2) own and received facets that are near.
         distance: (p,) in facet diameters.
-        nodes: global nodes (ms, k) and (mm, k).
-        X: reference coordinates of the nodes (ms, k, d) and (mm, k, d).
+        nodes: global (ms, k) and (mm, k).
+        X: reference coordinates of these.
     """
     rows = np.sort(nodes[0], axis=1), np.sort(nodes[1], axis=1)
     f, g = pairs.T
@@ -156,11 +155,10 @@ def divide(
     """Return the candidates (p, 2) from slaves to masters, and the roles; collective.
 
     Args:
-        facets: own facets (ms,) at X + u.
-        copies: received ones (mm,).
-        pairs: candidates of these.
-        nodes: global nodes (ms, k) and (mm, k).
-        X: reference coordinates of the nodes (ms, k, d) and (mm, k, d).
+        facets: own (ms,) at X + u.
+        copies: received (mm,).
+        nodes: global (ms, k) and (mm, k).
+        X: reference coordinates of these.
         deepest: (ms,) and (mm,) largest distance of a partner behind a facet.
     """
     limit = np.minimum(deepest[0][pairs[:, 0]], deepest[1][pairs[:, 1]])
@@ -176,12 +174,11 @@ def divide(
 def has_changed(roles: Roles, facets: Facets, copies: Facets, pairs: Ints) -> bool:
     """Tell whether facets of this rank are near others that were not divided from them.
 
-    Within half of the reach; two slaves or two masters once their distance is half of that at the
-    division.
+    Within half of the reach; equal roles once the distance is half of that at the division.
 
     Args:
-        facets: own facets (ms,) at X + u.
-        copies: received ones (mm,).
+        facets: own (ms,) at X + u.
+        copies: received (mm,).
         pairs: (p, 2) that face each other now.
     """
     limit = np.minimum(roles.deepest[0][pairs[:, 0]], roles.deepest[1][pairs[:, 1]])
