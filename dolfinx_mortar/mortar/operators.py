@@ -3,8 +3,8 @@
 
     D_jl = int Phi_j N_l^s,      M_jl = int Phi_j N_l^m      over the covered part of the slave side
 
-(eqs. 19 and 20 of the paper) with the dual functions Phi_j of the slave nodes with a multiplier. D
-is diagonal over these, but for mid-side nodes that depend on vertices.
+(eqs. 19 and 20 of the paper). D is diagonal over the nodes with a multiplier, but for mid-side
+nodes that depend on vertices.
 """
 
 from collections.abc import Callable, Sequence
@@ -34,20 +34,20 @@ SmoothSides = tuple[SmoothSide, SmoothSide]
 
 @dataclass(frozen=True, eq=False)
 class MortarOperators:
-    """D, M and P in one configuration, for each of c choices of the nodes with a multiplier.
+    """D, M and P in one configuration, for c choices of the nodes with a multiplier.
 
-    A choice belongs to a direction of the multipliers, of which Dirichlet data may leave some.
-    Nodes are the n owned slave nodes; entries follow the patterns of the pairing.
+    A choice for each direction of the multipliers, as Dirichlet data allow. Nodes are the n owned
+    slave nodes; entries follow the patterns of the pairing.
     """
 
     segments: Segments
-    normals: Floats  # (n, d) outward unit normals
+    normals: Floats  # (n, d) outward, unit
     kept: Bools  # (n, c) nodes with a multiplier
-    D: Floats  # (e, c) entries of D; rows of other nodes vanish
+    D: Floats  # (e, c) entries of D; 0 in rows of other nodes
     M: Floats  # (f, c) entries of M
     weight: Floats  # (n, c) D_jj, 0 where not kept
     P: Floats  # (g, c) D_jj^-1 (M - D_other) on the pattern of P, D_other off-diagonal
-    heights: Floats  # (n,) of smooth surfaces, to be subtracted from gaps; or 0
+    heights: Floats  # (n,) of smooth surfaces, to be subtracted from gaps
     coverage: Coverage
     motions: Floats | None = None  # (f, d, d) D_jj^-1 int Phi_j A_l, see `point_motions`
 
@@ -66,8 +66,8 @@ def create_operators(
 
     Args:
         u: displacement, None for X.
-        normals: outward unit normals (n, d) of the local slave nodes there.
-        allowed: (n, c) local slave nodes that may carry a multiplier, for each choice.
+        normals: outward unit normals (n, d) of the local slave nodes.
+        allowed: (n, c) local slave nodes that may carry a multiplier.
         heights_of: smooth surfaces at X for heights.
         motions_of: smooth surfaces at X for offsets in P.
     """
@@ -161,8 +161,8 @@ def integrate_motions(
     """Return int Phi_j A_l (f, d, d) at the entries of M (collective).
 
     Args:
-        Phi: weighted dual functions (q, k) of `weighted_duals` for each row of A_l.
-        motions: A_l (q, k, d, d) at a part of the points for each node of their master facets.
+        Phi: of `weighted_duals` (q, k), for each row of A_l.
+        motions: see `point_motions`.
     """
     d, k, m = len(Phi), pairing.slave.element.nodes, pairing.master.element.nodes
     blocks = np.zeros((d, len(pairing.pairs), k, m * d))
@@ -182,10 +182,7 @@ def mean_values(
 ) -> Floats:
     """Return int Phi_j f / D_jj (n,) at the owned slave nodes, 0 without multiplier (collective).
 
-    Args:
-        Phi: weighted dual functions (q, k) of `weighted_duals`.
-        weight: D_jj (n,).
-        at_points: f (q,).
+    Phi of `weighted_duals`, weight D_jj (n,), f (q,) at the points.
     """
     total = integrate_values(pairing, segments, Phi, at_points)[: pairing.slave.owned]
     return np.asarray(total * inverse(weight))
