@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Segments for integrals of a user: points with the functions of both sides.
 
-A point sum_k N_k(xi) of a facet is the point sum_k N_k(xi) X_k of the reference cell, with the
-places X_k of the facet's nodes in it. Master cells are sent to the ranks that have received their
-facets.
+A point sum_k N_k(xi) of a facet is sum_k N_k(xi) X_k in the reference cell, with the places X_k of
+the facet's nodes. Master cells are sent to the ranks that have received their facets.
 """
 
 from __future__ import annotations
@@ -139,16 +138,15 @@ def segments(
     The slave side is divided at the edges of master facets, so that functions of both sides are
     smooth in each part: with the weights w_q and the functions N_i of the slave and N_l of the
     master, int N_i N_l = sum_q w_q N_i N_l over the covered part. Exact for products of two
-    functions of V where two flat triangles, parallelograms or parallel lines face each other.
+    functions of V where flat triangles, parallelograms or parallel lines face each other.
 
     Args:
-        V: scalar or vector Lagrange space of degree 1 or 2 on the mesh of all bodies, whose
-            functions are evaluated.
+        V: scalar or vector Lagrange space of degree 1 or 2 on the mesh of all bodies.
         facet_tags: facet tags of the same mesh.
-        slave: tag, or name if the tags have names, of the side that is integrated.
+        slave: tag or name of the side that is integrated.
         master: tag or name of the other side.
         u: displacement, in any vector Lagrange space of degree 1 or 2 on this mesh: positions,
-            normals, areas and gradients are those at X + u; None for X.
+            normals, areas and gradients are at X + u; None for X.
 
     Returns:
         The points of the slave facets of this rank, at any distance from the master; none where no
