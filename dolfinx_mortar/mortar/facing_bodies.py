@@ -66,9 +66,9 @@ class Facing:
 def find_facing(
     comm: MPI.Intracomm, skin: Skin, asked: Bools | None = None, *, deep: bool = False
 ) -> Facing:
-    """Return the facets of other parts that the facets of a skin face, at any distance; collective.
+    """Return the facets of other parts that facets of a skin face, at any distance; collective.
 
-    Not facets deeper in another body than half of the thinner body, see `pairing.THROUGH`, unless
+    Not those deeper in another body than half of the thinner body (`pairing.THROUGH`), unless
     `deep`.
 
     Args:
@@ -112,7 +112,7 @@ def find_facing(
 def _least_gaps(
     facets: Facets, others: Facets, segments: Segments, n: Floats, count: int
 ) -> Floats:
-    """Return the distance (count,) from a facet along its normal to the start of the other one."""
+    """Return the least gaps (count,) along the normals of facets."""
     apart = points_of(others, segments.master, segments.xi_m)
     apart -= points_of(facets, segments.slave, segments.xi_s)
     least = np.full(count, np.inf)
@@ -121,11 +121,7 @@ def _least_gaps(
 
 
 def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
-    """Return distances (p,) of pairs; inf where a facet sees the flank of a body past its edge.
-
-    A facet is in the other body if its middle is; but facets that cross at less than 45 degrees
-    touch: on curved sides that fit, vertices alternate.
-    """
+    """Return distances (p,) of pairs; inf where a facet sees a flank past the edge of a body."""
     size, vertices = facet_sizes(facets.x), others.x[:, np.array(others.element.vertices)]
     n, other = facet_normals(facets), facet_normals(others)
     middle = facets.x[:, np.array(facets.element.vertices)].mean(axis=1)
@@ -180,16 +176,10 @@ class Faces:
 def find_faces(
     V: fem.FunctionSpace, facets: Facets, nodes: Ints, body: Longs, feature_angle: float
 ) -> Faces:
-    """Divide exterior facets into faces; collective.
+    """Divide exterior facets of this rank, with local nodes (m, k), into faces; collective.
 
     Two facets of one body with a common edge (in the plane: vertex) are of one face where their
-    normals differ by less than the feature angle.
-
-    Args:
-        facets: (m,) exterior facets of this rank.
-        nodes: (m, k) their local nodes.
-        body: (m,) to which they belong.
-        feature_angle: in degrees.
+    normals differ by less than the feature angle, in degrees.
     """
     comm = V.mesh.comm
     edges = _edges(V, facets, nodes)
@@ -227,7 +217,7 @@ def _edges(V: fem.FunctionSpace, facets: Facets, nodes: Ints) -> Longs:
 
 
 def _meeting(keys: Longs, normals: Floats, limit: float) -> tuple[Longs, Longs, Bools]:
-    """Return the pairs of rows (q,), (q,) with the same key, and where their normals are close."""
+    """Return pairs of rows (q,), (q,) with equal keys, and where normals are close."""
     order = np.lexsort(keys.T)
     sorted_keys = keys[order]
     found: list[Longs] = [np.zeros((0, 2), dtype=np.int64)]
@@ -251,8 +241,8 @@ def _components(n: int, a: Longs, b: Longs) -> tuple[int, Longs]:
 def facing_edges(pairing: Pairing, segments: Segments, feature_angle: float) -> Bools:
     """Return the slave facets (m,) that convex edges or corners of the master face; collective.
 
-    On more than a twentieth of the area that such a facet faces, at X, the master's normal differs
-    from the mean by more than half of the feature angle (degrees), and normals diverge.
+    At X, over more than a twentieth of the facing area, the master's normal differs from the mean
+    by more than half of the feature angle (degrees), and normals diverge.
     """
     on, count, w = segments.slave, len(pairing.slave.facets), segments.weight
     received = received_facets(pairing, None)
