@@ -47,9 +47,9 @@ class SideOperators:
 
     segments: Segments  # whole facets
     x: Floats  # (q, d) their points
-    Phi: Floats  # (q, k) weights times dual functions
-    keep: Bools  # (local slave nodes,) with a multiplier
-    kept: Bools  # (n, 1) the owned ones
+    Phi: Floats  # (q, k) weighted dual functions
+    keep: Bools  # (local slave nodes,)
+    kept: Bools  # (n, 1) owned
     weight: Floats  # (n, 1) D_jj, 0 where not kept
     P: Floats  # (e, 1) - D_jl / D_jj off the diagonal
     coverage: Coverage
@@ -99,11 +99,9 @@ def whole_facets(side: WholeSide, x: Floats, facing: Bools) -> tuple[Segments, F
 
 
 def integrate_side(side: WholeSide, x: Floats, facing: Bools, allowed: Bools) -> SideOperators:
-    """Integrate D over the facets that face something; collective.
+    """Integrate D over the facing facets (m,) of this rank, for nodes at x (n, d); collective.
 
     Args:
-        x: (n, d) positions of its local nodes.
-        facing: (m,) facets of this rank.
         allowed: (n,) local nodes that may carry a multiplier.
     """
     slave, own = side.slave, slice(None, side.slave.owned)
