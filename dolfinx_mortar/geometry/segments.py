@@ -4,9 +4,8 @@
 A slave facet is projected along the interpolated averaged nodal normals in 2D (`line`), along its
 mean normal in 3D (`area`).
 
-Candidate pairs are found at any distance, in O(n log n): the projection of a slave facet lies in an
-unbounded double cone. Cones are tested against a hierarchy of balls around the master facets;
-axis-aligned boxes around oblique cones would be large.
+Candidate pairs are found at any distance, in O(n log n): unbounded double cones around the
+projections are tested against a hierarchy of balls around the master facets.
 """
 
 from dataclasses import dataclass
@@ -52,12 +51,11 @@ class Cones:
 
 
 def create_cones(x_s: Floats, n_s: Floats, margin: Floats) -> Cones:
-    """Bound the projections of slave facets, plus a margin.
+    """Bound the projections of slave facets, plus a lateral margin (m,).
 
     Args:
-        x_s: (m, k, d) nodes; a group of facets is a facet with many nodes.
+        x_s: (m, k, d) nodes, of facets or of groups of them.
         n_s: (m, k, d) unit nodal normals.
-        margin: (m,) lateral margin.
     """
     centre, radius = bounding_balls(x_s)
     axis = n_s.mean(axis=1)
@@ -85,8 +83,8 @@ def _meets(c, axis, radius, slope, p, rho):  # type: ignore[no-untyped-def]
 def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-untyped-def]
     """Return all pairs (cone, ball of the first level) that can meet.
 
-    Level l has the balls start[l] to start[l + 1]; ball i of a level encloses the balls i b to (i +
-    1) b - 1 of the level below, b = 2^d.
+    Level l has the balls start[l] to start[l + 1]; ball i encloses the balls i b to (i + 1) b - 1
+    of the level below, b = 2^d.
     """
     branches = 2 ** centre.shape[1]
     pairs = np.empty((8 * (len(radius) + start[1]) + 64, 2), dtype=np.int32)
@@ -123,8 +121,8 @@ def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-
 def sort_in_space(x: Floats) -> Longs:
     """Return an order of points x (n, d) with compact aligned blocks of 2^j points, j >= d.
 
-    By halving blocks across their longest side; blocks of scipy's cKDTree or Morton's curve
-    straddle cuts: the search takes two to four times as long.
+    By halving blocks across their longest side; with scipy's cKDTree or Morton's curve the search
+    takes two to four times as long.
     """
     order = np.arange(len(x))
     half = smallest = 2 ** x.shape[1]
@@ -223,8 +221,7 @@ def projection_directions(slave: Facets, n_s: Floats) -> Floats:
 def bounding_directions(slave: Facets, n_s: Floats) -> Floats:
     """Return unit vectors (m, k or 1, d) whose cone contains all directions of projection.
 
-    Args:
-        n_s: (m, k, d) unit averaged normals at the nodes.
+    For unit averaged normals n_s (m, k, d).
     """
     if slave.x.shape[2] > 2:
         n = facet_normals(parts_of(slave))
@@ -253,14 +250,10 @@ def are_facing(n_s: Floats, n_m: Floats) -> Bools:
 def find_candidates(
     slave: Facets, n_s: Floats, master: Facets, margin: Floats, order: Longs | None = None
 ) -> Ints:
-    """Find the pairs (p, 2) of facets that can share a segment, at any distance.
+    """Find the pairs (p, 2) of facets that can share a segment, ordered, at any distance.
 
-    Ordered by slave, then master; without margins still a superset of the pairs with segments.
-
-    Args:
-        n_s: (ms, k, d) unit averaged normals at the nodes.
-        margin: (ms,) lateral margin.
-        order: of the master facets in space, if known; see `find_meeting`.
+    Without margins (ms,) still a superset of the pairs with segments. For `order` see
+    `find_meeting`; n_s (ms, k, d) are unit averaged normals.
     """
     cones = create_cones(slave.x, bounding_directions(slave, n_s), margin)
     pairs = find_meeting(cones, *bounding_balls(master.x), order)
