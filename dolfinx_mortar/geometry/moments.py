@@ -79,10 +79,8 @@ class Points(NamedTuple):
     def differentiate(self, by_s: Floats, by_m: Floats, by_w: Floats) -> tuple[Floats, Floats]:
         """Return the moments (s, k, k + l + 1), and their derivatives (s, z, k, k + l + 1).
 
-        Args:
-            by_s: (s, q, d-1, z) derivatives of xi on the slave.
-            by_m: (s, q, d-1, z) on the master.
-            by_w: (s, q, z) of the logarithm of the weight at fixed xi.
+        By derivatives (s, q, d-1, z) of xi of both facets, and (s, q, z) of the log weight at fixed
+        xi.
         """
         e, v = by_s.shape[2], self.weight[..., None] * self.N
         rates = self.by_xi[:, :, None]
@@ -97,7 +95,7 @@ class Points(NamedTuple):
 def products(v: Floats, f: Floats, by_v: Floats, by_f: Floats) -> tuple[Floats, Floats]:
     """Return sums over points of v_j f_a (s, k, n), and their derivatives (s, z, k, n).
 
-    Of v (s, q, k) and f (s, q, n), with derivatives by_v (s, q, z, k) and by_f (s, q, z, n).
+    Derivatives by_v (s, q, z, k) and by_f (s, q, z, n).
     """
     (s, q, z, k), n, v = by_v.shape, f.shape[2], np.swapaxes(v, 1, 2)
     changes = (np.swapaxes(by_v.reshape(s, q, z * k), 1, 2) @ f).reshape(s, z, k, n)
@@ -167,7 +165,7 @@ def create_points(
         weight: (s, q) on the reference facet of the slave.
         given: nodal weights (s, k) of the integrals; reach (s, 2) of `Segments`, or (s, 0).
         tilts: `turns` of the slave facets.
-        heights: Q (s, k, k) and (s, l, l) of both facets and arcs (s, 2, 2); empty without.
+        heights: Q (s, k, k) and (s, l, l) of both facets and arcs (s, 2, 2), or empty.
         spread: (s, l, m) the master's nodes among m, for results by these.
     """
     (N, dN, ddN), (M, dM), (x, y), (factor, reach) = slave, master, nodes, given
@@ -210,8 +208,7 @@ def whole(
     And derivatives (p, d k, k, k + 1).
 
     Args:
-        xi: (q, d-1) points of a rule.
-        weights: (p, q) on the reference facet.
+        weights: (p, q) on the reference facet, at xi (q, d-1).
         phi: (p, q) distances.
         by_x: (p, q, k, d) derivatives of phi by the nodes.
     """
