@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Auxiliary planes of slave facets, and the convex polygons in them (compiled kernels, 3D).
 
-Lengths in a plane are relative: the slave facet has radius 1. Polygons are anticlockwise, with `n`
-vertices in an array; vertices nearer to a line than ROUND_OFF lie on it. Numba's cache of a caller
-in another file does not notice changes here: touch that file, too.
+In a plane the slave facet has radius 1. Polygons are anticlockwise, with `n` vertices in an array;
+vertices nearer to a line than ROUND_OFF lie on it. Numba's cache of a caller in another file does
+not notice changes here: touch that file, too.
 """
 
 import numba
@@ -88,8 +88,7 @@ def is_thin(P, n):  # type: ignore[no-untyped-def]
 def orientation(P, n):  # type: ignore[no-untyped-def]
     """Return 1 or -1 for an anticlockwise or clockwise convex polygon, 0 for any other.
 
-    A corner is straight if its area is less than HALF_OF_DIGITS of the sum over the corners:
-    quadrilaterals have no inverse map there.
+    Corners with less than HALF_OF_DIGITS of the sum of areas are straight: no inverse map there.
     """
     least, most, whole = np.inf, -np.inf, 0.0
     for i in range(n):
@@ -161,8 +160,7 @@ def subtract(P, n, Q, m, sign, pieces, sizes, count, spare):  # type: ignore[no-
 def create_planes(x: Floats) -> tuple[Floats, Floats, Floats]:
     """Return centres (m, 3), axes (m, 3, 3) and radii (m,) of the auxiliary planes of facets x.
 
-    Rows of the axes are two tangents and the normal, over the radius: (x - centre) @ axes.T has
-    radius 1.
+    Rows of the axes are two tangents and the normal, over the radius.
     """
     centre, radius = bounding_balls(x)
     radius = np.maximum(radius, TINY)
@@ -193,9 +191,8 @@ def bilinear_map(P, i):  # type: ignore[no-untyped-def]
 def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
     """Return xi, eta and the Jacobian's size where the projected facet P meets (x, y).
 
-    With p = m - (x, y) of the bilinear map, the cross product of p + xi a + eta (b + xi c) = 0 and
-    b + xi c is C + B xi + A xi^2 = 0, whose derivative is the Jacobian: at the root inside it has
-    the sign of a x b.
+    With p = m - (x, y) of the bilinear map, p + xi a + eta (b + xi c) = 0 times b + xi c is C + B
+    xi + A xi^2 = 0, whose derivative is the Jacobian: at the root inside it has the sign of a x b.
     """
     if not bilinear:
         a0, a1, b0, b1 = P[1, 0] - P[0, 0], P[1, 1] - P[0, 1], P[2, 0] - P[0, 0], P[2, 1] - P[0, 1]
@@ -236,7 +233,7 @@ def height_at(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
 def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
     """Return the two slopes s of a facet against the plane at (xi, eta), minus those of its normal.
 
-    The area of the facet per area in the plane is sqrt(1 + s_0^2 + s_1^2).
+    Its area is sqrt(1 + s_0^2 + s_1^2) of that in the plane.
     """
     if not bilinear:
         return 0.0, 0.0
@@ -273,8 +270,7 @@ def _are_near(x_s, x_m, pairs, centre, axes, radius, margin):  # type: ignore[no
 def are_near(slave: Facets, master: Facets, pairs: Ints, margin: Floats) -> Bools:
     """Tell (p,) which pairs are closer than a margin (ms,) when projected on the slave's plane.
 
-    Args:
-        pairs: (p, 2), ordered by slave facet.
+    Pairs are ordered by slave facet.
     """
     a, b = parts_of(slave), parts_of(master)
     of_parts, of = pairs_of_parts(pairs, slave.element, master.element)
