@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """First-order parts of facets for clipping in 3D: a facet itself, or four parts between its nodes.
 
-Points on the parts of second-order facets are mapped to the facets' surface. Facets of all types
-are x = sum_ab c_ab xi^a eta^b with a, b <= 2: one kernel, with a third of the operations of shape
-functions.
+Facets of all types are x = sum_ab c_ab xi^a eta^b with a, b <= 2: one kernel, with a third of the
+operations of shape functions.
 """
 
 import numba
@@ -30,10 +29,7 @@ def parts_of(facets: Facets) -> Facets:
 
 
 def first_order(facets: Facets) -> Facets | None:
-    """Return equal facets of first order, None unless all are straight and flat up to round-off.
-
-    The reference coordinates are the same.
-    """
+    """Return equal facets of first order, None unless all are straight and flat up to round-off."""
     element, x = facets.element, facets.x
     if element.part is None:
         return facets
@@ -124,7 +120,7 @@ def _point(c, m, r, s):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _on_facet(c, r, s):  # type: ignore[no-untyped-def]
-    """Return reference coordinates on the facet of a point of a part c (3, 9): an affine map."""
+    """Return the coordinates on the facet of a point of part c (3, 9), an affine map."""
     return c[0, 0] + s * c[0, 1] + r * c[0, 3], c[1, 0] + s * c[1, 1] + r * c[1, 3]
 
 
@@ -142,8 +138,7 @@ def along(c, m, axes, P):  # type: ignore[no-untyped-def]
 def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
     """Return (r, s) where a facet projected on a plane, P (1, 2, 9), has the point (x, y), or NaN.
 
-    By Newton's method from (r, s) on a part of the facet; quadratic from within the part's sagitta
-    times its slope.
+    By Newton's method from (r, s) on a part of the facet.
     """
     for _ in range(LIMIT):
         y0, a0, b0 = _component(P, FIRST, FIRST, r, s)
