@@ -41,10 +41,10 @@ def _moment(x, n, y0, y1, xi):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
-    """Return xi in [-1, 1] where the slave's normal meets y; beyond an end, that end.
+    """Return xi in [-1, 1] where the slave's normal meets y, or the nearer end.
 
-    f(xi) = (x(xi) - y) x n(xi) decreases while y is nearer than the centre of curvature of a
-    concave facet; nan behind it. Newton's method, safeguarded by bisection.
+    (x(xi) - y) x n(xi) decreases while y is nearer than the centre of curvature of a concave facet;
+    nan behind it. Newton's method, safeguarded by bisection.
     """
     first, last = _moment(x, n, y0, y1, -1.0)[0], _moment(x, n, y0, y1, 1.0)[0]
     if first <= 0.0 or last >= 0.0:
@@ -68,10 +68,7 @@ def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _opposite(x, n, y, xi):  # type: ignore[no-untyped-def]
-    """Return eta of the master y (3, 2) on the slave's normal at xi: the root near that of a chord.
-
-    Clipped to the ends, since strongly curved facets of an iterate may have roots beyond.
-    """
+    """Return eta in [-1, 1] of the master on the slave's normal at xi, near the chord's."""
     n0, n1 = _at(n, xi, FIRST), _at(n, xi, SECOND)
     C = (y[0, 0] - _at(x, xi, FIRST)) * n1 - (y[0, 1] - _at(x, xi, SECOND)) * n0
     B = y[1, 0] * n1 - y[1, 1] * n0
@@ -185,11 +182,10 @@ def _place(x_s, n_s, x_m, pairs, which, ends, points, weights):  # type: ignore[
 def moments(
     sides: Sides, heights: Sequence[Floats], types: tuple[FacetElement, FacetElement], found: Sums
 ) -> None:
-    """Add the moments of slave facets and their masters, and derivatives.
+    """Add the moments of slave facets and their masters, and derivatives by x, n and y.
 
     Args:
         heights: of pairs (c,), see `create_points`.
-        found: by the coordinates of x, n and y.
     """
     x, n, y, _, place, deepest, factor, reach = sides
     pairs = sides.pairs()
