@@ -96,9 +96,9 @@ class Crossings:
     """Edges of flat facets that cross other flat facets."""
 
     pairs: Longs  # (p, 2) facet with the edge, crossed facet
-    depth: Floats  # (p,) distance of the edge's nearer end beyond that facet
+    depth: Floats  # (p,) of the edge's nearer end beyond that facet
     place: Floats  # (p, d) of the crossing
-    ends: Floats  # (p, 2 d) of the edge, in an order common to facets that share it
+    ends: Floats  # (p, 2 d) of the edge, equal for facets that share it
 
     def part(self, which: Bools) -> "Crossings":
         """Return some of them."""
@@ -121,11 +121,7 @@ def bounds(x: Floats) -> tuple[Floats, Floats]:
 
 
 def near_others(x: Floats, body: Longs, boxes: Floats) -> Bools:
-    """Tell (m,) which facets x (m, k, d) of bodies (m,) meet the box of another body.
-
-    Args:
-        boxes: smallest and largest coordinates (bodies, 2, d).
-    """
+    """Tell (m,) which facets x (m, k, d) of bodies meet the box (bodies, 2, d) of another one."""
     low, high = bounds(x)
     near = np.zeros(len(x), dtype=bool)
     for other in range(len(boxes)):
@@ -177,8 +173,8 @@ def ordered(p: Floats, q: Floats) -> Floats:
 def near_pairs(x: Floats, group: Longs, apart: Bools) -> Longs:
     """Return pairs (p, 2) of facets with vertices x (m, k, d) whose boxes meet, each once.
 
-    Facets are sorted into classes of size by factors of two, which limits comparisons. Distances
-    are relative to the largest extents in each direction, since boxes of flat facets are thin.
+    Facets are sorted into classes of size by factors of two, which limits comparisons; distances
+    are relative to the largest extents in each direction.
 
     Args:
         group: (m,) number of the group of each.
@@ -224,10 +220,10 @@ def flat_parts(facets: Facets) -> Floats:
 def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
     """Return the points (q,) that pass from before a facet to behind it, ascending.
 
-    Points, vertices and distances are taken as linear in time.
+    Points, vertices and distances are linear in time.
 
     Args:
-        p: points (n, d) at the start and at the end.
+        p: points (n, d) at start and end.
         x: vertices (m, d, d) of lines or triangles then, with outward normals as in `area_vectors`.
 
     Example:
@@ -265,7 +261,7 @@ def thickness(facets: Facets, others: Facets) -> Floats:
     """Return the thickness (m,) of the body behind facets, flat between their vertices.
 
     The distance from the middle of a facet, against its outward normal, to the nearest of the other
-    facets (including these or not) that faces the opposite way, or inf.
+    facets that faces the opposite way, or inf.
 
     Example:
         >>> from dolfinx_mortar.geometry.elements import LINE2
