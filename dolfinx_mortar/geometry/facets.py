@@ -79,12 +79,8 @@ def points_of(facets: Facets, which: Ints, xi: Floats) -> Floats:
 def surface_gradients(facets: Facets, which: Ints, xi: Floats) -> tuple[Floats, Floats]:
     """Return surface gradients (q, k, d) of shape functions, and outward unit normals (q, d).
 
-    grad N_l = sum_a dN_l/dxi_a a^a with a^a dual to the tangents a_a = sum_l dN_l/dxi_a x_l;
-    tangential, and sum_l x_l grad N_l^T is the projection on the tangents.
-
-    Args:
-        which: (q,) facet of each point.
-        xi: (q, d-1) reference coordinates.
+    grad N_l = sum_a dN_l/dxi_a a^a with a^a dual to the tangents a_a = sum_l dN_l/dxi_a x_l, at xi
+    (q, d-1) of facets (q,).
 
     >>> from dolfinx_mortar.geometry.elements import LINE2
     >>> line = Facets(LINE2, np.array([[[7.0, 7.0], [4.0, 3.0]]]))
@@ -121,7 +117,7 @@ def _normals(a: Floats) -> Floats:
 def bounding_balls(x: Floats) -> tuple[Floats, Floats]:
     """Return centre (m, d) and radius (m,) of balls around facets with nodes x (m, k, d).
 
-    They contain second-order facets, too, unless the audit refuses their distortion.
+    Second-order facets, too, unless the audit refuses their distortion.
     """
     centre = x.mean(axis=1)
     return centre, np.sqrt(((x - centre[:, None]) ** 2).sum(axis=2).max(axis=1, initial=0.0))
@@ -133,10 +129,7 @@ def facet_sizes(x: Floats) -> Floats:
 
 
 def are_inside(x: Floats, n: Floats, p: Floats) -> Bools:
-    """Tell (m,) whether points p (m, d), projected along n (m, d), lie in facets, edges included.
-
-    Args:
-        x: (m, k, d) vertices.
+    """Tell (m,) whether points p (m, d), along n (m, d), lie in facets x (m, k, d), with edges.
 
     Example:
         >>> x = np.array([[[0.0, 0], [2, 0]]])
@@ -157,10 +150,7 @@ def scaled_normals(facets: Facets, xi: Floats) -> Floats:
 
 
 def tributary_weights(facets: Facets, factor: Floats | None = None) -> Floats:
-    """Return the integrals (m, k) of N_j over whole facets.
-
-    Args:
-        factor: (m, q) of the integrand, at the points of the element's rule.
+    """Return the integrals (m, k) of N_j over facets, times a factor (m, q) at the rule's points.
 
     Example:
         >>> from dolfinx_mortar.geometry.elements import LINE2
@@ -178,7 +168,7 @@ def distortions(facets: Facets) -> Floats:
     """Return the least quality (m,) over the nodes of facets: 1 is best, 0 or less degenerate.
 
     The cosine between the normal there and the mean normal; for second order at most the ratio of
-    the Jacobian to its mean. Negative where the facet is folded or inverted.
+    the Jacobian to its mean. Negative where facets are folded or inverted.
 
     Example:
         >>> from dolfinx_mortar.geometry.elements import QUAD4
