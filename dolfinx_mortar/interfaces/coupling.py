@@ -1,23 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Results of a search and an update for one interface, as immutable records.
+"""Results of the search and the update of one interface, as immutable records.
 
-At a kept slave node j the displacement is written, in a frame R_j of which the rows of R_j^-1 are
-n_j, t_j, ..,
+The change of basis of theory.md, "Constraints become bounds":
 
     u_j = R_j w_j + sum_l Q_jl u_l,      Q_jl = R_j S_j R_j^-1 P_jl,     P = D^-1 (M - D_other)
 
-with D on the diagonal, and D_other its other entries: columns of removed nodes, and of the vertices
-on which mid-side nodes of six-node triangles depend (`mortar.duals`). Here
-S_j = diag(1 in constrained directions); for ties of smooth surfaces P_jl I is completed by the
-motions D_jj^-1 int Phi_j A_l of `curvature_correction.point_motions`. Then w is the relative
-displacement of the two sides in those directions, and every constraint is a bound on w. Without a
-master Q is empty, and w the motion of the node itself.
-
-Where a Cartesian component e of a slave node is prescribed, and n = n_f + n_e e, the rows are n, e,
-.., t: w_n = n.(u_j - P u) is that of the whole normal, and the columns are n_f / |n_f|^2,
-e - n_e n_f / |n_f|^2, .., t. So a reaction z exerts the forces R^-T z on the slave side and
--P^T R^-T z on the master: the master has its part of all, whatever the support takes at the slave
-node, and the reaction of u_e is that of the support alone. Elsewhere frames are orthonormal.
+D_other are the entries of D off the diagonal: columns of removed nodes, and of vertices on which
+mid-side nodes of six-node triangles depend (`mortar.duals`). Ties of smooth surfaces add D_jj^-1
+int Phi_j A_l of `curvature_correction.point_motions` to P_jl I.
+Where a Cartesian component e is prescribed and n = n_f + n_e e, R_j^-1 has the rows n, e, .., t,
+and R_j the columns n_f / |n_f|^2, e - n_e n_f / |n_f|^2, .., t. A reaction z exerts R^-T z on the
+slave side and -P^T R^-T z on the master.
 """
 
 from __future__ import annotations
@@ -47,86 +40,86 @@ from dolfinx_mortar.mortar.surface import Surface
 
 @dataclass(frozen=True)
 class Sides:
-    """The surfaces of an interface in the space of the displacement."""
+    """Surfaces of an interface in the space of the displacement."""
 
     V: fem.FunctionSpace
     slave: Surface
-    master: Surface | None  # None where it is no part of the mesh
+    master: Surface | None  # None for a rigid tool
     on_slave: Bools  # (local nodes,)
     on_master: Bools  # (local nodes,)
     fixed: Bools  # (local nodes, d) directions with Dirichlet data
-    mirrors: Bools  # (local nodes, d) those of planes of symmetry, of both sides: `find_mirrors`
-    dependent: Bools  # (n,) owned slave nodes that depend on other ones, which may be kept
-    unilateral: bool  # whether they can open
-    weight: Weight | None = None  # of all integrals over the interface; None for 1
-    spreads: Spreads | None = None  # of the normals around the nodes of contacts of two sides
+    mirrors: Bools  # (local nodes, d) planes of symmetry of both sides: `find_mirrors`
+    dependent: Bools  # (n,) owned slave nodes that depend on others with multipliers
+    unilateral: bool  # whether the sides can separate
+    weight: Weight | None = None  # factor of all integrals over the interface; None for 1
+    spreads: Spreads | None = None  # of normals around the nodes of two-sided contacts
     judged: Sequence[tuple[Bools, Floats]] = ()  # of slave and master: `judge_supports`
-    shapes: Sequence[NodeShape] = ()  # of slave and master: `find_shape`; none if nobody asks
+    shapes: Sequence[NodeShape] = ()  # of slave and master: `find_shape`; empty unless used
 
     @property
     def meet_themselves(self) -> bool:
-        """Whether they are one surface, divided into slaves and masters at each search."""
+        """Whether both are one surface, divided at each search."""
         return self.master is self.slave
 
     @property
     def hold(self) -> bool:
-        """Whether they hold nodes in all directions, as supports do."""
+        """Whether nodes are constrained in all directions, as by supports."""
         return self.master is None and not self.unilateral
 
     @property
     def nodes(self) -> Ints:
-        """Local numbers (n,) of the slave nodes that this rank owns."""
+        """Local numbers (n,) of the owned slave nodes."""
         return self.slave.nodes[: self.slave.owned]
 
     @property
     def n_owned(self) -> int:
-        """How many nodes of V this rank owns."""
+        """Number of owned nodes of V."""
         return int(self.V.dofmap.index_map.size_local)
 
     @property
     def surfaces(self) -> list[Surface]:
-        """The slave surface, and the master's if there is one."""
+        """Slave surface, and the master's if there is one."""
         return [self.slave] if self.master is None else [self.slave, self.master]
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """Where an interface couples slave rows to other nodes; fixed between two searches."""
+    """Sparsity of the coupling of slave nodes to other nodes; fixed between two searches."""
 
     row: Ints  # (e,) index into the owned slave nodes
     column: Longs  # (e,) global node
-    split: int  # entries before it are of the slave side (D_other), the others of the master (M)
-    blocks: BlockMatrix  # holds Q
-    scalars: BlockMatrix  # holds P
-    smooth: tuple[SmoothSide, SmoothSide] | None = None  # where facets stand for them
-    nearby: tuple[SmoothSide, SmoothSide] | None = None  # those of a contact that keeps to facets
+    split: int  # entries before it are of the slave side (D_other), the others of M
+    blocks: BlockMatrix  # storage of Q
+    scalars: BlockMatrix  # storage of P
+    smooth: tuple[SmoothSide, SmoothSide] | None = None  # where facets approximate smooth surfaces
+    nearby: tuple[SmoothSide, SmoothSide] | None = None  # of a contact that uses the facets
 
 
 @dataclass(frozen=True)
 class Coupling:
-    """Frames, weights and Q of one interface in one configuration, at its owned slave nodes."""
+    """One interface in one configuration, at its owned slave nodes."""
 
     blocks: Floats  # (e, d, d) entries of Q on the pattern, read-only
-    P: Floats  # (e, c) D^-1 (M - D_other) on the pattern, for each of c choices of direction
+    P: Floats  # (e, c) D^-1 (M - D_other) on the pattern, for c choices of direction
     R: Floats  # (n, d, d) frames; columns are the motions of unit unknowns
     slot: Ints  # (n, d) column of R that is a prescribed Cartesian direction, else -1
-    directions: Bools  # (n, d) which directions of the frame the interface constrains
-    kept: Bools  # (n, c) nodes that carry a multiplier
+    directions: Bools  # (n, d) constrained directions of the frame
+    kept: Bools  # (n, c) nodes with a multiplier
     weight: Floats  # (n, c) D_jj, 0 where not kept
-    normals: Floats  # (n, d) outward; 0 if nothing but prescribed directions is left
-    heights: Floats  # (n,) by how much the gap is smaller than n.(P x - x_j), see `Link.gaps`
-    coverage: Coverage  # how far the nodes face the master
-    operators: MortarOperators | None = None  # of which it is made; None without a master
-    common: CommonNormals | None = None  # with the prescribed directions; of contacts of two sides
+    normals: Floats  # (n, d) outward; 0 if all but prescribed directions vanish
+    heights: Floats  # (n,) reduction of the gap n.(P x - x_j), see `gaps`
+    coverage: Coverage  # of the slave nodes by the master
+    operators: MortarOperators | None = None  # None without a master
+    common: CommonNormals | None = None  # of two-sided contacts, with the prescribed directions
 
     @cached_property
     def rows(self) -> Floats:
-        """R^-1 (n, d, d): its rows are the directions of motions and forces."""
+        """R^-1 (n, d, d): rows are the directions of motions and forces."""
         return np.asarray(np.linalg.inv(self.R))
 
 
 def check_coupling(name: str, found: Coupling, sides: Sides, pattern: Pattern) -> None:
-    """Raise a ValueError unless a coupling has the right shapes and finite values."""
+    """Raise a ValueError for wrong shapes, non-finite values or singular frames."""
     n, d, e = len(sides.nodes), sides.fixed.shape[1], len(pattern.row)
     c = np.shape(found.kept)[-1] if np.ndim(found.kept) == 2 else 1
     shapes = {
@@ -147,11 +140,11 @@ def check_coupling(name: str, found: Coupling, sides: Sides, pattern: Pattern) -
 
 
 def create_blocks(V: fem.FunctionSpace, rows: Ints, columns: Longs) -> BlockMatrix:
-    """Return a matrix of d x d blocks between nodes of V; collective.
+    """Matrix of d x d blocks (p,) between nodes of V; collective.
 
     Args:
-        rows: owned node (p,) of each block, local number.
-        columns: node (p,) of each block, global number.
+        rows: (p,) owned nodes, local numbers.
+        columns: (p,) nodes, global numbers.
     """
     return BlockMatrix(V.mesh.comm, V.dofmap.index_map, V.dofmap.index_map_bs, rows, columns)
 
@@ -164,14 +157,14 @@ def create_pattern(
     smooth: tuple[SmoothSide, SmoothSide] | None = None,
     nearby: tuple[SmoothSide, SmoothSide] | None = None,
 ) -> Pattern:
-    """Return the pattern of the entries, with its matrices; see `Pattern`; collective."""
+    """Create a pattern with its matrices; collective."""
     V, rows = sides.V, sides.nodes[row]
     scalars = BlockMatrix(V.mesh.comm, V.dofmap.index_map, 1, rows, column)
     return Pattern(row, column, split, create_blocks(V, rows, column), scalars, smooth, nearby)
 
 
 def with_ghosts(V: fem.FunctionSpace, owned: Bools) -> Bools:
-    """Return marks of this rank's own nodes, (owned nodes,), on its ghosts, too; collective."""
+    """Marks (owned nodes,) extended to ghosts; collective."""
     vector = la.vector(V.dofmap.index_map, 1)
     vector.array[: len(owned)] = owned
     vector.scatter_forward()
@@ -179,7 +172,7 @@ def with_ghosts(V: fem.FunctionSpace, owned: Bools) -> Bools:
 
 
 def mark(surface: Surface) -> Bools:
-    """Return which local nodes of V lie on a surface, (local nodes,); collective."""
+    """Mask (local nodes,) of nodes on a surface; collective."""
     owned = np.zeros(surface.V.dofmap.index_map.size_local, dtype=bool)
     owned[surface.nodes[: surface.owned]] = True
     return with_ghosts(surface.V, owned)
@@ -187,44 +180,44 @@ def mark(surface: Surface) -> Bools:
 
 @dataclass(frozen=True)
 class CoupledSides:
-    """The sides of an interface with what a search and an update have found for them."""
+    """An interface with the results of search and update."""
 
     sides: Sides
-    pairing: Pairing | None  # of the two surfaces; None without a master
+    pairing: Pairing | None  # facet pairs; None without a master
     pattern: Pattern
     coupling: Coupling
-    near: Bools  # (n,) slave nodes that take part in the change of basis
-    banned: Bools  # (local nodes,) slave nodes that another interface has
+    near: Bools  # (n,) slave nodes in the change of basis
+    banned: Bools  # (local nodes,) slave nodes that belong to another interface
 
     @property
     def unilateral(self) -> bool:
-        """Whether it can open: its bounds have one side."""
+        """Whether the sides can separate."""
         return self.sides.unilateral
 
     @property
     def nodes(self) -> Ints:
-        """Local numbers (n,) of the slave nodes that this rank owns."""
+        """Local numbers (n,) of the owned slave nodes."""
         return self.sides.nodes
 
     @property
     def mortar(self) -> tuple[Pairing, MortarOperators]:
-        """The pairs of facets and the operators on them, of a link with a master."""
+        """Facet pairs and mortar operators of a link with a master."""
         assert self.pairing is not None and self.coupling.operators is not None
         return self.pairing, self.coupling.operators
 
     @property
     def Q(self) -> PETSc.Mat:
-        """The matrix Q; its memory is that of all configurations of the same pattern."""
+        """Matrix Q; configurations of one pattern share its memory."""
         return self.pattern.blocks.of(self.coupling.blocks)
 
     @property
     def constrained(self) -> Bools:
-        """Which directions of the frames (n, d) are constrained in the change of basis."""
+        """Constrained directions (n, d) in the change of basis."""
         return np.asarray(self.coupling.directions & self.near[:, None])
 
     @property
     def slot(self) -> Ints:
-        """Column of the frames in use (n, d) that is a prescribed Cartesian direction, else -1."""
+        """Column (n, d) of `frames` that is a prescribed Cartesian direction, else -1."""
         axes = np.arange(self.coupling.slot.shape[1], dtype=np.int32)
         left = np.where(self.sides.fixed[self.nodes], axes, -1)
         bound = np.asarray(self.constrained.any(axis=1))[:, None]
@@ -232,30 +225,30 @@ class CoupledSides:
 
     @property
     def frames(self) -> Floats:
-        """Frames in use (n, d, d): Cartesian ones where nothing is bound."""
+        """Frames (n, d, d) in the change of basis: Cartesian at unconstrained nodes."""
         bound = np.asarray(self.constrained.any(axis=1))[:, None, None]
         return np.where(bound, self.coupling.R, np.eye(self.coupling.R.shape[1]))
 
     @property
     def rows(self) -> Floats:
-        """The inverses (n, d, d) of the frames in use."""
+        """Inverses (n, d, d) of `frames`."""
         bound = np.asarray(self.constrained.any(axis=1))[:, None, None]
         return np.where(bound, self.coupling.rows, np.eye(self.coupling.R.shape[1]))
 
     def relative(self, v: PETSc.Vec) -> Floats:
         """Return R^-1 (v_j - sum_l Q_jl v_l) at the owned slave nodes, (n, d); collective.
 
-        In constrained directions this is the relative motion of the two sides, R_j^-1 (v_j - P v).
+        In constrained directions this is the relative motion R_j^-1 (v_j - P v).
         """
         difference = v.array_r - (self.Q * v).array_r
         local = difference.reshape(-1, self.coupling.R.shape[1])[self.nodes]
         return np.asarray(np.einsum("nij,nj->ni", self.coupling.rows, local))
 
     def gaps(self, v: PETSc.Vec) -> Floats:
-        """Return n_j.(P v - v_j) - h_j at the owned slave nodes (n,) for v = X + u; collective.
+        """N_j.(P v - v_j) - h_j at the owned slave nodes (n,) for v = X + u; collective.
 
-        The distance to the master along the normal. h_j is the mean height of smooth surfaces;
-        where there is no master, P = 0 and -h_j is its place along the normal.
+        The distance to the master along the normal, less the mean height h_j of smooth surfaces;
+        without a master P = 0, and -h_j is the position of the tool along the normal.
         """
         normals = self.coupling.normals
         moved = (self.Q * v).array_r - v.array_r
@@ -263,25 +256,24 @@ class CoupledSides:
         return np.asarray(along - self.coupling.heights)
 
     def constrained_motion(self, v: PETSc.Vec) -> Floats:
-        """Return the constrained components of the relative motion, near or far; collective."""
+        """Constrained components of the relative motion of all slave nodes; collective."""
         return np.asarray(self.relative(v)[self.coupling.directions])
 
     def transpose(self, forces: Floats) -> tuple[Floats, Floats]:
-        """Return the owned nodal forces (I - Q)^T v of slave forces v (n, d); collective.
+        """Owned nodal forces (I - Q)^T v of slave forces v (n, d); collective.
 
-        Those on the slave side (of I and D) and those on the master side (of M), which meet at
-        nodes of both. Their sum is (I - Q)^T v.
+        Two arrays: on the slave side (I and D) and on the master side (M); their sum is (I - Q)^T
+        v.
         """
         moved = -np.einsum("eij,ei->ej", self.coupling.blocks, forces[self.pattern.row])
         return self._on_both_sides(forces, moved)
 
     def exert(self, forces: Floats) -> tuple[Floats, Floats]:
-        """Return the same of slave forces of contact in any direction, (I - P)^T v; collective."""
+        """Same with P for Q, for contact forces in any direction; collective."""
         row = self.pattern.row
         return self._on_both_sides(forces, -self.coupling.P[:, :1] * forces[row])
 
     def _on_both_sides(self, forces: Floats, moved: Floats) -> tuple[Floats, Floats]:
-        """Return the sums of forces at slave nodes (n, d), and those moved from them (e, d)."""
         p, V = self.pattern, self.sides.V
         slave, master = (
             sums_at_nodes(V.mesh.comm, V.dofmap.index_map, p.column[part], moved[part])
@@ -292,9 +284,9 @@ class CoupledSides:
 
 
 def relative_motions(coupled: CoupledSides, v: PETSc.Vec) -> Floats:
-    """Return D^-1 (D - M) v (c, n, d) at the slave nodes for each choice of nodes; collective.
+    """Return D^-1 (D - M) v (c, n, d) at the slave nodes for c choices of direction; collective.
 
-    With the D and M of the last update that belong to the choice, zero at nodes that it leaves out.
+    Zero at nodes without a multiplier in that choice.
     """
     P, coupling = coupled.pattern.scalars, coupled.coupling
     result = np.zeros((coupling.P.shape[1], *coupling.normals.shape))
@@ -305,7 +297,7 @@ def relative_motions(coupled: CoupledSides, v: PETSc.Vec) -> Floats:
 
 
 def node_motions(coupled: CoupledSides, P: PETSc.Mat, v: PETSc.Vec) -> Floats:
-    """Return v_j - sum_l P_jl v_l (n, d) at the slave nodes, of a P between nodes; collective."""
+    """V_j - sum_l P_jl v_l (n, d) at the slave nodes; collective."""
     d = coupled.coupling.normals.shape[1]
     w, result = P.createVecRight(), np.zeros((len(coupled.nodes), d))
     for i in range(d):
@@ -315,7 +307,7 @@ def node_motions(coupled: CoupledSides, P: PETSc.Mat, v: PETSc.Vec) -> Floats:
 
 
 def along_and_across(relative: Floats, normals: Floats) -> tuple[Floats, Floats]:
-    """Return the normal part and the length of the tangential part of motions (.., d).
+    """Normal part and the length of the tangential part of motions (.., d).
 
     >>> along_and_across(np.array([[3.0, -2.0]]), np.array([[0.0, 1.0]]))
     (array([-2.]), array([3.]))
@@ -325,9 +317,9 @@ def along_and_across(relative: Floats, normals: Floats) -> tuple[Floats, Floats]
 
 
 def slipped(coupled: CoupledSides, u: PETSc.Vec) -> Floats:
-    """Return how far the slave nodes (n,) have moved along the master, tangentially; collective.
+    """Tangential displacement (n,) of slave nodes relative to the master; collective.
 
-    That is the tangential part of D^-1 (D - M) u, of the choice in which it is largest.
+    Length of the tangential part of D^-1 (D - M) u, the largest over the choices of direction.
     """
     _, across = along_and_across(relative_motions(coupled, u), coupled.coupling.normals)
     return np.asarray(across.max(axis=0))
@@ -335,33 +327,32 @@ def slipped(coupled: CoupledSides, u: PETSc.Vec) -> Floats:
 
 @dataclass(frozen=True)
 class Frame:
-    """Directions at the owned slave nodes, and which of them an interface constrains."""
+    """Directions at the owned slave nodes, and which are constrained."""
 
-    R: Floats  # (n, d, d) columns are the motions of unit unknowns, rows of R^-1 the directions
+    R: Floats  # (n, d, d) columns are motions of unit unknowns, rows of R^-1 directions
     slot: Ints  # (n, d) column of R that is a prescribed Cartesian direction, else -1
-    directions: Bools  # (n, d) columns of R that are constrained
-    normals: Floats  # (n, d) 0 where not kept
+    directions: Bools  # (n, d) constrained columns of R
+    normals: Floats  # (n, d) 0 without a multiplier
 
 
 def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
-    """Return orthonormal frames with the normal first and prescribed axes among the tangents.
+    """Orthonormal frames with the normal first and prescribed axes among the tangents.
 
     Args:
         normals: (n, d) unit normals; zero in every prescribed direction.
         fixed: (n, d) True where a Cartesian direction is prescribed.
 
     Returns:
-        R (n, d, d) with the frame vectors as columns and slot (n, d): the column of R that is the
-        Cartesian axis i where ``fixed[:, i]``, else -1.
+        R (n, d, d) with the frame vectors as columns, and slot (n, d): the column of R that is the
+            Cartesian axis i where ``fixed[:, i]``, else -1.
 
     >>> R, slot = create_frames(np.array([[0.0, -1.0]]), np.array([[True, False]]))
     >>> R[0].tolist(), slot[0].tolist()
     ([[0.0, 1.0], [-1.0, 0.0]], [1, -1])
     """
     n, d = normals.shape
-    # The axis closest to n, none of the prescribed ones, is left out, so that [n, axes] is never
-    # singular. The others keep their order: sorted by their share in n, tangents would swap when n
-    # turns a little, and old levels of multigrid would know them no more (37 iterations for 23).
+    # The free axis closest to n is left out, so that [n, axes] is regular. The others keep their
+    # order: tangents must not swap under small rotations, or reused multigrid levels become poor.
     order = np.argsort(np.abs(normals) - 2.0 * fixed, axis=1, kind="stable")[:, : d - 1]
     order = np.sort(order, axis=1)
     columns = np.concatenate([normals[:, None, :], np.eye(d)[order]], axis=1)
@@ -373,18 +364,15 @@ def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
 
 
 def normal_frames(normals: Floats, kept: Bools, fixed: Bools) -> tuple[Floats, Ints, Bools]:
-    """Return frames of which the normal is constrained at kept nodes; Cartesian ones elsewhere.
-
-    Rows of R^-1 are the whole normal, the prescribed axes, and tangents normal to all of these.
+    """Frames whose normal is constrained at nodes with multipliers; Cartesian elsewhere.
 
     Args:
-        normals: (n, d) unit normals, of which something is not prescribed at kept nodes.
+        normals: (n, d) unit normals, not wholly prescribed at kept nodes.
         kept: (n,) nodes that carry a multiplier.
         fixed: (n, d) True where a Cartesian direction is prescribed.
 
     Returns:
-        R (n, d, d), slot (n, d): the column of R that belongs to a prescribed axis, else -1, and
-        the constrained directions (n, d).
+        R (n, d, d), slot (n, d) as in `create_frames`, and the constrained directions (n, d).
 
     >>> n, e = np.array([[0.6, 0.8]]), np.array([[True, False]])
     >>> R, slot, directions = normal_frames(n, np.array([True]), e)
@@ -404,20 +392,15 @@ def normal_frames(normals: Floats, kept: Bools, fixed: Bools) -> tuple[Floats, I
 
 
 def free_directions(normals: Floats, fixed: Bools) -> tuple[Floats, Floats]:
-    """Return normals (n, d) without prescribed directions, of length 1 or 0, and what is left (n,).
-
-    Args:
-        normals: (n, d) unit normals.
-        fixed: (n, d) True where a Cartesian direction is prescribed.
-    """
+    """Unit normals (n, d), or 0, without prescribed directions, and their lengths (n,)."""
     free = normals * ~fixed
     left = np.linalg.norm(free, axis=1)
-    some = (left > ROUND_OFF)[:, None]  # of less only round-off has a direction
+    some = (left > ROUND_OFF)[:, None]  # smaller ones are round-off
     return np.where(some, free / np.maximum(left, TINY)[:, None], 0.0), left
 
 
 def couple_in(frame: Frame, kept: Bools, *, blocks: Floats, **rest: Any) -> Coupling:
-    """Return the coupling in a frame."""
+    """Coupling in a frame; makes ``blocks`` read-only."""
     blocks.flags.writeable = False
     return Coupling(
         blocks=blocks,
