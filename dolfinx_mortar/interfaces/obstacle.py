@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: MIT
-r"""Unilateral contact of a side with a rigid tool, which is no part of the mesh.
+"""Unilateral contact of a side with a rigid tool without a mesh.
 
-With the signed distance phi of the tool, positive outside, the weighted gaps are
+With its signed distance phi, positive outside, the weighted gaps are
 
     g_j(u) = int Phi_j phi(X + u) >= 0,
 
-and the multipliers lambda_j >= 0 act along n_j = -grad phi(x_j), into the tool: forces -D_jl
-lambda_j n_j on the nodes l of the side, and as much on the tool. Where phi is that of a plane, g_j
-is what D and n_j say, so that uniform pressures are exact. Facets may stand for a smooth surface,
-see `point_gaps`. The tangent is in `contact_tangent`.
+and the multipliers lambda_j >= 0 exert the forces -D_jl lambda_j n_j, n_j = -grad phi(x_j), on the
+nodes l of the side, and the opposite on the tool. Smooth surfaces: `point_gaps`; tangent:
+`contact_tangent`.
 """
 
 from __future__ import annotations
@@ -64,57 +63,47 @@ from dolfinx_mortar.mortar.whole_side import (
 )
 from dolfinx_mortar.shapes import Distance, Shape
 
-# |grad phi| - 1 of what is no distance, within a facet length of the surface: forces and gaps are
-# off by as much.
+# Largest | |grad phi| - 1 | within a facet length of the surface; forces and gaps have this error.
 NO_DISTANCE = 0.1
 
 
 class Obstacle(Movable, Unilateral):
-    """Contact of a side with a rigid tool: w_n <= gap, pressure >= 0; perhaps with friction.
+    """Contact of a side with a rigid tool: w_n <= gap, pressure >= 0; optionally with friction.
 
-    The tool is a shape of `dolfinx_mortar.shapes`, without a mesh. With its signed distance phi,
-    positive outside, and the dual functions Phi_j of the side, the weighted gaps are
+    The tool is a shape of `dolfinx_mortar.shapes`. With its signed distance phi, positive outside,
+    and the dual functions Phi_j of the side, the weighted gaps are
 
         g_j = int Phi_j phi(X + u) >= 0,
 
-    and contact forces act on the side along grad phi, with the opposite on the tool. With
-    geometry="reference" they are int Phi_j phi(X) - D_jj n_j.u_j, n_j = -grad phi.
-
-    The tool's point ``reference`` is at ``position``, and it is turned by ``rotation`` about it (an
-    angle in the plane, a rotation vector in space; radians): both are Constants, whose values
-    ``ramp`` and ``on_time`` of `load_steps` may set, and which are read at the start of every step.
-
-    Results are those of a `Contact`, with the tool for the master: ``force`` on the side,
-    ``pressure``, ``gap``, ``active``; with friction ``traction``, ``slip``, ``status``, and
-    ``dissipation``; slip is the motion along the tool as it moves. ``tool_force`` and
-    ``tool_moment`` are those on the tool, the latter about its point.
-
-    A node of several interfaces belongs to the first one that it faces; it faces a tool within two
-    facet lengths of it. Facets at 78 degrees or more to the tool's surface, as on the flanks of a
-    body beside it, are not in contact. Facets that are not tagged never meet the tool: where a body
-    folds onto it, as an upset cylinder does, tag the flank, too.
+    with geometry="reference" int Phi_j phi(X) - D_jj n_j.u_j, n_j = -grad phi. Contact forces act
+    along grad phi on the side, and opposite on the tool.
+    The tool's point ``reference`` is at ``position``, and ``rotation`` turns it about this point
+    (an angle in the plane, a rotation vector in space; radians). Both are Constants, read in every
+    step, which ``ramp`` and ``on_time`` of `load_steps` may set.
+    Results are those of a `Contact` with the tool as master; slip is relative to the moving tool.
+    ``tool_force`` and ``tool_moment`` act on the tool, the latter about its point.
+    A node of several interfaces belongs to the first one that it faces: a tool within two facet
+    lengths. Facets inclined by 78 degrees or more to the tool's surface, and untagged ones, are not
+    in contact: tag flanks that fold onto the tool, too.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
-        slave: tag of the side that meets the tool, or its name, see `Tags`.
-        shape: of the tool where it starts.
-        reference: d coordinates of the tool's point where it starts; ``shape.point`` if not given.
-        load: forces on the tool that are given instead of its position, by name: "x", "y" and
-            "moment" about its point in the plane, "x", "y", "z", "moment x" to "moment z" in space,
-            "y" in axisymmetric problems, each a number or a scalar Constant, read at every step.
-            Motions that are not named are prescribed by position and rotation. The tool moves until
-            contact balances the load, ``tool_force + load = 0``; ``travel`` is this motion.
-        surface: as of `Contact`, for straight cells: "smooth" measures the gap between the smooth
-            surface through the nodes and the tool, "facets" that of the facets. For displacements
-            of first order "smooth" takes the distances of the nodes, so that a tip between them
-            goes unseen: by default it is "smooth", but for flat sides of first order "facets".
-        friction: coefficient of Coulomb's law, as of `Contact`.
-        tresca: limit of the tangential traction instead, as of `Contact`.
+        slave: tag or name (see `Tags`) of the side that meets the tool.
+        shape: of the tool in its initial position.
+        reference: d initial coordinates of the tool's point; default ``shape.point``.
+        load: given forces on the tool by name: "x", "y" and "moment" about its point in the plane,
+            "x", "y", "z", "moment x" to "moment z" in space, "y" in axisymmetry, each a number or a
+            scalar Constant, read at every step. Motions without a name are prescribed by position
+            and rotation. The tool moves by ``travel`` until ``tool_force + load = 0``.
+        surface: as in `Contact`, for straight cells. "smooth" with displacements of first order
+            takes distances at the nodes and does not see a tip between them; default "smooth", for
+            flat sides of first order "facets".
+        friction: coefficient of Coulomb's law, as in `Contact`.
+        tresca: limit of the tangential traction instead, as in `Contact`.
 
     Raises:
-        ValueError: for tags that are none, unknown names, what is no shape or one of another
-            dimension, and invalid limits. When a problem takes it, for shapes that are not of
-            revolution in an axisymmetric one.
+        ValueError: for invalid tags, names, shapes, dimensions or limits, and, from the problem,
+            for shapes that are not of revolution in axisymmetry.
 
     Attributes:
         tool: shape, position and rotation.
@@ -148,20 +137,20 @@ class Obstacle(Movable, Unilateral):
 
     @property
     def shape(self) -> Shape:
-        """As given."""
+        """Shape as given."""
         return self.tool.shape
 
     def given(self) -> dict[str, Any]:
-        """Return what all ranks have to give the same, by name; see `agreement`."""
+        """Arguments that must agree among ranks, by name; see `agreement`."""
         return super().given() | self.tool.given() | {"surface": self.meant}
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
-        """Raise a ValueError for shapes that are none in d dimensions, or not of revolution."""
+        """Raise a ValueError for shapes of another dimension, or not of revolution."""
         super().check(V, revolved, strain)
         self.tool.check(V.mesh.geometry.dim, revolved)
 
     def take(self, owner: object, V: fem.FunctionSpace) -> None:
-        """Belong to a problem from now on; slips count from where the tool is now; collective."""
+        """Assign to a problem; slips count from the present pose; collective."""
         super().take(owner, V)
         self.tool.began = self.tool.pose()
         self.tool.asked.alone = V.mesh.comm.size == 1
@@ -172,8 +161,6 @@ class Obstacle(Movable, Unilateral):
         low, high = -ends[:d], ends[d:]
         axes = np.stack([low, (low + high) / 2.0, high], axis=1)
         self.tool.probes = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, d)
-
-    # -- geometry --------------------------------------------------------------------------------
 
     def pair(
         self,
@@ -195,7 +182,7 @@ class Obstacle(Movable, Unilateral):
         if smooth if second else not self.meant:
             own = find_smooth_side(slave, sides.fixed, FEATURE_ANGLE)
         if not second and own is not None:
-            # between the nodes of a flat side a tip of the tool is seen by its facets alone
+            # only facets of flat sides see a tip between the nodes
             limit = HALF_OF_DIGITS * mean_facet_length(slave)
             bent = (np.abs(own.sagitta) > limit).any(axis=1)
             at_nodes = np.zeros(len(slave.nodes))
@@ -212,7 +199,7 @@ class Obstacle(Movable, Unilateral):
     def measure_coverage(
         self, sides: Sides, pairing: Pairing | None, u: fem.Function | None
     ) -> Coverage:
-        """Return how far the slave nodes face the tool at X + u, by their distances; collective."""
+        """Return which slave nodes are close to the tool at X + u; collective."""
         slave, own = sides.slave, slice(None, sides.slave.owned)
         length = mean_facet_length(slave)
         with raised_together(sides.V.mesh.comm):
@@ -236,7 +223,7 @@ class Obstacle(Movable, Unilateral):
         assert isinstance(pattern, SidePattern) and pattern.side is not None
         side, slave, own = pattern.side, sides.slave, slice(None, sides.slave.owned)
         comm, x = sides.V.mesh.comm, coordinates(slave, u)
-        with raised_together(comm):  # what a user's function raises
+        with raised_together(comm):  # errors of a user's function
             pose = self.tool.pose()
             at_nodes = pose.distance(self.tool.asked, x)
             self._check_distance(at_nodes, x, side.facet_length)
@@ -246,13 +233,13 @@ class Obstacle(Movable, Unilateral):
         _, left = free_directions(into, sides.fixed[slave.nodes])
         allowed = self.may_carry(left, sides.fixed[slave.nodes])[:, 0] & ~banned[slave.nodes]
         near = at_nodes.value <= FACETS * side.facet_length
-        if any_rank(comm, banned[slave.nodes].any())[0]:  # others have the rest
+        if any_rank(comm, banned[slave.nodes].any())[0]:  # other interfaces have the rest
             facing &= near[slave.facets].any(axis=1)
         found = integrate_side(side, x, facing, allowed)
         frame = self.frame(into[own], found.kept, sides.fixed[sides.nodes])
         gaps, _ = point_gaps(pattern, pose, self.tool.asked, u, found.segments, found.x)
         at = means(side, found, np.column_stack([found.x, gaps]))
-        # at these positions the gap n.(P x - x_j) - h_j is the mean of phi
+        # makes the gap n.(P x - x_j) - h_j the mean of phi
         heights = -(frame.normals * at[:, :-1]).sum(axis=1) - at[:, -1]
         kept = found.kept
         return couple_in(
@@ -266,7 +253,7 @@ class Obstacle(Movable, Unilateral):
         )
 
     def _check_distance(self, at_nodes: Distance, x: Floats, length: float) -> None:
-        """Raise a ValueError where |grad phi| is far from 1 near the surface."""
+        """Raise a ValueError where |grad phi| differs from 1 near the surface."""
         size = np.linalg.norm(at_nodes.gradient, axis=1)
         off = np.where(np.abs(at_nodes.value) <= length * size, np.abs(size - 1.0), 0.0)
         if off.max(initial=0.0) > NO_DISTANCE:
@@ -277,18 +264,16 @@ class Obstacle(Movable, Unilateral):
                 "give phi / abs(grad phi), or the distance itself"
             )
 
-    # -- steps -----------------------------------------------------------------------------------
-
     def derivatives(self, link: CoupledSides) -> ToolDerivatives:
-        """Return the derivatives of forces and gaps for the pattern of a link; collective."""
+        """Derivatives of forces and gaps for the pattern of a link; collective."""
         assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
         return ToolDerivatives(link, link.pattern.side, self.tool)
 
     def warnings(self, link: CoupledSides, x: PETSc.Vec) -> list[str]:
-        """Return a warning if no facet faces the tool, or if it starts in the body; collective.
+        """Warning if no facet faces the tool, or if it starts in the body; collective.
 
         Raises:
-            ValueError: if it lies so deep that no side of the body is nearest.
+            ValueError: if it contains the whole side.
         """
         sides, comm = link.sides, link.sides.V.mesh.comm
         d = sides.fixed.shape[1]
@@ -318,8 +303,6 @@ class Obstacle(Movable, Unilateral):
             "more than a facet, which the first step has to remove: let it start beside the body"
         ]
 
-    # -- results ---------------------------------------------------------------------------------
-
     @property
     def tool_force(self) -> Floats:
         """Resultant (d,) exerted on the tool."""
@@ -327,7 +310,7 @@ class Obstacle(Movable, Unilateral):
 
     @property
     def tool_moment(self) -> Floats:
-        """Moment (3,) of the forces on the tool about its point; the last component in plane ones.
+        """Moment (3,) of the forces on the tool about its point; in the plane the last component.
 
         Of rings, see `moment`.
         """
