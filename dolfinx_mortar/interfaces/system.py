@@ -60,39 +60,36 @@ from dolfinx_mortar.spaces import with_values
 
 @dataclass(frozen=True)
 class Paired:
-    """Where surfaces were paired, and which nodes T holds: they determine pairs, claims and T."""
+    """Where surfaces were paired, and the nodes in T: they determine pairs, claims and T."""
 
     at: Floats  # (n,) displacement; empty for X
-    near: Sequence[Bools]  # of each interface (slave nodes,)
+    near: Sequence[Bools]  # (slave nodes,) of each interface
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """All interfaces at given positions: a function of these, and of where they were paired.
+    """All interfaces at given positions, for given positions of the pairing."""
 
-    Pairs serve until the sides have slid past them, and T holds its nodes until others come near.
-    """
-
-    links: Sequence[Link] = ()  # the interfaces with their pairings and couplings
+    links: Sequence[Link] = ()  # interfaces with pairings and couplings
     claims: Claims | None = None  # None without interfaces
     transformation: Transformation | None = None  # T; None without interfaces
-    increment: float = 0.0  # largest motion that the step asks for: what counts as near
+    increment: float = 0.0  # largest prescribed motion of the step, which defines near nodes
     paired_at: Floats = field(default_factory=lambda: np.zeros(0))  # (n,), see `Paired`
-    searched: bool = False  # just now: which nodes T holds is to be chosen
+    searched: bool = False  # new pairs: the nodes in T are still to be chosen
 
     @property
     def paired(self) -> Paired:
-        """The pairing from which the next step may start."""
+        """Pairing for the next step."""
         return Paired(self.paired_at, [link.near for link in self.links])
 
     def largest_slip(self, u: PETSc.Vec) -> float:
-        """Return by how much tied sides miss their jumps at most; collective."""
+        """Largest deviation of tied sides from their jumps; collective."""
         missed = [link.missed(u)[link.constrained] for link in self.links if not link.unilateral]
         largest = np.abs(np.concatenate([np.zeros(0), *missed])).max(initial=0.0)
         return float(maximum(u.comm.tompi4py(), largest)[0])
 
     def partners(self, x: PETSc.Vec, *, frozen: bool) -> list[Partners | None]:
-        """Return where the nodes of contacts with friction are on their masters; collective.
+        """Slip partners of contacts with friction; collective.
 
         Args:
             x: (n,) positions at the last commit.
@@ -103,32 +100,32 @@ class Configuration:
 
 @dataclass(frozen=True)
 class Reused:
-    """The last search and the last T, whose matrices are reused where their patterns fit."""
+    """Last search and last T, whose matrices are reused where their patterns fit."""
 
     pairs: Sequence[
         tuple[Pairing | None, Pattern]
-    ] = ()  # of each interface; none before the first search
+    ] = ()  # of each interface; empty before the first search
     claims: Claims | None = None
-    at_X: Mapping[int, Coupling] = field(default_factory=dict)  # by interface, of these pairs
-    paired_at: Floats | None = None  # where that search was made
+    at_X: Mapping[int, Coupling] = field(default_factory=dict)  # by interface, for these pairs
+    paired_at: Floats | None = None  # displacement at the search
     transformation: Transformation | None = None
-    held: Sequence[Any] = ()  # what its pattern depends on, see `_pattern_of`
-    moving: MovingGeometry | None = None  # matrices of the exact tangent, where it has served
+    held: Sequence[Any] = ()  # dependencies of its pattern, see `_pattern_of`
+    moving: MovingGeometry | None = None  # matrices of the exact tangent, once used
 
 
 class InterfaceSystem:
-    """The interfaces of a problem, and where they are at present.
+    """The interfaces of a problem, and their present configuration.
 
     Args:
         interfaces: in the order in which they claim slave nodes.
         fixed: (local nodes, d) True where a direction of a node is prescribed.
-        weight: factor of all integrals over interfaces, 1 if not given.
+        weight: factor of all integrals over interfaces, None for 1.
 
     Attributes:
-        present: the configuration in use, of the audit or the iterate of the moment.
-        searches: how often the surfaces were paired.
-        middles: of the bodies behind both sides of each contact, see `newton_method.tunnelling`.
-        faced: whether the sides have faced each other at some time, so that they may turn away.
+        present: configuration in use, of the audit or the iterate.
+        searches: number of pairings.
+        middles: mid-surface points of both sides of each contact, see `newton_method.tunnelling`.
+        faced: whether the sides have faced each other, so that they may turn away.
         facet_length: largest mean slave facet of the interfaces, 1 without interfaces.
     """
 
@@ -147,11 +144,10 @@ class InterfaceSystem:
         self.present = Configuration()
         self._reused = Reused()
         self.searches = 0
-        self.middles: list[tuple[Middles, ...]] | None = None  # when first asked for
+        self.middles: list[tuple[Middles, ...]] | None = None  # computed on demand
         self.faced = False
 
     def _find_spreads(self) -> None:
-        """Tell the sides of contacts how the normals at their nodes spread; collective."""
         two = [sides.unilateral and sides.master is not None for sides in self.sides]
         if not any(two):
             return
@@ -169,32 +165,32 @@ class InterfaceSystem:
 
     @property
     def n(self) -> int:
-        """How many nodes this rank owns."""
+        """Number of owned nodes."""
         return int(self.V.dofmap.index_map.size_local)
 
     @property
     def links(self) -> Sequence[Link]:
-        """The interfaces with their pairings and couplings, at present."""
+        """Present interfaces with pairings and couplings."""
         return self.present.links
 
     @property
     def unilateral(self) -> list[Link]:
-        """The links that can open: their bounds have one side."""
+        """Links of contacts, with one-sided bounds."""
         return [link for link in self.links if link.unilateral]
 
     @property
     def contacts(self) -> list[Interface]:
-        """The interfaces that can open."""
+        """Interfaces that can open."""
         return [interface for interface in self.interfaces if interface.unilateral]
 
     @property
     def ties(self) -> list[Interface]:
-        """The interfaces that cannot open."""
+        """Interfaces that cannot open."""
         return [interface for interface in self.interfaces if not interface.unilateral]
 
     @property
     def opposite(self) -> list[tuple[Surface, ...]]:
-        """Both sides of each interface that may pass through each other, one that may a tool."""
+        """Sides of each interface that may pass through each other or a tool."""
         return [
             tuple(sides.surfaces) if sides.unilateral and (sides.master or interface.tool) else ()
             for interface, sides in zip(self.interfaces, self.sides, strict=True)
@@ -207,13 +203,13 @@ class InterfaceSystem:
 
     @property
     def tied(self) -> list[tuple[Bools, Bools]]:
-        """Marks (local nodes,) of both sides of each interface that cannot open."""
+        """Marks (local nodes,) of both sides of each tie."""
         ties = [s for s in self.sides if not s.unilateral and s.master]
         return [(s.on_slave, s.on_master) for s in ties]
 
     @property
     def can_open(self) -> Bools:
-        """Which nodes (local nodes,) belong to a side of an interface that can open."""
+        """Marks (local nodes,) of nodes of contacts."""
         layout = self.V.dofmap.index_map
         marks = np.zeros(layout.size_local + layout.num_ghosts, dtype=bool)
         for side in self.sides:
@@ -222,9 +218,9 @@ class InterfaceSystem:
         return marks
 
     def tools_at(self, u: fem.Function) -> list[tuple[Outline, Floats]]:
-        """Return where the rigid tools are, each with the box (2, d) of its side; collective.
+        """Outlines of the rigid tools, each with the box (2, d) of its side; collective.
 
-        The box is that around the side at X + u, in the frame of the tool, for all ranks.
+        The box encloses the side at X + u on all ranks, in the frame of the tool.
         """
         tools = []
         for interface, sides in zip(self.interfaces, self.sides, strict=True):
@@ -239,22 +235,20 @@ class InterfaceSystem:
 
     @property
     def transformation(self) -> Transformation | None:
-        """T at present; None without interfaces."""
+        """Present T; None without interfaces."""
         return self.present.transformation
 
     @property
     def notes(self) -> list[str]:
-        """Notes on multipliers that the present claims have removed."""
+        """Notes on multipliers removed by the present claims."""
         return [] if self.present.claims is None else list(self.present.claims.notes)
 
     def link(self, interface: Interface) -> Link:
-        """Return the present link of an interface."""
+        """Present link of an interface."""
         return self.links[next(k for k, i in enumerate(self.interfaces) if i is interface)]
 
-    # -- configurations --------------------------------------------------------------------------
-
     def at(self, u: fem.Function | None) -> Configuration:
-        """Pair and couple the surfaces at X + u and settle the claims; no T yet; collective."""
+        """Pair and couple the surfaces at X + u and resolve the claims, without T; collective."""
         if not self.interfaces:
             return Configuration()
         at = self._pair(u)
@@ -263,7 +257,7 @@ class InterfaceSystem:
         return Configuration(links, self._reused.claims, paired_at=at, searched=True)
 
     def _pair(self, u: fem.Function | None) -> Floats:
-        """Pair the surfaces at X + u, and settle the claims; return u (n,) there; collective."""
+        """Pair the surfaces at X + u, resolve the claims; return u (n,); collective."""
         self.searches += 1
         every = list(zip(self.interfaces, self.sides, strict=True))
         at = [None if interface.stays else u for interface in self.interfaces]
@@ -275,7 +269,7 @@ class InterfaceSystem:
         ]
         self.faced = True
         coverage = [full_coverage(self.sides[0])]
-        if len(every) > 1:  # else there is nobody to share with
+        if len(every) > 1:  # coverage decides only between several
             coverage = [
                 interface.measure_coverage(sides, pairing, v)
                 for (interface, sides), (pairing, _), v in zip(every, found, at, strict=True)
@@ -289,7 +283,6 @@ class InterfaceSystem:
         return where
 
     def _coupled(self, u: fem.Function | None, near: Sequence[Bools]) -> list[Link]:
-        """Return the interfaces at X + u with the pairs and claims of the last search."""
         links, claims = [], self._reused.claims
         assert claims is not None
         for k, (interface, sides) in enumerate(zip(self.interfaces, self.sides, strict=True)):
@@ -304,10 +297,7 @@ class InterfaceSystem:
         parts: tuple[Sides, Pairing | None, Pattern, Bools],
         u: fem.Function | None,
     ) -> Coupling:
-        """Return what the `couple` of interface k returns for parts at X + u; collective.
-
-        What lasts is asked once a search: ties, and contacts of frozen geometry.
-        """
+        """Couple interface k at X + u, ties and frozen contacts once per search; collective."""
         interface, reused = self.interfaces[k], self._reused
         at = None if interface.stays else u
         lasts = at is None and parts[1] is not None and is_ours(interface)
@@ -319,24 +309,21 @@ class InterfaceSystem:
         return found
 
     def _followed(self, k: int, link: Link, u: fem.Function | None) -> Link:
-        """Return an interface with the same pairs at X + u, itself if it stays at X; collective."""
+        """Couple an interface with the same pairs at X + u; collective."""
         if u is not None and link.interface.stays and link.pairing and is_ours(link.interface):
             return link
         parts = link.sides, link.pairing, link.pattern, link.banned
         return replace(link, coupling=self._couple(k, parts, u))
 
     def begin(self, u: fem.Function | None, known: Paired | None) -> Configuration:
-        """Return what a step begins with at X + u; no T yet; collective.
+        """First configuration of a step at X + u, without T; collective.
 
-        The pairs of the last step, where they still serve: others give T another pattern. With a
-        search in each of ten steps, multigrid is set up 6 times instead of once (a ball, elastic,
-        12 thousand unknowns, 1.36 of the time), and a disc that slides with friction takes 11
-        factorisations instead of 6.
+        Pairs of the last step are reused as long as they serve, since new ones change the pattern
+        of T and with it multigrid levels or factorisations.
 
         Args:
             u: displacement, None for X.
-            known: where the surfaces were paired in the last step that was committed; None pairs
-                them at X + u, as is done where they have slid past their partners since.
+            known: last committed pairing; None pairs the surfaces at X + u.
         """
         if known is None or not self.interfaces:
             return self.at(u)
@@ -354,16 +341,13 @@ class InterfaceSystem:
         return Configuration(links, claims, paired_at=known.at)
 
     def enter(self, found: Configuration, x: PETSc.Vec, increment: float) -> bool:
-        """Make what has been found the present configuration, with its T; collective.
+        """Make a configuration the present one; return whether T has a new pattern; collective.
 
-        T holds the nodes that are near, and those of the last step unless others have come near.
+        T contains the near nodes, those of the last step unless others have come near.
 
         Args:
-            x: (n,) its coordinates X + u, also for frozen surfaces.
-            increment: largest motion that the step asks for.
-
-        Returns:
-            Whether T has a new pattern.
+            x: (n,) coordinates X + u, also for frozen surfaces.
+            increment: largest prescribed motion of the step.
         """
         found = replace(found, increment=increment)
         if not self.interfaces:
@@ -376,16 +360,12 @@ class InterfaceSystem:
         return self._enter(replace(found, searched=False), links)
 
     def follow(self, u: fem.Function | None, x: PETSc.Vec, *, everywhere: bool = False) -> bool:
-        """Go on from the present configuration to X + u, within a step; collective.
+        """Update to X + u within a step; return whether T has a new pattern; collective.
 
         Args:
-            u: displacement at which normals and segments are taken; None for X.
-            x: (n,) present coordinates X + u, also for frozen surfaces.
-            everywhere: pair the surfaces anew if they slid past their partners anywhere, not only
-                near the contact.
-
-        Returns:
-            Whether T has a new pattern.
+            u: displacement for normals and segments; None for X.
+            x: (n,) coordinates X + u, also for frozen surfaces.
+            everywhere: pair again after slides anywhere, not only near the contact.
         """
         before = self.present
         if not self.interfaces:
@@ -404,14 +384,13 @@ class InterfaceSystem:
         return False
 
     def _enter(self, found: Configuration, links: Sequence[Link]) -> bool:
-        """Make these links of a configuration the present ones; tell whether T is another one."""
         assert found.claims is not None
         claims, held = found.claims, _pattern_of(links)
         reused, T = self._reused, self._reused.transformation
         same = T is not None and T.serves(claims) and len(held) == len(reused.held)
         same = same and all(map(np.array_equal, held, reused.held))
         if T is None or not self.V.mesh.comm.allreduce(same, op=MPI.LAND):
-            self.present = Configuration()  # the old T goes before the new one needs the memory
+            self.present = Configuration()  # free the old T before the new one is allocated
             self._reused = replace(reused, transformation=None, moving=None)
             T = Transformation(self.V, links, claims)
             self._reused = replace(self._reused, transformation=T, held=held)
@@ -420,11 +399,10 @@ class InterfaceSystem:
         return T is not reused.transformation
 
     def _slid(self, u: fem.Function | None, near: Sequence[Bools] | None = None) -> bool:
-        """Tell whether sides slid out of the margins of the last search; collective.
+        """Tell whether sides slid beyond the margins of the last search; collective.
 
         Args:
-            u: displacement.
-            near: slave nodes of each interface where that counts; all if not given.
+            near: slave nodes of each interface to be considered, None for all.
         """
         slid = []
         for k, (interface, sides) in enumerate(zip(self.interfaces, self.sides, strict=True)):
@@ -435,14 +413,14 @@ class InterfaceSystem:
 
     @contextmanager
     def put_back(self) -> Iterator[None]:
-        """Restore the present configuration after the block; the first one stays; collective.
+        """Restore the present configuration after the block, except a first one; collective.
 
-        So an audit between steps is no search of the next step, and leaves its matrices alone.
+        An audit between steps so leaves the matrices of the next step.
         """
         present, reused = self.present, self._reused
         try:
             yield
-        finally:  # an error may be one of this rank only: no communication
+        finally:  # errors may be local: no communication
             if present.transformation is not None:
                 self.present, self._reused = present, reused
         if present.transformation is not None:
@@ -451,7 +429,7 @@ class InterfaceSystem:
     def is_complete(self, u: fem.Function | None, x: PETSc.Vec) -> bool:
         """Tell whether no slave node outside T may be in contact; collective.
 
-        It may where the sides have slid past their partners, or where a gap has closed.
+        False after slides beyond the margins, and where a gap has closed.
         """
         if not self.links:
             return True
@@ -465,7 +443,7 @@ class InterfaceSystem:
         tangential: Floats | None,
         slips: tuple[PETSc.Vec, Sequence[Partners | None]],
     ) -> GeometryTangent:
-        """Return what the motion of the surfaces adds to a linearisation at X + u; collective.
+        """Derivatives of the moving geometry at X + u; collective.
 
         Args:
             u: displacement, of the present configuration.
@@ -481,13 +459,11 @@ class InterfaceSystem:
             self._reused = replace(self._reused, moving=moving)
         return moving.linearise(self.links, u, multipliers, tangential, slips)
 
-    # -- what the QP needs -----------------------------------------------------------------------
-
     def constraints(self, x: PETSc.Vec, u: PETSc.Vec) -> Constraints:
-        """Return the bounds of all interfaces on increments of y; collective.
+        """Bounds of all interfaces on increments of y; collective.
 
         Args:
-            x: (n,) coordinates X + u (also with frozen geometry: the gap is linear in u).
+            x: (n,) coordinates X + u, also with frozen geometry.
             u: (n,) displacement.
         """
         parts = []
@@ -507,7 +483,7 @@ class InterfaceSystem:
 
     @property
     def has_friction(self) -> bool:
-        """Tell whether some contact has friction."""
+        """Whether some contact has friction."""
         return any(interface.law is not None for interface in self.interfaces)
 
     def slip_limits(
@@ -517,12 +493,12 @@ class InterfaceSystem:
         partners: Sequence[Partners | None],
         sliding: Floats | None = None,
     ) -> SlipLimits | None:
-        """Return the limits of friction, None if there is none; collective.
+        """Limits of friction, None without; collective.
 
         Args:
             moved: (n,) displacement since the last commit.
-            limits: (owned nodes,) coefficients or tractions, for each interface that has them.
-            partners: of each interface when the step began, None for those of the moment.
+            limits: (owned nodes,) coefficients or tractions of each interface with friction.
+            partners: of each interface at the start of the step, None for present ones.
             sliding: (owned nodes, d) directions of slip at the last commit.
         """
         parts = []
@@ -542,7 +518,6 @@ class InterfaceSystem:
         partner: Partners | None,
         sliding: Floats | None,
     ) -> SlipLimits:
-        """Return limits with the slips in directions that are prescribed; collective."""
         place = np.zeros(self.n, dtype=np.int32)
         place[link.nodes] = np.arange(len(link.nodes))
         at = place[limits.nodes]
@@ -561,10 +536,7 @@ class InterfaceSystem:
         return replace(limits, beside=beside, before=before, room=room, opening=opening)
 
     def exert(self, forces: Floats) -> Floats:
-        """Return forces on both sides of those (owned nodes, d) at slaves of contacts; collective.
-
-        A node belongs to the contact that carries there.
-        """
+        """Nodal forces, on both sides, of forces (owned nodes, d) at slave nodes; collective."""
         total = np.zeros_like(forces)
         for link in self.unilateral:
             slave, master = link.exert(np.where(link.constrained[:, :1], forces[link.nodes], 0.0))
@@ -583,7 +555,7 @@ class InterfaceSystem:
 
 
 def _pattern_of(links: Sequence[Link]) -> list[Any]:
-    """Return what the pattern of T depends on, beside the claims; collective."""
+    """Dependencies of the pattern of T besides the claims."""
     held: list[Any] = []
     for link in links:
         held += [link.pattern.row, link.pattern.column, link.near, link.banned]
