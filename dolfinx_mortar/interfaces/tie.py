@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Mesh tying."""
+"""Mesh tying: u_slave - P u_master = jump, with P = D^-1 M at X."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -34,69 +34,59 @@ from ufl.core.expr import Expr
 Jump = Sequence[float] | Floats | fem.Constant | fem.Function | Callable[[Floats], Floats] | None
 """A vector in Cartesian components, the same everywhere or one at each point."""
 
-# Unless the user says how far, ties reach from the least distance of their sides to this part of
-# the larger facet more. Facets that stand for one smooth surface, or two at a constant distance,
-# vary by their sagittas, tan(a / 4) / 2 of a facet each where two of them meet at an angle a:
-# together by less than 0.42 up to right angles, beyond which no facets stand for a smooth surface.
+# Fraction of the larger facet by which the default reach of ties exceeds the least distance. Facets
+# of smooth surfaces deviate by sagittas of tan(a / 4) / 2 of a facet, a the angle between two of
+# them: together less than 0.42 up to right angles.
 WITHIN = 0.5
 
 
 class Tie(MortarInterface):
     """Mesh tying ("glue"): both sides move together in all directions, or a given jump apart.
 
-    The constraint is u_slave - P u_master = jump + s n, with s = 0 unless there is a pretension:
-    then the overlap s along the unit vector n is one unknown more, and the equation that belongs to
-    it is ``force @ n == pretension``. P = D^-1 M is always that at X, as in the paper: tied sides
-    keep the partners that they had at the start. Directions with Dirichlet data are left to those
-    data. Jumps, tightenings and directions do not turn with the bodies: where these rotate by R,
-    set them in each step to R times their values before, or a bolt loses force. The vector between
-    sides that are apart at X turns with ``surface="smooth"`` as by a small rotation, with "facets"
-    not at all. ``force`` is the resultant exerted on the slave side; ``pressure`` the normal
-    traction per area at X, positive in compression; ``gap`` the normal part of the jump, positive
-    where it opens the sides, negative where they overlap, zero without a jump.
+    The constraint is u_slave - P u_master = jump + s n, P = D^-1 M at X. With a pretension the
+    overlap s along the unit vector n is an additional unknown, with the equation ``force @ n ==
+    pretension``. Prescribed displacement components are not tied. Jumps, tightenings and directions
+    do not rotate with the bodies: where these rotate by R, multiply them by R in each step, or a
+    bolt loses force. The offset between separated sides rotates (linearised) with
+    ``surface="smooth"``, not with "facets". ``force`` is the resultant on the slave side;
+    ``pressure`` the normal traction per area at X, positive in compression; ``gap`` the normal part
+    of the jump, negative where the sides overlap.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
-        slave: tag of the side that carries the multipliers, or its name, see `Tags`.
+        slave: tag or name (see `Tags`) of the side with the multipliers.
         master: tag or name of the other side.
         jump: displacement of the slave side relative to the master side, a length in Cartesian
             components: d numbers, a Constant, a Function on the displacement's mesh, or a function
-            of points x (3, n) that returns (d, n), all taken at the slave nodes. It is read at the
-            start of every step, like loads, and may be set anew; None is no jump. A vector that
-            points from the slave side into the master side lets them overlap, which pulls a bolt
-            that is cut by the tie; the opposite one opens a slit.
-        pretension: resultant on the slave side along ``direction``, a force: a number or a scalar
-            Constant, read at the start of every step, like loads; positive is tension. Half a bolt
-            on a plane of symmetry has half the force. None holds the jump and the tightening; so
-            does setting it to None after steps with a pretension: the bolt is then tight, and later
-            loads change its force. Steps of several ties with pretensions meet all their forces.
-        direction: d numbers of any length, along which the sides overlap under a pretension: the
-            axis of the bolt, out of the slave side. None is the mean normal of the slave side.
-        surface: "facets" ties points of facets, u_s = P u_m as in the paper; "smooth" the surfaces
-            for which they stand: where facets are apart by r, u_s = P u_m + (motion of r), see
-            `dolfinx_mortar.mortar.curvature_correction.point_motions`. D and M are the same.
-        feature_angle: degrees between two facets from which on they meet in an edge, which stays
-            one; for smooth surfaces.
-        within: largest distance over which sides are tied, a length: facets any points of which are
-            farther apart at X are no partners. None is the least distance between the sides and
-            half of the larger one of two facets, more than sides that stand for one surface, or
-            for two at a constant distance, are apart; the audit warns where that leaves anything
-            out, and where more is tied than curved sides explain.
-
+            of points x (3, n) that returns (d, n), all taken at the slave nodes at the start of
+            every step. A vector from the slave side into the master side makes them overlap, which
+            tightens a bolt cut by the tie; the opposite one opens a slit.
+        pretension: resultant on the slave side along ``direction``, a force, positive in tension: a
+            number or a scalar Constant, read at the start of every step. Half a bolt on a plane of
+            symmetry has half the force. None keeps jump and tightening: set it to None once the
+            bolt is tight, and later loads change its force.
+        direction: d numbers of any length, out of the slave side: the axis of the bolt. None is the
+            mean normal of the slave side.
+        surface: "facets" ties points of facets, u_s = P u_m as in the paper; "smooth" the smooth
+            surfaces through their nodes: where facets are apart by r, u_s = P u_m + (motion of r),
+            see `dolfinx_mortar.mortar.curvature_correction.point_motions`. D and M are the same.
+        feature_angle: degrees between facets from which on an edge is sharp; for smooth surfaces.
+        within: largest distance between tied facets at X, a length. None is the least distance
+            between the sides plus half of the larger of two facets; the audit warns where this
+            leaves facets untied, or ties more than curvature explains.
     Source: the paper, section 4, eq. 16 with equality.
 
     Raises:
-        ValueError: for tags that are none, unknown names, an unknown surface or angle, a jump or a
-            direction that has not d finite components, a pretension that is no number, and
-            ``within`` that is no positive number.
+        ValueError: for invalid tags, names, surface or angle, a jump or direction that has not d
+            finite components, a pretension that is no number, and ``within`` that is not positive.
         TypeError: for friction.
 
     Attributes:
         jump: as given; setting it checks it.
         pretension: as given; setting it checks it.
         direction: a unit vector, or None; setting it checks it.
-        tightening: (d,) what is added to the jump everywhere: s n, set by every step with a
-            pretension; zero before.
+        tightening: (d,) added to the jump everywhere: s n, set by every step with a pretension,
+            else zero.
     """
 
     stays = True
@@ -146,7 +136,7 @@ class Tie(MortarInterface):
 
     @property
     def tightening(self) -> Floats:
-        """Vector (d,) that is added to the jump everywhere."""
+        """Vector (d,) added to the jump everywhere."""
         return self._tightening
 
     @tightening.setter
@@ -155,7 +145,7 @@ class Tie(MortarInterface):
 
     @property
     def pretension(self) -> Force:
-        """Resultant on the slave side along the direction, None where the jump is held."""
+        """Resultant on the slave side along the direction; None keeps the jump."""
         return self._pretension
 
     @pretension.setter
@@ -173,7 +163,7 @@ class Tie(MortarInterface):
         self._direction: Direction = unit
 
     def given(self) -> dict[str, Any]:
-        """Return what all ranks have to give the same, by name; see `agreement`."""
+        """Arguments that must agree among ranks, by name; see `agreement`."""
         return super().given() | {
             "jump": self.jump,
             "tightening": self.tightening,
@@ -187,7 +177,7 @@ class Tie(MortarInterface):
         return name if self.within is None else f"{name[:-1]}, within={self.within!r})"
 
     def find_sides(self, V: fem.FunctionSpace, fixed: Bools, weight: Weight | None = None) -> Sides:
-        """Return both surfaces in V, see `Interface.find_sides`; collective."""
+        """Both surfaces in V, see `Interface.find_sides`; collective."""
         sides = super().find_sides(V, fixed, weight)
         self.normal = mean_normal(sides.slave)
         return sides
@@ -197,7 +187,7 @@ class Tie(MortarInterface):
         check_mesh("jump", self.jump, V)
 
     def reach(self, sizes: Floats, nearest: float) -> Floats:
-        """Return how far apart (q,) partners may be: as given, or half a facet beyond the least."""
+        """Largest distance (q,) between partners of facet size ``sizes``."""
         if self.within is not None:
             return np.full(len(sizes), self.within)
         return nearest + WITHIN * sizes
@@ -207,7 +197,7 @@ class Tie(MortarInterface):
         return ~fixed
 
     def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
-        """Return Cartesian frames, of which the kept directions are constrained."""
+        """Return Cartesian frames constrained in the kept directions."""
         n, d = normals.shape
         slot = np.where(fixed, np.arange(d, dtype=np.int32), -1).astype(np.int32)
         return Frame(np.broadcast_to(np.eye(d), (n, d, d)), slot, kept, normals)
@@ -217,15 +207,14 @@ class Tie(MortarInterface):
         return np.asarray(P[:, :, None] * np.eye(P.shape[1]))
 
     def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
-        """Return the argument by which motions of offset vectors complete P."""
+        """Arguments for the motions of offset vectors."""
         return {"motions_of": smooth}
 
     def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
-        """Return the jump with the tightening (n, d) at slave nodes; None for none; collective.
+        """Jump plus tightening (n, d) at slave nodes; None for none; collective.
 
         Raises:
-            ValueError: on all ranks, if the jump lives on another mesh, or has another shape than a
-                vector at each node.
+            ValueError: on all ranks, for a jump on another mesh, or not a vector at each node.
         """
         if self.jump is None and not self.tightening.any():
             return None
@@ -236,10 +225,10 @@ class Tie(MortarInterface):
             return _values_at(given, V, nodes) + self.tightening
 
     def driven(self) -> Bolt | None:
-        """Return the overlap that a pretension drives; None where the jump is held.
+        """Overlap driven by a pretension, if there is one.
 
         Raises:
-            ValueError: if a direction is needed and the side has none, or it points into the side.
+            ValueError: if a needed direction is missing, or it points into the side.
         """
         if self.pretension is None:
             return None
@@ -247,17 +236,13 @@ class Tie(MortarInterface):
         return Bolt(axis, self._force, self.tighten, self.tightening, str(self))
 
     def warnings(self, link: CoupledSides, x: PETSc.Vec) -> list[str]:
-        """Return one on a pretension that shears; collective."""
+        """Warning about a pretension with a shear component; collective."""
         bolt = self.driven()
         shear = "" if bolt is None else describe_shear(self.normal, bolt.axis, str(self))
         return [*super().warnings(link, x), *([shear] if shear else [])]
 
     def _force(self) -> float:
-        """Return the pretension.
-
-        Raises:
-            ValueError: if the value of a Constant is NaN or infinite.
-        """
+        """Pretension; raise a ValueError for NaN or infinity."""
         given: Any = self.pretension
         force = float(getattr(given, "value", given))
         if not np.isfinite(force):
@@ -271,16 +256,16 @@ class Tie(MortarInterface):
         self.tightening = self.tightening + way
 
     def state(self, ended: bool) -> dict[str, Floats]:
-        """Return the tightening: without it the bolts of a restored problem would be loose."""
+        """Tightening, which a restored bolt needs."""
         return {"tightening": self.tightening}
 
     def restore(self, state: Mapping[str, Floats]) -> None:
-        """Take over the tightening."""
+        """Set the tightening."""
         self.tightening = state["tightening"]
 
 
 def _check_within(within: Any) -> float | None:
-    """Return the largest distance over which to tie as a number, None for the default."""
+    """Largest distance over which to tie as a number, None for the default."""
     if within is None:
         return None
     everything = isinstance(within, float) and within == np.inf
@@ -293,15 +278,7 @@ def _check_within(within: Any) -> float | None:
 
 
 def _check_jump(jump: Any, d: int) -> Any:
-    """Return a jump as it is kept, numbers as an array; without communication.
-
-    Args:
-        jump: what a user gives.
-        d: how many components it needs.
-
-    Raises:
-        ValueError: for what is none, has another shape, or holds NaN or infinity.
-    """
+    """Checked jump, numbers as an array; without communication."""
     if jump is None:
         return None
     example = ", ".join(["0"] * (d - 1) + ["0.1"])
@@ -316,7 +293,7 @@ def _check_jump(jump: Any, d: int) -> Any:
         elif jump.value.shape != (d,):
             raise ValueError(f"jump is a Constant of shape {jump.value.shape}: {wanted}")
         return jump
-    if isinstance(jump, Expr):  # those can be called, too
+    if isinstance(jump, Expr):  # UFL expressions are callable, too
         raise ValueError(
             f"jump is an expression of UFL, {type(jump).__name__}: interpolate it into a Function "
             "of the displacement's space, and that again where it changes between steps"
@@ -334,7 +311,7 @@ def _check_jump(jump: Any, d: int) -> Any:
 
 
 def _nodal_function(jump: Any, V: fem.FunctionSpace) -> Any:
-    """Return a Function as one of V, all else as it is; collective for Functions."""
+    """Return a Function as one of V, all else unchanged; collective for Functions."""
     if not isinstance(jump, fem.Function) or jump.function_space == V:
         return jump
     jump.x.scatter_forward()
@@ -344,15 +321,7 @@ def _nodal_function(jump: Any, V: fem.FunctionSpace) -> Any:
 
 
 def _values_at(jump: Any, V: fem.FunctionSpace, nodes: Ints) -> Floats:
-    """Return the jump (n, d) at owned nodes; without communication.
-
-    Args:
-        jump: what `_check_jump` has returned, a Function as one of V.
-        nodes: (n,) local numbers.
-
-    Raises:
-        ValueError: if a function of points returns another shape.
-    """
+    """Jump (n, d) at owned nodes; without communication."""
     d = V.dofmap.index_map_bs
     if jump is None:
         return np.zeros((len(nodes), d))
