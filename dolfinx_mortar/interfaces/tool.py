@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rigid bodies that touch or hold a side: their pose, loads that drive them, and tools."""
+"""Rigid bodies that touch or hold a side: pose, driving loads, and tools."""
 
 from __future__ import annotations
 
@@ -29,44 +29,43 @@ from dolfinx_mortar.shapes.zero_level import find_zero_level
 
 
 class Driven(Protocol):
-    """A rigid tool or side with m unknown motions, each with a given force; the same on all ranks.
+    """A rigid tool or side with m unknown motions, each driven by a given force; same on all ranks.
 
-    An interface offers it, see `Interface.driven`, and Newton's method finds the motions, see
-    `newton_method.driven_tools`.
+    Interfaces return one from `Interface.driven`; Newton's method solves for the motions.
     """
 
     @property
     def holds(self) -> bool:
-        """Whether nodes follow it in all directions, rather than touch it."""
+        """Whether nodes follow it in all directions, as on a rigid side."""
 
     @property
     def names(self) -> Sequence[str]:
-        """Names in messages of the m motions, and of the forces that drive them."""
+        """Names (m) of the motions and their forces."""
 
     def loads(self) -> Floats:
-        """Return the given forces (m,) on the tool.
+        """Given forces (m,) on the tool.
 
         Raises:
             ValueError: for values of Constants that are not finite.
         """
 
     def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
-        """Return what one unit of each motion (m, n, d) does at points.
+        """Displacements (m, n, d) of points by one unit of each motion.
 
         Args:
-            x: (n, d) where they are, X if the geometry is frozen.
-            X: (n, d) where they were at the start.
-            moved: (m,) amounts of the motions by which it is moved from where it is; what that
-                changes is found to first order, or neglected.
+            x: (n, d) present positions, X with frozen geometry.
+            X: (n, d) positions at the start.
+            moved: (m,) motions from the present pose at which to linearise; their effect may be
+                neglected.
         """
 
     def curve(self, X: Floats, amounts: Floats) -> Floats:
-        """Return the difference (n, d) of a motion from its tangent, at points that follow it.
+        """Motion minus its linearisation (n, d) at points that follow it.
 
-        Asked only of what `holds` nodes.
+        Called only where `holds`.
 
         Args:
-            X: (n, d) where they were at the start.
+            X: (n, d) positions at the start.
             amounts: (m,) of the motions.
         """
 
@@ -76,30 +75,30 @@ class Driven(Protocol):
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a tool is: x = position + R (xi - point) of a point xi of the tool as it starts."""
+    """Pose of a tool: x = position + R (xi - point) of a point xi in its initial position."""
 
     position: Floats  # (d,) of the tool's point
     rotation: Floats  # (1,) angle in the plane, (3,) rotation vector in space
-    point: Floats  # (d,) where that point starts
+    point: Floats  # (d,) its initial position
 
     @property
     def R(self) -> Floats:
-        """The rotation (d, d)."""
+        """Rotation matrix (d, d)."""
         if len(self.position) == 2:
             c, s = np.cos(self.rotation[0]), np.sin(self.rotation[0])
             return np.array([[c, -s], [s, c]])
         return np.asarray(Rotation.from_rotvec(self.rotation).as_matrix())
 
     def to_tool(self, x: Floats) -> Floats:
-        """Return the points of the tool (n, d) that are at x (n, d)."""
+        """Initial positions (n, d) of the tool's points at x (n, d)."""
         return (x - self.position) @ self.R + self.point
 
     def to_space(self, xi: Floats) -> Floats:
-        """Return where points of the tool (n, d) are."""
+        """Present positions of points of the tool (n, d)."""
         return (xi - self.point) @ self.R.T + self.position
 
     def distance(self, shape: Shape, x: Floats) -> Distance:
-        """Return the distances of points x (n, d) from the surface of a shape."""
+        """Distances of points x (n, d) from the surface of a shape."""
         found, R = shape.distance(self.to_tool(x)), self.R
         return Distance(found.value, found.gradient @ R.T, R @ found.hessian @ R.T)
 
@@ -112,7 +111,7 @@ SPACE = ("x", "y", "z", "moment x", "moment y", "moment z")
 
 
 def motions_in(d: int) -> tuple[str, ...]:
-    """Return the names of a tool's motions, and of the forces that drive them."""
+    """Names of a tool's motions and their forces."""
     return SPACE if d > 2 else PLANE
 
 
@@ -120,12 +119,12 @@ class RigidBody:
     """Position and rotation of a rigid body as Constants, and the loads that drive it instead.
 
     Attributes:
-        point: (d,) about which it turns, where it starts.
-        position: Constant (d,), where that point is.
+        point: (d,) initial position of the reference point.
+        position: Constant (d,), position of this point without ``travel``.
         rotation: Constant, an angle in the plane, a rotation vector (3,) in space.
-        revolved: whether the problem is axisymmetric, so that it stays on the axis.
-        load: forces and moments about its point that are given, by name, see `motions_in`.
-        travel: (3,) or (6,) how far these have moved it, beyond position and rotation.
+        revolved: whether the problem is axisymmetric.
+        load: given forces and moments about the point, by names of `motions_in`.
+        travel: (3,) or (6,) motion by the loads, in addition to position and rotation.
     """
 
     holds = False
@@ -133,7 +132,7 @@ class RigidBody:
     def __init__(self, point: Floats) -> None:
         d = len(point)
         self.point, self.revolved = point, False
-        cell = "tetrahedron" if d > 2 else "triangle"  # of no mesh
+        cell = "tetrahedron" if d > 2 else "triangle"
         domain = ufl.Mesh(basix.ufl.element("Lagrange", cell, 1, shape=(d,)))
         turn = np.zeros(3) if d > 2 else 0.0
         self.position = fem.Constant(domain, self.point.astype(default_real_type))
@@ -142,10 +141,10 @@ class RigidBody:
         self.travel: Floats = np.zeros(len(motions_in(d)))
 
     def pose(self, travel: Floats | None = None) -> Pose:
-        """Return where it is at present, or would be with another travel.
+        """Present pose, or the one with another travel.
 
         Raises:
-            ValueError: for NaN and infinity, and in an axisymmetric problem off the axis.
+            ValueError: for NaN and infinity, and off the axis in an axisymmetric problem.
         """
         position: Floats = np.array(self.position.value, dtype=np.float64)
         rotation: Floats = np.array(self.rotation.value, dtype=np.float64).reshape(-1)
@@ -165,11 +164,7 @@ class RigidBody:
         return Pose(position, rotation, self.point)
 
     def check_load(self, load: Any) -> Mapping[str, Load]:
-        """Return the given forces by name, in the order of `motions_in`.
-
-        Raises:
-            ValueError: for unknown names, and what is no finite number or scalar Constant.
-        """
+        """Checked forces by name, in the order of `motions_in`."""
         known = motions_in(len(self.point))
         if load is None:
             return {}
@@ -188,10 +183,10 @@ class RigidBody:
         return {name: load[name] for name in known if name in load}
 
     def loads(self) -> Floats:
-        """Return the present values (m,).
+        """Present values (m,).
 
         Raises:
-            ValueError: for NaN and infinity, and in an axisymmetric problem other than "y".
+            ValueError: for NaN and infinity, and other than "y" in an axisymmetric problem.
         """
         if self.revolved and self.load.keys() - {"y"}:
             raise ValueError(
@@ -206,28 +201,28 @@ class RigidBody:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The point, by which position and rotation say where it is; for checkpoints."""
+        """Reference point, for checkpoints."""
         return {"reference": self.point.tolist()}
 
     def given(self) -> dict[str, Any]:
-        """Return what all ranks have to give the same, by name."""
+        """Arguments that must agree among ranks, by name."""
         return {name: getattr(self, name) for name in ("point", "position", "rotation", "load")}
 
     def place(self) -> Floats:
-        """Return where its point is (d,), about which moments are given."""
+        """Position (d,) of the reference point of moments."""
         return self.pose().position
 
     def state(self, ended: bool) -> dict[str, Floats]:
-        """Return what steps change, see `Interface.state`."""
+        """State, see `Interface.state`."""
         return {"travel": self.travel}
 
     def restore(self, state: Mapping[str, Floats]) -> None:
-        """Take over what `state` has returned."""
+        """Set the state."""
         self.travel = state["travel"]
 
     @property
     def names(self) -> Sequence[str]:
-        """The motions that loads drive, as in `motions_in`."""
+        """Motions driven by loads, see `motions_in`."""
         return tuple(self.load)
 
     @property
@@ -235,15 +230,15 @@ class RigidBody:
         return [motions_in(len(self.point)).index(name) for name in self.names]
 
     def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
-        """Return what one unit of each driven motion (m, n, d) does, see `Driven`."""
+        """Displacements (m, n, d) by one unit of each driven motion, see `Driven`."""
         return self.along(x - self.pose().position)
 
     def curve(self, X: Floats, amounts: Floats) -> Floats:
-        """Return 0: nothing follows a tool, see `Driven`."""
+        """Return 0: no node follows a tool, see `Driven`."""
         return np.zeros_like(X)
 
     def along(self, arm: Floats) -> Floats:
-        """Return what one unit of each driven motion (m, n, d) does at arms (n, d)."""
+        """Displacements (m, n, d) by one unit of each driven motion at arms (n, d)."""
         n, d = arm.shape
         every = np.zeros((len(motions_in(d)), n, d))
         every[np.arange(d), :, np.arange(d)] = 1.0
@@ -254,13 +249,13 @@ class RigidBody:
         return every[self._driven]
 
     def steps(self, amounts: Floats) -> Floats:
-        """Return amounts (m,) of the driven motions as those of all, (3,) or (6,)."""
+        """Amounts (m,) of the driven motions among all motions, (3,) or (6,)."""
         step = np.zeros(len(self.travel))
         step[self._driven] = amounts
         return step
 
     def ahead(self, amounts: Floats) -> Floats:
-        """Return the travel (3,) or (6,) with amounts (m,) of the driven motions added."""
+        """Travel (3,) or (6,) plus amounts (m,) of the driven motions."""
         step, d = self.steps(amounts), len(self.point)
         return np.concatenate([self.travel[:d] + step[:d], after(self.travel[d:], step[d:])])
 
@@ -270,31 +265,31 @@ class RigidBody:
 
 
 class Movable:
-    """The part of an interface with a rigid body that users set and read."""
+    """Position, rotation and load of an interface with a rigid body."""
 
     rigid: RigidBody
 
     @property
     def reference(self) -> Floats:
-        """Position of its point at the start (d,)."""
+        """Initial position (d,) of the reference point."""
         return self.rigid.point
 
     @property
     def position(self) -> fem.Constant:
-        """Position of its point (d,); set its value."""
+        """Position (d,) of the reference point; set its value."""
         return self.rigid.position
 
     @property
     def rotation(self) -> fem.Constant:
         """Rotation since the start, in radians; set its value.
 
-        An angle in the plane, in space a rotation vector (3,): axis times angle, in radians.
+        An angle in the plane, in space a rotation vector (3,), axis times angle.
         """
         return self.rigid.rotation
 
     @property
     def load(self) -> Mapping[str, Load]:
-        """Forces and moments on it that are given, by name; may be set anew between steps."""
+        """Given forces and moments by name; may be set between steps."""
         return self.rigid.load
 
     @load.setter
@@ -302,49 +297,48 @@ class Movable:
         self.rigid.load = self.rigid.check_load(value)
 
     def state(self, ended: bool) -> dict[str, Floats]:
-        """Return how far loads have moved it; of tools, where they were at the last commit, too."""
+        """State, see `Interface.state`."""
         return self.rigid.state(ended)
 
     def restore(self, state: Mapping[str, Floats]) -> None:
-        """Take that over."""
+        """Set the state."""
         self.rigid.restore(state)
 
     def driven(self) -> Driven | None:
-        """Return the motions that given forces drive; None where all of them are prescribed."""
+        """Motions driven by given forces; None if all are prescribed."""
         return self.rigid if self.load else None
 
     @property
     def travel(self) -> Floats:
         """Motion by loads in addition to position and rotation, (3,) or (6,).
 
-        Displacement and angle in the plane, displacement and rotation vector in space.
+        Displacement, and rotation as an angle in the plane, a vector in space.
         """
         return self.rigid.travel.copy()
 
 
 class Asked(Shape):
-    """A shape whose distances are checked, and whose errors are those of all ranks.
+    """A shape with checked distances, whose errors are raised on all ranks.
 
-    It may be the user's, and points differ among ranks: what fails on one of several ranks has to
-    wait until all of them ask for `failed`. Until then points there are far from the tool.
+    An error on one of several ranks is kept for `failed`; until then its points count as far away.
     """
 
     def __init__(self, shape: Shape) -> None:
         self.shape = shape
-        self.alone = True  # on one rank errors need not wait
+        self.alone = True
         self._error: Exception | None = None
 
     @property
     def point(self) -> Floats:
-        """That of the shape."""
+        """Point of the shape."""
         return self.shape.point
 
     def given(self) -> Mapping[str, Any]:
-        """Return the arguments by name."""
+        """Arguments by name."""
         return self.shape.given()
 
     def distance(self, x: Floats) -> Distance:
-        """Return the distances of points x (n, d)."""
+        """Distances of points x (n, d)."""
         try:
             return check_returned(self.shape, self.shape.distance(x), x)
         except Exception as error:
@@ -354,7 +348,7 @@ class Asked(Shape):
         return Distance(np.full(n, self._far(x)), ahead, np.zeros((n, d, d)))
 
     def values(self, x: Floats) -> Floats:
-        """Return phi (n,) alone, at points x (n, d)."""
+        """Return only the values phi (n,) at points x (n, d)."""
         try:
             found = self.shape.values(x)
             check_finite(f"{type(self.shape).__name__}: the distance", found, x)
@@ -364,7 +358,7 @@ class Asked(Shape):
         return np.full(len(x), self._far(x))
 
     def failed(self) -> Exception | None:
-        """Return the first error on this rank since this was last asked, if any."""
+        """Return and forget the first error on this rank."""
         error, self._error = self._error, None
         return error
 
@@ -378,22 +372,17 @@ class Asked(Shape):
 
 
 class Tool(RigidBody):
-    """A tool: a shape and its pose.
+    """A shape and its pose.
 
     Attributes:
         shape: as given.
-        asked: its distances.
-        began: where it was at the last commit.
-        probes: (q, d) points at which distances tell functions from others.
+        asked: the shape with checks.
+        began: pose at the last commit.
+        probes: (q, d) points whose distances identify the shape.
     """
 
     def __init__(self, shape: Any, reference: Any, d: int) -> None:
-        """Check the shape, in d dimensions.
-
-        Raises:
-            ValueError: for what is no shape, one of another dimension, and a point that has not d
-                finite coordinates.
-        """
+        """Check the shape and the reference point, in d dimensions."""
         if not isinstance(shape, Shape):
             raise ValueError(
                 f"shape is {shape!r}: give one of dolfinx_mortar.shapes, such as Plane(point, "
@@ -408,50 +397,43 @@ class Tool(RigidBody):
         self.began, self.probes = self.pose(), np.zeros((0, d))
 
     def check(self, d: int, revolved: bool) -> None:
-        """Take note of the kinematics.
-
-        Raises:
-            ValueError: for a shape that is none in d dimensions, or none of revolution.
-        """
+        """Set the kinematics; raise a ValueError for a shape of another kind."""
         if misfit := self.shape.misfit(d, revolved):
             raise ValueError(f"shape: {misfit}")
         self.revolved = revolved
 
     def probed(self) -> list[float] | str:
-        """Return distances from the shape, or how they fail.
-
-        Before them the largest coordinate, of whose round-off they are.
-        """
+        """Largest coordinate and the distances at the probes, or how they fail."""
         try:
             found = [*map(float, self.shape.values(self.probes))]
-        except Exception as error:  # which steps will raise where it is of consequence
+        except Exception as error:
             return type(error).__name__
         size = float(np.abs(self.probes).max(initial=0.0))
         return [size, *found] if np.isfinite(found).all() else "NaN or infinity"
 
     def given(self) -> dict[str, Any]:
-        """Return the same with the shape, and distances from it."""
+        """Return also the shape and its distances."""
         return super().given() | {"shape": self.shape, "distances": self.probed()}
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The point, and distances from the shape where it starts."""
+        """Reference point and distances at the probes."""
         return super().identity | {"distances": self.probed()}
 
     def state(self, ended: bool) -> dict[str, Floats]:
-        """Return the travel, and where it was at the last commit, or is now for the next one."""
+        """Travel and the pose at the last commit, or the present one for the next."""
         began = self.pose() if ended else self.began
         return super().state(ended) | {"position": began.position, "rotation": began.rotation}
 
     def restore(self, state: Mapping[str, Floats]) -> None:
-        """Take over what `state` has returned."""
+        """Set the state."""
         super().restore(state)
         self.began = Pose(state["position"], state["rotation"], self.point)
 
     def way(self, before: Floats, after: Floats) -> Floats:
-        """Return how far it carries points (n, d) since the last commit.
+        """Displacement of points (n, d) that move with the tool since the last commit.
 
-        The mean of what it does to a point that is there before, and to one that is there after.
+        Mean of the displacements of the points at ``before`` and at ``after``.
         """
         began, now = self.began, self.pose()
         forth = now.to_space(began.to_tool(before)) - before
@@ -459,11 +441,11 @@ class Tool(RigidBody):
         return np.asarray(0.5 * (forth + back))
 
     def turn(self) -> Floats:
-        """Return how it has turned since the last commit, see `turn_between`."""
+        """Rotation since the last commit, see `turn_between`."""
         return turn_between(self.began, self.pose())
 
     def seen(self) -> SeenByTool:
-        """Return how it has seen points since the last commit."""
+        """Motion since the last commit as seen from the tool."""
         began, now, shape = self.began, self.pose(), self.shape
         turn = fewer_turns(self.turn())
         return SeenByTool(
@@ -471,13 +453,13 @@ class Tool(RigidBody):
         )
 
     def outline(self) -> Outline:
-        """Return where it is at present, for pictures and files."""
+        """Present outline, for output."""
         return Outline(self.shape, self.pose(), self.revolved)
 
 
 @dataclass(frozen=True)
 class Outline:
-    """Shape and position of a tool, for pictures and files."""
+    """Shape and pose of a tool, for output."""
 
     shape: Shape
     pose: Pose
@@ -489,14 +471,14 @@ class Outline:
 
     @property
     def surface(self) -> tuple[Floats, Longs] | None:
-        """Points (n, d) where it is, with lines or triangles; None if it is not made of these."""
+        """Present points (n, d) with lines or triangles; None of an analytic shape."""
         found = self.shape.surface
         return None if found is None else (self.pose.to_space(found[0]), found[1])
 
     def cut(self, low: Floats, high: Floats) -> tuple[Floats, Longs]:
-        """Return points (n, d) of the tool as it starts, and the lines or triangles (m, d) of them.
+        """Points (n, d) in initial position, and their lines or triangles (m, d).
 
-        All of what it is made of, or else what is in a box (d,).
+        An analytic shape is cut to a box (d,).
         """
         if (found := self.shape.surface) is not None:
             return found
@@ -506,16 +488,16 @@ class Outline:
 
 
 def spun(arm: Floats, rotation: Floats) -> Floats:
-    """Return theta x r of arms r (n, d)."""
+    """Theta x r of arms r (n, d)."""
     if len(rotation) == 1:
         return np.asarray(rotation[0] * np.stack([-arm[:, 1], arm[:, 0]], axis=1))
     return np.asarray(np.cross(rotation, arm))
 
 
 def turn_between(before: Pose, now: Pose) -> Floats:
-    """Return the rotation, an angle (1,) or a vector (3,), from one pose to another one.
+    """Rotation, an angle (1,) or a vector (3,), between two poses.
 
-    In the plane with whole turns, in space about an axis that does not change, too.
+    With whole turns in the plane, and about a fixed axis in space.
     """
     change = now.rotation - before.rotation
     if len(change) > 1 and np.cross(before.rotation, now.rotation).any():
@@ -524,10 +506,7 @@ def turn_between(before: Pose, now: Pose) -> Floats:
 
 
 def after(rotation: Floats, step: Floats) -> Floats:
-    """Return a rotation, an angle (1,) or a vector (3,), followed by another one.
-
-    Whole turns are kept, so that what is turned on and on has no jump.
-    """
+    """Rotation, an angle (1,) or a vector (3,), followed by ``step``, with whole turns."""
     if len(rotation) == 1:
         return rotation + step
     turned = Rotation.from_rotvec(step) * Rotation.from_rotvec(rotation)
@@ -535,7 +514,6 @@ def after(rotation: Floats, step: Floats) -> Floats:
 
 
 def _vector_near(turned: Rotation, guess: Floats) -> Floats:
-    """Return the vector (3,) of a rotation with those whole turns that are nearest to a guess."""
     found = np.asarray(turned.as_rotvec())
     angle = float(np.linalg.norm(found))
     axis = found / angle if angle > HALF_OF_DIGITS else unit_vectors(guess[None])[1][0]
@@ -544,19 +522,18 @@ def _vector_near(turned: Rotation, guess: Floats) -> Floats:
 
 
 def fewer_turns(turn: Floats) -> Floats:
-    """Return a rotation with one whole turn at most, in which a tool has been all around."""
+    """Rotation with at most one whole turn, which passes all orientations."""
     angle, once = float(np.linalg.norm(turn)), 2.0 * np.pi
     return turn if angle < 2.0 * once else turn * ((once + angle % once) / angle)
 
 
 def on_the_way(before: Pose, now: Pose, turn: Floats, t: float) -> Pose:
-    """Return where a tool is at a time from 0 to 1: it turns while its point goes straight ahead.
+    """Pose at a time t in [0, 1]: uniform translation of the point and rotation.
 
     Args:
-        before: where it is at 0.
-        now: where it is at 1.
-        turn: between both, as of `turn_between`.
-        t: the time.
+        before: pose at t = 0.
+        now: pose at t = 1.
+        turn: between both, see `turn_between`.
     """
     if t in (0.0, 1.0):
         return now if t else before
@@ -573,9 +550,9 @@ def check_point(given: Any, d: int) -> Floats:
 
 
 def find_facing(side: WholeSide, pose: Pose, shape: Shape, x: Floats) -> Bools:
-    """Return which facets (m,) of this rank face the tool, for nodes at x (n, d).
+    """Mask (m,) of this rank's facets that face the tool, for nodes at x (n, d).
 
-    Those whose mean normal meets that of the tool at their centre at less than 78 degrees.
+    Their mean normal and the opposite tool normal at the centre differ by less than 78 degrees.
     """
     facets = facets_at(side.slave, x)
     tool = pose.distance(shape, facets.x.mean(axis=1)).gradient
@@ -584,12 +561,12 @@ def find_facing(side: WholeSide, pose: Pose, shape: Shape, x: Floats) -> Bools:
 
 @dataclass(frozen=True)
 class SidePattern(Pattern):
-    """The pattern of a side alone."""
+    """Pattern of a side without a master."""
 
     side: WholeSide | None = None
-    own: SmoothSide | None = None  # for which its facets stand, where they are of second order
-    nodal: bool = False  # whether distances are those of nodes, for facets of first order
-    faceted: Bools | None = None  # (owned nodes,) where facets are meant that stand for a round one
+    own: SmoothSide | None = None  # smooth surface of facets of second order
+    nodal: bool = False  # distances at nodes, for facets of first order
+    faceted: Bools | None = None  # (owned nodes,) where facets are exact, not smoothed
 
 
 def point_gaps(
@@ -600,25 +577,20 @@ def point_gaps(
     segments: Segments,
     points: Floats,
 ) -> tuple[Floats, Distance]:
-    """Return the gaps (q,) between a tool and the surface for which facets stand; collective.
+    """Gaps (q,) between a tool and the smooth slave surface, and the distances; collective.
 
-    And the distances behind them: of all nodes where they are `nodal`, else of the points.
-
-    Of smooth surfaces of first order they are the distances of the nodes, interpolated: facets
-    between nodes on the tool then have none, as the smooth surfaces through the nodes of both.
-    Facets of second order bend with u, but those of a mesh with straight cells are straight at X,
-    and a side that is round there would meet a round tool with its mid-side or its end nodes alone:
-    the smooth surface is nearer by its height.
+    Smooth surfaces of first order interpolate nodal distances (returned for all nodes), so that
+    facets between nodes on the tool have no gap. Facets of second order, straight at X, are nearer
+    by the height of the smooth surface.
 
     Args:
-        pose: where the tool is.
         u: displacement, None for X.
         segments: whole facets.
         points: (q, d) their points at X + u.
     """
     assert pattern.side is not None
     slave = pattern.side.slave
-    with raised_together(slave.V.mesh.comm):  # what a user's function raises
+    with raised_together(slave.V.mesh.comm):  # errors of a user's function
         if pattern.nodal:
             found = pose.distance(shape, coordinates(slave, u))
             of_nodes = found.value[slave.facets[segments.slave]]
