@@ -1,10 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Residual and QP subproblem at a Newton iterate.
-
-A `Balance` is assembled at every iterate in the present geometry, a `Linearisation` from it where
-another QP is needed. Newton's method, the line search, the certificate and the results read them;
-both are immutable.
-"""
+"""Residual and QP subproblem at a Newton iterate, as immutable records."""
 
 from __future__ import annotations
 
@@ -36,20 +31,20 @@ from dolfinx_mortar.solid.kinematics import on_axis
 
 @dataclass(frozen=True)
 class Balance:
-    """Residual forces and constraints at the present u, in the present geometry."""
+    """Residual forces and constraints at the present u and geometry."""
 
     r: PETSc.Vec  # (n,) -dJ/du, external less internal forces
     reduced: PETSc.Vec  # (n,) T^T r
-    equal: Constraints  # remaining increments of Dirichlet data and ties
-    bounds: Constraints  # bounds of contact
+    equal: Constraints  # increments of Dirichlet data and ties
+    bounds: Constraints  # of contact
     elements: float  # norm of the unassembled element forces
-    external: float  # largest norm of the forces of a term, of dead loads for one
+    external: float  # largest norm of the forces of one term, of dead loads for example
     limits: SlipLimits | None = None  # of friction
-    from_committed: bool = False  # whether forces of bodies are linearised about that state
-    friction: Floats | None = None  # (n,) that of prescribed slips, as it is in r
+    from_committed: bool = False  # whether bodies are linearised about the committed state
+    friction: Floats | None = None  # (n,) friction at prescribed slips, contained in r
 
     def known(self, multipliers: Floats) -> Floats:
-        """Return the reactions (owned nodes, d) of friction where slips are prescribed."""
+        """Friction reactions (owned nodes, d) at prescribed slips."""
         found = np.zeros((len(multipliers), self.reduced.getBlockSize()))
         if self.limits is not None:
             found[self.limits.nodes] = self.limits.known(multipliers)
@@ -68,17 +63,17 @@ class Balance:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """The quadratic program of one iterate."""
+    """Quadratic program of one iterate."""
 
     qp: BoundQP
     balance: Balance
     diagonal: PETSc.Vec  # (n,) of K^ before the elimination
-    geometry: GeometryTangent | None = None  # where the motion of the surfaces is linearised
-    drives: Any = None  # `driven_tools.Drives`, whose motions are the scalars of the QP
+    geometry: GeometryTangent | None = None  # of the exact tangent
+    drives: Any = None  # `driven_tools.Drives`, motions that are scalars of the QP
 
 
 def find_extent(mesh: Mesh, displacement: Floats) -> float:
-    """Return the largest coordinate of the mesh plus the largest displacement; collective."""
+    """Largest coordinate of the mesh plus the largest displacement; collective."""
     x = mesh.geometry.x
     sizes = maximum(mesh.comm, np.abs(x).max(initial=0.0), np.abs(displacement).max(initial=0.0))
     return float(sizes.sum())
@@ -92,15 +87,11 @@ def find_balance(
     *,
     from_committed: bool = False,
 ) -> Balance:
-    """Assemble the forces and constraints at the present u; collective.
+    """Assemble forces and constraints at the present u; collective.
 
     Args:
-        problem: the problem, in the geometry to be judged.
-        data: loads and prescribed values of the step.
-        overlap: depth by which the sides may still overlap (initial overlaps are resolved in
-            parts).
-        multipliers: lambda_j (owned nodes,), which decide on the friction where slips are
-            prescribed; None for none.
+        overlap: depth by which the sides may overlap (initial overlaps are resolved in parts).
+        multipliers: lambda_j (owned nodes,), for friction at prescribed slips; None without.
         from_committed: linearise forces of bodies about the committed state.
     """
     with problem.timings("assembly"):
@@ -133,7 +124,6 @@ def find_balance(
 def _known_friction(
     problem: ContactProblem, limits: SlipLimits | None, multipliers: Floats
 ) -> Floats | None:
-    """Return the nodal forces (n,) of friction at prescribed slips; None for none; collective."""
     if limits is None or not any_rank(problem.comm, limits.shares.any())[0]:
         return None
     forces = np.zeros((problem.n, problem.d))
@@ -144,11 +134,7 @@ def _known_friction(
 def _present_limits(
     problem: ContactProblem, limits: Sequence[Floats | None]
 ) -> Sequence[Floats | None]:
-    """Return coefficients, and given tractions times the growth of circumferences; collective.
-
-    A given traction is per present area, D_jj times this growth, see `growth`. Small strains leave
-    it as it is.
-    """
+    """Coefficients, and given tractions per present circumference (`growth`); collective."""
     if problem.solid.strain != "finite":
         return limits
     now: list[Floats | None] = []
@@ -161,18 +147,18 @@ def _present_limits(
 
 
 def growth(problem: ContactProblem, link: Link) -> Floats:
-    """Return the ratio (n,) of present to initial circumference at the slave nodes; collective.
+    """Ratio (n,) of present to initial circumference at the slave nodes; collective.
 
-    In axisymmetry D is integrated over the length of the section as it is now, but with 2 pi r at
-    X: D_jj times this is the area that a node has now. On the axis it is the mean of the other
-    nodes of the facets, to second order of their size. One elsewhere, and at X.
+    In axisymmetry D is integrated over the present section with 2 pi r at X; times this ratio it is
+    the present area. On the axis the mean of the other nodes of the facets. One elsewhere, and at
+    X.
     """
     kinematics, slave = problem.solid.kinematics, link.sides.slave
     u = None if link.interface.stays else problem.configuration
     if kinematics.radius is None or u is None:
         return np.ones(len(link.nodes))
     now, at_X = (kinematics.weight(x.T) for x in (coordinates(slave, u), slave.X))
-    # zero on the axis; a node beyond it has no circumference
+    # zero on the axis, undefined beyond
     known = ~on_axis(kinematics, problem.V.mesh, slave.X) & (now > 0.0)
     factor = np.where(known, now / np.where(known, at_X, 1.0), 0.0)
     columns = np.stack([factor, known], axis=1)[slave.facets].sum(axis=1, keepdims=True)
@@ -182,7 +168,7 @@ def growth(problem: ContactProblem, link: Link) -> Floats:
 
 
 def support_slots(problem: ContactProblem) -> tuple[Ints, Ints]:
-    """Return the owned prescribed dofs (m,) of u, and the unknowns of y that stand for them."""
+    """Owned prescribed dofs (m,) of u, and their unknowns in y."""
     node, component = np.nonzero(problem.supports.owned)
     slots = problem.d * node + problem.system.slots()[node, component]
     return problem.d * node + component, slots
@@ -200,15 +186,14 @@ def linearise(
     """Assemble min 1/2 dy.K^ dy - r^.dy with its bounds at the present u; collective.
 
     Args:
-        problem: the problem, in the geometry of the balance.
-        tangent: assemble K anew; a linear law needs it once.
-        shift: multiple of the elastic stiffness that makes an indefinite K convex.
+        tangent: assemble K anew; linear laws need it once.
+        shift: multiple of the elastic stiffness added to an indefinite K.
         pressure: mean stresses of a linearisation, see `Solid.add_tangent`.
-        linear: linear solver of the QP; that of the problem by default.
+        linear: linear solver; default that of the problem.
     """
     T, linear = problem.system.transformation, linear or problem.linear
     direct = linear.direct
-    spoilt = direct and T is None  # by the elimination, then in K itself
+    spoilt = direct and T is None  # the elimination then acts on K itself
     if tangent or spoilt or not problem.K.isAssembled():
         with problem.timings("assembly"):
             first = balance.from_committed
@@ -216,15 +201,14 @@ def linearise(
             if shift > 0.0:
                 problem.solid.add_elastic(problem.K, shift)
     change = None if T is None else T.change
-    formed = direct  # a factorisation needs the matrix, an iteration its products
-    # The inverse of S on both sides pays where one factorisation serves many geometries (plastic
-    # steps of 5 and 47 thousand unknowns take .75 and .9 of the time without it). And S has to be
-    # definite, which tangents of terms are not always.
+    formed = direct  # factorisations need the matrix
+    # S^-1 on both sides pays where one factorisation serves many geometries (else steps take up to
+    # 1.3 of the time), and S must be definite.
     lasting = problem.terms.linear and problem.terms.convex
     if direct and lasting and not problem.system.driven:
         formed = interface_unknowns(problem.K, change, linear.options) is None
     if formed and T is not None and not T.formed:
-        linear.clear()  # before the new product needs the memory
+        linear.clear()  # free the memory for the new product
     with problem.timings("transform"):
         parts = _form(problem, balance) if formed else _follow(problem, balance, change)
         qp, diagonal = _bounded(problem, balance, *parts)
@@ -236,7 +220,6 @@ def linearise(
 def _bounded(
     problem: ContactProblem, balance: Balance, A: PETSc.Mat, b: PETSc.Vec, diagonal: PETSc.Vec
 ) -> tuple[BoundQP, PETSc.Vec]:
-    """Return the QP of a matrix and a right-hand side after the elimination, and a diagonal."""
     lower, upper = problem.vector(), problem.vector()
     lower.set(PETSc.NINFINITY)
     upper.set(PETSc.INFINITY)
@@ -259,17 +242,16 @@ def linearise_all(
     pressure: Floats | None = None,
     linear: LinearSolver | None = None,
 ) -> Linearisation:
-    """Assemble the QP of the exact tangent, that of the moving surfaces included; collective.
+    """Assemble the QP of the exact tangent; collective.
 
-    Its K^ = T^T (K + H) T_g is not symmetric, see `interfaces.moving_geometry`, and H has the
-    antisymmetric parts of terms without a potential, too.
+    K^ = T^T (K + H) T_g is unsymmetric (`interfaces.moving_geometry`); H contains the antisymmetric
+    tangents of terms.
 
     Args:
-        problem: the problem, in the geometry of the balance, at the present u.
-        partners: of each interface, along which its slips are measured; empty without friction.
-        multipliers: lambda_j (owned nodes,), with which the forces balance.
+        partners: of each interface, for its slips; empty without friction.
+        multipliers: lambda_j (owned nodes,).
         tangential: tangential tractions (owned nodes, d), None without friction.
-        tangent: assemble K anew; a linear law needs it once.
+        tangent: as in `linearise`.
         pressure: as in `linearise`.
         linear: as in `linearise`; with multigrid K^ is an operator, preconditioned by T^T K T.
     """
@@ -298,31 +280,26 @@ def linearise_all(
 
 
 class Corrections:
-    """The parts v of gap rows that T_g neglects, as they are at the solution of the QP with v.
+    """Parts v of the gap rows that T_g neglects, by a fixed point iteration over QP solutions.
 
-    They are some per cent of the rows, and a continuous function of v, affine while the active set
-    stays: few corrections suffice, with Anderson's mixing also where a mode of them grows by each.
-    A new set begins it anew, but not one that comes back, as where a node opens with one v and
-    closes with the next.
+    v is a few per cent of the rows and an affine function of its argument for a given active set.
+    Anderson mixing uses the results since a set first appeared, also if it alternates with others.
     """
 
     def __init__(self) -> None:
         """Begin with v = 0."""
         self.given: Floats | None = None  # v of the last QP, (n,)
         self.sets: list[Actives] = []  # active sets of the solutions
-        self.weights: list[Floats] = []  # (n,) stiffness where a bound acts in them, 0 elsewhere
+        self.weights: list[Floats] = []  # (n,) stiffness of their active bounds, 0 elsewhere
         self.found: list[Floats] = []  # v at the solutions
-        self.changes: list[Floats] = []  # by which they differ from the v of their QPs
+        self.changes: list[Floats] = []  # differences to the v of their QPs
 
     def apply(self, lin: Linearisation, solved: QPSolution) -> tuple[Linearisation, float]:
-        """Return the QP with the next v; collective.
+        """The QP with the next v, and the largest force by a change of a bound; collective.
 
         Args:
             lin: of the exact tangent.
-            solved: its solution, or that of the QP from the last call.
-
-        Returns:
-            It, and the largest change of a bound times the stiffness there, a force.
+            solved: its solution, or that of the last returned QP.
         """
         assert lin.geometry is not None
         dofs, bounds, comm = lin.balance.bounds.dofs, lin.balance.bounds, lin.qp.comm
@@ -343,7 +320,7 @@ class Corrections:
         self.found.append(found)
         self.changes.append(change)
         others = any_rank(comm, *(not np.array_equal(one, solved.active) for one in self.sets))
-        since = int(np.argmin(others))  # the first of this set
+        since = int(np.argmin(others))  # first of this set
         mixed = self.found[since:], self.changes[since:], np.max(self.weights[since:], axis=0)
         given = self.given = least_change(comm, *mixed)
 
@@ -357,10 +334,10 @@ class Corrections:
 def least_change(
     comm: MPI.Comm, found: Sequence[Floats], changes: Sequence[Floats], weight: Floats
 ) -> Floats:
-    """Return sum a_i found_i, sum a_i = 1, of the least |weight sum a_i changes_i|; collective.
+    """Sum a_i found_i, sum a_i = 1, of the least |weight sum a_i changes_i|; collective.
 
-    Anderson's mixing. Where found_i is an affine function of found_i - changes_i with one direction
-    that grows or falls, two pairs give its fixed point:
+    Anderson mixing; found_i is the image of found_i - changes_i. Two pairs solve a scalar affine
+    fixed point:
 
     >>> change = [np.array([x]) for x in (1.0, -3.0)]  # f(v) = 1 - 3 v at 0 and 1
     >>> found = [np.array([1.0]), np.array([-2.0])]
@@ -378,7 +355,6 @@ def least_change(
 
 
 def _law(limits: SlipLimits, bounds: Constraints, n: int) -> Friction:
-    """Return the friction of the QP: limits, and the slip up to this iterate."""
     position = np.zeros(n, dtype=np.int32)
     position[bounds.dofs] = np.arange(len(bounds.dofs))
     rest = -limits.slip
@@ -387,7 +363,6 @@ def _law(limits: SlipLimits, bounds: Constraints, n: int) -> Friction:
 
 
 def _form(problem: ContactProblem, balance: Balance) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
-    """Return K^ = T^T K T and r^ after, and the diagonal of K^ before the elimination."""
     T = problem.system.transformation
     return _eliminated(problem, balance, as_aij(problem.K) if T is None else T.transform(problem.K))
 
@@ -395,7 +370,7 @@ def _form(problem: ContactProblem, balance: Balance) -> tuple[PETSc.Mat, PETSc.V
 def _eliminated(
     problem: ContactProblem, balance: Balance, A: PETSc.Mat
 ) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
-    """Eliminate what is prescribed from A; return it, r^ after, and its diagonal before."""
+    """Eliminate prescribed unknowns from A; return A, r^ after, and its diagonal before."""
     b, dy = balance.reduced.copy(), problem.vector()
     dy.array[balance.equal.dofs] = balance.equal.upper
     diagonal = A.getDiagonal()
@@ -408,7 +383,6 @@ def _eliminated(
 def _follow(
     problem: ContactProblem, balance: Balance, change: PETSc.Mat | None
 ) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
-    """Return K^ as an operator that is not formed, r^ after, and the diagonal before."""
     problem.operator.follow(change, balance.eliminated)
     return _lifted(problem, balance, problem.operator)
 
@@ -416,10 +390,10 @@ def _follow(
 def _lifted(
     problem: ContactProblem, balance: Balance, operator: CongruentOperator | OperatorOfBases
 ) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
-    """Return K^ of an operator, r^ after the elimination, and the diagonal of T^T K T before."""
+    """Return K^ as an operator, r^ after the elimination, and the diagonal of T^T K T before."""
     dy, b = problem.vector(), balance.reduced.copy()
     dy.array[balance.equal.dofs] = balance.equal.upper
-    if dy.norm(PETSc.NormType.INFINITY) != 0.0:  # as it is once supports have their values
+    if dy.norm(PETSc.NormType.INFINITY) != 0.0:  # zero once supports have their values
         operator.product(dy, b)
         b.aypx(-1.0, balance.reduced)
     b.array[balance.equal.dofs] = operator.scale * balance.equal.upper
@@ -427,10 +401,9 @@ def _lifted(
 
 
 def count_changes(lin: Linearisation, solved: QPSolution, start: Actives, limit: float) -> int:
-    """Return how many nodes entered or left the active set, without weakly active ones; collective.
+    """Number of changes of the active set but for weakly active nodes; collective.
 
-    A node is weakly active if its reaction, and the force that would close its gap, are both
-    within a limit.
+    At these the reaction and the force that would close the gap are both within ``limit``.
     """
     bounds = lin.balance.bounds
     z = np.abs(solved.z.array_r[bounds.dofs])
