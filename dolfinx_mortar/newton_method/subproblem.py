@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The QP of a Newton iteration with its solution: tangent, shift, accuracy.
+"""QP of a Newton iteration and its solution: tangent, shift, accuracy.
 
-Two tangents lead to a balance: that of the bodies in the present geometry, which is then updated (a
-fixed point), and the exact one of the moving surfaces, too, whose QP is not symmetric. At finite
-strain the first may be indefinite; then multiples of the elastic stiffness are added to it.
+Either the tangent of the bodies in the present geometry, which is updated afterwards (a fixed
+point), or the unsymmetric exact tangent (theory.md, The exact tangent). At finite strain multiples
+of the elastic stiffness are added to an indefinite one.
 """
 
 from __future__ import annotations
@@ -41,71 +41,65 @@ from dolfinx_mortar.qp import LinearSolver, QPSolution
 from dolfinx_mortar.qp.solver import ACTIVE_SET
 from dolfinx_mortar.terms.sum import Energy
 
-# Relative residual of forces below which an indefinite tangent is used as it is, see `definite`.
-# With shifted ones it stays above 3e-3 and 6e-3 where a cube of metal of 4^3 cells is pressed to
-# .55 and .5 of its height in one step, and Newton's method leaves the saddle in 30 iterations.
+# Relative residual of forces below which an indefinite tangent is used unshifted, see `definite`:
+# with shifts it stays above 3e-3 where a metal cube is pressed to half its height in one step.
 STABLE = 1e-2
-# The least multiple of the elastic stiffness that is added to an indefinite tangent, and the
-# largest; each is ten times the one before. A compression by a share e of the moduli needs about e,
-# in a slender column, whose elastic stiffness against bending is low, e times its length over its
-# thickness, squared.
+# Least and largest multiple of the elastic stiffness added to an indefinite tangent, in decades. A
+# compression by a share e of the moduli needs about e, a column e (length / thickness)^2.
 SHIFTS = 0.01, 1000.0
-# How often a QP with the exact tangent is solved once more, with the parts of gap rows that T_g
-# neglects. They are some per cent of the rows, so that each correction gains one to two digits:
-# with 0, 1, 2, 4, 6 of them five cases in the plane take 219, 194, 192, 192, 192 iterations.
+# Corrections of a QP for the neglected parts of gap rows; each gains one to two digits (iterations
+# of five plane cases with 0, 1, 2, 4 corrections: 219, 194, 192, 192).
 CORRECTIONS = 3
 
 
 @dataclass(frozen=True)
 class Iterate:
-    """What an iteration leaves to the next one."""
+    """Result of an iteration."""
 
     u: Floats  # (n,)
-    tools: list[tuple[Interface, dict[str, Floats]]]  # states of those that forces drive
-    travel: Floats  # (m,) of these in the step
+    tools: list[tuple[Interface, dict[str, Floats]]]  # states of interfaces driven by forces
+    travel: Floats  # (m,) their motion in the step
     balance: Balance
     contacts: Contacts
-    start: Actives  # the active set with which its QP starts
+    start: Actives  # initial active set of the QP
     scales: Scales
-    energy: Energy | None  # J(u), where a line search may need it
+    energy: Energy | None  # J(u), for a line search
     norm: float  # |u|_e
     stiffness: PETSc.Vec  # diagonal of the last K^
     largest: float = 0.0  # largest multiplier so far
-    pressure: Floats | None = None  # (owned cells,) mean stresses by the last linearisation
+    pressure: Floats | None = None  # (owned cells,) mean stresses of the last linearisation
     shift: float = 0.0  # of the last tangent
-    negative: bool = False  # whether the last tangent that could be shifted is indefinite
-    turned: float = np.inf  # by how much the update of the geometry has changed contact forces
-    slow: bool = False  # whether the fixed point is
-    barred: float = np.inf  # the exact tangent is not used above this residual
+    negative: bool = False  # whether the last tangent is indefinite
+    turned: float = np.inf  # change of contact forces by the geometry update
+    slow: bool = False  # whether the fixed point converges slowly
+    barred: float = np.inf  # residual above which the exact tangent is not used
 
 
 @dataclass(frozen=True)
 class Solution:
-    """The QP of an iteration and its solution."""
+    """QP of an iteration and its solution."""
 
     lin: Linearisation
     solved: QPSolution
-    driven: driven_tools.Settled | None = None  # motions of the tools that forces drive
+    driven: driven_tools.Settled | None = None  # motions of driven tools
     shift: float = 0.0  # multiple of the elastic stiffness in the tangent
     negative: bool = False  # whether the tangent is indefinite
-    rejected: str = ""  # why it is not the exact tangent, where that was tried
+    rejected: str = ""  # why the exact tangent was rejected, if it was
 
     @property
     def exact(self) -> bool:
-        """Whether it has the exact tangent of the moving geometry."""
+        """Whether the tangent is exact."""
         return self.lin.geometry is not None
 
 
 @dataclass(frozen=True)
 class Subproblem:
-    """How the QPs of a step are made and solved.
+    """Construction and solution of the QPs of a step.
 
     Attributes:
-        problem: of the step.
-        data: read at its start.
         backend: name of the QP backend.
         rtol: tolerance of the step.
-        solver: the linear solver.
+        solver: linear solver.
     """
 
     problem: ContactProblem
@@ -116,31 +110,30 @@ class Subproblem:
 
     @property
     def linear(self) -> bool:
-        """Whether all laws and terms are."""
+        """Whether all laws and terms are linear."""
         return bool(self.problem.terms.linear)
 
     @property
     def finite(self) -> bool:
-        """Whether strains are."""
+        """Whether strains are finite."""
         return self.problem.solid.strain == "finite"
 
     @property
     def moving(self) -> bool:
-        """Whether the geometry of contacts follows u; ties stay at X."""
+        """Whether contact geometry is updated; ties stay at X."""
         return self.problem.geometry == "updated" and bool(self.problem.contacts)
 
     @property
     def driven(self) -> bool:
-        """Whether tools or rigid sides are driven by forces, and move in every iteration."""
+        """Whether forces drive tools or rigid sides."""
         return bool(self.problem.system.driven)
 
     @property
     def may_be_exact(self) -> bool:
-        """Whether the motion of the surfaces can be linearised.
+        """Whether the exact tangent is available.
 
-        With driven tools only where strains are finite and there are other contacts: a stack that
-        a tool presses by a force diverges without. It has no derivative by the motions of tools,
-        and with tools alone takes an iteration a step more (a cylinder on rubber: 8 and 7).
+        With driven tools only at finite strain with other contacts, which may diverge without; it
+        lacks the derivative by the tools' motions.
         """
         if not self.moving or self.backend != ACTIVE_SET:
             return False
@@ -148,12 +141,11 @@ class Subproblem:
         return not self.driven or (self.finite and any(others))
 
     def solve(self, old: Iterate, residuals: Sequence[Residuals], *, exact: bool) -> Solution:
-        """Return the QP at an iterate with its solution; collective.
+        """Solve the QP at an iterate; collective.
 
         Args:
-            old: the iterate.
-            residuals: of all iterates of the step, the last one included.
-            exact: use the exact tangent; where its QP has no solution, the other one.
+            residuals: of all iterates of the step, including this one.
+            exact: use the exact tangent unless its QP has no solution.
         """
         tangent = not self.linear or (not residuals and self.problem.terms.vary(self.problem.K))
         rejected = ""
@@ -171,7 +163,7 @@ class Subproblem:
         return replace(self.drive(found, old), rejected=rejected)
 
     def drive(self, found: Solution, old: Iterate) -> Solution:
-        """Return the solution in which tools carry their loads, with their motions."""
+        """Solution in which driven tools balance their loads."""
         if found.solved.travel is None:
             return found
         given = found.lin.drives, found.lin, found.solved, old.scales.extent
@@ -179,31 +171,30 @@ class Subproblem:
         return replace(found, lin=driven.lin, solved=driven.solved, driven=driven)
 
     def definite(self, old: Iterate, residuals: Sequence[Residuals], tangent: bool) -> Solution:
-        """Return the QP of the bodies' tangent, made positive, and its solution; collective.
+        """Solve the QP of the bodies' tangent, made positive definite; collective.
 
-        At finite strain K may be indefinite, far from the solution or beyond a bifurcation. Then
-        multiples of the elastic stiffness are added until it is positive on the free unknowns; an
-        iteration begins with a tenth of what the last one needed. Near a balance Newton's step goes
-        to it, be it stable or not. What no multiple makes definite is singular, no strain holds it:
-        there the solution without one stands.
+        Multiples of the elastic stiffness are added until K is positive definite on the free
+        unknowns, first a tenth of the last one. Near equilibrium K is used unshifted, so that
+        unstable equilibria converge. If no multiple suffices, unstrained modes are singular, and
+        the first solution is used.
         """
         near = bool(residuals) and residuals[-1].forces < STABLE
         least, most = SHIFTS
         begun = shift = 0.0 if near or old.shift <= least else old.shift / 10.0
         failed: Exception | None = None
-        loose = False  # all tangents that could be solved are not definite
+        loose = False  # whether no solvable tangent is definite
         while True:
             try:
                 found = self.shifted(shift, old, residuals, tangent)
             except (backends.QPNotSolved, backends.UnusableQP) as error:
                 failed = failed or error
                 if near and not shift and self.finite and not self.solver.direct:
-                    break  # shifted steps would leave a saddle again
+                    break  # shifts would leave a saddle again
             else:
                 if not self.finite or not found.negative or (near and shift == 0.0):
                     return found
                 loose = (loose or shift == begun) and not found.solved.definite
-            self.solver.forget()  # what has been factorised is of no use
+            self.solver.forget()  # factorisations are invalid
             if not self.finite or shift >= most:
                 break
             shift = max(least, 10.0 * shift)
@@ -216,7 +207,7 @@ class Subproblem:
     def shifted(
         self, shift: float, old: Iterate, residuals: Sequence[Residuals], tangent: bool
     ) -> Solution:
-        """Return the QP with a multiple of the elastic stiffness, and its solution; collective."""
+        """Solve the QP with a multiple of the elastic stiffness; collective."""
         lin = linearise(
             self.problem,
             old.balance,
@@ -234,10 +225,7 @@ class Subproblem:
         return Solution(lin, solved, shift=shift, negative=negative)
 
     def exact(self, old: Iterate, residuals: Sequence[Residuals], tangent: bool) -> Solution:
-        """Return the QP of the exact tangent and its solution; collective.
-
-        Its bounds are corrected by what the rows of T_g neglect, see `Corrections`.
-        """
+        """Solve the QP of the exact tangent and correct its bounds; collective."""
         lin = linearise_all(
             self.problem,
             old.balance,
@@ -266,7 +254,7 @@ class Subproblem:
         return Solution(lin, solved, negative=old.negative)
 
     def with_scalars(self, lin: Linearisation, old: Iterate) -> Linearisation:
-        """Return the QP with the motions of tools that forces drive as unknowns; collective."""
+        """QP with the motions of driven tools as unknowns; collective."""
         given = None if old.balance.friction is None else old.contacts.multipliers
         known = None if given is None else old.balance.known(given)
         drives = driven_tools.find_drives(self.problem, known)
@@ -279,24 +267,21 @@ class Subproblem:
         return replace(lin, qp=replace(lin.qp, scalars=scalars), drives=drives)
 
     def accuracy(self, lin: Linearisation, residuals: Sequence[Residuals]) -> float:
-        """Return the relative tolerance of the next QP."""
-        if self.driven:  # deep drawing takes 606 iterations in 46 parts without, for 153 in 36
+        """Relative tolerance of the next QP."""
+        if self.driven:  # deep drawing takes 606 iterations without, 153 with
             return tightest(self.rtol)
         if self.linear and not self.moving:
-            return tightest(self.rtol)  # one QP is the whole step
-        # where only the geometry changes, the factorisation is that of the first QP: 2 to 4 of 12
-        # to 18 solves are saved by not asking it for more digits
+            return tightest(self.rtol)  # a single QP
+        # the first factorisation is reused, so fewer digits save solves
         new = self.solver.direct and not (self.linear and residuals)
         kind = "direct" if new else "iterative"
         found = next_tolerance(kind, self.rtol, lin.qp.b.norm(), residuals)
         stiff = self.finite and self.problem.solid.volumetric != "full"
         if self.solver.direct or not (stiff or lin.balance.limits is not None):
             return found
-        # Forces of the bulk modulus hide those of shear, so that 1e-2 leaves shears wrong. A block
-        # bent with K/mu = 5000 took 7 to 48 iterations, and metal failed; with 1e-3 it takes 5 to
-        # 32, with 1e-4 4 to 6, as with a factorisation, in a tenth of the time. With friction too
-        # loose a solution slips elsewhere: three steps of the bolted tee take 53 iterations with
-        # 1e-2, 26, 27, 24 with 1e-3, 1e-4, 1e-6, and .39, .48, .63 of the time.
+        # Bulk forces hide shear forces: with K/mu = 5000, 1e-2 takes 7 to 48 iterations, 1e-4 4 to
+        # 6. With friction loose solutions change slips: a bolted tee takes 53 with 1e-2, 26 with
+        # 1e-3.
         most = QUARTER_OF_DIGITS if stiff else DIGIT**3
         return max(tightest(self.rtol), min(found, most))
 
@@ -308,11 +293,10 @@ class Subproblem:
         rtol: float,
         guess: PETSc.Vec | None = None,
     ) -> QPSolution:
-        """Return the solution of a QP; collective."""
+        """Solve a QP; collective."""
         limits, kappa = old.balance.limits, None
         if self.finite:
-            # Where it slides, diag(A) is a hundred times too large: a ball dragged over a block (50
-            # thousand unknowns) had eigenvalues with a negative real part, and GMRES stood still.
+            # diag(A) is a hundred times too large at sliding nodes, and GMRES stagnates
             kappa = old.contacts.kappa(limits)
         with self.problem.timings("linear_solves"):
             try:
@@ -328,8 +312,8 @@ class Subproblem:
                 )
             except backends.NoResistance as error:
                 raise driven_tools.unresisted(lin.drives, lin, error.which) from error
-        if solved.travel is None:  # else see `driven_tools.settle`
-            # supports and ties are satisfied exactly, also by an iterative solver
+        if solved.travel is None:  # else `driven_tools.settle`
+            # satisfied exactly, also by an iterative solver
             equal = lin.balance.equal
             solved.x.array[equal.dofs] = equal.upper
         return solved
