@@ -57,34 +57,28 @@ Predictor = Callable[["ContactProblem", StepData, float | None, Floats], StepDat
 class ContactProblem:
     """Elasto-plastic bodies with contact and mesh tying under Dirichlet data and loads.
 
-    One step minimises J(v) = Psi(v) - f.v over B_E v = c_E, B_I v <= c_I (paper, eqs. 2-4).
+    A step minimises J(v) = Psi(v) - f.v over B_E v = c_E, B_I v <= c_I (paper, eqs. 2-4).
 
     Args:
-        solid: the bodies: displacement, materials, committed state.
-        interfaces: contacts and ties; none is plain elasto-plasticity. A slave node of several
-            interfaces belongs to the first one whose master it faces.
-        bcs: Dirichlet conditions on the space of ``solid.u`` or its components; their values are
-            read at the start of every step.
-        loads: linear form of the external virtual work, assembled at the start of every step.
-        potential: functional of ``solid.u`` added to Psi (springs, elastic foundations,
-            conservative pressure); its derivatives are taken by UFL. Both get the weight of the
-            solid's kinematics as a factor: with "axisymmetric" write tractions, not 2 pi r of them.
+        solid: displacement, materials and committed state of the bodies.
+        interfaces: contacts and ties; a slave node belongs to the first one whose master it faces.
+        bcs: Dirichlet conditions on the space of ``solid.u`` or its components, read in every step.
+        loads: linear form of the external virtual work, assembled in every step.
+        potential: functional of ``solid.u`` added to Psi. Both forms are multiplied by the weight
+            of the solid's kinematics: with "axisymmetric" write tractions without 2 pi r.
         terms: further energies, forces and stiffnesses, see `Term` and `WeakForm`.
-        geometry: "updated" rebuilds normals, segments, D, M and gaps from X + u in every Newton
-            iteration, "reference" freezes them at X.
+        geometry: "updated" computes normals, segments, D, M and gaps at X + u in every Newton
+            iteration, "reference" once at X.
         petsc_options_prefix: prefix of the linear solver's PETSc options.
-        petsc_options: options of the linear solver, without the prefix. The report lists keys
-            without effect; ``report.linear_solver`` is the method in use. Unless one is given here,
-            `load_steps` replaces multigrid that fails in 3D by a factorisation.
+        petsc_options: options of the linear solver without the prefix. Without them `load_steps`
+            replaces multigrid that fails in 3D by a factorisation.
 
     Raises:
         ValueError: for invalid arguments, on all ranks, with the remedy.
 
     Attributes:
-        solid: as given.
-        geometry: as given.
-        committed: the state that the next step starts from, besides ``u`` and ``solid.state``:
-            closed contacts, slips and ``committed.level``, the load level.
+        committed: the state from which the next step starts, in addition to ``u`` and
+            ``solid.state``: active sets, slips and ``committed.level``, the load level.
     """
 
     def __init__(
@@ -107,7 +101,7 @@ class ContactProblem:
             petsc_options_prefix=petsc_options_prefix,
             petsc_options=petsc_options,
         )
-        with raised_together(solid.V.mesh.comm):  # before one is taken from another problem
+        with raised_together(solid.V.mesh.comm):  # before interfaces leave another problem
             for side in sides:
                 revolved = solid.kinematics.radius is not None
                 side.check(solid.V, revolved, solid.strain)
@@ -137,34 +131,32 @@ class ContactProblem:
             )
             K = self.terms.create_matrix(blocks=not self.linear.direct)
             self.operator = CongruentOperator(K)
-            # not the problem: a reference to it would keep its matrices alive
+            # a reference to the problem would keep its matrices alive
             self.linear.unknowns = UnknownsOfBodies(
                 self.operator, self.system, self.supports, replace(self.bodies, motions=motions)
             )
         slips = np.zeros((2, len(sides), self.n))
         self.committed = Committed(np.zeros(self.n, dtype=bool), self.owned_u.copy(), *slips)
-        self.outcome: StepOutcome | None = None  # of the last step, until it is committed
-
-    # -- parts -----------------------------------------------------------------------------------
+        self.outcome: StepOutcome | None = None  # of the last step, until the commit
 
     @property
     def u(self) -> fem.Function:
-        """The displacement."""
+        """Displacement."""
         return self.solid.u
 
     @property
     def owned_u(self) -> Floats:
-        """The values (n,) of the displacement at the owned dofs, a view."""
+        """Displacement (n,) at the owned dofs, a view."""
         return np.asarray(self.u.x.array[: self.d * self.n])
 
     @property
     def K(self) -> PETSc.Mat:
-        """The tangent, in u."""
+        """Tangent with respect to u."""
         return self.operator.K
 
     @property
     def V(self) -> fem.FunctionSpace:
-        """The space of the displacement."""
+        """Space of the displacement."""
         return self.solid.V
 
     @property
@@ -174,12 +166,12 @@ class ContactProblem:
 
     @property
     def d(self) -> int:
-        """Dimension of the space."""
+        """Dimension."""
         return int(self.V.dofmap.index_map_bs)
 
     @property
     def n(self) -> int:
-        """Number of nodes that this rank owns."""
+        """Number of owned nodes."""
         return int(self.V.dofmap.index_map.size_local)
 
     @property
@@ -194,12 +186,12 @@ class ContactProblem:
 
     @property
     def fixed(self) -> Bools:
-        """Which displacement components have Dirichlet data, (local nodes, d)."""
+        """Mask (local nodes, d) of displacement components with Dirichlet data."""
         return self.supports.fixed
 
     @property
     def bcs(self) -> list[fem.DirichletBC]:
-        """The Dirichlet conditions."""
+        """Dirichlet conditions."""
         return self.supports.bcs
 
     @property
@@ -209,33 +201,27 @@ class ContactProblem:
 
     @property
     def contacts(self) -> list[Any]:
-        """The unilateral interfaces: `Contact`, `Obstacle`, or a user's own kind."""
+        """Unilateral interfaces: `Contact`, `Obstacle`, or a user's subclass."""
         return self.system.contacts
 
     @property
     def ties(self) -> list[Any]:
-        """The other interfaces: `Tie`, `RigidSide`, or a user's own kind."""
+        """Other interfaces: `Tie`, `RigidSide`, or a user's subclass."""
         return self.system.ties
 
     @property
     def configuration(self) -> fem.Function | None:
-        """The displacement at which normals and segments are taken, None for X."""
+        """Displacement at which normals and segments are taken, None for X."""
         return self.u if self.geometry == "updated" else None
 
     def vector(self, values: Floats | None = None) -> PETSc.Vec:
-        """Return a new vector of owned dofs, zero or with values."""
+        """New vector of owned dofs."""
         v = self.K.createVecRight()
         v.array[:] = 0.0 if values is None else values.ravel()
         return v
 
-    # -- a step ----------------------------------------------------------------------------------
-
     def check_ranks(self, **controls: Any) -> None:
-        """Raise a ValueError on all ranks unless all data of a step are the same; collective.
-
-        Constants in loads, supports, laws, eigenstrain and limits of friction, the jumps of ties,
-        and the controls of the step. One reduction of 16 bytes.
-        """
+        """Raise a ValueError on all ranks if Constants, jumps or controls differ; collective."""
         check_same_on_all_ranks(self.comm, **controls, **self._inputs)
 
     @property
@@ -243,7 +229,7 @@ class ContactProblem:
         return {**self.solid.given, **self._given, "interfaces": self.interfaces}
 
     def constants(self) -> list[Any] | None:
-        """Return the Constants that steps read; None where a user's own terms may read others."""
+        """The Constants that steps read; None if a user's terms may read others."""
         return find_constants(self._inputs)
 
     def check_owned(self) -> None:
@@ -253,22 +239,17 @@ class ContactProblem:
     def begin_step(self, level: float | None = None, predict: Predictor | None = None) -> StepData:
         """Read loads, Dirichlet values and jumps, predict u, pair the surfaces; collective.
 
-        The prediction moves every body, or tied group of bodies, as a whole by the mean of its
-        prescribed increments, without strain. Without it the forces of the first QP would be forty
-        times the contact force in the paper's problem, and a disc that is pressed down by many
-        facet lengths would be paired where it was before. The surfaces are
-        paired again if they have slid out of the margin of the last search. A step is a function of
-        the displacement and the committed state: failed steps, audits or output before it have no
-        influence.
+        The prediction translates each body, or group of tied bodies, by the mean of its prescribed
+        increments. The result depends only on the displacement and the committed state.
 
         Args:
-            level: load level of the step, for its terms; None for that of the committed state.
-            predict: adds to that what a walk promises, see `problem.predictors`.
+            level: load level of the step; None for the committed one.
+            predict: further prediction, see `problem.predictors`.
 
         Raises:
-            ValueError: for NaN or infinity in the data, the displacement, the potential or the
-                coordinates; for contradictory conditions, limits of friction below 0, points that
-                leave an axis, invalid jumps, interfaces of another problem.
+            ValueError: for NaN or infinity in data, displacement, potential or coordinates;
+                contradictory conditions, negative friction limits, points that leave an axis,
+                invalid jumps, interfaces of another problem.
         """
         self.check_owned()
         data = self._read(level)
@@ -297,18 +278,18 @@ class ContactProblem:
             if self.comm.rank == 0:
                 log.info("%s", "; ".join(map(str, audited.interfaces)) or "no interface")
                 for warning in audited.warnings:
-                    if self.is_new(warning):  # steps are cut
+                    if self.is_new(warning):  # cut steps repeat warnings
                         log.warning("%s", warning)
         return data
 
     def raise_failed(self) -> None:
-        """Raise on all ranks what has failed in the shape of a tool on one; collective."""
+        """Raise on all ranks an error of a tool's shape on any rank; collective."""
         tools = [one.tool.asked for one in self.interfaces if one.tool is not None]
         failed = [error for shape in tools if (error := shape.failed()) is not None]
         raise_together(self.comm, failed[0] if failed else None)
 
     def _read(self, level: float | None) -> StepData:
-        """Return the data of a step that starts at the present displacement; collective."""
+        """Data of a step that starts at the present displacement; collective."""
         limits = []
         if self.system.has_friction:
             laws = [(one.law, one.nodal["gap"].function_space) for one in self.interfaces]
@@ -336,15 +317,12 @@ class ContactProblem:
         return StepData(target, asked, largest, contacts, limits, flows=flows)
 
     def _mean(self, asked: Floats) -> Floats:
-        """Return the displacement (n,) of bodies moved by their mean increments; collective."""
+        """Mean increments (n,) of the bodies; collective."""
         mean = self.bodies.mean(asked, self.supports.owned)[self.bodies.label]
-        return np.asarray(mean * self.bodies.shifts).ravel()  # rings move along their axis only
+        return np.asarray(mean * self.bodies.shifts).ravel()  # in axisymmetry along the axis only
 
     def _carried(self, asked: Floats, u: Floats) -> Floats:
-        """Return the rigid displacement (n,) from u of bodies that supports carry; collective.
-
-        Where strains are finite bodies turn, too, without any.
-        """
+        """Rigid displacement (n,) of supported bodies; collective."""
         mean = self._mean(asked)
         if self.solid.strain == "small" or not self.bodies.shifts.all():
             return mean
@@ -352,17 +330,16 @@ class ContactProblem:
         return mean + self.bodies.turned(asked, self.supports.owned, x).ravel()
 
     def _committed_positions(self) -> PETSc.Vec:
-        """Return the positions (n,) from which slips count."""
+        """Positions (n,) at the last commit."""
         return self.vector(self.X.ravel() + self.committed.displacement)
 
     def _partners(self, target: Floats) -> list[Sequence[Partners | None] | None]:
-        """Return the partners from which slips are measured; collective.
+        """Slip partners at the last commit, None for those at u; collective.
 
-        They are those at the last commit. In the first step sides may not face each other there:
-        those where the supports move the bodies follow. None stands for those at u.
+        In the first step the configuration moved by the supports is a second choice.
         """
         if not self.system.has_friction or self.geometry == "reference":
-            return [None]  # frozen partners stay
+            return [None]  # frozen partners
         began = self.committed.displacement
         places = [began]
         if not self.committed.begun:
@@ -382,7 +359,7 @@ class ContactProblem:
     def _completed(
         self, here: Configuration, partners: Sequence[Sequence[Partners | None] | None]
     ) -> list[Partners | None]:
-        """Return the first partners of nodes; None stands for those of ``here``; collective."""
+        """Partners, missing ones from later choices; None is those of ``here``; collective."""
         first, *others = (self._found_partners(here) if p is None else p for p in partners)
         result = list(first)
         for other in others:
@@ -391,20 +368,15 @@ class ContactProblem:
         return result
 
     def _found_partners(self, found: Configuration) -> list[Partners | None]:
-        """Return the partners in a configuration; collective."""
         frozen = self.geometry == "reference"
         return found.partners(self._committed_positions(), frozen=frozen)
 
     def audit(self) -> Audit:
-        """Return the geometry audit at the present displacement; collective.
-
-        The first step also begins with one, and logs it. Sides that do not face each other are no
-        error if the present Dirichlet conditions may bring them together. The next step is not
-        affected.
+        """Geometry audit at the present displacement, which stays; collective.
 
         Raises:
-            ValueError: if nothing holds a body, a pair of surfaces cannot meet, or another problem
-                uses one of the interfaces.
+            ValueError: if a body can move freely, two surfaces cannot meet even by the Dirichlet
+                data, or another problem uses one of the interfaces.
         """
         self.check_owned()
         self._check_mesh()
@@ -419,12 +391,10 @@ class ContactProblem:
             return audit
 
     def _check_mesh(self) -> None:
-        """Raise a ValueError for a mesh that is not sound; collective."""
         check_mesh(self.V.mesh)
         check_axis(self.solid, self.supports, self.system.sides)
 
     def _audit(self, increment: float) -> Audit:
-        """Audit the present configuration; collective."""
         springs = self._resistance_of_potential()
         at, parts = self.configuration, (self.bodies, self.system, self.supports)
         return create_audit(*parts, self.positions(), springs, at=at, increment=increment)
@@ -434,32 +404,29 @@ class ContactProblem:
         return set()
 
     def is_new(self, warning: str) -> bool:
-        """Tell whether a warning has not been logged; from then on it has been."""
+        """Mark a warning as logged; tell whether it was not before."""
         new = warning not in self._logged
         self._logged.add(warning)
         return new
 
     @cached_property
     def told(self) -> list[list[str]]:
-        """Notes on the last step, which may still grow, and on its failure."""
+        """Notes on the last step, or on its failure."""
         return []
 
     def diagnose(self) -> list[str]:
-        """Return the notes on the last step, or on its failure, with explanations and remedies."""
+        """Notes on the last step, or on its failure, with explanations and remedies."""
         return [
             ". ".join(filter(None, (note, getattr(note, "why", "")))) for note in chain(*self.told)
         ]
 
     def held_by_contact(self) -> list[str]:
-        """Return the names of the bodies that contact alone holds at present; collective."""
+        """Names of the bodies that only contact restrains at present; collective."""
         springs = self._resistance_of_potential()
         return find_free_motions(self.bodies, self.system, self.supports, springs)[1]
 
     def _resistance_of_potential(self) -> Callable[[PETSc.Vec], Floats]:
-        """Return v -> forces of the terms against v, over the largest entry of each row of K.
-
-        So a mass counts beside a spring, and the lighter one of two bodies.
-        """
+        """Return v -> forces of the terms under v, over the largest entry of each row of K."""
         if not self.terms.have_tangent:
             return lambda v: np.zeros(0)
         self.terms.check_energies()
@@ -469,11 +436,7 @@ class ContactProblem:
         return lambda v: np.asarray((springs * v).array_r / scale)
 
     def update_geometry(self, increment: float) -> None:
-        """Pair the surfaces at X + u (at X if frozen), and compute D, M, N and T; collective.
-
-        Args:
-            increment: largest prescribed increment of the step.
-        """
+        """Pair the surfaces at X + u (X if frozen), and compute D, M, N and T; collective."""
         with self.timings("mortar"):
             found = self.system.at(self.configuration)
         self._enter(found, increment)
@@ -482,19 +445,18 @@ class ContactProblem:
         """Update the geometry to X + u within a step; collective.
 
         Args:
-            everywhere: pair again if the surfaces have slid past their partners anywhere, not only
-                near the contact.
+            everywhere: pair again after slides anywhere, not only near the contact.
         """
         at, x = self.configuration, self.positions()
         with self.timings("mortar"):
             if self.system.follow(at, x, everywhere=everywhere):
-                self.linear.clear()  # multigrid levels belong to a T
+                self.linear.clear()  # multigrid levels belong to one T
 
     def _enter(self, found: Configuration, increment: float) -> None:
         """Make a configuration at u the present one; collective."""
         with self.timings("mortar"):
             if self.system.enter(found, self.positions(), increment):
-                self.linear.clear()  # multigrid levels belong to a T
+                self.linear.clear()
 
     def positions(self) -> PETSc.Vec:
         """Return X + u as a vector."""
@@ -502,13 +464,11 @@ class ContactProblem:
         x.array[:] += self.u.x.array[: x.local_size]
         return x
 
-    # -- results ---------------------------------------------------------------------------------
-
     def commit(self) -> None:
         """Make the converged step the state from which the next one starts; collective.
 
-        An error of a term or an interface, or Ctrl-C, undoes the step: displacement, results and
-        state are then those of the last commit.
+        An error of a term or an interface, or Ctrl-C, restores displacement, results and state of
+        the last commit.
 
         Raises:
             ValueError: if a problem made later uses one of the interfaces.
@@ -528,7 +488,7 @@ class ContactProblem:
 
     @contextmanager
     def undone(self, before: Before) -> Iterator[None]:
-        """Run a block; if it fails or is stopped, perhaps on this rank only, undo the step."""
+        """Undo the step if the block fails or is interrupted, perhaps on this rank only."""
         try:
             with from_callbacks():
                 yield
@@ -538,29 +498,28 @@ class ContactProblem:
             raise
 
     def undo(self, before: Before) -> None:
-        """Put back what was before a step, perhaps on this rank only: without communication."""
+        """Restore the state before a step, perhaps on this rank only: without communication."""
         before.restore()
         self.outcome = before.outcome
 
     def go_back(self) -> None:
-        """Undo a step in time that has not been committed: the next one is another try; collective.
+        """Undo a step in time that has not been committed; collective.
 
-        Steps of statics begin at the present u, which is but an initial guess.
+        Quasi-static steps keep the present u as initial guess.
         """
         if (outcome := self._uncommitted_in_time()) is not None and outcome.before is not None:
             self.undo(outcome.before)
 
     @property
     def in_time(self) -> bool:
-        """Whether steps have inertia."""
+        """Whether the terms contain inertia."""
         return any(isinstance(term, Inertia) for _, term in self.terms.named)
 
     def _uncommitted_in_time(self) -> StepOutcome | None:
-        """Return the outcome of a step in time that has not been committed, if any; collective."""
         return self.ended_here() if self.in_time else None
 
     def ends_of_interfaces(self) -> list[Any]:
-        """Return what a commit changes of the state of each interface; collective."""
+        """States that a commit changes; collective."""
         pairs = [(one.state(False), one.state(True)) for one in self.interfaces]
         return [
             {name: v for name, v in end.items() if not np.array_equal(v, now[name])}
@@ -568,43 +527,42 @@ class ContactProblem:
         ]
 
     def ended_here(self) -> StepOutcome | None:
-        """Return the outcome of the last step, None if u has been reset since; collective."""
+        """Outcome of the last step, None if u has been changed since; collective."""
         elsewhere = self.outcome is None or not np.array_equal(self.outcome.at, self.owned_u)
         return None if any_rank(self.comm, elsewhere)[0] else self.outcome
 
     @property
     def state(self) -> ProblemState:
-        """The parts with a state, for checkpoints."""
+        """State for checkpoints."""
         parts = self.solid, self.interfaces, self.system, self.supports
         return ProblemState(*parts, self.geometry, self.committed, self.terms.named)
 
     @property
     def history(self) -> list[LoadStep]:
-        """The steps of `load_steps`, including those before a restored checkpoint."""
+        """Steps of `load_steps`, including those before a restored checkpoint."""
         return self.committed.history
 
     @property
     def steps_done(self) -> tuple[int, int]:
-        """Number of load steps so far, and how many of them were restored from a checkpoint."""
+        """Numbers of load steps, all and restored from a checkpoint."""
         return len(self.committed.history), self.committed.brought
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a checkpoint, which `restore` reads on any number of ranks; collective.
+        """Write a checkpoint for `restore` on any number of ranks; collective.
 
-        Displacement, internal variables, stress, closed contacts and slips, load level, results
-        of the interfaces, tightening of ties, and `history`. Not the data that a program sets
-        before each step: loads, supports, jumps, parameters and eigenstrain that may change. An
-        older file of this name is replaced when the new one is complete and on the disk. Nodes are
-        identified by their coordinates and those of their cells, so bodies that coincide cell by
-        cell cannot be restored.
+        It contains all that steps compute, also `history`; not the data that a program sets before
+        each step: loads, supports, jumps, parameters and variable eigenstrain. Nodes are identified
+        by their coordinates and those of their cells: bodies that coincide cell by cell cannot be
+        restored.
 
         Args:
-            path: the file, HDF5; its folder must exist.
+            path: HDF5 file in an existing folder; replaced once the new one is complete on the
+                disk.
 
         Raises:
-            OSError: on all ranks, if it cannot be written; the older one stays.
-            ValueError: if a problem made later uses one of the interfaces, and for a step in time
-                that is not committed, which velocities do not belong to.
+            OSError: on all ranks, if it cannot be written; the older file remains.
+            ValueError: if a problem made later uses one of the interfaces, or if a step in time is
+                not committed.
             RuntimeError: if h5py is missing (an ImportError on rank 0).
         """
         outcome = self._uncommitted_in_time()
@@ -619,27 +577,27 @@ class ContactProblem:
     def restore(self, path: str | os.PathLike[str]) -> None:
         """Restore the state of a checkpoint, written on any number of ranks; collective.
 
-        Mesh, materials and interfaces must be the same; the mesh may be numbered in any way. Set
-        loads and other changing data to the load level (``committed.level``) before an evaluation,
-        and if parameters change call ``solid.follow()`` before output; `load_steps` does both.
+        Mesh, materials and interfaces must be the same; the mesh may be numbered differently.
+        Before an evaluation set loads to ``committed.level``, and after changes of parameters call
+        ``solid.follow()``; `load_steps` does both.
 
         Args:
             path: file of `save` or `load_steps`.
 
         Raises:
-            OSError: on all ranks, if there is no such file, or it cannot be read.
-            ValueError: on all ranks, if it is no checkpoint, truncated or damaged, of another
-                version or another problem; the message names the differences. Nothing is changed.
+            OSError: on all ranks, if the file is missing or unreadable.
+            ValueError: on all ranks, if it is no checkpoint, damaged, or of another version or
+                problem, with the differences. Nothing is changed.
         """
         with self.timings("checkpoint"):
             self.outcome = checkpoints.read(self.state, path).put()
 
     def output_fields(self) -> dict[str, fem.Function]:
-        """Return the Functions for output by name; collective.
+        """The Functions for output by name; collective.
 
-        The displacement, ``solid.output_fields()``, and the interfaces' pressure, gap, status and
-        "facing", 1 at slave nodes that face a master; elsewhere the gap is 0. With friction also
-        "traction" and "slip" (see `Contact`); then a status of 1 is stick, 2 slip.
+        The displacement, ``solid.output_fields()``, and of the interfaces "pressure", "gap",
+        "facing" (1 at slave nodes that face a master; elsewhere the gap is 0) and "status"; with
+        friction also "traction" and "slip" (see `Contact`), and a status of 1 is stick, 2 slip.
 
         Raises:
             ValueError: if a problem made later uses one of the interfaces.
@@ -655,9 +613,9 @@ class ContactProblem:
         return fields
 
     def output_tools(self) -> list[tuple[Outline, Floats]]:
-        """Return where the rigid tools are, each with a box in its frame; collective.
+        """Outlines of the rigid tools, each with a box in its frame; collective.
 
-        The box (2, d) is that around the side at X + u, for all ranks.
+        The box (2, d) encloses the side at X + u on all ranks.
         """
         return self.system.tools_at(self.u)
 
@@ -665,7 +623,6 @@ class ContactProblem:
 def _create_terms(
     solid: Solid, loads: ufl.Form | None, potential: ufl.Form | None, terms: Sequence[Term]
 ) -> Terms:
-    """Return the sum over the bodies, dead loads, the potential and the user's terms."""
     own = check_terms(solid.V.mesh.comm, terms, solid.u)
     named: list[tuple[str, Term]] = []
     if loads is not None:
