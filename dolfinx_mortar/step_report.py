@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The record of a load step: iterations, certificate, seconds; and the error that carries it."""
+"""Report of a load step: iterations, certificate, seconds; and the error that carries it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 
 class Timings:
-    """Wall-clock seconds by part of the work, this rank's."""
+    """Wall-clock seconds of this rank by part of the work."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -26,17 +26,17 @@ class Timings:
             self.seconds[part] = self.seconds.get(part, 0.0) + time.perf_counter() - start
 
     def since(self, earlier: dict[str, float]) -> dict[str, float]:
-        """Return the seconds spent since a copy of ``seconds`` was taken."""
+        """Seconds since a copy of ``seconds`` was taken."""
         return {k: v - earlier.get(k, 0.0) for k, v in self.seconds.items()}
 
 
 class Note(str):
-    """What a step has seen and its size, as text; ``why`` explains it and says what helps."""
+    """Observation of a step as text; ``why`` explains it and gives a remedy."""
 
     why: str
 
     def __new__(cls, seen: str, why: str = "") -> Note:
-        """Keep both; copies are made without the second, and get it afterwards."""
+        """Create a note; copies lose ``why``."""
         note = super().__new__(cls, seen)
         note.why = why
         return note
@@ -52,15 +52,15 @@ class Iteration:
     contact_residual: float  # penetration and complementarity after the step, relative
     kkt: float  # largest KKT residual of the QP, relative
     active: int  # active contact nodes, all interfaces and ranks
-    changed: int  # active nodes that changed since the last iteration, weakly active ones left out
+    changed: int  # changes of the active set but for weakly active nodes
     updates: int  # iterations of the QP backend
     linear_iterations: int
     factorisations: int
     step_length: float  # accepted by the line search
-    line_search_steps: int  # shortenings before acceptance
+    line_search_steps: int  # reductions of the step
     geometry_change: float  # gap minus its prediction by the last linearisation, in facet lengths
     shift: float = 0.0  # multiple of the elastic stiffness added to an indefinite tangent
-    exact_tangent: bool = False  # the motion of the surfaces was part of the linearisation
+    exact_tangent: bool = False  # whether the tangent was exact
 
     def __str__(self) -> str:
         return (
@@ -79,27 +79,25 @@ class Certificate:
     """Residuals of a converged step, each relative to its own scale.
 
     Scales: forces to the largest of external, contact, reaction and element forces; lengths to the
-    mean slave facet; multipliers to the largest multiplier, their forces to the largest of these,
-    resultants of patches to the sum of forces; tangential reactions to the largest limit of
-    friction, their energies to the limits times the slips. What the small strain leaves out is that
-    of the body with the largest share.
+    mean slave facet; multipliers to the largest one, their forces to the largest of these,
+    resultants of patches to the sum of forces; tangential reactions to the largest friction limit,
+    their energies to limits times slips. Small-strain errors are of the worst body.
     """
 
     equilibrium: float  # forces on free unknowns
     gap: float  # deepest violation of w_n <= gap
-    sign: float  # largest pull: of a multiplier, as a pressure and as a force, or of a patch
+    sign: float  # largest tension: of a multiplier as pressure or force, or of a patch
     complementarity: float  # largest lambda_j * gap_j
-    # resultants of slave and master side added up, |sum_j (s_j + t_j)|, over sum_j |s_j|
+    # |sum_j (s_j + t_j)| / sum_j |s_j|, s_j, t_j the forces on the slave and master side
     force_balance: float
-    # the same for moments at X + u about the middle c of the slave forces, of arms a_j = x_j - c,
-    # over sum_j |s_j| (|a_j| + h), h the facet length: round-off on flat sides; on curved ones the
-    # forces along nodal normals leave O(h^2) of the angle between these and the projections
+    # the same for moments with arms a_j = x_j - c at X + u, c the centre of slave forces, relative
+    # to sum_j |s_j| (|a_j| + h), h the facet length: O(h^2) on curved sides (theory.md, Moments)
     moment_balance: float
     linear_field_error: float  # tangential part of x_s - P x_m per gap + facet length
     row_sum_error: float  # largest row sum of D - M over D_jj
-    smallest_coverage: float  # covered share of the tributary length over kept slave nodes
+    smallest_coverage: float  # covered share of the tributary length over kept nodes
     kept_nodes: int
-    removed_nodes: int  # slave nodes whose dual function was shared out
+    removed_nodes: int  # slave nodes without multiplier, whose dual function is shared out
     active_nodes: int
     active_set_changes: int
     newton_iterations: int
@@ -107,50 +105,50 @@ class Certificate:
     line_search_steps: int
     geometry_change: float
     friction_cone: float = 0.0  # largest tangential reaction beyond its limit
-    friction_stick: float = 0.0  # longest slip of a node that sticks
+    friction_stick: float = 0.0  # longest slip of a sticking node
     friction_work: float = 0.0  # limits times slips, less the dissipation
-    friction_gain: float = 0.0  # largest energy that a node gets from friction
+    friction_gain: float = 0.0  # largest energy that a node gains by friction
     left_out_strain: float = 0.0  # largest |H^T H| / 2, H = grad u, over the largest strain
-    left_out_work: float = 0.0  # share of rotations, left out, in the work of a body's stresses
+    left_out_work: float = 0.0  # share of neglected rotations in the work of a body's stresses
     left_out_lengths: float = 0.0  # mean of |H^T H| / 2 in a body
     rotation: float = 0.0  # largest rotation, radians
-    loads: float = 0.0  # share of the load of a bolt, tool or rigid side that is missed
-    crossing: float = 0.0  # depth over the facet where bodies cross that no interface couples
-    # at finite strain: moment at X + u of the internal forces of a body, over forces times arms
+    loads: float = 0.0  # missing share of the load of a bolt, tool or rigid side
+    crossing: float = 0.0  # penetration of bodies without an interface, in facets
+    # at finite strain: moment at X + u of a body's internal forces, over forces times arms
     internal_moment: float = 0.0
-    smallest_J: float = 1.0  # smallest det F at the integration points, 1 for small strains
+    smallest_J: float = 1.0  # smallest det F at integration points, 1 for small strains
     energy_defect: float = 0.0  # of `time_steps`, see `Ledger`
 
 
 @dataclass(frozen=True)
 class Ledger:
-    """Energies of a motion at the end of a step, and what has happened to them since its start.
+    """Energies of a motion at the end of a step, and works since its start.
 
-    Of the whole ring, or per thickness in the plane. Works are those of the trapezoidal rule, which
-    of linear bodies are exact. Energy is kept where
+    Of the whole ring, or per thickness in the plane. Works by the trapezoidal rule, exact for
+    linear bodies. Energy is conserved where
 
         kinetic + stored + dissipated + friction + damping = initial + loads + supports.
     """
 
     initial: float  # kinetic and stored energy at the start
     kinetic: float
-    stored: float  # in the bodies, elastic and by hardening; see `EnergyLedger` for some laws
+    stored: float  # in the bodies, elastic and hardening; see `EnergyLedger`
     dissipated: float  # by plastic flow
     friction: float  # dissipated by friction
     damping: float  # dissipated by Rayleigh's damping
-    loads: float  # work of loads, of all other terms, and of heat and parameters that change
-    supports: float  # work of the supports, and of rigid sides and tools that move
-    contact: float  # what contact forces gave beyond friction, before the energy was restored
-    defect: float  # left side less right side, over the largest energy so far
-    largest: float  # of all these energies and works, so far
-    owed: float = 0.0  # what contact has given and not yet taken back; it waits until it matters
-    # of each of problem.interfaces that can open: (d,) on the slave side since the start, by the
-    # trapezoidal rule and with what restored the energy, which `force` does not have; else None
+    loads: float  # work of loads, other terms, and changes of temperature and parameters
+    supports: float  # work of supports, rigid sides and tools
+    contact: float  # work of contact beyond friction, before the energy was restored
+    defect: float  # left minus right side, over the largest energy
+    largest: float  # largest of these energies and works
+    owed: float = 0.0  # work given by contact, not yet restored
+    # (d,) of each contact of problem.interfaces on the slave side since the start, by the
+    # trapezoidal rule, with those that restored the energy; else None
     impulses: list[list[float] | None] = field(default_factory=list)
 
     @property
     def imbalance(self) -> float:
-        """Left side less right side."""
+        """Left minus right side."""
         gone = self.dissipated + self.friction + self.damping
         return self.kinetic + self.stored + gone - (self.initial + self.loads + self.supports)
 
@@ -164,17 +162,17 @@ class StepReport:
     """Report of one load step; ``print`` shows a table, ``as_dict`` goes to JSON."""
 
     converged: bool = False
-    backend: str = ""  # of the QPs, ``qp``
+    backend: str = ""  # ``qp`` of the step
     geometry: str = ""  # "updated" or "reference"
     linear_solver: str = ""  # in words
-    friction: str = ""  # how friction was linearised
+    friction: str = ""  # linearisation of friction
     rtol: float = 0.0
-    iterations: list[Iteration] = field(default_factory=list)  # one each of Newton's method
+    iterations: list[Iteration] = field(default_factory=list)  # of Newton's method
     certificate: Certificate | None = None  # residuals at the end
     ledger: Ledger | None = None  # of `time_steps`
-    cuts: int = 0  # failures of larger steps before this one, set by `load_steps`
-    notes: list[str] = field(default_factory=list)  # on what may be inaccurate
-    seconds: dict[str, float] = field(default_factory=dict)  # of this rank, by part of the work
+    cuts: int = 0  # failures of larger steps before, by `load_steps`
+    notes: list[str] = field(default_factory=list)  # possible inaccuracies
+    seconds: dict[str, float] = field(default_factory=dict)  # of this rank, by part
 
     @property
     def newton_iterations(self) -> int:
@@ -197,14 +195,14 @@ class StepReport:
         return [it.increment for it in self.iterations]
 
     def note_friction(self, number: int, linearisation: str) -> None:
-        """Note how friction was linearised in an iteration, and from which one on otherwise."""
+        """Note the linearisation of friction and the iteration from which it changes."""
         if not self.friction:
             self.friction = linearisation
         elif not self.friction.endswith(linearisation):
             self.friction += f", from iteration {number} on {linearisation}"
 
     def begin_anew(self) -> None:
-        """Note that Newton's method has led nowhere from what the last step promised."""
+        """Note that the predicted motion led to no convergence, and clear the iterations."""
         self.notes.append(
             f"the motion of the last step led nowhere in {len(self.iterations)} iterations: this "
             "one began without it"
@@ -213,7 +211,7 @@ class StepReport:
         self.linear_solver = ""
 
     def quote(self, number: int, text: str) -> None:
-        """Note what the QP backend says in an iteration, once for all that say the same."""
+        """Note a message of the QP backend in an iteration; equal ones are merged."""
         if not text:
             return
         for k, note in enumerate(self.notes):
@@ -224,7 +222,7 @@ class StepReport:
         self.notes.append(f"iteration {number}: {text}")
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the report as plain numbers, strings, lists and dictionaries."""
+        """Plain numbers, strings, lists and dictionaries."""
         return asdict(self) | {
             "newton_iterations": self.newton_iterations,
             "qp_iterations": self.qp_iterations,
@@ -234,7 +232,7 @@ class StepReport:
 
     @classmethod
     def from_dict(cls, given: Mapping[str, Any]) -> StepReport:
-        """Return the report that `as_dict` has written."""
+        """Read the result of `as_dict`."""
         names = {one.name for one in fields(cls)}
         values = {name: value for name, value in given.items() if name in names}
         values["iterations"] = [Iteration(**iteration) for iteration in given.get("iterations", [])]
@@ -263,37 +261,37 @@ class StepReport:
         lines.append("seconds: " + ", ".join(f"{k} {v:.3f}" for k, v in self.seconds.items()))
         return "\n".join(lines)
 
-    __repr__ = __str__  # what notebooks show
+    __repr__ = __str__  # for notebooks
 
 
 @dataclass(frozen=True)
 class LoadStep:
-    """A committed load step, or time step: what `load_steps` and `time_steps` yield."""
+    """A committed load or time step, as `load_steps` and `time_steps` yield it."""
 
     number: int  # 1, 2, ...
     time: float  # load level, or time, at its end
     report: StepReport  # of the last part
-    parts: list[StepReport] = field(default_factory=list)  # one, or several after cut-backs
+    parts: list[StepReport] = field(default_factory=list)  # several after cuts
     forces: list[list[float]] = field(default_factory=list)  # on the slave side of each interface
     # of each of problem.bcs: "force", "moment" and "about", see `Reaction`
     reactions: list[dict[str, Any]] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the step as plain numbers, strings, lists and dictionaries."""
+        """Plain numbers, strings, lists and dictionaries."""
         parts = [part.as_dict() for part in self.parts]
         names = ("number", "time", "forces", "reactions")
         return {name: getattr(self, name) for name in names} | {"parts": parts}
 
     @classmethod
     def from_dict(cls, given: Mapping[str, Any]) -> LoadStep:
-        """Return the step that `as_dict` has written."""
+        """Read the result of `as_dict`."""
         parts = [StepReport.from_dict(part) for part in given["parts"]]
         results = given["forces"], given["reactions"]
         return cls(given["number"], given["time"], parts[-1], parts, *results)
 
     @property
     def outcome(self) -> str:
-        """Result and cost, in a few words."""
+        """Result and cost in words."""
         iterations = sum(part.newton_iterations for part in self.parts)
         cut = f" in {len(self.parts)} parts" if len(self.parts) > 1 else ""
         certificate = self.report.certificate
@@ -307,14 +305,14 @@ class LoadStep:
 
 
 class NewtonNotConverged(RuntimeError):
-    """Newton's method ended without a solution; ``report`` holds what happened.
+    """Newton's method failed; ``report`` has the details.
 
-    The displacement and the committed state are as before the step: retry with a smaller one. Of a
-    step that `load_steps` has made in parts, they are as before the first part that fails.
+    Displacement and committed state are those before the step, or before the failed part of a step
+    that `load_steps` has cut: retry with a smaller one.
     """
 
     def __init__(self, message: str, report: StepReport) -> None:
-        """Keep the report; it may be completed after the exception is made."""
+        """Create the error; the report may be completed later."""
         super().__init__(message, report)
         self.message, self.report = message, report
 
