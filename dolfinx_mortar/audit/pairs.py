@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Contacts proposed by the program, between bodies that are near and face each other."""
+"""Contacts proposed between bodies that are near and face each other."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ from dolfinx_mortar.spaces import check_space
 from dolfinx_mortar.supports.bodies import find_bodies
 from dolfinx_mortar.tags import Tags, check_entities, names_of
 
-# Of slave nodes that lose a constraint.
+# End of messages about lost constraints.
 REFINE = "so they are not constrained there; refine around them, so that it matters less"
 
 
@@ -46,26 +46,23 @@ REFINE = "so they are not constrained there; refine around them, so that it matt
 class Pair:
     """A proposed contact; areas are lengths in the plane."""
 
-    slave: str  # name of the side in the tags of `Pairs`
+    slave: str  # name in the tags of `Pairs`
     master: str  # likewise
-    facets: tuple[int, int]  # of both sides, all ranks
-    sizes: tuple[float, float]  # mean diameter of the facets that are near
-    area: float  # of the slave side, where it faces the master and is near
-    distance: float  # least one between facets that face each other; negative: overlap
+    facets: tuple[int, int]  # of both sides
+    sizes: tuple[float, float]  # mean diameters of near facets
+    area: float  # of the slave side, where it faces the near master
+    distance: float  # least between facing facets; negative: overlap
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """Proposed contacts and the tags of their sides; unpacks as ``facet_tags, contacts``.
+    """Proposed contacts and the tags of their sides; unpacks as ``facet_tags, contacts``."""
 
-    Keep the record itself for the rest: ``found = find_pairs(..)``, ``found.joined``.
-    """
-
-    tags: Tags  # of the facets of all sides
+    tags: Tags  # facets of all sides
     contacts: list[Contact]  # one for each pair
-    found: list[Pair]  # the rows of the table
-    joined: dict[tuple[str, str], int]  # nodes that two bodies of one part share: no contact
-    lost: list[str]  # where slave nodes lose a constraint, whatever side is the slave
+    found: list[Pair]  # rows of the table
+    joined: dict[tuple[str, str], int]  # nodes shared by two bodies of one part: no contact
+    lost: list[str]  # slave nodes that lose a constraint, in words
 
     def __iter__(self) -> Iterator[Any]:
         return iter((self.tags, self.contacts))
@@ -78,11 +75,11 @@ class Pairs:
         lines += [describe_joined(self.joined)] if self.joined else []
         return "\n".join([*lines, *self.lost])
 
-    __repr__ = __str__  # what notebooks show
+    __repr__ = __str__  # for notebooks
 
 
 def describe_joined(joined: dict[tuple[str, str], int]) -> str:
-    """Return a sentence about bodies that share nodes."""
+    """Sentence about bodies that share nodes."""
     who = ", ".join(
         f"{one!r} and {other!r} share {_nodes(count)}" for (one, other), count in joined.items()
     )
@@ -110,40 +107,32 @@ def find_pairs(
         facet_tags, contacts = found
         problem = dm.ContactProblem(solid, contacts, bcs=bcs)
 
-    Bodies are the connected parts of the mesh and, where cell tags are given, the parts of these
-    with different tags. What is joined by common nodes is no contact, which the table says. Two
-    bodies are a pair if some facet of one, projected along its normal, meets a facet of the other
-    that faces it, with nothing between them, at most `within` apart; overlaps count up to half of
-    the thinner body. A side is all of the face to which such facets belong, up to edges. Faces that
+    Bodies are the connected parts of the mesh, divided by cell tags. Common nodes join bodies: no
+    contact. Two bodies are a pair if some facet of one, projected along its normal, meets an
+    opposite facet of the other, with nothing between them, at most `within` apart; overlaps count
+    up to half of the thinner body. A side is the whole face of such facets, up to edges. Faces that
     face several bodies have one tag.
-
-    The side with the finer facets is the slave, but where nodes would lose a constraint, as slaves
-    of two contacts, or of contacts that need each other's in a cycle. Then other sides are slaves,
-    unless they are more than twice as coarse. What remains is told below the table. Tags, their
-    order and names do not depend on the ranks.
+    The finer side is the slave, unless nodes would lose a constraint, as slaves of two contacts or
+    in a cycle; then another side is, if not more than twice as coarse. Remaining losses are told
+    below the table. Tags, order and names do not depend on the ranks.
 
     Args:
         mesh: of all bodies.
-        cell_tags: tags of all cells; their names, if they are `Tags`, become those of the bodies.
-        within: largest distance of a pair, in the units of the mesh; the diameter of the larger
-            one of two facets if not given.
+        cell_tags: tags of all cells; names of `Tags` become those of the bodies.
+        within: largest distance of a pair; default the diameter of the larger facet.
         surface: of all contacts, see `Contact`.
-        feature_angle: degrees between two facets from which on they meet in an edge; of all
-            contacts, too.
+        feature_angle: degrees between facets from which on an edge is sharp; of all contacts, too.
         friction: of all contacts.
         tresca: of all contacts.
-        show: whether rank 0 prints the table of what was found.
+        show: whether rank 0 prints the table.
 
     Returns:
-        A record that unpacks as facet tags, such as "disc to block", and contacts; it also has the
-        numbers of the table, how many nodes bodies share, `joined`, and where constraints are lost,
-        `lost`.
+        A record that unpacks as facet tags, such as "disc to block", and contacts.
 
     Raises:
-        ValueError: on all ranks, for a mesh that is not supported or not sound; tags of another
-            mesh or that leave cells out; `within` that is not positive; options that `Contact`
-            refuses; a mesh that is one connected body; and if there is no pair, with the distance
-            of the nearest bodies, or the overlap that is too deep.
+        ValueError: on all ranks, for an invalid or unsupported mesh; tags of another mesh or not of
+            all cells; `within` not positive; options that `Contact` refuses; a single connected
+            body; and if there is no pair, with the nearest distance or least overlap.
     """
     if not isinstance(mesh, Mesh):
         raise ValueError(f"mesh is {mesh!r}: give a dolfinx.mesh.Mesh of all bodies")
@@ -166,7 +155,6 @@ def find_pairs(
 
 
 def _check(mesh: Mesh, cell_tags: Any, within: Any, surface: Any) -> None:
-    """Raise a ValueError for arguments that are wrong, the same on all ranks; collective."""
     kinds = compat.cell_kinds(mesh)
     if len(kinds) > 1:
         raise ValueError(
@@ -190,7 +178,7 @@ def _check(mesh: Mesh, cell_tags: Any, within: Any, surface: Any) -> None:
 
 
 def _tags_of_cells(mesh: Mesh, cell_tags: MeshTags | None) -> Longs:
-    """Return the tag (owned cells,) of each cell, 0 without tags; without communication."""
+    """Tag (owned cells,) of each cell, 0 without tags; without communication."""
     owned = mesh.topology.index_map(mesh.topology.dim).size_local
     tags = np.zeros(owned, dtype=np.int64)
     if cell_tags is None:
@@ -207,31 +195,28 @@ def _tags_of_cells(mesh: Mesh, cell_tags: MeshTags | None) -> Longs:
     return tags
 
 
-# -- bodies and the bodies that they face ----------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class _Side:
-    """The part of a body that faces another one, all ranks."""
+    """Part of a body that faces another one, all ranks."""
 
     body: int
     other: int
     faces: frozenset[int]
-    area: float  # of facets that see the other body
+    area: float  # of facets that face the other body
     distance: float
-    sizes: tuple[float, float]  # mean diameters of the facets of both bodies
+    sizes: tuple[float, float]  # mean facet diameters of both bodies
 
 
 @dataclass(frozen=True)
 class _Found:
     """Results of the search."""
 
-    names: Sequence[str]  # of the bodies
-    entities: Longs  # of the exterior facets of this rank
+    names: Sequence[str]  # of bodies
+    entities: Longs  # exterior facets of this rank
     faces: Faces
-    sides: dict[tuple[int, int], _Side]  # by body and the other one
-    joined: dict[tuple[str, str], int]  # nodes that bodies share
-    common: Longs  # (sides, sides) nodes that sides share where they face their partners
+    sides: dict[tuple[int, int], _Side]  # by body and other body
+    joined: dict[tuple[str, str], int]  # shared nodes
+    common: Longs  # (sides, sides) shared nodes that face partners
 
 
 def _find(
@@ -241,7 +226,6 @@ def _find(
     within: float | None,
     feature_angle: float,
 ) -> _Found:
-    """Return which faces of which bodies are near each other; collective."""
     topology, comm = V.mesh.topology, V.mesh.comm
     for pair in ((topology.dim - 1, topology.dim), (topology.dim, topology.dim - 1)):
         topology.create_connectivity(*pair)
@@ -271,7 +255,7 @@ def _find(
     if not sides:
         deep = find_facing(comm, Skin(facets, part_of_cell[cells], label), deep=True)
         deep = deep[deep.distance < 0.0]
-        least = float(maximum(comm, deep.distance.max(initial=-np.inf))[0])  # of the overlaps
+        least = float(maximum(comm, deep.distance.max(initial=-np.inf))[0])  # least overlap
         deep = deep[deep.distance >= least]
         _raise_none(_sides(comm, deep if np.isfinite(least) else facing), names, within, told)
     numbers, common = entities.astype(np.int64), _facing_nodes(V, boundary.nodes, facing, sides)
@@ -281,7 +265,7 @@ def _find(
 def _facing_nodes(
     V: fem.FunctionSpace, nodes: Ints, facing: Facing, sides: dict[tuple[int, int], _Side]
 ) -> Longs:
-    """Return how many nodes two sides (s, s) share where they face their partners; collective."""
+    """Numbers (s, s) of nodes that sides share where they face their partners; collective."""
     bodies, faces = facing.label[:, :, 0], facing.label[:, 0, 1]
     seen = []
     for side in sides.values():
@@ -293,7 +277,7 @@ def _facing_nodes(
 def _shared_nodes(
     V: fem.FunctionSpace, body_of_cell: Longs, part: Longs
 ) -> dict[tuple[int, int], int]:
-    """Return how many nodes bodies of one part have in common; collective."""
+    """Numbers of nodes that bodies of one part share; collective."""
     several = np.flatnonzero(np.bincount(part)[part] > 1)
     cells = V.dofmap.list[: len(body_of_cell)]
     common = np.triu(_common_nodes(V, [cells[body_of_cell == k] for k in several]), 1)
@@ -301,7 +285,7 @@ def _shared_nodes(
 
 
 def _common_nodes(V: fem.FunctionSpace, sets: Sequence[Ints]) -> Longs:
-    """Return how many nodes (n, n) two of n sets of local nodes share, all ranks; collective."""
+    """Numbers (n, n) of nodes that two of n sets of local nodes share; collective."""
     if not sets:
         return np.zeros((0, 0), dtype=np.int64)
     layout, comm, on = V.dofmap.index_map, V.mesh.comm, []
@@ -309,12 +293,12 @@ def _common_nodes(V: fem.FunctionSpace, sets: Sequence[Ints]) -> Longs:
         nodes = layout.local_to_global(np.unique(local).astype(np.int32)).astype(np.int64)
         found = sums_at_nodes(comm, layout, nodes, np.ones((len(nodes), 1)))[:, 0] > 0.0
         on.append(sparse.csr_array(found.astype(np.int64)[None]))
-    rows = sparse.vstack(on)  # few ones: no dense row of all nodes for each set
+    rows = sparse.vstack(on)  # sparse: one long row per set
     return np.asarray(comm.allreduce((rows @ rows.T).toarray(), op=MPI.SUM))
 
 
 def _ordered_parts(V: fem.FunctionSpace) -> tuple[Longs, int]:
-    """Return the connected part of each owned cell, and how many there are; collective."""
+    """Connected part of each owned cell, and their number; collective."""
     bodies = find_bodies(V)
     d = V.mesh.geometry.dim
     x = V.tabulate_dof_coordinates()[: len(bodies.label), :d]
@@ -331,7 +315,7 @@ def _ordered_parts(V: fem.FunctionSpace) -> tuple[Longs, int]:
 
 
 def _names(known: Longs, cell_tags: MeshTags | None) -> list[str]:
-    """Return the names of bodies (tag, part), sorted: that of the tag, and a number if several."""
+    """Names of bodies (tag, part), sorted: of the tag, numbered if several."""
     if cell_tags is None:
         return [f"body {k + 1}" for k in range(len(known))]
     called = {tag: name for name, tag in names_of(cell_tags).items()}
@@ -344,7 +328,7 @@ def _names(known: Longs, cell_tags: MeshTags | None) -> list[str]:
 
 
 def _sides(comm: MPI.Intracomm, facing: Facing) -> dict[tuple[int, int], _Side]:
-    """Return what bodies face each other by pairs of facets of all ranks; collective."""
+    """Sides from pairs of facets of all ranks; collective."""
     key = np.column_stack([facing.label[:, :, 0], facing.label[:, :, 1]])
     own, which = np.unique(key, axis=0, return_inverse=True)
     columns = facing.area, *facing.size.T, np.ones(len(key))
@@ -352,7 +336,7 @@ def _sides(comm: MPI.Intracomm, facing: Facing) -> dict[tuple[int, int], _Side]:
     least = np.full(len(own), np.inf)
     np.minimum.at(least, which.ravel(), facing.distance)
     one = np.concatenate(comm.allgather(np.column_stack([own, *sums, least])))
-    other = one[:, [1, 0, 3, 2, 4, 6, 5, 7, 8]]  # as what is seen
+    other = one[:, [1, 0, 3, 2, 4, 6, 5, 7, 8]]  # seen from the other body
     other[:, 4] = 0.0
     sides, rows = {}, np.concatenate([one, other])
     for a, b in np.unique(rows[:, :2].astype(int), axis=0).tolist():
@@ -366,7 +350,7 @@ def _sides(comm: MPI.Intracomm, facing: Facing) -> dict[tuple[int, int], _Side]:
 def _raise_none(
     sides: dict[tuple[int, int], _Side], names: Sequence[str], within: float | None, told: str
 ) -> None:
-    """Raise a ValueError that says which bodies are nearest, or overlap least."""
+    """Raise a ValueError with the nearest or least overlapping bodies."""
     how = "a facet is long" if within is None else f"within={within:g}"
     none = f"find_pairs: no two bodies face each other at a distance of at most {how}"
     if not sides:
@@ -383,11 +367,7 @@ def _raise_none(
     )
 
 
-# -- tags and contacts -----------------------------------------------------------------------------
-
-
 def _create(V: fem.FunctionSpace, found: _Found, options: dict[str, Any]) -> Pairs:
-    """Return tags and contacts for what has been found; collective."""
     groups = _groups(found)
     tag_of_face = {face: tag for tag, (_, faces) in enumerate(groups, start=1) for face in faces}
     tags: Longs = np.array([tag_of_face.get(int(f), 0) for f in found.faces.of_facets], np.int64)
@@ -411,7 +391,7 @@ def _create(V: fem.FunctionSpace, found: _Found, options: dict[str, Any]) -> Pai
 
 
 def _groups(found: _Found) -> list[tuple[str, frozenset[int]]]:
-    """Return name and faces of each tag: sides of one body with common faces are one."""
+    """Name and faces of each tag: sides of one body with common faces are merged."""
     groups: list[tuple[int, list[int], frozenset[int]]] = []
     for side in found.sides.values():
         others, faces, rest = [side.other], side.faces, []
@@ -428,14 +408,13 @@ def _groups(found: _Found) -> list[tuple[str, frozenset[int]]]:
 
 
 def _nodes(count: int) -> str:
-    """Return a number of nodes as text."""
     return f"{count} node{'s' * (count > 1)}"
 
 
 def _choose_slaves(
     found: _Found, tag_of_face: Mapping[int, int]
 ) -> tuple[list[tuple[_Side, _Side]], list[str]]:
-    """Return slave and master side of each pair, and where slave nodes lose a constraint."""
+    """Slave and master side of each pair, and lost constraints."""
     place = {key: k for k, key in enumerate(found.sides)}
     keys = [(a, b) for a, b in found.sides if a < b]
     pairs = [(found.sides[a, b], found.sides[b, a]) for a, b in keys]
