@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which side of each proposed contact is the slave, and where slave nodes lose a constraint."""
+"""Choice of the slave side of proposed contacts, and lost constraints."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,53 +12,45 @@ from scipy.sparse.csgraph import connected_components
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Longs
 
 Cost = tuple[float, ...]
-# A slave facet this many times longer than the master's makes the contact pressure coarse. A disc
-# on a block, moduli 1:1 to 1:1000: with the coarser side as slave forces and peaks of pressure are
-# those of fine meshes to .7 % up to 4 times, at 8 times peaks to 6 %, at 12 times to 11 %. So 2
-# leaves a factor of two for patches of fewer facets.
+# Ratio of slave to master facets above which pressures are coarse. Disc on a block, moduli 1:1 to
+# 1:1000: forces and peaks are right to .7 % up to 4, peaks to 6 % at 8 and 11 % at 12; a factor of
+# two is left for patches of fewer facets.
 COARSE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Pairs of sides that face each other; the same on all ranks."""
+    """Pairs of sides that face each other; same on all ranks."""
 
-    sides: Longs  # (p, 2) numbers of the two sides
-    sizes: Floats  # (p, 2) mean diameter of their facets
+    sides: Longs  # (p, 2) numbers of the sides
+    sizes: Floats  # (p, 2) mean facet diameters
     group: Longs  # (s,) tag of each side
-    common: Longs  # (s, s) nodes that two sides share where they face their partners
+    common: Longs  # (s, s) shared nodes that face partners
 
     def __getitem__(self, which: Longs) -> "Candidates":
-        """Return some of the pairs."""
+        """Some of the pairs."""
         return Candidates(self.sides[which], self.sizes[which], self.group, self.common)
 
 
 @dataclass(frozen=True, eq=False)
 class Roles:
-    """Which sides are slaves, and where slave nodes lose a constraint in that."""
+    """Slave sides, and slave nodes that lose a constraint."""
 
-    slave: Longs  # (p,) 0 or 1: which of the two sides of each pair
-    twice: dict[tuple[int, int], int]  # nodes that are slaves in two pairs: the second loses them
+    slave: Longs  # (p,) 0 or 1: index of the slave
+    twice: dict[tuple[int, int], int]  # nodes that are slaves in two pairs, lost by the second
     # nodes of the second that would close a cycle with the first
     cyclic: dict[tuple[int, int], int]
     cost: Cost
 
 
 def choose_roles(given: Candidates) -> Roles:
-    """Return the roles in which slaves are fine and few of their nodes lose a constraint.
+    """Roles with fine slaves and few lost constraints.
 
-    A node can be the slave in one contact, and loses the constraint of another one; where contacts
-    need each other's slave nodes in a cycle, those that would close it lose theirs, perhaps a whole
-    side, see `interfaces.claims`.
-
-    The choice has, in this order, the fewest slaves that are more than `COARSE` times as coarse as
-    their masters; the fewest slave faces that face two masters at a node, as facets there reach
-    over both; the smallest shares of slave sides that are lost by cycles; then those of other nodes
-    that face two masters; the finer slaves; the first sides. Of three boxes around an edge some
-    nodes lose one, whatever is chosen.
-
-    Of 150 walls of 2 to 9 blocks that are pressed unevenly 3 do not converge, and the others
-    penetrate by 0.0010 on average; with a choice pair by pair 9, and 0.0025.
+    A node is the slave in one contact only; contacts must not need each other's slave nodes in a
+    cycle (`interfaces.claims`). Minimised in this order: slaves more than `COARSE` times coarser
+    than their masters; slave faces that face two masters at a node; shares of slave sides lost by
+    cycles; shares of other nodes that face two masters; coarseness of slaves; number of the side.
+    Of 150 unevenly pressed walls of 2 to 9 blocks 3 do not converge, with a choice pair by pair 9.
     """
     slave = np.zeros(len(given.sides), dtype=np.int64)
     for which in _related(given):
@@ -67,24 +59,21 @@ def choose_roles(given: Candidates) -> Roles:
 
 
 def _links(given: Candidates) -> Longs:
-    """Return (p, p) what is not zero where the roles of two pairs depend on each other."""
+    """Matrix (p, p), nonzero where roles of two pairs depend on each other."""
     sides = given.sides.T
     linked = (given.common > 0) | (given.group[:, None] == given.group)
     return np.asarray(sum(linked[np.ix_(a, b)].astype(np.int64) for a in sides for b in sides))
 
 
 def _related(given: Candidates) -> Iterator[Longs]:
-    """Yield the numbers of pairs that are linked, directly or through others."""
+    """Yield the numbers of linked pairs."""
     label = connected_components(coo_array(_links(given)), directed=False)[1]
     for one in range(label.max(initial=-1) + 1):
         yield np.flatnonzero(label == one)
 
 
 def _search(given: Candidates) -> Longs:
-    """Return the best roles (p,) of a few related pairs, or good ones of many.
-
-    Of many, single pairs are turned as long as that is better for them and what is linked.
-    """
+    """Best roles (p,) of few related pairs, good ones of many by turning single pairs."""
     own, other = given.sizes.T
     finer = (other < own * (1.0 - HALF_OF_DIGITS)).astype(np.int64)
     count = len(finer)
@@ -107,7 +96,7 @@ def _search(given: Candidates) -> Longs:
 
 
 def assess(given: Candidates, slave: Longs) -> Roles:
-    """Return where nodes lose a constraint with these slave sides (p,).
+    """Return where nodes lose a constraint with slave sides (p,).
 
     Example:
         A base of three nodes faces two blocks, with two nodes each, which face each other.
@@ -141,12 +130,12 @@ def assess(given: Candidates, slave: Longs) -> Roles:
         float(((shared - straddling) / size).sum()),
         float(np.log(ratio).clip(min=0.0).sum()),
     )
-    digits = tuple(float(np.rint(part / HALF_OF_DIGITS)) for part in cost)  # no round-off
+    digits = tuple(float(np.rint(part / HALF_OF_DIGITS)) for part in cost)  # without round-off
     return Roles(slave, twice, cyclic, digits)
 
 
 def _close_cycles(needed: Longs) -> dict[tuple[int, int], int]:
-    """Return which nodes are removed from the second of two contacts, as `resolve_claims` does."""
+    """Nodes removed from the second of two contacts, as by `resolve_claims`."""
     label = connected_components(coo_array(needed), directed=True, connection="strong")[1]
     needs: dict[int, set[int]] = {}
     removed: dict[tuple[int, int], int] = {}
@@ -162,7 +151,7 @@ def _close_cycles(needed: Longs) -> dict[tuple[int, int], int]:
 
 
 def _reaches(needs: dict[int, set[int]], start: int, end: int) -> bool:
-    """Tell whether one contact needs another one, directly or through others."""
+    """Tell whether one contact needs another one, also indirectly."""
     seen, ahead = {start}, [start]
     while ahead:
         new = needs[ahead.pop()] - seen
