@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the audit finds about the two sides of each interface: counts, and warnings."""
+"""Audit of the two sides of each interface: counts and warnings."""
 
 from dataclasses import dataclass
 
@@ -23,55 +23,53 @@ from dolfinx_mortar.mortar.integrals import find_segments, point_distances
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import mean_facet_length
 
-# Pressures are inaccurate where the forces of the sagittas exceed this share of the contact
-# forces. A pin in its hole, on ten meshes: its peak pressure is right to 2 % where the share is
-# below 0.05, to 5 % below 0.2, and 30 to 130 % too high from 0.3 on.
+# Largest ratio of sagitta forces to contact forces. The peak pressure of a pin in its hole is right
+# to 2 % below 0.05, to 5 % below 0.2, and 30 to 130 % too high from 0.3 on.
 SPOILT = 0.2
-# Sides fit closely if what is left of their curvatures is less than this share of the larger one:
-# then the gap grows, over a facet, by no more than the sagittas. A pin in a hole, six of its facets
-# in contact, has a peak pressure that is 112, 62 and 25 % too high for a share of 0.1, 0.33 and
-# 0.5; a disc on a plane, where it is 1, one that is 6 % too high.
+# Sides fit closely if their relative curvature is below this part of the larger curvature. The peak
+# pressure of a pin with six facets in contact is 112, 62 and 25 % too high for 0.1, 0.33 and 0.5;
+# of a disc on a plane (1) 6 %.
 CLOSE = 0.5
 
 
 @dataclass(frozen=True)
 class Edges:
-    """Where smooth surfaces keep their facets: nodes of both sides, all ranks."""
+    """Nodes of both smooth sides where facets are kept, all ranks."""
 
-    feature_angle: float  # degrees between facets from which on they meet in an edge
+    feature_angle: float  # degrees from which on an edge is sharp
     nodes: int  # on edges
-    without_normal: int  # of these: at a cusp, or between opposite facets
+    without_normal: int  # of these: normals cancel
 
 
 @dataclass(frozen=True)
 class TieReach:
-    """How far the points are apart that a tie holds together at X, all ranks."""
+    """Distances of points tied at X, all ranks."""
 
-    farthest: float  # largest distance, 0 if nothing is tied
-    share: float  # largest distance in parts of the larger facet there
-    beyond: int  # slave nodes that face the master, but farther away than the tie reaches
+    farthest: float  # largest distance, 0 without ties
+    share: float  # largest distance over the larger facet
+    beyond: int  # slave nodes that face the master beyond the reach
 
 
 @dataclass(frozen=True)
 class InterfaceAudit:
-    """Counts over one interface, all ranks."""
+    """Counts of one interface, all ranks."""
 
     name: str
     slave_facets: int
     master_facets: int
     slave_nodes: int
-    kept_nodes: int  # carry a multiplier
+    kept_nodes: int  # with a multiplier
     uncovered_nodes: int  # face no master: gap not-a-number, "facing" 0
-    removed_nodes: int  # face one, but without a multiplier (Dirichlet, claims)
-    dirichlet_nodes: int  # face one, but Dirichlet data leave no direction to act in
-    facing_away: int  # slave facets that touch master facets, but do not face them
-    size_ratio: float  # mean slave facet length over mean master facet length; 1 without a master
-    least_gap: float  # smallest distance of a kept node to the master, negative in an overlap
-    largest_gap: float  # both not-a-number where an interface has neither a master nor a gap
+    removed_nodes: int  # face a master without a multiplier (Dirichlet, claims)
+    dirichlet_nodes: int  # face a master, but all directions are prescribed
+    facing_away: int  # slave facets that touch master facets from behind
+    size_ratio: float  # mean slave over mean master facet length; 1 without a master
+    least_gap: float  # smallest gap of a kept node, negative in an overlap
+    largest_gap: float  # not-a-number, as the least, without a master or tool
     edges: Edges | None = None  # of smooth surfaces
     reach: TieReach | None = None  # of ties
-    unheld: str | None = None  # slave facets on which Dirichlet data leave no multiplier
-    meets_itself: bool = False  # one surface, divided into slaves and masters where it is near
+    unheld: str | None = None  # slave facets whose multipliers Dirichlet data prevent
+    meets_itself: bool = False  # self-contact
 
     def __str__(self) -> str:
         gap = f", gaps from {self.least_gap:.3g} to {self.largest_gap:.3g}"
@@ -118,10 +116,10 @@ def audit_sides(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     )
     lengths = [mean_facet_length(s) for s in sides.surfaces]
     ratio = float(lengths[0] / lengths[-1])
-    # what is round-off of the coordinates is no gap
+    # round-off of coordinates is no gap
     x = np.abs(sides.V.mesh.geometry.x).max(initial=0.0)
     size = ROUND_OFF * max(float(lengths[0]), float(maximum(sides.V.mesh.comm, x)[0]))
-    if sides.hold:  # it holds nodes where they are
+    if sides.hold:  # nodes are held in place
         least = largest = np.nan
     ends = [0.0 if abs(end) < size or np.isinf(end) else float(end) for end in (-least, largest)]
     edges = None
@@ -134,7 +132,6 @@ def audit_sides(link: Link, x: PETSc.Vec) -> InterfaceAudit:
 
 
 def _count_facets(link: Link) -> tuple[int, int]:
-    """Return the numbers of slave and of master facets of this rank."""
     sides, pairing = link.sides, link.pairing
     if sides.master is None:
         return len(sides.slave.facets), 0
@@ -146,9 +143,9 @@ def _count_facets(link: Link) -> tuple[int, int]:
 
 
 def _count_facing_away(pairing: Pairing) -> int:
-    """Return how many slave facets of this rank touch a master facet that looks the same way.
+    """Number of this rank's slave facets that touch a master facet of the same direction.
 
-    Touching is within one facet length at X; at a right angle there are merely no partners.
+    Within one facet length at X; facets at a right angle do not count.
     """
     x_s = pairing.slave.X[pairing.slave.facets]
     x_m = pairing.master_X[pairing.master_facets]
@@ -162,7 +159,7 @@ def _count_facing_away(pairing: Pairing) -> int:
 
 
 def _measure_reach(link: Link) -> TieReach | None:
-    """Measure a tie; None for what is no tie; collective."""
+    """Measure a tie; None for others; collective."""
     if link.unilateral or link.pairing is None:
         return None
     pairing, segments = link.mortar[0], link.mortar[1].segments  # ties are coupled at X
@@ -178,9 +175,9 @@ def _measure_reach(link: Link) -> TieReach | None:
 
 
 def _find_unheld(link: Link) -> str | None:
-    """Return the slave facets without a multiplier that meet several master facets; collective.
+    """Describe slave facets without a multiplier that meet several master facets; collective.
 
-    Over one master facet both sides are linear; over several nothing asks its nodes to follow.
+    Over a single master facet both sides are linear; over several nothing ties them.
     """
     if not link.pairing:
         return None
@@ -196,13 +193,13 @@ def _find_unheld(link: Link) -> str | None:
 
 
 def warn(link: Link, found: InterfaceAudit, u: fem.Function | None) -> list[str]:
-    """Return the warnings about an interface, coupled at a displacement; collective."""
+    """Warnings about an interface, coupled at a displacement; collective."""
     own = _warnings_on_reach(link, found.reach) if found.reach is not None else []
     return [*_warnings(found), *own, *warnings_on_straight_facets(link, u), *_mirrors(link)]
 
 
 def reach_hint(link: Link) -> str:
-    """Return the remedy where nothing else holds a body; empty if a tie reaches everywhere."""
+    """Remedy for a body held by nothing else; empty if a tie reaches everywhere."""
     reach = _measure_reach(link)
     if reach is None or not reach.beyond:
         return ""
@@ -215,9 +212,9 @@ def _remedy(link: Link) -> str:
 
 
 def _warnings_on_reach(link: Link, reach: TieReach) -> list[str]:
-    """Return a warning where points at a distance are tied or left out by default.
+    """Warn where separated points are tied or left out by default.
 
-    Facets that meet at the feature angle a stand off by sagittas, tan(a / 4) / 2 of their length.
+    Sagittas of facets at the feature angle a are tan(a / 4) / 2 of their length.
     """
     plain = np.tan(np.radians(link.interface.feature_angle / 4))
     told = []
@@ -236,7 +233,6 @@ def _warnings_on_reach(link: Link, reach: TieReach) -> list[str]:
 
 
 def _warnings(i: InterfaceAudit) -> list[str]:
-    """Return the warnings about an interface."""
     warnings = []
     if i.kept_nodes == 0 and not i.meets_itself:
         warnings.append(
@@ -274,22 +270,18 @@ def _warnings(i: InterfaceAudit) -> list[str]:
 
 
 def are_flat(link: Link, sides: tuple[SmoothSide, SmoothSide]) -> bool:
-    """Tell whether neither of both sides has sagittas that are more than round-off; collective."""
+    """Tell whether the sagittas of both sides are round-off; collective."""
     highest = max(np.abs(side.sagitta).max(initial=0.0) for side in sides)
     length = mean_facet_length(link.sides.slave)
     return float(maximum(link.sides.V.mesh.comm, highest)[0]) <= HALF_OF_DIGITS * length
 
 
 def warnings_on_straight_facets(link: Link, u: fem.Function | None = None) -> list[str]:
-    """Return the warnings about second order on straight facets of curved sides; collective.
+    """Warnings about second order on straight facets of curved sides; collective.
 
-    Pressures of ties do not converge: those of rings with 20, 80 and 320 facets have a scatter
-    (rms) of 2, 0.6 and 0.4 %; of first order 0.2, 0.02 and 0.001 %. Those of contacts whose sides
-    fit closely do, but on coarse meshes heights are known too little: peaks of an elliptic pin in
-    its hole with 52, 73, 103 and 205 facets are 80, 29, 6 and 0.4 % too high.
-
-    Args:
-        u: displacement, None for X.
+    Pressures of ties do not converge: the scatter (rms) on rings with 20, 80 and 320 facets is 2,
+    0.6 and 0.4 %; of first order 0.2, 0.02 and 0.001 %. Closely fitting contacts need fine meshes:
+    peaks of an elliptic pin with 52, 73, 103 and 205 facets are 80, 29, 6 and 0.4 % too high.
     """
     slave, interface = link.sides.slave, link.interface
     if link.pairing is None or slave.curved or slave.element.degree == 1:
@@ -312,10 +304,7 @@ def warnings_on_straight_facets(link: Link, u: fem.Function | None = None) -> li
 
 
 def _mirrors(link: Link) -> list[str]:
-    """Return a warning for each side of which normals at mirrors are bent by much; collective.
-
-    Forces of nodes there are askew by the angle: up to 5 % is not told.
-    """
+    """Warn for each side whose normals at mirrors are bent by over 5 %; collective."""
     warnings = []
     names = ("slave",) if link.sides.meet_themselves else ("slave", "master")
     judged = link.sides.judged
