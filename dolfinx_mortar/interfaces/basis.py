@@ -1,16 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""The change of basis u = T y of a whole problem, in which every constraint is a bound.
+"""Change of basis u = T y of a problem, in which every constraint is a bound.
 
-With the functional Pi_c = lambda^T g(u) of contact, g(u) = -N^T (D - M) (X + u), the saddle point
-of J(u) - Pi_c is found as a minimum of J(T y) over y: T contains P = D^-1 M, so that row j of
-B_I T = N^T (D - M) T is D_jj times one unit vector, and g_j >= 0 a bound on the unknown w_n,j.
-
-Off the slave nodes T is the identity. At slave node j, u_j = R_j w_j + sum_l Q_jl u_l, so that
-T = (I - Q)^-1 W with W = blockdiag(R_j). Where Q refers to no slave node, T = W + Q; where that of
-an interface refers to slave nodes of another one (bodies in a stack), T is the product of the
-interfaces' own matrices in topological order. Where the dual functions of mid-side nodes couple
-with those of the vertices (six-node triangles), the side has two matrices, that of the mid-side
-nodes on the left.
+T contains P = D^-1 M, so that row j of B_I T = N^T (D - M) T is D_jj times a unit vector, and g_j
+>= 0 a bound on w_n,j (theory.md, Constraints become bounds).
+T is the identity off slave nodes, and T = (I - Q)^-1 W, W = blockdiag(R_j). Without references to
+slave nodes T = W + Q; in a stack of bodies T is the product of the interfaces' matrices in
+topological order. Sides of six-node triangles have two matrices, that of the mid-side nodes on the
+left.
 """
 
 from collections.abc import Sequence
@@ -29,18 +25,15 @@ from dolfinx_mortar.interfaces.link import Link
 
 
 class Transformation:
-    """T and the product T^T K T on patterns that stay fixed while the pairings do.
+    """T and T^T K T on patterns that are fixed as long as the pairings.
 
     Args:
-        links: the interfaces with their pairings, claims and near nodes.
-        claims: order of the interfaces, and which of them depend on slave nodes of others.
-
-    Attributes:
-        claims: as given.
+        links: interfaces with pairings, claims and near nodes.
+        claims: order and dependencies of the interfaces.
     """
 
     def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], claims: Claims) -> None:
-        # Without chains all interfaces fit in one matrix, which saves the products.
+        # without chains one matrix for all interfaces saves products
         self.claims = claims
         groups = [[i] for i in claims.order] if self.chained else [claims.order]
         self.links = links
@@ -52,16 +45,16 @@ class Transformation:
 
     @property
     def chained(self) -> bool:
-        """Whether interfaces may refer to each other's slave nodes before the next search."""
+        """Whether interfaces may depend on each other's slave nodes."""
         return bool(self.claims.dependencies)
 
     def serves(self, claims: Claims) -> bool:
-        """Tell whether its factors are those of other claims, too."""
+        """Tell whether its factors fit other claims."""
         mine = self.claims
         return claims.order == mine.order and claims.dependencies == mine.dependencies
 
     def update(self, links: Sequence[Link]) -> None:
-        """Refill T from the interfaces' frames and couplings; collective."""
+        """Refill T; collective."""
         self.links = links
         for factor in self.factors:
             factor.update(links)
@@ -82,21 +75,18 @@ class Transformation:
 
     @property
     def change(self) -> PETSc.Mat:
-        """C of T = I + C, which has rows at slave nodes only: a copy; collective."""
+        """C of T = I + C, a copy; collective."""
         C = _product([factor.C for factor in self.factors])
         return C.copy() if len(self.factors) == 1 else C
 
-    # -- the basis v of multigrid ----------------------------------------------------------------
-
-    # In it sides that are not in contact are uncoupled. It differs from y at slave
-    # nodes whose contact is open: v_n = n_j.u_j there instead of w_n = n_j.(u_j - P u), so that
-    # y = (I - E) v. For chains of interfaces it is y itself.
+    # -- multigrid basis v, y = (I - E) v: at open nodes v_n = n_j.u_j, uncoupled from the master;
+    # for chains v = y
 
     def uncouple(self, held: Ints) -> tuple[PETSc.Mat, PETSc.Mat | None]:
-        """Return C of u = (I + C) v, without stored zeros, and E, None if it is zero; collective.
+        """Return C of u = (I + C) v, without stored zeros, and E or None; collective.
 
         Args:
-            held: owned unknowns of y that are held, by bounds or for good.
+            held: owned unknowns of y that are fixed.
         """
         if self.chained:
             return self.change, None
@@ -104,7 +94,7 @@ class Transformation:
         C, E = _product(Cs), Es[0]
         for other in Es[1:]:
             E.axpy(1.0, other, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-        if len(Es) > 1:  # v of vertices beside mid-side nodes is not their u
+        if len(Es) > 1:  # v of vertices with mid-side nodes is not their u
             E.axpy(1.0, E.matMult(C), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         return C, E
 
@@ -126,11 +116,11 @@ class Transformation:
 
     @property
     def formed(self) -> bool:
-        """Whether T^T K T has been formed."""
+        """Whether T^T K T exists."""
         return bool(self._congruences)
 
     def transform(self, K: PETSc.Mat) -> PETSc.Mat:
-        """Return T^T K T, refilled in place from the second call on; collective."""
+        """Return T^T K T, refilled in place; collective."""
         fresh = not self.formed
         for k, factor in enumerate(self.factors):
             if fresh:
@@ -143,9 +133,9 @@ class Transformation:
 
 
 class _Factor:
-    """T = I + C of interfaces that do not refer to each other's slave nodes.
+    """T = I + C of independent interfaces.
 
-    Of all their slave nodes, of the mid-side nodes alone that refer to vertices, or of the rest.
+    Of all their slave nodes, of dependent mid-side nodes, or of the others.
     """
 
     def __init__(
@@ -159,7 +149,7 @@ class _Factor:
         taken = np.zeros(n, dtype=bool)
         rows, columns = [], []
         self.parts: list[tuple[int, Bools, Bools]] = []  # link, nodes with frames, rows of Q
-        # A node on several slave sides takes its frame from the interface that may keep it.
+        # a shared slave node has the frame of its owner
         for k in members:
             link, p = links[k], links[k].pattern
             others = [links[i] for i in members if i != k]
@@ -176,7 +166,7 @@ class _Factor:
         self.C = self._blocks.matrix
 
     def update(self, links: Sequence[Link]) -> None:
-        """Refill the matrix from the interfaces' frames and couplings; collective."""
+        """Refill the matrix; collective."""
         values = []
         for k, mine, near in self.parts:
             link = links[k]
@@ -185,10 +175,7 @@ class _Factor:
         self._blocks.fill(np.concatenate(values))
 
     def uncouple(self, links: Sequence[Link], held: Ints) -> tuple[PETSc.Mat, PETSc.Mat]:
-        """Return C of constraints at held unknowns only, without stored zeros, and E; collective.
-
-        A direction that is not held is free: contact is open, or slips.
-        """
+        """Return C of constraints at held unknowns, without stored zeros, and E; collective."""
         V, d = self.V, self.V.dofmap.index_map_bs
         first, n = V.dofmap.index_map.local_range[0], V.dofmap.index_map.size_local
         is_held = np.zeros(d * n, dtype=bool)
@@ -207,18 +194,18 @@ class _Factor:
             in_frame = np.where(free[:, :, None], link.coupling.rows[at] @ blocks[off], 0.0)
             kept = blocks.copy()
             kept[off] -= link.coupling.R[at] @ in_frame
-            kept[off & (link.constrained == free_now)[p.row].all(axis=1)] = 0.0  # not round-off
+            kept[off & (link.constrained == free_now)[p.row].all(axis=1)] = 0.0  # no round-off
             on = used & kept.any(axis=(1, 2))
             C.append((link.nodes[p.row[on]], p.column[on], kept[on]))
             E.append((link.nodes[p.row[off]], p.column[off], in_frame))
         return _create(V, C), _create(V, E)
 
     def inverse(self, links: Sequence[Link], u: PETSc.Vec) -> PETSc.Vec:
-        """Return y with T y = u: w_j = R_j^-1 (u_j - sum_l Q_jl u_l) at slave nodes; collective."""
+        """Return y with T y = u: w_j = R_j^-1 (u_j - sum_l Q_jl u_l); collective."""
         difference, d = u.copy(), self.V.dofmap.index_map_bs
         for k, _, near in self.parts:
             moved = (links[k].Q * u).array_r.reshape(-1, d)
-            nodes = links[k].nodes[near]  # the others have no row in T
+            nodes = links[k].nodes[near]  # others have no row in T
             difference.array.reshape(-1, d)[nodes] -= moved[nodes]
         y = u.copy()
         for k, mine, _ in self.parts:
@@ -229,7 +216,7 @@ class _Factor:
 
 
 def _product(Cs: Sequence[PETSc.Mat]) -> PETSc.Mat:
-    """Return C of the product I + C of factors I + C_k, of one factor itself; collective."""
+    """C of the product of factors I + C_k; collective."""
     total = Cs[0]
     for C in Cs[1:]:  # (I + A) (I + B) = I + A + B + A B
         both = total.matMult(C)
@@ -240,7 +227,7 @@ def _product(Cs: Sequence[PETSc.Mat]) -> PETSc.Mat:
 
 
 def _create(V: fem.FunctionSpace, parts: Sequence[tuple[Ints, Longs, Floats]]) -> PETSc.Mat:
-    """Return the matrix of parts (rows, columns, blocks); collective."""
+    """Matrix of parts (rows, columns, blocks); collective."""
     rows, columns, values = (np.concatenate([part[k] for part in parts]) for k in range(3))
     blocks = create_blocks(V, rows, columns)
     blocks.fill(values)
@@ -248,7 +235,7 @@ def _create(V: fem.FunctionSpace, parts: Sequence[tuple[Ints, Longs, Floats]]) -
 
 
 def _kept_by(links: Sequence[Link], nodes: Ints) -> Bools:
-    """Return which of the owned nodes some interface may keep as slave nodes."""
+    """Mask of owned nodes that an interface may keep."""
     found = np.zeros(len(nodes), dtype=bool)
     for link in links:
         found |= link.sides.on_slave[nodes] & ~link.banned[nodes]
