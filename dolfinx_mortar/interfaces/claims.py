@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which interface a slave node belongs to, in which order bases multiply; sides divided apart."""
+"""Claims on slave nodes by several interfaces, and the order of their transformations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,29 +22,29 @@ from dolfinx_mortar.mortar.surface import nodal_normals, sum_at_nodes
 
 @dataclass(frozen=True)
 class Claims:
-    """The owners of slave nodes that several interfaces claim, and the order of the interfaces."""
+    """Owners of slave nodes, and order of the interfaces."""
 
-    owner: Ints  # (owned nodes,) the interface that may keep it
-    banned: list[Bools]  # for each interface (local nodes,): slave nodes that it may not keep
+    owner: Ints  # (owned nodes,) interface that may keep it
+    banned: list[Bools]  # of each interface (local nodes,): slave nodes that it may not keep
     dependencies: frozenset[
         tuple[int, int]
     ]  # (i, k): i depends on slave nodes of k, T_i is left of T_k
-    order: list[int]  # in which the transformations multiply
-    notes: list[str]  # on what was removed
+    order: list[int]  # of the transformations
+    notes: list[str]  # on removed multipliers
 
 
 def referenced(sides: Sides, pattern: Pattern) -> Bools:
-    """Return which owned nodes the candidate pairs of an interface depend on; collective."""
+    """Mask of owned nodes on which candidate pairs depend; collective."""
     columns, layout = pattern.column[pattern.split :], sides.V.dofmap.index_map
     counts = sums_at_nodes(sides.V.mesh.comm, layout, columns, np.ones((len(columns), 1)))
     return np.asarray(counts[:, 0] > 0)
 
 
 def choose_owners(sides: Sequence[Sides], coverage: Sequence[Coverage]) -> Ints:
-    """Return for each owned node (n,) the interface that may keep it; no communication.
+    """Owner (n,) of each owned node; no communication.
 
-    A node on several slave sides belongs to the first interface whose master it faces, that is, by
-    which it is covered enough to carry a multiplier; failing that, to the first that covers it.
+    The first interface whose master the node faces enough for a multiplier, else the first that
+    covers it.
     """
     n = sides[0].n_owned
     owner, best = np.zeros(n, dtype=np.int32), np.full(n, -1)
@@ -57,10 +57,10 @@ def choose_owners(sides: Sequence[Sides], coverage: Sequence[Coverage]) -> Ints:
 
 
 def find_referenced(sides: Sides, pattern: Pattern, banned: Bools, coverage: Coverage) -> Bools:
-    """Return which owned nodes P of an interface may refer to; collective.
+    """Mask of owned nodes to which P of an interface may refer; collective.
 
-    Master nodes of the candidate pairs, and slave nodes without multiplier that share a covered
-    facet with others: their dual function is shared out, and they enter P like master nodes.
+    Master nodes of candidate pairs, and slave nodes without multiplier on covered facets, whose
+    dual function is shared out.
     """
     leant_on = referenced(sides, pattern)
     leant_on[sides.nodes[coverage.reached & banned[sides.nodes]]] = True
@@ -70,13 +70,10 @@ def find_referenced(sides: Sides, pattern: Pattern, banned: Bools, coverage: Cov
 def _why_claimed(
     sides: Sequence[Sides], interfaces: Sequence[Interface], owners: Ints, k: int
 ) -> str:
-    """Return why nodes of an interface belong to others, and what to do; collective.
+    """Reason and remedy for nodes of interface k with other owners; collective.
 
     Args:
-        sides: of all interfaces.
-        interfaces: the descriptions.
-        owners: of those nodes; the first one is told of.
-        k: number of the interface that they are taken from.
+        owners: of those nodes; the message names the first.
     """
     first = int(owners.min(initial=k))
     pair = sides[k].V.mesh.comm.allreduce(first, op=MPI.MIN), k
@@ -98,10 +95,9 @@ def _common(
     coverage: Sequence[Coverage],
     owner: Ints,
 ) -> Bools:
-    """Return for each interface the owned nodes (n,) that it has in common with owners; collective.
+    """Masks (n,) of owned nodes shared with the owner, for each interface; collective.
 
-    Both masters cover them, and both sides are one face there: in a corner, pressures of one side
-    are normal to the other's.
+    Both masters cover them, and both sides are one face; in a corner pressures differ in direction.
     """
     d, own = sides[0].V.mesh.geometry.dim, np.arange(len(owner))
     whole = np.zeros((len(sides), len(owner)), dtype=bool)
@@ -115,10 +111,10 @@ def _common(
 
 
 def _lost(sides: Sides, coverage: Coverage, banned: Bools, common: Bools) -> Bools:
-    """Return the owned nodes (n,) with which something is lost of what faces a master; collective.
+    """Mask (n,) of owned nodes whose removal loses contact; collective.
 
-    That is nothing where two sides of one face end together: both masters cover the node
-    (`common`), and every slave facet there has another node.
+    None where two sides of one face end together (``common``) and every slave facet has another
+    node.
     """
     slave = sides.slave
     taken = np.asarray(with_ghosts(sides.V, banned)[slave.nodes][slave.facets].all(axis=1))
@@ -136,15 +132,15 @@ def resolve_claims(
     patterns: Sequence[Pattern],
     coverage: Sequence[Coverage],
 ) -> Claims:
-    """Give every slave node to one interface and order the interfaces; collective.
+    """Assign every slave node to one interface and order the interfaces; collective.
 
-    A claim that would close a cycle is removed from the later interface. The dual function of a
-    removed node is shared out, it stays on the slave side.
+    A claim that would close a cycle is removed from the later interface. Dual functions of removed
+    nodes are shared out.
 
     Args:
-        interfaces: the descriptions, in the user's order.
-        patterns: what their candidate pairs couple.
-        coverage: how far the slave nodes face the masters.
+        interfaces: in the user's order.
+        patterns: of their candidate pairs.
+        coverage: of the slave nodes.
     """
     comm, n = sides[0].V.mesh.comm, sides[0].n_owned
     owner = choose_owners(sides, coverage)
@@ -159,7 +155,7 @@ def resolve_claims(
             notes.append(f"{interfaces[k]}: {count} slave nodes removed, {why}")
 
     def dependent(i: int, k: int) -> Bools:
-        """Return the owned slave nodes of k that i depends on."""
+        """Owned slave nodes of k on which i depends."""
         leant_on = find_referenced(sides[i], patterns[i], banned[i], coverage[i])
         return np.asarray(leant_on & slaves[k] & ~banned[k])
 
@@ -171,7 +167,7 @@ def resolve_claims(
     for k in range(len(sides)):
         lost = _lost(sides[k], coverage[k], banned[k], common[k])
         note(k, lost, _why_claimed(sides, interfaces, owner[lost], k))
-        both = dependent(k, k)  # of a surface that meets itself, where its slaves begin and end
+        both = dependent(k, k)  # in self-contact the ends of the slave side
         if sides[k].meet_themselves:
             banned[k] |= both
         else:
@@ -192,10 +188,9 @@ def resolve_claims(
 
 
 def are_outdated(claims: Claims, links: Sequence[CoupledSides]) -> bool:
-    """Tell whether bodies have slid so far that claims must be settled anew; collective.
+    """Tell whether claims must be resolved again after slides; collective.
 
-    That is so if a node no longer faces the master of its interface, but another one's, or if an
-    interface depends on another one that it did not depend on before.
+    A node faces only another interface's master, or there is a new dependency.
     """
     sides = [link.sides for link in links]
     coverage = [link.coupling.coverage for link in links]
@@ -222,7 +217,7 @@ def _reaches(edges: set[tuple[int, int]], a: int, b: int) -> bool:
 
 
 def _topological(n: int, edges: set[tuple[int, int]]) -> list[int]:
-    """Return 0..n-1 ordered so that every edge (i, k) has i before k."""
+    """Return 0..n-1 with i before k for every edge (i, k)."""
     order: list[int] = []
     while len(order) < n:
         order.append(
@@ -241,18 +236,13 @@ def notes_on_splits(
     coverage: Sequence[Coverage],
     displacements: Sequence[fem.Function | None],
 ) -> list[str]:
-    """Return a note for each interface of which facets face another one's master; collective.
+    """Notes on facets that face another interface's master; collective.
 
-    Where two slave sides meet, their masters have to end, too: what lies between faces the master
-    of the neighbour, to which it is not coupled, as on blocks whose slave is divided at 1 and whose
-    master at 1.1. Facets are told of with nodes of both sides and more than `LEAST_COVERAGE` of
-    them in between.
+    Where two slave sides meet their masters must end, too: what lies between is not coupled. Facets
+    with nodes of both slave sides count from `LEAST_COVERAGE` on.
 
     Args:
-        interfaces: the descriptions.
-        sides: their sides.
-        coverage: how far their slave nodes face their masters.
-        displacements: where they are, None for X.
+        displacements: None for X.
     """
     comm, n = sides[0].V.mesh.comm, sides[0].n_owned
     numbers = [k for k, side in enumerate(sides) if side.master not in (None, side.slave)]
@@ -276,9 +266,9 @@ def notes_on_splits(
 
 
 def _between(side: Sides, other: Sides, u: fem.Function | None) -> Floats:
-    """Return the part of slave facets (m,) that faces the other's master only; collective.
+    """Part of slave facets (m,) that only the other's master covers; collective.
 
-    Zero for those without a node of both slave sides, or that are the other's, too.
+    Zero for facets without a node of both slave sides, or shared ones.
     """
     facets = side.slave.nodes[side.slave.facets]
     beside, shared = other.on_slave[facets], other.on_master[facets].all(axis=1).any()
