@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Bounds on unknowns of y by an interface or a support, and friction laws that limit reactions."""
+"""Bounds on unknowns of y, and friction laws that limit tangential reactions."""
 
 from __future__ import annotations
 
@@ -19,40 +19,39 @@ from dolfinx_mortar.spaces import check_nodal
 
 @dataclass(frozen=True)
 class Constraints:
-    """Bounds on increments of unknowns y, of u = T y, in this rank's numbering.
+    """Bounds on increments of unknowns y, u = T y, in this rank's numbering.
 
-    The problem, the QP and the certificate know constraints by their bounds only: contact has an
-    upper one, tying and Dirichlet data have two that are equal.
+    An upper bound for contact, two equal ones for ties and Dirichlet data.
     """
 
     dofs: Ints  # (k,) owned unknowns of y, each once
-    lower: Floats  # (k,) -inf where there is none
-    upper: Floats  # (k,) inf where there is none
+    lower: Floats  # (k,) -inf if free
+    upper: Floats  # (k,) inf if free
     weight: Floats  # (k,) D_jj: reaction = weight * multiplier
 
     @property
     def equal(self) -> Bools:
-        """Which unknowns have no freedom left, (k,)."""
+        """Mask (k,) of equalities."""
         return np.asarray(self.lower == self.upper)
 
     @property
     def scale(self) -> float:
-        """The largest distance that an equality still asks for; on this rank."""
+        """Largest value of an equality; on this rank."""
         return float(np.abs(self.upper[self.equal]).max(initial=0.0))
 
     def select(self, mask: Bools) -> Constraints:
-        """Return some of the constraints."""
+        """Constraints of a mask."""
         return Constraints(self.dofs[mask], self.lower[mask], self.upper[mask], self.weight[mask])
 
 
 def check_shapes(
     name: str, found: object, shapes: Mapping[str, tuple[int, ...]], *, infinite: bool = False
 ) -> None:
-    """Raise a ValueError unless the arrays of a record have their shapes and no NaN.
+    """Raise a ValueError for arrays of wrong shapes or with NaN.
 
     Args:
-        shapes: of its fields, by name.
-        infinite: whether values may be infinite.
+        shapes: by field names.
+        infinite: whether infinity is allowed.
     """
     for field, shape in shapes.items():
         values = np.asarray(getattr(found, field))
@@ -63,11 +62,11 @@ def check_shapes(
 
 
 def check_constraints(name: str, found: Constraints, nodes: Ints, directions: Bools) -> None:
-    """Raise a ValueError unless bounds can be those of an interface.
+    """Raise a ValueError for invalid bounds of an interface.
 
     Args:
         nodes: (n,) owned slave nodes.
-        directions: (n, d) which directions of the frames are constrained.
+        directions: (n, d) constrained directions of the frames.
     """
     shape = np.shape(found.dofs)[:1]
     check_shapes(name, found, {"dofs": shape, "weight": shape})
@@ -94,7 +93,7 @@ def equalities(dofs: Ints, values: Floats, weight: Floats | None = None) -> Cons
 
 
 def upper_bounds(nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
-    """Return w_n <= gap; see `Interface.constraints` for the arguments."""
+    """W_n <= gap; arguments as in `Interface.constraints`."""
     on = directions[:, 0]
     gap = -slip[on, 0]
     dofs = (directions.shape[1] * nodes[on]).astype(np.int32)
@@ -102,55 +101,54 @@ def upper_bounds(nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Con
 
 
 def join(parts: Sequence[Constraints]) -> Constraints:
-    """Return the constraints of all parts."""
+    """Concatenate constraints."""
     columns = ([p.dofs, p.lower, p.upper, p.weight] for p in parts)
     dofs, lower, upper, weight = (np.concatenate(c) for c in zip(*columns, strict=True))
     return Constraints(dofs.astype(np.int32), lower, upper, weight)
 
 
-# Slip, as a part of a facet, over which friction grows at a node whose slip is prescribed: stick
-# would be a constraint of the master. So it sticks like a spring of the stiffness mu p / ROOM over
-# the facet, little beside the E of the bodies: else friction that is known from the last iterate
-# would not converge (pressures of E / 200, mu = .3: a factor of .1 an iteration, .35 with .01).
+# Elastic slip of friction at nodes with prescribed slip, as a part of a facet; stick would
+# constrain the master. The stiffness mu p / ROOM over the facet stays small compared to E, so that
+# friction known from the last iterate converges (pressures of E / 200, mu = .3: contraction .1,
+# with .01 .35).
 ROOM = 0.05
 
 
 @dataclass(frozen=True)
 class SlipLimits:
-    """Limits of the tangential reactions at nodes of contacts with friction.
+    """Limits of the tangential reactions at nodes with friction.
 
-    |z_t| <= coefficient z_n + cohesion where the contact is closed, in this rank's numbering.
-
-    In directions that are prescribed there is no unknown for z_t, but the slip s_e is known. There
-    a share of the limit acts, that of Coulomb's law with the elastic slip a,
+    |z_t| <= coefficient z_n + cohesion where closed, in this rank's numbering. In prescribed
+    directions the slip s_e is known instead of an unknown z_t; the share of the limit there, with
+    elastic slip a,
 
         q / max(|q + s_t / a|, 1),     q = (share at the last commit) + s_e / a,
 
-    and what it leaves of the limit is that of the tangential unknowns.
+    leaves the rest to the tangential unknowns.
     """
 
     nodes: Ints  # (m,) owned
-    normal: Ints  # (m,) unknown w_n of y, which has a bound
-    tangential: Ints  # (m, d - 1) unknowns of y, -1 where Dirichlet data leave none
-    axes: Floats  # (m, d - 1, d) their directions in space
-    slip: Floats  # (m, d - 1) tangential motion of the slave side since the last commit
+    normal: Ints  # (m,) bounded unknown w_n of y
+    tangential: Ints  # (m, d - 1) unknowns of y, -1 where prescribed
+    axes: Floats  # (m, d - 1, d) their directions
+    slip: Floats  # (m, d - 1) since the last commit
     coefficient: Floats  # (m,) mu
-    cohesion: Floats  # (m,) force, D_jj times a traction
+    cohesion: Floats  # (m,) force, D_jj times traction
     weight: Floats  # (m,) D_jj
-    beside: Floats  # (m, d) slip in prescribed directions, a vector
-    before: Floats  # (m, d) share at the last commit, a vector
+    beside: Floats  # (m, d) slip in prescribed directions, as vector
+    before: Floats  # (m, d) share at the last commit, as vector
     room: Floats  # (m,) a
-    opening: Floats  # (m, d) motion of the node by a unit of its w_n
+    opening: Floats  # (m, d) motion of the node by unit w_n
 
     @property
     def shares(self) -> Floats:
-        """The parts (m, d) of the limit that act in prescribed directions, as vectors."""
+        """Shares (m, d) of the limit in prescribed directions, as vectors."""
         q = self.before + self.beside / self.room[:, None]
         return np.asarray(q / np.maximum(self._size(q), 1.0)[:, None])
 
     @property
     def slides(self) -> Bools:
-        """At which nodes (m,) prescribed directions have all that is left of the limit."""
+        """Mask (m,) of nodes whose prescribed slip takes the rest of the limit."""
         q = self.before + self.beside / self.room[:, None]
         return np.asarray(q.any(axis=1) & (self._size(q) >= 1.0))
 
@@ -159,23 +157,23 @@ class SlipLimits:
 
     @property
     def left(self) -> tuple[Floats, Floats]:
-        """Coefficient and cohesion (m,) of the limit for the tangential unknowns."""
+        """Coefficient and cohesion (m,) for the tangential unknowns."""
         part = np.sqrt(np.maximum(1.0 - (self.shares**2).sum(axis=1), 0.0))
         return self.coefficient * part, self.cohesion * part
 
     @property
     def wedging(self) -> Floats:
-        """What the friction in prescribed directions takes of lambda_j by itself (m,), a factor."""
+        """Factor (m,) of lambda_j by which friction in prescribed directions opens the contact."""
         return self.coefficient * np.asarray((self.opening * self.shares).sum(axis=1))
 
     def known(self, multipliers: Floats) -> Floats:
-        """Return the reactions (m, d) in prescribed directions, given lambda_j (owned nodes,)."""
+        """Reactions (m, d) in prescribed directions, given lambda_j (owned nodes,)."""
         limit = self.coefficient * self.weight * multipliers[self.nodes] + self.cohesion
         return np.asarray(limit[:, None] * self.shares)
 
     @property
     def some(self) -> Bools:
-        """Which tangential unknowns (m, d - 1) there are."""
+        """Mask (m, d - 1) of tangential unknowns."""
         return np.asarray(self.tangential >= 0)
 
     def along(self, vectors: Floats) -> Floats:
@@ -188,7 +186,7 @@ class SlipLimits:
 
 
 def join_limits(parts: Sequence[SlipLimits]) -> SlipLimits:
-    """Return the limits of all parts, of one at least."""
+    """Concatenate limits, at least one."""
     columns = (tuple(getattr(p, field.name) for field in fields(SlipLimits)) for p in parts)
     return SlipLimits(*(np.concatenate(c) for c in zip(*columns, strict=True)))
 
@@ -200,28 +198,28 @@ REMEDY = "give a number, a scalar fem.Constant, or a scalar Lagrange fem.Functio
 
 @dataclass(frozen=True)
 class FrictionLaw:
-    """What limits the tangential traction tau of a closed contact with pressure p.
+    """Limit of the tangential traction tau of a closed contact with pressure p.
 
-    Coulomb's law, "friction": abs(tau) <= mu p. Tresca's, "tresca": abs(tau) <= s.
+    Coulomb, "friction": abs(tau) <= mu p. Tresca, "tresca": abs(tau) <= s.
     """
 
-    name: str  # of the argument that gave it
+    name: str  # of the argument
     value: Limit
 
     @property
     def by_pressure(self) -> bool:
-        """Whether the limit is a part of the pressure: else it acts at open nodes, too."""
+        """Whether the limit is proportional to the pressure; else it acts at open nodes, too."""
         return self.name == "friction"
 
     def slip_limits(
         self, nodes: Ints, directions: Bools, frames: Floats, slip: Floats, D: Floats, limit: Floats
     ) -> SlipLimits:
-        """Return the limits of tangential reactions.
+        """Limits of tangential reactions.
 
         Args:
             nodes: (n,) owned slave nodes.
-            directions: (n, d) which directions of the frames are constrained, the normal first.
-            frames: (n, d, d) of which rows are the directions.
+            directions: (n, d) constrained directions of the frames, the normal first.
+            frames: (n, d, d) with the directions as rows.
             slip: (n, d) relative motion since the last commit, in the frames.
             D: (n, c) weights.
             limit: (owned nodes,) mu or s.
@@ -247,19 +245,19 @@ class FrictionLaw:
         )
 
     def values(self, scalar: fem.FunctionSpace) -> Floats:
-        """Return the present values at the owned nodes of a scalar space; collective.
+        """Values at the owned nodes of a scalar space; collective.
 
         Raises:
-            ValueError: on all ranks, for values that are negative or not finite.
+            ValueError: on all ranks, for negative or non-finite values.
         """
         comm, n = scalar.mesh.comm, scalar.dofmap.index_map.size_local
         if isinstance(self.value, fem.Function):
-            self.value.x.scatter_forward()  # a node may have its value from a cell of ghosts
+            self.value.x.scatter_forward()  # values may come from ghost cells
             at_nodes = fem.Function(scalar)
             at_nodes.interpolate(self.value)
             values = np.asarray(at_nodes.x.array[:n], dtype=np.float64)
             largest = maximum(comm, np.abs(values).max(initial=0.0))[0]
-            # interpolation from another degree leaves the round-off of a zero
+            # interpolation leaves round-off of zeros
             none = np.isfinite(values) & (values < 0.0) & (values >= -ROUND_OFF * largest)
             values[none] = 0.0
         else:
@@ -273,10 +271,10 @@ class FrictionLaw:
 
 
 def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | None:
-    """Return the law of two arguments, None for neither and for the number 0.
+    """Law, None for neither argument and for the number 0.
 
     Raises:
-        ValueError: for both, and for values that are no limits.
+        ValueError: for both, and for invalid limits.
     """
     if friction is not None and tresca is not None:
         raise ValueError(
