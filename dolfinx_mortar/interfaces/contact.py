@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Unilateral contact with and without friction: between two sides, and the base of all kinds.
+"""Unilateral contact, between two sides and as a base class.
 
-The functional of contact, with Lagrange multipliers lambda_j >= 0 and weighted gaps g_j, its first
-variation and its linearisation are
+With Lagrange multipliers lambda_j >= 0 and weighted gaps g_j the contact functional, its variation
+and linearisation are
 
     Pi_c = lambda^T g(u),     g(u) = -N^T (D - M) (X + u) = c_I - B_I u,     B_I = N^T (D - M),
     delta Pi_c = delta lambda^T g(u) - lambda^T B_I delta u,
-    Delta delta Pi_c = -(delta lambda^T B_I Delta u + Delta lambda^T B_I delta u).
+    Delta delta Pi_c = -(delta lambda^T B_I Delta u + Delta lambda^T B_I delta u),
 
-A step is the saddle point of J(u) - Pi_c. D, M and N are those of the present iterate. Their
-derivatives, zero for frozen geometry, are no part of these rows: where the fixed point of the
-geometry is slow, `dolfinx_mortar.interfaces.moving_geometry` adds them. g_j >= 0, lambda_j >= 0 and
-lambda_j g_j = 0 are bounds in the basis of `dolfinx_mortar.interfaces.basis`, w_n <= g_j / D_jj;
-the reaction of that bound is D_jj lambda_j.
+with D, M and N of the present iterate; `interfaces.moving_geometry` has their derivatives. In the
+basis of `interfaces.basis` the conditions are bounds w_n <= g_j / D_jj with reactions D_jj
+lambda_j.
 """
 
 from typing import Any
@@ -30,8 +28,8 @@ from dolfinx_mortar.interfaces.results import NoResult
 from dolfinx_mortar.mortar.operators import SmoothSides
 from dolfinx_mortar.spaces import check_mesh
 
-# A slave node of whose normal Dirichlet data leave less than this share, at more than 84 degrees,
-# carries no multiplier: it would balance the forces in what is left, ten times as large.
+# Nodes whose normal has a smaller free part (more than 84 degrees from the free directions) carry
+# no multiplier: it would exceed the free force tenfold.
 MIN_FREE_NORMAL = 0.1
 
 
@@ -49,35 +47,35 @@ class Unilateral(Interface):
         return f"{name[:-1]}, {self.law.name}={said})"
 
     def given(self) -> dict[str, Any]:
-        """Return what all ranks have to give the same, by name; see `agreement`."""
+        """Arguments that must agree among ranks, by name; see `agreement`."""
         return super().given() | {"friction": self.friction, "tresca": self.tresca}
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Raise a ValueError for limits of friction on another mesh than V's."""
         if self.law is not None and isinstance(self.law.value, fem.Function):
-            check_mesh(self.law.name, self.law.value, V)  # a Constant is a number
+            check_mesh(self.law.name, self.law.value, V)  # Constants need no mesh
 
     @property
     def friction(self) -> Limit | None:
-        """The coefficient of friction as given; None if there is none."""
+        """Coefficient of friction as given; None without."""
         return self._limit("friction")
 
     @property
     def tresca(self) -> Limit | None:
-        """The limit of the tangential traction as given; None if there is none."""
+        """Limit of the tangential traction as given; None without."""
         return self._limit("tresca")
 
     def _limit(self, name: str) -> Limit | None:
         return self.law.value if self.law is not None and self.law.name == name else None
 
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
-        """Return (n, 1): nodes whose normal is not taken by Dirichlet data."""
+        """Mask (n, 1) of nodes whose normal is not prescribed."""
         return np.asarray((left >= MIN_FREE_NORMAL)[:, None])
 
     def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
-        """Return frames with the normal first, which is constrained; Cartesian where not kept.
+        """Frames with the constrained normal first; Cartesian where not kept.
 
-        With friction the tangents are constrained, too, but for prescribed ones.
+        With friction free tangents are constrained, too.
         """
         R, slot, directions = normal_frames(normals, kept[:, 0], fixed)
         if self.law is not None:
@@ -86,14 +84,12 @@ class Unilateral(Interface):
         return Frame(R, slot, directions, np.where(kept, normals, 0.0))
 
     def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
-        """Return P_jl R_j S_j R_j^-1, without friction P_jl r_j n_j^T, r_j the first of R_j."""
+        """Return P_jl R_j S_j R_j^-1; without friction P_jl r_j n_j^T, r_j the first of R_j."""
         if self.law is None:
             r, n = frame.R[row, :, 0], frame.normals[row]
             return np.asarray(P[:, 0, None, None] * r[:, :, None] * n[:, None, :])
         R = frame.R * frame.directions[:, None, :]
         return np.asarray(P[:, 0, None, None] * (R @ np.linalg.inv(frame.R))[row])
-
-    # -- results ---------------------------------------------------------------------------------
 
     def _of_friction(self, name: str) -> fem.Function:
         if self.law is None:
@@ -112,7 +108,7 @@ class Unilateral(Interface):
 
     @property
     def slip(self) -> fem.Function:
-        """Length of the slip path of the nodes since the start, the last step included."""
+        """Accumulated slip of the nodes since the start, including the last step."""
         return self._of_friction("slip")
 
     @property
@@ -122,7 +118,7 @@ class Unilateral(Interface):
 
     @property
     def dissipation(self) -> float:
-        """Energy dissipated by friction since the start, the last step included."""
+        """Energy dissipated by friction since the start, including the last step."""
         self._of_friction("status")
         return self.dissipated
 
@@ -130,58 +126,46 @@ class Unilateral(Interface):
 class Contact(Unilateral, MortarInterface):
     """Unilateral contact: w_n <= gap, pressure >= 0, pressure * opening = 0; perhaps with friction.
 
-    At slave node j, with the outward normal n_j and the dual function Phi_j, the weighted gap and
-    the conditions on it and the Lagrange multiplier lambda_j are
+    At slave node j with the outward normal n_j, the dual function Phi_j and the multiplier lambda_j
 
         g_j = n_j . int Phi_j (x_m - x_s),     g_j >= 0,  lambda_j >= 0,  lambda_j g_j = 0,
 
-    with x_m the projection of x_s on the master side along the slave normal.
-
-    ``pressure`` (traction, >= 0 in compression), ``gap`` (>= 0 when open; not-a-number at slave
-    nodes that face no master) and ``active`` (1 in contact, else 0) are Functions that vanish off
-    the slave side. ``force`` is the resultant exerted on the slave side, -sum_j D_jj lambda_j n_j,
-    friction included. ``pressure`` and ``traction`` are per area of the slave side at X + u with
-    the problem's geometry="updated", at X with "reference"; the two differ by the strain of the
-    surface. Nodal values are those of the part that faces the master, also at a node just beyond
-    its end, which shows the traction there: where that part is all of the slave side, their
-    integral over it is the force, elsewhere it is larger.
-
-    With friction abs(tau) <= mu p, and where the sides slip tau has this size and opposes the slip
-    of the step: the tangential motion of the slave side relative to the master since the last
-    commit, R_t^T (D^-1 (D - M) (u - u_committed)). Then there are, as Functions that vanish off
-    the slave side, ``traction`` (tangential, exerted on the slave side), ``step_slip`` (a length,
-    of the last step), ``slip`` (length of the slip path of each node since the start), ``status``
-    (0 open, 1 stick, 2 slip), and ``dissipation``, the energy dissipated by friction since the
-    start. Where Dirichlet data prescribe the slip of a node, friction opposes it, and grows to its
-    limit over the slip of a twentieth of a facet.
+    x_m being the projection of x_s on the master side along the slave normal.
+    Results are Functions that vanish off the slave side: ``pressure`` (>= 0 in compression),
+    ``gap`` (>= 0 when open; not-a-number at nodes that face no master), ``active`` (1 in contact,
+    else 0). ``force`` is the resultant on the slave side, -sum_j D_jj lambda_j n_j plus friction.
+    ``pressure`` and ``traction`` are per area of the slave side at X + u with geometry="updated",
+    at X with "reference". They belong to the part that faces the master, also at a node just beyond
+    its end: their integral is the force only if all of the slave side faces the master, else
+    larger.
+    Friction: abs(tau) <= mu p, with equality against the slip where the sides slip: R_t^T (D^-1 (D
+    - M) (u - u_committed)), the tangential motion relative to the master since the last commit.
+    Further results: ``traction`` (tangential, on the slave side), ``step_slip`` (of the last step,
+    a length), ``slip`` (accumulated), ``status`` (0 open, 1 stick, 2 slip), and ``dissipation``
+    (energy since the start). Where Dirichlet data prescribe the slip, friction reaches its limit
+    over a slip of a twentieth of a facet.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
-        slave: tag of the side that carries the multipliers, or its name, see `Tags`.
-        master: tag or name of the other side; that of the slave for a surface that folds and meets
-            itself, which is divided into slaves and masters at each search, see
-            `dolfinx_mortar.mortar.self_contact`.
-        surface: "smooth" measures the gap between the smooth surfaces through the nodes of the
-            facets, g_j - sum_q w Phi_j (h_s + h_m) with the heights h of
-            `dolfinx_mortar.geometry.curvature`; "facets" between the facets, as the paper does.
-            D, M and N are the same.
-        feature_angle: degrees between two facets from which on they meet in an edge, which stays
-            one; for smooth surfaces.
-        friction: coefficient mu of Coulomb's law: a number, a scalar Constant, or a scalar
-            Lagrange Function on the mesh of the displacement; their values are read anew at every
-            step, and are what may change. 0 is no friction.
-        tresca: limit of the tangential traction instead, of the same kinds: given friction, which
-            acts at every slave node that faces the master, whatever the pressure, also where there
-            is none (let a Function be 0 there). Then a step is a convex minimisation. In
-            axisymmetry it is per circumference at X where strains are small.
-
+        slave: tag or name (see `Tags`) of the side with the multipliers.
+        master: tag or name of the other side; equal to ``slave`` for self-contact, where each
+            search divides the surface, see `dolfinx_mortar.mortar.self_contact`.
+        surface: "smooth" measures the gap between smooth surfaces through the nodes, g_j - sum_q w
+            Phi_j (h_s + h_m) with the heights h of `dolfinx_mortar.geometry.curvature`; "facets"
+            between the facets, as the paper. D, M and N are the same.
+        feature_angle: degrees between facets from which on an edge is sharp; for smooth surfaces.
+        friction: Coulomb's coefficient mu: a number, a scalar Constant, or a scalar Lagrange
+            Function on the mesh of the displacement, read at every step; 0 is no friction.
+        tresca: limit of the tangential traction instead, of the same kinds, at every slave node
+            that faces the master, whatever the pressure. A step is then a convex minimisation. In
+            axisymmetry per circumference at X for small strains.
     Source: the paper, eqs. 12 to 20; friction: S. Hueeber, G. Stadler, B. Wohlmuth, SIAM J. Sci.
     Comput. 30 (2008) 572-596; M. Gitterle, A. Popp, M. W. Gee, W. A. Wall, Int. J. Numer. Methods
     Engrg. 84 (2010) 543-571.
 
     Raises:
-        ValueError: for tags that are none, unknown names, an unknown surface or angle, negative
-            or infinite limits, and both ``friction`` and ``tresca``.
+        ValueError: for invalid tags, names, surface or angle, negative or infinite limits, and both
+            ``friction`` and ``tresca``.
     """
 
     def __init__(
@@ -201,9 +185,9 @@ class Contact(Unilateral, MortarInterface):
 
     @property
     def meets_itself(self) -> bool:
-        """Whether one tag is both sides, see `mortar.self_contact`."""
+        """Whether slave and master are one surface, see `mortar.self_contact`."""
         return self.slave == self.master
 
     def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
-        """Return the argument by which heights of smooth surfaces correct the gap."""
+        """Arguments for the heights of smooth surfaces."""
         return {"heights_of": smooth}
