@@ -1,13 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Derivatives of one contact: of its forces, its weighted gaps and its slips by the displacement.
+"""Derivatives of forces, weighted gaps and slips of one contact by the displacement.
 
-See `moving_geometry` for the system that they belong to.
-
-Of a rigid tool the product rule is in `mortar.tangent`.
-The tractions t_j = lambda_j n_j + tau_j turn with n_j, dn_j = -(I - n n^T) Hess phi dx_j, and their
-tangents as in `moving_geometry`. For phi stands what `point_gaps` has there: of distances of nodes
-their interpolation. The change of heights of second order by the strain of the bodies along the
-normal is left out.
+The system is in `moving_geometry`, the product rule in `mortar.tangent`. On a tool tractions
+lambda_j n_j + tau_j turn with dn_j = -(I - n n^T) Hess phi dx_j, tangents as in `moving_geometry`,
+and phi is that of `point_gaps`. Changes of heights of second order by normal strain are left out.
 """
 
 from __future__ import annotations
@@ -55,7 +51,7 @@ from dolfinx_mortar.shapes.shape import unit_vectors
 
 @dataclass(frozen=True)
 class Unknowns:
-    """How the unknowns of a vector space are divided among ranks; see `algebra.triplets.Layout`."""
+    """Division of the unknowns of a vector space among ranks; see `algebra.triplets.Layout`."""
 
     size_local: int
     size_global: int
@@ -63,30 +59,30 @@ class Unknowns:
 
 @dataclass(frozen=True)
 class SlipRows:
-    """Rows of the slips of a contact, s.(du_j - P du) + m.dt, m being the motion so far.
+    """Rows of the slips of a contact, s.(du_j - P du) + m.dt, m being the present motion.
 
-    P is that of the partners, see `slip_partners`; the tangents t turn with the normal. s is t, but
-    on tools, along whose surface the motion is taken, which there depends on the normal: + t.dm.
+    P belongs to the partners (`slip_partners`); tangents t turn with the normal. s = t, but on
+    tools, where m depends on the normal, too: + t.dm.
     """
 
     link: CoupledSides
     partners: Partners
-    turning: Floats  # (n, d - 1, d) m.dt + t.dm by the normals
-    normals: PETSc.Mat  # derivatives of these
+    turning: Floats  # (n, d - 1, d) derivatives m.dt + t.dm by the normals
+    normals: PETSc.Mat  # derivatives of the normals
     along: Floats  # (n, d - 1, d) s
 
     @property
     def d(self) -> int:
-        """The dimension."""
+        """Dimension."""
         return int(self.turning.shape[2])
 
     @property
     def columns(self) -> int:
-        """How many unknowns there are."""
+        """Number of unknowns."""
         return int(self.normals.getSize()[1])
 
     def of(self, du: PETSc.Vec) -> Floats:
-        """Return the slips (n, d - 1) that du adds, 0 without partners; collective."""
+        """Slips (n, d - 1) by du, 0 without partners; collective."""
         motion = node_motions(self.link, self.partners.P, du)
         turned = (self.normals * du).array_r.reshape(-1, self.d)[self.link.nodes]
         added = np.einsum("nti,ni->nt", self.along, motion)
@@ -94,7 +90,7 @@ class SlipRows:
         return np.where(self.partners.known[:, None], added, 0.0)
 
     def rows(self, t: int) -> sparse.csr_array:
-        """Return the rows (n, unknowns) of one tangent of the owned slave nodes."""
+        """Rows (n, unknowns) of tangent t of the owned slave nodes."""
         nodes, d, tangents = self.link.nodes, self.d, self.along[:, t]
         index_map, n = self.link.sides.V.dofmap.index_map, len(self.link.nodes)
         P = owned_rows(self.partners.P)[nodes].tocoo()
@@ -113,17 +109,17 @@ class SlipRows:
 
 
 class LinkDerivatives(ABC):
-    """Derivatives of forces, gaps and slips of an interface on a surface that moves."""
+    """Derivatives of forces, gaps and slips of an interface on a moving surface."""
 
     @abstractmethod
     def serves(self, link: CoupledSides) -> bool:
-        """Tell whether the pattern is also that of another link; on this rank."""
+        """Tell whether the pattern fits another link; on this rank."""
 
     @abstractmethod
     def differentiate(
         self, link: CoupledSides, u: fem.Function, multipliers: Floats, tangential: Floats | None
     ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
-        """Return those of forces, and of gaps in the rows w_n, and which of these; collective.
+        """Derivatives of forces and gaps, and the nodes of the latter; collective.
 
         Args:
             link: the interface at X + u.
@@ -131,27 +127,26 @@ class LinkDerivatives(ABC):
             tangential: tangential tractions (owned nodes, d), None without friction.
 
         Returns:
-            d(B^T lambda)/du, dG_j in the rows w_n of its nodes, and nodes (n,) of which these are
-            known. The matrices are refilled in the next call.
+            d(B^T lambda)/du, dG_j in the rows w_n, and a mask (n,) of rows that are known. The next
+                call refills the matrices.
         """
 
     @abstractmethod
     def slips(
         self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
     ) -> SlipRows:
-        """Return the rows of slips at the iterate that was differentiated last; collective."""
+        """Rows of slips at the last differentiated iterate; collective."""
 
 
 class ContactDerivatives(LinkDerivatives):
-    """Derivatives of the forces and the weighted gaps of one contact.
+    """Derivatives of the forces and weighted gaps of one contact.
 
-    They are sums F_x + F_n C + F_p N, C being the derivatives of the normals of contact, N those of
-    the averaged ones, along which facets are projected in 2D. On a slave facet forces and gaps
-    depend on all of its partners, by the dual functions.
+    F_x + F_n C + F_p N, with derivatives C of contact normals and N of averaged ones (along which
+    facets are projected in 2D). By the dual functions they depend on all partners of a facet.
     """
 
     def __init__(self, link: CoupledSides) -> None:
-        """Make the patterns, for all candidates of the slave facets that are near; collective."""
+        """Create the patterns for all candidates of near slave facets; collective."""
         V, slave, pairing = link.sides.V, link.sides.slave, link.pairing
         assert pairing is not None
         self.asked, self._found = facets_near(link), pairing
@@ -191,10 +186,9 @@ class ContactDerivatives(LinkDerivatives):
     def differentiate(
         self, link: CoupledSides, u: fem.Function, multipliers: Floats, tangential: Floats | None
     ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
-        """Return those of forces, and of gaps in the rows w_n, and which of these; collective.
+        """Derivatives of forces and gaps, and the nodes of the latter; collective.
 
-        The matrices are refilled. In space rows of gaps are those of facets that carry tractions,
-        and of their neighbours: others are open, and cost as much.
+        In space gap rows only on loaded facets and their neighbours.
         """
         slave, (_, operators) = link.sides.slave, link.mortar
         x = coordinates(slave, u)
@@ -217,7 +211,7 @@ class ContactDerivatives(LinkDerivatives):
     def _derivatives(
         self, link: CoupledSides, u: fem.Function, segments: Segments, keep: Bools, given: Tractions
     ) -> Derivatives:
-        """Return the derivatives on this rank; collective."""
+        """Derivatives of this rank; collective."""
         pairing, common = link.mortar[0], link.coupling.common
         assert common is not None
         at = pairing, u, segments, keep, given, link.pattern.smooth
@@ -226,28 +220,27 @@ class ContactDerivatives(LinkDerivatives):
     def slips(
         self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
     ) -> SlipRows:
-        """Return the rows of slips at the iterate that was differentiated last; collective."""
+        """Rows of slips at the last differentiated iterate; collective."""
         tangents = link.coupling.rows[:, 1:]
         along = (partners.motion(link, since) * link.coupling.R[:, :, 0]).sum(axis=1)
-        turned = -along[:, None, None] * tangents  # what turns with n changes along n only
+        turned = -along[:, None, None] * tangents  # tangents change along n only
         return SlipRows(link, partners, turned, self.normals.zero(), tangents)
 
 
 class _Normals:
     """Derivatives of the normals of contact, Y_s dn_j + Y_m sum_l (dM_jl n_l + M_jl dn_l).
 
-    n_j and n_l turn with the averaged normals of the slave and of the master, and so do spreads.
-    Left out is how M weights spreads, and that at edges normals and spreads are those of facets
-    of which some are, and others are not, in the averaged normal.
+    n_j, n_l and spreads turn with the averaged normals. Left out: weights of spreads by M, and
+    facets at edges that are only in one of the averages.
     """
 
     def __init__(self, link: CoupledSides, x: BlockEntries, y: BlockEntries, N: PETSc.Mat) -> None:
-        """Make the patterns; collective.
+        """Create the patterns; collective.
 
         Args:
-            x: Of sum_l dM_jl n_l by coordinates.
-            y: The same by the averaged normals of the slave.
-            N: Matrix of these.
+            x: of sum_l dM_jl n_l by coordinates.
+            y: the same by the averaged normals of the slave.
+            N: matrix of these.
         """
         V, pattern, n = link.sides.V, link.pattern, len(link.nodes)
         assert link.sides.master is not None
@@ -268,11 +261,11 @@ class _Normals:
         self._sum = SumWithProducts(*of, none, (one, N), (one, self._facing.zero()))
 
     def zero(self) -> PETSc.Mat:
-        """Return the matrix of `fill`, whatever its values, for the analysis of its pattern."""
+        """Matrix of `fill` with any values, for its pattern."""
         return self._sum.zero()
 
     def fill(self, link: CoupledSides, u: fem.Function, found: Derivatives) -> PETSc.Mat:
-        """Return the derivatives; those of the averaged normals are filled; collective."""
+        """Derivatives, given filled ones of the averaged normals; collective."""
         master, common, M = link.sides.master, link.coupling.common, link.mortar[1].M[:, :1]
         assert master is not None and common is not None
         N_m = self._of_master.fill(_in_planes(link, coordinates(master, u)))
@@ -290,7 +283,7 @@ class _Normals:
 
 
 def _in_planes(link: CoupledSides, x: Floats) -> Floats:
-    """Return the derivatives of the master's normals, those on planes of symmetry in these."""
+    """Derivatives of the master's normals, projected onto planes of symmetry."""
     master, spreads, common = link.sides.master, link.sides.spreads, link.coupling.common
     assert master is not None and spreads is not None and common is not None
     n, by_n = in_planes(nodal_normals(master, x), spreads.mirrors[master.nodes])
@@ -302,7 +295,7 @@ def _in_planes(link: CoupledSides, x: Floats) -> Floats:
 
 
 def _averaged(surface: Surface) -> Triplets:
-    """Return the pattern of the derivatives of the averaged normals of a side; collective."""
+    """Pattern of the derivatives of averaged normals of a side; collective."""
     V, d = surface.V, surface.X.shape[1]
     nodes = V.dofmap.index_map.local_to_global(surface.nodes).astype(np.int64)
     at = (d * nodes[:, None] + np.arange(d))[surface.facets]
@@ -317,7 +310,7 @@ def _in_space(link: CoupledSides) -> bool:
 
 
 def facets_near(link: CoupledSides) -> Bools:
-    """Return the slave facets (m,) of this rank that have nodes in T; collective."""
+    """Mask (m,) of this rank's slave facets with nodes in T; collective."""
     slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
     near = np.zeros((len(slave.nodes), 1))
     near[own, 0] = link.near
@@ -325,21 +318,21 @@ def facets_near(link: CoupledSides) -> Bools:
 
 
 def _neighbours(slave: Surface, marked: Bools) -> Bools:
-    """Return the local slave nodes (n,) of facets, of any rank, with a marked node; collective."""
+    """Mask (n,) of slave nodes of facets with a marked node; collective."""
     found = np.zeros((len(slave.nodes), 1))
     found[slave.facets[marked[slave.facets].any(axis=1)]] = 1.0
     return np.asarray(accumulate(slave, found)[:, 0] > 0.0)
 
 
 def incidence(facets: Ints, nodes: Ints, shape: tuple[int, int]) -> sparse.csr_array:
-    """Return which nodes (p, k) belong to facets (p,)."""
+    """Incidence of facets (p,) and their nodes (p, k)."""
     rows = np.repeat(facets, nodes.shape[1])
     ones = np.ones(len(rows), dtype=bool)  # sums of small integers may overflow to 0
     return sparse.coo_array((ones, (rows, nodes.ravel())), shape=shape).tocsr()
 
 
 def layout_of(V: fem.FunctionSpace) -> Unknowns:
-    """Return how the unknowns of a vector space are divided among ranks."""
+    """Division of unknowns among ranks."""
     d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
     return Unknowns(d * index_map.size_local, d * index_map.size_global)
 
@@ -347,7 +340,7 @@ def layout_of(V: fem.FunctionSpace) -> Unknowns:
 def tractions_of(
     link: CoupledSides, multipliers: Floats, tangential: Floats | None
 ) -> tuple[Tractions, Bools]:
-    """Return normals, tractions, and which local slave nodes are kept; collective.
+    """Normals, tractions, and the mask of kept local slave nodes; collective.
 
     Args:
         multipliers: lambda_j (owned nodes,).
@@ -372,7 +365,7 @@ class ToolDerivatives(LinkDerivatives):
     """Derivatives for all facets of a side that are near the tool."""
 
     def __init__(self, link: CoupledSides, side: WholeSide, tool: Tool) -> None:
-        """Make the patterns; collective."""
+        """Create the patterns; collective."""
         V, slave = link.sides.V, link.sides.slave
         self.side, self.tool = side, tool
         self.asked = facets_near(link)
@@ -389,13 +382,13 @@ class ToolDerivatives(LinkDerivatives):
         self.N = BlockSums(*of, BlockEntries(alone, (d, d), dofs, dofs))
 
     def serves(self, link: CoupledSides) -> bool:
-        """Return True: the pattern is that of the nodes in T, with which these are made."""
+        """Return True: the pattern is that of the nodes in T."""
         return True
 
     def differentiate(
         self, link: CoupledSides, u: fem.Function, multipliers: Floats, tangential: Floats | None
     ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
-        """Return those of forces, and of gaps in the rows w_n, and which of these; collective."""
+        """Derivatives of forces and gaps, and the nodes of the latter; collective."""
         slave, side, x = link.sides.slave, self.side, coordinates(link.sides.slave, u)
         pose, shape, d = self.tool.pose(), self.tool.asked, x.shape[1]
         given, keep = tractions_of(link, multipliers, tangential)
@@ -425,7 +418,7 @@ class ToolDerivatives(LinkDerivatives):
     def slips(
         self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
     ) -> SlipRows:
-        """Return the rows of slips; collective."""
+        """Rows of slips; collective."""
         slave, x = link.sides.slave, coordinates(link.sides.slave, u)
         assert isinstance(partners, ToolPartners)
         by_x, by_n = partners.derivatives(link, since)
@@ -439,7 +432,7 @@ class ToolDerivatives(LinkDerivatives):
         return SlipRows(link, partners, tangents @ by_n, N, tangents @ by_x)
 
     def _turning(self, x: Floats) -> Floats:
-        """Return dn_j/dx_j (n, d, d) of nodes at x (n, d), n being -grad phi / |grad phi|."""
+        """Derivatives dn_j/dx_j (n, d, d) at x (n, d), n = -grad phi / |grad phi|."""
         found = self.tool.pose().distance(self.tool.asked, x)
         size, g = unit_vectors(found.gradient)
         across = np.eye(x.shape[1]) - g[:, :, None] * g[:, None]
