@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Interfaces: constraints on a side of a body, as their user describes them."""
+"""Base class of interfaces: constraints on a side of a body."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.surface import check_tags, create_surface, dependent_nodes
 from dolfinx_mortar.tags import check_tag, label, tag_of
 
-# Facets whose normals differ by more degrees meet in an edge, unless the user says otherwise: round
-# sides have nine facets to a circle (360 / 9 = 40 degrees) or more, chamfers 45 degrees.
+# Default angle between normals of facets at a sharp edge: round sides have at least nine facets per
+# circle (40 degrees), chamfers 45 degrees.
 FEATURE_ANGLE = 40.0
 
 
 class Collective:
-    """What methods of a user's kind raise on one rank is raised on all; the package's pay nothing.
+    """Errors of a user's methods on one rank are raised on all ranks.
 
-    When the call is over: of what is collective, a method may only do what all ranks reach.
+    After the call: a collective method may only communicate where all ranks do.
     """
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -60,32 +60,28 @@ class Collective:
 
 
 class Interface(Collective, Results, ABC):
-    """A constraint on the nodes of a slave side, marked in facet tags: the base of all kinds.
+    """A constraint on the nodes of a tagged slave side: base class of all interfaces.
 
-    `Contact` and `Tie` do so by another side of the mesh. A kind of your own says in `couple` at
-    which nodes, along which directions and by how much; perhaps in `constraints` which bounds
-    follow. What its methods raise on one rank is raised on all when the call is over, see
-    `Collective`.
+    A subclass gives nodes, directions and distances in `couple`, and bounds in `constraints`.
+    Errors of its methods on one rank are raised on all after the call.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
-        slave: tag, or name if the tags have names (see `Tags`), of the side that carries the
-            multipliers and the integration (nonmortar side).
+        slave: tag or name (see `Tags`) of the nonmortar side, with multipliers and integration.
 
     Raises:
-        ValueError: for tags that are none, and unknown names.
+        ValueError: for invalid tags and unknown names.
 
     Attributes:
-        unilateral: whether it can open: its bounds have one side.
-        stays: whether it is coupled at X, not at X + u, whatever the geometry of the problem.
-        smooth: whether facets stand for smooth surfaces.
-        feature_angle: degrees between facets from which on they meet in an edge.
-        within: how far apart partners may be, None where facets say so.
-        rigid: what holds the side or meets it as a rigid body, None for none.
+        unilateral: whether it can open, so that bounds are one-sided.
+        stays: whether it is always coupled at X.
+        smooth: whether facets approximate smooth surfaces.
+        feature_angle: degrees between facets from which on an edge is sharp.
+        within: largest distance of partners, None by the facets.
+        rigid: rigid body that holds or meets the side, or None.
         tool: the same, if it meets the side.
-
-    After a step (see the subclasses for signs): ``force``, ``moment``, ``pressure``, ``gap`` and
-    ``active``.
+    After a step ``force``, ``moment``, ``pressure``, ``gap`` and ``active``; signs in the
+    subclasses.
     """
 
     unilateral: ClassVar[bool] = False
@@ -107,27 +103,25 @@ class Interface(Collective, Results, ABC):
         return f"{type(self).__name__}(slave={label(self.facet_tags, self.slave)})"
 
     def given(self) -> dict[str, Any]:
-        """Return what all ranks have to give the same, by name; see `agreement`."""
+        """Arguments that must agree among ranks, by name; see `agreement`."""
         return {"facet_tags": self.facet_tags, "slave": self.slave}
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
-        """Raise a ValueError unless a problem can take it.
+        """Raise a ValueError if a problem cannot take it.
 
         Args:
-            V: the space of the displacement.
+            V: space of the displacement.
             revolved: whether the problem is axisymmetric.
             strain: "small" or "finite".
         """
 
-    # -- surfaces, pairs, operators --------------------------------------------------------------
-
     def find_sides(self, V: fem.FunctionSpace, fixed: Bools, weight: Weight | None = None) -> Sides:
-        """Return the surfaces in V: the slave's; collective.
+        """Surfaces in V; collective.
 
         Args:
-            V: the vector space of the displacement.
+            V: vector space of the displacement.
             fixed: (local nodes, d) True where a direction of a node is prescribed.
-            weight: factor of all integrals over the interface, 1 if not given.
+            weight: factor of all integrals over the interface, None for 1.
         """
         slave = create_surface(V, self.facet_tags, self.slave, "slave")
         on_slave, dependent = mark(slave), dependent_nodes(slave)[: slave.owned]
@@ -146,13 +140,12 @@ class Interface(Collective, Results, ABC):
         again: bool,
         earlier: tuple[Pairing | None, Pattern] | None = None,
     ) -> tuple[Pairing | None, Pattern]:
-        """Pair the surfaces at X + u and fix the pattern of Q: empty without a master; collective.
+        """Pair the surfaces at X + u and fix the pattern of Q, empty without a master; collective.
 
         Args:
-            sides: the surfaces.
             u: displacement, None for X.
-            again: sides that have faced each other once may turn away; at first that is an error.
-            earlier: of an earlier search, which serves once more where the pairs are the same.
+            again: whether sides may have turned away, an error at first.
+            earlier: result of an earlier search, returned if the pairs are the same.
         """
         if earlier is not None:
             return earlier
@@ -162,7 +155,7 @@ class Interface(Collective, Results, ABC):
     def measure_coverage(
         self, sides: Sides, pairing: Pairing | None, u: fem.Function | None
     ) -> Coverage:
-        """Return how far the slave nodes face the master at X + u: all without one; collective."""
+        """Coverage of slave nodes at X + u, full without a master; collective."""
         return full_coverage(sides)
 
     @abstractmethod
@@ -174,33 +167,30 @@ class Interface(Collective, Results, ABC):
         banned: Bools,
         u: fem.Function | None,
     ) -> Coupling:
-        """Return frames, weights and Q at X + u; collective.
+        """Frames, weights and Q at X + u; collective.
 
         Args:
-            sides: the surfaces.
-            pairing: their candidate pairs.
+            pairing: candidate pairs.
             pattern: of Q.
             banned: (local nodes,) slave nodes that may not carry a multiplier.
             u: displacement, None for X.
         """
 
-    # -- what acts -------------------------------------------------------------------------------
-
     def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
-        """Return the displacement (n, d) of the side that is no relative motion; collective.
+        """Prescribed displacement (n, d) between the sides at slave nodes (n,); collective.
 
-        At slave nodes (n,), for what cannot open; None for none.
+        None for none; of bilateral interfaces.
         """
         return None
 
     def constraints(self, nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
-        """Return the bounds on further motion: w_n <= gap of what can open, else w = 0.
+        """Bounds on increments: w_n <= gap if unilateral, else w = 0.
 
         Args:
             nodes: (n,) owned slave nodes.
-            directions: (n, d) which directions of the frames are constrained.
-            slip: (n, d) relative motion in the frames: of positions where it can open, so that the
-                first component is minus the gap, else of displacements, less what is `apart`.
+            directions: (n, d) constrained directions of the frames.
+            slip: (n, d) relative motion in the frames: if unilateral of positions, so that the
+                first component is minus the gap, else of displacements minus `apart`.
             D: (n, c) weights.
         """
         if self.unilateral:
@@ -211,52 +201,44 @@ class Interface(Collective, Results, ABC):
         return equalities(dofs, -slip[node, axis], weight)
 
     def derivatives(self, link: CoupledSides) -> LinkDerivatives | None:
-        """Return derivatives of forces and gaps by motions of the side, None for none; collective.
-
-        For the pattern of a link.
-        """
+        """Derivatives of forces and gaps for the pattern of a link, None for none; collective."""
         return None
 
     def driven(self) -> Driven | None:
-        """Return the motions of a tool that given forces drive; None where none are."""
+        """Motions driven by given forces, or None."""
         return None
 
     def warnings(self, link: CoupledSides, x: PETSc.Vec) -> list[str]:
-        """Return warnings for the audit, the same on all ranks; collective.
+        """Warnings for the audit, the same on all ranks; collective.
 
         Args:
-            link: the interface, coupled.
             x: (n,) present positions.
 
         Raises:
-            ValueError: on all ranks, for what cannot be solved.
+            ValueError: on all ranks, for unsolvable cases.
         """
         return []
 
-    # -- what steps change -----------------------------------------------------------------------
-
     def state(self, ended: bool) -> dict[str, Floats]:
-        """Return copies of what steps change, beside results; collective.
-
-        Finite numbers by names that do not change, in arrays of lengths that do not change.
+        """Copies of the state except results, finite arrays of fixed names and lengths; collective.
 
         Args:
-            ended: whether the state is that with which the next step begins.
+            ended: whether for the start of the next step.
         """
         return {}
 
     def restore(self, state: Mapping[str, Floats]) -> None:
-        """Take over what `state` has returned; without communication."""
+        """Set the result of `state`; without communication."""
 
 
 def full_coverage(sides: Sides) -> Coverage:
-    """Return the coverage of slave nodes that all face the master."""
+    """Full coverage."""
     n = len(sides.nodes)
     faces = np.ones(n, dtype=bool)
     return Coverage(np.ones(n), faces, ~faces)
 
 
-# What users may write, and what it may return.
+# Methods of users and the types that they return.
 _RETURNS: Mapping[str, tuple[type, ...]] = {
     "find_sides": (Sides,),
     "pair": (tuple,),
@@ -274,7 +256,7 @@ _RETURNS: Mapping[str, tuple[type, ...]] = {
 
 
 def _raised_together(name: str, method: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a method, of a name, whose errors on one rank are raised on all; collective."""
+    """Method whose errors on one rank are raised on all; collective."""
 
     @wraps(method)
     def asked(self: Interface, *args: Any, **options: Any) -> Any:
@@ -289,7 +271,7 @@ def _raised_together(name: str, method: Callable[..., Any]) -> Callable[..., Any
 def _check_returned(
     name: str, found: object, kinds: tuple[type, ...], args: tuple[Any, ...]
 ) -> None:
-    """Raise a ValueError unless a method of an interface may return this."""
+    """Raise a ValueError for an invalid result of a user's method."""
     if not isinstance(found, kinds):
         wanted = " or ".join("None" if k is NoneType else k.__name__ for k in kinds)
         raise ValueError(f"{name} a {type(found).__name__}: return a {wanted}")
@@ -300,11 +282,10 @@ def _check_returned(
 
 
 def check_owned(interfaces: Iterable[Interface], owner: object) -> None:
-    """Raise a ValueError if a problem made later has taken over an interface.
+    """Raise a ValueError if another problem has taken over an interface.
 
     Args:
-        interfaces: those of the problem.
-        owner: what the problem has taken them for.
+        owner: object by which the problem has taken them.
     """
     for interface in interfaces:
         if interface.owner is not owner:
