@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""An interface in one configuration: its constraints, the nodes they act on, its results."""
+"""An interface in one configuration: constraints, acting nodes, results."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from dolfinx_mortar.mortar.surface import accumulate, mean_facet_length
 
 @dataclass(frozen=True)
 class Link(CoupledSides):
-    """An interface with what a search and an update have found for it."""
+    """An interface with the results of search and update."""
 
     interface: Interface
 
     @property
     def acts_openly(self) -> bool:
-        """Whether it acts at slave nodes that are not closed, too: a tie, or given friction."""
+        """Whether it also acts at open nodes: a tie, or given friction."""
         law = self.interface.law
         return not self.unilateral or (law is not None and not law.by_pressure)
 
     def partners(self, x: PETSc.Vec, *, frozen: bool) -> Partners | None:
-        """Return from where slips of a step are measured; None for P of the moment; collective.
+        """Slip partners; None for the present P; collective.
 
         Args:
             x: (n,) positions at the last commit.
@@ -47,33 +47,33 @@ class Link(CoupledSides):
 
     @property
     def equal(self) -> Bools:
-        """Constrained directions (n, d) held by equalities: all, or none if the link can open."""
+        """Constrained directions (n, d) with equalities."""
         return self.constrained & (not self.unilateral)
 
     @property
     def prescribed(self) -> Bools:
-        """Slave nodes (n,) that face the master without a multiplier, because of Dirichlet data."""
+        """Slave nodes (n,) that face the master, but whose multiplier Dirichlet data prevent."""
         kept, coverage = self.coupling.kept.any(axis=1), self.coupling.coverage
         left_out = coverage.faces & ~kept & ~coverage.weightless
         return np.asarray(left_out & self.sides.fixed[self.nodes].any(axis=1))
 
     def prescribed_facets(self) -> Bools:
-        """Return the slave facets (m,) of this rank with such nodes alone; collective."""
+        """Mask (m,) of slave facets with such nodes only; collective."""
         slave = self.sides.slave
         marks = np.zeros(len(slave.nodes))
         marks[: slave.owned] = self.prescribed
         return np.asarray((accumulate(slave, marks) > 0)[slave.facets].all(axis=1))
 
     def held_motion(self, v: PETSc.Vec) -> Floats:
-        """Return the constrained motion that is resisted both ways, see `equal`; collective."""
+        """Components constrained by equalities; collective."""
         held = self.coupling.directions & (not self.unilateral)
         return np.asarray(self.relative(v)[held])
 
     def acting(self, closed: Bools) -> Bools:
-        """Return the slave nodes (n,) at which the interface acts.
+        """Mask (n,) of slave nodes at which the interface acts.
 
         Args:
-            closed: (owned nodes,) nodes whose contact is closed.
+            closed: (owned nodes,) closed nodes.
         """
         some = self.constrained.any(axis=1)
         if self.unilateral:
@@ -81,7 +81,7 @@ class Link(CoupledSides):
         return np.asarray(self.coupling.kept.any(axis=1))
 
     def apart(self) -> Floats | None:
-        """Return what is no relative motion of tied sides (n, d), None for none; collective."""
+        """Prescribed distance of tied sides (n, d), None for none; collective."""
         sides = self.sides
         found = None if self.unilateral else self.interface.apart(sides.V, self.nodes)
         if found is None:
@@ -89,21 +89,21 @@ class Link(CoupledSides):
         return np.where((sides.on_slave & sides.on_master)[self.nodes, None], 0.0, found)
 
     def missed(self, u: PETSc.Vec) -> Floats:
-        """Return the relative motion (n, d) of tied sides, less what they are apart; collective."""
+        """Relative motion (n, d) of tied sides minus the prescribed one; collective."""
         apart = self.apart()
         return self.relative(u if apart is None else u - self.spread(apart))
 
     def spread(self, way: Floats) -> PETSc.Vec:
-        """Return a motion (n, d) of the slave nodes as a displacement, 0 at others."""
+        """Motion (n, d) of the slave nodes as a displacement, 0 elsewhere."""
         v = self.Q.createVecRight()
         v.array.reshape(-1, way.shape[1])[self.nodes] = way
         return v
 
     def shown_gap(self, gap: Floats) -> Floats:
-        """Return the gap (n,) that results show: how far a jump opens what cannot open itself.
+        """Gap (n,) for output, of ties the opening by a jump.
 
         Args:
-            gap: (owned nodes,) of what can open.
+            gap: (owned nodes,) of contacts.
         """
         if self.unilateral:
             return np.asarray(gap[self.nodes])
@@ -124,13 +124,12 @@ def set_results_of(
     """Set resultants and Functions of an interface; return its `_balances`; collective.
 
     Args:
-        reaction: (n, d) D_jj lambda_j in the frames, at the owned slave nodes; zero in directions
-            that are not constrained.
-        known: (n, d) friction in directions that are prescribed, as vectors.
-        gap: (n,) nodal gaps that may still close; how far a jump opens a tie.
+        reaction: (n, d) D_jj lambda_j in the frames, 0 in unconstrained directions.
+        known: (n, d) friction in prescribed directions, as vectors.
+        gap: (n,) nodal gaps, of ties the opening by a jump.
         active: (n,) nodes on which the interface acts.
         x: (owned nodes, d) coordinates at which the forces act.
-        growth: (n,) area per D_jj, for what is shown as traction.
+        growth: (n,) area per D_jj, for tractions.
     """
     found = link.interface
     kept: Bools = np.asarray(link.coupling.kept.any(axis=1))
@@ -141,14 +140,14 @@ def set_results_of(
     found.resultants, balances = _resultants(link, forces, known, multiplier, x)
     traction = np.einsum("nji,nj->ni", link.coupling.rows, multiplier)
     _, choices = D.shape
-    if choices > 1:  # components that supports take are those of the nodes around
+    if choices > 1:  # prescribed components are those of neighbours
         traction = np.nan_to_num(_extended(link, traction, link.coupling.kept)[link.nodes])
     normal = np.einsum("ni,ni->n", traction, link.coupling.normals) / np.maximum(growth, TINY)
     _fill(found.pressure, link, np.where(kept, normal, 0.0), kept)
     found.pressure.x.array[:] = np.nan_to_num(found.pressure.x.array)
     _fill(found.gap, link, gap, kept)
     _fill(found.active, link, active.astype(np.float64), kept)
-    # a node without weight, on the axis, has no multiplier: it carries if its neighbours do
+    # a node without weight, on the axis, is active if a neighbour is
     around = link.coupling.coverage.weightless & (found.active.x.array[link.nodes] > 0.0)
     found.active.x.array[:] = 0.0
     found.active.x.array[link.nodes] = active | around
@@ -161,7 +160,7 @@ def set_sliding(
 ) -> None:
     """Set the results of friction at the owned slave nodes, (n, d) and (n,); collective."""
     interface, nodes = link.interface, link.nodes
-    # on the axis, where nothing carries a multiplier, what is closed cannot slide
+    # on the axis a closed node without multiplier sticks
     on = link.coupling.coverage.weightless & (interface.active.x.array[nodes] > 0.0)
     status = np.where(on, 1.0, status)
     vectors = {"traction": traction, "step_slip": step_slip}
@@ -177,16 +176,13 @@ def set_sliding(
 def _resultants(
     link: Link, forces: Floats, known: Floats, multiplier: Floats, x: Floats
 ) -> tuple[Resultants, tuple[float, float]]:
-    """Return the resultants and balances of what slave nodes exert (n, d) in two parts; collective.
-
-    In the directions that the interface constrains, and the friction in prescribed ones.
-    """
+    """Resultants and balances of slave forces and friction in prescribed directions; collective."""
     comm, n, d = link.sides.V.mesh.comm, link.sides.n_owned, forces.shape[1]
     f, points = np.zeros((2, n, 3)), np.zeros((n, 3))
     f[:, :, :d], points[:, :d] = link.transpose(forces), x
     if link.interface.law is not None:
         f[:, :, :d] += link.exert(known)
-    if link.sides.master is None:  # what is no part of the mesh takes the same forces
+    if link.sides.master is None:  # a tool has the opposite forces
         f[1] = -f[0]
     local = np.array([[-s.sum(axis=0), -np.cross(points, s).sum(axis=0)] for s in f])
     total = comm.allreduce(local, op=MPI.SUM)
@@ -204,25 +200,21 @@ def _resultants(
 
 
 def _place_of(interface: Interface) -> Floats:
-    """Return where a tool or rigid side is, (3,); 0 without one."""
+    """Position (3,) of a tool or rigid side, else 0."""
     place = np.zeros(0) if interface.rigid is None else interface.rigid.place()
     return np.append(place, np.zeros(3 - len(place)))
 
 
 def _balances(comm: MPI.Comm, f: Floats, points: Floats, h: float) -> tuple[float, float]:
-    """Return the relative imbalances of forces and of moments of the two sides; collective.
+    """Relative imbalances of forces and moments of the two sides; collective.
 
         |sum_j (s_j + t_j)| / S,   |sum_j a_j x (s_j + t_j)| / sum_j |s_j| (|a_j| + h)
 
-    with S = sum_j |s_j|, the middle c = sum_j |s_j| x_j / S and the arms a_j = x_j - c. Sums of
-    sizes do not cancel where resultants do, as around a shaft. Arms from the middle are the same
-    wherever the origin is, and so is the moment about it, even of forces that do not balance. The
-    facet length is for forces at one point.
+    with S = sum_j |s_j|, c = sum_j |s_j| x_j / S, a_j = x_j - c (theory.md, Moments).
 
     Args:
-        comm: communicator of the mesh.
         f: (2, n, 3) forces s and t of the slave and the master side at owned nodes.
-        points: (n, 3) where they act, x.
+        points: (n, 3) x.
         h: mean slave facet length.
     """
     size = np.linalg.norm(f[0], axis=1)
@@ -242,12 +234,10 @@ def _fill(function: fem.Function, link: Link, values: Floats, kept: Bools) -> No
 
 
 def _extended(link: Link, values: Floats, kept: Bools) -> Floats:
-    """Return nodal values (local nodes, k) of those (n, k) at kept slave nodes (n, k); collective.
+    """Nodal values (local nodes, k) of those (n, k) at kept slave nodes (n, k); collective.
 
-    Covered slave nodes without multiplier get the mean of the kept ones on their facets. A kept
-    node's value is a traction even if the node is partly covered, because D_jj is its covered
-    weight; a removed node has handed its dual function to those neighbours. Nodes beyond the master
-    are not-a-number.
+    Covered nodes without multiplier have the mean of kept neighbours, to which their dual functions
+    are shared out. Nodes beyond the master are not-a-number.
     """
     sides, k = link.sides, values.shape[1]
     vector = la.vector(sides.V.dofmap.index_map, 2 * k)
