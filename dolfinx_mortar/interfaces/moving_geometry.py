@@ -1,21 +1,15 @@
 # SPDX-License-Identifier: MIT
-r"""The exact linearisation of contact on moving surfaces.
+"""Exact linearisation of contact on moving surfaces (theory.md, The exact tangent).
 
-At the iterate u, with forces B(u)^T lambda of contact in r(u) = B(u)^T lambda and weighted gaps
-G(u) >= 0, Newton's method reads
+    (K + H) du + B^T lambda+ = r,    G_j + dG_j.du >= 0,    H = d(B^T lambda)/du at fixed lambda,
 
-    (K + H) du + B^T lambda+ = r,    G_j + dG_j.du >= 0,    H = d(B^T lambda)/du at fixed lambda.
-
-The test functions are those of T, as for surfaces that do not move; du = T_g y, in which y_n is
--dG_j.du / D_jj, so that the gaps are bounds once more: K^ = T^T (K + H) T_g, unsymmetric. In the
-rows of T_g the parts of neighbouring slave nodes are lumped on node j, so that they are rows of one
-node. What that neglects is some per cent; it is known once du is, and belongs to the bounds then.
-
-With friction y_t is the change of the slip t.m, t.(du_j - P du) + m.dt, with P of the partners,
-see `slip_partners`, and the motion m so far; the tangents do not spin about the normal and stay
-normal to prescribed axes, dt = -r (t.dn) with the first column r of R, which is n where nothing is
-prescribed; what turns with n in m changes along n only. The law of friction holds for tractions
-lambda and tau, which are reactions over D_jj in the geometry of the iterate.
+with residual r and weighted gaps G. Test functions are those of T; du = T_g y with y_n = -dG_j.du /
+D_jj, so that gaps are bounds: K^ = T^T (K + H) T_g, unsymmetric. In rows of T_g the parts of
+neighbouring slave nodes are lumped on node j. The neglected part, a few per cent, corrects the
+bounds once du is known.
+With friction y_t is the change of the slip t.m, t.(du_j - P du) + m.dt, with the partners' P
+(`slip_partners`) and the motion m; dt = -r (t.dn), r the first column of R. Tractions are reactions
+over D_jj in the geometry of the iterate.
 """
 
 from __future__ import annotations
@@ -47,16 +41,16 @@ from dolfinx_mortar.interfaces.slip_partners import Partners
 
 @dataclass(frozen=True)
 class GeometryTangent:
-    """What the motion of the surfaces adds to a linearisation; valid until the next one."""
+    """Contribution of moving surfaces to a linearisation; valid until the next one."""
 
     forces: Sequence[PETSc.Mat]  # (n, n) H = d(B^T lambda)/du of each contact
     trial: Transformation  # T_g
-    gaps: Sequence[PETSc.Mat]  # (n, n) rows w_n of each: closing of the gaps, -dG_j.du / D_jj
+    gaps: Sequence[PETSc.Mat]  # (n, n) rows w_n of each: -dG_j.du / D_jj
     slips: Sequence[SlipRows]  # of contacts with friction
     products: Products
 
     def closing(self, du: PETSc.Vec) -> Floats:
-        """Return by how much du closes the gaps, and what slips it adds, (n,) at w; collective."""
+        """Closing of gaps and added slips (n,) at w by du; collective."""
         total = np.zeros(du.local_size)
         for rows in self.gaps:
             total += (rows * du).array_r
@@ -65,27 +59,27 @@ class GeometryTangent:
         return total
 
     def transform(self, K: PETSc.Mat, T: Transformation) -> PETSc.Mat:
-        """Return T^T (K + H) T_g, refilled in place from the second call on; collective."""
+        """Return T^T (K + H) T_g, refilled in place; collective."""
         return self.products.fill(K, self.forces, T, self.trial)
 
     def follow(
         self, K: PETSc.Mat, T: Transformation, decoupled: Ints, diagonal: PETSc.Vec
     ) -> OperatorOfBases:
-        """Return the same as an operator; valid until the next call; collective.
+        """Same as an operator, valid until the next call; collective.
 
         Args:
             T: of the test functions.
-            decoupled: owned unknowns that are decoupled.
+            decoupled: owned decoupled unknowns.
             diagonal: (n,) of T^T K T.
         """
         return self.products.follow([K, *self.forces], T, self.trial, decoupled, diagonal)
 
 
 class Products:
-    """Matrices of T^T (K + H) T_g, on patterns that stay fixed while those of its parts do."""
+    """Matrices of T^T (K + H) T_g, on fixed patterns."""
 
     def __init__(self) -> None:
-        """Start without any."""
+        """Start empty."""
         self._total: PETSc.Mat | None = None
         self._factors: list[ProductOfBases] = []
         self._operator: OperatorOfBases | None = None
@@ -93,7 +87,7 @@ class Products:
     def fill(
         self, K: PETSc.Mat, H: Sequence[PETSc.Mat], T: Transformation, T_g: Transformation
     ) -> PETSc.Mat:
-        """Return the product, the same matrix in every call; collective."""
+        """Product, always the same matrix; collective."""
         A = as_aij(K)
         fresh, bases = self._total is None, list(zip(T.factors, T_g.factors, strict=True))
         if self._total is None:
@@ -115,7 +109,7 @@ class Products:
         decoupled: Ints,
         diagonal: PETSc.Vec,
     ) -> OperatorOfBases:
-        """Return the product as an operator, the same one in every call; collective."""
+        """Product as an operator, always the same; collective."""
         if self._operator is None:
             self._operator = OperatorOfBases(parts[0])
         bases = [(a.C, b.C) for a, b in zip(T.factors, T_g.factors, strict=True)]
@@ -124,22 +118,22 @@ class Products:
 
 
 class MovingGeometry:
-    """The derivatives of the contacts of some links, on patterns made once for their pairs.
+    """Derivatives of contacts, on the patterns of their pairs.
 
     Args:
-        links: the interfaces, of which the ties stay at X.
-        claims: of T, that of the test functions, whose factors T_g has, too.
+        links: interfaces; ties stay at X.
+        claims: of T.
     """
 
     def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], claims: Claims) -> None:
-        """Make the patterns; collective."""
+        """Create the patterns; collective."""
         found = {k: link.interface.derivatives(link) for k, link in enumerate(links)}
         self._contacts = {k: one for k, one in found.items() if one is not None}
         self._trial = Transformation(V, links, claims)
         self._products = Products()
 
     def serves(self, links: Sequence[Link]) -> bool:
-        """Tell whether the patterns hold the pairs of links, of which T is the same."""
+        """Tell whether the patterns fit the pairs of links with the same T."""
         return all(contact.serves(links[k]) for k, contact in self._contacts.items())
 
     def linearise(
@@ -150,7 +144,7 @@ class MovingGeometry:
         tangential: Floats | None,
         slips: tuple[PETSc.Vec, Sequence[Partners | None]],
     ) -> GeometryTangent:
-        """Return the derivatives of the contacts at X + u; collective.
+        """Derivatives of the contacts at X + u; collective.
 
         Args:
             links: those of the patterns, in another configuration.
@@ -174,12 +168,11 @@ class MovingGeometry:
 
 
 def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None) -> Link:
-    """Scale rows dG_j to those of w_n, and return the link with those of T_g; collective.
+    """Scale rows dG_j to w_n, and return the link of T_g; collective.
 
-    Where they are not known (n,), rows of w_n are 0, and those of T_g are those of T. So that T_g
-    has an inverse, so are rows of gaps whose own part is short along n_j, and rows of slips that
-    would span a small area with them. The QP is corrected either way: with none replaced that could
-    be, each correction gains three digits, with all of them one.
+    Unknown rows are 0 and have those of T in T_g; likewise, for T_g to be regular, gap rows with a
+    small own part along n_j and slip rows nearly dependent on them. The corrections of the QP
+    remedy that (three digits each with no row replaced, one with all).
     """
     coupling, nodes, row = link.coupling, link.nodes, link.pattern.row
     kept, R, across = coupling.kept[:, 0], coupling.R, coupling.rows
@@ -195,7 +188,7 @@ def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None
         for t in range(1, d):
             slid[:, t], q[:, t] = _lumped(link, slips.rows(t - 1))
         slid[:, 1:] = np.where(coupling.directions[:, 1:, None], slid[:, 1:], across[:, 1:])
-        # far slips lump partners beyond the pattern on j, so that nothing may be left there
+        # lumped partners beyond the pattern may leave a singular block
         regular = np.linalg.det(slid) * np.linalg.det(R) > 0.5
         faced = (slips.partners.known & regular)[:, None, None]
         rows, moved = np.where(faced, slid, rows), np.where(faced[row], q, moved)
@@ -208,9 +201,9 @@ def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None
 
 
 def _lumped(link: Link, rows: sparse.csr_array) -> tuple[Floats, Floats]:
-    """Return the own parts (n, d) of rows (n, unknowns), and minus those (e, d) of the pattern.
+    """Own parts (n, d) of rows (n, unknowns), and minus parts (e, d) on the pattern.
 
-    What belongs to nodes outside the pattern, neighbouring slave nodes mostly, is lumped on j.
+    Parts outside the pattern, mostly neighbouring slave nodes, are lumped on j.
     """
     coupling, pattern = link.coupling, link.pattern
     used = np.arange(len(pattern.row)) >= pattern.split  # of the master
@@ -230,7 +223,7 @@ def _lumped(link: Link, rows: sparse.csr_array) -> tuple[Floats, Floats]:
 
 
 def _values_at(keys: Longs, values: Floats, asked: Longs) -> Floats:
-    """Return values (e,) at some of the ascending keys, 0 where there is none."""
+    """Values (e,) at some of the ascending keys, else 0."""
     if not len(keys):
         return np.zeros(len(asked))
     place = np.minimum(np.searchsorted(keys, asked), len(keys) - 1)
