@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Results of a step at an interface: resultants, and Functions of nodal tractions and gaps."""
+"""Results of a step at an interface: resultants, and Functions of tractions and gaps."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dolfinx_mortar.interfaces.coupling import Sides
 
 
 class NoResult(RuntimeError, AttributeError):
-    """A result was asked for before the first step; also an AttributeError, for ``hasattr``."""
+    """No result before the first step; also an AttributeError, for ``hasattr``."""
 
     def __init__(self, interface: Results, name: str, why: str = "") -> None:
         why = f": {why}" if why else " yet: solve a step first, newton(problem)"
@@ -27,29 +27,28 @@ class NoResult(RuntimeError, AttributeError):
 
 @dataclass(frozen=True)
 class Resultants:
-    """Results of a step that are no Functions."""
+    """Results other than Functions."""
 
-    force: Floats  # (d,) resultant exerted on the slave side
-    moment: Floats  # (3,) its moment about the origin
-    master_force: Floats  # (d,) the same for the master side
+    force: Floats  # (d,) on the slave side
+    moment: Floats  # (3,) about the origin
+    master_force: Floats  # (d,) on the master side
     master_moment: Floats  # (3,)
-    multiplier: Floats  # (n,) or (n, d) lambda_j = reaction_j / D_jj at the owned slave nodes
-    nodes: Ints  # (n,) local numbers of these nodes
-    carries: Bools  # (n,) which of them have a multiplier
-    place: Floats  # (3,) where a tool or rigid side is; 0 without one
+    multiplier: Floats  # (n,) or (n, d) lambda_j = reaction_j / D_jj at owned slave nodes
+    nodes: Ints  # (n,) their local numbers
+    carries: Bools  # (n,) with a multiplier
+    place: Floats  # (3,) position of a tool or rigid side, else 0
 
 
 class Results:
-    """What steps have found at an interface.
+    """Results of steps at an interface.
 
     Attributes:
-        law: of friction, None for none.
-        owner: the problem that has taken the interface.
-        nodal: Functions by name, zero until the first step: "pressure", "gap", "active", and with
-            friction "traction", "step_slip", "slip", "status", "energy"; the last is what a node
-            has dissipated since the start.
+        law: of friction, or None.
+        owner: problem to which the interface belongs.
+        nodal: Functions by name: "pressure", "gap", "active", and with friction "traction",
+            "step_slip", "slip", "status", "energy" (dissipated by a node since the start).
         resultants: None until the first step.
-        dissipated: sum of the energies of all ranks.
+        dissipated: energy of all ranks.
     """
 
     law: FrictionLaw | None = None
@@ -61,7 +60,7 @@ class Results:
         self.nodal: dict[str, fem.Function] = {}
 
     def take(self, owner: object, V: fem.FunctionSpace) -> None:
-        """Belong to a problem from now on, with Functions on V, without results; collective."""
+        """Assign to a problem with Functions on V, without results; collective."""
         self.owner, self.resultants, self.dissipated = owner, None, 0.0
         scalar = V.sub(0).collapse()[0]
         spaces = dict.fromkeys(("pressure", "gap", "active"), scalar)
@@ -71,24 +70,24 @@ class Results:
         self.nodal = {name: fem.Function(space, name=name) for name, space in spaces.items()}
 
     def keep(self) -> Any:
-        """Return copies of the results, for `put_back`."""
+        """Copies of the results, for `put_back`."""
         values = [(f, f.x.array.copy()) for f in self.nodal.values()]
         return self.resultants, self.dissipated, values
 
     def put_back(self, kept: Any) -> None:
-        """Restore the results that `keep` has returned; without communication."""
+        """Restore the result of `keep`; without communication."""
         self.resultants, self.dissipated, functions = kept
         for f, values in functions:
             f.x.array[:] = values
 
     def clear(self) -> None:
-        """Remove the results, as before the first step; without communication."""
+        """Remove the results; without communication."""
         self.resultants, self.dissipated = None, 0.0
         for f in self.nodal.values():
             f.x.array[:] = 0.0
 
     def sum_up(self, comm: MPI.Comm, nodes: Ints) -> None:
-        """Add up the energies of the owned slave nodes, if there is friction; collective."""
+        """Sum the energies of the owned slave nodes, with friction; collective."""
         if "energy" in self.nodal:
             energy = self.nodal["energy"].x.array[nodes]
             self.dissipated = comm.allreduce(float(energy.sum()), op=MPI.SUM)
@@ -99,7 +98,7 @@ class Results:
         return np.asarray(getattr(self.resultants, name))
 
     def _about_place(self, moment: Floats, force: Floats) -> Floats:
-        """Return a moment (3,) about the origin as that about the place of a rigid body."""
+        """Convert a moment (3,) about the origin to one about the rigid body's point."""
         whole = np.append(force, np.zeros(3 - len(force)))
         return np.asarray(moment - np.cross(self._resultant("place"), whole))
 
@@ -110,12 +109,9 @@ class Results:
 
     @property
     def force(self) -> Floats:
-        """Resultant (d,) exerted on the slave side.
+        """Resultant (d,) on the slave side at the end of the step (impulses: `Ledger.impulses`).
 
-        At the end of the step: for impulses in motions see `Ledger.impulses`.
-
-        Of rings, (radial, axial): the sum of what pushes outwards all around, which no force on
-        the whole balances, and the force along the axis.
+        Of rings the sum of outward forces, which cancel on the whole, and the axial force.
         """
         return self._resultant("force")
 
@@ -123,14 +119,14 @@ class Results:
     def moment(self) -> Floats:
         """Moment (3,) about the origin of the forces on the slave side.
 
-        Of rings that of these sums in the plane of the section: it tells whether the two sides
-        balance, and is no moment on the whole, which is zero.
+        Of rings that of the sums in the plane of the section, to check the balance of both sides;
+        on the whole it is zero.
         """
         return self._resultant("moment")
 
     @property
     def master_force(self) -> Floats:
-        """Resultant (d,) exerted on the master side."""
+        """Resultant (d,) on the master side."""
         return self._resultant("master_force")
 
     @property
@@ -140,7 +136,7 @@ class Results:
 
     @property
     def multiplier(self) -> Floats:
-        """Multipliers lambda_j at the owned slave nodes."""
+        """Lagrange multipliers lambda_j at the owned slave nodes."""
         return self._resultant("multiplier")
 
     @property
@@ -159,16 +155,16 @@ class Results:
         return self._function("active")
 
     def gather(self, u: fem.Function) -> Mapping[str, Floats]:
-        """Return the slave nodes of all ranks on every rank; collective.
+        """Slave nodes of all ranks on every rank; collective.
 
         Returns:
             "X" (n, d) reference and "x" (n, d) current coordinates at u, "pressure", "gap" and
-            "active" (n,), with friction also "traction" (n, d), "step_slip" (n, d), "slip" and
-            "status" (n,), ordered by X.
+                "active" (n,), with friction also "traction" (n, d), "step_slip" (n, d), "slip" and
+                "status" (n,), ordered by X.
 
         Raises:
             NoResult: before the first step.
-            ValueError: for what is no displacement.
+            ValueError: if u is no displacement.
         """
         if self.resultants is None:
             raise NoResult(self, "nodal results")
@@ -188,7 +184,6 @@ class Results:
 
 
 def _at_nodes(f: fem.Function) -> Floats:
-    """Return the values (local nodes, c) of a Function."""
     return np.asarray(f.x.array.reshape(-1, f.function_space.dofmap.index_map_bs))
 
 
@@ -197,11 +192,9 @@ def merge_results(
 ) -> fem.Function:
     """Fill a Function with results of all interfaces; collective.
 
-    "pressure", "gap", "status", "facing", or of those with friction "traction" and "slip".
-
-    A node on several slave sides has the value of the interface that gave it a multiplier, then of
-    the first one in which it faces the master. Off the slave sides, and where a node faces no
-    master, the value is 0: "facing" is 1 where a gap of 0 is one, and 0 where there is none.
+    "pressure", "gap", "status", "facing", or with friction "traction" and "slip". A node of several
+    slave sides has the value of the interface with its multiplier, else of the first whose master
+    it faces; elsewhere 0, which "facing" tells from a gap of 0.
     """
     n, size = sides[0].n_owned, function.function_space.dofmap.index_map_bs
     merged, best = np.zeros((n, size)), np.full(n, -1)
