@@ -1,35 +1,22 @@
 # SPDX-License-Identifier: MIT
-r"""Slip in a step: motion of slave nodes along the points of the master at the step's start.
+"""Slip in a step, relative to the master points (partners) at the last commit.
 
-Those of the last commit, see `ContactProblem.begin_step`: tries leave no trace.
-
-With P of the moment a slip would change with every update of the geometry, by the change of P times
-what the master has moved in the whole step. With P of the start a stuck node has the partner that
-it stays with. Measured: an elasto-plastic step of Hertz with updated geometry, 0.2 mm deep, 50
-thousand unknowns, takes 10 Newton iterations instead of 15; 7 without friction.
-
-Facets are projected along their own normals, so that a node and its partner are apart along the
-surface, too. What turns as a whole does not slip: in the plane that distance turns with the normal;
-in space, where it spins about the normal, too, the slave side carries it (turned by the shortest
-way between the normals, a pair of blocks that turns by 45 degrees lost 2e-5 of its traction).
-
-Along a rigid tool that moves slips are those along arcs of its surface.
-
-A node is on the tool at the point nearest to it at the last commit, with the normal n_0 into the
-tool. That point moves with the tool, to y, and n_0 with it; now the node is nearest to the point z,
-with the normal n. Of the chord d = z - y the part along which n differs from n_0 is that of an arc
-that turns by their angle b, longer by f = (b/2) / sin(b/2), and ends at z. With c = n_0.n,
-h = |n_0 + n| and tangents t at z, the slip is
+With the present P, slips would change with every geometry update; with P of the start a sticking
+node keeps its partner (10 Newton iterations instead of 15 for a Hertz step).
+The tangential distance of a node and its partner must not count as slip in rigid rotations: in the
+plane it turns with the normal; in space, where it may also spin, it is carried by the slave side.
+On a moving rigid tool slips are along arcs of its surface. The point of the tool nearest to the
+node at the last commit moves with the tool to y, its normal (into the tool) to n_0; the nearest
+point is now z, with the normal n. With d = z - y, c = n_0.n, h = |n_0 + n|, the angle b between n_0
+and n, f = (b/2) / sin(b/2), and tangents t at z, the slip is
 
     t.(d - B n_0),   B = d.(n + n_0) / h^2 + K d.(n - n_0),
     K = (f - 1) / (2 - 2 c) + f / (h (2 + h)).
 
-It is exact on cylinders and spheres up to half a turn, along and about them, on planes the chord
-itself; where node and tool move alike there is none, whatever the motion. About the normal a tool
-may turn, too: there the chord is taken.
-
-On frozen surfaces it is the displacement since, less the way of the tool past X: by its turn theta
-and the way s of its point, which is at p in the middle, s + theta x (X - p).
+It is exact on planes, cylinders and spheres up to half a turn, and zero where node and tool move
+alike. Rotation about the normal uses the chord.
+With frozen geometry it is the displacement minus the tool's motion at X: s + theta x (X - p), with
+rotation theta, translation s of its point, and p the middle of its path.
 """
 
 from __future__ import annotations
@@ -50,19 +37,19 @@ from dolfinx_mortar.mortar.surface import accumulate, carrying
 
 @dataclass(frozen=True)
 class Partners:
-    """P of one contact as it was when a step began, and how far its sides then were apart.
+    """P of a contact at the start of a step, and the distance of its sides.
 
-    In space P contains what the slave side carries along, see `carrying`.
+    In space P includes what the slave side carries, see `carrying`.
     """
 
     P: PETSc.Mat  # (nodes, nodes) between nodes, scalar
-    known: Bools  # (n,) slave nodes that faced the master
+    known: Bools  # (n,) slave nodes that face the master
     normals: Floats  # (n, d) unit normals at the start
     apart: Floats  # (n,) n.(x_j - P x) at the last commit
-    along: Floats  # (n, d) the tangential part of x_j - P x there, in the plane
+    along: Floats  # (n, d) tangential part of x_j - P x there, in the plane
 
     def completed(self, link: CoupledSides, other: Partners) -> Partners:
-        """Return these, and the others at nodes that have no partner here; collective."""
+        """These, with the others at nodes without a partner; collective."""
         P, only = self.P.copy(), other.P.copy()
         for matrix, nodes in ((P, ~self.known), (only, self.known)):
             keep = matrix.createVecLeft()
@@ -80,7 +67,7 @@ class Partners:
         )
 
     def motion(self, link: CoupledSides, moved: PETSc.Vec) -> Floats:
-        """Return x_j - P x less its tangential part at the commit, which turns with n; collective.
+        """X_j - P x minus its tangential part at the commit, turned with n; collective.
 
         Args:
             moved: (n,) displacement since the last commit.
@@ -92,10 +79,7 @@ class Partners:
         return np.asarray(whole + tilt[:, None] * both)
 
     def slip(self, link: CoupledSides, moved: PETSc.Vec) -> Floats:
-        """Return the motion (n, d) since the last commit, in the frames of the moment; collective.
-
-        x_j - P x at present, less its tangential part at the commit: where the pair turns as a
-        whole, both parts turn with the normals, and are no slip.
+        """Motion (n, d) since the last commit, in the present frames; collective.
 
         Args:
             moved: (n,) displacement since the last commit.
@@ -105,7 +89,7 @@ class Partners:
 
 
 def partners_on_master(link: CoupledSides, x: PETSc.Vec) -> Partners:
-    """Return the partners in the present configuration of a contact; collective.
+    """Partners in the present configuration of a contact; collective.
 
     Args:
         x: (n,) positions at the last commit.
@@ -121,17 +105,14 @@ def partners_on_master(link: CoupledSides, x: PETSc.Vec) -> Partners:
 
 
 def _distances(link: CoupledSides, P: PETSc.Mat, x: PETSc.Vec) -> tuple[Floats, Floats]:
-    """Return the normal (n,) and the tangential part (n, d) of x_j - P x; collective."""
+    """Normal (n,) and tangential part (n, d) of x_j - P x; collective."""
     distance, normals = node_motions(link, P, x), link.coupling.normals
     apart = np.einsum("ni,ni->n", distance, normals)
     return apart, distance - apart[:, None] * normals
 
 
 def _carried(link: CoupledSides, x: PETSc.Vec, along: Floats) -> PETSc.Mat:
-    """Return W (nodes, nodes) of the slave side, of which W x is `along` (n, d); collective.
-
-    But for normal parts.
-    """
+    """Slave matrix W (nodes, nodes), W x = ``along`` (n, d) but for normal parts; collective."""
     slave, index_map = link.sides.slave, link.sides.V.dofmap.index_map
     d, kept = along.shape[1], link.coupling.kept[:, :1]
     columns = np.zeros((len(slave.nodes), 3 * d))
@@ -145,22 +126,22 @@ def _carried(link: CoupledSides, x: PETSc.Vec, along: Floats) -> PETSc.Mat:
 
 @dataclass(frozen=True)
 class ToolPartners(Partners):
-    """Partners on a tool: P is zero, and the motion that of the node less that of its place."""
+    """Partners on a tool: P = 0, the motion is relative to the tool."""
 
-    at: Floats  # (n, d) where the nodes were, X on frozen surfaces
-    place: Floats  # (n, d) the points of the tool on which they were, as it starts
-    into: Floats  # (n, d) the normals there, into the tool as it starts
+    at: Floats  # (n, d) positions at the last commit, X if frozen
+    place: Floats  # (n, d) nearest points of the tool, in its initial position
+    into: Floats  # (n, d) normals there, into the tool
     tool: Tool
     began: Pose
     frozen: bool
 
     @classmethod
     def create(cls, link: CoupledSides, x: PETSc.Vec, tool: Tool, *, frozen: bool) -> ToolPartners:
-        """Return the partners of a link; collective.
+        """Partners of a link; collective.
 
         Args:
             x: (n,) positions at the last commit.
-            tool: which may move in the step, and was somewhere at the last commit.
+            tool: with its pose at the last commit.
             frozen: whether the surfaces stay at X.
         """
         n, scalars = link.coupling.normals, link.pattern.scalars
@@ -185,11 +166,11 @@ class ToolPartners(Partners):
         )
 
     def completed(self, link: CoupledSides, other: Partners) -> Partners:
-        """Return these: all nodes have a place on the tool."""
+        """These: all nodes have partners."""
         return self
 
     def motion(self, link: CoupledSides, moved: PETSc.Vec) -> Floats:
-        """Return the motion (n, d) for the displacement since the last commit."""
+        """Motion (n, d) for the displacement since the last commit."""
         moved = moved.array_r.reshape(-1, self.at.shape[1])[link.nodes]
         now = self.tool.pose()
         if self.frozen:
@@ -200,7 +181,7 @@ class ToolPartners(Partners):
         return np.asarray(arcs.motion - arcs.lift[:, None] * arcs.end)
 
     def derivatives(self, link: CoupledSides, moved: PETSc.Vec) -> tuple[Floats, Floats]:
-        """Return those (n, d, d) of the motion by x_j, and by n, but for parts along n."""
+        """Derivatives (n, d, d) of the motion by x_j and by n, but for parts along n."""
         x = self.at + moved.array_r.reshape(-1, self.at.shape[1])[link.nodes]
         arcs, found = self._arcs(link, x), self.tool.pose().distance(self.tool.asked, x)
         g = found.gradient
@@ -212,7 +193,6 @@ class ToolPartners(Partners):
         return by_chord @ across, by_n
 
     def _arcs(self, link: CoupledSides, x: Floats) -> _Arcs:
-        """Return the arcs to nodes that are at x (n, d)."""
         now = self.tool.pose()
         found, end = now.distance(self.tool.asked, x), link.coupling.normals
         foot = x - found.value[:, None] * found.gradient
@@ -223,13 +203,13 @@ class _Arcs:
     """Arcs of a surface from their chords and the normals at their ends."""
 
     def __init__(self, chord: Floats, start: Floats, end: Floats) -> None:
-        """Take the chords d (n, d) and the unit normals n_0 and n (n, d)."""
+        """Take the chords d and the unit normals n_0 and n, all (n, d)."""
         self.chord, self.start, self.end = chord, start, end
         both, apart = end + start, end - start
         h, w = np.linalg.norm(both, axis=1), np.linalg.norm(apart, axis=1)
-        h = np.maximum(h, HALF_OF_DIGITS)  # of half a turn the way is not known
+        h = np.maximum(h, HALF_OF_DIGITS)  # direction undefined at half a turn
         half = np.arctan2(w, h)
-        straight = w**2 <= HALF_OF_DIGITS  # the limits of what follows
+        straight = w**2 <= HALF_OF_DIGITS  # limits of the following
         z = np.where(straight, 1.0, w**2)
         f = np.where(straight, 1.0, half / np.maximum(w / 2, TINY))
         f_c = np.where(straight, -1 / 12, (f - 2 / h) / z)
@@ -239,7 +219,7 @@ class _Arcs:
         K_c = G_c + f_c / (h * (2 + h)) - f * (2 + 2 * h) / h / (h * (2 + h)) ** 2
         e, q = (chord * both).sum(axis=1), (chord * apart).sum(axis=1)
         self.motion = chord - (e / h**2 + K * q)[:, None] * start
-        self.lift = (self.motion * end).sum(axis=1)  # of it along n
+        self.lift = (self.motion * end).sum(axis=1)  # part along n
         self.B_by_chord = both / h[:, None] ** 2 + K[:, None] * apart
         by_c = q * K_c - 2 * e / h**4
         self.B_by_end = (1 / h**2 + K)[:, None] * chord + by_c[:, None] * start
