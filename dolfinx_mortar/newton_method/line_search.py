@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Backtracking line search: steps 1, 1/2, 1/4 .. until the merit function decreases.
+"""Backtracking line search: t = 1, 1/2, 1/4 .. until the merit function decreases.
 
-The merit is phi(t) = J(u + t du) + s sum_j D_jj (t w_j - gap_j)_+ with the gaps of one geometry,
-with friction also + sum_j s_j |slip_j + t dw_j|, s_j the limits of the QP's solution; of tools that
-forces F drive, w is relative to their motion t q, and -t F.q is added. A
-step is accepted if phi satisfies Armijo's condition up to the round-off of its own terms, below
-which its values carry no information; there the residuals decide.
+    phi(t) = J(u + t du) + s sum_j D_jj (t w_j - gap_j)_+ + sum_j s_j |slip_j + t dw_j|,
+
+gaps of one geometry, friction limits s_j of the QP's solution. With tools driven by forces F, w is
+relative to their motion t q, and -t F.q is added. Armijo's condition holds up to the round-off of
+phi.
 """
 
 from __future__ import annotations
@@ -29,9 +29,8 @@ from dolfinx_mortar.qp import QPSolution
 from dolfinx_mortar.spaces import with_values
 from dolfinx_mortar.terms.sum import Energy, VolumeStep
 
-# Share of the decrease promised by the slope that is enough (Armijo's condition, with the constant
-# of Dennis and Schnabel 1983, and Nocedal and Wright 2006); and the smallest length of a step: 14
-# halvings.
+# Sufficient decrease relative to the slope (Armijo; Dennis and Schnabel 1983, Nocedal and Wright
+# 2006), and smallest step length: 14 halvings.
 ARMIJO = 1e-4
 
 Curve = Callable[[float], Floats]
@@ -44,32 +43,32 @@ class NoDescent(RuntimeError):
 
 @dataclass(frozen=True)
 class Direction:
-    """The path u + t du, y + t dy, and the terms of phi besides J."""
+    """Path u + t du, y + t dy, and the terms of phi except J."""
 
     start: Floats  # (n,) u
     du: Floats  # (n,)
-    motion: Floats  # (k,) of the bounded unknowns
-    gap: Floats  # (k,) beyond which they are penalised, round-off of gaps included
+    motion: Floats  # (k,) of bounded unknowns
+    gap: Floats  # (k,) bounds including round-off
     penalty: Floats  # (k,) s D_jj
-    noise: float  # error of r.du: round-off of forces and gaps, and what the QP has left
-    slip: Floats  # (m, d - 1) of nodes with friction, at the start
-    slide: Floats  # (m, d - 1) by how much they slip in the step
-    limits: Floats  # (m,) what resists
-    pull: float = 0.0  # -F.q, of tools that forces drive, on one rank, and of given friction
+    noise: float  # error of r.du: round-off of forces and gaps, residual of the QP
+    slip: Floats  # (m, d - 1) at the start, of nodes with friction
+    slide: Floats  # (m, d - 1) slip in the step
+    limits: Floats  # (m,) of friction
+    pull: float = 0.0  # -F.q of driven tools (on one rank), and of known friction
     curve: Curve | None = None
 
     def at(self, t: float) -> Floats:
-        """Return u (n,) there."""
+        """Displacement (n,) at t."""
         return on_path(self.start, self.du, t, self.curve)
 
     def excess(self, t: float) -> float:
-        """Return the terms of penalty and friction at t; on this rank."""
+        """Terms of penalty and friction at t, of this rank."""
         slips = np.linalg.norm(self.slip + t * self.slide, axis=1)
         over = np.maximum(t * self.motion - self.gap, 0.0)
         return float(self.penalty @ over + self.limits @ slips) + t * self.pull
 
     def beside(self, lin: Linearisation, driven: Settled) -> Direction:
-        """Return the path relative to tools that move, too."""
+        """Path relative to moving tools."""
         way = driven.travel @ driven.drives.motions
         first = driven.drives.comm.rank == 0
         path = replace(
@@ -85,24 +84,22 @@ class Direction:
 
 @dataclass(frozen=True)
 class Moved:
-    """What a step along the solution of a QP has changed."""
+    """Changes by a step along the solution of a QP."""
 
-    increment: float  # |du|_e of the whole step
-    length: float  # the share of it that u has moved
+    increment: float  # |du|_e of the full step
+    length: float  # step length t
     halvings: int  # of the line search
-    energy: Energy | None  # J at its end
-    travel: Floats  # (m,) of tools that forces drive, since the start of the step
-    pressure: Floats | None  # (owned cells,) mean stresses at its end, by the linearisation
+    energy: Energy | None  # J at the end
+    travel: Floats  # (m,) of driven tools since the start of the load step
+    pressure: Floats | None  # (owned cells,) linearised mean stresses at the end
 
 
 def take_step(problem: ContactProblem, found: Solution, largest: float, old: Iterate) -> Moved:
-    """Move u, and tools that forces drive, along the solution of the QP; collective.
+    """Move u and driven tools along the solution of the QP; collective.
 
     Args:
-        problem: at the iterate.
-        found: the QP and its solution.
         largest: largest multiplier so far.
-        old: the iterate before.
+        old: the iterate.
     """
     lin = found.lin
     T = problem.system.transformation if lin.geometry is None else lin.geometry.trial
@@ -122,7 +119,7 @@ def take_step(problem: ContactProblem, found: Solution, largest: float, old: Ite
 
 
 def _check_distance(du: PETSc.Vec, extent: float) -> None:
-    """Raise if a step is far longer than the model: the tangent is singular."""
+    """Raise if a step is far longer than the model: singular tangent."""
     farthest = du.norm(PETSc.NormType.INFINITY)
     if not QUARTER_OF_DIGITS * farthest <= extent:
         raise StepFailed(
@@ -143,11 +140,8 @@ def _move(
 ) -> tuple[float, int, Energy | None]:
     """Move u along the step; return its length, the halvings, and J.
 
-    The step is whole if there is no energy, if the committed state is linearised, or if
-    supports or ties still prescribe increments, for which the energy may increase; they do not
-    once the supports have moved their bodies rigidly at the start of the step. Nor does the
-    energy decrease towards a balance that is a saddle. The step is shorter where it would turn
-    a cell inside out.
+    Without search, but with positive J, if there is no energy, if supports or ties prescribe
+    increments, or towards a saddle: the energy may increase.
     """
     energy = old.energy
     lin, solved, driven = found.lin, found.solved, found.driven
@@ -155,7 +149,7 @@ def _move(
     asked = float(maximum(problem.comm, old.balance.equal.scale)[0])
     with problem.timings("assembly"):
         try:
-            saddle = found.negative and not found.shift  # whose energy may increase
+            saddle = found.negative and not found.shift  # energy may increase
             if energy is None or asked > lost or found.exact or saddle:
                 curve = None if driven is None else driven.curve
                 return *shorten(problem, du.array_r, curve), problem.terms.energy()
@@ -178,18 +172,15 @@ def search(
     """Backtrack along a Newton direction until the merit decreases; u is moved; collective.
 
     Args:
-        problem: the problem; its displacement is moved.
-        lin: the linearisation that has led to the step.
         solved: the QP's solution.
-        du: the same step in u.
-        multiplier: largest multiplier seen; the penalty is twice as large.
+        du: the step in u.
+        multiplier: largest multiplier so far; the penalty s is twice as large.
         before: J at the start.
-        volumes: of the step, where mean stresses are unknowns of their own, see `mean_volume`; J is
-            then that with the volumes of the linearisation.
-        driven: motions of tools in the step, which are not made here.
+        volumes: with mean stresses as unknowns, see `mean_volume`; J then has linearised volumes.
+        driven: motions of tools, which are not moved here.
 
     Returns:
-        The length, the number of halvings, and J at the end.
+        Length, number of halvings, and J at the end.
 
     Raises:
         NoDescent: if the length falls to ARMIJO.
@@ -206,12 +197,12 @@ def search(
         along = None if volumes is None else (volumes, length)
         after, penalty = problem.terms.energy(along), problem.comm.allreduce(path.excess(length))
         assert after is not None  # as before
-        if not np.isfinite(after.value):  # a cell is inside out: its energy is infinite
+        if not np.isfinite(after.value):  # inverted cell
             inverted = describe_inverted(problem)
             length, halvings = 0.5 * length, halvings + 1
             continue
         inverted = ""
-        # a sum of n terms of one size loses about sqrt(n) units of round-off
+        # a sum of n equal terms loses about sqrt(n) units of round-off
         noise = EPS * np.sqrt(cells) * (before.terms + after.terms + first + penalty) + path.noise
         target = before.value + first + ARMIJO * length * min(promise, 0.0)
         if after.value + penalty <= target + noise:
@@ -222,19 +213,16 @@ def search(
 
 
 def on_path(start: Floats, du: Floats, t: float, curve: Curve | None) -> Floats:
-    """Return u (n,) at t of a path."""
+    """Displacement (n,) at t of a path."""
     straight = start + t * du
     return straight if curve is None else straight + curve(t)
 
 
 def shorten(problem: ContactProblem, du: Floats, curve: Curve | None = None) -> tuple[float, int]:
-    """Move u along a step, by its half, its quarter .. while it turns cells inside out; collective.
-
-    Returns:
-        The length, and the number of halvings.
+    """Move u along a step, halved while cells are inverted; return length and halvings; collective.
 
     Raises:
-        NoDescent: if the length falls to ARMIJO; u is then where it was.
+        NoDescent: if the length falls to ARMIJO; u is then unchanged.
     """
     start = problem.u.x.array[: du.size].copy()
     length, halvings, volumes = 1.0, 0, problem.solid.volumes
@@ -250,7 +238,7 @@ def shorten(problem: ContactProblem, du: Floats, curve: Curve | None = None) -> 
 
 
 def describe_inverted(problem: ContactProblem) -> str:
-    """Say which cells are turned inside out at u, "" for none; collective."""
+    """Message about inverted cells at u, "" for none; collective."""
     volumes = problem.solid.volumes
     where = "" if volumes is None else volumes.describe_inverted()
     return f"{where}, however short the step: take smaller load steps" if where else ""
@@ -263,9 +251,9 @@ def create_path(
     du: PETSc.Vec,
     multiplier: float,
 ) -> Direction:
-    """Return the path from the present u along a Newton direction; collective."""
+    """Path from the present u along a Newton direction; collective."""
     bounds, own = lin.balance.bounds, du.local_size
-    # reactions times the round-off of gaps and supports; the residual of the QP
+    # reactions times round-off of gaps and supports; residual of the QP
     held = lin.balance.reduced.array_r[lin.balance.equal.dofs]
     slip, slide, limits = _friction(lin, solved)
     local = np.abs(solved.z.array_r[bounds.dofs]).sum() + np.abs(held).sum() + limits.sum()
@@ -287,11 +275,7 @@ def create_path(
 
 
 def _friction(lin: Linearisation, solved: QPSolution) -> tuple[Floats, Floats, Floats]:
-    """Return slip, its change, and the limits at the nodes with friction.
-
-    For these limits the QP's solution minimises the convex energy with the term of friction, so
-    that it is a direction of descent.
-    """
+    """Slip, its change, and the limits of the QP's solution, which make it a descent direction."""
     law, bounds = lin.qp.friction, lin.balance.bounds
     if law is None:
         return np.zeros((0, 1)), np.zeros((0, 1)), np.zeros(0)
@@ -301,13 +285,12 @@ def _friction(lin: Linearisation, solved: QPSolution) -> tuple[Floats, Floats, F
 
 
 def find_slope(problem: ContactProblem, lin: Linearisation, path: Direction) -> float:
-    """Return phi'(0), with the whole decrease of the penalty term; collective.
+    """Phi'(0), with the whole decrease of the penalty term; collective.
 
-    A step that solves the QP closes every violated gap in proportion, so that the gain over the
-    whole step is the derivative at its start.
+    A solution of the QP closes every violated gap in proportion to t.
     """
     forces = lin.balance.r.array_r
-    if lin.balance.friction is not None:  # whose work is in the excess
+    if lin.balance.friction is not None:  # its work is in the excess
         forces = forces - lin.balance.friction
     local = -float(forces @ path.du) + path.excess(1.0) - path.excess(0.0)
     return float(problem.comm.allreduce(local))
