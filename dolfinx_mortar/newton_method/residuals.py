@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Convergence: KKT residuals of the nonlinear problem over their tolerances, accuracy of QPs.
+"""Convergence: KKT residuals relative to their tolerances, accuracy of QPs.
 
-Forces are relative to the largest force of the step, a penetration counts as the force that would
-undo it, a complementarity defect as the work of the multiplier in the gap, and both are at most
-rtol facet lengths. In rigid motion, before loading and after unloading there is no force: then the
-first residual of the step and the round-off of K u are the scales. At finite strain F = I + grad u
-is rounded, too, whatever u: as if u were the size h of the cells around each node. Measured at
-u = 0, with K/mu from 2 to 1e5: residuals of .1 to .7 EPS |diag(K) h|, where ROUND_OFF is 16 EPS.
+Forces are relative to the largest force of the step; a penetration counts as the force that would
+remove it, complementarity as work; both are at most rtol facet lengths. Without forces the first
+residual and the round-off of K u are the scales. At finite strain F = I + grad u is rounded as if u
+were the cell size h: at u = 0, for K/mu from 2 to 1e5, residuals are .1 to .7 EPS |diag(K) h|
+(ROUND_OFF is 16 EPS).
 """
 
 from collections.abc import Sequence
@@ -23,37 +22,36 @@ from dolfinx_mortar.arrays import ROUND_OFF, Floats
 from dolfinx_mortar.newton_method.contacts import Contacts, find_sliders
 from dolfinx_mortar.newton_method.linearisation import Balance, find_extent
 
-# The error allowed to a QP, as a share of the residual that the contraction seen so far promises
-# for the next iterate (Eisenstat and Walker 1996). Digits are cheap with a factorisation only.
+# Error allowed to a QP, relative to the residual expected at the next iterate (Eisenstat and Walker
+# 1996); digits are cheap with a factorisation only.
 FORCING = {"direct": 1e-3, "iterative": 1e-1}
-# One digit: a QP may leave this share of what the step allows; the first QP of a nonlinear step,
-# before any contraction is known, and each one after an iteration that has not lowered the
-# residual, are so much more accurate. The error may be the cause: where a body flows, small forces
-# that a QP misses are large motions.
+# One digit: share of the tolerance of the step left to a QP. The first QP of a nonlinear step, and
+# each after an iteration without progress, are one digit more accurate: where a body flows, small
+# missing forces are large motions.
 DIGIT = 0.1
 
 
 @dataclass(frozen=True)
 class Scales:
-    """Scales of the residuals; iterates outside the extent of the model do not enlarge them."""
+    """Scales of the residuals; diverging iterates do not enlarge them."""
 
     facet_length: float
-    begun: float = 0.0  # largest norm of external, support or element forces at its start
+    begun: float = 0.0  # largest norm of external, support or element forces at the start
     first: float = 0.0  # norm of the first QP's right-hand side
-    work: float = 0.0  # |u|_e^2 at the start of the step
-    extent: float = np.inf  # size of the mesh plus the largest prescribed displacement
-    cells: Floats | float = 0.0  # size of the cells around each owned dof, 0 at small strain
+    work: float = 0.0  # |u|_e^2 at the start
+    extent: float = np.inf  # mesh size plus largest prescribed displacement
+    cells: Floats | float = 0.0  # cell size around each owned dof, 0 at small strain
 
 
 @dataclass(frozen=True)
 class Residuals:
     """Residuals at an iterate; ``excess`` <= 1 means convergence."""
 
-    forces: float  # norm of T^T (f - F(u)) - z on unknowns with freedom, over the force scale
-    contact: float  # penetration and complementarity, on their scales
+    forces: float  # norm of T^T (f - F(u)) - z on free unknowns, relative
+    contact: float  # penetration and complementarity, relative
     excess: float  # largest residual over its tolerance
-    limit: float  # tolerance of the norm of forces
-    loads: float = 0.0  # largest share of the load of a bolt, tool or rigid side that is missed
+    limit: float  # tolerance of the force norm
+    loads: float = 0.0  # largest relative defect of the load of a bolt, tool or rigid side
 
 
 def round_off(
@@ -62,22 +60,21 @@ def round_off(
     extent: float = np.inf,
     cells: Floats | float = 0.0,
 ) -> float:
-    """Return the round-off of K u, ROUND_OFF times the norm of diag(K) (|u| + h); collective.
+    """Round-off of K u, ROUND_OFF |diag(K) (|u| + h)|; collective.
 
-    Displacements count up to the ``extent`` of mesh and supports: where a singular tangent gives
-    larger ones, they must not loosen the force tolerance. h: see `Scales.cells`.
+    u is clipped at ``extent``, lest a singular tangent loosen the force tolerance; h = ``cells``.
     """
     near = np.abs(u.x.array[: diagonal.local_size]).clip(max=extent) + cells
     return ROUND_OFF * norm(u.function_space.mesh.comm, diagonal.array_r * near)
 
 
 def gap_round_off(u: fem.Function) -> float:
-    """Return the round-off of gaps, which are differences of coordinates; collective."""
+    """Round-off of gaps, which are differences of coordinates; collective."""
     return ROUND_OFF * find_extent(u.function_space.mesh, u.x.array)
 
 
 def largest_force(comm: MPI.Comm, balance: Balance, z: Floats) -> float:
-    """Return the largest norm of external, contact, support and element forces; collective."""
+    """Largest norm of external, contact, support and element forces; collective."""
     supports = balance.reduced.array_r[balance.equal.dofs]
     return max(balance.external, balance.elements, norm(comm, z), norm(comm, supports))
 
@@ -91,14 +88,11 @@ def measure(
     elastic_norm: float,
     rtol: float,
 ) -> Residuals:
-    """Return the KKT residuals of an iterate with given multipliers; collective.
+    """The KKT residuals of an iterate with given multipliers; collective.
 
     Args:
-        u: the iterate.
-        balance: forces and constraints in the geometry that is to be judged.
-        contacts: the multipliers of the last QP.
-        diagonal: of the last K^, the stiffness by which a penetration is compared with a force.
-        scales: further scales of the step.
+        contacts: multipliers of the last QP.
+        diagonal: of the last K^, the stiffness that converts penetrations to forces.
         elastic_norm: |u|_e of the iterate.
     """
     comm, z = u.function_space.mesh.comm, contacts.reactions(balance)
@@ -116,13 +110,13 @@ def measure(
     now = largest_force(comm, balance, carried)
     acting = max(scales.begun, now)
     scale, limit = acting, max(rtol * acting, floor)
-    # the residual that a QP may leave at the start is the only scale of a stress-free step
+    # only scale of a stress-free step: the allowed residual of the first QP
     if acting <= (left := tightest(rtol) * scales.first):
         scale, limit = left / rtol, max(limit, left)
-    if acting <= floor:  # nothing acts but the round-off of K u
+    if acting <= floor:  # only round-off of K u acts
         scale = max(scale, floor / ROUND_OFF)
     of_gaps = norm(comm, noise * diagonal.array_r[balance.bounds.dofs])
-    if now <= of_gaps:  # nothing acts but the forces of such gaps, whatever did at the start
+    if now <= of_gaps:  # only forces of gap round-off are left
         limit = max(limit, of_gaps)
 
     active, gap = contacts.active[balance.nodes], balance.bounds.upper
@@ -144,7 +138,7 @@ def measure(
 
 
 def tightest(rtol: float) -> float:
-    """Return the relative tolerance of the only QP of a linear step of tolerance rtol.
+    """Relative tolerance of the only QP of a linear step.
 
     >>> tightest(1e-6)
     1e-09
@@ -153,10 +147,9 @@ def tightest(rtol: float) -> float:
 
 
 def next_tolerance(kind: str, rtol: float, size: float, residuals: Sequence[Residuals]) -> float:
-    """Return the relative tolerance of the next QP of a nonlinear step.
+    """Relative tolerance of the next QP of a nonlinear step.
 
-    The error allowed is a share of the residual that the last contraction promises for the next
-    iterate, in a tail that gains one digit an iteration one digit and a bit.
+    A share of the residual that the last contraction predicts for the next iterate.
 
     Args:
         kind: "direct" or "iterative".
