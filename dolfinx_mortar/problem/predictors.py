@@ -1,19 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""The start of a step of a walk: what the last step has gained, and what slides takes along.
+"""Prediction of a step: transported deformation below a slider, and the gain of the last step.
 
-What slides takes the deformation under it along: a dent in a long block is, one step later,
-somewhere else. Bodies that are moved rigidly to begin with leave the dent where it was, overlap
-with the material in front of it, and Newton's method has to move the dent. Here the displacement u0
-of the last step is moved, too, by the way c that the other body slides along the contact:
+A slider takes the deformation below it (a dent) along. Without this Newton's method would have to
+move the dent. The displacement u0 of the last step is moved by the sliding path c:
 
-    u(X) <- u(X) + w(X - C) - w(X),   w = u0 - A X,   C = (1 + A)^-1 c
+    u(X) <- u(X) + w(X - C) - w(X),   w = u0 - A X,   C = (1 + A)^-1 c,
 
-with the nearest point of the body where it has no point X - C. Components that are prescribed stay.
-A X + b is nearest to u0 at the nodes of the body: its rotation so far and its mean strain are no
-dent, and stay. Ways of less than a facet are left to Newton's method.
-
-Which of two bodies it is that is dented shows in the overlap that is left: in demos/ironing 2 to
-5 % of it where the displacement of the block is moved, 105 to 115 % where that of the tool is.
+at the nearest point of the body if X - C is outside. Prescribed components stay. A X + b is the fit
+of u0 at the nodes: rotation and mean strain, which stay. Paths below a facet are ignored.
+The dented body shows in the remaining overlap: in demos/ironing 2 to 5 % if the block's
+displacement is moved, 105 to 115 % for the tool's.
 """
 
 from dataclasses import dataclass, replace
@@ -40,17 +36,14 @@ from dolfinx_mortar.supports.bodies import Bodies
 def predict(
     problem: ContactProblem, data: StepData, level: float | None, before: Floats
 ) -> StepData:
-    """Predict u at the end of a step, beyond the rigid motion with its supports; collective.
+    """Predict u at the end of a step, after the rigid motion with the supports; collective.
 
     Args:
-        problem: with the displacement after that motion.
-        data: of the step.
-        level: at its end.
+        level: load level at its end.
         before: displacement (n,) at its start.
 
     Returns:
-        The data with the displacement to which what Newton's iterations gain is added, and with
-        what tools were moved by.
+        The data with the displacement before the gain was added, and the motion of tools.
     """
     _convect(problem, problem.owned_u - before, before)
     data = replace(data, begun=problem.owned_u.copy())
@@ -60,14 +53,12 @@ def predict(
 
 
 def _convect(problem: ContactProblem, carried: Floats, before: Floats) -> None:
-    """Move the deformation of bodies along with what slides over them; collective.
+    """Move the deformation of a body below a slider; collective.
 
-    Of the two sides of a contact, that whose moved deformation fits the other one: it leaves at
-    most half of the overlap. Where strains are small a step is linear, but for friction, from
-    wherever it begins.
+    Of the two sides of a contact the one whose moved deformation halves the overlap. Small-strain
+    steps are linear but for friction and need no prediction.
 
     Args:
-        problem: at the start of a step.
         carried: displacement (n,) by which supports have moved the bodies.
         before: displacement (n,) at the start of the step.
     """
@@ -96,17 +87,12 @@ def _convect(problem: ContactProblem, carried: Floats, before: Floats) -> None:
 
 
 def _go_on(problem: ContactProblem, level: float, target: Floats) -> Floats | None:
-    """Add what the last step has gained, for this one; collective.
+    """Add the scaled gain of the last step; return the motion (m,) of tools; collective.
 
-    In proportion to the lengths of the steps, on bodies that flow, and motions of tools: a deep
-    drawing takes 153 iterations for 458. Supports are where they lead: a stretched bar takes 2
-    iterations, 7 if cells beside them are distorted and 4 without all this.
-
-    Returns:
-        By how much tools were moved (m,); None where nothing is added, as where steps
-        turn back or grow, or other motions are driven. Elastic bodies are left as they are:
-        forces of what is nearly incompressible would be far from balance (rubber pressed by
-        a plane took 130 iterations for 66).
+    On flowing bodies and driven tools: deep drawing takes 153 iterations instead of 458. Elastic
+    bodies are left out: nearly incompressible ones would be far from equilibrium. Supports take
+    their targets. None if nothing is added: the step reverses or grows, or other motions are
+    driven.
     """
     gained, tools = problem.committed.gained, [i.driven() for i in problem.interfaces]
     if gained is None or problem.solid.strain == "small":
@@ -130,7 +116,7 @@ def _go_on(problem: ContactProblem, level: float, target: Floats) -> Floats | No
 
 
 def _stuck(problem: ContactProblem) -> Bools:
-    """Return which slave nodes (owned nodes,) of contacts with friction did not slide."""
+    """Mask (owned nodes,) of slave nodes that stick."""
     stuck, sliding = np.zeros(problem.n, dtype=bool), problem.committed.sliding
     if sliding is not None:
         for interface, sides in zip(problem.interfaces, problem.system.sides, strict=True):
@@ -140,7 +126,7 @@ def _stuck(problem: ContactProblem) -> Bools:
 
 
 def _overlap(problem: ContactProblem) -> float:
-    """Return the norm of the overlaps of nodes of contacts at u; collective."""
+    """Norm of the overlaps of contact nodes at u; collective."""
     with problem.timings("mortar"):
         links = problem.system.at(problem.configuration).links
         gap = np.minimum(nodal_gaps(links, problem.positions(), problem.n), 0.0)
@@ -149,25 +135,23 @@ def _overlap(problem: ContactProblem) -> float:
 
 @dataclass(frozen=True)
 class Dent:
-    """A group of tied bodies that may be dented by what slides over it, and the way of that."""
+    """A group of tied bodies dented by a slider."""
 
     group: int
-    way: Floats  # (d,) in this step, relative to the group, along the contact
+    way: Floats  # (d,) path in this step, relative to the group, along the contact
 
 
 def find_slides(
     system: InterfaceSystem, closed: Bools, bodies: Bodies, carried: Floats, u: fem.Function
 ) -> list[list[Dent]]:
-    """Return for each contact that slides which of its sides may be dented; collective.
+    """Return for each sliding contact which of its sides may be dented; collective.
 
-    Contacts that touch, whose sides supports or tools move against each other by a facet or more,
-    and whose sides belong to one group each, which does not turn. What moves less comes first.
+    Closed contacts whose sides are moved past each other by a facet or more, each side in one group
+    that does not rotate. The group that moves less comes first.
 
     Args:
-        system: the interfaces.
-        closed: (owned nodes,) slave nodes that touched at the last commit, and did not stick.
-        bodies: of the mesh.
-        carried: (owned nodes, d) displacement by which supports move the bodies.
+        closed: (owned nodes,) slave nodes that were closed and did not stick at the last commit.
+        carried: (owned nodes, d) displacement by the supports.
         u: displacement at the start of the step.
     """
     slides, groups, of_nodes = [], bodies.groups, bodies.groups[bodies.label]
@@ -211,7 +195,7 @@ def find_slides(
 
 
 def elastic_groups(solid: Solid, bodies: Bodies) -> Bools:
-    """Return which groups (bodies,) have no internal variables: those stay at X; collective."""
+    """Mask (bodies,) of groups without internal variables, which would stay at X; collective."""
     inelastic = np.zeros(bodies.count)
     for region in solid.regions:
         if region.law.state:
@@ -221,13 +205,7 @@ def elastic_groups(solid: Solid, bodies: Bodies) -> Bools:
 
 
 def convected(u: fem.Function, bodies: Bodies, dent: Dent) -> Floats:
-    """Return w(X - C) - w(X), (owned nodes, d), on the bodies of a group, 0 elsewhere; collective.
-
-    Args:
-        u: a displacement.
-        bodies: of the mesh.
-        dent: the group, and c.
-    """
+    """Return w(X - C) - w(X), (owned nodes, d), on the bodies of a group, else 0; collective."""
     V, d = u.function_space, u.function_space.dofmap.index_map_bs
     n, X, w = len(bodies.label), V.tabulate_dof_coordinates(), fem.Function(V)
     values = np.zeros((n, d))
@@ -245,7 +223,7 @@ def convected(u: fem.Function, bodies: Bodies, dent: Dent) -> Floats:
 
 
 def mean_gradient(X: Floats, u: Floats, comm: MPI.Comm) -> Floats:
-    """Return A (d, d), with which A X + b is nearest to displacements u (n, d); collective."""
+    """Return A (d, d) of the least-squares fit A X + b to displacements u (n, d); collective."""
     d, ones = X.shape[1], np.ones((len(X), 1))
     rows = np.hstack([X, ones, u])
     n, *total = comm.allreduce(np.array([len(X), *rows.sum(axis=0)]), op=MPI.SUM)
@@ -255,13 +233,12 @@ def mean_gradient(X: Floats, u: Floats, comm: MPI.Comm) -> Floats:
 
 
 def values_near(u: fem.Function, cells: Ints, points: Floats, reach: float) -> Floats:
-    """Return u (p, d) at points (p, 3), or where some cells are nearest to them; collective.
+    """Return u (p, d) at points (p, 3), or at the nearest points of some cells; collective.
 
     Args:
-        u: a displacement.
-        cells: owned ones, of each rank; they may be any, on any ranks.
-        points: of each rank.
-        reach: how far points may be from the nearest cell of all ranks.
+        cells: owned cells, on any ranks.
+        points: of this rank.
+        reach: largest distance from the nearest cell of all ranks.
     """
     V, comm = u.function_space, u.function_space.mesh.comm
     x = V.mesh.geometry.x[cell_nodes(V.mesh)[cells].ravel()]
@@ -279,12 +256,11 @@ def values_near(u: fem.Function, cells: Ints, points: Floats, reach: float) -> F
 
 
 def _nearest_values(u: fem.Function, cells: Ints, points: Floats) -> tuple[Floats, Floats]:
-    """Return distances (p,) of points from the cells of this rank, and u (p, d) where least."""
+    """Distances (p,) of points from the cells of this rank, and u (p, d) at the nearest ones."""
     mesh, d = u.function_space.mesh, u.function_space.dofmap.index_map_bs
     if not len(cells) or not len(points):
         return np.full(len(points), np.inf), np.zeros((len(points), d))
-    # dolfinx takes points within 1e-6 of a cell for points of it, whatever the unit: cells of size
-    # one in a copy, by a power of two, which changes no digit
+    # dolfinx has an absolute tolerance of 1e-6: scale cells to size one, by a power of two
     size = np.ptp(mesh.geometry.x[cell_nodes(mesh)[cells]], axis=1).max()
     scale = float(2.0 ** -np.round(np.log2(size)))
     distances, nearest, at = _nearest_points(scaled_mesh(mesh, scale), cells, scale * points)
@@ -293,7 +269,7 @@ def _nearest_values(u: fem.Function, cells: Ints, points: Floats) -> tuple[Float
 
 
 def _nearest_points(mesh: Mesh, cells: Ints, points: Floats) -> tuple[Floats, Ints, Floats]:
-    """Return distances (p,) of points from cells of this rank, the nearest ones, and where."""
+    """Distances (p,) of points from cells of this rank, the nearest cells, and points in them."""
     tdim, corners = mesh.topology.dim, cell_nodes(mesh)
     tree = geometry.bb_tree(mesh, tdim, entities=cells)
     inside = geometry.compute_collisions_points(tree, points)
