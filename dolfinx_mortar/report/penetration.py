@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Sides that lie in each other where no gap tells: between nodes, and where nothing couples them.
+"""Overlaps that weighted gaps do not show: between nodes, and without an interface.
 
-The weighted gap of a node is a mean over its facets; a corner between the nodes is not in it.
-Boundaries of bodies that no interface couples cross where edges pierce facets.
+A weighted gap is a mean over facets and misses a corner between nodes. Boundaries without an
+interface cross where edges pierce facets.
 """
 
 from collections.abc import Sequence
@@ -53,8 +53,8 @@ In 280 steps of the tests (pins, balls, blocks and sockets, elastic, plastic, wi
 .04 at most, apart from the sagittas of facets; a corner between nodes penetrates as far as it is
 pressed.
 """
-# So many sagittas of smooth sides are taken off: of heights that are known at two points of Gauss,
-# the end of a segment may have 1 / 0.79 of the larger one.
+# Sagittas of smooth sides that are subtracted: known at two Gauss points, a height may be 1 / 0.79
+# of the larger one at the end of a segment.
 HIGHER = 2.0
 HELD = (
     "Dirichlet data prescribe all nodes of slave facets there, so that none has a multiplier, and "
@@ -74,14 +74,13 @@ def notes_on_overlaps(
     closed: Bools | None = None,
     rtol: float = 0.0,
 ) -> list[str]:
-    """Return a note for each contact whose sides overlap deeply at some point; collective.
+    """Note for each contact whose sides overlap deeply at some point; collective.
 
-    The weighted gap of a node is a mean over its facets; a corner between the nodes is not in it,
-    nor is a node on an axis, where functions of second order integrate to nothing.
+    Also at nodes on an axis without multiplier.
 
     Args:
-        closed: (owned nodes,) where contacts are; if given, one without any may overlap less.
-        rtol: facet lengths by which a step lets sides overlap.
+        closed: (owned nodes,) contact; contacts without any are checked more strictly.
+        rtol: overlap allowed by the step, in facet lengths.
     """
     notes = list[str]()
     for link in links:
@@ -90,8 +89,8 @@ def notes_on_overlaps(
         bare: Bools = np.zeros(0, dtype=bool)
         if link.pairing:
             is_open = closed is not None and not any_rank(comm, closed[link.nodes].any())[0]
-            # where no node is closed, no mean over facets with a force excuses an overlap: it is
-            # what a step allows, with a digit for points beside the nodes
+            # without a closed node no loaded mean excuses an overlap, only the tolerance of the
+            # step, with a digit for points beside the nodes
             *parts, bare = _find_overlaps(link, u, rtol / DIGIT if is_open else SUNK)
             found = parts[0], parts[1], parts[2]
         elif found is not None:
@@ -111,10 +110,10 @@ def notes_on_overlaps(
 
 
 def _depths(link: Link, tool: Tool, u: fem.Function) -> tuple[Floats, Floats, Floats]:
-    """Return how deep points of integration and middles of facets are in a tool; collective.
+    """Depths (p,) in a tool over facet sizes, depths, and points (p, d); collective.
 
-    And how deep the tool lies below its own point, since a ball may be smaller than what is between
-    the others; nodal distances count less what the surface through the nodes bends away.
+    At integration points, facet centres, and the tool's own point (a ball may be smaller than the
+    distances); nodal distances minus the bend of the smooth surface.
     """
     assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
     side, pose, x = link.pattern.side, tool.pose(), coordinates(link.sides.slave, u)
@@ -143,7 +142,7 @@ def _depths(link: Link, tool: Tool, u: fem.Function) -> tuple[Floats, Floats, Fl
 
 
 def _deepest(comm: MPI.Comm, *columns: Any) -> Any:
-    """Return the columns where the first one, of all ranks, is largest; collective."""
+    """The columns where the first one is largest over all ranks; collective."""
     mine = [[column[i].tolist() for column in columns] for i in np.argsort(columns[0])[-1:]]
     return max((found for rank in comm.allgather(mine) for found in rank), default=None)
 
@@ -151,11 +150,11 @@ def _deepest(comm: MPI.Comm, *columns: Any) -> Any:
 def _find_overlaps(
     link: Link, u: fem.Function, unseen: float
 ) -> tuple[Floats, Floats, Floats, Bools]:
-    """Return overlaps (p,) over the finer facet, depths, points (p, d), where supports hold slaves.
+    """Overlaps (p,) over the finer facet, depths, points (p, d), mask of prescribed slave facets.
 
-    At integration points, vertices and crossing edges; of smooth sides less the sagittas, but on an
-    axis. Pairs that face each other over less than `SUNK` of the smaller facet are left out: a
-    body's far side is paired so. What is less than `unseen`, on facets `SUNK`, is zero.
+    At integration points, vertices and crossing edges; of smooth sides minus sagittas, except on an
+    axis. Pairs that share less than `SUNK` of the smaller facet are left out, as those of a body's
+    far side. Values below `unseen`, with facets below `SUNK`, are zero.
     """
     pairing, segments = link.mortar[0], link.mortar[1].segments
     own, smooth, (s, m) = pairing.slave, link.pattern.smooth, pairing.pairs.T
@@ -197,10 +196,7 @@ def _find_overlaps(
 def _vertices_in(
     one: Facets, a: Ints, other: Facets, b: Ints, pairs: Ints, least: Floats
 ) -> tuple[Floats, Ints, Floats]:
-    """Return depths (p,) of vertices of facets a below facets b, their pairs, and the points.
-
-    Facets count as flat: what they bow out is taken off.
-    """
+    """Depths (p,) of vertices of facets a below flat facets b, less their bow; pairs; points."""
     corners, n = other.x[:, list(other.element.vertices)], facet_normals(other)
     middle, found = corners.mean(axis=1), []
     bows = np.abs(np.einsum("mki,mi->mk", other.x - middle[:, None], n)).max(axis=1, initial=0.0)
@@ -217,10 +213,10 @@ def _vertices_in(
 def _crossing_edges(
     slave: Facets, s: Ints, master: Facets, m: Ints, pairs: Ints
 ) -> list[tuple[Floats, Ints, Floats]]:
-    """Return depths (p,) of edges of facets s below those of facets m, as `_vertices_in` does.
+    """Depths (p,) of edges of facets s below those of facets m, pairs, and points.
 
-    Along the common normal of two edges that leaves both facets; not of edges parallel but for
-    `FACING`, nor over which the gap changes by less than `SUNK` to a corner.
+    Along the common normal of two edges, if it leaves both facets; not for parallel edges
+    (`FACING`), nor changes of the gap below `SUNK`.
     """
     n_s, n_m = facet_normals(slave)[s], facet_normals(master)[m]
     inclined = (n_s * n_m).sum(axis=1) > -np.sqrt(1.0 - (4 * SUNK) ** 2)
@@ -248,19 +244,16 @@ def _crossing_edges(
 
 
 def _lengths(facets: Facets) -> Floats:
-    """Return the lengths (m,) of facets, in space the roots of their areas."""
+    """Lengths (m,) of facets, in space roots of their areas."""
     size = np.linalg.norm(area_vectors(facets), axis=1)
     return np.asarray(size ** (1 / (facets.x.shape[2] - 1)))
 
 
-# -- where nothing couples them ------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Crossing:
-    """The deepest crossing of boundaries that are not coupled."""
+    """Deepest crossing of boundaries without an interface."""
 
-    share: float = 0.0  # depth over the length of the smaller facet
+    share: float = 0.0  # depth over the smaller facet
     depth: float = 0.0
     place: Sequence[float] = ()
     bodies: Sequence[int] = ()
@@ -268,13 +261,13 @@ class Crossing:
 
 @dataclass(frozen=True)
 class _Skin:
-    """Flat facets near other bodies, or on surfaces that may meet themselves."""
+    """Flat facets near other bodies, or on surfaces in self-contact."""
 
     body: Longs  # (m,)
-    sides: Bools  # (m, 2, interfaces) whether they belong to its slave and its master side
-    on: Bools  # (m, d, 2, interfaces) whether their vertices do
+    sides: Bools  # (m, 2, interfaces) on its slave and its master side
+    on: Bools  # (m, d, 2, interfaces) the same for vertices
     x: Floats  # (m, d, d)
-    sagitta: Floats  # (m,) of the sides of interfaces to which they belong, or which they touch
+    sagitta: Floats  # (m,) of the interface sides on or next to which they are
 
     def __getitem__(self, which: Bools | Longs) -> "_Skin":
         return _Skin(*(getattr(self, f.name)[which] for f in fields(self)))
@@ -285,7 +278,7 @@ class _Skin:
         return facet_normals(Facets(LINE2 if self.x.shape[2] == 2 else TRI3, self.x))
 
     def received(self, comm: MPI.Comm) -> "_Skin":
-        """Return the own facets, and those of other ranks that their box meets; collective."""
+        """Own facets, and those of other ranks in their box; collective."""
         low, high = bounds(self.x)
         box = low.min(axis=0, initial=np.inf), high.max(axis=0, initial=-np.inf)
         sent = [
@@ -296,10 +289,10 @@ class _Skin:
         return _Skin(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(self)))
 
     def pairs(self, meets_itself: Bools) -> Longs:
-        """Return the pairs (p, 2) of near facets that no interface couples.
+        """Pairs (p, 2) of near facets without an interface.
 
-        Coupled are those on the two sides of one that face each other. Of one body there are those
-        on a surface of an interface (interfaces,) that meets itself.
+        Facets on opposite sides of an interface that face each other are coupled. Pairs within a
+        body only on surfaces of self-contact, ``meets_itself`` (interfaces,).
         """
         count = int(self.body.max(initial=-1)) + 1
         own = np.zeros(count, dtype=bool)
@@ -314,11 +307,10 @@ class _Skin:
 
 
 def find_crossing(problem: ContactProblem) -> Crossing:
-    """Return the deepest crossing of the boundaries of bodies at X + u; collective.
+    """Deepest crossing of the boundaries of bodies at X + u; collective.
 
-    Of two bodies, and of a surface that a contact of it with itself should keep from crossing.
-    Taken off are the jump of a tie, by which bodies overlap beside it, and the sagittas of both
-    sides, since facets are taken as flat between their vertices.
+    Of two bodies, and of a surface in self-contact; minus jumps of ties, and minus the sagittas of
+    both sides, as facets are taken as flat.
     """
     meets_itself: Bools = np.array([s.meet_themselves for s in problem.system.sides], dtype=bool)
     if problem.bodies.count == 1 and not meets_itself.any():
@@ -326,7 +318,7 @@ def find_crossing(problem: ContactProblem) -> Crossing:
     comm, own = problem.comm, _create_skin(problem, meets_itself)
     skin = own.received(comm)
     found = find_crossings(skin.x, skin.pairs(meets_itself))
-    found = found.part(found.pairs[:, 1] < len(own.body))  # its rank has all facets at the edge
+    found = found.part(found.pairs[:, 1] < len(own.body))  # this rank has all facets at the edge
     one, other = skin[found.pairs[:, 0]], skin[found.pairs[:, 1]]
     reach = np.minimum(_seen_reach(one, other), _seen_reach(other, one))
     reach = np.where(one.body == other.body, np.inf, reach)
@@ -341,10 +333,10 @@ def find_crossing(problem: ContactProblem) -> Crossing:
 
 
 def _least_at_edges(found: Crossings, depth: Floats) -> Floats:
-    """Return the least of the depths (p,) of all facets that share an edge and cross with it.
+    """Least depth (p,) of all facets that share an edge and cross with it.
 
-    An edge at the top of a block lies along the flank of another one that ends there: by round-off
-    it crosses that far from its ends, but the top sees where the flank ends.
+    An edge along the flank of another block crosses it by round-off, far from its ends, but its
+    other facet sees the end of the flank.
     """
     edges = np.column_stack([found.ends, found.pairs[:, 1]])
     _, edge = np.unique(edges, axis=0, return_inverse=True)
@@ -354,19 +346,16 @@ def _least_at_edges(found: Crossings, depth: Floats) -> Floats:
 
 
 def _seen_reach(one: _Skin, other: _Skin) -> Floats:
-    """Return how far (m,) facets reach behind others, infinity where no interface sees all of that.
-
-    A flank that stands on a side ends in nodes that say how deep it is.
-    """
+    """Extent (m,) of facets behind others, infinite unless an interface sees their nodes."""
     behind = -np.einsum("mkd,md->mk", other.x - one.x[:, :1], one.normals)
     seen = (one.sides[:, None] & other.on[:, :, ::-1]).any(axis=(2, 3))
     return np.where(seen | (behind <= 0.0), behind, np.inf).max(axis=1, initial=0.0)
 
 
 def _from_seen_edges(place: Floats, one: _Skin, other: _Skin) -> Floats:
-    """Return how far (m,) from an edge that an interface sees facets are crossed, or infinity.
+    """Distance (m,) of crossings from edges seen by an interface, or infinity.
 
-    The end of a ring on a shaft is crossed by facets along the shaft beside the rim of the bore.
+    Facets along a shaft cross the end face of a ring at the rim of its bore.
     """
     d, least = place.shape[1], np.full(len(place), np.inf)
     beside = ~(one.sides & other.sides[:, ::-1]).any(axis=(1, 2))
@@ -381,12 +370,12 @@ def _from_seen_edges(place: Floats, one: _Skin, other: _Skin) -> Floats:
 
 
 def _touched(skin: _Skin) -> Bools:
-    """Tell (m, 2, interfaces) which sides facets belong to or end in."""
+    """Mask (m, 2, interfaces) of sides on or next to which facets are."""
     return np.asarray(skin.on.any(axis=1))
 
 
 def _longest_jumps(problem: ContactProblem) -> Floats:
-    """Return the length of the jump of each interface, by which its sides overlap; collective."""
+    """Length of the jump of each interface; collective."""
     apart = [link.apart() for link in problem.system.links]
     lengths = [0.0 if v is None else np.linalg.norm(v, axis=1).max(initial=0.0) for v in apart]
     none = np.zeros(len(problem.system.sides))
@@ -394,7 +383,7 @@ def _longest_jumps(problem: ContactProblem) -> Floats:
 
 
 def notes_on_crossings(problem: ContactProblem, found: Crossing) -> list[str]:
-    """Return a note if boundaries cross by more than the discretisation explains."""
+    """Note if boundaries cross by more than the discretisation explains."""
     if found.share <= SUNK:
         return []
     centres = problem.bodies.centre[list(found.bodies)]
@@ -422,7 +411,7 @@ def notes_on_crossings(problem: ContactProblem, found: Crossing) -> list[str]:
 
 
 def _create_skin(problem: ContactProblem, meets_itself: Bools) -> _Skin:
-    """Return the exterior facets of this rank that may cross others; collective."""
+    """Exterior facets of this rank that may cross others; collective."""
     boundary, interfaces = problem.system.boundary, problem.system.sides
     facets, nodes = boundary.at(problem.u), boundary.nodes
     body = problem.bodies.of_cells[boundary.cells].astype(np.int64)
@@ -448,7 +437,7 @@ def _create_skin(problem: ContactProblem, meets_itself: Bools) -> _Skin:
     boxes = boxes_of(problem.comm, facets.x, body, problem.bodies.count)
     near = near_others(facets.x, body, boxes) | (sides.any(axis=1) & meets_itself).any(axis=1)
     x, count = flat_parts(facets[near]), int(near.sum())
-    again = np.arange(len(x)) % max(count, 1)  # the halves of quadrilaterals follow each other
+    again = np.arange(len(x)) % max(count, 1)  # halves of quadrilaterals follow each other
     flat = flat_parts(Facets(facets.element, at[nodes[near]]))
     on = flat[:, :, 1:].reshape(*flat.shape[:2], *sides.shape[1:]) > 0.0
     sagitta = at[nodes[near], 0].max(axis=1, initial=0.0)[again]
