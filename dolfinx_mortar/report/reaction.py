@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Reactions: the forces that Dirichlet conditions exert on the bodies.
+"""Reactions: forces of Dirichlet conditions on the bodies.
 
-At the end of a step internal forces F, external forces f, those of contacts and ties c, and those
-of the supports r balance, F(u) = f + c + r. In the unknowns y of u = T y a constraint acts on one
-unknown only, and a prescribed component of a node is an unknown of its own, also where the node
-carries a contact: there r is T^T (F - f), without any part of c.
+Internal forces F, loads f, forces of contacts and ties c and reactions r balance, F(u) = f + c + r.
+In the unknowns y, u = T y, a prescribed component is an unknown of its own, where r = T^T (F - f)
+without any part of c.
 """
 
 from collections.abc import Sequence
@@ -33,14 +32,14 @@ from dolfinx_mortar.tags import label, labels, names_of, tag_of
 
 @dataclass(frozen=True)
 class Reaction:
-    """What a support exerts on the bodies."""
+    """Force and moment of a support on the bodies."""
 
-    force: Floats  # (d,) resultant; of rings (what pushes outwards all around, axial force)
-    moment: Floats | float  # about a point: (3,) in space, in the plane the one out of it
-    about: Floats  # (d,) this point
+    force: Floats  # (d,) resultant; of rings (sum of outward forces, axial force)
+    moment: Floats | float  # (3,) in space, a number in the plane
+    about: Floats  # (d,) point of the moment
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the record as plain numbers and lists."""
+        """Plain numbers and lists."""
         return {name: np.asarray(value).tolist() for name, value in vars(self).items()}
 
 
@@ -51,7 +50,7 @@ def reaction(
     *,
     about: Sequence[float] | Floats | None = None,
 ) -> Reaction:
-    """Return force and moment of a support in the last step that has converged; collective.
+    """Force and moment of a support in the last converged step; collective.
 
         base = fem.dirichletbc(np.zeros(3), dofs, V)
         problem = dm.ContactProblem(solid, interfaces, bcs=[base, symmetry])
@@ -59,28 +58,25 @@ def reaction(
         dm.reaction(problem, base).force
 
     R = sum r_i and M = sum (x_i - about) x r_i over the prescribed dofs i, with r = F(u) - f - c:
-    internal forces less loads (and springs) less what contacts and ties exert. R acts on the
-    bodies: without other supports it is the opposite of the loads. Of half a model it is half the
-    force, in the plane it is per thickness, of rings that of the whole ring. Points x are those at
-    which contacts act: X + u with a contact in updated geometry or at finite strain, otherwise X.
+    internal forces minus loads minus forces of contacts and ties. R acts on the bodies. In half a
+    model it is half the force, in the plane per thickness, of rings that of the whole ring. x is X
+    + u with a contact in updated geometry or at finite strain, otherwise X.
 
     Args:
         problem: after a step.
-        support: which prescribed dofs. One of the Dirichlet conditions, or a list of them; a tag,
-            or its name, for all that is prescribed at its nodes, those on its edges included,
-            whichever condition does it; an array of this rank's local dofs, d * node + component,
-            as ``bc.dof_indices()[0]`` and locate_dofs_topological on ``V.sub(k)`` return them (on V
-            itself that returns nodes: give the condition); None for all supports.
-        facet_tags: where a tag is looked up; may be left out if all interfaces have the same. Tags
-            of cells, edges and vertices do as well.
-        about: point of the moment, d numbers, by default the origin. Rings have none: forces on
-            them have no moment about points of the axis, and the moment is 0.
+        support: a Dirichlet condition or a list of them; a tag or name for all prescribed
+            components at its nodes, edges included; an array of this rank's local dofs, d * node +
+            component, as from ``bc.dof_indices()[0]`` and locate_dofs_topological on ``V.sub(k)``
+            (not on V, which returns nodes); None for all supports.
+        facet_tags: of the tag, also of cells, edges or vertices; default those of all interfaces if
+            they are the same.
+        about: point of the moment, d numbers, default the origin; not for rings, whose moment is 0.
 
     Returns:
         Force, moment and point, the same on all ranks.
 
     Raises:
-        ValueError: on all ranks, naming a wrong argument, before the first step, and if a problem
+        ValueError: on all ranks, for invalid arguments, before the first step, and if a problem
             made later uses one of the interfaces.
     """
     check_problem(problem, ContactProblem)
@@ -94,17 +90,13 @@ def reaction(
 
 
 def reactions(problem: ContactProblem) -> list[Reaction]:
-    """Return the reaction of each of the Dirichlet conditions after a step; collective."""
+    """Reaction of each Dirichlet condition after a step; collective."""
     masks = [prescribed_dofs(problem.V, [bc])[: problem.n] for bc in problem.bcs]
     return resultants(problem, masks, np.zeros(problem.d))
 
 
 def support_forces(problem: ContactProblem, balance: Balance) -> SupportForces:
-    """Return the forces of the supports after a step, and where they act; collective.
-
-    So that motions have all works, also those of rigid sides, which hold their nodes as supports
-    do: in unknowns of their own.
-    """
+    """Forces of supports and rigid sides after a step, and their points; collective."""
     dofs, slots = support_slots(problem)
     forces = np.zeros(problem.d * problem.n)
     for link in problem.system.links:
@@ -121,7 +113,7 @@ def support_forces(problem: ContactProblem, balance: Balance) -> SupportForces:
 
 
 def resultants(problem: ContactProblem, masks: Sequence[Bools], about: Floats) -> list[Reaction]:
-    """Return the reactions of the owned components (n, d) that are marked; collective."""
+    """Reactions of masks of owned components (n, d); collective."""
     supports, d = problem.committed.supports, problem.d
     assert supports is not None
     arms, forces = np.zeros((2, problem.n, 3))
@@ -132,18 +124,15 @@ def resultants(problem: ContactProblem, masks: Sequence[Bools], about: Floats) -
         sums[k] = forces.sum(axis=0), np.cross(arms, forces).sum(axis=0)
     sums = problem.comm.allreduce(sums, op=MPI.SUM)
     if problem.solid.kinematics.radius is not None:
-        sums[:, 1] = 0.0  # of a ring they cancel
+        sums[:, 1] = 0.0  # cancel on a ring
     return [
         Reaction(force[:d], moment if d == 3 else float(moment[2]), about.copy())
         for force, moment in sums
     ]
 
 
-# -- what is asked for ---------------------------------------------------------------------------
-
-
 def _check_point(problem: ContactProblem, about: Any) -> Floats:
-    """Return the point of the moment if it is one; collective."""
+    """Checked point of the moment; collective."""
     given = about.tolist() if isinstance(about, np.ndarray) else about
     check_same_on_all_ranks(problem.comm, about=given)
     if given is None:
@@ -157,7 +146,7 @@ def _check_point(problem: ContactProblem, about: Any) -> Floats:
 
 
 def _find(problem: ContactProblem, support: Any, facet_tags: Any) -> Bools:
-    """Return which owned components (n, d) belong to a support; collective."""
+    """Mask (n, d) of owned components of a support; collective."""
     comm, held = problem.comm, problem.supports.owned
     tag = isinstance(support, int | np.integer | str) and not isinstance(support, bool)
     bcs = [support] if isinstance(support, fem.DirichletBC) else support
@@ -186,7 +175,7 @@ def _find(problem: ContactProblem, support: Any, facet_tags: Any) -> Bools:
 
 
 def _tagged(problem: ContactProblem, support: int | str, facet_tags: Any) -> Bools:
-    """Return the owned components (n, d) at the nodes of a tag, some of which are held."""
+    """Mask (n, d) of owned components at the nodes of a tag."""
     mesh, V = problem.V.mesh, problem.V
     with raised_together(problem.comm):
         tags = _tags_of(problem) if facet_tags is None else facet_tags
@@ -213,7 +202,7 @@ def _tagged(problem: ContactProblem, support: int | str, facet_tags: Any) -> Boo
 
 
 def _tags_of(problem: ContactProblem) -> MeshTags:
-    """Return the tags of the interfaces if they share them."""
+    """Tags shared by all interfaces."""
     tags = [interface.facet_tags for interface in problem.interfaces]
     if not tags or any(one is not tags[0] for one in tags):
         raise ValueError(
@@ -224,7 +213,7 @@ def _tags_of(problem: ContactProblem) -> MeshTags:
 
 
 def _dofs_of_conditions(problem: ContactProblem, bcs: Sequence[Any]) -> list[Ints]:
-    """Return the local dofs if all are Dirichlet conditions on the problem's space."""
+    """Local dofs of Dirichlet conditions on the problem's space."""
     for bc in bcs:
         space = getattr(bc, "function_space", None)
         known = isinstance(bc, fem.DirichletBC)
@@ -234,7 +223,7 @@ def _dofs_of_conditions(problem: ContactProblem, bcs: Sequence[Any]) -> list[Int
 
 
 def _check_dofs(problem: ContactProblem, support: Any) -> Ints:
-    """Return local dofs if they are some of this rank."""
+    """Checked local dofs of this rank."""
     remedy = "give a Dirichlet condition, a tag, or an array of local dofs"
     dofs = check("support", support, array((None,), remedy=remedy))
     layout = problem.V.dofmap.index_map
