@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether pressures are resolved: heights of curved sides, nodes of the largest patch, waves."""
+"""Resolution of pressures: heights of curved sides, nodes of the largest patch, oscillations."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -40,13 +40,12 @@ from dolfinx_mortar.mortar.whole_side import whole_facets
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.step_report import Note
 
-# Nodes that resolve the largest pressure, in 2D and 3D. Against Hertz' at the same force, on all
-# cells, either slave: 5 nodes of a line contact miss it by -5 to 9 %, 7 by -3 to 3 %; 9 nodes of a
-# point contact by -14 to 5 %, 17 to 25 by -2 to 4 %.
+# Nodes that resolve the largest pressure, in 2D and 3D. Errors against Hertz at equal force: line
+# contacts with 5 nodes -5 to 9 %, with 7 -3 to 3 %; point contacts with 9 -14 to 5 %, with 17 to 25
+# -2 to 4 %.
 NODES = {2: 7, 3: 17}
-# Pressures in the plane oscillate by more than this share of their mean. Disc and block, moduli
-# 1:100 to 100:1, slave facets .3 to 3.4 times as long as the master's: .007 to .083 where pressures
-# differ from Hertz' by a tenth at most, in the mean; .15 to 1 where they do by more than a fifth.
+# Oscillation of pressures in the plane over their mean. Disc and block, moduli 1:100 to 100:1: .007
+# to .083 where pressures are within a tenth of Hertz', .15 to 1 where they are off by a fifth.
 OSCILLATION = 0.1
 Find = Callable[
     [Pairing, Segments, fem.Function | None, tuple[SmoothSide, SmoothSide]],
@@ -55,7 +54,7 @@ Find = Callable[
 
 
 def _means(link: Link, u: fem.Function | None, find: Find) -> Floats:
-    """Return the means (n,) at the slave nodes of what sides have at points; collective."""
+    """Nodal means (n,) of values of ``find`` at points; collective."""
     (pairing, operators), sides = link.mortar, link.sides
     smooth = link.pattern.smooth or link.pattern.nearby
     assert smooth is not None, "of contacts only"
@@ -69,11 +68,10 @@ def _means(link: Link, u: fem.Function | None, find: Find) -> Floats:
 
 
 def missed_gaps(link: Link, u: fem.Function | None) -> Floats:
-    """Return by how much gaps (n,) are larger than those of round sides; collective.
+    """Return by how much gaps (n,) exceed those of round sides; collective.
 
-    Of sides that touch, whose gaps would be zero: by what heights miss, and because a gap along the
-    normal n at a point counts along n_j, int Phi_j (n_j - n).(x_m - x_s) / D_jj, where x_m - x_s is
-    as long as the sagittas of both.
+    For touching sides: errors of heights, and of gaps along the normal n at a point that count
+    along n_j, int Phi_j (n_j - n).(x_m - x_s) / D_jj.
     """
     sides, own = link.sides, link.coupling.normals
     normals: Floats = np.zeros((len(sides.slave.nodes), own.shape[1]))
@@ -101,26 +99,22 @@ def note_on_facets(
     diagonal: Callable[[], PETSc.Vec],
     potential: Callable[[], float | None],
 ) -> list[str]:
-    """Return a note on a contact if facets make its pressures inaccurate; collective.
+    """Note on a contact if facets make its pressures inaccurate; collective.
 
-    Gaps are known to h_j: of facets, by which smooth surfaces would be nearer, less the mean where
-    nodes carry; of smooth surfaces of degree 1, what they miss of round sides (`missed_gaps`).
-    Compared with the contact forces z_j are K^_jj h_j, with the stiffness of both sides in series,
-    at the nodes that carry or might, as the gap is less than h_j. An even h_j is counted two to
-    four times.
-
-    Even facets on a tool: with the forces F of an overlap w bodies store Psi = F w / 2, and the
-    work -z.h of the forces is 2 Psi (1 - F'/F), F' the force of the smooth surface (on rings of 4
-    to 64 facets a quarter to 1 %; what other loads store makes it smaller).
+    Gaps have errors h_j: with facets the height of smooth surfaces, minus its mean over loaded
+    nodes; with smooth surfaces of degree 1 `missed_gaps`. K^_jj h_j, with the stiffness of both
+    sides in series, is compared with the contact forces z_j, at loaded nodes and those with gaps
+    below h_j. A uniform h_j is counted two to four times.
+    Uniform facets on a tool: forces F of an overlap w store Psi = F w / 2, and -z.h is 2 Psi (1 -
+    F'/F), F' the force of the smooth surface (accurate to 1 % on rings of 64 facets).
 
     Args:
-        link: the interface.
-        x: where the nodes are, X + u.
-        u: displacement by which facets have moved, None for X.
+        x: (n,) X + u.
+        u: displacement of the facets, None for X.
         forces: (owned nodes,) of contact.
         stiffness: (owned nodes,) force per gap, K^_jj.
-        diagonal: gives that of K, of the bodies alone.
-        potential: gives that of the bodies at u, see `Solid.potential`.
+        diagonal: returns that of K, of the bodies alone.
+        potential: returns that of the bodies at u, see `Solid.potential`.
     """
     comm, k, z = link.sides.V.mesh.comm, stiffness[link.nodes], forces[link.nodes]
     on, meshed = z > 0.0, link.pairing is not None
@@ -155,10 +149,10 @@ def note_on_facets(
 
 
 def _missed(link: Link, u: fem.Function | None) -> Floats | None:
-    """Return by how much gaps (n,) are too large, None where that is not known; collective."""
+    """Excess (n,) of gaps, None if unknown; collective."""
     if link.pairing is None:
         faceted = link.pattern.faceted if isinstance(link.pattern, SidePattern) else None
-        if faceted is None:  # a flat side
+        if faceted is None:  # flat side
             return None
         tool = link.interface.tool
         heights = None if tool is None else _heights_at_tool(link, tool, u)
@@ -171,10 +165,7 @@ def _missed(link: Link, u: fem.Function | None) -> Floats | None:
 
 
 def _heights_at_tool(link: Link, tool: Tool, u: fem.Function | None) -> Floats | None:
-    """Return how much nearer a tool would be to smooth surfaces (n,) at the owned slave nodes.
-
-    None where facets are what is meant, or stand for these already.
-    """
+    """Excess (n,) of gaps to a tool over those of smooth surfaces, None where exact."""
     pattern, slave = link.pattern, link.sides.slave
     assert isinstance(pattern, SidePattern) and pattern.side is not None
     if slave.element.degree > 1 or pattern.nodal:
@@ -192,10 +183,7 @@ def _heights_at_tool(link: Link, tool: Tool, u: fem.Function | None) -> Floats |
 
 
 def _in_series(link: Link, k: Floats, diagonal: PETSc.Vec) -> Floats:
-    """Return the stiffness (n,) of slave nodes in series with that of the master; collective.
-
-    P_jl n_j on the master's nodes give by sum_l P_jl^2 n_j.(n_j / K_ll).
-    """
+    """Stiffness (n,) in series with the master, of compliance sum_l P_jl^2 n_j.(n_j / K_ll)."""
     n, P, own = link.coupling.normals, link.pattern.scalars, diagonal.array_r
     P.fill(link.coupling.P[:, 0, None, None] ** 2)
     softness, give = P.matrix.createVecRight(), np.zeros(len(k))
@@ -207,13 +195,12 @@ def _in_series(link: Link, k: Floats, diagonal: PETSc.Vec) -> Floats:
 
 
 def notes_on_resolution(link: Link, contacts: Contacts) -> list[str]:
-    """Return notes on pressures that are not resolved, or that oscillate; collective.
+    """Notes on pressures that are not resolved, or that oscillate; collective.
 
-    A patch that reaches the ends of its sides is left out: its size is given by the model, and its
-    pressures may be singular there. Multipliers of a slave side that is finer and stiffer than the
-    master oscillate: their dual space has more dofs than the trace of the displacements that yield.
-    That is measured in the plane only. The force of a multiplier acts at its slave node: below an
-    edge of the master lever arms are wrong by up to a facet.
+    Patches up to the ends of sides are left out: their size is given, and pressures may be
+    singular. Multipliers of a slave side finer and stiffer than the master oscillate, as their
+    space is larger than the trace of the compliant displacements (measured in the plane). Below a
+    master edge the force acts at a slave node, off by up to a facet.
     """
     count, ends = _peak_patch(link, contacts)
     if not ends:
@@ -244,12 +231,11 @@ def notes_on_resolution(link: Link, contacts: Contacts) -> list[str]:
 
 
 def oscillation(link: Link, contacts: Contacts) -> float:
-    """Return the amplitude of pressures that oscillate from node to node, over their mean.
+    """Amplitude of node-to-node oscillations of pressures, over their mean; collective.
 
-    sum_j D_jj |d_j - (M d)_j| / 4 over sum_j D_jj p_j, with d = p - M p, p_j the multiplier of
-    slave node j, 0 if it is open, and M the mean over the other nodes of its facets; d_j is 0 where
-    j or one of these cannot carry a multiplier. In the plane pressures p (1 +- a) have the value a,
-    and smooth ones a difference of the fourth order. Collective.
+    sum_j D_jj |d_j - (M d)_j| / 4 over sum_j D_jj p_j, d = p - M p, with p_j the multiplier of node
+    j and M the mean over the other nodes of its facets; d_j = 0 at nodes next to ones without
+    multiplier. In the plane pressures p (1 +- a) give a, smooth ones a fourth-order difference.
     """
     slave, nodes, comm = link.sides.slave, link.nodes, link.sides.V.mesh.comm
     own = np.zeros((len(slave.nodes), 2))
@@ -270,10 +256,9 @@ def oscillation(link: Link, contacts: Contacts) -> float:
 
 
 def _peak_patch(link: Link, contacts: Contacts) -> tuple[int, bool]:
-    """Return how many nodes the patch with the peak has, and whether it ends; collective.
+    """Number of nodes of the patch with the peak, and whether it ends at open nodes; collective.
 
-    It ends where its nodes have open neighbours that could close. A node off all of a model's
-    planes of symmetry stands for two to the number of planes.
+    A node off a model's symmetry planes counts two to the number of planes.
     """
     slave, nodes = link.sides.slave, link.nodes
     active, planes = contacts.active[nodes], link.sides.mirrors[nodes].sum(axis=1)
@@ -286,11 +271,11 @@ def _peak_patch(link: Link, contacts: Contacts) -> tuple[int, bool]:
 
 
 def find_patches(link: Link, marked: Bools, *columns: Floats | Bools) -> list[Floats]:
-    """Return the patches of connected slave nodes, those of one facet over all ranks; collective.
+    """Tables of patches of connected slave nodes over all ranks; collective.
 
     Args:
         marked: (n,) nodes that count.
-        columns: (n,) or (n, c) what the tables of patches shall say of their nodes.
+        columns: (n,) or (n, c) columns of the tables.
     """
     slave, comm, layout = link.sides.slave, link.sides.V.mesh.comm, link.sides.V.dofmap.index_map
     marks = np.zeros((len(slave.nodes), 1))
@@ -303,7 +288,6 @@ def find_patches(link: Link, marked: Bools, *columns: Floats | Bools) -> list[Fl
 
 
 def _pairs(facets: Longs, on: Bools) -> Longs:
-    """Return the pairs (p, 2) of marked nodes that facets (m, k) have in common."""
     found = [
         facets[on[:, a] & on[:, b]][:, [a, b]] for a, b in combinations(range(facets.shape[1]), 2)
     ]
@@ -311,7 +295,6 @@ def _pairs(facets: Longs, on: Bools) -> Longs:
 
 
 def _patches(table: Floats, pairs: Longs) -> list[Floats]:
-    """Return the rows of a table (n, 1 + c) of each patch, without their numbers."""
     table = table[np.argsort(table[:, 0])]
     ends = np.searchsorted(table[:, 0], pairs)
     graph = coo_array((np.ones(len(ends)), ends.T), shape=(len(table), len(table)))
@@ -320,7 +303,6 @@ def _patches(table: Floats, pairs: Longs) -> list[Floats]:
 
 
 def _measure(patches: Sequence[Floats]) -> tuple[int, bool]:
-    """Return the size of the patch with the largest multiplier, and whether it ends."""
     if not patches:
         return 0, False
     fixed, open_ = max(patches, key=lambda patch: float(patch[:, 0].max()))[:, 1:].T
