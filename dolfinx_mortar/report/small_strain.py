@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The error of the small-strain measure, estimated after every step, and notes on it.
+"""Error of the small-strain measure, estimated after every step, and notes.
 
-The small strain neglects the term H^T H / 2 of the Green-Lagrange strain, H = grad u. Of a strain e
-it is about e / 2 relatively, by which measures of finite strain differ, too; of a rotation by an
-angle a it is a^2 / 2, an error in any measure.
+Neglected is H^T H / 2 of the Green-Lagrange strain, H = grad u: relatively e / 2 of a strain e (as
+much as finite measures differ), a^2 / 2 of a rotation a.
 """
 
 from dataclasses import dataclass
@@ -21,48 +20,43 @@ from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.step_report import Note
 from dolfinx_mortar.supports.bodies import name_of
 
-# Largest share that a measure of strain may leave out without a note.
-# At small strain: of the work of a body's stresses, in the term of rotations, which is the change
-# of the energy, to first order, so the error of forces: two pressed blocks turned as one by 1, 2, 5
-# degrees have forces that are 1.7, 6.7, 42 % too high, for a share of 1.7, 6.4, 31 %. What is
-# pressed in elastically has 1.7 % at most, where Hencky's strain changes forces by 1.4 %, Green's
-# by -5.5 %, so no measure is the right one. Half of the whole term, about the change by Hencky's
-# strain, is told where it is larger: perfectly plastic blocks under a rigid ball lose 5 to 35 % of
-# the force at small strain, where rotations are 2 to 24 % and half of the whole 6 to 48 %.
-# In the logarithmic strain space: of the norm of the stress. A perfectly plastic body in simple
-# shear by .5, 1, 2, 5 loses .002, .02, .089, .137, and its shear stress is 0.3, 2.7, 17, 56 % low.
+# Largest error without a note. At small strain the rotation part of the neglected work, the
+# first-order change of energy: two blocks turned by 1, 2, 5 degrees under pressure have forces 1.7,
+# 6.7, 42 % too high for 1.7, 6.4, 31 %; elastic indentation has at most 1.7 %, where Hencky's
+# strain changes forces by 1.4, Green's by -5.5 %. Or half of the whole term if larger: perfectly
+# plastic blocks under a ball lose 5 to 35 % of the force for 6 to 48 %. In logarithmic strain space
+# the stress norm: perfectly plastic shear by .5, 1, 2, 5 loses .002, .02, .089, .137 of it, and .3,
+# 2.7, 17, 56 % of the shear stress.
 LARGEST_SHARE = 0.02
-# Or where the mean of |H^T H|, twice the term, over a body's volume or where its stresses work, is
-# as large: energies are quadratic in lengths. A strip bent down by 11 % of its length, a bar
-# stretched by 14 %, a free body turned by 7 degrees have 1 %, what is pressed in at most 0.13 %.
+# Also for the mean of |H^T H| over a body's volume or weighted by stress work. A strip bent by 11
+# %, a bar stretched by 14 %, a body turned by 7 degrees have 1 %, indentation at most 0.13 %.
 
-# What is no small strain or rotation any more (radians, 2.9 degrees), at any point: the measure is
-# off by half of the strain there, relatively. A note says so, also where forces hardly feel it.
+# Strain or rotation (radians, 2.9 degrees) at a point above which a note is given.
 LARGE = 0.05
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """The term that the small strain neglects; zero for another measure of strain."""
+    """Term that the small strain neglects; zero for other measures."""
 
     felt: int  # number of bodies above the limits
     strain: float  # largest |H^T H| / 2
-    largest: float  # largest strain in the bodies
+    largest: float  # largest strain
     rotation: float  # largest rotation, radians
-    work: float  # error of forces: share of the work of the stresses, of the body with the most
-    lengths: float  # mean |H^T H| / 2, of that body
-    told: int  # the body to tell of, the worst one if it is above the limits, else the steepest
+    work: float  # error of forces: share of the stress work, of the worst body
+    lengths: float  # mean |H^T H| / 2 of that body
+    told: int  # body of the note: the worst above the limits, else the steepest
     own: tuple[float, float]  # largest strain and rotation in it
-    steepest: tuple[float, int]  # the larger one on this rank, and in which owned cell
+    steepest: tuple[float, int]  # the larger of both on this rank, and its owned cell
 
     @property
     def relative(self) -> float:
-        """The largest |H^T H| / 2 over the largest strain."""
+        """Largest |H^T H| / 2 over the largest strain."""
         return ratio(self.strain, self.largest)
 
 
 def _measure(solid: Solid, weights: Floats, cells: slice) -> Floats:
-    """Return of some owned cells the rows of `find_left_out` (9, cells), from values at points."""
+    """Rows of `find_left_out` (9, cells) of some owned cells."""
     volume = weights[cells]
     points, dofmap = volume.shape[1], solid.stress.function_space.dofmap
 
@@ -79,7 +73,7 @@ def _measure(solid: Solid, weights: Floats, cells: slice) -> Floats:
     size, strains = frobenius_norm(found.left_out), frobenius_norm(found.strain)
     seen = strains if found.seen is found.strain else frobenius_norm(found.seen)
     angles = np.linalg.norm(found.rotation, axis=1)
-    # the work of a cell as a whole: where its volume is constrained, points differ much
+    # per cell: under volume constraints points vary much
     work = np.abs(per_cell(double_contraction(stress, found.seen)))
     made = [per_cell(double_contraction(stress, found.left_out)), per_cell(found.turned(stress))]
     sums = [volume.sum(axis=1), per_cell(size), work, *made]
@@ -87,19 +81,16 @@ def _measure(solid: Solid, weights: Floats, cells: slice) -> Floats:
 
 
 def find_left_out(problem: ContactProblem) -> LeftOut:
-    """Measure strain and rotation at u beside the stress that `Solid.evaluate` found; collective.
-
-    One evaluation of grad u at the integration points, of some cells at a time.
-    """
+    """Measure strain and rotation at u, given the stress of `Solid.evaluate`; collective."""
     solid, comm, count = problem.solid, problem.comm, problem.bodies.count
     body, weights = problem.bodies.of_cells, solid.fields.weights  # assembled by all ranks
-    many = CHUNK // weights.shape[1]  # cells: those of a mesh would be as much as the tangent
+    many = CHUNK // weights.shape[1]  # cells; all would need the memory of the tangent
     chunks = [slice(i, i + many) for i in range(0, len(body), many)]
     parts = [_measure(solid, weights, cells) for cells in chunks]
     columns = np.concatenate([np.zeros((9, 0)), *parts], axis=1)
     space, left, work, whole, made, size, *highest = columns
     summed = (space, left, work, work * left / space, made, whole)
-    # without cells NumPy counts in integers, whatever the weights
+    # without cells NumPy counts in integers
     local = np.array([np.bincount(body, column, count) for column in summed], dtype=float)
     sums = np.zeros_like(local)
     comm.Allreduce(local, sums, op=MPI.SUM)
@@ -107,7 +98,7 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
     for peak, values in zip(peaks, highest, strict=True):
         np.maximum.at(peak, body, values)
     strains, seen, angles = maximum(comm, *peaks.ravel()).reshape(peaks.shape)
-    # without a strain that the laws see, the stress is round-off
+    # without strain the stress is round-off
     strained = (seen > HALF_OF_DIGITS * angles) & (sums[2] > 0.0)
     share, whole = (
         np.divide(np.abs(sums[k]), sums[2], out=np.zeros(count), where=strained) for k in (4, 5)
@@ -134,10 +125,7 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
 
 
 def notes_on_small_strain(problem: ContactProblem, found: LeftOut) -> list[str]:
-    """Return a note if the neglected term changes forces, stresses or lengths; collective.
-
-    Or if a strain or a rotation is large at any point.
-    """
+    """Note if the neglected term or any strain or rotation is large; collective."""
     solid, domain = problem.solid, problem.V.mesh
     large = solid.gradients.small and max(found.largest, found.rotation) > LARGE
     if not found.felt and not large:
@@ -165,7 +153,7 @@ def notes_on_small_strain(problem: ContactProblem, found: LeftOut) -> list[str]:
 
 
 def notes_on_lost_stress(problem: ContactProblem) -> list[str]:
-    """Say where laws in the additive form are out of their range; collective."""
+    """Note where laws in the additive form are out of range; collective."""
     share, name = problem.solid.stress_lost()
     if share < LARGEST_SHARE:
         return []
