@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: MIT
-r"""Distances from curved lines in the plane and curved triangles in space: one code for both.
+"""Distances from curved lines in the plane and curved triangles in space.
 
-The edge from p to q = p + c is a cubic with given tangents c + a and c + b at its ends,
+The edge from p to q = p + c is a cubic with tangents c + a and c + b at its ends,
 
     x(t) = p + t c + t (1 - t)^2 a - t^2 (1 - t) b.
 
-A triangle with corners p_i, area coordinates s_i and parabolas as edges, b_ij = -a_ij, is
+A triangle with corners p_i, area coordinates s_i and parabolic edges, b_ij = -a_ij, is
 
     S = sum_i s_i p_i + sum_ij s_i s_j a_ij.
 
-Both lie in the convex hull of their corners and of p + (c + a) / 2 and q - (c + b) / 2 of each
-edge. phi is the distance from the nearest point, with the normal and the curvature there.
+Both lie in the convex hull of their corners and of p + (c + a) / 2 and q - (c + b) / 2.
 """
 
 from __future__ import annotations
@@ -28,10 +27,10 @@ Parts = tuple[Floats, Floats, Floats]
 
 
 class Curved(Shape):
-    """A region that lines or triangles bound."""
+    """Region bounded by curved lines or triangles."""
 
     def _bend(self, corners: Floats, bends: Floats, *normals: Floats) -> None:
-        """Take over m lines or triangles.
+        """Set m lines or triangles.
 
         Args:
             corners: (m, d, d).
@@ -43,11 +42,11 @@ class Curved(Shape):
         self._tree = create_tree(self._corners, self._bends)
 
     def distance(self, x: Floats) -> Distance:
-        """Return the distances of points x (n, d)."""
+        """Distances of points x (n, d)."""
         n, d = x.shape
         x = _in_space(x)
         near, where, at = find_nearest(x, self._corners, self._bends, *self._tree)
-        if d == 2:  # corners are those beyond which x is, others are smooth
+        if d == 2:  # in 2D only points beyond a corner belong to it
             offset, slope, _ = self._on_edges(x, near, 0 * near, at)
             past = np.abs((offset * slope).sum(axis=1)) > HALF_OF_DIGITS * (slope**2).sum(axis=1)
             where = np.where((where >= POINT) & past, where, FACE)
@@ -59,16 +58,16 @@ class Curved(Shape):
         return Distance(value, gradient[:, :d], hessian[:, :d, :d])
 
     def _on_edges(self, x: Floats, near: Longs, k: Longs, at: Floats) -> Parts:
-        """Return the offsets (n, 3) of points from edges, and both derivatives of these."""
+        """Offsets (n, 3) of points from edges, and both derivatives of the edges."""
         p, q = self._corners[near, k], self._corners[near, (k + 1) % self._corners.shape[1]]
         foot, slope, second = _edge(p, q, np.moveaxis(self._bends[near, k], 1, 0), at[:, :1])
         return x - foot, slope, second
 
     def _from_inside(self, x: Floats, near: Longs, where: Longs, at: Floats) -> Parts:
-        """Return the distances of points (n, 3) from what is smooth at the nearest point.
+        """Distances of points (n, 3) from smooth nearest points.
 
-        With tangents J, fundamental forms G and B, and F = G - phi B, the curvature is
-        H = -J G^-1 B F^-1 J^T.
+        With tangents J, fundamental forms G and B, and F = G - phi B, the Hessian is -J G^-1 B F^-1
+        J^T.
         """
         if self._bends.shape[1] == 1:
             offset, slope, second = self._on_edges(x, near, 0 * near, at)
@@ -92,7 +91,7 @@ class Curved(Shape):
         return phi, normal, -J @ np.linalg.solve(G, B @ np.linalg.solve(F, Jt))
 
     def _from_edges(self, x: Floats, near: Longs, where: Longs, at: Floats) -> Parts:
-        """Return the distances of points (n, 3) from edges and corners, with curvature 1 / r."""
+        """Distances of points (n, 3) from edges and corners, with curvature 1 / r."""
         k, at_corner = where % 3, (where >= POINT - EDGE)[:, None]
         edge = k % self._bends.shape[1]
         offset, slope, second = self._on_edges(x, near, edge, at)
@@ -103,7 +102,7 @@ class Curved(Shape):
         _, normal = unit_vectors(normal)
         r = np.linalg.norm(offset, axis=1)
         sign = np.where((offset * normal).sum(axis=1) < 0.0, -1.0, 1.0)
-        # offsets of round-off have no direction
+        # round-off has no direction
         apart = r > HALF_OF_DIGITS * np.ptp(self._corners, axis=(0, 1)).max()
         divisor = np.where(apart, sign * r, 1.0)
         gradient = np.where(apart[:, None], offset / divisor[:, None], normal)
@@ -114,15 +113,16 @@ class Curved(Shape):
 
 
 def _in_space(x: Floats) -> Floats:
-    """Return vectors (.., 3) of vectors (.., d)."""
+    """Vectors (.., d) padded to (.., 3)."""
     return np.ascontiguousarray(np.pad(x, [*(x.ndim - 1) * [(0, 0)], (0, 3 - x.shape[-1])]))
 
 
 def create_tree(corners: Floats, bends: Floats) -> tuple[Floats, Longs, Floats]:
-    """Return boxes (2 k, 2, 3) of a binary tree, the lines or triangles (k,) at its leaves, bulges.
+    """Boxes (2 k, 2, 3) of a binary tree, indices (k,) at its leaves, and bulges (m,).
 
-    Box 1 is the root, 2 i and 2 i + 1 are the halves of box i across its longest side, leaf i is
-    box k + i; the last is repeated up to a power of two. Bulges (m,) bound the way of bent points.
+    Box 1 is the root, 2 i and 2 i + 1 the halves of box i across its longest side, box k + i that
+    of leaf i; the last leaf is repeated up to a power of two. Bulges bound the displacement by
+    bends.
     """
     half = (corners + np.roll(corners, -1, axis=1))[:, : bends.shape[1]] / 2
     net = np.hstack([corners, half + bends[:, :, 0] / 2, half - bends[:, :, 1] / 2])
@@ -149,7 +149,7 @@ def create_tree(corners: Floats, bends: Floats) -> tuple[Floats, Longs, Floats]:
 
 
 def _edge(p, q, bend, t):  # type: ignore[no-untyped-def]
-    """Return x(t) of edges and its two derivatives."""
+    """x(t) of edges and its two derivatives."""
     a, b, c = bend[0], bend[1], q - p
     x = p + t * c + t * (1.0 - t) ** 2 * a - t**2 * (1.0 - t) * b
     slope = c + (1.0 - 4.0 * t + 3.0 * t**2) * a + (3.0 * t**2 - 2.0 * t) * b
@@ -157,7 +157,7 @@ def _edge(p, q, bend, t):  # type: ignore[no-untyped-def]
 
 
 def _face(p, a, s, t):  # type: ignore[no-untyped-def]
-    """Return S of triangles and its derivatives by s and t."""
+    """S of triangles and its derivatives by s and t."""
     o = 1.0 - s - t
     x = o * p[0] + s * p[1] + t * p[2] + o * s * a[0] + s * t * a[1] + t * o * a[2]
     by_s = p[1] - p[0] + (o - s) * a[0] + t * (a[1] - a[2])
@@ -169,16 +169,13 @@ _compiled_edge, _compiled_face = numba.njit(cache=True)(_edge), numba.njit(cache
 
 @numba.njit(cache=True)
 def _dot(a, b):  # type: ignore[no-untyped-def]
-    """Return a.b of vectors (3,), without a call of BLAS."""
+    """a.b of vectors (3,), without BLAS."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @numba.njit(cache=True)
 def _on_edge(x, p, q, bend):  # type: ignore[no-untyped-def]
-    """Return t of the nearest point of an edge to x, and its distance squared.
-
-    Newton's method in [0, 1], from the nearest point of the chord.
-    """
+    """Nearest t in [0, 1] of an edge to x, and distance squared; Newton's method from the chord."""
     t = min(max(_dot(x - p, q - p) / _dot(q - p, q - p), 0.0), 1.0)
     for _ in range(LIMIT):
         foot, slope, second = _compiled_edge(p, q, bend, t)
@@ -194,10 +191,7 @@ def _on_edge(x, p, q, bend):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _in_face(x, p, a):  # type: ignore[no-untyped-def]
-    """Return s, t of the point inside a triangle whose normal meets x, and its distance squared.
-
-    Infinite if there is none. Newton's method, first for the flat triangle.
-    """
+    """s, t of the foot of x inside a triangle, and distance squared, inf if none; by Newton."""
     s, t, bend = 0.0, 0.0, 0.0 * a
     for k in range(LIMIT):
         foot, js, jt = _compiled_face(p, bend, s, t)
@@ -223,7 +217,7 @@ def _in_face(x, p, a):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _box_distance(x, box):  # type: ignore[no-untyped-def]
-    """Return the squared distance of a point from a box."""
+    """Squared distance of a point from a box."""
     total = 0.0
     for i in range(3):
         off = max(box[0, i] - x[i], x[i] - box[1, i], 0.0)
@@ -233,7 +227,7 @@ def _box_distance(x, box):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _from_flat(x, p):  # type: ignore[no-untyped-def]
-    """Return the distance of a point from the flat triangle of the corners."""
+    """Distance of a point from a flat triangle."""
     a, b, r = p[1] - p[0], p[2] - p[0], x - p[0]
     aa, ab, bb, ra, rb = _dot(a, a), _dot(a, b), _dot(b, b), _dot(r, a), _dot(r, b)
     det = aa * bb - ab * ab
@@ -252,7 +246,7 @@ def _from_flat(x, p):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _on_one(x, p, bends):  # type: ignore[no-untyped-def]
-    """Return distance squared, where the nearest point lies, and its two coordinates there."""
+    """Distance squared, location of the nearest point, and its two coordinates."""
     where, s, t, least = FACE, 0.0, 0.0, np.inf
     if len(p) == 3:
         s, t, least = _in_face(x, p, bends[:, 0])
@@ -269,7 +263,7 @@ def _on_one(x, p, bends):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def find_nearest(points, corners, bends, boxes, leaves, bulges):  # type: ignore[no-untyped-def]
-    """Return for points (n, 3) the nearest one (n,), where in it (n,), and s, t there (n, 2)."""
+    """Return for points (n, 3) the nearest element (n,), location in it (n,), and s, t (n, 2)."""
     n, k = len(points), len(leaves)
     nearest, where = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     at = np.zeros((n, 2))
