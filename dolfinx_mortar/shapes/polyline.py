@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: MIT
-r"""Tools in the plane by points of their outline, from a drawing or a measured profile.
+"""Tools in the plane by points of their outline.
 
-The edge from p to q = p + c is the cubic of `curved` with unit tangents t_p and t_q at its ends,
-a = |c| t_p - c and b = |c| t_q - c. A tangent is the mean of the two that agree best of five: those
-of the edges before and after the point, and of the circles through the point and both its
-neighbours, or the next two on one side. On an arc the three circles agree, on a line and where it
-goes on as an arc a circle and an edge: so lines stay straight, and distances from arcs have order 4
-in the length of their edges. Corners at which normals turn by more than ``crease`` stay sharp; an
-edge ends there with the angle at its other end, as an arc does.
+Edges are cubics of `curved` with unit tangents t_p and t_q, a = |c| t_p - c and b = |c| t_q - c. A
+tangent is the mean of the two closest of five: the edges before and after the point, and the
+circles through the point and both neighbours, or the next two on one side. So lines stay straight,
+and distances from arcs have order 4. Corners beyond ``crease`` stay sharp; an edge ends there with
+the angle at its other end, as an arc.
 """
 
 from __future__ import annotations
@@ -28,22 +26,21 @@ REMEDY = "leave them out, or put them in the order of the outline"
 
 
 class Polyline(Curved):
-    """The region on the left of a line through points, such as within a polygon; in the plane.
+    """Region on the left of a line through points, such as the inside of a polygon; in the plane.
 
     In axisymmetric problems points are (r, z), on both sides of the axis if the tool meets it.
 
     Args:
-        points: (n, 2), with the tool on the left: counterclockwise around it.
-        point: 2 coordinates that tell where the tool is, about which it turns; the middle of the
-            box around the points if not given.
-        crease: in degrees, from 0 to 90; a corner at which normals turn by more stays sharp, others
-            are smooth. With 0 all edges are straight.
+        points: (n, 2), with the tool on the left: counterclockwise.
+        point: 2 coordinates of the tool's reference point; default the middle of the points' box.
+        crease: angle of normals in degrees, 0 to 90, above which a corner stays sharp. With 0 all
+            edges are straight.
         closed: whether the last point is joined to the first one. If not, phi beyond an end is the
-            distance from that: the body must not get there.
+            distance from it: the body must not get there.
 
     Raises:
-        ValueError: naming a wrong argument; for points that coincide with the next ones, edges that
-            go back or cross others, and a polygon whose points go clockwise, with their place.
+        ValueError: naming a wrong argument; for coinciding points, edges that go back or cross
+            others, and clockwise polygons.
     """
 
     def __init__(
@@ -99,7 +96,7 @@ class Polyline(Curved):
 
     @property
     def point(self) -> Floats:
-        """As given, or the middle of the box around the points, (2,)."""
+        """As given, or the middle of the points' box, (2,)."""
         return self._point
 
     @property
@@ -112,7 +109,7 @@ class Polyline(Curved):
         return x, np.stack(lines, axis=1)
 
     def given(self) -> Mapping[str, Any]:
-        """Return the arguments by name, of the points a digest."""
+        """Arguments by name, with a digest of the points."""
         digest = hashlib.sha256(self.points.tobytes()).hexdigest()
         names = {"point": self._point, "crease": self.crease, "closed": self.closed}
         return {"points": digest, **names}
@@ -121,7 +118,7 @@ class Polyline(Curved):
         return f"Polyline({len(self.points)} points{'' if self.closed else ', closed=False'})"
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Say why it is no shape in d dimensions, or none of revolution; "" if it is one."""
+        """Why it is unusable in d dimensions or axisymmetry, or ""."""
         x, near = self.points, HALF_OF_DIGITS * np.abs(self.points).max()
         if d == 2 and revolved and x[:, 0].min() <= near:
             image = cKDTree(x).query(x * [-1.0, 1.0])[0].max()
@@ -133,7 +130,7 @@ class Polyline(Curved):
         return super().misfit(d, revolved)
 
     def _tangents(self, lengths: Floats, along: Floats) -> tuple[Floats, Floats]:
-        """Return unit tangents at the starts and the ends of edges (m, 2)."""
+        """Unit tangents (m, 2) at the starts and the ends of edges."""
         before = np.roll(along, 1, axis=0)
         smooth = (along * before).sum(axis=1) >= np.cos(np.radians(self.crease)) - HALF_OF_DIGITS
         smooth &= self.crease > 0.0
@@ -143,7 +140,7 @@ class Polyline(Curved):
         _, middle = unit_vectors(weighted + np.roll(weighted, 1, axis=0))
         last = np.roll(lengths, 1)
         found, spans = [middle, before, along], [last + lengths, last, lengths]
-        for ways, way in ((before, -1), (along, 1)):  # from the next point, and the last one
+        for ways, way in ((before, -1), (along, 1)):  # from the next and the last point
             of_circle = np.roll(_mirrored(middle, ways), way, axis=0)
             found.append(np.where(np.roll(smooth, way)[:, None], of_circle, np.inf))
             spans.append(np.roll(spans[0], way))
@@ -157,19 +154,15 @@ class Polyline(Curved):
 
 
 def _mirrored(tangent: Floats, along: Floats) -> Floats:
-    """Return the tangent (n, 2) of a circle at the other end of a chord along unit vectors."""
+    """Tangent (n, 2) of a circle at the other end of a chord along unit vectors."""
     return 2.0 * (tangent * along).sum(axis=1)[:, None] * along - tangent
 
 
 def _agreeing(directions: Floats, spans: Floats) -> Floats:
-    """Return the mean (n, 2) of the two of k unit vectors (k, n, 2) that are nearest to each other.
+    """Mean (n, 2) of the two closest of k unit vectors (k, n, 2), non-finite ones excluded.
 
-    Of several that agree to half of the digits, those found from shorter lines: a line between two
-    arcs could be an arc, too.
-
-    Args:
-        directions: those that are not finite are none.
-        spans: (k, n) lengths of the lines that they are found from.
+    Of several that agree to half of the digits those with the shorter ``spans`` (k, n): a line
+    between two arcs could be an arc.
     """
     one, other = np.triu_indices(len(directions), 1)
     with np.errstate(invalid="ignore"):
@@ -181,7 +174,7 @@ def _agreeing(directions: Floats, spans: Floats) -> Floats:
 
 
 def _crossed(p: Floats, q: Floats, closed: bool) -> Bools:
-    """Return which edges (m,) cross one that is not next to them."""
+    """Mask (m,) of edges that cross one not next to them."""
 
     def side(a: Floats, b: Floats, c: Floats) -> Floats:
         u, v = b - a, c - a
