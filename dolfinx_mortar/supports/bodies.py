@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Bodies: the connected parts of a mesh, and their unconstrained rigid-body modes."""
+"""Bodies: connected parts of a mesh, and their unconstrained rigid-body modes."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -33,15 +33,15 @@ Modes = list[tuple[int, str, PETSc.Vec]]
 
 @dataclass(frozen=True)
 class Bodies:
-    """Connected parts of the mesh behind a space."""
+    """Connected parts of a mesh."""
 
     V: fem.FunctionSpace
     count: int
     label: Ints  # (owned nodes,) body of each node
     centre: Floats  # (count, d) mean of the nodes' coordinates
-    radius: Floats  # (count,) root mean square distance of the nodes from the centre
+    radius: Floats  # (count,) rms distance of the nodes from the centre
     motions: Callable[[Floats], dict[str, Floats]] = translations_and_rotations  # see `Kinematics`
-    group: Ints | None = None  # (count,) a number that tied bodies have in common
+    group: Ints | None = None  # (count,) common number of tied bodies
 
     def rigid_modes(self) -> Modes:
         """Return (body, name, displacement) of every rigid motion, rotations scaled by 1/radius."""
@@ -57,12 +57,12 @@ class Bodies:
 
     @property
     def groups(self) -> Ints:
-        """A number (count,) that tied bodies have in common, see `with_ties`."""
+        """Common number (count,) of tied bodies, see `with_ties`."""
         return np.arange(self.count, dtype=np.int32) if self.group is None else self.group
 
     @cached_property
     def of_cells(self) -> Ints:
-        """The body (owned cells,) of each cell; collective."""
+        """Body (owned cells,) of each cell; collective."""
         V = self.V
         vector = la.vector(V.dofmap.index_map, 1)
         vector.array[: len(self.label)] = self.label
@@ -72,7 +72,7 @@ class Bodies:
 
     @property
     def shifts(self) -> Bools:
-        """Which directions (d,) all points can move in together without strain."""
+        """Mask (d,) of strain-free translations."""
         d = self.V.dofmap.index_map_bs
         probes = np.vstack([np.zeros(d), np.eye(d)])  # modes are affine
         motions = [motion.ravel() for motion in self.motions(probes).values()]
@@ -91,11 +91,10 @@ class Bodies:
         return vector
 
     def turned(self, asked: Floats, where: Bools, x: Floats) -> Floats:
-        """Return how far rotations carry the nodes beyond the mean of increments, (owned nodes, d).
+        """Displacements of nodes by rotations of the bodies, (owned nodes, d); collective.
 
-        Of bodies whose prescribed nodes, with all components prescribed, move rigidly from x to x +
-        asked, not all of them on a line: all of their nodes then move with these. Zero for others.
-        Tied bodies count as one; collective.
+        In addition to the mean increments. Of bodies, tied ones together, whose wholly prescribed
+        nodes, not all on a line, move rigidly from x to x + asked; zero for others.
         """
         comm, d, result = self.V.mesh.comm, x.shape[1], np.zeros_like(x)
         group = self.groups
@@ -123,9 +122,9 @@ class Bodies:
         return result
 
     def mean(self, values: Floats, where: Bools) -> Floats:
-        """Return the mean over each body of (owned nodes, d) values where marked, else 0.
+        """Mean over each body of marked values (owned nodes, d), else 0; collective.
 
-        Tied bodies count as one; collective.
+        Tied bodies count as one.
         """
         total = np.zeros((self.count, 2, values.shape[1]))
         np.add.at(total[:, 0], self.label, np.where(where, values, 0.0))
@@ -141,10 +140,10 @@ def find_bodies(
     V: fem.FunctionSpace,
     motions: Callable[[Floats], dict[str, Floats]] = translations_and_rotations,
 ) -> Bodies:
-    """Find the connected parts of the mesh through the nodes that cells share; collective.
+    """Find the parts of the mesh connected by nodes; collective.
 
     Args:
-        motions: the rigid-body modes, `rigid_motions` of the solid's kinematics.
+        motions: rigid-body modes, `rigid_motions` of the solid's kinematics.
     """
     count, label = connected_parts(V)
     label = label[: V.dofmap.index_map.size_local]
@@ -152,10 +151,10 @@ def find_bodies(
 
 
 def with_ties(bodies: Bodies, sides: Sequence[tuple[Bools, Bools]]) -> Bodies:
-    """Return the bodies with the groups in which they are tied; collective.
+    """Bodies with their groups by ties; collective.
 
     Args:
-        sides: for each tie, marks of its slave and of its master nodes, (local nodes,) each.
+        sides: of each tie masks (local nodes,) of its slave and master nodes.
     """
     n = len(bodies.label)
     touched = np.zeros((len(sides), bodies.count))
@@ -167,7 +166,7 @@ def with_ties(bodies: Bodies, sides: Sequence[tuple[Bools, Bools]]) -> Bodies:
 
 
 def _measure(V: fem.FunctionSpace, count: int, label: Ints) -> Bodies:
-    """Return bodies with their centres and radii; collective."""
+    """Bodies with their centres and radii; collective."""
     d = V.dofmap.index_map_bs
     x = V.tabulate_dof_coordinates()[: len(label), :d]
     bodies = Bodies(V, count, label, np.zeros((count, d)), np.ones(count))
@@ -177,7 +176,7 @@ def _measure(V: fem.FunctionSpace, count: int, label: Ints) -> Bodies:
 
 
 def rigid_motions(bodies: Bodies) -> list[PETSc.Vec]:
-    """Return the rigid motions of the whole mesh as if it were one body; collective."""
+    """Rigid motions of the whole mesh as one body; collective."""
     everything = np.zeros_like(bodies.label)
     whole = dataclasses.replace(_measure(bodies.V, 1, everything), motions=bodies.motions)
     return [motion for _, _, motion in whole.rigid_modes()]
@@ -192,15 +191,15 @@ def free_motions(
     """Name the rigid-body modes that no constraint resists; collective.
 
     Args:
-        constraints: linear functions that return the constrained displacements (any number on each
-            rank) of a displacement vector: prescribed components, relative motions at ties.
-        contacts: such functions of contacts, which count as if they could also pull.
-        facets: such functions of what contacts resist only because a curved side is made of
-            facets: a pin that spins in a hole runs against their angles.
+        constraints: linear functions of a displacement vector that return constrained displacements
+            (any number on each rank).
+        contacts: such functions of contacts, as if they could also pull.
+        facets: such functions of resistance only due to facets of a curved side, as of a spinning
+            pin.
 
     Returns:
-        The motions in the null space by name: of single bodies where possible, then of several
-        bodies together, then sums of motions; empty if all is held.
+        Names of motions of single bodies where possible, then of several bodies together, then
+            sums.
     """
     return find_free(bodies, constraints, contacts, facets)[0]
 
@@ -211,7 +210,7 @@ def find_free(
     contacts: Sequence[Motion],
     facets: Sequence[Motion],
 ) -> tuple[list[str], list[str]]:
-    """Return the `free_motions`, and those without the contacts; collective."""
+    """The `free_motions`, with and without contacts; collective."""
     modes = bodies.rigid_modes()
     if not modes:
         return [], []
@@ -224,15 +223,15 @@ def find_free(
 def _name_free(
     bodies: Bodies, modes: Modes, held: Floats, touching: Floats, uneven: Floats
 ) -> list[str]:
-    """Return the names of the modes in the null space of quadratic forms, see `free_motions`."""
+    """Names of modes in the null space of quadratic forms, see `free_motions`."""
     scale = max(float((held + touching).diagonal().max()), TINY)
     null = np.eye(len(modes))
-    # only of contacts a part is taken off: other constraints do not depend on facets
+    # only contacts depend on facets
     for form in (held, touching - uneven):
         if null.shape[1] == 0:
             return []
         values, vectors = np.linalg.eigh(null.T @ form @ null / scale)
-        null = null @ vectors[:, values < ROUND_OFF * len(modes)]  # that of sums of squares
+        null = null @ vectors[:, values < ROUND_OFF * len(modes)]  # of sums of squares
     rest = null
     body = np.array([k for k, _, _ in modes])
     named = [f"{name} of {name_of(bodies, [k])}" for k, name, _ in modes]
@@ -247,7 +246,7 @@ def _name_free(
 
 
 def _gram(bodies: Bodies, modes: Modes, functions: Sequence[Motion]) -> Floats:
-    """Return the sums (modes, modes) of f(v_a).f(v_b) over linear functions f; collective."""
+    """Sums (modes, modes) of f(v_a).f(v_b) over linear functions f; collective."""
     rows = np.zeros((0, len(modes)))
     if functions:
         columns = [np.concatenate([f(v).ravel() for f in functions]) for _, _, v in modes]
@@ -256,7 +255,7 @@ def _gram(bodies: Bodies, modes: Modes, functions: Sequence[Motion]) -> Floats:
 
 
 def name_of(bodies: Bodies, group: list[int]) -> str:
-    """Return how a message calls a body, or several."""
+    """Name of a body, or several, in messages."""
     size = bodies.radius[group].max()
     centre = np.where(
         np.abs(bodies.centre[group]) < QUARTER_OF_DIGITS * size, 0.0, bodies.centre[group]
@@ -269,7 +268,7 @@ def name_of(bodies: Bodies, group: list[int]) -> str:
 
 
 def _take_out(null: Floats, rest: Floats, motions: dict[str, Floats]) -> tuple[Floats, list[str]]:
-    """Return the rest (modes, k) of a null space without given motions, and which it had."""
+    """Rest (modes, k) of a null space without given motions, and those it contained."""
     found = []
     for name, motion in motions.items():
         unit = motion / np.linalg.norm(motion)
@@ -282,17 +281,17 @@ def _take_out(null: Floats, rest: Floats, motions: dict[str, Floats]) -> tuple[F
 
 
 def _groups(null: Floats, body: npt.NDArray[np.int_]) -> list[list[int]]:
-    """Return the sets of bodies that only move together in a null space (modes, k)."""
+    """Sets of bodies that only move together in a null space (modes, k)."""
     linked = np.abs(null @ null.T) > QUARTER_OF_DIGITS
     _, label = connected_components(linked | (body[:, None] == body), directed=False)
     return [np.unique(body[label == k]).tolist() for k in np.unique(label)]
 
 
 def _common_motions(bodies: Bodies, group: list[int]) -> dict[str, Floats]:
-    """Return the rigid motions of a group of bodies as one, in terms of their rigid modes."""
+    """Rigid motions of a group of bodies as one, in terms of their modes."""
     count, d = bodies.centre.shape
     middle = bodies.centre[group].mean(axis=0)
-    probes = np.vstack([np.zeros(d), np.eye(d)])  # modes are affine: so many points determine them
+    probes = np.vstack([np.zeros(d), np.eye(d)])  # modes are affine
     own = bodies.motions(probes)
     basis = np.stack([motion.ravel() for motion in own.values()])
     motions = np.zeros((len(own), count, len(own)))
