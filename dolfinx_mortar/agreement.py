@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Arguments that must be the same on all ranks, compared by one digest; for all modules.
+"""Comparison of arguments that must agree among ranks; for all modules.
 
-Every rank runs the same program, so a number, a name or a law that is not the same on all of them
-makes a mixture of problems, or ranks that wait for each other in different places. Whatever a user
-gives is taken apart into replicated values: numbers, texts, tags, kinds of objects, elements of
-Functions, signatures of UFL, and the values of Constants. Values of Functions, dofs and tags of
-cells belong to the parts of the mesh, and may differ; so may what a function of points returns.
+Different numbers, names or laws would mix problems, or ranks would wait for each other in different
+places. Arguments are divided into replicated values: numbers, texts, tags, kinds of objects,
+elements of Functions, UFL signatures, values of Constants. Not compared are values of Functions,
+dofs, tags of cells, and results of functions of points.
 """
 
 import dataclasses
@@ -26,36 +25,33 @@ from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 from ufl.domain import extract_unique_domain
 
-SHOWN = 60  # characters of a value in a message, at most
+SHOWN = 60  # characters of a value in a message
 
 
 def check_same_on_all_ranks(comm: MPI.Comm, **named_values: Any) -> None:
-    """Raise a ValueError on all ranks where a value is not the same on all of them; collective.
+    """Raise a ValueError on all ranks where a value differs; collective.
 
-    One reduction of 16 bytes; the ranks tell each other more only where they differ. Nothing that
-    is given can raise another error here, which one rank might meet alone.
+    One reduction of 16 bytes. No argument can raise another error, perhaps on one rank only.
 
     Args:
-        **named_values: the values by the names that the error shall use.
+        **named_values: values by their names in the error.
 
     Raises:
-        ValueError: naming the first value that differs, and what ranks give for it.
+        ValueError: with the first value that differs, by rank.
     """
     if comm.size == 1:
         return
     texts = dict(part for name, value in named_values.items() for part in _texts(name, value))
     digest = hashlib.sha256(repr(sorted(texts.items())).encode()).digest()[:8]
     own = int.from_bytes(digest, signed=True)
-    extremes = np.array([own, ~own])  # ~ turns the order round, and cannot overflow
+    extremes = np.array([own, ~own])  # ~ reverses the order and cannot overflow
     comm.Allreduce(MPI.IN_PLACE, extremes, op=MPI.MAX)
     if extremes[0] != ~extremes[1]:
         raise ValueError(_difference(comm.allgather(texts)))
 
 
 def find_constants(value: Any) -> list[Any] | None:
-    """Return the Constants in what a user has given; None where an object is not known inside.
-
-    That is what a user has programmed: laws, terms, interfaces, functions of points.
+    """The Constants in arguments; None with a user's laws, terms, interfaces or functions.
 
     >>> find_constants({"nu": 0.3}), find_constants([abs])
     ([], None)
@@ -66,7 +62,7 @@ def find_constants(value: Any) -> list[Any] | None:
 
 
 def _difference(texts: Sequence[Mapping[str, str]]) -> str:
-    """Say what the first value is in which ranks differ, from the texts of all ranks."""
+    """Describe the first value that differs, from the texts of all ranks."""
     for name in dict.fromkeys(name for own in texts for name in own):
         every = [own.get(name, "missing") for own in texts]
         others = [rank for rank, text in enumerate(every) if text != every[0]]
@@ -84,7 +80,7 @@ def _difference(texts: Sequence[Mapping[str, str]]) -> str:
 
 
 def _excerpt(text: str, start: int) -> str:
-    """Return some characters of a text, from one of them on.
+    """Part of a text from a character on.
 
     >>> _excerpt("[1.0]", 0), _excerpt("Constant [1.0, 2.0]", 9)
     ('[1.0]', '... [1.0, 2.0]')
@@ -94,15 +90,14 @@ def _excerpt(text: str, start: int) -> str:
 
 
 def _texts(name: str, value: Any) -> list[tuple[str, str]]:
-    """Return names and texts of what a value holds; what fails to tell counts by its type."""
+    """Names and texts of a value's parts; on errors its type."""
     try:
         return [(key, _text(leaf)) for key, leaf in _leaves(name, value)]
-    except Exception as error:  # of this rank only, perhaps, which must not leave the others alone
+    except Exception as error:  # errors may be local to this rank
         return [(name, f"{type(value).__name__} ({type(error).__name__})")]
 
 
 def _text(leaf: Any) -> str:
-    """Return the text of what `_leaves` yields."""
     if isinstance(leaf, str):
         return leaf
     constant = not isinstance(leaf, type)
@@ -110,7 +105,7 @@ def _text(leaf: Any) -> str:
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield what ranks have to give the same: Constants, and texts; the class of a user's own."""
+    """Yield replicated parts: Constants, texts, and classes of users."""
     inside: Mapping[str, Any] = {}
     if isinstance(value, fem.Constant) or type(value).__name__.startswith("Constant_"):
         yield name, value
@@ -144,7 +139,7 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _fields(value: Any) -> Mapping[str, Any]:
-    """Return what an object tells that its user has given for it."""
+    """Arguments of an object."""
     if isinstance(value, type):
         return {}
     if hasattr(value, "given"):
@@ -154,7 +149,7 @@ def _fields(value: Any) -> Mapping[str, Any]:
 
 
 def _plain(value: Any) -> str | None:
-    """Return a text that is the same for equal values, None for what is no number or text.
+    """Text that is equal for equal values, None for others than numbers and texts.
 
     >>> _plain([1, np.float64(-0.0)]), _plain(np.array([[2.0]])), _plain(("a", None, True))
     ('[1.0, 0.0]', '[[2.0]]', "['a', None, True]")
@@ -166,7 +161,7 @@ def _plain(value: Any) -> str | None:
     if isinstance(value, os.PathLike):
         return repr(os.fspath(value))
     if isinstance(value, Real):
-        return repr(float(value) + 0.0)  # -0.0 is no other number
+        return repr(float(value) + 0.0)  # -0.0 equals 0.0
     if isinstance(value, Complex):
         return repr(complex(value))
     if isinstance(value, np.ndarray):
@@ -178,10 +173,7 @@ def _plain(value: Any) -> str | None:
 
 
 def _signature(value: Expr | ufl.Form) -> str:
-    """Return what tells a form or an expression from others, whatever else a rank has created.
-
-    Numbers in it count, as do the elements of Functions; values of Constants and Functions do not.
-    """
+    """Signature of a form or expression, without the values of Constants and Functions."""
     if isinstance(value, Expr):
         domain = extract_unique_domain(value)
         if domain is None:
