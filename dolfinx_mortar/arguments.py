@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What arguments have to be, declared; without communication, for all sub-packages.
+"""Declared rules for arguments; without communication, for all sub-packages.
 
 >>> check("n", 3, integer(1)), check("x", [1, 2], array((2,), (3,)))
 (3, array([1., 2.]))
@@ -23,14 +23,14 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Rule(Generic[T]):
-    """What an argument has to be."""
+    """Rule for an argument."""
 
-    remedy: str  # what an error asks for
-    read: Callable[[Any], T | None]  # returns what a value stands for, None for a wrong one
+    remedy: str  # end of the error
+    read: Callable[[Any], T | None]  # converts a value, None for a wrong one
 
 
 def check(name: str, value: Any, rule: Rule[T], remedy: str = "") -> T:
-    """Return what an argument stands for, or raise a ValueError with name, value and remedy."""
+    """Converted argument, or raise a ValueError with name, value and remedy."""
     found = rule.read(value)
     if found is None:
         raise ValueError(f"{name} is {_shown(value)}: {remedy or rule.remedy}")
@@ -38,7 +38,7 @@ def check(name: str, value: Any, rule: Rule[T], remedy: str = "") -> T:
 
 
 def check_optional(name: str, value: Any, rule: Rule[T], remedy: str = "") -> T | None:
-    """Return what an argument that may be None stands for, as `check` does."""
+    """Converted argument, or None."""
     remedy = remedy or f"{rule.remedy}, or None"
     return None if value is None else check(name, value, rule, remedy)
 
@@ -57,7 +57,7 @@ def number(
     below: float = math.inf,
     most: float = math.inf,
 ) -> Rule[float]:
-    """Return the rule of finite numbers in a range, ``what`` says what they are."""
+    """Rule for finite numbers in a range; ``what`` describes them."""
     limits = {">": above, ">=": least, "<": below, "<=": most}
     told = " and ".join(f"{sign} {n:g}" for sign, n in limits.items() if math.isfinite(n))
 
@@ -69,13 +69,13 @@ def number(
 
 
 def integer(least: int, most: float = math.inf) -> Rule[int]:
-    """Return the rule of integers in a range."""
+    """Rule for integers in a range."""
     remedy = number("an integer", least=least, most=most).remedy
     return Rule(remedy, lambda n: int(n) if is_integer(n) and least <= n <= most else None)
 
 
 def one_of(*names: str) -> Rule[str]:
-    """Return the rule of some names.
+    """Rule for some names.
 
     >>> one_of("a").remedy, one_of("a", "b", "c").remedy
     ("choose 'a'", "choose 'a', 'b' or 'c'")
@@ -86,7 +86,7 @@ def one_of(*names: str) -> Rule[str]:
 
 
 def instance(kind: Any, remedy: str) -> Rule[Any]:
-    """Return the rule of the objects of a class, or of one of a tuple of them."""
+    """Rule for objects of a class, or of one of several."""
     return Rule(remedy, lambda value: value if isinstance(value, kind) else None)
 
 
@@ -103,13 +103,13 @@ def array(
     finite: bool = True,
     holds: Callable[[Floats], object] = lambda found: True,
 ) -> Rule[Floats]:
-    """Return the rule of numbers of some shape, for which a condition holds.
+    """Rule for arrays of numbers.
 
     Args:
-        *shapes: None is any size; without a shape all are allowed.
-        remedy: of vectors, if none is given.
-        finite: whether all have to be.
-        holds: returns whether numbers are right.
+        *shapes: allowed ones, None for any size; all without any.
+        remedy: default that of vectors.
+        finite: whether all have to be finite.
+        holds: further condition.
     """
     sizes = " or ".join(str(shape[0]) for shape in shapes if shape)
 
@@ -135,24 +135,24 @@ POISSON = number("Poisson's ratio, 0.499 for an incompressible body,", above=-1.
 
 
 def is_number(value: Any) -> bool:
-    """Tell whether a value is a finite real number, and no truth value.
+    """Tell whether a value is a finite real number, no truth value.
 
     >>> [is_number(v) for v in (1, np.float32(2.5), True, np.nan, 10**400, 1j, "1", None)]
     [True, True, False, False, False, False, False, False]
     """
     try:
         return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
-    except OverflowError:  # an integer beyond all floats
+    except OverflowError:  # integer beyond all floats
         return False
 
 
 def is_integer(value: Any) -> bool:
-    """Tell whether a value is an integer, and no truth value."""
+    """Tell whether a value is an integer, no truth value."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def as_numbers(value: Any) -> Floats | None:
-    """Return real numbers of any shape as an array, None for texts, truth and complex values.
+    """Real numbers as an array, None for texts, truth and complex values.
 
     >>> as_numbers([1, np.nan]), as_numbers([[1], [2, 3]]), as_numbers([True]), as_numbers([1j])
     (array([ 1., nan]), None, None, None)
@@ -165,7 +165,7 @@ def as_numbers(value: Any) -> Floats | None:
 
 
 def _shown(value: Any) -> str:
-    """Return a value as an error shows it: of large arrays the shape, and what is not finite.
+    """Text of a value in an error; of large arrays shape and first non-finite value.
 
     >>> _shown([1.0, None]), _shown(np.full((4, 3), np.inf))
     ('[1.0, None]', 'an array of shape (4, 3), with inf at [0, 0]')
@@ -173,7 +173,7 @@ def _shown(value: Any) -> str:
     numbers = as_numbers(value)
     if numbers is None or numbers.size < 10:
         text = repr(value.tolist() if isinstance(value, np.ndarray) else value)
-        return text if len(text) < 300 else f"{text[:300]} ..."  # of UFL they fill pages
+        return text if len(text) < 300 else f"{text[:300]} ..."  # UFL fills pages
     bad = np.argwhere(~np.isfinite(numbers))
     found = f", with {numbers[tuple(bad[0])]} at {bad[0].tolist()}" if len(bad) else ""
     return f"an array of shape {numbers.shape}{found}"
