@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The geometry audit before the first step: errors and warnings about sides and bodies."""
+"""Geometry audit before the first step: errors and warnings about sides and bodies."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ from dolfinx_mortar.mortar.surface import (
 from dolfinx_mortar.supports.bodies import Bodies, Motion, find_free
 from dolfinx_mortar.supports.dirichlet import Dirichlet
 
-# Added to the message about unconstrained bodies where the overlap of a tie is free
+# added for unconstrained bodies if a tie has a pretension
 PRETENSION_HINT = (
     ". A tie with a pretension does not hold its sides against its direction: supports, other ties "
     "or contacts have to, at both ends of the bolt"
@@ -41,7 +41,7 @@ class Audit:
 
     bodies: int
     interfaces: list[InterfaceAudit]
-    held_by_contact: list[str]  # names of bodies that nothing but contact holds
+    held_by_contact: list[str]  # bodies restrained only by contact
     warnings: list[str]
 
     def __str__(self) -> str:
@@ -49,7 +49,7 @@ class Audit:
         lines += [str(i) for i in self.interfaces]
         return "\n".join(lines + [f"warning: {w}" for w in self.warnings])
 
-    __repr__ = __str__  # what notebooks show
+    __repr__ = __str__  # for notebooks
 
 
 def create_audit(
@@ -62,16 +62,16 @@ def create_audit(
     at: fem.Function | None,
     increment: float,
 ) -> Audit:
-    """Audit bodies and interfaces whose pairings exist; collective.
+    """Audit bodies and paired interfaces; collective.
 
     Args:
-        x: (n,) present coordinates X + u.
-        springs: resistance of the potential to a motion, relative to the stiffest.
-        at: displacement at which contacts are taken, None for X.
-        increment: largest prescribed increment of the step that follows, 0 if not known.
+        x: (n,) X + u.
+        springs: relative resistance of the potential to a motion.
+        at: displacement of the contacts, None for X.
+        increment: largest prescribed increment of the next step, 0 if unknown.
 
     Raises:
-        ValueError: if a body can move rigidly without any resistance.
+        ValueError: if a body can move rigidly without resistance.
     """
     links, empty = system.links, supports.warnings()
     loose, by_contact = find_free_motions(bodies, system, supports, springs)
@@ -107,13 +107,9 @@ def find_free_motions(
     supports: Dirichlet,
     springs: Callable[[PETSc.Vec], Floats],
 ) -> tuple[list[str], list[str]]:
-    """Return what may move rigidly, see `create_audit`; collective.
+    """Free rigid motions, and bodies restrained only by contact, by names; collective.
 
-    A tie with a pretension resists all but the overlap of its sides.
-
-    Returns:
-        The names of the rigid motions that nothing resists, and those of the bodies that contact
-        alone holds.
+    A tie with a pretension resists all but its overlap.
     """
     contacts = [link.constrained_motion for link in system.unilateral]
     facets = [_facet_motion(link) for link in system.unilateral]
@@ -126,7 +122,7 @@ def find_free_motions(
 def _held_motions(
     system: InterfaceSystem, supports: Dirichlet, springs: Callable[[PETSc.Vec], Floats]
 ) -> list[Motion]:
-    """Return the motions that supports, springs and ties resist."""
+    """Motions resisted by supports, springs and ties."""
     held: list[Motion] = [lambda v: v.array_r[supports.owned.ravel()], springs]
     for link in system.links:
         bolt = _bolt(link)
@@ -135,13 +131,12 @@ def _held_motions(
 
 
 def _bolt(link: Link) -> Bolt | None:
-    """Return the overlap that a pretension drives, None for none."""
     bolt = link.interface.driven()
     return bolt if isinstance(bolt, Bolt) else None
 
 
 def _held_but(link: Link, axis: Floats) -> Motion:
-    """Return the motion that a tie resists whose overlap along an axis (d,) is free; collective."""
+    """Motion resisted by a tie with free overlap along an axis (d,); collective."""
     moved = link.spread(np.tile(axis, (len(link.nodes), 1)))
     e, comm = link.constrained_motion(moved), moved.comm.tompi4py()
     size = comm.allreduce(float(e @ e))
@@ -154,10 +149,9 @@ def _held_but(link: Link, axis: Floats) -> Motion:
 
 
 def _facet_motion(link: Link) -> Motion:
-    """Return the part of a relative motion that is within the error of facet normals; collective.
+    """Relative motion within the error of facet normals, as vectors; collective.
 
-    At most half the angle between facet and nodal normals, in the mean: sliding along the side
-    shows as much normal motion. As vectors, for a length is not linear in the motion.
+    Half the mean angle between facet and nodal normals: sliding shows as much normal motion.
     """
     comm = link.sides.V.mesh.comm
     edge = link.interface.feature_angle
@@ -174,10 +168,7 @@ def _facet_motion(link: Link) -> Motion:
 
 
 def facet_angle(surface: Surface, feature_angle: float, comm: MPI.Comm) -> float:
-    """Return the root mean square angle between facet and nodal normals at X; collective.
-
-    Without those at edges, where facets meet at the feature angle or more (degrees).
-    """
+    """Rms angle between facet and nodal normals at X, without sharp edges; collective."""
     across = normals_at_nodes(facets_at(surface, surface.X))
     at_nodes = nodal_normals(surface, surface.X)[surface.facets]
     cosine = np.einsum("mki,mki->mk", across, at_nodes)
@@ -190,8 +181,8 @@ def facet_angle(surface: Surface, feature_angle: float, comm: MPI.Comm) -> float
 def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec, increment: float) -> None:
     """Raise a ValueError on all ranks if two sides face each other only through their bodies.
 
-    So if every slave node is deeper inside the master body than any body is large and prescribed
-    motions help; of parts of one surface, if one is, or if all that face do so across the body.
+    All slave nodes are deeper inside the master than any body's size plus prescribed motions; of
+    parts of one surface one suffices, or all facing is across the body.
     """
     interface, kept = link.interface, link.coupling.kept.all(axis=1)
     normal = -link.gaps(x)
