@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The audit of the mesh: coordinates that are NaN, cells collapsed, inverted or folded.
+"""Audit of the mesh: NaN coordinates; collapsed, inverted or folded cells.
 
-The sign of one cell's Jacobian has no meaning, because dolfinx numbers a cell's nodes in any order.
-Compared are the signs within cells, at the points of a Gauss rule, and the sides of a facet on
-which two triangles or tetrahedra lie.
+As dolfinx orders nodes freely, the sign of one Jacobian has no meaning. Compared are signs at the
+Gauss points of a cell, and the sides of a facet on which two simplices lie.
 """
 
 from dataclasses import dataclass
@@ -28,7 +27,7 @@ CELLS = (*SIMPLICES, "quadrilateral", "hexahedron")
 
 @dataclass(frozen=True)
 class _Cells:
-    """The cells that this rank owns; those of a node side by side, so that loops run over cells."""
+    """Owned cells, vectorised over cells."""
 
     mesh: Mesh
     kind: str
@@ -37,14 +36,14 @@ class _Cells:
 
 
 def check_mesh(mesh: Mesh) -> None:
-    """Raise a ValueError on all ranks for unsound cells; collective.
+    """Raise a ValueError on all ranks for invalid cells; collective.
 
-    Unsound: geometry of a degree that is not supported, coordinates that are NaN or infinite, cells
-    without volume, cells whose Jacobian changes sign, cells that overlap a neighbour. Bodies may
-    overlap each other. Unsupported kinds of cells are left to other checks.
+    Invalid: unsupported degree of the geometry, NaN or infinite coordinates, no volume, Jacobians
+    that change sign, overlaps with neighbours. Bodies may overlap. Unsupported kinds of cells are
+    ignored.
 
     Raises:
-        ValueError: with what is wrong, how many cells, where the first one is, and the remedy.
+        ValueError: with number, place and remedy.
     """
     kind, d = mesh.topology.cell_name(), mesh.topology.dim
     if kind not in CELLS or mesh.geometry.dim != d:
@@ -73,7 +72,7 @@ def check_mesh(mesh: Mesh) -> None:
 
 
 def jacobians(x: Floats, kind: str, points: Floats, degree: int = 1) -> Floats:
-    """Return the Jacobians (q, n) of cells x (k, d, n) at reference points (q, d).
+    """The Jacobians (q, n) of cells x (k, d, n) at reference points (q, d).
 
     >>> square = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 1.0], [2.0, 1.0]])[:, :, None]
     >>> jacobians(square, "quadrilateral", np.array([[0.25, 0.5]])).round(12).tolist()
@@ -86,17 +85,14 @@ def jacobians(x: Floats, kind: str, points: Floats, degree: int = 1) -> Floats:
 
 
 def _points(kind: str, degree: int) -> Floats:
-    """Return the reference points (q, d) at which signs are compared.
-
-    Two along each edge of quadrilaterals and hexahedra, three of degree two.
-    """
+    """Reference points (q, d): on quadrilaterals and hexahedra two per edge, three for degree 2."""
     exact = 3 * degree - 2 if kind in SIMPLICES else 2 * degree + 1
     points, _ = basix.make_quadrature(basix.CellType[kind], exact)
     return np.asarray(points)
 
 
 def _determinants(vectors: list[Floats]) -> Floats:
-    """Return the determinants (.., n) of d vectors (.., d, n)."""
+    """Determinants (.., n) of d vectors (.., d, n)."""
     components = [np.moveaxis(v, -2, 0) for v in vectors]
     if len(vectors) == 2:
         (a, b), (c, d) = components
@@ -106,14 +102,13 @@ def _determinants(vectors: list[Floats]) -> Floats:
 
 
 def _round_off(x: Floats) -> Floats:
-    """Return the error of the Jacobian of cells x (k, d, n), EPS |x| h^(d-1) times operations."""
+    """Error of the Jacobian of cells x (k, d, n), EPS |x| h^(d-1) times operations."""
     most, least = x.max(axis=0), x.min(axis=0)
     largest, extent = np.maximum(most, -least).max(axis=0), (most - least).max(axis=0)
     return np.asarray(ROUND_OFF * largest * extent ** (x.shape[1] - 1))
 
 
 def _own_cells(mesh: Mesh, kind: str) -> _Cells:
-    """Collect numbers and coordinates of the owned cells' nodes."""
     d, geometry = mesh.topology.dim, mesh.geometry
     dofs = compat.cell_nodes(mesh)[: mesh.topology.index_map(d).size_local]
     dofs = np.ascontiguousarray(dofs.T)
@@ -123,16 +118,16 @@ def _own_cells(mesh: Mesh, kind: str) -> _Cells:
 
 
 def _beside_neighbour(cells: _Cells) -> Bools:
-    """Tell which simplices (n,) lie on the same side of a facet as their neighbour; collective.
+    """Mask of simplices (n,) on the same side of a facet as their neighbour; collective.
 
-    Signs of det(x_1 - x_0, .., x_d - x_0), facet vertices in the order of their global numbers and
-    the other one last, add up to 0 in a sound mesh.
+    Signs of det(x_1 - x_0, .., x_d - x_0), facet vertices by global numbers and the other one last,
+    cancel in a valid mesh.
     """
     topology, d = cells.mesh.topology, cells.x.shape[1]
     topology.create_entities(d - 1)
     topology.create_connectivity(d, d - 1)
     x, nodes = cells.x[: d + 1], cells.nodes[: d + 1]
-    # facet i does not have vertex i, which goes to the end past all vertices of larger numbers
+    # facet i lacks vertex i, which moves to the end past larger numbers
     sides = np.tile(np.sign(_determinants([x[i] - x[0] for i in range(1, d + 1)])), (d + 1, 1))
     for i, j in combinations(range(d + 1), 2):
         ordered = np.where(nodes[i] < nodes[j], 1.0, -1.0)
@@ -148,7 +143,7 @@ def _beside_neighbour(cells: _Cells) -> Bools:
 
 
 def _reject(cells: _Cells, bad: Any, what: str, remedy: str) -> None:
-    """Raise a ValueError on all ranks if any cell is bad; collective."""
+    """Raise a ValueError on all ranks for bad cells; collective."""
     count, total = cells.mesh.comm.allreduce(np.array([bad.sum(), len(bad)]), op=MPI.SUM)
     if count == 0:
         return
