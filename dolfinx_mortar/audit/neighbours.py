@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Bodies that come near each other: for proposals of contacts, and for warnings where none is."""
+"""Near bodies, for proposals of contacts and warnings about missing ones."""
 
 from mpi4py import MPI
 
@@ -15,19 +15,16 @@ from dolfinx_mortar.supports.bodies import Bodies, name_of
 
 
 def are_near(facing: Facing, within: float | None) -> Bools:
-    """Tell (p,) which pairs of facets are near: at most `within` apart.
+    """Mask (p,) of near pairs of facets.
 
-    If it is not given, the diameter of the larger one of the two facets.
+    At most `within` apart, default the diameter of the larger facet.
     """
     reach = facing.size.max(axis=1, initial=0.0) if within is None else within
     return np.asarray(facing.distance <= reach)
 
 
 def boxes_of(comm: MPI.Comm, x: Floats, body: Longs, count: int) -> Floats:
-    """Return smallest and largest coordinates (count, 2, d) of facets x (m, k, d) of bodies (m,).
-
-    Of all ranks; collective.
-    """
+    """Boxes (count, 2, d) of bodies from facets x (m, k, d) of bodies (m,); collective."""
     boxes = np.full((count, 2, x.shape[2]), np.inf)
     low, high = bounds(x)
     np.minimum.at(boxes[:, 0], body, low)
@@ -40,9 +37,9 @@ def boxes_of(comm: MPI.Comm, x: Floats, body: Longs, count: int) -> Floats:
 def warnings_on_neighbours(
     bodies: Bodies, system: InterfaceSystem, at: fem.Function | None
 ) -> list[str]:
-    """Return a warning for each pair of bodies that come near where no interface couples them.
+    """Warning for each pair of near bodies without an interface; collective.
 
-    Near is as for `find_pairs`. Collective.
+    Near as in `find_pairs`.
 
     Args:
         at: displacement, None for X.
@@ -67,13 +64,13 @@ def warnings_on_neighbours(
 
 
 def _nearest(rows: Floats) -> Floats:
-    """Return the row with the least distance of each pair: pair, distance, place."""
+    """Row with the least distance of each pair: pair, distance, place."""
     rows = rows[np.lexsort(rows.T[::-1])]
     return rows[np.unique(rows[:, :2], axis=0, return_index=True)[1]]
 
 
 def _coupled(bodies: Bodies, system: InterfaceSystem) -> Bools:
-    """Tell (bodies, bodies) which ones some interface couples; collective."""
+    """Mask (bodies, bodies) of coupled bodies; collective."""
     found = np.zeros((bodies.count, bodies.count))
     n = len(bodies.label)
     for sides in system.sides:
@@ -88,7 +85,6 @@ def _coupled(bodies: Bodies, system: InterfaceSystem) -> Bools:
 
 
 def _warning(bodies: Bodies, one: int, other: int, distance: float, *place: float) -> str:
-    """Return the text for two bodies."""
     who = " and ".join(name_of(bodies, [k]) for k in (one, other))
     where = f"({', '.join(f'{x:.4g}' for x in place)})"
     how = f"are {distance:.3g} apart" if distance >= 0.0 else f"overlap by {-distance:.3g}"
