@@ -20,7 +20,7 @@ def interpolation_points(V: fem.FunctionSpace) -> np.ndarray:
 
 
 def on_same_mesh(tags: mesh.MeshTags | mesh.Mesh, domain: mesh.Mesh) -> bool:
-    """Tell whether tags, or a mesh, are of this very mesh (the topology may be wrapped or not)."""
+    """Tell whether tags, or a mesh, are of this very mesh (topologies may be wrapped)."""
 
     def unwrapped(topology: Any) -> Any:
         return getattr(topology, "_cpp_object", topology)
@@ -29,21 +29,21 @@ def on_same_mesh(tags: mesh.MeshTags | mesh.Mesh, domain: mesh.Mesh) -> bool:
 
 
 def cell_degree(domain: mesh.Mesh) -> int:
-    """Return the degree of the cells' geometry (0.11 has a list of maps, one per cell type)."""
+    """Degree of the cells' geometry (0.11 has a list of maps)."""
     geometry: Any = domain.geometry
     maps = getattr(geometry, "cmaps", None)
     return int((maps[0] if maps is not None else geometry.cmap).degree)
 
 
 def cell_nodes(domain: mesh.Mesh) -> npt.NDArray[np.int32]:
-    """Return the nodes (cells, n) of the cells' geometry (0.11 has a list, one per cell type)."""
+    """Nodes (cells, n) of the cells' geometry (0.11 has a list)."""
     geometry: Any = domain.geometry
     lists = getattr(geometry, "dofmaps", None)
     return np.asarray(lists[0] if isinstance(lists, list | tuple) else geometry.dofmap)
 
 
 def scaled_mesh(domain: mesh.Mesh, scale: float) -> mesh.Mesh:
-    """Return the cells of this rank as a mesh of its own, with coordinates times a number."""
+    """Cells of this rank as a mesh with scaled coordinates."""
     cpp, old = domain._cpp_object, domain.geometry
     map_of_cells = getattr(old.cmap, "_cpp_object", old.cmap)
     given = old.index_map(), cell_nodes(domain), map_of_cells, scale * old.x[:, : old.dim]
@@ -54,9 +54,9 @@ def scaled_mesh(domain: mesh.Mesh, scale: float) -> mesh.Mesh:
 def mesh_from_gmsh(
     model: Any, comm: Any, dim: int
 ) -> tuple[mesh.Mesh, mesh.MeshTags, mesh.MeshTags]:
-    """Return mesh, cell tags and facet tags of the Gmsh model on rank 0; collective.
+    """Mesh, cell tags and facet tags of the Gmsh model on rank 0; collective.
 
-    The module has another name since 0.10, and tags that a model does not have are None there.
+    Since 0.10 the module has another name, and missing tags are None.
     """
     try:
         from dolfinx.io.gmsh import model_to_mesh
@@ -71,22 +71,20 @@ def mesh_from_gmsh(
 
 
 def cell_kinds(domain: mesh.Mesh) -> list[str]:
-    """Return the names of the kinds of cells in a mesh (one, unless it is mixed)."""
+    """Names of the kinds of cells in a mesh, one unless mixed."""
     topology: Any = getattr(domain.topology, "_cpp_object", domain.topology)
     kinds = getattr(topology, "entity_types", None) or getattr(topology, "cell_types", None)
     return sorted(kind.name for kind in kinds[-1]) if kinds else [domain.topology.cell_name()]
 
 
 def compile_together(*forms: ufl.Form, compiler: list[str] | None = None) -> list[fem.Form]:
-    """Return `fem.form` of forms of integrals over cells, compiled in one module; collective.
+    """Return `fem.form` of forms over cells, compiled in one module; collective.
 
-    A module of its own costs each form a start of compiler and linker, 0.1 s of processor time,
-    which most kernels do not need. Modules are kept on disk as a whole: what varies alone, such as
-    the user's load, would make those of others anew.
+    A module costs 0.1 s of compiler and linker. It is kept on disk as a whole: compile forms that
+    vary, such as the user's load, on their own.
 
     Args:
-        forms: what is compiled.
-        compiler: options of the compiler; those that are set by default.
+        compiler: options of the compiler, default the usual ones.
     """
     comm = forms[0].ufl_domain().ufl_cargo().comm
     options = ffcx.get_options({"scalar_type": default_scalar_type})
@@ -98,7 +96,7 @@ def compile_together(*forms: ufl.Form, compiler: list[str] | None = None) -> lis
 
 
 def _create_form(form: ufl.Form, kernel: Any, module: Any, code: Any) -> fem.Form:
-    """Return a compiled form with its data, as `fem.form` does."""
+    """Compiled form with its data, as of `fem.form`."""
     ((domain, data),) = form.subdomain_data().items()
     functions, positions = form.coefficients(), kernel.original_coefficient_positions
     address = int(module.ffi.cast("uintptr_t", module.ffi.addressof(kernel)))
@@ -113,6 +111,6 @@ def _create_form(form: ufl.Form, kernel: Any, module: Any, code: Any) -> fem.For
     create: Any = fem.form_cpp_class(default_scalar_type)
     try:
         made = create([address], spaces, *rest)
-    except TypeError:  # 0.9 takes one kernel, later versions a list, for meshes of several cells
+    except TypeError:  # 0.9 takes one kernel, later versions a list
         made = create(address, spaces, *rest)
     return fem.Form(made, kernel, code, module)
