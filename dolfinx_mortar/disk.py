@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Files that are replaced as a whole, and checks of a path and its disk before HDF5 writes there.
+"""Files replaced as a whole; checks of a path and its disk before HDF5 writes.
 
-Whether it can be a name; whether there is space, as HDF5 crashes on a full disk; and whether a file
-that would be replaced is a checkpoint: ``Writer("run.xdmf", ..)`` and ``checkpoint="run.h5"`` use
-the same one.
+The name, the space (HDF5 crashes on a full disk), and whether the file to be replaced is a
+checkpoint: ``Writer("run.xdmf", ..)`` and ``checkpoint="run.h5"`` use the same file.
 """
 
 import errno
@@ -16,16 +15,16 @@ from mpi4py import MPI
 
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 
-# Bytes that HDF5 keeps for an array, and for a file, beside the numbers. Measured: 0.5 kB for those
-# of h5py, 4.4 kB for those of PETSc, which are in chunks.
+# Bytes of HDF5 per array and per file in addition to the data; measured 0.5 kB (h5py) and 4.4 kB
+# (chunks of PETSc).
 INDEX = 2**13
-CANNOT_TELL = (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS)  # file systems that allocate nothing
+CANNOT_TELL = (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS)  # file systems that cannot allocate
 
-CHECKPOINT = b"dolfinx_mortar checkpoint"  # how one begins
+CHECKPOINT = b"dolfinx_mortar checkpoint"  # first bytes of the file
 
 
 def is_checkpoint(file: Path) -> bool:
-    """Tell whether there is a file, and it begins as a checkpoint does."""
+    """Tell whether a file exists and begins as a checkpoint."""
     if not file.is_file():
         return False
     with file.open("rb") as stream:
@@ -33,21 +32,21 @@ def is_checkpoint(file: Path) -> bool:
 
 
 def draft_of(path: Path) -> Path:
-    """Return the name under which a file is written until it is complete."""
+    """Name of an incomplete file."""
     return path.with_name(f"{path.name}.part")
 
 
 def replace_by_draft(path: Path) -> None:
-    """Give a complete draft the name of the file, in one move, when it is on the disk."""
+    """Rename a complete draft, once it is on the disk."""
     draft = draft_of(path)
     flush(draft)
     draft.replace(path)
-    with suppress(OSError):  # not every file system can; either file is whole under the name
+    with suppress(OSError):  # not all file systems can; either file is whole
         flush(path.parent)
 
 
 def flush(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on the disk."""
+    """Wait until a file or folder is on the disk."""
     number = os.open(path, os.O_RDONLY)
     try:
         os.fsync(number)
@@ -56,14 +55,14 @@ def flush(path: Path) -> None:
 
 
 def space_for(arrays: int, size: int) -> int:
-    """Return by how many bytes a file of HDF5 grows at most, for arrays of so many bytes in all."""
+    """Upper bound of an HDF5 file's growth by arrays of so many bytes."""
     return size + INDEX * (arrays + 1)
 
 
 def demand_space(file: Path, size: int) -> None:
     """Raise an OSError unless an existing file can grow by so many bytes; it is not changed.
 
-    File systems that cannot reserve space raise nothing.
+    Nothing is raised where space cannot be reserved.
     """
     if not hasattr(os, "posix_fallocate"):
         return
@@ -81,7 +80,7 @@ def demand_space(file: Path, size: int) -> None:
 
 
 def check_path(comm: MPI.Comm, path: Any, name: str = "path") -> Path:
-    """Return a file name as a path if it is one, the same on all ranks; collective."""
+    """Checked file name as a path, the same on all ranks; collective."""
     known = isinstance(path, str | os.PathLike)
     check_same_on_all_ranks(comm, **{name: os.fspath(path) if known else path})
     if not known or not _can_be_name(os.fspath(path)):
@@ -90,7 +89,7 @@ def check_path(comm: MPI.Comm, path: Any, name: str = "path") -> Path:
 
 
 def _can_be_name(path: str | bytes) -> bool:
-    """Tell whether a file or a folder can have a name."""
+    """Tell whether a text can be a file name."""
     try:
         name = os.fsencode(path)
     except UnicodeEncodeError:
