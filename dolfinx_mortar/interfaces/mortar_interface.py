@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Interfaces between two sides of the mesh, which dual mortar operators couple."""
+"""Interfaces between two sides of the mesh, coupled by dual mortar operators."""
 
 from __future__ import annotations
 
@@ -42,26 +42,24 @@ SURFACES = ("smooth", "facets")
 
 
 def is_smooth(surface: str) -> bool:
-    """Return which of `SURFACES` it is; raise a ValueError for anything else."""
+    """Tell whether a surface is "smooth"; raise a ValueError for unknown ones."""
     if not isinstance(surface, str) or surface not in SURFACES:
         raise ValueError(f"surface is {surface!r}: choose 'smooth' or 'facets'")
     return surface == "smooth"
 
 
 class MortarInterface(Interface):
-    """A slave and a master side, marked in facet tags, coupled by D and M.
+    """A tagged slave and master side, coupled by D and M.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
-        slave: tag, or name if the tags have names (see `Tags`), of the side that carries the
-            multipliers and the integration (nonmortar side).
-        master: tag or name of the other side (mortar side).
-        surface: "facets", or "smooth" where they stand for smooth surfaces.
-        feature_angle: degrees between two facets from which on they meet in an edge, which stays
-            one; for smooth surfaces.
+        slave: tag or name (see `Tags`) of the nonmortar side, with multipliers and integration.
+        master: tag or name of the mortar side.
+        surface: "facets", or "smooth" for smooth surfaces through the nodes.
+        feature_angle: degrees between facets from which on an edge is sharp; for smooth surfaces.
 
     Raises:
-        ValueError: for tags that are none, unknown names, and an unknown surface or angle.
+        ValueError: for invalid tags, names, surface or angle.
     """
 
     def __init__(
@@ -91,27 +89,25 @@ class MortarInterface(Interface):
         return f"{super().__repr__()[:-1]}, master={master}{said})"
 
     def given(self) -> dict[str, Any]:
-        """Return what all ranks have to give the same, by name; see `agreement`."""
+        """Arguments that must agree among ranks, by name; see `agreement`."""
         return super().given() | {
             "master": self.master,
             "surface": "smooth" if self.smooth else "facets",
             "feature_angle": self.feature_angle,
         }
 
-    # -- what a kind decides ---------------------------------------------------------------------
-
     def reach(self, sizes: Floats, nearest: float) -> Floats:
-        """Return how far apart (q,) partners may be, where ``within`` is not infinite.
+        """Largest distance (q,) of partners, if ``within`` is finite.
 
         Args:
-            sizes: (q,) diameter of the larger one of two facets.
-            nearest: least distance between the sides.
+            sizes: (q,) diameter of the larger facet.
+            nearest: least distance of the sides.
         """
         return np.full(len(sizes), np.inf)
 
     @abstractmethod
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
-        """Return (n, c): which nodes may carry a multiplier, for each of c choices of direction.
+        """Mask (n, c) of nodes that may carry a multiplier, for c choices of direction.
 
         Args:
             left: (n,) length of the unit normals without prescribed directions.
@@ -120,17 +116,15 @@ class MortarInterface(Interface):
 
     @abstractmethod
     def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
-        """Return the frames for unit normals (n, d), kept nodes (n, c), Dirichlet data (n, d)."""
+        """Frames for unit normals (n, d), kept nodes (n, c), Dirichlet data (n, d)."""
 
     @abstractmethod
     def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
-        """Return the entries (e, d, d) of Q for P (e, c) in rows (e,) of the frame."""
+        """Entries (e, d, d) of Q for P (e, c) in rows (e,) of the frame."""
 
     @abstractmethod
     def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
-        """Return which operators smooth surfaces correct, see `create_operators`."""
-
-    # -- surfaces, pairs, operators --------------------------------------------------------------
+        """Arguments of `create_operators` for smooth surfaces."""
 
     def find_sides(self, V: fem.FunctionSpace, fixed: Bools, weight: Weight | None = None) -> Sides:
         """Return both surfaces in V, see `Interface.find_sides`; collective."""
@@ -178,7 +172,7 @@ class MortarInterface(Interface):
         return pairing, create_pattern(sides, *entries, smooth, nearby)
 
     def find_partners(self, pairing: Pairing, u: fem.Function | None) -> tuple[Segments, Floats]:
-        """Return the segments that are coupled at X + u, and the slave normals; collective."""
+        """Coupled segments at X + u, and the slave normals; collective."""
         segments, normals = find_segments(pairing, u)
         if self.within != np.inf:
             segments = drop_far(pairing, segments, u, self.reach)
@@ -187,13 +181,13 @@ class MortarInterface(Interface):
     def measure_coverage(
         self, sides: Sides, pairing: Pairing | None, u: fem.Function | None
     ) -> Coverage:
-        """Return how far the slave nodes face the master at X + u; collective."""
+        """Coverage of the slave nodes at X + u; collective."""
         assert pairing is not None
         segments, _ = self.find_partners(pairing, u)
         return find_coverage(pairing, segments, *node_weights(pairing, segments))
 
     def derivatives(self, link: CoupledSides) -> ContactDerivatives | None:
-        """Return the derivatives of what can open, see `contact_tangent`; collective."""
+        """Derivatives of contacts, see `contact_tangent`; collective."""
         return ContactDerivatives(link) if self.unilateral else None
 
     def couple(
@@ -208,7 +202,7 @@ class MortarInterface(Interface):
         assert pairing is not None
         comm, slave, own = sides.V.mesh.comm, sides.slave, slice(None, sides.slave.owned)
         segments, averaged = self.find_partners(pairing, u)
-        # on planes of symmetry the side goes on as its image
+        # planes of symmetry continue the side by its image
         normals, _ = free_directions(averaged, sides.mirrors[slave.nodes])
         fixed, free = sides.fixed[slave.nodes], ~banned[slave.nodes, None]
         _, left = free_directions(normals, fixed)
@@ -244,14 +238,12 @@ class MortarInterface(Interface):
 
 
 def have_slid(sides: Sides, pairing: Pairing, u: fem.Function | None, near: Bools | None) -> bool:
-    """Tell whether two sides slid out of the margin of the last search; collective.
+    """Tell whether two sides slid beyond the margin of the last search; collective.
 
     Args:
-        pairing: their candidate pairs.
-        u: displacement.
-        near: slave nodes (n,) whose facets are looked at; None for all.
+        near: slave nodes (n,) whose facets are considered; None for all.
     """
-    if near is None or sides.meet_themselves:  # parts that were far have no pairs yet
+    if near is None or sides.meet_themselves:  # self-contact lacks pairs of far parts
         return outside_margin(pairing, u)
     marks = np.zeros(sides.n_owned, dtype=bool)
     marks[sides.nodes] = near
