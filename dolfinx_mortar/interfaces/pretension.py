@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Pretension of a bolt that is cut by a tie: an unknown overlap s, whose conjugate force is given.
+"""Pretension of a bolt cut by a tie: an unknown overlap s with given conjugate force F.
 
-The tie asks for w_j = jump_j + e_j s at its slave nodes, with e_j the part of n that node j takes:
-n itself, but for directions with Dirichlet data, and for what its dual function has of nodes
-without a multiplier. With the reactions r_j of the tie, virtual work gives the one equation
+The tie constrains w_j = jump_j + e_j s, e_j being n without directions with Dirichlet data and
+shares of nodes without multiplier. With the reactions r_j of the tie, virtual work gives
 
     sum_j e_j . r_j = F,
 
-and the left side is ``tie.force @ n``. s is one of the scalars of the QP, see `qp.scalars`.
+the left side being ``tie.force @ n`` (theory.md, Pretension).
 """
 
 from __future__ import annotations
@@ -34,19 +33,19 @@ Direction = Sequence[float] | Floats | None
 Force = float | fem.Constant | None
 """A number, or a scalar Constant."""
 
-# Along the outward normal of the slave side, cosine: less is shear rather than tension, or points
-# into the body where it is negative. Cuts at 60 degrees to the axis are above.
+# Least cosine with the outward normal of the slave side: below it is shear, or points inward if
+# negative. Cuts at 60 degrees to the axis are above.
 ALONG = 0.45
-# Mean of the unit normals of a side, length: a shorter one is that of a side around a shank. An arc
-# of the angle 2 a has sin(a) / a, which is below for more than 327 of 360 degrees.
+# Length of a side's mean unit normal, below which it goes around a shank: an arc of the angle 2 a
+# has sin(a) / a, below for more than 327 degrees.
 AROUND = 0.1
 
 
 def check_force(value: Any) -> Any:
-    """Return a pretension as it is kept; without communication.
+    """Checked pretension; without communication.
 
     Raises:
-        ValueError: for what is no finite number, scalar Constant or None.
+        ValueError: for other than finite numbers, scalar Constants or None.
     """
     if isinstance(value, fem.Constant):
         check_real("pretension", value)
@@ -61,10 +60,10 @@ def check_force(value: Any) -> Any:
 
 
 def check_direction(direction: Any, d: int) -> Floats:
-    """Return the unit vector (d,) of a direction; without communication.
+    """Unit vector (d,) of a direction; without communication.
 
     Raises:
-        ValueError: for what has not d finite components, or only zeros.
+        ValueError: for other than d finite components, or only zeros.
     """
     numbers = as_numbers(direction.tolist() if isinstance(direction, np.ndarray) else direction)
     n = np.zeros(0) if numbers is None else numbers
@@ -73,18 +72,18 @@ def check_direction(direction: Any, d: int) -> Floats:
             f"direction is {direction!r}: give {d} finite components, not all zero, along the axis "
             "of the bolt"
         )
-    n = n / np.abs(n).max()  # squares of very large or small components are none
+    n = n / np.abs(n).max()  # squares may over- or underflow
     return np.asarray(n / np.linalg.norm(n))
 
 
 @dataclass(frozen=True)
 class Bolt:
-    """The unknown overlap s of a tie along n, whose conjugate force F is given, see `Driven`."""
+    """Overlap s of a tie along n as an unknown with given conjugate force F, see `Driven`."""
 
     axis: Floats  # (d,) n
     force: Callable[[], float]  # returns F
-    tighten: Callable[[Floats], None]  # adds an overlap (d,) to that of the tie
-    overlap: Floats  # (d,) at present
+    tighten: Callable[[Floats], None]  # adds an overlap (d,) to the tie
+    overlap: Floats  # (d,) present
     name: str  # of the tie
 
     holds = True
@@ -104,7 +103,7 @@ class Bolt:
         return np.tile(self.axis, (1, len(X), 1))
 
     def curve(self, X: Floats, amounts: Floats) -> Floats:
-        """Return 0: n does not turn."""
+        """Return 0: n is fixed."""
         return np.zeros_like(X)
 
     def move(self, amounts: Floats) -> None:
@@ -115,8 +114,7 @@ class Bolt:
         """Raise a ValueError where the sides cannot overlap; collective.
 
         Args:
-            sides: of the tie.
-            largest: |e_j| of its nodes.
+            largest: largest |e_j|.
         """
         common = (sides.on_slave & sides.on_master)[: sides.n_owned]
         count = sides.V.mesh.comm.allreduce(int(common.sum()), op=MPI.SUM)
@@ -134,15 +132,15 @@ class Bolt:
 
 
 def find_axis(normal: Floats, direction: Direction, who: str) -> Floats:
-    """Return the unit vector (d,) of a pretension, the mean normal for None.
+    """Unit vector (d,) of a pretension, the mean normal for None.
 
     Args:
         normal: mean of the outward unit normals of the slave side.
         direction: unit vector.
-        who: the tie.
+        who: name of the tie.
 
     Raises:
-        ValueError: if the direction points into the slave side, or there is none.
+        ValueError: if the direction points into the slave side, or is missing.
     """
     length = float(np.linalg.norm(normal))
     around = length <= AROUND
@@ -164,10 +162,7 @@ def find_axis(normal: Floats, direction: Direction, who: str) -> Floats:
 
 
 def describe_shear(normal: Floats, axis: Floats, who: str) -> str:
-    """Say that n runs along the cut rather than across it; nothing where it does not.
-
-    A side around a shank has no direction of its own.
-    """
+    """Warning if n runs along the cut, or "" (always around a shank)."""
     length = float(np.linalg.norm(normal))
     if length <= AROUND or float(axis @ normal) >= ALONG * length:
         return ""
@@ -181,7 +176,7 @@ def describe_shear(normal: Floats, axis: Floats, who: str) -> str:
 
 
 def mean_normal(slave: Surface) -> Floats:
-    """Return the mean of the outward unit normals (d,) of a side at X; collective."""
+    """Mean of the outward unit normals (d,) of a side at X; collective."""
     found = facets_at(slave, slave.X)
     own = np.append(area_vectors(found).sum(axis=0), tributary_weights(found).sum())
     total = slave.V.mesh.comm.allreduce(own, op=MPI.SUM)
