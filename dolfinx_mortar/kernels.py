@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Expressions of UFL as compiled functions of numbers, without any mesh."""
+"""UFL expressions as compiled functions of numbers, without a mesh."""
 
 import tempfile
 from collections.abc import Callable
@@ -17,21 +17,21 @@ import ufl
 from dolfinx_mortar.arrays import Floats
 from ufl.core.expr import Expr
 
-ANYWHERE = np.full((1, 3), 0.25)  # in the reference tetrahedron, on which nothing depends
+ANYWHERE = np.full((1, 3), 0.25)  # any point of the reference tetrahedron
 _CORNERS = np.vstack([np.zeros(3), np.eye(3)])
 
 
 def constants(count: int) -> ufl.Constant:
-    """Return numbers of which `compile_vectors` makes the argument of functions."""
+    """Symbols for the arguments of `compile_vectors`."""
     domain = ufl.Mesh(basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,)))
     return ufl.Constant(domain, shape=(count,))
 
 
 def compile_vectors(vectors: list[Expr]) -> list[Callable[[Floats], Floats]]:
-    """Return for each expression a function of the constants (n,) that gives its values."""
-    # A number of its own distinguishes equal expressions, whose code would have the same name.
+    """Return for each expression a function of the constants (n,)."""
+    # a number distinguishes equal expressions, which would have the same name
     told = [ufl.as_vector([*vector, ufl.as_ufl(k + 1.0)]) for k, vector in enumerate(vectors)]
-    # In a folder of its own, so that ranks that compile at the same time do not meet.
+    # a folder of its own for each rank
     with tempfile.TemporaryDirectory() as folder:
         compiled, module, _ = ffcx.codegeneration.jit.compile_expressions(
             [(vector, ANYWHERE) for vector in told],
@@ -45,7 +45,7 @@ def compile_vectors(vectors: list[Expr]) -> list[Callable[[Floats], Floats]]:
 
 
 def _evaluation(ffi: Any, kernel: Any, count: int) -> Callable[[Floats], Floats]:
-    """Return a compiled expression as a function of its constants."""
+    """Compiled expression as a function of its constants."""
     nothing = [ffi.NULL] * (len(ffi.typeof(kernel).args) - 4)  # newer kernels take more
 
     def evaluate(numbers: Floats) -> Floats:
@@ -61,9 +61,9 @@ def _evaluation(ffi: Any, kernel: Any, count: int) -> Callable[[Floats], Floats]
 class Kernel:
     """A compiled expression of `constants`."""
 
-    address: int  # of its function in C
-    size: int  # how many values it has
-    module: Any  # keeps the code
+    address: int  # of the C function
+    size: int  # number of values
+    module: Any  # keeps the code alive
 
 
 def compile_kernel(vector: Expr) -> Kernel:
@@ -76,14 +76,14 @@ def compile_kernel(vector: Expr) -> Kernel:
 
 
 def kernel_of(compiled: Any, module: Any, vector: Expr) -> Kernel:
-    """Return what FFCx has made of a vector of expressions."""
+    """Kernel of a compiled vector of expressions."""
     ffi = module.ffi
     address = int(ffi.cast("uintptr_t", compiled.tabulate_tensor_float64))
     return Kernel(address, vector.ufl_shape[0], (compiled, module))
 
 
 def tabulate(kernel: Kernel, numbers: Floats) -> Floats:
-    """Return the values (q, size) of a kernel at q points, for their numbers (q, n)."""
+    """Values (q, size) of a kernel for numbers (q, n)."""
     values = np.zeros((len(numbers), kernel.size))
     _tabulate(kernel.address, numbers, values, _CORNERS)
     return values
@@ -91,7 +91,7 @@ def tabulate(kernel: Kernel, numbers: Floats) -> Floats:
 
 @numba.extending.intrinsic
 def _call(typing, address, values, numbers, corners):  # type: ignore[no-untyped-def]
-    """Call a function of FFCx by its address; all arguments are addresses."""
+    """Call a C function by its address; all arguments are addresses."""
     integer = numba.types.intp
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
