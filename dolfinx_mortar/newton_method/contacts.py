@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The active set of an iterate and its Lagrange multipliers: the warm start of the next QP."""
+"""Active set and Lagrange multipliers of an iterate: warm start of the next QP."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -21,10 +21,10 @@ class Contacts:
     """Active set and Lagrange multipliers at the owned nodes."""
 
     active: Bools  # (owned nodes,)
-    multipliers: Floats  # (owned nodes,) lambda_j, 0 where not active
-    # with friction: tangential reactions over D_jj, and directions of slip that they oppose
+    multipliers: Floats  # (owned nodes,) lambda_j, 0 if inactive
+    # with friction: tangential reactions over D_jj, and opposed directions of slip
     tangential: Floats | None = None  # (owned nodes, d)
-    # (owned nodes, d), 0 where it sticks or is open; in prescribed directions `SlipLimits.shares`
+    # (owned nodes, d), 0 if it sticks or is open; in prescribed directions `SlipLimits.shares`
     sliding: Floats | None = None
 
     def reactions(self, balance: Balance) -> Floats:
@@ -32,23 +32,22 @@ class Contacts:
         return np.asarray(balance.bounds.weight * self.multipliers[balance.nodes])
 
     def tangential_reactions(self, limits: SlipLimits) -> Floats:
-        """Return what D_jj tangential_j is (m, d - 1) in the frames of a configuration."""
+        """Return D_jj tangential_j (m, d - 1) in the frames of a configuration."""
         if self.tangential is None:
             return np.zeros(limits.slip.shape)
         return limits.weight[:, None] * limits.along(self.tangential[limits.nodes])
 
     def after(self, last: "Contacts", limits: SlipLimits | None) -> "Contacts":
-        """Return these with what their multipliers change at the nodes themselves.
+        """Correct multipliers for friction in prescribed directions.
 
-        The friction in prescribed directions was that of the last multipliers. On a support at an
-        angle it takes part of what presses the node, c lambda_j, which the QP does not know; those
-        after it are (lambda_j + c lambda_j of the last) / (1 + c).
+        It was that of the last multipliers. At an inclined support it opens the contact by c
+        lambda_j, so that the new ones are (lambda_j + c lambda_j of the last) / (1 + c).
         """
         if limits is None:
             return self
         multipliers, nodes = self.multipliers.copy(), limits.nodes
         change = multipliers[nodes] - last.multipliers[nodes]
-        # half of it, where friction alone nearly holds the node
+        # half, where friction alone nearly carries the node
         change = change / np.maximum(1.0 + limits.wedging, 0.5)
         multipliers[nodes] = np.where(
             self.active[nodes], last.multipliers[nodes] + change, multipliers[nodes]
@@ -56,7 +55,7 @@ class Contacts:
         return replace(self, multipliers=multipliers)
 
     def completed(self, limits: SlipLimits | None) -> "Contacts":
-        """Return these with the tractions in prescribed directions, where slips are known."""
+        """Add the tractions in prescribed directions."""
         if limits is None or self.tangential is None:
             return self
         assert self.sliding is not None
@@ -68,7 +67,7 @@ class Contacts:
         return replace(self, tangential=tangential, sliding=sliding)
 
     def directions(self, limits: SlipLimits | None) -> Floats | None:
-        """Return the directions of slip (m, d - 1) in these frames; None without friction."""
+        """Directions of slip (m, d - 1) in these frames; None without friction."""
         if limits is None or self.sliding is None:
             return None
         along = limits.along(self.sliding[limits.nodes])
@@ -76,10 +75,7 @@ class Contacts:
         return np.divide(along, size, out=np.zeros_like(along), where=size > 0.0)
 
     def kappa(self, limits: SlipLimits | None) -> Floats | None:
-        """Return tangential reactions over slips (m,), inf where one of them is 0.
-
-        By it nodes that slip resist a change of their direction. None without friction.
-        """
+        """Tangential reactions over slips (m,), inf for zeros; None without friction."""
         if limits is None:
             return None
         force = np.linalg.norm(self.tangential_reactions(limits), axis=1)
@@ -91,16 +87,15 @@ class Contacts:
 def go_on(
     contacts: tuple[Bools, Floats | None], limits: SlipLimits | None, noise: float
 ) -> Contacts:
-    """Return the active set at the start of a step: that of the last one, without multipliers.
+    """Initial active set of a step: that of the last one, without multipliers.
 
-    Nodes that slipped start as slipping: in a body that slides as a whole they would otherwise
-    switch from stick to slip one at a time, through sets that leave the body free. A node starts as
-    sticking where the bodies' motion with their supports has already reversed its slip.
+    Slipping nodes start as slipping, lest a sliding body pass through sets that leave it free; they
+    start as sticking where the rigid prediction reverses their slip.
 
     Args:
-        contacts: active set, and the slip directions, at the end of the last step.
-        limits: of the step's first balance, with its slips; None without friction.
-        noise: slips below this are round-off.
+        contacts: active set and slip directions at the end of the last step.
+        limits: of the step's first balance; None without friction.
+        noise: round-off of slips.
     """
     active, sliding = contacts
     if limits is not None and sliding is not None:
@@ -112,7 +107,7 @@ def go_on(
 
 
 def found_by(lin: Linearisation, solved: QPSolution, n: int) -> Contacts:
-    """Return active set and multipliers of a QP's solution, at n owned nodes.
+    """Active set and multipliers of a QP's solution, at n owned nodes.
 
     Off the active set b - A x is residual, no contact force.
     """
@@ -133,12 +128,11 @@ def found_by(lin: Linearisation, solved: QPSolution, n: int) -> Contacts:
 def find_sliders(
     limits: SlipLimits, contacts: Contacts, diagonal: PETSc.Vec, noise: float
 ) -> Sliders:
-    """Return slips, tangential reactions and limits mu D_jj lambda_j at the nodes with friction.
+    """Slips, tangential reactions and limits mu D_jj lambda_j at nodes with friction.
 
     Args:
-        limits: of a configuration.
-        diagonal: of K^, the stiffness by which a slip is compared with a force.
-        noise: slips below this are round-off.
+        diagonal: of K^, the stiffness that converts slips to forces.
+        noise: round-off of slips.
     """
     size = np.linalg.norm(limits.slip, axis=1, keepdims=True)
     share = np.divide(np.maximum(size - noise, 0.0), size, out=np.zeros_like(size), where=size > 0)
@@ -151,7 +145,7 @@ def find_sliders(
 
 
 def contact_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
-    """Return the forces of contacts (n,) on both sides in the present geometry; collective."""
+    """Contact forces (n,) on both sides in the present geometry; collective."""
     total = normal_forces(problem, contacts)
     if contacts.tangential is not None:
         total = total + tangential_forces(problem, contacts)
@@ -166,7 +160,7 @@ def normal_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
 
 
 def tangential_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
-    """Return the same of friction, zero without; collective."""
+    """Same of friction; collective."""
     tangential = contacts.tangential
     if tangential is None:
         return np.zeros((problem.n, problem.d))
@@ -174,7 +168,7 @@ def tangential_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
 
 
 def _on_both_sides(problem: ContactProblem, tractions: Callable[[Link], Floats]) -> Floats:
-    """Return the nodal forces (owned nodes, d) of tractions at slave nodes; collective."""
+    """Nodal forces (owned nodes, d) of tractions at slave nodes; collective."""
     total: Floats = np.zeros((problem.n, problem.d))
     for link in problem.system.unilateral:
         slave, master = link.exert(link.coupling.weight[:, :1] * tractions(link))
