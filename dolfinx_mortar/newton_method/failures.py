@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Why a step has failed: a limit load, a body that nothing holds, or friction."""
+"""Causes of failed steps: limit loads, unsupported bodies, friction."""
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -18,19 +18,19 @@ from dolfinx_mortar.step_report import NewtonNotConverged, Note, StepReport
 from dolfinx_mortar.supports.bodies import name_of
 from dolfinx_mortar.terms.pressure import Pressure
 
-# Bodies whose tangent is softer than this share of their elastic stiffness, along the displacement,
-# have reached a limit load. Where steps fail without hardening it is up to 3e-5 (von Mises) or 6e-3
-# (Drucker-Prager); with a hardening modulus H about H / E where all flows, .05 and more of metals.
+# Softness u.K u / u.K_e u below which a body is at a limit load: up to 3e-5 (von Mises) or 6e-3
+# (Drucker-Prager) in failed steps without hardening; with hardening modulus H about H / E, .05 and
+# more for metals.
 SOFT = 0.01
-# A stretch below which a cell is nearly turned inside out, which messages tell. Steps that ended
-# there have 0 to .1 (rubber, metal pressed to a fifth), those that failed otherwise .69 and more.
+# Stretch below which cells are nearly inverted: 0 to .1 in steps that ended by it (rubber, metal
+# pressed to a fifth), .69 and more in others.
 SQUEEZED = 0.3
-# Last sentence of the message about a single step.
+# end of messages about single steps
 AS_BEFORE = (
     ". The displacement and the committed state are as before the step: retry with a smaller one "
     "(dm.load_steps does); problem.diagnose() says more"
 )
-# Where only contact, or friction, holds a body, under loads and without.
+# bodies restrained only by contact or friction, under loads and without
 MOVES_AWAY = (
     "What contact alone holds moves away if the loads do not press the sides together, or it "
     "slides or rolls freely (then prescribe that motion)"
@@ -43,7 +43,7 @@ TOO_MUCH = {
     "friction does not hold (then support it) or wedges fast between sides and supports at an "
     "angle (then release it)",
 }
-# What to do about tangents that are indefinite, under loads and without, and about unknown ones.
+# remedies for indefinite tangents, under loads and without, and unknown ones
 UNSTABLE = {
     True: "Beyond a limit point of loads tangents are indefinite: if they exceed what the bodies "
     "carry, prescribe displacements instead of forces or pressures",
@@ -67,8 +67,8 @@ EXCHANGE = (
     "and master, or refine the slave there"
 )
 HARDEN = "or give the law hardening"
-# Blocks of MooneyRivlin (NeoHooke), K/mu = 500, between smooth plates lose their stability at a
-# height of .62 (.64) on quadrilaterals of degree 2, .54 as a continuum, by eigenvalues of tangents.
+# Blocks of MooneyRivlin (NeoHooke), K/mu = 500, between smooth plates become unstable at a height
+# of .62 (.64) with quadrilaterals of degree 2, of .54 as a continuum (eigenvalues of tangents).
 BY_THEMSELVES = (
     "Under compression by 30 % or more, cells of degree 2 with volumetric='reduced' may buckle "
     "by themselves, in waves as long as cells: compare with cells of degree 1 or, where the law is "
@@ -77,16 +77,16 @@ BY_THEMSELVES = (
 
 
 class StepFailed(Exception):
-    """A step ends without a solution; nothing has been undone or diagnosed yet."""
+    """A step failed; nothing has been undone or diagnosed yet."""
 
     def __init__(self, seen: str, why: str = "") -> None:
-        """Keep what was seen, and what explains it."""
+        """Set the message and its explanation."""
         super().__init__(seen)
         self.why = why
 
 
 def failed(problem: ContactProblem, report: StepReport, seen: str, *why: str) -> NewtonNotConverged:
-    """Return the error of a step, whose causes `ContactProblem.diagnose` explains."""
+    """Error of a step; `ContactProblem.diagnose` explains it."""
     note = Note(seen, ". ".join(filter(None, why)))
     problem.told[:] = report.notes, [note]
     return NewtonNotConverged(f"{seen}{AS_BEFORE}", report)
@@ -95,19 +95,18 @@ def failed(problem: ContactProblem, report: StepReport, seen: str, *why: str) ->
 def explain(
     problem: ContactProblem, report: StepReport, error: Exception, at: Floats
 ) -> NewtonNotConverged:
-    """Return the error of a step that has failed and is undone; collective.
+    """Error of a failed step that is undone; collective.
 
     Args:
-        problem: the problem, as before the step; afterwards, too.
-        report: of the step, with its iterations; it may get a note.
-        error: why the step has ended.
-        at: displacement with ghosts where it has.
+        report: of the step; may get a note.
+        error: cause of the end.
+        at: displacement with ghosts at the end.
     """
     seen, why = str(error), [getattr(error, "why", "")]
     if not isinstance(error, StepFailed):
         seen = f"the QP of Newton iteration {len(report.iterations) + 1}: {seen.rstrip('. ')}"
     flowing, squeezed = _look_at(problem, at)
-    if flowing:  # a singular matrix is reported by the solver as a body that nothing holds
+    if flowing:  # solvers report a singular matrix as a free body
         report.notes.append(seen)
         seen, least = flowing, "reduce the load" if is_loaded(problem) else "take smaller steps"
         why = [f"Without hardening a law carries no more than its limit load: {least}, {HARDEN}"]
@@ -130,7 +129,7 @@ def explain(
 
 
 def _look_at(problem: ContactProblem, u: Floats) -> tuple[str, str]:
-    """Say which body flows at a displacement, and which cells are shortened there; collective."""
+    """Describe the flowing body and shortened cells at a displacement; collective."""
     before, shown = problem.u.x.array.copy(), problem.solid.keep()
     try:
         problem.u.x.array[:] = u
@@ -143,19 +142,19 @@ def _look_at(problem: ContactProblem, u: Floats) -> tuple[str, str]:
 
 
 def describe_cells(problem: ContactProblem) -> str:
-    """Say that cells may buckle by themselves, of an indefinite tangent; empty if they may not."""
+    """Warning about unstable cells of degree 2, or ""."""
     second = problem.V.element.basix_element.degree > 1
     return BY_THEMSELVES if second and problem.solid.volumetric == "reduced" else ""
 
 
 def is_loaded(problem: ContactProblem) -> bool:
-    """Tell whether loads act beside prescribed motions: terms, or forces on tools; collective."""
+    """Tell whether terms or tool loads act; collective."""
     driven = any(link.interface.driven() is not None for link in problem.system.links)
     return driven or problem.terms.assemble_forces(problem.K.createVecLeft()) > 0.0
 
 
 def _pressures(problem: ContactProblem) -> list[str]:
-    """Say which follower pressures have no potential."""
+    """Name follower pressures without a potential."""
     told, where = [], "where the surface is closed, or its edges are held or slide in planes "
     where += "through the origin"
     for name, term in problem.terms.named:
@@ -178,7 +177,7 @@ def _pressures(problem: ContactProblem) -> list[str]:
 
 
 def _own_laws(problem: ContactProblem) -> str:
-    """Say how to check a user's own laws; empty without any."""
+    """Return how to check a user's laws, or ""."""
     package = __name__.partition(".")[0]
     kinds = {type(law): None for region in problem.solid.regions for law, _ in region.parts}
     own = [kind.__name__ for kind in kinds if not kind.__module__.startswith(f"{package}.")]
@@ -190,14 +189,11 @@ def _own_laws(problem: ContactProblem) -> str:
 
 
 def _flow(problem: ContactProblem) -> str:
-    """Say which body flows, and in which share of its volume, at a limit load; collective.
-
-    There u.K u, with the tangent K, is small beside u.K_e u, with the elastic stiffness.
-    """
+    """Describe the body at a limit load, where u.K u is small beside u.K_e u; collective."""
     solid, u = problem.solid, problem.u
     try:
         solid.evaluate()
-    except ValueError:  # not a number: nothing to be learnt from this iterate
+    except ValueError:  # not a number
         return ""
     solid.assemble_tangent(problem.K)  # the next step assembles its own
     step = problem.vector(problem.owned_u)
@@ -218,14 +214,14 @@ def _flow(problem: ContactProblem) -> str:
 
 
 def with_corners(problem: ContactProblem, error: StepFailed) -> StepFailed:
-    """Return the error with corners without a normal, which may be its cause; collective."""
+    """Error with corners without a normal, a possible cause; collective."""
     seen, why, x = list[str](), [error.why], problem.positions()
     for link in problem.system.unilateral:
         where, tool = "", link.interface.tool
         if tool is not None:
             where, what, remedy = _tool_corners(link, tool, x), IN_CORNER, ROUND_IT
         elif link.pairing is not None and not link.sides.meet_themselves:
-            # of a side that meets itself, which part is the slave is not for the user to say
+            # self-contact divides the surface itself
             where, what, remedy = _master_corners(link, x), AT_FACETS, EXCHANGE
         if where:
             seen.append(f"{link.interface!r}: {what.format(where)}")
@@ -235,7 +231,7 @@ def with_corners(problem: ContactProblem, error: StepFailed) -> StepFailed:
 
 
 def _master_corners(link: Link, x: PETSc.Vec) -> str:
-    """Return where an edge or a corner of the master presses on slave facets; collective."""
+    """Place where an edge or a corner of the master presses on slave facets; collective."""
     pairing, operators = link.mortar
     slave, comm = link.sides.slave, link.sides.V.mesh.comm
     near, length = np.zeros(len(slave.nodes)), mean_facet_length(slave)
@@ -246,7 +242,7 @@ def _master_corners(link: Link, x: PETSc.Vec) -> str:
 
 
 def _tool_corners(link: Link, tool: Tool, x: PETSc.Vec) -> str:
-    """Return where nodes lie in an inner corner of the tool; collective."""
+    """Place where nodes lie in an inner corner of the tool; collective."""
     comm, d = link.sides.V.mesh.comm, link.sides.fixed.shape[1]
     at = x.array_r.reshape(-1, d)[link.nodes][link.coupling.kept[:, 0]]
     length, pose = mean_facet_length(link.sides.slave), tool.pose()
@@ -262,7 +258,7 @@ def _tool_corners(link: Link, tool: Tool, x: PETSc.Vec) -> str:
 
 
 def _first_place(comm: MPI.Comm, places: Floats, length: float) -> str:
-    """Return the coordinates of the first of places (p, d) of all ranks, "" if there is none."""
+    """Coordinates of the first of places (p, d) of all ranks, or ""."""
     told = [place for part in comm.allgather(places[:1].tolist()) for place in part][:1]
     least = HALF_OF_DIGITS * length
     return ", ".join(f"{c if abs(c) > least else 0.0:.3g}" for place in told for c in place)
