@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The response of the bodies to an impulse of the forces at the end of a step."""
+"""Response of the bodies to an impulse at the end of a step."""
 
 from dataclasses import replace
 
@@ -23,16 +23,13 @@ from dolfinx_mortar.qp import LinearSolver
 def respond(
     problem: ContactProblem, forces: Floats, rtol: float, linear: LinearSolver
 ) -> Floats | None:
-    """Return y with K y = f, K the last tangent; collective.
+    """Return y (owned nodes, d) with K y = f, K the last tangent; collective.
 
-    Supports and ties hold, contacts neither hold nor push. The factorisation of the step serves.
+    Supports and ties hold, contacts are free. None if the linear solver fails.
 
     Args:
         problem: at the end of a step.
         forces: f (owned nodes, d).
-
-    Returns:
-        (owned nodes, d), None if the linear solver finds no solution.
     """
     T, r = problem.system.transformation, problem.vector(forces)
     found = problem.system.constraints(problem.positions(), problem.vector(problem.owned_u))
