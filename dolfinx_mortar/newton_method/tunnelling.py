@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Tunnelling: a step in which bodies have passed through each other is rejected."""
+"""Tunnelling: steps in which bodies pass through each other are rejected."""
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank
@@ -17,13 +17,12 @@ from dolfinx_mortar.problem.problem import ContactProblem
 
 
 def describe_passing(problem: ContactProblem) -> str:
-    """Return which bodies have passed through each other since the last commit; collective.
+    """Describe bodies or tools that passed through each other since the last commit; collective.
 
-    Empty if none has; rigid tools are bodies, too. Costs a few numbers per contact, unless sides
-    have moved against each other by more than half of the thinner body; once, how thick these are.
+    Checked where sides have moved relatively by more than half of the thinner body.
 
     Raises:
-        ValueError: on all ranks, if one has because all nodes of its slave side are prescribed.
+        ValueError: on all ranks, if all nodes of the slave side are prescribed.
     """
     d, n, system = problem.d, problem.n, problem.system
     before, now = problem.committed.displacement, problem.u.x.array[: d * n]
@@ -62,7 +61,7 @@ def describe_passing(problem: ContactProblem) -> str:
 
 
 def _without_effect(interface: Interface, slave: str) -> str:
-    """Say that all slave nodes are held, against which no smaller step helps."""
+    """Message: all slave nodes are prescribed, smaller steps do not help."""
     return (
         f"{interface}: Dirichlet data prescribe all nodes of slave={slave} and move them through "
         "the master: no slave node has a multiplier, so that the contact has no effect; let the "
@@ -71,7 +70,6 @@ def _without_effect(interface: Interface, slave: str) -> str:
 
 
 def _through_tool(found: Passing, at: list[float]) -> str:
-    """Say how a body and a tool have passed through each other."""
     if not found.count:
         return (
             f"the tool has passed through the side, as has its point, which began around {at}; no "
@@ -85,7 +83,7 @@ def _through_tool(found: Passing, at: list[float]) -> str:
 
 
 def _find_middles(problem: ContactProblem) -> list[tuple[Middles, ...]]:
-    """Return the middles of the bodies on all sides of each contact, none for ties; collective."""
+    """Mid-surface points of the bodies on all sides of each contact; collective."""
     if not any(problem.system.opposite):
         return [()] * len(problem.interfaces)
     body_of = problem.bodies.of_cells
