@@ -41,10 +41,7 @@ def check_arguments(
     geometry: str,
     **options: Any,
 ) -> tuple[list[Interface], list[fem.DirichletBC]]:
-    """Check the arguments of a problem; collective.
-
-    Returns:
-        Interfaces and Dirichlet conditions as lists.
+    """Check the arguments of a problem; return interfaces and conditions as lists; collective.
 
     Raises:
         ValueError: for invalid arguments, with the remedy.
@@ -78,7 +75,7 @@ def check_problem(problem: Any, kind: type) -> None:
 
 
 def check_controls(qp: Any, rtol: Any, max_it: Any) -> None:
-    """Raise a ValueError unless the controls of Newton's method are valid, see `newton`."""
+    """Raise a ValueError for invalid controls of Newton's method, see `newton`."""
     backends.check_name(qp)
     check("rtol", rtol, number(above=0.0, below=1.0))
     check("max_it", max_it, integer(1))
@@ -87,7 +84,7 @@ def check_controls(qp: Any, rtol: Any, max_it: Any) -> None:
 def check_load_steps(
     times: Any, start: Any, max_cuts: Any, cuts: Any, comm: MPI.Comm | None = None
 ) -> list[float]:
-    """Return the load levels as numbers if the arguments are valid, see `load_steps`; collective.
+    """Checked load levels, see `load_steps`; collective.
 
     Raises:
         ValueError: for invalid arguments, with the remedy.
@@ -104,7 +101,7 @@ def check_load_steps(
 
 
 def check_every(comm: MPI.Comm, checkpoint: Any, every: Any) -> Path | None:
-    """Return the file of checkpoints, None for none, if both arguments are valid; collective."""
+    """Checked checkpoint file, or None; collective."""
     given = None if checkpoint is None else "a file"
     check_same_on_all_ranks(comm, every=every, checkpoint=given)
     check("every", every, integer(1))
@@ -116,19 +113,18 @@ def check_every(comm: MPI.Comm, checkpoint: Any, every: Any) -> Path | None:
 
 
 def _unrolled(values: Any) -> Any:
-    """Return iterables as lists, arrays, too; texts and anything else unchanged."""
+    """Iterables and arrays as lists, texts and others unchanged."""
     values = values.tolist() if isinstance(values, np.ndarray) else values
     text = isinstance(values, str | bytes)
     return list(values) if isinstance(values, Iterable) and not text else values
 
 
 def _as_list(name: str, given: Any) -> list[Any]:
-    """Return the members of a sequence."""
     return list(check(name, given, instance(Iterable, "give a list, [] for none")))
 
 
 def _check_interfaces(interfaces: list[Any]) -> list[Interface]:
-    """Return interfaces if they are some, and all different."""
+    """Checked interfaces, all different."""
     for k, interface in enumerate(interfaces):
         check(f"interfaces[{k}]", interface, instance(Interface, "give Contact or Tie objects"))
         if any(interface is other for other in interfaces[:k]):
@@ -141,13 +137,13 @@ def _check_weight(solid: Solid) -> None:
     x = np.array(solid.mesh.geometry.x[:, : solid.mesh.geometry.dim], dtype=np.float64)
     i = solid.kinematics.radius
     if i is not None:
-        x[:, i] = np.abs(x[:, i])  # on an axis the radius may be -1e-17
+        x[:, i] = np.abs(x[:, i])  # the radius on an axis may be -1e-17
     with raised_together(solid.mesh.comm):
         solid.kinematics.weights_at(x)
 
 
 def _check_conditions(bcs: Sequence[Any], V: fem.FunctionSpace) -> list[fem.DirichletBC]:
-    """Return Dirichlet conditions if they are some, on V or its components."""
+    """Checked Dirichlet conditions on V or its components."""
     for bc in bcs:
         check("bcs: one", bc, instance(fem.DirichletBC, "make it with dolfinx.fem.dirichletbc"))
         space = bc.function_space
