@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The matrix of multigrid: the tangent in unknowns without coupling across open contacts."""
+"""Multigrid matrix: the tangent in unknowns uncoupled across open contacts."""
 
 import numpy as np
 
@@ -12,15 +12,14 @@ from dolfinx_mortar.supports.dirichlet import Dirichlet
 
 
 class UnknownsOfBodies:
-    """The unknowns of multigrid: those of the QP, but displacements where contact is open.
+    """Unknowns of multigrid: those of the QP, but displacements at open contacts.
 
-    The near-null space are the rigid motions of the whole. In the unknowns of the QP they have
-    w_n = 0 at all covered slave nodes, which is right only where contact is closed; elsewhere the
-    change of basis is reversed (`Transformation.uncouple`).
+    The near-null space are the rigid motions of the whole, for which w_n = 0 holds at closed nodes
+    only; at open ones the change of basis is reversed (`Transformation.uncouple`).
 
     Args:
-        operator: that of the QP, with the tangent K.
-        system: the interfaces, with T up to date.
+        operator: of the QP, with the tangent K.
+        system: interfaces with present T.
     """
 
     def __init__(
@@ -34,7 +33,7 @@ class UnknownsOfBodies:
         self.operator = CongruentOperator(operator.K, operator.half)
 
     def preconditioning(self, held: Ints) -> Preconditioning:
-        """Return the matrix and near-null space of a set-up; collective.
+        """Matrix and near-null space; collective.
 
         Args:
             held: owned unknowns of y at their bounds.
@@ -49,9 +48,9 @@ class UnknownsOfBodies:
         return Preconditioning(B, change, motions, between)
 
     def _parts(self) -> Ints:
-        """Return the body (n,) of each owned unknown, where tied bodies are one; collective.
+        """Body (n,) of each owned unknown, tied bodies as one; collective.
 
-        All are one where contact alone holds a body: by itself its matrix is singular.
+        One for all if contact alone restrains a body, whose matrix would be singular.
         """
         label, group = self.bodies.label, self.bodies.group
         ties = (link for link in self.system.links if not link.unilateral)
@@ -74,7 +73,7 @@ class UnknownsOfBodies:
 
 
 def eliminated_dofs(system: InterfaceSystem, supports: Dirichlet) -> Ints:
-    """Return the owned unknowns of y that Dirichlet data or ties prescribe."""
+    """Owned unknowns of y prescribed by Dirichlet data or ties."""
     d = supports.V.dofmap.index_map_bs
     node, component = np.nonzero(supports.owned)
     parts = [d * node + system.slots()[node, component]]
