@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The data of a step, read once at its start; checks of the jumps and overlaps of ties."""
+"""Data of a step, read at its start; checks of the jumps and overlaps of ties."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -18,28 +18,25 @@ from dolfinx_mortar.interfaces.system import InterfaceSystem
 
 @dataclass(frozen=True)
 class StepData:
-    """Dirichlet values of a step, read at its start."""
+    """Data of a step, read at its start."""
 
-    target: Floats  # (n,) prescribed displacements, 0 where there is none
-    asked: Floats  # (owned nodes, d) prescribed minus present values at the start
-    increment: float  # the largest of them, and of the changes of jumps, all ranks
-    # initial guess: closed contacts (owned nodes,) and slip directions (owned nodes, d)
+    target: Floats  # (n,) prescribed displacements, 0 where free
+    asked: Floats  # (owned nodes, d) prescribed minus initial values
+    increment: float  # largest of these and of changes of jumps, all ranks
+    # initial active set (owned nodes,) and slip directions (owned nodes, d)
     contacts: tuple[Bools, Floats | None] = (np.zeros(0, dtype=bool), None)
-    # with friction, for each interface: limits (owned nodes,), and the points of the master from
-    # which slips are measured, None for the present ones
+    # with friction, of each interface: limits (owned nodes,), and slip partners, None for present
+    # ones
     limits: Sequence[Floats | None] = ()
     partners: Sequence[Partners | None] = ()
-    # whether what has changed makes bodies flow, so that the committed state is linearised
+    # whether changes make bodies flow, so that the committed state is linearised
     flows: bool = False
-    begun: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) u before it was predicted
-    travel: Floats | None = None  # (m,) by which tools were moved then; None where u was not
+    begun: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) u before the prediction
+    travel: Floats | None = None  # (m,) predicted motion of tools; None without prediction
 
 
 def check_jumps(system: InterfaceSystem) -> None:
-    """Raise a ValueError, on all ranks, for jumps that are no vectors at the nodes; collective.
-
-    Also for NaN, and where sides are farther apart than the model is long.
-    """
+    """Raise a ValueError on all ranks for NaN or too long jumps; collective."""
     V, comm = system.V, system.V.mesh.comm
     for interface, sides in zip(system.interfaces, system.sides, strict=True):
         if sides.unilateral or sides.hold or (apart := interface.apart(V, sides.nodes)) is None:
@@ -59,7 +56,7 @@ def check_jumps(system: InterfaceSystem) -> None:
 
 
 def check_tightening(system: InterfaceSystem) -> str:
-    """Say which pretension needs an overlap longer than the model's diagonal, or ""; collective."""
+    """Describe a pretension that needs an overlap longer than the model, or ""; collective."""
     size = diagonal(system.V)
     for interface in system.interfaces:
         if isinstance(bolt := interface.driven(), Bolt):
@@ -74,7 +71,7 @@ def check_tightening(system: InterfaceSystem) -> str:
 
 
 def diagonal(V: fem.FunctionSpace) -> float:
-    """Return the diagonal of the box around the model; collective."""
+    """Diagonal of the model's box; collective."""
     x = V.tabulate_dof_coordinates()
     ends = maximum(V.mesh.comm, *x.max(axis=0, initial=-np.inf), *(-x).max(axis=0, initial=-np.inf))
     return float(np.linalg.norm(ends[:3] + ends[3:]))
