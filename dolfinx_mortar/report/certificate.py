@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The certificate of a converged step, residuals of all its laws, and results of interfaces."""
+"""Certificate of a converged step, and results of interfaces."""
 
 from collections.abc import Sequence
 
@@ -27,22 +27,20 @@ from dolfinx_mortar.step_report import Certificate, StepReport
 
 
 def _largest(comm: MPI.Comm, *arrays: Floats) -> Floats:
-    """Return the maxima of arrays over all ranks, 0 for empty ones."""
+    """Maxima of arrays over all ranks, 0 for empty ones."""
     return maximum(comm, *(a.max(initial=0.0) for a in arrays))
 
 
 def operator_errors(link: Link, X: Floats, facet_length: float) -> tuple[float, float]:
-    """Return the linear-field error and the row-sum error of D and M; collective.
+    """Linear-field error and the row-sum error of D and M; collective.
 
-    On a flat interface (D - M) X has no tangential part, whatever the gap; on a curved one it is
-    the gap times the angle between the projections, which are along facet normals, and the averaged
-    normals of the slave; those of both sides are no measure of projections. Rows of D - M sum to
-    zero on every interface. Both over D_jj, the first also over the gap plus a facet length. Where
-    Dirichlet data give the directions of a tie different nodes, that holds for each direction. X:
-    reference coordinates (owned nodes, d).
+    On flat interfaces (D - M) X has no tangential part; on curved ones it is the gap times the
+    angle between facet normals (projection) and averaged slave normals. Rows of D - M sum to zero.
+    Relative to D_jj, the first also to the gap plus a facet length; for each choice of direction of
+    a tie. X: (owned nodes, d).
     """
     sides, coupling = link.sides, link.coupling
-    judged = coupling.kept.T & coupling.normals.any(axis=1)  # Dirichlet data may leave no normal
+    judged = coupling.kept.T & coupling.normals.any(axis=1)  # prescribed nodes may have no normal
     normals = coupling.normals if coupling.operators is None else coupling.operators.normals
     v = link.Q.createVecRight()
     v.set(1.0)
@@ -55,12 +53,10 @@ def operator_errors(link: Link, X: Floats, facet_length: float) -> tuple[float, 
 
 
 def find_pull(problem: ContactProblem, contacts: Contacts, least: float = 0.0) -> float:
-    """Return the largest pull of the contacts, over their largest push of the same kind.
+    """Largest tension of the contacts over their largest compression; collective.
 
-    Multipliers lambda_j act with D_jj lambda_j on their own node, and with lambda_j int Phi_j on
-    all. The resultants of connected patches along their mean normals are those of the forces on the
-    nodes; a patch that bends around by 90 degrees from it has none. Forces of at most ``least``,
-    what a step may leave out of balance, are none. Collective.
+    Of multipliers as D_jj lambda_j and lambda_j int Phi_j; and of connected patches, the resultant
+    along the mean normal, unless it bends by 90 degrees. Forces up to ``least`` are residual.
     """
     found = [0.0]
     for link in problem.system.unilateral:
@@ -77,13 +73,13 @@ def find_pull(problem: ContactProblem, contacts: Contacts, least: float = 0.0) -
 
 
 def _pull_of_patches(link: Link, forces: Floats) -> float:
-    """Return the largest pull of a patch over the sum of forces on nodes (n, d); collective."""
+    """Largest tension of a patch over the sum of forces (n, d); collective."""
     d, n = forces.shape[1], link.coupling.normals
     area, exerted = link.coupling.weight[:, :1] * n, link.transpose(forces)[0][link.nodes]
     size = np.linalg.norm(exerted, axis=1)
     off = np.linalg.norm(exerted - size[:, None] * n, axis=1) > SAME * size
     if not any_rank(link.sides.V.mesh.comm, off.any())[0]:
-        return 0.0  # each node pushes along its own normal
+        return 0.0  # each node pushes along its normal
     patches = find_patches(link, np.asarray(exerted.any(axis=1)), exerted, area)
     whole = sum(float(np.linalg.norm(patch[:, :d], axis=1).sum()) for patch in patches)
     pulls = [0.0]
@@ -105,17 +101,15 @@ def create_certificate(
     crossing: Crossing | None = None,
     pull: float | None = None,
 ) -> Certificate:
-    """Return the certificate of the present state, whose results are set; collective.
+    """Certificate of the present state with its results; collective.
 
     Args:
-        problem: the problem, in the geometry of the step's end.
-        report: iterations of the step.
-        residual: of equilibrium there.
-        balances: of forces and moments of the two sides, of `set_results`.
-        sliders: slips and tangential reactions, with friction.
-        left_out: what the small strain leaves out; None measures it.
-        crossing: of boundaries that are not coupled; None looks for it.
-        pull: of `find_pull`; None looks for it.
+        residual: of the final geometry.
+        balances: of forces and moments of the two sides, from `set_results`.
+        sliders: with friction.
+        left_out: small-strain error; None computes it.
+        crossing: of uncoupled boundaries; None computes it.
+        pull: of `find_pull`; None computes it.
     """
     left_out = left_out or find_left_out(problem)
     crossing = crossing or find_crossing(problem)
@@ -172,15 +166,15 @@ def create_certificate(
 
 
 def _finite_strain(problem: ContactProblem) -> dict[str, float]:
-    """Return the smallest J, and the largest moment of a body's internal forces at X + u.
+    """Smallest J, and largest moment of a body's internal forces at X + u.
 
-    A law whose energy does not depend on rotations, psi(Q F) = psi(F), makes no moment.
+    It vanishes for energies with psi(Q F) = psi(F).
     """
     volumes = problem.solid.volumes
     if volumes is None:
         return {}
     found = {"smallest_J": volumes.smallest()}
-    if not problem.bodies.shifts.all():  # rings: forces along the axis have no moment
+    if not problem.bodies.shifts.all():  # axial forces on rings have no moment
         return found
     internal, arms, forces = problem.vector(), *np.zeros((2, problem.n, 3))
     problem.solid.add_forces(internal)
@@ -198,7 +192,7 @@ def _finite_strain(problem: ContactProblem) -> dict[str, float]:
 
 
 def _friction(comm: MPI.Comm, sliders: Sliders, facet_length: float) -> dict[str, float]:
-    """Return the residuals of friction by name; collective."""
+    """Residuals of friction by name; collective."""
     size, way = (np.linalg.norm(v, axis=1) for v in (sliders.reaction, sliders.slip))
     most, work = sliders.limit, (sliders.reaction * sliders.slip).sum(axis=1)
     sticks = (most > 0.0) & ~sliders.directions()[0].any(axis=1)
@@ -212,9 +206,6 @@ def _friction(comm: MPI.Comm, sliders: Sliders, facet_length: float) -> dict[str
     }
 
 
-# -- results of the interfaces ---------------------------------------------------------------
-
-
 def set_results(
     problem: ContactProblem,
     balance: Balance,
@@ -222,12 +213,9 @@ def set_results(
 ) -> tuple[Slips | None, tuple[float, float]]:
     """Set the interfaces' resultants and Functions; collective.
 
-    Return the slips until here, and the largest imbalances of the forces and of the moments of two
-    sides, see `results`.
-
-    Reactions of equalities are the residual forces that they take; those of contact are D_jj times
-    the multipliers. Ties are as open as their jumps. Tractions are shown per area
-    of the configuration at which the interface is taken, see `growth`.
+    Returns the slips, and the largest imbalances of forces and moments. Reactions of equalities are
+    residual forces, those of contacts D_jj times the multipliers. Tractions are per area of the
+    interface's configuration, see `growth`.
     """
     d, n = problem.d, problem.n
     moved = problem.X + problem.u.x.array[: d * n].reshape(-1, d)
@@ -263,13 +251,13 @@ def set_results(
 def _set_sliding(
     problem: ContactProblem, limits: SlipLimits, contacts: Contacts, grown: Sequence[Floats]
 ) -> Slips:
-    """Set the results of friction, those of the step added to what is committed; collective."""
+    """Set the results of friction, added to committed ones; collective."""
     n, d, committed = problem.n, problem.d, problem.committed
     traction, slip = np.zeros((2, n, d))
     assert contacts.sliding is not None
     slides = np.asarray(limits.along(contacts.sliding[limits.nodes]).any(axis=1))
     resisting, known = contacts.tangential_reactions(limits), limits.known(contacts.multipliers)
-    slips = np.where(slides[:, None], limits.slip, 0.0)  # of others it is round-off
+    slips = np.where(slides[:, None], limits.slip, 0.0)  # else round-off
     aside = limits.slides & known.any(axis=1)
     beside = np.where(aside[:, None], limits.beside, 0.0)
     traction[limits.nodes] = -(limits.vectors(resisting) + known) / limits.weight[:, None]
