@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Notes on a step that has converged: what left its partner, strains left out, resolution.
+"""Notes on a converged step: separation from the partner, neglected strains, resolution.
 
-What passes through its partner is told while the step can still be rejected, see `tunnelling`, and
-an indefinite end by Newton's method.
+Tunnelling and indefinite tangents are reported by Newton's method.
 """
 
 import logging
@@ -36,36 +35,36 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class StepEnd:
-    """The end of a step, as diagnoses read it."""
+    """End of a step, for diagnoses."""
 
-    problem: ContactProblem  # in the geometry of the end, its stresses evaluated
+    problem: ContactProblem  # in the final geometry, with evaluated stresses
     balance: Balance
     contacts: Contacts
-    stiffness: Floats  # (n,) owned, diagonal of the last K^
+    stiffness: Floats  # (n,) owned diagonal of the last K^
     overlap: float  # of the sides at X, left to later steps
     left_out: LeftOut
     crossing: Crossing
     pull: float  # of contacts, see `find_pull`
     rtol: float  # of the step
-    limit: float  # norm of the forces that it may leave out of balance
+    limit: float  # allowed norm of residual forces
 
 
 def note_partners(end: StepEnd) -> list[str]:
-    """Say what has left its partner: slides, turns, pulls, or lies in it."""
+    """Notes on slides, rotations, tension and overlaps of contacts."""
     notes = _missed_tools(end)
     notes += _frozen(end) if end.problem.geometry == "reference" else _turned_tools(end)
     if end.pull > max(end.rtol, QUARTER_OF_DIGITS):
         seen = f"contacts pull, by {end.pull:.1%} of the largest push: forces are wrong there"
         why = "Refine the slave side where the master ends, or let the other side be the slave"
         notes.append(Note(seen, why))
-    if end.overlap == 0.0:  # else a part of an initial overlap is left, as deep as was asked for
+    if end.overlap == 0.0:  # else a prescribed part of an initial overlap is left
         closed = end.contacts.active
         notes += notes_on_overlaps(end.problem.system.unilateral, end.problem.u, closed, end.rtol)
     return notes + notes_on_crossings(end.problem, end.crossing)
 
 
 def _missed_tools(end: StepEnd) -> list[str]:
-    """Say which tools nothing can meet; on sides that they share, another one may have the node."""
+    """Notes on tools that meet no node, also of shared sides."""
     notes, links = list[str](), end.problem.system.links
     why = (
         "Either no facet of the side faces the tool (its normal has to point out of the tool, "
@@ -81,7 +80,7 @@ def _missed_tools(end: StepEnd) -> list[str]:
 
 
 def _frozen(end: StepEnd) -> list[str]:
-    """Say where contacts slid or turned too far for frozen geometry; collective."""
+    """Notes on slides and rotations beyond frozen geometry; collective."""
     notes, problem, length = list[str](), end.problem, end.problem.system.facet_length
     for link in end.problem.system.unilateral:
         slip = slipped(link, problem.vector(problem.owned_u))
@@ -100,7 +99,7 @@ def _frozen(end: StepEnd) -> list[str]:
 
 
 def _turn(problem: ContactProblem, link: Link, contacts: Contacts) -> float:
-    """Return atan2(|sum_j z_j N_j x n_j|, sum_j z_j N_j . n_j), how far normals turned; collective.
+    """atan2(|sum_j z_j N_j x n_j|, sum_j z_j N_j . n_j): rotation of normals; collective.
 
     z_j are the reactions, N_j and n_j the normals at X and now; flanks of a dent cancel.
     """
@@ -115,9 +114,9 @@ def _turn(problem: ContactProblem, link: Link, contacts: Contacts) -> float:
 
 
 def _turned_tools(end: StepEnd) -> list[str]:
-    """Say which tools turn so far in a step that slips are wrong; collective.
+    """Notes on rotations of tools that make slips wrong; collective.
 
-    Slips are arcs up to half a turn along a surface, chords r sin(a) about its normal.
+    Slips are arcs up to half a turn along a surface, chords about its normal.
     """
     notes, sliding = list[str](), end.contacts.sliding
     for link in end.problem.system.links:
@@ -143,16 +142,16 @@ def _turned_tools(end: StepEnd) -> list[str]:
 
 
 def note_strains(end: StepEnd) -> list[str]:
-    """Say what strains and stresses the kinematics leave out."""
+    """Notes on strains and stresses that the kinematics neglect."""
     return notes_on_small_strain(end.problem, end.left_out) + notes_on_lost_stress(end.problem)
 
 
 def note_pressures(end: StepEnd) -> list[str]:
-    """Say whether pressures are resolved."""
+    """Notes on the resolution of pressures."""
     forces, stiffness = np.zeros((2, end.problem.n))
     forces[end.balance.nodes] = end.contacts.reactions(end.balance)
     stiffness[end.balance.nodes] = end.stiffness[end.balance.bounds.dofs]
-    # less than what is left out of balance, or than gaps are worth that are round-off, is nothing
+    # below the residual, or the round-off of gaps
     forces[forces <= np.maximum(end.limit, stiffness * gap_round_off(end.problem.u))] = 0.0
     x, u = end.problem.positions(), end.problem.configuration
     notes, few = list[str](), list[str]()
@@ -164,11 +163,11 @@ def note_pressures(end: StepEnd) -> list[str]:
     return notes + few
 
 
-DIAGNOSES = note_partners, note_strains, note_pressures  # the same notes on all ranks
+DIAGNOSES = note_partners, note_strains, note_pressures  # same notes on all ranks
 
 
 def find_notes(end: StepEnd) -> list[str]:
-    """Return the notes of all diagnoses; rank 0 logs them, each kind once; collective."""
+    """All notes; rank 0 logs each kind once; collective."""
     notes = [note for diagnose in DIAGNOSES for note in diagnose(end)]
     if end.problem.comm.rank == 0:
         for note in notes:
@@ -179,7 +178,7 @@ def find_notes(end: StepEnd) -> list[str]:
 
 
 def _kind(note: str, names: Sequence[str]) -> str:
-    """Return a note without its numbers, but for those in the name of its interface.
+    """Note without numbers, except in the name of its interface.
 
     >>> _kind("Contact(slave=1): 1.5e-3 deep in 2 facets", ["Contact(slave=1)"])
     'Contact(slave=1): # deep in # facets'
