@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rows of a table, or of a JSON file, with the numbers of load steps."""
+"""Numbers of load steps as rows of a table or JSON file."""
 
 import json
 import math
@@ -19,7 +19,7 @@ from dolfinx_mortar.step_report import LoadStep
 
 
 def summarise(step: LoadStep) -> dict[str, Any]:
-    """Return costs, residuals, forces and notes of a load step as a dictionary.
+    """Costs, residuals, forces and notes of a load step as a dictionary.
 
         rows = [dm.summarise(step) | {"gap": gap()} for step in dm.load_steps(...)]
 
@@ -27,16 +27,15 @@ def summarise(step: LoadStep) -> dict[str, Any]:
         step: a committed load step.
 
     Returns:
-        "time"; "parts", their number (more than one after cut-backs); over all parts the counts
-        "newton_iterations", "qp_iterations", "linear_iterations" and "factorisations", the
-        "residual_history", the "notes" and this rank's "seconds" by part of the work; of the last
-        part the "linear_solver", the "certificate" and the "ledger" of energies of `time_steps`,
-        else None; "forces", those on the slave side of each
-        interface; "reactions", "force" and "moment" about the origin of each of ``problem.bcs``,
-        see `reaction`. A step made by hand has neither.
+        "time"; "parts" (more than one after cuts); over all parts "newton_iterations",
+            "qp_iterations", "linear_iterations", "factorisations", "residual_history", "notes" and
+            this rank's "seconds"; of the last part "linear_solver", "certificate" and the "ledger"
+            of `time_steps`, else None; "forces" on the slave side of each interface; "reactions",
+            "force" and "moment" about the origin of each of ``problem.bcs``. A step made by hand
+            lacks the last two.
 
     Raises:
-        ValueError: for what is no load step.
+        ValueError: for other objects.
     """
     check("step", step, instance(LoadStep, "give a LoadStep, such as load_steps yields"))
     parts = step.parts
@@ -68,17 +67,16 @@ def write_summary(
 ) -> None:
     """Write the size of a problem and a row for every load step as JSON; collective.
 
-    Rank 0 writes. Arrays become lists, infinite and undefined numbers null, and whatever else JSON
-    does not know becomes text.
+    Rank 0 writes. Arrays become lists, non-finite numbers null, unknown objects text.
 
     Args:
-        path: file to write; its folder must exist.
-        problem: gives "dofs", "cells", "ranks", and rank 0's "seconds" by part of the work.
+        path: file in an existing folder.
+        problem: gives "dofs", "cells", "ranks", and rank 0's "seconds".
         steps: rows such as those of ``summarise``.
         more: further entries.
 
     Raises:
-        ValueError: for what is no path, no problem, or no list of rows (on all ranks).
+        ValueError: for an invalid path, problem or list of rows (on all ranks).
         OSError: if the file cannot be written (on all ranks).
     """
     check_problem(problem, ContactProblem)
@@ -103,14 +101,13 @@ def write_summary(
 
 
 def _check_rows(steps: Any) -> None:
-    """Raise a ValueError unless rows are a list of dictionaries."""
     wanted = "give a list of rows, [dm.summarise(step) for step in ...]"
     for row in check("steps", steps, instance((list, tuple), wanted)):
         check("steps: a row", row, instance(Mapping, wanted))
 
 
 def _plain(value: Any) -> Any:
-    """Return what JSON can hold of a value.
+    """Value as JSON can hold it.
 
     >>> _plain({"x": np.array([1.0, np.nan]), "n": np.int32(2), "file": Path("a.xdmf"), 3: None})
     {'x': [1.0, None], 'n': 2, 'file': 'a.xdmf', '3': None}
