@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Shapes made of others: union, intersection and complement."""
+"""Union, intersection and complement of shapes."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -13,7 +13,7 @@ from dolfinx_mortar.shapes.shape import Distance, Shape, check_unit
 
 
 class _Combined(Shape):
-    """Several shapes, of which that with the least phi counts, or with the least -phi."""
+    """Shapes combined by the least or the largest phi."""
 
     sign: ClassVar[float]
 
@@ -29,7 +29,7 @@ class _Combined(Shape):
 
     @property
     def point(self) -> Floats:
-        """That of the first shape."""
+        """Point of the first shape."""
         return self.shapes[0].point
 
     def given(self) -> Mapping[str, Any]:
@@ -40,7 +40,7 @@ class _Combined(Shape):
         return f"{type(self).__name__}({', '.join(map(repr, self.shapes))})"
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Say why one of them cannot be used; "" if all can."""
+        """Why one of them is unusable, or ""."""
         return next((m for shape in self.shapes if (m := shape.misfit(d, revolved))), "")
 
     def distance(self, x: Floats) -> Distance:
@@ -52,30 +52,29 @@ class _Combined(Shape):
 
 
 class Union(_Combined):
-    """All of some shapes: phi = min phi_k, exact outside.
+    """Union of shapes: phi = min phi_k, exact outside.
 
     Args:
         shapes: one or more, of the same dimension.
 
     Raises:
-        ValueError: for none, for what is no shape, and for different dimensions.
+        ValueError: for no or invalid shapes, and different dimensions.
     """
 
     sign = 1.0
 
 
 class Intersection(_Combined):
-    """What some shapes have in common: phi = max phi_k.
+    """Intersection of shapes: phi = max phi_k.
 
-    The surface is exact, and so are distances from faces; off an edge at which shapes meet it is
-    the larger one of the distances from both, which is less than that from the edge. Berkovich's
-    pyramid is the intersection of three half spaces, each a `Plane`.
+    Surface and distances from faces are exact; off an edge phi is the larger of both distances,
+    less than that from the edge.
 
     Args:
         shapes: one or more, of the same dimension.
 
     Raises:
-        ValueError: naming a wrong argument, and for shapes that have nothing in common.
+        ValueError: naming a wrong argument, and for an empty intersection.
     """
 
     sign = -1.0
@@ -89,16 +88,15 @@ class Intersection(_Combined):
             )
 
     def _is_empty(self) -> bool:
-        """Tell whether two shapes face each other across a gap, wherever projections onto them end.
+        """Tell whether repeated projections onto the farthest shape end at a gap.
 
-        From the points of all shapes, onto the farthest one, over and over. Between convex shapes
-        that is a proof: what has opposite normals lies on both sides of a gap.
+        For convex shapes a proof: opposite normals on both sides of a gap.
         """
         x = np.array([shape.point for shape in _leaves(self)])
         for _ in range(LIMIT):
             try:
                 found = [shape.distance(x) for shape in self.shapes]
-            except Exception:  # in a function of a user's, which may not reach so far
+            except Exception:  # a user's function may fail there
                 return False
             values = np.array([one.value for one in found])
             gradients = np.array([one.gradient for one in found])
@@ -116,7 +114,7 @@ class Intersection(_Combined):
 
 
 def _leaves(shape: Any) -> list[Shape]:
-    """Return the shapes that a combination is made of."""
+    """Elementary shapes of a combination."""
     if isinstance(shape, Complement):
         return _leaves(shape.shape)
     if isinstance(shape, _Combined):
@@ -125,13 +123,13 @@ def _leaves(shape: Any) -> list[Shape]:
 
 
 class Complement(Shape):
-    """All that a shape is not: phi = -phi_0. The complement of a sphere is a socket, or a die.
+    """Complement of a shape: phi = -phi_0, such as a socket or a die.
 
     Args:
         shape: what is left out.
 
     Raises:
-        ValueError: for what is no shape.
+        ValueError: for other objects.
     """
 
     def __init__(self, shape: Shape) -> None:
@@ -139,7 +137,7 @@ class Complement(Shape):
 
     @property
     def point(self) -> Floats:
-        """That of the shape."""
+        """Point of the shape."""
         return self.shape.point
 
     def given(self) -> Mapping[str, Any]:
@@ -147,7 +145,7 @@ class Complement(Shape):
         return {"shape": self.shape}
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Say why the shape cannot be used; "" if it can."""
+        """Why the shape is unusable, or ""."""
         return self.shape.misfit(d, revolved)
 
     def distance(self, x: Floats) -> Distance:
@@ -158,15 +156,15 @@ class Complement(Shape):
 def berkovich(tip: Any, axis: Any, turned: float = 0.0) -> Intersection:
     """Return Berkovich's pyramid: three faces at 65.27 degrees to the axis.
 
-    Its section at a depth h has the area 24.5 h^2.
+    The area of its section at depth h is 24.5 h^2.
 
     Args:
         tip: 3 coordinates.
         axis: direction from the tip into the tool.
-        turned: degrees by which the faces are turned about the axis, from -360 to 360.
+        turned: degrees of rotation about the axis, -360 to 360.
 
     Raises:
-        ValueError: for other than 3 finite coordinates, an axis of 0, and no such angle.
+        ValueError: for other than 3 finite coordinates, an axis of 0, and other angles.
     """
     at, a = check("tip", tip, array((3,))), check_unit("axis", axis, 3)
     check("turned", turned, number("an angle in degrees", least=-360.0, most=360.0))
