@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A signed distance that a user gives, in UFL or as a function of points."""
+"""A signed distance given by the user, in UFL or as a function of points."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -30,21 +30,20 @@ Function = Callable[[Floats], Any]
 class SignedDistance(Shape):
     """phi, in UFL with exact derivatives, or a function of points.
 
-    Derivatives of a function that are not given are central differences.
+    Missing derivatives of a function are central differences.
 
     Args:
-        phi: an expression of ``ufl.SpatialCoordinate`` of any mesh of d coordinates and numbers; or
-            a function, points x (d, n) -> distances (n,). Positive outside, with abs(grad phi) = 1
+        phi: an expression of a ``ufl.SpatialCoordinate`` with d components and numbers; or a
+            function, points x (d, n) -> distances (n,). Positive outside, with abs(grad phi) = 1
             near the surface.
-        point: d coordinates that tell where the tool is, about which it turns.
+        point: d coordinates of the tool's reference point.
         gradient: x (d, n) -> (d, n).
         hessian: x (d, n) -> (d, d, n).
-        length: over which phi varies, the least radius of the surface for one: differences are
-            taken over a part of it, the cube root of the round-off for the best accuracy. Needed
-            where a derivative of a function is not given.
+        length: scale of phi, such as the least radius of the surface, for differences of a
+            function.
 
     Raises:
-        ValueError: naming a wrong argument; when it is evaluated, for another shape, and NaN.
+        ValueError: naming a wrong argument; in evaluations for other shapes and NaN.
 
     Example:
         >>> from basix.ufl import element
@@ -121,7 +120,7 @@ class SignedDistance(Shape):
     def _hessians(self, x: Floats) -> Floats:
         if self.hessian is not None:
             return _returned("hessian", self.hessian, x, (x.shape[1],) * 2)
-        # second differences have the round-off of a square
+        # second differences square the round-off
         power = 1 / 3 if self.gradient is not None else 1 / 5
         found = _differences(self._gradients, x, self._step(power))
         return np.asarray((found + np.swapaxes(found, 1, 2)) / 2)
@@ -132,11 +131,7 @@ class SignedDistance(Shape):
 
 
 def _compile(phi: Expr, d: int) -> Kernel:
-    """Return phi, its gradient and its Hessian, (1 + d + d^2,), as functions of x (d,).
-
-    Raises:
-        ValueError: for what is no scalar expression of x (d,) and numbers.
-    """
+    """phi, gradient and Hessian, (1 + d + d^2,), as functions of x (d,)."""
     known = ufl.SpatialCoordinate, ConstantValue, ufl.classes.MultiIndex
     if phi.ufl_shape != () or phi.ufl_free_indices:
         raise ValueError(f"phi is {phi}, of shape {phi.ufl_shape}: give a scalar expression")
@@ -163,11 +158,7 @@ def _compile(phi: Expr, d: int) -> Kernel:
 
 
 def _returned(name: str, function: Function, x: Floats, shape: tuple[int, ...]) -> Floats:
-    """Return what a function returns at points x (n, d), (n, ..).
-
-    Raises:
-        ValueError: for another shape, and NaN or infinity.
-    """
+    """Checked result (n, ..) of a function at points x (n, d)."""
     n = len(x)
     if not n:  # functions need not handle an empty set of points
         return np.zeros((0, *shape))
@@ -178,7 +169,7 @@ def _returned(name: str, function: Function, x: Floats, shape: tuple[int, ...]) 
 
 
 def _differences(function: Callable[[Floats], Floats], x: Floats, step: float) -> Floats:
-    """Return central differences (n, .., d) of a function of points x (n, d)."""
+    """Central differences (n, .., d) of a function of points x (n, d)."""
     ways = step * np.eye(x.shape[1])
     parts = [(function(x + way) - function(x - way)) / (2 * step) for way in ways]
     return np.stack(parts, axis=-1)
