@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A plane: everything behind it belongs to the tool."""
+"""A half space behind a plane."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -36,7 +36,7 @@ class Plane(Shape):
         return {"point": self._point, "normal": self.normal}
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Say why it cannot be used; "" if it can: across the axis, of an axisymmetric problem."""
+        """Why it is unusable, or "": not across the axis in axisymmetry."""
         if revolved and abs(self.normal[0]) > SAME:
             return f"{self!r} is not across the axis, so no plane of revolution: give a Cone"
         return super().misfit(d, revolved)
