@@ -20,11 +20,11 @@ from dolfinx_mortar.shapes.shape import (
 
 
 class _Pointed(Shape):
-    """A sharp section, all of it moved outwards by the radius of the tip.
+    """A sharp section offset outwards by the tip radius.
 
-    With the distance rho from the axis and the height h over the centre of the tip, along the axis
-    into the tool, and the half angle a, the distance is rho cos a - h sin a - R where the nearest
-    point is on the flank, rho sin a + h cos a > 0, and sqrt(rho^2 + h^2) - R at the tip.
+    With distance rho from the axis, height h over the tip's centre (along the axis into the tool)
+    and half angle a, phi is rho cos a - h sin a - R at the flank, where rho sin a + h cos a > 0,
+    and sqrt(rho^2 + h^2) - R at the tip.
     """
 
     def __init__(self, tip: Any, half_angle: Any, axis: Any, radius: Any) -> None:
@@ -36,7 +36,7 @@ class _Pointed(Shape):
 
     @property
     def point(self) -> Floats:
-        """The tip (d,), where the axis meets the surface."""
+        """Tip (d,), where the axis meets the surface."""
         return self.tip
 
     def given(self) -> Mapping[str, Any]:
@@ -45,23 +45,22 @@ class _Pointed(Shape):
         return {name: getattr(self, name) for name in names}
 
     def _section(self, x: Floats, across: Distance, tip: Distance) -> Distance:
-        """Return the distances of points x (n, d).
+        """Distances of points x (n, d).
 
         Args:
-            x: the points.
-            across: rho, their distance from the axis.
-            tip: their distance from the centre of the tip, or the line of centres.
+            across: rho, distance from the axis.
+            tip: distance from the tip's centre, or line of centres.
         """
         height, angle = (x - self._centre) @ self.axis, np.radians(self.half_angle)
         s, c = np.sin(angle), np.cos(angle)
         flank = Distance(
             c * across.value - s * height, c * across.gradient - s * self.axis, c * across.hessian
         )
-        # on the axis flanks meet from all around: their mean normal
+        # on the axis the mean normal of the flanks
         lost = across.value <= SAME * (np.abs(height) + self.radius)
         flank = replace(flank, gradient=np.where(lost[:, None], -self.axis, flank.gradient))
         found = flank.where(s * across.value + c * height > 0.0, tip)
-        sharp = found.value == 0.0  # the tip itself, of a sharp one
+        sharp = found.value == 0.0  # a sharp tip itself
         gradient = np.where((sharp & lost)[:, None], -self.axis, found.gradient)
         return Distance(found.value - self.radius, gradient, found.hessian)
 
@@ -71,17 +70,16 @@ class _Pointed(Shape):
 
 
 class Cone(_Pointed):
-    """A cone in space, or about the axis of an axisymmetric problem; see `_Pointed`.
+    """A cone in space, or about the axis of an axisymmetric problem.
 
-    phi = rho cos a - h sin a - R beside the flank, with the distance rho from the axis and the
-    height h over the centre of the tip, and sqrt(rho^2 + h^2) - R about the tip.
+    With the distance rho from the axis, the height h over the centre of the tip and the half angle
+    a, phi = rho cos a - h sin a - R at the flank, sqrt(rho^2 + h^2) - R at the tip.
 
     Args:
         tip: d coordinates of its lowest point.
-        half_angle: degrees between axis and flank: 70.3 has the depth and area of Berkovich's
-            pyramid.
-        axis: direction of the axis from the tip into the tool, d components.
-        radius: of the tip, 0 for a sharp one.
+        half_angle: degrees between axis and flank; 70.3 is equivalent to Berkovich's pyramid.
+        axis: d components, from the tip into the tool.
+        radius: R of the tip, 0 if sharp.
 
     Raises:
         ValueError: naming a wrong argument.
@@ -91,7 +89,7 @@ class Cone(_Pointed):
         super().__init__(tip, half_angle, axis, radius)
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Say why it cannot be used; "" if it can."""
+        """Why it is unusable, or ""."""
         if d == 2 and not revolved:
             return f"{self!r} is no plane figure: give a Wedge"
         size = self.radius + float(np.abs(self.tip).max())
@@ -107,19 +105,19 @@ class Cone(_Pointed):
 
 
 class Wedge(_Pointed):
-    """A wedge in plane problems, or in space along an edge; its section is that of a `Cone`.
+    """A wedge in the plane, or in space along an edge, with the section of a `Cone`.
 
-    In an axisymmetric problem it is the rim of a ring, as the edge of a punch or of a die.
+    In axisymmetry it is the rim of a ring, as of a punch or die.
 
     Args:
         tip: d coordinates of a point of its edge.
         half_angle: degrees between axis and flanks.
-        axis: direction from the tip into the tool, d components.
-        radius: of the tip, 0 for a sharp one.
-        edge: direction of the edge in space, across the axis; none in the plane.
+        axis: d components, from the tip into the tool.
+        radius: of the tip, 0 if sharp.
+        edge: direction of the edge in space, normal to the axis; None in the plane.
 
     Raises:
-        ValueError: naming a wrong argument, as an edge that is not across the axis.
+        ValueError: naming a wrong argument, as an edge not normal to the axis.
     """
 
     def __init__(
