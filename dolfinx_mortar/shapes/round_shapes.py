@@ -21,7 +21,7 @@ from dolfinx_mortar.shapes.shape import (
 
 
 class _Round(Shape):
-    """What has a centre and a radius."""
+    """Shape with centre and radius."""
 
     def __init__(self, centre: Any, radius: Any) -> None:
         self.centre = check("centre", centre, POINT)
@@ -29,7 +29,7 @@ class _Round(Shape):
 
     @property
     def point(self) -> Floats:
-        """The centre (d,)."""
+        """Centre (d,)."""
         return self.centre
 
     def given(self) -> Mapping[str, Any]:
@@ -53,7 +53,7 @@ class Sphere(_Round):
     """
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Say why it cannot be used; "" if it can."""
+        """Why it is unusable, or ""."""
         if d == 2 and not revolved:
             return f"{self!r} is no plane figure: give a Cylinder"
         if revolved and abs(self.centre[0]) > SAME * self._size:
@@ -67,12 +67,12 @@ class Sphere(_Round):
 
 
 class Cylinder(_Round):
-    """phi = |x - c| - R across an axis: in the plane a disc, with the axis across the plane.
+    """phi = |x - c| - R about an axis; in the plane a disc.
 
     Args:
         centre: c, d coordinates of a point of the axis.
         radius: R.
-        axis: direction of the axis, d components; none in plane problems.
+        axis: d components; None in plane problems.
 
     Raises:
         ValueError: naming a wrong argument.
@@ -89,7 +89,7 @@ class Cylinder(_Round):
         return {**super().given(), "axis": self.axis}
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Say why it cannot be used; "" if it can."""
+        """Why it is unusable, or ""."""
         if d == 2 and not revolved and self.axis is not None:
             return f"{self!r} has an axis, which in plane problems is across the plane: give none"
         if revolved:
@@ -107,14 +107,13 @@ class Cylinder(_Round):
 
 
 class Torus(_Round):
-    """phi = |(|x - c| across the axis - R, x - c along it)| - r: a ring of a round section.
+    """phi = |(|x - c| across the axis - R, x - c along it)| - r: a ring of round section.
 
     Args:
         centre: c, d coordinates.
-        radius: R, of the circle through the centres of the sections.
-        tube: r, of the sections; with r > R there is no hole, and phi is exact outside, as of a
-            `Union`.
-        axis: direction of the axis, d components; (0, 1) in axisymmetric problems if not given.
+        radius: R, of the circle through the sections' centres.
+        tube: r, of the sections; r > R closes the hole, and phi is exact outside.
+        axis: d components; default (0, 1) in axisymmetry.
 
     Raises:
         ValueError: naming a wrong argument.
@@ -132,7 +131,7 @@ class Torus(_Round):
         return {**super().given(), "tube": self.tube, "axis": self.axis}
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Say why it cannot be used; "" if it can."""
+        """Why it is unusable, or ""."""
         if d == 2 and not revolved:
             return f"{self!r} is no plane figure: give Cylinders, and their Union"
         if revolved and (abs(self.axis[0]) > SAME or abs(self.centre[0]) > SAME * self._size):
