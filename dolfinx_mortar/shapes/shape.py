@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The base of all shapes: a signed distance with its derivatives, and the problems it suits.
+"""Base of all shapes: a signed distance with its derivatives.
 
-phi(x) is the distance of a point from the surface of a tool, positive outside and negative inside.
-grad phi is the unit normal of the surface at the nearest point of it, out of the tool, and the
-Hessian of phi the curvature there, 1 / (R + phi) of a sphere.
+phi(x) is the distance from the surface of a tool, positive outside. grad phi is the outward unit
+normal at the nearest point, and the Hessian of phi the curvature there, 1 / (R + phi) for a sphere.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ class Distance:
     hessian: Floats  # (n, d, d) curvatures, 1 / length
 
     def __neg__(self) -> Distance:
-        """Return the distance from the same surface with the other side as outside."""
+        """Distance with inside and outside exchanged."""
         return Distance(-self.value, -self.gradient, -self.hessian)
 
     def where(self, mine: Bools, other: Distance) -> Distance:
-        """Return this distance at some points (n,), the other one elsewhere."""
+        """This distance at masked points (n,), the other one elsewhere."""
         return Distance(
             np.where(mine, self.value, other.value),
             np.where(mine[:, None], self.gradient, other.gradient),
@@ -41,7 +40,7 @@ class Distance:
 
 
 def check_finite(name: str, found: Floats, x: Floats) -> None:
-    """Raise a ValueError for NaN and infinity among values (n, ..) at points x (n, d)."""
+    """Raise a ValueError for NaN or infinity in values (n, ..) at points x (n, d)."""
     finite = np.isfinite(found).all(axis=tuple(range(1, found.ndim)))
     if not finite.all():
         place = ", ".join(f"{c:.4g}" for c in x[int(np.argmin(finite))])
@@ -49,10 +48,10 @@ def check_finite(name: str, found: Floats, x: Floats) -> None:
 
 
 def check_returned(shape: Shape, found: Any, x: Floats) -> Distance:
-    """Return what `Shape.distance` has returned for points x (n, d).
+    """Checked result of `Shape.distance` at points x (n, d).
 
     Raises:
-        ValueError: for what is no `Distance`, arrays of other shapes, NaN and infinity.
+        ValueError: for wrong types and shapes, NaN and infinity.
     """
     kind, (n, d) = type(shape).__name__, x.shape
     check(f"{kind}.distance()", found, instance(Distance, "return a shapes.Distance"))
@@ -63,28 +62,28 @@ def check_returned(shape: Shape, found: Any, x: Floats) -> Distance:
 
 
 def returned(shape: tuple[int, ...], n: int) -> Rule[Floats]:
-    """Return the rule of what functions return for n points: numbers of a shape."""
+    """Rule for results of a shape at n points."""
     return array(shape, finite=False, remedy=f"return numbers of shape {shape} for {n} points")
 
 
 class Shape(ABC):
-    """A region of space, by the signed distance phi of points from its surface, positive outside.
+    """A region with the signed distance phi of points from its surface, positive outside.
 
-    Its coordinates are those of the mesh while the tool is where it starts. In an axisymmetric
-    problem points are (r, z), and shapes are their sections.
+    Coordinates are those of the mesh for the tool in its initial position; in axisymmetry (r, z),
+    of the section.
     """
 
     @property
     @abstractmethod
     def point(self) -> Floats:
-        """A point (d,) that tells where the shape is: its centre, or its tip."""
+        """Reference point (d,): the centre, or the tip."""
 
     @abstractmethod
     def distance(self, x: Floats) -> Distance:
         """Return the distances of points x (n, d)."""
 
     def values(self, x: Floats) -> Floats:
-        """Return phi (n,) alone, at points x (n, d)."""
+        """Return only the values phi (n,) at points x (n, d)."""
         return self.distance(x).value
 
     @abstractmethod
@@ -93,11 +92,11 @@ class Shape(ABC):
 
     @property
     def surface(self) -> tuple[Floats, Longs] | None:
-        """Points (n, d), and lines or triangles (m, d) of them; None if it is not made of these."""
+        """Points (n, d), and lines or triangles (m, d); None for analytic shapes."""
         return None
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Say why the shape is none in d dimensions, or none of revolution; "" if it is one.
+        """Why it is unusable in d dimensions or axisymmetry, or "".
 
         Args:
             d: dimension of the mesh.
@@ -126,14 +125,14 @@ CREASE = number("an angle in degrees,", least=0.0, most=90.0)
 
 
 def check_unit(name: str, value: Any, d: int) -> Floats:
-    """Return the unit vector (d,) of a direction, or raise a ValueError, as for one of 0."""
+    """Unit vector (d,) of a direction; raise a ValueError for others."""
     found = check(name, value, array((d,), holds=np.any, remedy=DIRECTION.format(d)))
-    found = found / np.abs(found).max()  # squares of very large or small components are none
+    found = found / np.abs(found).max()  # squares may over- or underflow
     return np.asarray(found / np.linalg.norm(found))
 
 
 def refuse(who: str, x: Floats, wrong: Bools, what: str, remedy: str) -> None:
-    """Raise a ValueError with their number and the first place if some of x (m, d) are wrong."""
+    """Raise a ValueError with number and first place of wrong points x (m, d)."""
     if wrong.any():
         place = ", ".join(f"{c:.4g}" for c in x[int(np.argmax(wrong))])
         raise ValueError(
@@ -142,13 +141,13 @@ def refuse(who: str, x: Floats, wrong: Bools, what: str, remedy: str) -> None:
 
 
 def unit_vectors(v: Floats) -> tuple[Floats, Floats]:
-    """Return the lengths (n,) of vectors (n, d) and the unit vectors, 0 where there is none."""
+    """Lengths (n,) of vectors (n, d) and the unit vectors, 0 for 0."""
     size = np.linalg.norm(v, axis=1)
     return size, np.divide(v, size[:, None], out=np.zeros_like(v), where=size[:, None] > 0.0)
 
 
 def of_centre(offset: Floats) -> Distance:
-    """Return the distances from a point, of offsets (n, d) from it; 0 derivatives at the point.
+    """Distances from a point, of offsets (n, d); derivatives are 0 at the point.
 
     Derivatives are e = offset / r and (I - e e^T) / r.
     """
@@ -159,7 +158,7 @@ def of_centre(offset: Floats) -> Distance:
 
 
 def of_axis(offset: Floats, axis: Floats) -> Distance:
-    """Return the distances from a line along a unit vector (d,) through the origin."""
+    """Distances from a line along a unit vector (d,) through the origin."""
     along = offset @ axis
     found = of_centre(offset - along[:, None] * axis)
     inverse = np.divide(1.0, found.value, out=np.zeros_like(along), where=found.value > 0.0)
@@ -168,7 +167,7 @@ def of_axis(offset: Floats, axis: Floats) -> Distance:
 
 
 def of_section(u: Distance, v: Distance, phi: Distance) -> Distance:
-    """Return phi(u, v), of two functions u and v of points, with phi in the plane of (u, v)."""
+    """Phi(u, v) of two functions of points, given phi in the (u, v) plane."""
     g, H = phi.gradient, phi.hessian
     a, b = u.gradient, v.gradient
     gradient = g[:, :1] * a + g[:, 1:] * b
