@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Files of triangles: STL, binary or text."""
+"""STL files, binary or text."""
 
 import os
 import re
@@ -19,12 +19,12 @@ VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 
 
 def read_stl(path: str | os.PathLike[str]) -> tuple[Floats, Longs]:
-    """Return the points (n, 3) and the triangles (m, 3) of a file, with equal corners merged.
+    """Points (n, 3) and triangles (m, 3) of a file, with equal corners merged.
 
-    The normals in the file are not read: those of a triangle are by its order of corners.
+    Normals in the file are ignored: the order of corners gives them.
 
     Raises:
-        ValueError: if the file cannot be read, is no STL file, is cut off, or has NaN or infinity.
+        ValueError: for unreadable, invalid or truncated files, NaN and infinity.
     """
     try:
         content = Path(path).read_bytes()
@@ -57,7 +57,7 @@ def read_stl(path: str | os.PathLike[str]) -> tuple[Floats, Longs]:
 
 
 def _binary(content: bytes) -> Floats | None:
-    """Return the corners (m, 3, 3); None for a file whose length is not that of its triangles."""
+    """Corners (m, 3, 3); None if the length of the file does not fit."""
     if len(content) < HEADER:
         return None
     count = int.from_bytes(content[HEADER - 4 : HEADER], "little")
@@ -67,7 +67,7 @@ def _binary(content: bytes) -> Floats | None:
 
 
 def _text(content: bytes) -> Floats | None:
-    """Return the corners (m, 3, 3); None for what is no such text."""
+    """Corners (m, 3, 3); None for other texts."""
     if not content.lstrip()[:5].lower() == b"solid":
         return None
     try:
