@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: MIT
-r"""Tools of any form, given by triangles: files of CAD programs, or arrays.
+"""Tools given by triangles: STL files, or arrays.
 
-Each triangle with corners p_i and smooth normals n_i there is that of `curved` with
+A triangle of `curved` with corners p_i and smooth normals n_i has
 
     a_ij = (n_i + n_j) (n_j - n_i).(p_j - p_i) / |n_i + n_j|^2,
 
-four times the way of the middle of the edge. Where it bends to one side, as on a sphere, it is
-across n_i and n_j, and the surface that of T. Nagata, Simple local interpolation of surfaces using
-normal vectors (2005); edges that would bend to both sides stay straight. Neighbours have the same
-parabola, so the surface has no gaps. Creases stay straight, faces without a smooth edge flat.
+four times the offset of the edge's middle: the surface of T. Nagata, Simple local interpolation of
+surfaces using normal vectors (2005), where edges bend to one side; S-shaped edges stay straight.
+Neighbours share a parabola: no gaps. Creases stay straight, faces without smooth edges flat.
 """
 
 from __future__ import annotations
@@ -34,23 +33,21 @@ from dolfinx_mortar.shapes.triangulation import (
 
 
 class Triangles(Curved):
-    """The body within triangles, whose normals, counterclockwise, point out of it; in space.
+    """The body enclosed by triangles, counterclockwise as seen from outside; in space.
 
     Args:
-        surface: the path of an STL file, binary or text, which every rank reads (what is wrong with
-            it is raised where the shape is used first: on all ranks); or points (n, 3)
-            and triangles (m, 3), the numbers of their corners.
-        point: 3 coordinates that tell where the tool is, about which it turns; the middle of the
-            box around the triangles if not given.
-        crease: in degrees, from 0 to 90; an edge at which normals turn by more stays sharp, others
-            are smooth. With 0 all triangles are flat.
-        rim: whether the surface may end, as one side of a die. Beyond its rim phi is the distance
-            from that: the body must not get there.
+        surface: path of an STL file, binary or text, read by every rank (errors are raised on all
+            ranks at the first use of the shape); or points (n, 3) and triangles (m, 3).
+        point: 3 coordinates of the tool's reference point; default the middle of its box.
+        crease: angle of normals in degrees, 0 to 90, above which an edge stays sharp. With 0 all
+            triangles are flat.
+        rim: whether the surface may end. Beyond its rim phi is the distance from it: the body must
+            not get there.
 
     Raises:
-        ValueError: naming a wrong argument; for files that cannot be read or are no STL, triangles
-            without area or turned against their neighbours, holes (without ``rim``), edges of more
-            than two, and a body turned inside out.
+        ValueError: naming a wrong argument; for unreadable files, triangles without area or turned
+            against their neighbours, holes (without ``rim``), edges of more than two triangles, and
+            bodies turned inside out.
     """
 
     def __init__(
@@ -68,7 +65,7 @@ class Triangles(Curved):
         except ValueError as error:
             if not file:
                 raise
-            self._unread = error  # perhaps on this rank alone, which must not leave the others
+            self._unread = error  # raised later, perhaps on this rank only
             return
         self._triangulation = create_triangulation(points, triangles, rim=self.rim)
         x = self.triangulation.corners
@@ -82,31 +79,27 @@ class Triangles(Curved):
 
     @property
     def triangulation(self) -> Triangulation:
-        """The triangles with their neighbours.
-
-        Raises:
-            ValueError: for a file that could not be read.
-        """
+        """Triangles with their neighbours; a ValueError for an unreadable file."""
         if self._unread is not None:
             raise self._unread
         return self._triangulation
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Say why it cannot be used; "" if it can."""
+        """Why it is unusable, or ""."""
         return super().misfit(d, revolved) if self._unread is None else str(self._unread)
 
     @property
     def point(self) -> Floats:
-        """As given, or the middle of the box around it, (3,)."""
+        """As given, or the middle of the box, (3,)."""
         return self._point
 
     @property
     def surface(self) -> tuple[Floats, Longs]:
-        """Points (n, 3) and triangles (m, 3) for pictures."""
+        """Points (n, 3) and triangles (m, 3) for output."""
         return self.triangulation.points, self.triangulation.triangles
 
     def given(self) -> Mapping[str, Any]:
-        """Return the arguments by name, of the triangles a digest."""
+        """Arguments by name, with a digest of the triangles."""
         names = {"point": self._point, "crease": self.crease, "rim": self.rim}
         if self._unread is not None:
             return {"surface": f"not read, {self._unread}", **names}
@@ -122,12 +115,12 @@ class Triangles(Curved):
 
     def distance(self, x: Floats) -> Distance:
         """Return the distances of points x (n, 3)."""
-        _ = self.triangulation  # raises for a file that could not be read
+        _ = self.triangulation  # raises for an unreadable file
         return super().distance(x)
 
 
 def _bulges(x: Floats, normals: Floats) -> Floats:
-    """Return a (m, 3, 3) of edges, see `curved`, from corners and normals there."""
+    """Bends a (m, 3, 3) of edges, see `curved`, from corners and normals."""
     p, q, one, other = x[:, FIRST], x[:, SECOND], normals[:, FIRST], normals[:, SECOND]
     both = one + other
     turn = ((other - one) * (q - p)).sum(axis=2) / (both**2).sum(axis=2)
@@ -135,7 +128,7 @@ def _bulges(x: Floats, normals: Floats) -> Floats:
 
 
 def _check_arrays(surface: Any) -> tuple[Floats, Longs]:
-    """Return points (n, 3) and triangles (m, 3), or raise a ValueError."""
+    """Checked points (n, 3) and triangles (m, 3)."""
     wanted = "give the path of an STL file, or points (n, 3) and triangles (m, 3)"
     if not isinstance(surface, list | tuple) or len(surface) != 2:
         raise ValueError(f"surface is {surface!r}: {wanted}")
