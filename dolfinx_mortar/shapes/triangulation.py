@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A surface of triangles: which of them meet, whether they enclose a body, and its normals."""
+"""A surface of triangles: neighbours, checks of a closed body, normals."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ class Triangulation:
     """Triangles with common corners and edges."""
 
     points: Floats  # (n, 3)
-    triangles: Longs  # (m, 3), counterclockwise as seen from outside
-    normals: Floats  # (m, 3), of unit length
-    beyond: Longs  # (m, 3) the triangle on the other side of each edge, -1 at a rim
+    triangles: Longs  # (m, 3) counterclockwise as seen from outside
+    normals: Floats  # (m, 3) unit normals
+    beyond: Longs  # (m, 3) triangle across each edge, -1 at a rim
 
     @property
     def corners(self) -> Floats:
-        """The corners of the triangles (m, 3, 3)."""
+        """Corners of the triangles (m, 3, 3)."""
         return self.points[self.triangles]
 
     def edge_normals(self) -> Floats:
-        """Return the sum of the normals at each edge (m, 3, 3)."""
+        """Sum of the normals at each edge (m, 3, 3)."""
         other = np.where((self.beyond >= 0)[..., None], self.normals[self.beyond], 0.0)
         return np.asarray(self.normals[:, None] + other)
 
     def point_normals(self) -> Floats:
-        """Return the sum of the normals around each corner (m, 3, 3), weighted by their angles.
+        """Angle-weighted sum of the normals around each corner (m, 3, 3).
 
-        With these a point is outside where its offset from the nearest one has a positive product
-        with the normal there. J. A. Baerentzen, H. Aanaes: Signed distance computation using the
-        angle weighted pseudonormal (2005).
+        A point is outside where its offset from the nearest point has a positive product with it.
+        J. A. Baerentzen, H. Aanaes: Signed distance computation using the angle weighted
+        pseudonormal (2005).
         """
         one, other = self._arms()
         cosine = (one * other).sum(axis=2) / (_length(one) * _length(other))
@@ -50,16 +50,15 @@ class Triangulation:
         return self._summed(self.triangles.ravel(), angles[..., None] * self.normals[:, None])
 
     def smooth_normals(self, crease: float) -> tuple[Floats, Bools]:
-        """Return unit normals at corners (m, 3, 3), and which edges (m, 3) are no creases.
+        """Unit normals at corners (m, 3, 3), and the mask (m, 3) of edges without crease.
 
-        Those at a corner are averaged over the triangles that meet there without a crease between
-        them, an edge at which normals turn by more than an angle in degrees, with the weights that
-        are exact for points of a sphere. N. Max: Weights for computing vertex normals from facet
-        normals (1999).
+        Averages over triangles connected without a crease (an angle of normals above ``crease``
+        degrees), with weights exact for spheres. N. Max: Weights for computing vertex normals from
+        facet normals (1999).
         """
         turn = (self.normals[:, None] * self.normals[self.beyond]).sum(axis=2)
         smooth = (self.beyond >= 0) & (turn >= np.cos(np.radians(crease)) - HALF_OF_DIGITS)
-        # corners of two triangles are one where a smooth edge begins or ends
+        # corners are merged at the ends of smooth edges
         m = len(self.triangles)
         mine, edge = np.nonzero(smooth)
         other = self.beyond[mine, edge]
@@ -80,24 +79,23 @@ class Triangulation:
         return x[:, [1, 2, 0]] - x, x[:, [2, 0, 1]] - x
 
     def _summed(self, group: Longs, parts: Floats) -> Floats:
-        """Return the sums (m, 3, 3) of parts of corners (m, 3, 3) over groups of them (3 m,)."""
+        """Sums (m, 3, 3) of parts at corners (m, 3, 3) over groups (3 m,)."""
         total = np.zeros((int(group.max()) + 1, 3))
         np.add.at(total, group, parts.reshape(-1, 3))
         return np.asarray(total[group].reshape(-1, 3, 3))
 
 
 def create_triangulation(points: Floats, triangles: Longs, *, rim: bool) -> Triangulation:
-    """Return what triangles make up.
+    """Surface of triangles.
 
     Args:
         points: (n, 3).
         triangles: (m, 3).
-        rim: whether the surface may end somewhere.
+        rim: whether the surface may end.
 
     Raises:
-        ValueError: for triangles without area, edges of more than two, holes, triangles that are
-            turned against their neighbours, and a body that is turned inside out; with their
-            number, and where the first one is.
+        ValueError: for triangles without area or turned against neighbours, edges of more than two,
+            holes, and bodies turned inside out; with number and first place.
     """
     x = points[triangles]
     across = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
@@ -121,11 +119,7 @@ def create_triangulation(points: Floats, triangles: Longs, *, rim: bool) -> Tria
 
 
 def _find_neighbours(x: Floats, triangles: Longs, rim: bool) -> Longs:
-    """Return the triangle beyond each edge (m, 3), -1 at a rim.
-
-    Raises:
-        ValueError: see `create_triangulation`.
-    """
+    """Triangle beyond each edge (m, 3), -1 at a rim; ValueErrors of `create_triangulation`."""
     ends = np.stack([triangles[:, FIRST], triangles[:, SECOND]], axis=2).reshape(-1, 2)
     _, place, count = np.unique(
         np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True
@@ -166,12 +160,12 @@ def _find_neighbours(x: Floats, triangles: Longs, rim: bool) -> Longs:
 
 
 def _find_turned(one: Longs, other: Longs, against: Longs, m: int) -> Bools:
-    """Return which triangles (m,) are turned against most of those that hang together with them.
+    """Mask (m,) of triangles turned against most of those connected to them.
 
     Args:
-        one: (k,) an edge that two triangles have.
-        other: (k,) the same edge as that of the other one.
-        against: which of these pairs disagree.
+        one: (k,) edges of pairs of triangles.
+        other: (k,) the same edges of the second triangle.
+        against: pairs that disagree.
         m: number of triangles.
     """
     turned = np.zeros(m, dtype=bool)
@@ -179,7 +173,7 @@ def _find_turned(one: Longs, other: Longs, against: Longs, m: int) -> Bools:
         return turned
     differs = np.zeros(len(one), dtype=bool)
     differs[against] = True
-    # of two triangles that meet at two edges, one of them counts
+    # of two common edges one counts
     pairs, first = np.unique(np.stack([one // 3, other // 3], axis=1), axis=0, return_index=True)
     flips = {
         (int(pairs[k, 0]), int(pairs[k, 1])): bool(differs[first[k]]) for k in range(len(pairs))
