@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Where a signed distance is zero in a box: lines in the plane, triangles in space."""
+"""Zero level of a signed distance in a box: lines in the plane, triangles in space."""
 
 from itertools import permutations, product
 
@@ -13,15 +13,14 @@ GRID = {2: 400, 3: 60}
 
 
 def find_zero_level(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Longs]:
-    """Return points (n, d) on the surface of a shape, and lines or triangles (m, d), in a box.
+    """Points (n, d) on the surface of a shape, and lines or triangles (m, d), in a box.
 
-    The part of the box around the surface is divided into cells, these into triangles or
-    tetrahedra, on whose edges points lie; then they are moved onto the surface.
+    A grid around the surface is divided into simplices; points on crossed edges are moved onto the
+    surface.
 
     Args:
-        shape: of a tool.
-        low: corner (d,) of the box.
-        high: the other one.
+        low: lower corner (d,) of the box.
+        high: upper corner.
 
     Example:
         >>> from dolfinx_mortar.shapes import Cylinder
@@ -51,10 +50,9 @@ def find_zero_level(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Lo
 
 
 def _around(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Return the corners (d,) of a box around the surface in a box: tools may be small.
+    """Corners (d,) of the box around the surface, by a coarse grid.
 
-    A cell of a coarse grid is left out where the distance of its centre is twice what it is to its
-    corners; phi may be only about a distance.
+    Cells with a distance above twice that to their corners are left out; phi may be approximate.
     """
     for _ in range(LIMIT):
         counts = _counts(low, high, GRID[len(low)] // 4)
@@ -73,13 +71,13 @@ def _around(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Floats]:
 
 
 def _counts(low: Floats, high: Floats, most: int) -> Longs:
-    """Return how many cells (d,) there are along the sides of a box."""
+    """Numbers of cells (d,) along the sides of a box."""
     sides = high - low
     return np.maximum(np.ceil(sides / sides.max() * most), 1).astype(np.int64)
 
 
 def _simplices(counts: Longs, inside: np.ndarray) -> Longs:
-    """Return the simplices (m, d + 1) that fill cells of a grid with nodes on both sides (Kuhn)."""
+    """Simplices (m, d + 1) of grid cells with nodes on both sides (Kuhn)."""
     d = len(counts)
     steps = np.array([np.prod(counts[i + 1 :] + 1, dtype=np.int64) for i in range(d)])
     first = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1)
@@ -91,16 +89,16 @@ def _simplices(counts: Longs, inside: np.ndarray) -> Longs:
 
 
 def _cross(simplices: Longs, inside: np.ndarray) -> tuple[Longs, Longs]:
-    """Return the edges (n, 2) that a surface crosses, and its lines or triangles (m, d) of them."""
+    """Edges (n, 2) crossed by a surface, and lines or triangles (m, d) of these."""
     d = simplices.shape[1] - 1
     of = inside[simplices]
-    order = np.argsort(of, axis=1, kind="stable")  # nodes outside come first
+    order = np.argsort(of, axis=1, kind="stable")  # nodes outside first
     nodes, count = np.take_along_axis(simplices, order, axis=1), of.sum(axis=1)
     parts = []
     for k in range(1, d + 1):
         out, within = range(d + 1 - k), range(d + 1 - k, d + 1)
         ends = [(i, j) for i in out for j in within]
-        # two and two nodes of a tetrahedron: a quadrilateral, in two triangles
+        # two and two nodes: a quadrilateral, as two triangles
         cut = [ends] if len(ends) == d else [ends[:3], ends[1:]]
         parts += [nodes[count == k][:, cell] for cell in cut]
     crossed = np.concatenate(parts)  # (m, d, 2)
