@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Displacement spaces: which are supported, and values of their Functions; for all modules."""
+"""Supported displacement spaces, and values of their Functions; for all modules."""
 
 from typing import Any
 
@@ -22,16 +22,14 @@ HIGHEST = 2
 def check_space(
     V: dolfinx.fem.FunctionSpace, name: str = "V", *, scalar: bool = False, on_cells: bool = True
 ) -> None:
-    """Raise a ValueError, without communication, for spaces that are not supported.
+    """Raise a ValueError, without communication, for unsupported spaces.
+
+    Supported: Lagrange of degree 1 or 2, double precision, cells of no higher degree.
 
     Args:
-        name: the argument that it comes from, for messages.
-        scalar: whether scalar spaces are supported, too.
+        name: of the argument, for messages.
+        scalar: whether scalar spaces are allowed.
         on_cells: whether facets have to lie on the cells.
-
-    Raises:
-        ValueError: for what is no space of Lagrange functions of degree 1 or 2, in double
-            precision, on cells that are supported and of no higher degree.
     """
     if not isinstance(V, dolfinx.fem.FunctionSpace):
         of = "" if scalar else " of displacements"
@@ -77,18 +75,18 @@ def check_space(
 def find_positions(
     V: dolfinx.fem.FunctionSpace, u: dolfinx.fem.Function | None, *, same_nodes: bool
 ) -> tuple[dolfinx.fem.FunctionSpace, dolfinx.fem.Function | None]:
-    """Return a vector space of positions X + u for a space V, and u in it; collective.
+    """Vector space of positions X + u for a space V, and u in it; collective.
 
-    Its degree is the highest of V, u and the cells. It is V or the space of u, if one of them fits.
+    Of the highest degree of V, u and the cells; V or the space of u if one fits.
 
     Args:
         V: scalar or vector space, see `check_space`.
         u: displacement in any vector space of the same mesh, None for X.
-        same_nodes: whether it has to number its nodes as V does.
+        same_nodes: whether nodes must be numbered as in V.
 
     Raises:
-        ValueError: for what is no displacement on this mesh, without communication; if the nodes
-            have to be those of V, and are not.
+        ValueError: for other than displacements on this mesh, without communication; for other
+            nodes.
     """
     spaces = [V]
     if u is not None:
@@ -133,11 +131,7 @@ def find_positions(
 
 
 def check_real(name: str, *values: Any) -> None:
-    """Raise a ValueError unless Constants and Functions are those of dolfinx, of type float64.
-
-    Args:
-        values: Constants and Functions.
-    """
+    """Raise a ValueError unless Constants and Functions are dolfinx's, of type float64."""
     for value in values:
         if not isinstance(value, dolfinx.fem.Constant | dolfinx.fem.Function):
             raise ValueError(
@@ -153,7 +147,7 @@ def check_real(name: str, *values: Any) -> None:
 
 
 def mean_cell_sizes(V: dolfinx.fem.FunctionSpace) -> Floats:
-    """Return the mean size of the cells around the node of each owned dof (n,); collective."""
+    """Mean size of the cells around the node of each owned dof (n,); collective."""
     domain, d, bs = V.mesh, V.mesh.topology.dim, V.dofmap.index_map_bs
     cells = np.arange(domain.topology.index_map(d).size_local, dtype=np.int32)
     sums, counts = (dolfinx.la.vector(V.dofmap.index_map, 1) for _ in range(2))
@@ -166,22 +160,22 @@ def mean_cell_sizes(V: dolfinx.fem.FunctionSpace) -> Floats:
 
 
 def set_owned(f: dolfinx.fem.Function, values: Floats) -> None:
-    """Set the owned values (n, c) of a Function, and those of ghosts; collective."""
+    """Set the owned values (n, c) of a Function, and ghosts; collective."""
     f.x.array[: values.size] = values.ravel()
     f.x.scatter_forward()
 
 
 def with_values(V: dolfinx.fem.FunctionSpace, values: Floats) -> dolfinx.fem.Function:
-    """Return a Function by its owned values (n, c); collective."""
+    """Return a Function of owned values (n, c); collective."""
     f = dolfinx.fem.Function(V)
     set_owned(f, values)
     return f
 
 
 def connected_parts(V: dolfinx.fem.FunctionSpace) -> tuple[int, Ints]:
-    """Return how many parts a mesh has that share no nodes, and the part (local nodes,) of each.
+    """Number of connected parts of a mesh, and the part of each node; collective.
 
-    They are numbered from 0 on, the same on all ranks; collective.
+    (local nodes,), numbered from 0, the same on all ranks.
     """
     layout, comm = V.dofmap.index_map, V.mesh.comm
     n_owned, n_local = layout.size_local, layout.size_local + layout.num_ghosts
@@ -190,7 +184,7 @@ def connected_parts(V: dolfinx.fem.FunctionSpace) -> tuple[int, Ints]:
     graph = coo_array((np.ones(len(first)), (first, last)), shape=(n_local, n_local))
     parts, local = connected_components(graph, directed=False)
 
-    # Parts of different ranks are one body where a ghost of one part is owned by the other.
+    # parts of two ranks are one where a ghost of one is owned by the other
     offset = comm.exscan(parts) or 0
     vector = dolfinx.la.vector(layout, 1)
     vector.array[:n_owned] = local[:n_owned] + offset
@@ -208,12 +202,11 @@ def connected_parts(V: dolfinx.fem.FunctionSpace) -> tuple[int, Ints]:
 def check_nodal(
     name: str, function: dolfinx.fem.Function, shape: tuple[int, ...], wanted: str
 ) -> None:
-    """Raise a ValueError unless a Function has one value of a shape at every node.
+    """Raise a ValueError unless a Function has nodal values of a shape.
 
     Args:
-        function: what it is.
         shape: () for a scalar, (d,) for a vector.
-        wanted: what to give instead, for the message.
+        wanted: remedy for the message.
     """
     V = function.function_space
     element = V.ufl_element()
@@ -231,7 +224,7 @@ def check_nodal(
 
 
 def check_mesh(name: str, value: Any, V: dolfinx.fem.FunctionSpace) -> None:
-    """Raise a ValueError if a value lives on another mesh than the displacement."""
+    """Raise a ValueError for a value on another mesh than the displacement."""
     domain = None
     if isinstance(value, dolfinx.fem.Function):
         domain = value.function_space.mesh.ufl_domain()
