@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Bodies and their supports: connected parts, rigid motions, Dirichlet data, the axis of rings.
-
-Knows nothing of contact sets, loads or steps.
-"""
+"""Bodies and supports: connected parts, rigid motions, Dirichlet data, axis of rotation."""
