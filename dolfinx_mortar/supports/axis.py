@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checks of the axis of rotation: nodes that must be held there, facets that cannot lie on it."""
+"""Checks of the axis of rotation: free nodes and facets on it."""
 
 from collections.abc import Sequence
 
@@ -16,11 +16,10 @@ from dolfinx_mortar.supports.dirichlet import Dirichlet
 
 
 def check_axis(solid: Solid, supports: Dirichlet, sides: Sequence[Sides]) -> None:
-    """Raise a ValueError on all ranks if nodes on the axis are free, or facets meet on it.
+    """Raise a ValueError on all ranks for free nodes or facets on the axis; collective.
 
-    Points on the axis stay there: with a radial displacement u_r / r and the energy are infinite.
-    On a mesh they are merely large, so that no other check notices. Facets on the axis are no
-    surface of the body. Without an axis there is nothing to check; collective.
+    A radial displacement there makes u_r / r infinite, on a mesh merely large. Facets on the axis
+    are no surface of the body.
     """
     V, i = solid.V, solid.kinematics.radius
     if i is None:
@@ -45,10 +44,10 @@ def check_axis(solid: Solid, supports: Dirichlet, sides: Sequence[Sides]) -> Non
 
 
 def check_targets(solid: Solid, target: Floats) -> None:
-    """Raise a ValueError on all ranks if points on the axis shall move off it; collective.
+    """Raise a ValueError on all ranks if points on the axis are moved off it; collective.
 
     Args:
-        target: (owned dofs,) prescribed displacements, 0 where there is none.
+        target: (owned dofs,) prescribed displacements, 0 where free.
     """
     V, i = solid.V, solid.kinematics.radius
     if i is None:
@@ -56,7 +55,7 @@ def check_targets(solid: Solid, target: Floats) -> None:
     radial = target.reshape(-1, V.dofmap.index_map_bs)[:, i]
     axis = on_axis(solid.kinematics, V.mesh, V.tabulate_dof_coordinates()[: len(radial)])
     largest = float(maximum(V.mesh.comm, np.abs(target).max(initial=0.0))[0])
-    leaving = axis & (np.abs(radial) > ROUND_OFF * largest)  # what is interpolated has round-off
+    leaving = axis & (np.abs(radial) > ROUND_OFF * largest)  # round-off of interpolation
     moved = V.mesh.comm.allreduce(int(np.sum(leaving)), op=MPI.SUM)
     if moved:
         raise ValueError(
