@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Dirichlet conditions as marks and values of dofs, whichever ranks have located them."""
+"""Dirichlet conditions as marks and values of dofs, on whichever ranks they were located."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 
 def prescribed_dofs(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> Bools:
-    """Return (local nodes, d): which displacement components are prescribed; collective.
+    """Mask (local nodes, d) of prescribed components; collective.
 
     Raises:
-        ValueError: on all ranks, for dofs that V, or the component of a condition, does not have.
+        ValueError: on all ranks, for dofs that the space or component of a condition lacks.
     """
     with raised_together(V.mesh.comm):
         for bc in bcs:
@@ -26,7 +26,7 @@ def prescribed_dofs(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> Boo
 
 
 def marked_dofs(V: fem.FunctionSpace, dofs: Iterable[Ints]) -> Bools:
-    """Return (local nodes, d): which components any rank names by its local dofs; collective."""
+    """Mask (local nodes, d) of components located on any rank; collective."""
     d = V.dofmap.index_map_bs
     marks = la.vector(V.dofmap.index_map, d)
     marks.array[:] = 0.0
@@ -38,7 +38,7 @@ def marked_dofs(V: fem.FunctionSpace, dofs: Iterable[Ints]) -> Bools:
 
 
 def _check_dofs(V: fem.FunctionSpace, bc: fem.DirichletBC) -> None:
-    """Raise a ValueError unless the dofs of a condition are some of its space."""
+    """Raise a ValueError for dofs outside the space of a condition."""
     dofs, layout, d = bc.dof_indices()[0], V.dofmap.index_map, V.dofmap.index_map_bs
     count = layout.size_local + layout.num_ghosts
     outside = dofs[(dofs < 0) | (dofs >= d * count)]
@@ -56,10 +56,10 @@ def _check_dofs(V: fem.FunctionSpace, bc: fem.DirichletBC) -> None:
 
 
 def prescribed_values(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> Floats:
-    """Return the prescribed values at owned dofs, 0 where there is none; collective.
+    """Prescribed values at owned dofs, 0 where free; collective.
 
     Raises:
-        ValueError: on all ranks, if conditions prescribe different values of one dof.
+        ValueError: on all ranks, for contradictory values.
     """
     d, layout = V.dofmap.index_map_bs, V.dofmap.index_map
     values, known = np.zeros((2, d * (layout.size_local + layout.num_ghosts)))
@@ -72,17 +72,14 @@ def prescribed_values(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> F
     shared.scatter_reverse(la.InsertMode.add)
     own = slice(None, d * layout.size_local)
     total, count = (table[: layout.size_local, part].ravel() for part in np.s_[:d, d:])
-    # The owner's own value is exact; the mean of the others' stands in where it has none.
+    # the owner's value is exact; else the mean of the others'
     target = np.where(known[own] > 0, values[own], total / np.maximum(count, 1.0))
     _check_unique(V, bcs, target)
     return target
 
 
 def _check_unique(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC], target: Floats) -> None:
-    """Raise a ValueError on all ranks if a condition has other values than the target.
-
-    Up to the round-off of interpolated values: that of coordinates and displacements; collective.
-    """
+    """Raise a ValueError on all ranks for values off the target; collective."""
     d, comm = V.dofmap.index_map_bs, V.mesh.comm
     chosen = la.vector(V.dofmap.index_map, d)
     chosen.array[: len(target)] = target
@@ -117,23 +114,23 @@ def _check_unique(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC], target: 
 
 @dataclass(frozen=True)
 class Dirichlet:
-    """Dirichlet conditions of a problem; values are read anew at every step."""
+    """Dirichlet conditions of a problem; values are read in every step."""
 
     V: fem.FunctionSpace
     bcs: list[fem.DirichletBC]
-    fixed: Bools  # (local nodes, d) which components are prescribed
+    fixed: Bools  # (local nodes, d) prescribed components
 
     @property
     def owned(self) -> Bools:
-        """Which components of the owned nodes are prescribed, (n, d)."""
+        """Mask (n, d) of prescribed components of owned nodes."""
         return np.asarray(self.fixed[: self.V.dofmap.index_map.size_local])
 
     def values(self) -> Floats:
-        """Return the prescribed values at owned dofs, 0 where there is none; collective."""
+        """Prescribed values at owned dofs, 0 where free; collective."""
         return prescribed_values(self.V, self.bcs)
 
     def warnings(self) -> list[str]:
-        """Return a warning for each condition that holds nothing; collective."""
+        """Warning for each condition without dofs; collective."""
         found = [len(bc.dof_indices()[0]) for bc in self.bcs]
         counts = self.V.mesh.comm.allreduce(np.array(found, dtype=np.int64))
         told = []
@@ -147,7 +144,7 @@ class Dirichlet:
         return told
 
     def increment(self, target: Floats, u: Floats) -> Floats:
-        """Return prescribed minus present values, (owned nodes, d), 0 where free."""
+        """Prescribed minus present values, (owned nodes, d), 0 where free."""
         difference = (target - u[: target.size]).reshape(self.owned.shape)
         return np.where(self.owned, difference, 0.0)
 
@@ -156,7 +153,7 @@ def create_dirichlet(V: fem.FunctionSpace, bcs: list[fem.DirichletBC]) -> Dirich
     """Find the prescribed dofs; collective.
 
     Raises:
-        ValueError: on all ranks, for dofs that are none, and values that contradict each other.
+        ValueError: on all ranks, for invalid dofs and contradictory values.
     """
     supports = Dirichlet(V, bcs, prescribed_dofs(V, bcs))
     supports.values()
