@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Tags of cells or facets with names; for all modules."""
+"""Named tags of cells or facets; for all modules."""
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
@@ -21,9 +21,8 @@ Value = TypeVar("Value")
 class Tags(mesh.MeshTags):
     """Tags of cells or facets that have names.
 
-    They can be used wherever dolfinx's ``MeshTags`` can; names can stand for tags in this package:
-    `Contact`, `Tie`, the keys of materials and eigenstrains, ``find``. UFL's measures take integers
-    only: ``ds(facet_tags.tag("top"))``.
+    They replace dolfinx's ``MeshTags``; names can stand for tags in `Contact`, `Tie`, keys of
+    materials and eigenstrains, and ``find``, but not in UFL: ``ds(facet_tags.tag("top"))``.
 
         facet_tags = dm.Tags(facet_tags, {"ball": 3, "plate": 4})
 
@@ -32,7 +31,7 @@ class Tags(mesh.MeshTags):
     """
 
     def __init__(self, tags: mesh.MeshTags, names: Mapping[str, int]) -> None:
-        """Give names to tags; these are shared, or copied in the order of the entities.
+        """Name tags, which are shared, or copied in the order of the entities.
 
         Args:
             names: tag by name, the same on all ranks.
@@ -51,18 +50,18 @@ class Tags(mesh.MeshTags):
         )
 
     def tag(self, name: str | int) -> int:
-        """Return the tag of a name; a tag is returned as it is.
+        """Tag of a name, or a tag unchanged.
 
         Raises:
-            ValueError: for an unknown name; the message lists the names there are. For what is
-                neither a name nor an integer of 32 bits.
+            ValueError: for an unknown name, with the known ones, and other than integers of 32
+                bits.
         """
         tag = tag_of(self, name, "name")
         check_tag("name", tag)
         return int(tag)
 
     def find(self, value: int | str) -> npt.NDArray[np.int32]:
-        """Return the local cells or facets (n,) that have a tag, or the tag of a name.
+        """Local cells or facets (n,) of a tag or name.
 
         Raises:
             ValueError: as in `tag`.
@@ -73,10 +72,7 @@ class Tags(mesh.MeshTags):
 
 
 def in_order(tags: mesh.MeshTags) -> mesh.MeshTags:
-    """Return tags whose entities rise, as dolfinx assumes of facets in ``ds``; else it loses some.
-
-    Those that do are returned as they are.
-    """
+    """Tags with ascending entities, as dolfinx's ``ds`` needs; unchanged if they are."""
     order = np.argsort(tags.indices, kind="stable")
     if (np.diff(order) == 1).all():
         return tags
@@ -87,7 +83,7 @@ def in_order(tags: mesh.MeshTags) -> mesh.MeshTags:
 
 
 def find_exterior(tags: mesh.MeshTags, tag: int, domain: mesh.Mesh) -> tuple[Ints, Ints]:
-    """Return the owned facets that have a tag, and those of them on the boundary; collective."""
+    """Owned facets of a tag, and those of them on the boundary; collective."""
     topology = domain.topology
     topology.create_connectivity(tags.dim, topology.dim)
     marked = tags.find(tag)
@@ -96,7 +92,7 @@ def find_exterior(tags: mesh.MeshTags, tag: int, domain: mesh.Mesh) -> tuple[Int
 
 
 def tags_of(domain: mesh.Mesh, dim: int) -> Rule[mesh.MeshTags]:
-    """Return the rule of tags of the cells or the facets of a mesh, by their dimension."""
+    """Rule for tags of the cells or facets of a mesh, by their dimension."""
     sort = "cells" if dim == domain.topology.dim else "facets"
 
     def read(tags: Any) -> mesh.MeshTags | None:
@@ -107,10 +103,9 @@ def tags_of(domain: mesh.Mesh, dim: int) -> Rule[mesh.MeshTags]:
 
 
 def check_measures(name: str, form: ufl.Form, domain: mesh.Mesh) -> None:
-    """Raise a ValueError on all ranks if a measure of a form leaves out what it names; collective.
+    """Raise a ValueError on all ranks for measures that lose cells or facets; collective.
 
-    Dolfinx integrates over nothing where a tag has no cell or no exterior facet, or there are no
-    tags, and over a part of the facets where these are not sorted.
+    Dolfinx accepts tags without a cell or exterior facet, and loses unsorted facets.
     """
     dims = {"cell": domain.topology.dim, "exterior_facet": domain.topology.dim - 1}
     for integral in form.integrals():
@@ -144,16 +139,16 @@ def check_measures(name: str, form: ufl.Form, domain: mesh.Mesh) -> None:
 
 
 def check_tag(name: str, tag: Any) -> None:
-    """Raise a ValueError unless the argument `name` is a value that MeshTags can hold."""
+    """Raise a ValueError for values that MeshTags cannot hold."""
     limits = np.iinfo(np.int32)
     remedy = "give a tag, an integer of 32 bits, or its name"
     check(name, tag, integer(limits.min, limits.max), remedy)
 
 
 def check_entities(name: str, tags: mesh.MeshTags) -> None:
-    """Raise a ValueError if tags mark cells or facets that this rank does not have.
+    """Raise a ValueError for tags of entities that this rank does not have.
 
-    Dolfinx takes any numbers; negative ones count from the end of an array.
+    Dolfinx accepts any numbers.
     """
     layout = tags.topology.index_map(tags.dim)
     count = layout.size_local + layout.num_ghosts
@@ -166,15 +161,14 @@ def check_entities(name: str, tags: mesh.MeshTags) -> None:
 
 
 def tag_of(tags: Any, given: Any, argument: str) -> Any:
-    """Return the tag of a name; what is not a string is returned as it is, without a check.
+    """Tag of a name, anything but strings unchanged.
 
     Args:
-        tags: what the argument chooses from, a `Tags` if it has names.
-        given: a name or a tag.
-        argument: its name, for messages.
+        tags: `Tags` if it has names.
+        argument: for messages.
 
     Raises:
-        ValueError: for a string that is no name; without communication.
+        ValueError: for unknown names; without communication.
     """
     if not isinstance(given, str):
         return given
@@ -195,10 +189,10 @@ def tag_of(tags: Any, given: Any, argument: str) -> Any:
 
 
 def by_tag(tags: Any, given: Mapping[Any, Value], argument: str) -> dict[Any, Value]:
-    """Return a dictionary by name or tag as one by tag.
+    """Dictionary by name or tag as one by tag.
 
     Raises:
-        ValueError: for a string that is no name, and a tag that is given twice.
+        ValueError: for unknown names and repeated tags.
     """
     found: dict[Any, Value] = {}
     for key, value in given.items():
@@ -212,16 +206,16 @@ def by_tag(tags: Any, given: Mapping[Any, Value], argument: str) -> dict[Any, Va
 
 
 def names_of(tags: Any) -> Mapping[str, int]:
-    """Return the names of tags, none if they have none."""
+    """Names of tags, empty for others."""
     return tags.names if isinstance(tags, Tags) else {}
 
 
 def label(tags: Any, tag: Any) -> str:
-    """Return the text for a tag in messages: its name in quotes, otherwise its number."""
+    """Tag's name in quotes, or its number, for messages."""
     return next((repr(name) for name, of in names_of(tags).items() if of == tag), str(tag))
 
 
 def labels(tags: Any, chosen: Iterable[Any]) -> str:
-    """Return the text for several tags in messages, with names and numbers."""
+    """Several tags with names and numbers, for messages."""
     names = {tag: f"{name!r} ({tag})" for name, tag in names_of(tags).items()}
     return ", ".join(names.get(tag, str(tag)) for tag in chosen)
