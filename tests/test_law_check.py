@@ -21,7 +21,7 @@ def test_check_accepts_what_fits():
     report = dm.materials.check(Isotropic(1000.0, 0.3, 1.0, 100.0))
     assert report.changed > 10 and np.isnan(report.energy_error)
     assert report.tangent_error < 1e-8 and report.state_error < 1e-12 and report.skew < 1e-12
-    assert "Isotropic: consistent at 48" in str(report)
+    assert "Isotropic: consistent at 4" in str(report)
     report = dm.materials.check(dm.VonMises(1000.0, 0.3, 1.0, 100.0))
     assert report.changed > 10 and report.energy_error < 1e-8
     assert "of the energy" in str(report)
@@ -99,7 +99,7 @@ def test_arguments_of_a_check(bad):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"stress": von_mises_stress, "energy": Slips.energy}, "the stress [xyz]{2} is .*, but "),
+        ({"stress": von_mises_stress, "energy": Slips.energy}, "the stress times D is .*, but "),
         ({"updated_state": Slips.slow}, "after a commit at the same strain it is"),
         ({"stress": Slips.skew}, "mirrored it is"),
         ({"linear": True}, "linear is True, but the tangent .*at zero strain it is"),
@@ -114,7 +114,7 @@ def test_check_finds_what_does_not_fit(changes, message):
 
 def test_check_says_where_the_values_differ():
     """Component, both values and the strain allow the user to repeat it by hand."""
-    with pytest.raises(ValueError, match="the stress") as caught:
+    with pytest.raises(ValueError, match="the stress times D") as caught:
         dm.materials.check(von_mises(stress=von_mises_stress, energy=Slips.energy))
     given, wanted = map(float, re.findall(r"is (\S+), but .* give (\S+),", str(caught.value))[0])
     assert wanted / given == pytest.approx(1.001, rel=1e-6)
@@ -206,7 +206,7 @@ def test_a_stress_with_noise_is_refused():
 
         energy = None
 
-    with pytest.raises(ValueError, match=r"Noisy: differences of P .* disagree .* at .* of 30"):
+    with pytest.raises(ValueError, match=r"Noisy: differences .* disagree .* at .* of 30"):
         dm.materials.check(Noisy(200.0, 0.3))
 
 

@@ -3,6 +3,7 @@
 
 import dataclasses
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -89,7 +90,7 @@ def respond(material: Any, F: np.ndarray, state: Any = None, dimension: int = 3)
     p = {field.name: np.full(q, getattr(material, field.name)) for field in fields}
     if state is None:
         state = {name: np.zeros((q, *shape)) for name, shape in law.law.state.items()}
-    return law.values(F, state, p)
+    return law.values(F, state, SimpleNamespace(**p))
 
 
 def rotations(rng: np.random.Generator, q: int) -> np.ndarray:

@@ -5,7 +5,8 @@ A law turns a 3x3 strain, its committed state and parameters into stress or ener
 It must not know of meshes, functions or contact; `check` tries a law out without any of them.
 """
 
-from dolfinx_mortar.materials.comparison import check
+from typing import Any
+
 from dolfinx_mortar.materials.drucker_prager import DruckerPrager
 from dolfinx_mortar.materials.elastic import Elastic
 from dolfinx_mortar.materials.mooney_rivlin import MooneyRivlin
@@ -29,3 +30,12 @@ __all__ = [
     "VonMisesVoce",
     "check",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Load `check`, a companion, at first use."""
+    if name == "check":
+        from dolfinx_mortar.materials.law_check import check
+
+        return check
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

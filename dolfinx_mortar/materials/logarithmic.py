@@ -35,7 +35,6 @@ import ufl
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.kernels import Kernel, compile_kernel, constants, tabulate
 from dolfinx_mortar.materials import logarithms
-from dolfinx_mortar.materials.finite_law import FiniteValues
 from dolfinx_mortar.materials.plane_stress import solve
 from dolfinx_mortar.materials.protocol import PLASTIC, Law
 from dolfinx_mortar.materials.ranges import grouped, ungrouped
@@ -191,33 +190,21 @@ class LogarithmicLaw:
                     new[name][some] = values
         return new
 
-    def values(
-        self, F: Floats, state: Mapping[str, Floats], parameters: Mapping[str, Floats]
-    ) -> FiniteValues:
-        """Return everything at q points, as tensors.
-
-        Args:
-            F: deformation gradient (q, 3, 3).
-            state: committed internal variables by name, (q,) or (q, 3, 3).
-            parameters: by name, (q,).
-        """
+    def values(self, F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> PointValues:
+        """Return everything at F (q, 3, 3) as tensors, see `response.values_at_points`."""
         q, k = len(F), len(self.components)
         H = np.ascontiguousarray(F - np.eye(3))
         P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
-        start = self.start(q, state, parameters)
+        start = self.start(q, state, ungrouped(p))
         self.respond(start, H, P, A, psi)
         stress, tangent = np.zeros((q, 3, 3)), np.zeros((q, 3, 3, 3, 3))
         for n, entry in enumerate(self.components):
             stress[:, *entry] = P[:, n]
-        upper = ((a, b) for i, a in enumerate(self.components) for b in self.components[i:])
-        for t, (first, second) in enumerate(upper):
+        for t, (a, b) in enumerate(_upper(k)):
+            first, second = self.components[a], self.components[b]
             tangent[:, *first, *second] = tangent[:, *second, *first] = A[:, t]
         energy = psi if self.has_energy else None
-        return FiniteValues(energy, stress, tangent, self.update(start, H))
-
-    def evaluate(self, F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> FiniteValues:
-        """Return `values` as a `finite_law.FiniteLaw` does."""
-        return self.values(F, state, ungrouped(p))
+        return PointValues(stress, tangent, self.update(start, H), energy=energy)
 
     def stress_lost(self, start: Start, H: Floats) -> Floats:
         """Return by how much, relative to it, Kirchhoff's stress is below that of the law (q,).

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The response of a law to a strain: its methods are called and what they return is checked."""
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -20,6 +21,7 @@ from dolfinx_mortar.materials.plane_stress import (
     with_normal_stretch,
 )
 from dolfinx_mortar.materials.protocol import PLASTIC, Law
+from dolfinx_mortar.materials.ranges import grouped, ungrouped
 from dolfinx_mortar.materials.tensor import mean_of_shears
 from ufl.algorithms import expand_derivatives
 from ufl.classes import Label, Variable
@@ -197,17 +199,19 @@ def _shaped(what: str, value: Any, shape: tuple[int, ...]) -> Expr:
 
 @dataclass(frozen=True)
 class PointValues:
-    """The answer of a law of arrays at q points."""
+    """The answer of a law at q points."""
 
-    stress: Floats  # (q, 3, 3)
+    stress: Floats  # (q, 3, 3), at finite strain P
     tangent: Floats  # (q, 3, 3, 3, 3), for a small strain with the symmetry k <-> l
     state: dict[str, Floats]  # (q,) or (q, 3, 3)
     normal: Floats | None = None  # (q,) z of plane stress, see `plane_stress`
+    energy: Floats | None = None  # (q,) of a law of F that has one
 
     @property
     def undefined(self) -> Bools:
         """At which points (q,) something is NaN or infinite."""
         parts = [self.stress, self.tangent, *self.state.values()]
+        parts += [] if self.energy is None else [self.energy]
         found = np.zeros(len(self.stress), dtype=bool)
         for part in parts:
             if not np.isfinite(part.sum()):  # much quicker than to look at each
@@ -227,27 +231,45 @@ def values_at_points(
     Raises:
         ValueError: if it raises, or returns something of another form, name or shape.
     """
-    if not law.plane_stress:
-        return _updated(law, strain, state, p)
-    finite = law.strain == "finite"
-    whole = np.zeros_like(strain)
-    whole[:, :2, :2] = strain[:, :2, :2]
+    z, finite = None, law.strain == "finite"
+    if law.plane_stress:
+        z = _normal_at_points(law, strain, state, p)
+        strain = _flat(strain, 1.0 + z if finite else z)
+    found = _updated(law, strain, state, p)
+    if finite and law.energy is not None:
+        psi = _called(law, "energy", strain, state, p)
+        psi = _shaped_array(f"{law.name}.energy", psi, (len(strain),))
+        found = dataclasses.replace(found, energy=psi)
+    return found if z is None else _condensed(found, z)
 
-    def at(points: Ints, z: Floats) -> PointValues:
-        strain = whole[points]
-        strain[:, 2, 2] = 1.0 + z if finite else z
-        here = SimpleNamespace(**{name: _at(value, points) for name, value in vars(p).items()})
-        return _updated(law, strain, {n: v[points] for n, v in state.items()}, here)
+
+def _flat(strain: Floats, normal: Floats) -> Floats:
+    """Return the part in the plane of tensors (q, 3, 3), with zz entries (q,)."""
+    whole = np.zeros_like(strain)
+    whole[:, :2, :2], whole[:, 2, 2] = strain[:, :2, :2], normal
+    return whole
+
+
+def _normal_at_points(
+    law: Law, strain: Floats, state: Mapping[str, Floats], p: SimpleNamespace
+) -> Floats:
+    """Return the strain, or the stretch less 1, (q,) out of the plane that leaves no stress."""
+    finite, parameters = law.strain == "finite", ungrouped(p)
 
     def equation(points: Ints, z: Floats) -> Floats:
-        found = at(points, z[:, 0])
+        some = _flat(strain[points], 1.0 + z[:, 0] if finite else z[:, 0])
+        here = ({n: v[points] for n, v in values.items()} for values in (state, parameters))
+        found = _updated(law, some, next(here), grouped(next(here)))
         C, norm = found.tangent, np.linalg.norm(found.stress, axis=(1, 2))
         stiffest = np.abs(C).max(axis=(1, 2, 3, 4), initial=0.0)
         parts = [found.stress[:, 2, 2], C[:, 2, 2, 2, 2], stiffest, norm]
         return np.stack(parts, axis=1)[:, None]
 
-    z = plane_stress.solve(law.name, equation, (len(strain), 1), finite=finite)[:, 0]
-    found = at(np.arange(len(strain)), z)
+    return plane_stress.solve(law.name, equation, (len(strain), 1), finite=finite)[:, 0]
+
+
+def _condensed(found: PointValues, z: Floats) -> PointValues:
+    """Return values with stress and tangent of plane stress."""
     stress, C = found.stress.copy(), found.tangent
     stress[:, 2], stress[:, :, 2] = 0.0, 0.0
     with np.errstate(all="ignore"):
@@ -255,12 +277,7 @@ def values_at_points(
         tangent = C - np.einsum("qij,qkl->qijkl", C[..., 2, 2], C[:, 2, 2]) / modulus
     for axis in range(1, 5):
         np.moveaxis(tangent, axis, 1)[:, 2] = 0.0
-    return PointValues(stress, tangent, found.state, z)
-
-
-def _at(value: Any, points: Ints) -> Any:
-    """Return a parameter, or a tuple of parameters, at some points."""
-    return tuple(v[points] for v in value) if isinstance(value, tuple) else value[points]
+    return dataclasses.replace(found, stress=stress, tangent=tangent, normal=z)
 
 
 def _updated(
@@ -268,24 +285,30 @@ def _updated(
 ) -> PointValues:
     """Call a law of arrays at q points, see `values_at_points`."""
     where, q = f"{law.name}.update", len(strain)
-    assert law.update is not None
-    try:
-        found = law.update(strain, state, p)
-    except Exception as error:
-        what = f"{type(error).__name__}: {error}"
-        raise ValueError(f"{where} raised {what} (at {q} points){_remedy(error)}") from error
+    found = _called(law, "update", strain, state, p)
     if not isinstance(found, tuple) or len(found) != 3:
         raise ValueError(
             f"{where} returns {type(found).__name__}; it must return stress, tangent, new state"
         )
     stress, tangent, new = found
     _check_state(law, where, new)
-    C = shaped_array(f"{where}: the tangent", tangent, (q, 3, 3, 3, 3))
+    C = _shaped_array(f"{where}: the tangent", tangent, (q, 3, 3, 3, 3))
     return PointValues(
-        shaped_array(f"{where}: the stress", stress, (q, 3, 3)),
+        _shaped_array(f"{where}: the stress", stress, (q, 3, 3)),
         mean_of_shears(C) if law.strain == "small" else C,
-        {n: shaped_array(f"{where}: {n}", new[n], (q, *shape)) for n, shape in law.state.items()},
+        {n: _shaped_array(f"{where}: {n}", new[n], (q, *shape)) for n, shape in law.state.items()},
     )
+
+
+def _called(law: Law, method: str, strain: Floats, *rest: Any) -> Any:
+    """Call a method of a law of arrays; its errors name it."""
+    try:
+        return getattr(law, method)(strain, *rest)
+    except Exception as error:
+        raise ValueError(
+            f"{law.name}.{method} raised {type(error).__name__}: {error} (at {len(strain)} points)"
+            f"{_remedy(error)}"
+        ) from error
 
 
 def _remedy(error: Exception) -> str:
@@ -302,7 +325,7 @@ def _remedy(error: Exception) -> str:
     )
 
 
-def shaped_array(what: str, value: Any, shape: tuple[int, ...]) -> Floats:
+def _shaped_array(what: str, value: Any, shape: tuple[int, ...]) -> Floats:
     """Return an array of the shape, or raise a ValueError."""
     try:
         array = np.asarray(value, dtype=np.float64)

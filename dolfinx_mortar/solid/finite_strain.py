@@ -15,8 +15,7 @@ from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import check, one_of
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.response import Response
-from dolfinx_mortar.solid.at_points import middle_of
-from dolfinx_mortar.solid.sources import Part, create_source, point_function
+from dolfinx_mortar.solid.sources import Part, create_source, middle_of, point_function
 from ufl.core.expr import Expr
 
 

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx import fem, mesh
+from dolfinx import fem
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.materials.protocol import Law
@@ -20,6 +20,7 @@ from dolfinx_mortar.solid.sources import (
     Part,
     check_source,
     create_source,
+    middle_of,
     point_function,
 )
 from ufl.checks import is_cellwise_constant
@@ -122,19 +123,12 @@ class ParameterTable(Followed):
             where = wrong.get(rule, np.zeros(len(owned) * points, dtype=bool))
             bad = where.reshape(-1, points).any(axis=1)
             count = domain.comm.allreduce(int(bad.sum()), op=MPI.SUM)
-            place = _first_place(domain, owned[bad])
+            places = domain.comm.allgather(middle_of(domain, owned[bad][0]) if bad.any() else "")
             numbers = _extent(domain.comm, {name: v[where] for name, v in values.items()}, rule)
             raise ValueError(
                 f"{self._law.name}: {rule} does not hold in {count} cells, such as the one "
-                f"around {place}; there {numbers}."
+                f"around {next(filter(None, places))}; there {numbers}."
             )
-
-
-def _first_place(domain: mesh.Mesh, cells: Ints) -> str:
-    """Return the midpoint of a cell of the first rank that has any; collective."""
-    x = mesh.compute_midpoints(domain, domain.topology.dim, cells[:1])
-    found = [points for points in domain.comm.allgather(x[:, : domain.geometry.dim]) if len(points)]
-    return "(" + ", ".join(f"{v:.4g}" for v in found[0][0]) + ")"
 
 
 def _extent(comm: MPI.Comm, values: Mapping[str, Floats], rule: str) -> str:

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Local equations at the integration points, solved before each assembly; forms read the results.
+"""Laws that are evaluated at the integration points before each assembly; forms read the results.
 
-Laws of arrays give stress, consistent tangent and new internal variables; local condensation for
-plane stress gives the strain out of the plane.
+Laws of arrays give stress, tangent and new state; laws of a small strain at finite strain, too; of
+laws in UFL in plane stress the strain out of the plane is found.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from mpi4py import MPI
 
@@ -13,51 +15,111 @@ import numba
 import numpy as np
 
 import ufl
-from dolfinx import fem
+from dolfinx import fem, jit
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.kernels import ANYWHERE, Kernel, kernel_of
+from dolfinx_mortar.materials.logarithmic import LogarithmicLaw, Start
 from dolfinx_mortar.materials.plane_stress import solve
 from dolfinx_mortar.materials.protocol import Law
-from dolfinx_mortar.materials.response import PointValues, Response, respond, values_at_points
-from dolfinx_mortar.materials.tensor import (
-    INDEX,
-    from_components,
-    stored,
-    tensor_of,
-    to_components,
-)
-from dolfinx_mortar.solid.at_points import (
-    PointValuesOfRegion,
-    middle_of,
-    pairs,
-    set_points,
-    symmetric_rows,
-)
-from dolfinx_mortar.solid.finite_points import FinitePointFields
+from dolfinx_mortar.materials.ranges import ungrouped
+from dolfinx_mortar.materials.response import Response, respond, values_at_points
+from dolfinx_mortar.materials.tensor import COMPONENTS, GRADIENT, INDEX, stored, tensor_of
 from dolfinx_mortar.solid.laws import Region
-from dolfinx_mortar.solid.logarithmic_points import LogarithmicFields
-from dolfinx_mortar.solid.sources import point_function
+from dolfinx_mortar.solid.sources import middle_of, point_function
 from dolfinx_mortar.solid.state import as_tensors, create_field
 from ufl.core.expr import Expr
 
 
-class NormalStrain(PointValuesOfRegion):
-    """The strain out of the plane that leaves no stress there, for a law in UFL.
-
-    At finite strain the stretch less 1.
+class PointValuesOfRegion(ABC):
+    """What is found at the points of a region before anything is assembled.
 
     Attributes:
-        normal: it, zero in other regions.
+        region: the law and its cells.
+        response: of the law, in terms of what is found.
+        normal: in plane stress the strain, or the stretch less 1, out of the plane; zero in other
+            regions.
     """
+
+    response: Response
+    normal: fem.Function | None = None
+
+    def __init__(
+        self,
+        region: Region,
+        strain: Expr,
+        state: Mapping[str, fem.Function],
+        inputs: Sequence[fem.Function],
+        degree: int,
+    ) -> None:
+        """Create what is filled; the strain, or F, depends on the inputs; collective."""
+        self.region = region
+        self._mesh = region.parameters.function.function_space.mesh
+        self._committed = {name: state[name] for name in region.law.state}
+        self._inputs = [*inputs, *self._committed.values(), region.parameters.function]
+        self._seen: list[Floats] = []
+        self._create(strain, degree)
+
+    @abstractmethod
+    def _create(self, strain: Expr, degree: int) -> None:
+        """Create the Functions and the response, compile; collective."""
+
+    @abstractmethod
+    def _evaluate(self) -> None:
+        """Fill the Functions; where that raises, they are as before."""
+
+    def fill(self) -> None:
+        """Evaluate the law, unless nothing has changed; without communication.
+
+        Raises:
+            ValueError: if the law fails.
+        """
+        now = [f.x.array for f in self._inputs]
+        if len(self._seen) != len(now) or not all(map(np.array_equal, now, self._seen)):
+            self._evaluate()
+            self._seen = self._copies(now)
+
+    def _copies(self, now: list[Floats]) -> list[Floats]:
+        """Return copies of the inputs that have been evaluated."""
+        return [values.copy() for values in now]
+
+    def settle(self) -> None:  # noqa: B027 - most have evaluated everything by then
+        """Evaluate what is needed only at the end of a step; without communication."""
+
+    def _state(self) -> dict[str, Floats]:
+        """Return the committed internal variables at the points, (q,) or (q, 3, 3)."""
+        found = {}
+        for name, f in self._committed.items():
+            values = f.x.array.reshape(-1, f.function_space.dofmap.bs)[self._rows(f)]
+            found[name] = tensor_of(values) if values.shape[1] > 1 else values[:, 0]
+        return found
+
+    def _rows(self, f: fem.Function) -> Ints:
+        """Return the points of the region, rows of the values of a Function at points."""
+        return np.asarray(f.function_space.dofmap.list[self.region.cells].ravel())
+
+    def _set(self, f: fem.Function, values: Floats) -> None:
+        """Set a Function at the points: values (q,), (q, components) or tensors (q, 3, 3)."""
+        size = f.function_space.dofmap.bs
+        values = stored(values, size) if values.ndim == 3 else values.reshape(-1, size)
+        f.x.array.reshape(-1, size)[self._rows(f)] = values
+
+    def _evaluated(self, expression: fem.Expression, cells: Ints) -> Floats:
+        """Return the values of an expression in cells, point by point."""
+        return np.asarray(expression.eval(self._mesh, cells))
+
+
+class NormalStrain(PointValuesOfRegion):
+    """The strain, or the stretch less 1, out of the plane without stress, of a law in UFL."""
 
     def _create(self, strain: Expr, degree: int) -> None:
         """Create the Function and compile its equation; collective."""
-        region, domain = self.region, self.region.parameters.function.function_space.mesh
-        self.normal = create_field(domain, degree, (), "strain_out_of_the_plane")
+        region = self.region
+        self.normal = create_field(self._mesh, degree, (), "strain_out_of_the_plane")
         committed = as_tensors(region, self._committed)
-        with raised_together(domain.comm):
+        with raised_together(self._mesh.comm):
             self.response = respond(region.law, strain, committed, region.symbols, self.normal)
         found = self.response.normal_strain
         if found is None:
@@ -70,21 +132,21 @@ class NormalStrain(PointValuesOfRegion):
 
     def _evaluate(self) -> None:
         """Solve the equation at all points, or take its root from the law."""
-        V, cells, values = self.normal.function_space, self.region.cells, self.normal.x.array
-        dofs = V.dofmap.list[cells]
+        assert self.normal is not None
+        cells, values = self.region.cells, self.normal.x.array
+        dofs = self.normal.function_space.dofmap.list[cells]
         if self.response.normal_strain is not None:
-            values[dofs] = np.asarray(self._equation.eval(V.mesh, cells)).reshape(dofs.shape)
+            values[dofs] = self._evaluated(self._equation, cells).reshape(dofs.shape)
             return
 
         def equation(rows: Ints, z: Floats) -> Floats:
             values[dofs[rows]] = z
-            found = np.asarray(self._equation.eval(V.mesh, cells[rows]))
-            return found.reshape(*z.shape, 4)
+            return self._evaluated(self._equation, cells[rows]).reshape(*z.shape, 4)
 
         before, law = values.copy(), self.region.law
         finite, start = law.strain == "finite", None
         if self._start is not None:
-            start = np.asarray(self._start.eval(V.mesh, cells)).reshape(dofs.shape)
+            start = self._evaluated(self._start, cells).reshape(dofs.shape)
         try:
             values[dofs] = solve(law.name, equation, dofs.shape, finite=finite, start=start)
         except ValueError:
@@ -93,62 +155,199 @@ class NormalStrain(PointValuesOfRegion):
 
 
 class PointwiseFields(PointValuesOfRegion):
-    """Stress, tangent and new state of a law of arrays."""
+    """Stress, tangent and new state of a law of arrays; at F the energy, too.
+
+    P and F have five entries that may be non-zero in the plane and on rings, nine in space; of the
+    symmetric tangent the upper triangle is stored.
+    """
 
     def _create(self, strain: Expr, degree: int) -> None:
-        """Create the Functions; collective."""
-        domain = self.region.parameters.function.function_space.mesh
-        self._stress = create_field(domain, degree, (3, 3), "stress")
-        size = self._stress.function_space.dofmap.bs
-        self._tangent = point_function(domain, degree, (len(pairs(size)),))
+        """Create the Functions; compile the strain, or F; collective."""
+        law, domain = self.region.law, self._mesh
+        with raised_together(domain.comm):
+            self._finite, has_energy = self._create_law()
+        d = domain.geometry.dim
+        self._entries = GRADIENT[d] if self._finite else INDEX[: len(COMPONENTS[d])]
+        size = len(self._entries)
+        self._stress = point_function(domain, degree, (size,))
+        self._tangent = point_function(domain, degree, (len(_pairs(size)),))
+        self._energy = point_function(domain, degree) if has_energy else None
+        self.normal = point_function(domain, degree) if law.plane_stress else None
         points = compat.interpolation_points(self._stress.function_space)
-        self._strain = fem.Expression(to_components(strain, size), points)
+        self._strain = fem.Expression(self._wanted(strain), points)
         self._new = {name: f.copy() for name, f in self._committed.items()}
-        new = as_tensors(self.region, self._new)
-        self.response = Response(from_components(self._stress), None, new, self._change)
+        new, stress = as_tensors(self.region, self._new), self._tensor(list(self._stress))
+        self.response = Response(stress, self._energy, new, self._change)
+
+    def _create_law(self) -> tuple[bool, bool]:
+        """Return whether the law is one of F, and whether it has a potential."""
+        finite = self.region.law.strain == "finite"
+        return finite, finite and self.region.law.energy is not None
+
+    def _wanted(self, strain: Expr) -> Expr:
+        """Return what is evaluated at the points before the law is called."""
+        return ufl.as_vector([strain[entry] for entry in self._entries])
+
+    def _tensor(self, entries: Sequence[Expr]) -> Expr:
+        """Return the 3x3 tensor of stored entries."""
+        rows: list[list[Expr]] = [[ufl.as_ufl(0.0)] * 3 for _ in range(3)]
+        for (i, j), entry in zip(self._entries, entries, strict=True):
+            rows[i][j] = entry
+            if not self._finite:
+                rows[j][i] = entry
+        return ufl.as_tensor(rows)
+
+    def _change(self, direction: Expr) -> Expr:
+        """Return the tangent times a direction, 3x3."""
+        number = {pair: k for k, pair in enumerate(_pairs(len(self._entries)))}
+        sums = []
+        for a in range(len(self._entries)):
+            terms = []
+            for b, (i, j) in enumerate(self._entries):
+                times = 1 if self._finite or i == j else 2  # a stored shear is two components
+                upper = self._tangent[number[min(a, b), max(a, b)]]
+                terms.append(upper * times * direction[i, j])
+            sums.append(sum(terms))
+        return self._tensor(sums)
 
     def _evaluate(self) -> None:
         """Call the law.
 
         Raises:
-            ValueError: if it raises, returns something of another form, or gives NaN.
+            ValueError: if F has no positive determinant, or the law raises, returns something of
+                another form, or gives NaN.
         """
-        cells = self.region.cells
-        V, size = self._stress.function_space, self._stress.function_space.dofmap.bs
-        strain = tensor_of(np.asarray(self._strain.eval(V.mesh, cells)).reshape(-1, size))
-        state = self._state_at(cells)
-        points = V.dofmap.list.shape[1]
-        p = self.region.parameters.values(cells, points)
-        found = values_at_points(self.region.law, strain, state, p)
-        self._judge(found, strain, points)
-        set_points(self._stress, cells, stored(found.stress, size))
-        set_points(self._tangent, cells, packed(found.tangent, size))
-        for name, f in self._new.items():
-            new = found.state[name]
-            set_points(f, cells, stored(new, size) if new.ndim == 3 else new[:, None])
+        region, (rows, columns) = self.region, np.array(self._entries).T
+        points = self._stress.function_space.dofmap.list.shape[1]
+        strain = np.zeros((len(region.cells) * points, 3, 3))
+        found = self._evaluated(self._strain, region.cells).reshape(-1, len(rows))
+        strain[:, rows, columns] = found
+        if self._finite:
+            self._judge(np.linalg.det(strain) <= 0.0, strain, INSIDE_OUT)
+        else:
+            strain[:, columns, rows] = found
+        p = region.parameters.values(region.cells, points)
+        answer = values_at_points(region.law, strain, self._state(), p)
+        self._judge(answer.undefined, strain, UNDEFINED)
+        stress = answer.stress
+        self._set(self._stress, stress[:, rows, columns] if self._finite else stress)
+        self._set(self._tangent, packed(answer.tangent, self._entries))
+        parts = [(self._energy, answer.energy), (self.normal, answer.normal)]
+        parts += [(f, answer.state[name]) for name, f in self._new.items()]
+        for f, values in parts:
+            if f is not None and values is not None:
+                self._set(f, values)
 
-    def _change(self, direction: Expr) -> Expr:
-        """Return the tangent times a direction, 3x3."""
-        size = self._stress.function_space.dofmap.bs
-        e, rows = to_components(direction, size), symmetric_rows(self._tangent, size)
-        # a stored shear stands for two components
-        sums = [
-            sum(rows[i][j] * (1 if j < 3 else 2) * e[j] for j in range(size)) for i in range(size)
-        ]
-        return from_components(ufl.as_vector(sums))
-
-    def _judge(self, found: PointValues, strain: Floats, points: int) -> None:
-        """Raise ValueError if something is NaN, naming the first point."""
-        undefined = np.flatnonzero(found.undefined)
-        if undefined.size:
-            cell, point = divmod(int(undefined[0]), points)
-            middle = middle_of(self._stress.function_space.mesh, self.region.cells[cell])
-            values = ", ".join(f"{v:.6g}" for v in stored(strain[undefined[:1]])[0])
+    def _judge(self, bad: Bools, strain: Floats, what: str) -> None:
+        """Raise ValueError if something is wrong at some points, naming the first."""
+        wrong = np.flatnonzero(bad)
+        if wrong.size:
+            points = self._stress.function_space.dofmap.list.shape[1]
+            cell, point = divmod(int(wrong[0]), points)
+            method = ".update" if self.region.law.update else ""
             raise ValueError(
-                f"{self.region.law.name}.update gives NaN or infinity at {undefined.size} "
-                f"integration points, first at point {point} of the cell around {middle}, where "
-                f"the strain (xx, yy, zz, xy, yz, xz) is ({values})."
+                f"{self.region.law.name}{method} {what} at {wrong.size} integration points, first "
+                f"at point {point} of the cell around "
+                f"{middle_of(self._mesh, self.region.cells[cell])}, where "
+                f"{'F' if self._finite else 'the strain'} (row by row) is "
+                f"({', '.join(f'{v:.6g}' for v in strain[wrong[0]].ravel())})."
             )
+
+
+INSIDE_OUT, UNDEFINED = "is not called where det F is not positive:", "gives NaN or infinity"
+
+
+class LogarithmicFields(PointwiseFields):
+    """Energy, stress P, tangent and new state of a law of a small strain at F.
+
+    Stress and tangent are evaluated straight into what the forms read; internal variables at the
+    end of a step only.
+    """
+
+    def _create_law(self) -> tuple[bool, bool]:
+        """Compile the law once for all ranks, or take what is in the cache; collective."""
+
+        def compiled(vector: Expr) -> Kernel:
+            found, module, _ = jit.ffcx_jit(self._mesh.comm, (vector, ANYWHERE))
+            return kernel_of(found, module, vector)
+
+        names, d = list(ungrouped(self.region.symbols)), self._mesh.geometry.dim
+        law = replace(self.region.law, plane_stress=False)  # H_zz is found here
+        self._law = LogarithmicLaw(law, names, dimension=d, jit=compiled)
+        self._start: tuple[list[Floats], Start] | None = None
+        self._gradients = np.zeros((0, 3, 3))
+        return True, self._law.has_energy
+
+    def _wanted(self, strain: Expr) -> Expr:
+        """Return F - I, row by row: F is affine in u. Strains may be far below round-off of 1."""
+        u = self._inputs[0]
+        H = ufl.derivative(strain, u, u)
+        return ufl.as_vector([H[i, j] for i in range(3) for j in range(3)])
+
+    def _evaluate(self) -> None:
+        """Evaluate energy, stress and tangent."""
+        found = self._evaluated(self._strain, self.region.cells)
+        H = np.ascontiguousarray(found).reshape(-1, 3, 3)
+        start = self._start_of_step()
+        if self.normal is not None:
+            self._law.find_normal(start, H)
+        self._seen = []  # a law that fails leaves what it gave
+        functions = [self._stress, self._tangent]
+        functions += [] if self._energy is None else [self._energy]
+        P, A, *psi = targets = [self._table(f) for f in functions]
+        self._law.respond(start, H, P, A, psi[0][:, 0] if psi else np.empty(0))
+        if not np.isfinite(P.sum() + A.sum()):
+            F = H + np.eye(3)
+            self._judge(np.asarray(np.linalg.det(F) <= 0.0), F, INSIDE_OUT)
+            whole = np.isfinite(P).all(axis=1) & np.isfinite(A).all(axis=1)
+            self._judge(np.logical_not(whole), F, UNDEFINED)
+        if self.normal is not None:
+            self._law.condense(P, A)
+            self._set(self.normal, H[:, 2, 2])
+        for f, values in zip(functions, targets, strict=True):
+            if values.base is None:
+                self._set(f, values)
+        self._gradients = H
+
+    def _table(self, f: fem.Function) -> Floats:
+        """Return space for values (q, components) of a Function, a view if points are in order."""
+        rows, table = self._rows(f), f.x.array.reshape(-1, f.function_space.dofmap.bs)
+        if len(rows) and np.array_equal(rows, np.arange(rows[0], rows[0] + len(rows))):
+            return np.asarray(table[rows[0] : rows[0] + len(rows)])
+        return np.empty((len(rows), table.shape[1]))
+
+    def _copies(self, now: list[Floats]) -> list[Floats]:
+        """Return copies of the inputs; the last ones are those of the start of the step."""
+        assert self._start is not None
+        kept = self._start[0]
+        return [*(values.copy() for values in now[: len(now) - len(kept)]), *kept]
+
+    def settle(self) -> None:
+        """Evaluate the internal variables at the end of the step."""
+        new = self._law.update(self._start_of_step(), self._gradients)
+        for name, f in self._new.items():
+            self._set(f, new[name])
+
+    def stress_lost(self) -> Floats:
+        """Return by how much Kirchhoff's stress is below that of the law at points (q,).
+
+        None of a law without memory: there it is no error that the stress turns from the strain.
+        """
+        if not self.region.law.state:
+            return np.zeros(0)
+        return self._law.stress_lost(self._start_of_step(), self._gradients)
+
+    def _start_of_step(self) -> Start:
+        """Return what the points know at the start of the step."""
+        functions = [*self._committed.values(), self.region.parameters.function]
+        now = [f.x.array for f in functions]
+        if self._start is None or not all(map(np.array_equal, now, self._start[0])):
+            cells = self.region.cells
+            points = self._stress.function_space.dofmap.list.shape[1]
+            p = ungrouped(self.region.parameters.values(cells, points))
+            start = self._law.start(len(cells) * points, self._state(), p)
+            self._start = [values.copy() for values in now], start
+        return self._start[1]
 
 
 def create_point_values(
@@ -166,15 +365,16 @@ def create_point_values(
     """
     found: dict[Law, PointValuesOfRegion] = {}
     for region in regions:
-        arguments = region, strain, state, inputs, degree
+        kind: type[PointValuesOfRegion]
         if finite and region.law.strain == "small":
-            found[region.law] = LogarithmicFields(*arguments)
-        elif finite and region.law.update is not None:
-            found[region.law] = FinitePointFields(*arguments)
+            kind = LogarithmicFields
         elif region.law.update is not None:
-            found[region.law] = PointwiseFields(*arguments)
+            kind = PointwiseFields
         elif region.law.condensed:
-            found[region.law] = NormalStrain(*arguments)
+            kind = NormalStrain
+        else:
+            continue
+        found[region.law] = kind(region, strain, state, inputs, degree)
     return found
 
 
@@ -196,8 +396,7 @@ def fill_point_values(
 
 def normal_strain(found: Mapping[Law, PointValuesOfRegion]) -> Expr:
     """Return the strain out of the plane that has been found at the points, 0 without any."""
-    of_laws = NormalStrain, FinitePointFields
-    parts = [v.normal for v in found.values() if isinstance(v, of_laws) and v.normal is not None]
+    parts = [values.normal for values in found.values() if values.normal is not None]
     return sum(parts[1:], parts[0]) if parts else ufl.as_ufl(0.0)
 
 
@@ -214,24 +413,25 @@ def largest_stress_lost(
     return float(shares[worst]), parts[worst].region.law.name
 
 
-def packed(tangent: Floats, size: int) -> Floats:
+def _pairs(size: int) -> list[tuple[int, int]]:
+    """Return rows and columns of the upper triangle, row by row."""
+    return [(i, j) for i in range(size) for j in range(i, size)]
+
+
+def packed(tangent: Floats, entries: Sequence[tuple[int, int]]) -> Floats:
     """Return the upper triangle of the stored part of tangents (q, 3, 3, 3, 3), row by row.
 
     Entry (I, J) is the mean of both that the symmetry of an energy makes equal.
     """
-    terms = np.empty((len(pairs(size)), 2), dtype=np.int64)
-    for t, (a, b) in enumerate(pairs(size)):
-        ways = [(*INDEX[a], *INDEX[b]), (*INDEX[b], *INDEX[a])]
-        terms[t] = [np.ravel_multi_index(way, (3, 3, 3, 3)) for way in ways]
+    a, b = np.array(_pairs(len(entries))).T
+    at = np.array(entries) @ [3, 1]  # the number of an entry among nine
+    terms = np.stack([9 * at[a] + at[b], 9 * at[b] + at[a]], axis=1)
     return np.asarray(_means(np.ascontiguousarray(tangent).reshape(len(tangent), 81), terms))
 
 
 @numba.njit(cache=True)
 def _means(values, terms):  # type: ignore[no-untyped-def]
-    """Return the means (q, t) of the columns terms (t, 2) of values (q, n).
-
-    By array expressions they would take as long as all the rest of an assembly.
-    """
+    """Return means (q, t) of columns terms (t, 2) of values (q, n), faster than NumPy."""
     means = np.empty((len(values), len(terms)))
     for q in range(len(values)):
         for t in range(len(terms)):

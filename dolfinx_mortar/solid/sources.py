@@ -125,6 +125,12 @@ def point_function(
     return fem.Function(fem.functionspace(domain, element), name=name)
 
 
+def middle_of(domain: mesh.Mesh, cell: int) -> str:
+    """Return the midpoint of a local cell in words."""
+    x = mesh.compute_midpoints(domain, domain.topology.dim, np.array([cell], dtype=np.int32))[0]
+    return "(" + ", ".join(f"{v:.4g}" for v in x[: domain.geometry.dim]) + ")"
+
+
 def check_source(u: fem.Function, name: str, value: Expr) -> None:
     """Raise a ValueError if a value is not real, depends on u, or lives on another mesh."""
     check_real(name, *extract_coefficients(value), *extract_constants(value))
