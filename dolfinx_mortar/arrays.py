@@ -25,7 +25,7 @@ QUARTER_OF_DIGITS = float(np.sqrt(HALF_OF_DIGITS))
 SAME = HALF_OF_DIGITS * QUARTER_OF_DIGITS
 """Relative difference of values that are equal but were calculated in different ways."""
 CHUNK = 2**14
-"""Rows of numbers that are treated or sent at a time: some MB, of which calls cost little."""
+"""Rows of numbers that are treated at a time: some MB, of which calls cost little."""
 LIMIT = 2 * int(np.finfo(np.float64).nmant)
 """Most iterations of loops that end by a criterion of their own.
 

@@ -21,8 +21,8 @@ import numpy as np
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.checkpoint import tables
 from dolfinx_mortar.output.numbers import Numbers
+from dolfinx_mortar.persistence import tables
 from tests.meshes import BOTTOM, TOP, two_blocks
 
 STEEL = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
@@ -83,15 +83,15 @@ def die(*args, **options):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def mortal(parts):
-    """Return `_parts` after which the last rank dies when it has sent half of the arrays."""
+def mortal(rows):
+    """Return `_rows` after which the last rank dies when it has sent one of the tables."""
     calls = []
 
-    def counted(comm, values):
-        calls.append(values)
-        if comm.rank == comm.size - 1 and len(calls) == 6:
+    def counted(comm, columns):
+        calls.append(columns)
+        if comm.rank == comm.size - 1 and len(calls) == 2:
             die()
-        yield from parts(comm, values)
+        yield from rows(comm, columns)
 
     return counted
 
@@ -113,10 +113,9 @@ def main(path, result, steps, moment=""):
         if writer is not None:
             writer.write(step.number)
         if made == [1, 2, 3] and moment == "write":
-            tables.CHUNK, tables.seal = 8, die
+            tables.seal = die
         if made == [1, 2, 3] and moment == "send":
-            tables.CHUNK = 8
-            tables._parts = mortal(tables._parts)
+            tables._rows = mortal(tables._rows)
         if made == [1, 2, 3] and moment == "replace":
             Path.replace = die
     numbers = press.numbers() | {"made": made}

@@ -8,15 +8,7 @@ import pytest
 
 import basix.ufl
 from dolfinx import fem
-from dolfinx_mortar.checkpoint import (
-    Table,
-    find_places,
-    read_about,
-    read_tables,
-    size_of,
-    tables,
-    write,
-)
+from dolfinx_mortar.persistence.tables import find_places, read_about, read_tables, write
 from tests.meshes import two_blocks
 from tests.solid_case import CELLS, create_domain
 
@@ -41,16 +33,16 @@ def values_at(places):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("rows", [7, 2**15])
-def test_rows_are_dealt_out_anew(file, rng, monkeypatch, rows):
-    monkeypatch.setattr(tables, "CHUNK", rows)
+def test_rows_are_dealt_out_anew(file, rng):
     places = rng.uniform(-1.0, 1.0, (101, 4))
     written, wanted = share(places, rng), share(rng.permutation(places), rng)
     none = np.zeros((0, 4))
-    given = {"x": Table(written, values_at(written)), "none": Table(none, {"a": none})}
-    write(COMM, file, {"text": "ä", "numbers": [0.1, np.float64(1 / 3), np.inf]}, given)
-    assert read_about(COMM, file) == {"text": "ä", "numbers": [0.1, 1 / 3, np.inf]}
-    found, differ = read_tables(COMM, file, {"x": wanted, "none": none}, 1.0)
+    given = {"text": "ä", "numbers": [0.1, np.float64(1 / 3), np.inf]}
+    values = {"x": values_at(written), "none": {"a": none}}
+    write(COMM, file, given, {"x": written, "none": none}, values)
+    about = read_about(COMM, file)
+    assert about["text"] == "ä" and about["numbers"] == [0.1, 1 / 3, np.inf]
+    found, differ = read_tables(COMM, file, about, {"x": wanted, "none": none}, 1.0)
     assert not differ
     for name, values in values_at(wanted).items():
         assert np.array_equal(found["x"][name], values)
@@ -58,18 +50,16 @@ def test_rows_are_dealt_out_anew(file, rng, monkeypatch, rows):
 
 
 @pytest.mark.mpi
-def test_a_rank_reads_what_is_near_only(file, monkeypatch):
-    """Pieces are boxes: of those that are elsewhere no row is read."""
-    monkeypatch.setattr(tables, "CHUNK", 10)
+def test_a_rank_reads_what_is_near_only(file):
+    """Of ranks that were elsewhere no row is read: with another box none is found."""
     places = np.linspace(0.0, 1.0, 100)[:, None] * np.ones(2)
-    own = places[COMM.rank :: COMM.size] if COMM.size == 1 else places[:0]
-    write(COMM, file, {}, {"x": Table(own if COMM.size == 1 else _block(places), {})})
-    asked = []
-    near = tables._near
-    monkeypatch.setattr(tables, "_near", lambda *a: [asked.append(1) or p for p in near(*a)])
-    mine = places[:10] if COMM.rank == 0 else places[:0]
-    _, differ = read_tables(COMM, file, {"x": mine}, 1.0)
-    assert len(asked) <= 2 and "in the checkpoint 100" in differ["x"]
+    mine = _block(places)
+    write(COMM, file, {}, {"x": mine}, {"x": values_at(mine)})
+    about = read_about(COMM, file)
+    assert read_tables(COMM, file, about, {"x": mine}, 1.0)[1] == {}
+    about["tables"]["x"]["ranks"][0][1:3] = [2.0, 2.0]
+    _, differ = read_tables(COMM, file, about, {"x": mine}, 1.0)
+    assert f"{len(COMM.bcast(mine))} of 100 are not in the checkpoint" in differ["x"]
 
 
 def _block(array):
@@ -80,14 +70,15 @@ def _block(array):
 @pytest.mark.mpi
 def test_places_that_are_moved_are_told(file, rng):
     places = rng.uniform(0.0, 1.0, (40, 4))
-    write(COMM, file, {}, {"x": Table(_block(places), values_at(_block(places)))})
+    write(COMM, file, {}, {"x": _block(places)}, {"x": values_at(_block(places))})
+    about = read_about(COMM, file)
     noise = places + 1e-14 * rng.uniform(-1.0, 1.0, places.shape)
-    assert read_tables(COMM, file, {"x": _block(noise)}, 1.0)[1] == {}
+    assert read_tables(COMM, file, about, {"x": _block(noise)}, 1.0)[1] == {}
     moved = places.copy()
     moved[[3, 30], 0] += 1e-8
-    _, differ = read_tables(COMM, file, {"x": _block(moved)}, 1.0)
+    _, differ = read_tables(COMM, file, about, {"x": _block(moved)}, 1.0)
     assert differ["x"].startswith("2 of 40 are not in the checkpoint, such as that at (")
-    _, differ = read_tables(COMM, file, {"x": _block(places[:-1])}, 1.0)
+    _, differ = read_tables(COMM, file, about, {"x": _block(places[:-1])}, 1.0)
     assert differ["x"] == "there are 39, in the checkpoint 40"
 
 
@@ -124,7 +115,6 @@ def test_nodes_of_sides_that_touch_are_told_apart(partition, order):
     assert (np.sum(distance < 1e-13, axis=0) == 1).all()
     assert (np.sum(distance < 1e-3, axis=0) == 1).all()
     assert len(np.unique(np.round(found[:, :2], 9), axis=0)) < len(found) == len(expected)
-    assert size_of(mesh) == 1.0
 
 
 def _places(mesh, order):

@@ -26,12 +26,9 @@ BELOW = {
     "shapes": set(),
     "interfaces": {"algebra", "geometry", "mortar", "shapes"},
     "qp": {"algebra"},
-    "checkpoint": {"algebra"},
     "supports": {"algebra", "geometry", "interfaces", "solid"},
     "audit": {"supports", *("algebra", "geometry", "mortar", "interfaces")},
-    "persistence": {
-        *("supports", "algebra", "checkpoint", "interfaces", "materials", "solid"),
-    },
+    "persistence": {"supports", "algebra", "interfaces", "materials", "solid"},
     "problem": {
         *("audit", "persistence", "supports", "terms"),
         *("algebra", "interfaces", "mortar", "solid", "qp"),
@@ -45,7 +42,7 @@ BELOW = {
         *("algebra", "geometry", "mortar", "interfaces", "materials", "solid", "qp", "terms"),
     },
     "steps": {
-        *("report", "newton_method", "problem", "persistence", "audit", "checkpoint", "terms"),
+        *("report", "newton_method", "problem", "persistence", "audit", "terms"),
         *("algebra", "interfaces", "qp"),
     },
     "meshing": {"algebra"},
@@ -63,7 +60,6 @@ FOREIGN = {  # libraries that a layer must not import
     "algebra": {"dolfinx", "ufl", "basix"},
     "qp": {"dolfinx", "ufl", "basix"},
     "materials": {"dolfinx", "petsc4py", "mpi4py"},
-    "checkpoint": {"petsc4py", "ufl"},
     "shapes": {"dolfinx", "petsc4py", "mpi4py"},
 }
 

@@ -11,7 +11,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.interfaces import tie as of_ties
-from dolfinx_mortar.persistence.identity import describe, differences
+from dolfinx_mortar.persistence.checkpoints import describe, differences
 from tests.block_piles import ABOVE, BELOW, create_blocks
 from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_blocks
 from tests.meshes_3d import two_boxes

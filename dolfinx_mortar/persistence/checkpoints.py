@@ -8,8 +8,9 @@ program sets before each step is not saved: loads, supports, jumps, changing par
 
 import dataclasses
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 from mpi4py import MPI
@@ -17,21 +18,16 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx import fem
+from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arrays import Bools, Floats
-from dolfinx_mortar.checkpoint import (
-    Table,
-    find_places,
-    read_about,
-    read_tables,
-    size_of,
-    write,
-)
+from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.arguments import as_numbers
+from dolfinx_mortar.arrays import SAME, Bools, Floats
 from dolfinx_mortar.disk import check_path
-from dolfinx_mortar.interfaces.interface import Interface, check_owned
+from dolfinx_mortar.interfaces.interface import check_owned
 from dolfinx_mortar.interfaces.results import Resultants
 from dolfinx_mortar.interfaces.system import Paired
+from dolfinx_mortar.materials.ranges import named_parameters
 from dolfinx_mortar.persistence.committed import (
     Before,
     Committed,
@@ -42,15 +38,14 @@ from dolfinx_mortar.persistence.committed import (
     SupportForces,
     Walk,
 )
-from dolfinx_mortar.persistence.identity import describe, differences, material_numbers
+from dolfinx_mortar.persistence.tables import Values, find_places, read_about, read_tables, write
+from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.spaces import set_owned
 from dolfinx_mortar.step_report import LoadStep
 
-NODES, POINTS = "nodes", "points"
-SLIPS = ("slid", "dissipated")
+NODES, POINTS, SLAVES = "nodes", "integration points", "slave nodes of interfaces[{}]"
 RESULTANTS = ("force", "moment", "master_force", "master_moment", "place")
 UNCOMMITTED = "uncommitted "  # before what a step has found that has not been committed
-UNDEFINED = ("gap",)  # NaN where a slave node faces no master
 
 
 def save(state: ProblemState, path: str | os.PathLike[str], outcome: StepOutcome | None) -> None:
@@ -58,7 +53,6 @@ def save(state: ProblemState, path: str | os.PathLike[str], outcome: StepOutcome
     file = check_path(state.comm, path)
     check_owned(state.interfaces, state.supports)
     committed = state.committed
-    results = [_resultants(interface) for interface in state.interfaces]
     about = {
         "problem": describe(state),
         "begun": committed.begun,
@@ -66,21 +60,55 @@ def save(state: ProblemState, path: str | os.PathLike[str], outcome: StepOutcome
         "walked": committed.walked,
         "walk": None if committed.walk is None else dataclasses.asdict(committed.walk),
         "steps": [step.as_dict() for step in committed.history],
-        "interfaces": results,
-        "gained": [_rates(committed), _rates(outcome)],
-        "found": [{n: v.tolist() for n, v in i.state(False).items()} for i in state.interfaces],
+        "interfaces": [
+            i.resultants and {name: getattr(i.resultants, name) for name in RESULTANTS}
+            for i in state.interfaces
+        ],
+        "gained": [
+            last and last.gained and (last.gained.travel, last.gained.duration)
+            for last in (committed, outcome)
+        ],
+        "found": [interface.state(False) for interface in state.interfaces],
     }
-    values = {NODES: _nodal(state, outcome), POINTS: _at_points(state)}
-    for k, interface in enumerate(state.interfaces):
-        if results[k] is not None:
-            values[_name_of(k)] = _on_interface(interface) | _slips(state, k) | _near(state, k)
+    values = {NODES: _at_nodes(state, outcome), POINTS: _at_points(state)}
+    for k in range(len(state.interfaces)):
+        values[SLAVES.format(k)] = _at_slaves(state, k)
     with raised_together(state.comm):
         for name, table in values.items():
             for column, array in table.items():
-                if column not in UNDEFINED and not np.isfinite(array).all():
+                # the gap is NaN where a slave node faces no master
+                if column != "gap" and not np.isfinite(array).all():
                     raise ValueError(f"{name}: {column} holds NaN or infinity: nothing is saved")
-    places = _places_of(state, [result is not None for result in results])
-    write(state.comm, file, about, {name: Table(at, values[name]) for name, at in places.items()})
+    write(state.comm, file, about, _places_of(state), values)
+
+
+def read(state: ProblemState, path: str | os.PathLike[str]) -> "Saved":
+    """Read a checkpoint of this problem, from any number of ranks; collective.
+
+    Raises:
+        OSError: on all ranks, if there is no such file, or it cannot be read.
+        ValueError: on all ranks, if it is no checkpoint, cut off or damaged, of another version or
+            of another problem, with all differences in the message; or if an interface is used by a
+            problem made later.
+    """
+    file, comm = check_path(state.comm, path), state.comm
+    check_owned(state.interfaces, state.supports)
+    about = read_about(comm, file)
+    tables: dict[str, dict[str, Floats]] = {}
+    wrong = differences(about["problem"], describe(state))
+    if not wrong:
+        size = maximum(comm, np.abs(state.solid.mesh.geometry.x).max(initial=0.0))[0]
+        tables, others = read_tables(comm, file, about, _places_of(state), float(size))
+        wrong = [f"{name}: {text}" for name, text in others.items()]
+    if not wrong:
+        other = tables[POINTS]["material"] != material_numbers(state.solid)
+        moved = comm.allreduce(int(other.sum()), op=MPI.SUM)
+        wrong = [f"solid: {moved} integration points have another material"] if moved else []
+    if wrong:
+        raise ValueError(
+            f"path is {str(file)!r}, a checkpoint of another problem: {'; '.join(wrong)}"
+        )
+    return Saved(state, about, tables, [LoadStep.from_dict(step) for step in about["steps"]])
 
 
 @dataclass(frozen=True)
@@ -89,7 +117,7 @@ class Saved:
 
     state: ProblemState
     about: Mapping[str, Any]
-    tables: Mapping[str, Mapping[str, Floats]]
+    tables: Values
     steps: list[LoadStep]  # the history
 
     @property
@@ -111,45 +139,67 @@ class Saved:
             raise
 
     def _put(self) -> StepOutcome:
-        state, committed, nodes = self.state, self.state.committed, self.tables[NODES]
+        state, committed, about = self.state, self.state.committed, self.about
+        nodes, points = self.tables[NODES], self.tables[POINTS]
         with raised_together(state.comm):
-            for interface, found in zip(state.interfaces, self.about["found"], strict=True):
+            for interface, found in zip(state.interfaces, about["found"], strict=True):
                 interface.restore({name: np.array(v, float) for name, v in found.items()})
-        set_owned(state.u, nodes["displacement"])
-        for name, f in state.states_of_terms.items():
+        for name, f in {"displacement": state.u, **state.states_of_terms}.items():
             set_owned(f, nodes[name])
+        for name, f in state.solid.lasting_fields().items():
+            known = name if name in points else name.replace("shown/", "committed/")
+            set_owned(f, points[known])
+        state.solid.forget_data()
+        slips = Slips(*np.zeros((2, *committed.slid.shape)))
+        for k in range(len(state.interfaces)):
+            self._put_results(k, slips)
+        u = nodes["displacement"].flatten()
         committed.active, committed.sliding = self._contacts("")
+        committed.displacement = nodes.get("committed", u).flatten()
+        committed.slid[:], committed.dissipated[:] = nodes["slid"].T, nodes["dissipated"].T
         supports = nodes.get("supports")
         halves = None if supports is None else np.split(supports, 2, axis=1)
         committed.supports = None if halves is None else SupportForces(*halves)
-        committed.displacement = nodes.get("committed", nodes["displacement"]).flatten()
-        shown = self.tables[POINTS]
-        for name, field in state.solid.lasting_fields().items():
-            same = name.replace("shown/", "committed/")
-            set_owned(field, shown[name] if name in shown else shown[same])
-        state.solid.forget_data()
-        slips = Slips(*np.zeros((2, *committed.slid.shape)))
-        for k, resultants in enumerate(self.about["interfaces"]):
-            _take(state, k, slips, resultants, self.tables.get(_name_of(k), {}))
         committed.paired, committed.gained = self._paired(), self._gained(0, "")
-        committed.begun = self.about["begun"]
-        committed.level, committed.walked = self.about["level"], self.about["walked"]
-        walk = self.about["walk"]
-        committed.walk = None if walk is None else Walk(**walk)
-        committed.history[:], committed.brought = self.steps, len(self.steps)
+        committed.begun, committed.level = about["begun"], about["level"]
+        committed.walk = None if about["walk"] is None else Walk(**about["walk"])
+        committed.walked, committed.brought = about["walked"], len(self.steps)
+        committed.history[:] = self.steps
         state.system.faced = True
         last = UNCOMMITTED if f"{UNCOMMITTED}active" in nodes else ""
         gained = self._gained(1, UNCOMMITTED) if last else committed.gained
-        u, contacts = nodes["displacement"].flatten(), self._contacts(last)
-        return StepOutcome(u, *contacts, committed.paired, slips, gained=gained)
+        return StepOutcome(u, *self._contacts(last), committed.paired, slips, gained=gained)
+
+    def _put_results(self, k: int, ended: Slips) -> None:
+        """Set the results of an interface, or clear them; fill in its slips; collective."""
+        state, interface = self.state, self.state.interfaces[k]
+        resultants, values = self.about["interfaces"][k], self.tables[SLAVES.format(k)]
+        nodes = state.system.sides[k].nodes
+        interface.clear()
+        if resultants is None:
+            return
+        multiplier = values["multiplier"]
+        interface.resultants = Resultants(
+            **{name: np.array(v, float) for name, v in resultants.items()},
+            multiplier=multiplier[:, 0] if interface.unilateral else multiplier,
+            nodes=nodes,
+            carries=values["carries"][:, 0] > 0.0,
+        )
+        for name, function in interface.nodal.items():
+            function.x.array.reshape(-1, values[name].shape[1])[nodes] = values[name]
+            function.x.scatter_forward()
+        if interface.law is not None:
+            ended.slid[k][nodes] = values["slip"][:, 0]
+            ended.dissipated[k][nodes] = values["energy"][:, 0]
+        interface.sum_up(state.comm, nodes)
 
     def _gained(self, k: int, prefix: str) -> Gained | None:
         """Return what a step has gained, None for nothing."""
-        rates = self.about["gained"][k]
-        if rates is None:
+        if self.about["gained"][k] is None:
             return None
+        travel, duration = self.about["gained"][k]
         by = self.tables[NODES][f"{prefix}gained"].flatten()
-        return Gained(by, np.array(rates["travel"], float), float(rates["duration"]))
+        return Gained(by, np.array(travel, float), float(duration))
 
     def _contacts(self, prefix: str) -> tuple[Bools, Floats | None]:
         """Return closed contacts and slip directions; without a column, steps begin stuck."""
@@ -158,126 +208,51 @@ class Saved:
 
     def _paired(self) -> Paired | None:
         """Return where the surfaces were paired; None where that is not known."""
-        state, tables = self.state, self.tables
-        at = tables[NODES].get("paired", np.zeros((0, 1))).flatten()
-        near = [tables.get(_name_of(k), {}).get("near") for k in range(len(state.interfaces))]
+        tables, count = self.tables, len(self.state.interfaces)
+        near = [tables[SLAVES.format(k)].get("near") for k in range(count)]
         known = [marks[:, 0] > 0.0 for marks in near if marks is not None]
-        complete = "paired" in tables[NODES] or state.geometry == "reference"
-        return Paired(at, known) if complete and len(known) == len(near) else None
-
-
-def read(state: ProblemState, path: str | os.PathLike[str]) -> Saved:
-    """Read a checkpoint of this problem, from any number of ranks; collective.
-
-    Raises:
-        OSError: on all ranks, if there is no such file, or it cannot be read.
-        ValueError: on all ranks, if it is no checkpoint, cut off or damaged, of another version or
-            of another problem, with all differences in the message; or if an interface is used by a
-            problem made later.
-    """
-    file, comm = check_path(state.comm, path), state.comm
-    check_owned(state.interfaces, state.supports)
-    about = read_about(comm, file)
-    wrong = differences(about["problem"], describe(state))
-    tables: dict[str, dict[str, Floats]] = {}
-    if not wrong:
-        places = _places_of(state, [found is not None for found in about["interfaces"]])
-        names = {NODES: "mesh, nodes", POINTS: "mesh, integration points"}
-        names |= {_name_of(k): f"{i}, slave nodes" for k, i in enumerate(state.interfaces)}
-        tables, others = read_tables(comm, file, places, size_of(state.solid.V.mesh))
-        wrong = [f"{names[name]}: {text}" for name, text in others.items()]
-    if not wrong:
-        here = material_numbers(state.solid)
-        moved = comm.allreduce(int((tables[POINTS]["material"] != here).sum()), op=MPI.SUM)
-        wrong = [f"solid: {moved} integration points have another material"] if moved else []
-    if wrong:
-        raise ValueError(
-            f"path is {str(file)!r}, a checkpoint of another problem: {'; '.join(wrong)}"
-        )
-    return Saved(state, about, tables, [LoadStep.from_dict(step) for step in about["steps"]])
-
-
-def _take(
-    state: ProblemState,
-    k: int,
-    ended: Slips,
-    resultants: Mapping[str, list[float]] | None,
-    values: Mapping[str, Floats],
-) -> None:
-    """Set the results of an interface, or clear them, and the slips; collective."""
-    interface, committed = state.interfaces[k], state.committed
-    interface.clear()
-    committed.slid[k], committed.dissipated[k] = 0.0, 0.0
-    if resultants is None:
-        return
-    nodes = state.system.sides[k].nodes
-    vectors: dict[str, Floats] = {name: np.array(resultants[name], float) for name in RESULTANTS}
-    shown = values["multiplier"]
-    interface.resultants = Resultants(
-        **vectors,
-        multiplier=shown[:, 0] if interface.unilateral else shown,
-        nodes=nodes,
-        carries=values["carries"][:, 0] > 0.0,
-    )
-    for function in interface.nodal.values():
-        at_nodes = values[function.name]
-        function.x.array.reshape(-1, at_nodes.shape[1])[nodes] = at_nodes
-        function.x.scatter_forward()
-    if interface.law is not None:
-        columns = committed.slid[k], committed.dissipated[k], ended.slid[k], ended.dissipated[k]
-        for column, name in zip(columns, (*SLIPS, "slip", "energy"), strict=True):
-            column[nodes] = values[name][:, 0]
-    interface.sum_up(state.comm, nodes)
+        at = tables[NODES].get("paired", np.zeros((0, 1))).flatten()
+        complete = "paired" in tables[NODES] or self.state.geometry == "reference"
+        return Paired(at, known) if complete and len(known) == count else None
 
 
 # -- values of this rank -------------------------------------------------------------------------
 
 
-def _name_of(k: int) -> str:
-    """Return the name of the table of an interface."""
-    return f"interface {k}"
+def _places_of(state: ProblemState) -> dict[str, Floats]:
+    """Return the places of the tables; collective."""
+    nodes, points = find_places(state.solid.V), find_places(state.solid.stress.function_space)
+    slaves = {SLAVES.format(k): nodes[side.nodes] for k, side in enumerate(state.system.sides)}
+    return {NODES: nodes, POINTS: points} | slaves
 
 
-def _places_of(state: ProblemState, results: Sequence[bool]) -> dict[str, Floats]:
-    """Return the places of the tables; interfaces without results have none; collective."""
-    nodes = find_places(state.solid.V)
-    sides = enumerate(state.system.sides)
-    return {NODES: nodes, POINTS: find_places(state.solid.stress.function_space)} | {
-        _name_of(k): nodes[side.nodes] for k, side in sides if results[k]
-    }
-
-
-def _nodal(state: ProblemState, outcome: StepOutcome | None) -> dict[str, Floats]:
-    u = _owned(state.u)
-    found = {"displacement": u} | _contacts(state, state.committed)
-    if outcome is not None:
-        contacts = _contacts(state, outcome)
-        found |= {f"{UNCOMMITTED}{name}": values for name, values in contacts.items()}
-    if (paired := state.committed.paired) is not None and len(paired.at):
+def _at_nodes(state: ProblemState, outcome: StepOutcome | None) -> dict[str, Floats]:
+    """Return what is kept at the owned nodes."""
+    u, committed = _owned(state.u), state.committed
+    found = {"displacement": u, "slid": committed.slid.T, "dissipated": committed.dissipated.T}
+    for prefix, last in (("", committed), (UNCOMMITTED, outcome)):
+        found |= {f"{prefix}{name}": v for name, v in _contacts(state, last, u).items()}
+    if (paired := committed.paired) is not None and len(paired.at):
         found["paired"] = paired.at.reshape(u.shape)
-    if (supports := state.committed.supports) is not None:
+    if (supports := committed.supports) is not None:
         found["supports"] = np.hstack([supports.forces, supports.points])
     if state.system.has_friction:  # slips are measured from it
-        found["committed"] = state.committed.displacement.reshape(u.shape)
+        found["committed"] = committed.displacement.reshape(u.shape)
     return found | {name: _owned(f) for name, f in state.states_of_terms.items()}
 
 
-def _contacts(state: ProblemState, last: StepOutcome | Committed) -> dict[str, Floats]:
-    """Return closed contacts and slip directions."""
+def _contacts(
+    state: ProblemState, last: StepOutcome | Committed | None, u: Floats
+) -> dict[str, Floats]:
+    """Return closed contacts, slip directions, and what a step has gained."""
+    if last is None:
+        return {}
     found = {"active": last.active[:, None].astype(float)}
     if state.system.has_friction and last.sliding is not None:
         found["sliding"] = last.sliding
     if last.gained is not None:
-        found["gained"] = last.gained.by.reshape(-1, state.solid.V.dofmap.index_map_bs)
+        found["gained"] = last.gained.by.reshape(u.shape)
     return found
-
-
-def _rates(last: StepOutcome | Committed | None) -> dict[str, Any] | None:
-    """Return what a step has gained that is not nodal, None for nothing."""
-    gained = None if last is None else last.gained
-    if gained is None:
-        return None
-    return {"travel": gained.travel.tolist(), "duration": gained.duration}
 
 
 def _at_points(state: ProblemState) -> dict[str, Floats]:
@@ -290,37 +265,89 @@ def _at_points(state: ProblemState) -> dict[str, Floats]:
     return fields | {"material": material_numbers(state.solid)}
 
 
-def _on_interface(interface: Interface) -> dict[str, Floats]:
-    """Return the results at the owned slave nodes."""
-    found = interface.resultants
-    assert found is not None
-    nodal = {name: _owned(f)[found.nodes] for name, f in interface.nodal.items()}
-    multiplier = found.multiplier if found.multiplier.ndim > 1 else found.multiplier[:, None]
-    return nodal | {"multiplier": multiplier, "carries": found.carries[:, None].astype(float)}
-
-
-def _near(state: ProblemState, k: int) -> dict[str, Floats]:
-    """Return which owned slave nodes are transformed by T, nothing before the first commit."""
-    paired = state.committed.paired
-    return {} if paired is None else {"near": paired.near[k][:, None].astype(float)}
-
-
-def _slips(state: ProblemState, k: int) -> dict[str, Floats]:
-    """Return total slip and dissipation at the owned slave nodes, nothing without friction."""
+def _at_slaves(state: ProblemState, k: int) -> dict[str, Floats]:
+    """Return the results of an interface at its owned slave nodes, and which nodes T transforms."""
     interface, nodes = state.interfaces[k], state.system.sides[k].nodes
-    if interface.law is None:
-        return {}
-    columns = state.committed.slid[k], state.committed.dissipated[k]
-    return {name: c[nodes, None] for name, c in zip(SLIPS, columns, strict=True)}
-
-
-def _resultants(interface: Interface) -> dict[str, Any] | None:
-    """Return the resultants, None before the first step."""
-    found = interface.resultants
-    return None if found is None else {n: getattr(found, n).tolist() for n in RESULTANTS}
+    paired = state.committed.paired
+    values = {} if paired is None else {"near": paired.near[k][:, None].astype(float)}
+    if (found := interface.resultants) is None:
+        return values
+    multiplier = found.multiplier if found.multiplier.ndim > 1 else found.multiplier[:, None]
+    values |= {"multiplier": multiplier, "carries": found.carries[:, None].astype(float)}
+    return values | {name: _owned(f)[nodes] for name, f in interface.nodal.items()}
 
 
 def _owned(f: fem.Function) -> Floats:
     """Return the owned values (n, c) of a Function."""
     dofmap = f.function_space.dofmap
     return np.asarray(f.x.array.reshape(-1, dofmap.bs)[: dofmap.index_map.size_local])
+
+
+# -- which problem it is -------------------------------------------------------------------------
+
+
+def describe(state: ProblemState) -> dict[str, Any]:
+    """Return what identifies a problem on any ranks, by argument; collective.
+
+    Loads, supports and other data that a program sets before each step are not part of it. A law
+    is known by its name: changes of its code are not seen, nor are the values of parameters that
+    may change between steps.
+    """
+    solid, V = state.solid, state.solid.V
+    domain, cells = V.mesh, V.mesh.topology.index_map(V.mesh.topology.dim)
+    parts = [part for region in solid.regions for part in region.parts]
+    found = {
+        "mesh: dimension": domain.geometry.dim,
+        "mesh: cell": domain.topology.cell_name(),
+        "mesh: degree": compat.cell_degree(domain),
+        "mesh: cells": cells.size_global,
+        "displacement: degree": V.element.basix_element.degree,
+        "displacement: nodes": V.dofmap.index_map.size_global,
+        "solid: kinematics": solid.kinematics.name,
+        "solid: quadrature_degree": solid.quadrature_degree,
+        "solid: volumetric": solid.volumetric,
+        "solid: materials": ", ".join(type(material).__name__ for material, _ in parts),
+        "problem: geometry": state.geometry,
+        "problem: interfaces": ", ".join(map(repr, state.interfaces)),
+    }
+    own = [int((part < cells.size_local).sum()) for _, part in parts]
+    counts = domain.comm.allreduce(np.array(own, dtype=int), op=MPI.SUM).tolist()
+    for k, ((material, _), count) in enumerate(zip(parts, counts, strict=True)):
+        subject = f"material {k}, {type(material).__name__}"
+        for name, value in named_parameters(material).items():
+            found[f"{subject}: {name}"] = float(value) if isinstance(value, Real) else "changing"
+        shapes = {name: list(shape) for name, shape in sorted(material.state.items())}
+        found |= {f"{subject}: state": shapes, f"{subject}: cells": count}
+    names = [name for name, _ in state.terms]
+    for name, term in zip(names, state.ask_terms("state"), strict=True):
+        sizes = {column: f.function_space.dofmap.bs for column, f in sorted(term.items())}
+        found |= {f"{name}: state": sizes} if sizes else {}
+    identities = dict(zip(names, state.ask_terms("identity"), strict=True))
+    for k, interface in enumerate(state.interfaces):
+        if interface.rigid is not None:
+            identities[f"interfaces[{k}], {interface!r}"] = interface.rigid.identity
+    return found | {f"{i}: {n}": v for i, values in identities.items() for n, v in values.items()}
+
+
+def material_numbers(solid: Solid) -> Floats:
+    """Return the number of the material (points, 1) at the owned integration points."""
+    dofmap = solid.stress.function_space.dofmap
+    numbers = np.zeros((dofmap.index_map.size_local + dofmap.index_map.num_ghosts, 1))
+    for k, (_, cells) in enumerate(part for region in solid.regions for part in region.parts):
+        numbers[dofmap.list[cells].ravel()] = k
+    return numbers[: dofmap.index_map.size_local]
+
+
+def differences(saved: Mapping[str, Any], present: Mapping[str, Any]) -> list[str]:
+    """Return in words how the problem of a checkpoint differs from the present one."""
+    told = []
+    for name in {**present, **saved}:
+        before, now = saved.get(name, "missing"), present.get(name, "missing")
+        a, b = as_numbers(before), as_numbers(now)
+        if isinstance(now, list) and a is not None and b is not None and a.shape == b.shape:
+            off = float(np.abs(a - b).max(initial=0.0))  # beyond round-off
+            if off > SAME * np.abs(b).max(initial=0.0):
+                told.append(f"{name} is off by up to {off:.3g} from the checkpoint")
+        elif before != now:
+            told.append(f"{name} is {now!r}, in the checkpoint {before!r}")
+    return told

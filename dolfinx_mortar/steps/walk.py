@@ -29,11 +29,11 @@ from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arguments import FLAG, check_optional, instance
 from dolfinx_mortar.arrays import SAME
-from dolfinx_mortar.checkpoint import check_folder
 from dolfinx_mortar.interfaces.near import nodal_gaps
 from dolfinx_mortar.newton_method.failures import AS_BEFORE
 from dolfinx_mortar.persistence.checkpoints import Saved, read
 from dolfinx_mortar.persistence.committed import Walk
+from dolfinx_mortar.persistence.tables import check_folder
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import LinearSolver, QPNotSolved
 from dolfinx_mortar.report.reaction import reactions

@@ -1,0 +1,327 @@
+# SPDX-License-Identifier: MIT
+r"""One HDF5 file of values at places, written by any number of ranks and read by any other.
+
+    dolfinx_mortar checkpoint, format 8, version 0.1
+    sha256 of what follows: 64 hexadecimal digits
+    zeros to byte 512, and from there on HDF5
+
+    about            JSON: what the caller gives; columns of each table, rows and box of each rank
+    NAME    (N, c)   a table: in each row a place, and the values there
+
+Numbers of nodes depend on the ranks, and nodes of sides in contact may be at the same point. The
+place of a node, or of an integration point, is therefore
+
+    (x, c),    c the mean of the midpoints of its cells.
+
+Rank 0 writes, and receives the rows of one rank at a time. The file is written under another name,
+gets its checksum, is flushed to the disk and then renamed: whenever the program is killed, the old
+or the new file is complete under the right name. A rank reads the rows of ranks whose boxes meet
+its own, and takes the nearest place. HDF5 may crash on a damaged file: the checksum comes first.
+"""
+
+import errno
+import hashlib
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Any
+
+from mpi4py import MPI
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dolfinx import fem, la, mesh
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arrays import SAME, Floats, Longs
+from dolfinx_mortar.disk import (
+    CHECKPOINT,
+    demand_space,
+    draft_of,
+    is_checkpoint,
+    replace_by_draft,
+    space_for,
+)
+
+FORMAT = 8  # raise this when what is written changes its meaning
+HEAD = 512  # bytes: the least that HDF5 leaves to programs, its "user block"
+CHECKSUM = b"sha256 of what follows: "
+Values = Mapping[str, Mapping[str, Floats]]  # (n, c) by column by table
+
+
+def find_places(V: fem.FunctionSpace) -> Floats:
+    """Return the places (n, 2d) of the owned blocks of a Lagrange or quadrature space; collective.
+
+    They are the same on any ranks up to round-off.
+    """
+    domain, imap = V.mesh, V.dofmap.index_map
+    d, owned = domain.geometry.dim, domain.topology.index_map(domain.topology.dim).size_local
+    cells = np.arange(owned, dtype=np.int32)
+    midpoints = mesh.compute_midpoints(domain, domain.topology.dim, cells)[:, :d]
+    sums = la.vector(imap, d + 1)
+    table = sums.array.reshape(-1, d + 1)
+    table[:] = 0.0
+    counted = np.column_stack([midpoints, np.ones(owned)])
+    np.add.at(table, V.dofmap.list[:owned], counted[:, None])
+    sums.scatter_reverse(la.InsertMode.add)
+    n = imap.size_local
+    x = V.tabulate_dof_coordinates()[:n, :d]
+    return np.asarray(np.hstack([x, table[:n, :d] / table[:n, d:]]), dtype=np.float64)
+
+
+def import_h5py() -> Any:
+    """Return the module h5py, or raise an ImportError with what to install."""
+    try:
+        import h5py
+    except ImportError as error:
+        raise ImportError(
+            "checkpoints need h5py: pip install h5py, or dolfinx_mortar[checkpoint]"
+        ) from error
+    return h5py
+
+
+def check_folder(comm: MPI.Comm, path: Path) -> None:
+    """Raise on all ranks unless a file can be written there, by rank 0; collective.
+
+    Raises:
+        OSError: if not, naming the folder.
+        RuntimeError: if h5py is missing (on rank 0, an ImportError).
+    """
+    with raised_together(comm):
+        if comm.rank == 0:
+            import_h5py()
+            try:
+                if path.exists() and not path.is_file():
+                    raise OSError("no file, but something else of this name")
+                if path.exists() and path.stat().st_size and not is_checkpoint(path):
+                    raise OSError("the file there is no checkpoint, and would be replaced")
+                draft = draft_of(path)
+                draft.touch()
+                draft.unlink()
+            except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+                raise OSError(
+                    f"path is {str(path)!r}, which cannot be written ({error}): choose a file in "
+                    "an existing, writable folder"
+                ) from error
+
+
+def write(
+    comm: MPI.Comm,
+    path: Path,
+    about: Mapping[str, Any],
+    places: Mapping[str, Floats],
+    values: Values,
+) -> None:
+    """Write a file and replace an older one of this name; collective.
+
+    Args:
+        about: JSON values, the same on all ranks.
+        places: (n, k) of this rank, by table.
+        values: at these places.
+
+    Raises:
+        OSError: on all ranks, if rank 0 cannot write; an older file stays.
+    """
+    check_folder(comm, path)
+    tables = {}
+    for name, x in places.items():
+        box = np.concatenate([x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)])
+        columns = {column: v.shape[1] for column, v in values[name].items()}
+        tables[name] = {"columns": columns, "ranks": comm.gather([len(x), *box.tolist()])}
+    rows = ((n, part) for n in places for part in _rows(comm, [places[n], *values[n].values()]))
+    with raised_together(comm):
+        try:
+            if comm.rank == 0:
+                _write_file(path, {**about, "tables": tables}, rows)
+        finally:
+            for _ in rows:  # after an error, too: other ranks send until all is received
+                pass
+
+
+def _rows(comm: MPI.Comm, columns: list[Floats]) -> Iterator[Floats]:
+    """Yield the rows of all ranks on rank 0, which has to take them; others send; collective."""
+    rows = np.hstack(columns)
+    if comm.rank > 0:
+        comm.send(rows, dest=0)
+        return
+    yield rows
+    for rank in range(1, comm.size):
+        yield comm.recv(source=rank)
+
+
+def _write_file(path: Path, about: Mapping[str, Any], rows: Iterator[tuple[str, Floats]]) -> None:
+    """Write tables, part by part, and replace the file; on rank 0."""
+    draft = draft_of(path)
+    try:
+        text = np.frombuffer(json.dumps(about, default=_plain).encode(), dtype=np.uint8)
+        shapes = {}
+        for name, table in about["tables"].items():
+            width = (len(table["ranks"][0]) - 1) // 2 + sum(table["columns"].values())
+            shapes[name] = int(sum(count for count, *_ in table["ranks"])), width
+        draft.write_bytes(b"")
+        numbers = 8 * sum(n * c for n, c in shapes.values())
+        demand_space(draft, space_for(len(shapes) + 1, numbers + len(text)))
+        with import_h5py().File(draft, "w", libver=("v110", "v110"), userblock_size=HEAD) as file:
+            file.create_dataset("about", data=text)
+            written = {name: 0 for name in shapes}
+            for name, shape in shapes.items():
+                file.create_dataset(name, shape, "f8")
+            for name, part in rows:
+                file[name][written[name] : written[name] + len(part)] = part
+                written[name] += len(part)
+        seal(draft)
+        replace_by_draft(path)
+    except Exception as error:  # h5py has several for a disk that fails
+        with suppress(Exception):
+            draft.unlink()
+        raise OSError(f"path is {str(path)!r}, which could not be written: {error}") from error
+
+
+def _plain(value: Any) -> Any:
+    """Return a NumPy number or array as JSON can hold it."""
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else str(value)
+
+
+def _first_line() -> bytes:
+    """Return the first line; before 1.0 a minor version may change what laws and forms mean."""
+    package = sys.modules[__name__.partition(".")[0]]
+    minor = ".".join(package.__version__.split(".")[:2])
+    return CHECKPOINT + f", format {FORMAT}, version {minor}\n".encode()
+
+
+def _shown(line: bytes) -> str:
+    return repr(line.decode(errors="replace").rstrip())
+
+
+def _second_line(stream: IO[bytes]) -> bytes:
+    """Return the second line, with the checksum of the rest of a stream."""
+    digest = hashlib.file_digest(stream, "sha256")  # type: ignore[arg-type]
+    return CHECKSUM + digest.hexdigest().encode() + b"\n"
+
+
+def seal(file: Path) -> None:
+    """Write the head of a file that is complete otherwise."""
+    first = _first_line()
+    with file.open("r+b") as stream:
+        stream.seek(len(first + CHECKSUM) + 65)  # 64 digits and the end of the line
+        second = _second_line(stream)
+        stream.seek(0)
+        stream.write(first + second)
+
+
+# -- reading -------------------------------------------------------------------------------------
+
+
+def read_about(comm: MPI.Comm, path: Path) -> dict[str, Any]:
+    """Return the JSON part of a file; collective.
+
+    Raises:
+        OSError: on all ranks, if there is no such file, or it cannot be read.
+        ValueError: on all ranks, if it is no checkpoint, has another format or version, or is not
+            as it was written.
+    """
+    about: Any = {}
+    with raised_together(comm):
+        if comm.rank == 0:
+            _check_head(path)
+            with _opened(path) as file:
+                about = json.loads(file["about"][:].tobytes())
+    return dict(comm.bcast(about))
+
+
+def read_tables(
+    comm: MPI.Comm, path: Path, about: Mapping[str, Any], places: Mapping[str, Floats], size: float
+) -> tuple[dict[str, dict[str, Floats]], dict[str, str]]:
+    """Return the values at the places of this rank; collective.
+
+    Args:
+        path: the file.
+        about: what `read_about` has returned of it.
+        places: (n, k) of this rank, by table.
+        size: largest coordinate, which scales what counts as the same place.
+
+    Returns:
+        Values by column by table; and by table, in words, how places differ, if they do.
+    """
+    found: dict[str, dict[str, Floats]] = {}
+    hits: dict[str, Longs] = {}
+    with raised_together(comm), _opened(path) as file:
+        for name, own in places.items():
+            found[name], hits[name] = _read_table(file[name], about["tables"][name], own, size)
+    told = {}
+    for name, own in places.items():
+        there = sum(count for count, *_ in about["tables"][name]["ranks"])
+        told[name] = _difference(comm, own, hits[name], there)
+    return found, {name: text for name, text in told.items() if text}
+
+
+def _read_table(
+    table: Any, about: Mapping[str, Any], own: Floats, size: float
+) -> tuple[dict[str, Floats], Longs]:
+    """Return the values at own places (n, k), and how many rows were found for each."""
+    (n, k), widths = own.shape, about["columns"]
+    tree = cKDTree(own) if n else None
+    values, hits = np.zeros((n, sum(widths.values()))), np.zeros(n, dtype=np.int64)
+    low, high = own.min(axis=0, initial=np.inf), own.max(axis=0, initial=-np.inf)
+    last = 0
+    for count, *box in about["ranks"]:
+        first, last = last, last + count
+        apart = np.r_[low - box[k:], np.array(box[:k]) - high]
+        if tree is None or (apart > SAME * size).any():
+            continue
+        rows = table[first:last]
+        distance, at = tree.query(rows[:, :k], distance_upper_bound=SAME * size)
+        hit = np.isfinite(distance)
+        np.add.at(hits, at[hit], 1)
+        values[at[hit]] = rows[hit, k:]
+    columns = np.split(values, np.cumsum([*widths.values()])[:-1], axis=1)
+    return dict(zip(widths, columns, strict=False)), hits
+
+
+def _difference(comm: MPI.Comm, own: Floats, hits: Longs, there: int) -> str:
+    """Return in words how places differ from those of the file, nothing if they do not."""
+    total = comm.allreduce(len(own), op=MPI.SUM)
+    if total != there:
+        return f"there are {total}, in the checkpoint {there}"
+    # numbers are equal, so where one is there twice another one is missing: name the cause first
+    for wrong, text in ((hits > 1, "there more than once"), (hits == 0, "not in the checkpoint")):
+        some = comm.allgather((int(wrong.sum()), own[wrong][:1, : own.shape[1] // 2]))
+        count = sum(n for n, _ in some)
+        if count:
+            x = next(x[0] for n, x in some if n)
+            where = ", ".join(f"{v:.6g}" for v in x)
+            return f"{count} of {total} are {text}, such as that at ({where})"
+    return ""
+
+
+def _opened(path: Path) -> Any:
+    """Open a file for reading."""
+    return import_h5py().File(path, "r", locking="best-effort")
+
+
+def _check_head(path: Path) -> None:
+    """Raise an error unless a file is a checkpoint of this format and version, as written."""
+    import_h5py()
+    if not path.exists():
+        raise FileNotFoundError(
+            errno.ENOENT, "path: there is no such checkpoint; check the name", str(path)
+        )
+    if not is_checkpoint(path):
+        raise ValueError(
+            f"path is {str(path)!r}, which is no checkpoint, or its writer was stopped before it "
+            "was complete: take the last complete one"
+        )
+    with path.open("rb") as stream:
+        first, second, own = stream.readline(HEAD), stream.readline(HEAD), _first_line()
+        if first != own:
+            raise ValueError(
+                f"path is {str(path)!r}, which begins with {_shown(first)}, but this version reads "
+                f"{_shown(own)}: go on with the version that has written it"
+            )
+        if second != _second_line(stream):
+            raise ValueError(
+                f"path is {str(path)!r}, which is cut off, damaged or changed since it was written "
+                "(its checksum differs): take an older one"
+            )
