@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose
 
 import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem
-from dolfinx_mortar.qp import interior_point, schur
-from dolfinx_mortar.qp.dense import Dense
+from dolfinx_mortar.qp import interior_point
+from dolfinx_mortar.qp.condensed import Dense
 from dolfinx_mortar.qp.operator import FreePart
 from dolfinx_mortar.report.energy_ledger import EnergyLedger
 from dolfinx_mortar.steps import step_end, walk
@@ -345,7 +345,7 @@ def test_a_load_step_that_is_stopped_when_it_is_committed():
 
 
 CALLED_BY_PETSC = {
-    "active-set": [(schur._Product, "apply"), (Dense, "mult"), (FreePart, "mult")],
+    "active-set": [(Dense, "mult"), (FreePart, "mult")],
     "interior-point": [(interior_point, "check")],
 }
 

@@ -25,7 +25,7 @@ from dolfinx_mortar.mortar.surface import coordinates, sum_at_nodes
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.qp import BoundQP, Friction, LinearSolver, QPSolution
-from dolfinx_mortar.qp.schur import interface_unknowns
+from dolfinx_mortar.qp.preconditioner import interface_unknowns
 from dolfinx_mortar.solid.kinematics import on_axis
 
 

@@ -2,9 +2,9 @@
 """Primal-dual active set: semi-smooth Newton on z = max(0, z + c (x - upper)), and on lower bounds.
 
 With friction also on z_t = q min(1, s / |q|), see `qp.friction`. Where MUMPS gives the Schur
-complement of the unknowns with bounds, the QP is condensed to these, see `dense`: the updates are
-the same. Without friction and with a definite matrix, the interior point takes over after a cycle,
-and after a set that leaves a body unconstrained.
+complement of the unknowns with bounds, the QP is condensed to these, see `condensed`. Without
+friction and with a definite matrix, the interior point takes over after a cycle, and after a set
+that leaves a body unconstrained.
 """
 
 from dataclasses import dataclass, replace
@@ -18,6 +18,7 @@ from dolfinx_mortar.algebra.errors import from_callbacks
 from dolfinx_mortar.arrays import EPS, LIMIT, Floats
 from dolfinx_mortar.qp import interior_point
 from dolfinx_mortar.qp.bound_qp import (
+    KKT,
     BoundQP,
     QPNotSolved,
     QPSolution,
@@ -25,9 +26,9 @@ from dolfinx_mortar.qp.bound_qp import (
     is_noise,
     reaction,
 )
-from dolfinx_mortar.qp.dense import Condensed
+from dolfinx_mortar.qp.condensed import Condensed
 from dolfinx_mortar.qp.descent import descend
-from dolfinx_mortar.qp.held import LOOSE, TIGHT, HeldProblem, Outcome, Solver, State, update
+from dolfinx_mortar.qp.held import LOOSE, SHARE, TIGHT, HeldProblem, Outcome, Solver, State, update
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver, NotDefinite
 from dolfinx_mortar.qp.scalars import Bordered, NoResistance, moved, no_friction
 
@@ -96,19 +97,13 @@ class _Found:
 def solve_states(
     qp: BoundQP, linear: LinearSolver, start: State, rtol: float, guess: PETSc.Vec | None = None
 ) -> QPSolution:
-    """Solve a QP, condensed where that serves; see `solve`.
-
-    What round-off leaves of a condensed solution is solved with the whole matrix.
-    """
-    found, law = None, qp.friction
-    if linear.schur is not None and qp.scalars is None:
-        found = _find_condensed(qp, linear, start, rtol)
-        at, x, z = _of_whole(qp, found)
-        start, kkt = found.state, check(at, x, z)
-    if found is None or not kkt.satisfied(rtol):
+    """Solve a QP, condensed where that serves; see `solve`."""
+    law = qp.friction
+    if linear.schur is not None:
+        found, at, x, z, kkt = _find_condensed(qp, linear, start, rtol)
+    else:
         found = _find(qp, linear, start, rtol, guess)
-        at, x, z = _of_whole(qp, found)
-        kkt = check(at, x, z)
+        at, x, z, kkt = _of_whole(qp, found)
     state, directions = found.state, None
     active = state.active
     if is_noise(at, x, z):  # of which either sign is as good as none
@@ -124,22 +119,29 @@ def solve_states(
     )
 
 
-def _of_whole(qp: BoundQP, found: _Found) -> tuple[BoundQP, PETSc.Vec, PETSc.Vec]:
-    """Return the QP with the scalars that are found, x, and b - A x there; collective."""
+def _of_whole(qp: BoundQP, found: _Found) -> tuple[BoundQP, PETSc.Vec, PETSc.Vec, KKT]:
+    """Return the QP with the scalars that are found, x, b - A x there, the check; collective."""
     at = qp if qp.scalars is None else moved(qp, found.q)
     x = qp.b.duplicate()
     x.array[:] = found.x
-    return at, x, reaction(at, x)
+    z = reaction(at, x)
+    return at, x, z, check(at, x, z)
 
 
-def _find_condensed(qp: BoundQP, linear: LinearSolver, start: State, rtol: float) -> _Found:
-    """Solve by a dense matrix; see `_find`."""
-    on, (lower, upper) = start.active != 0, qp.bounds
-    at = qp.bounded[on], np.where(start.active > 0, upper, lower)[on]
-    condensed = Condensed(qp, linear, *at)
-    found = _find(condensed.qp, condensed.dense, start, rtol)
-    linear.beyond = condensed.dense.negative(found.state.held(condensed.qp))
-    return replace(found, x=condensed.expand(found.x))
+def _find_condensed(
+    qp: BoundQP, linear: LinearSolver, start: State, rtol: float
+) -> tuple[_Found, BoundQP, PETSc.Vec, PETSc.Vec, KKT]:
+    """Solve by a dense matrix, and again for what round-off has left; see `_find`."""
+    condensed = Condensed(qp, linear, SHARE * rtol * qp.b.norm())
+    at = condensed.about()
+    while True:
+        found = _find(at, condensed.dense, start, rtol)
+        linear.beyond = condensed.dense.negative(found.state.held(at))
+        found = replace(found, x=condensed.expand(found.x))
+        whole = _of_whole(qp, found)
+        if whole[-1].satisfied(rtol) or start is found.state:
+            return found, *whole
+        start, at = found.state, condensed.about(found.x)
 
 
 def _find(

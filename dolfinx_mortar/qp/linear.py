@@ -13,7 +13,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.linalg import LinAlgError
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.arrays import EPS, LIMIT, QUARTER_OF_DIGITS, ROUND_OFF, Ints
@@ -32,8 +31,8 @@ from dolfinx_mortar.qp.preconditioner import (
     LinearCounts,
     Preconditioner,
     Renewal,
+    SchurComplement,
 )
-from dolfinx_mortar.qp.schur import SchurComplement
 
 log = logging.getLogger(__name__)
 
@@ -173,7 +172,6 @@ class LinearSolver:
         definite: bool = True,
         apart: Ints | None = None,
         product: CongruentOperator | None = None,
-        bounded: Ints | None = None,
         near: PETSc.Mat | None = None,
     ) -> None:
         """Set the matrix of the next solves (collective).
@@ -185,9 +183,9 @@ class LinearSolver:
         Args:
             A: (n, n) matrix.
             definite: whether it is symmetric and positive definite, see `BoundQP`.
-            apart: the only unknowns that will be held, see `schur.set_apart`; None for any.
+            apart: unknowns with S, see `preconditioner.set_apart`, which `apply` holds; None for a
+                solver with any held.
             product: A, if it is one whose K is to be factorised.
-            bounded: then those of ``apart`` that will be held, ascending.
             near: (n, n) definite matrix whose preconditioner serves A, too; None for its own.
         """
         if near is not None and not self.direct:
@@ -197,10 +195,7 @@ class LinearSolver:
         self._order = A.getSize()[0]
         if self._setup is not None:
             before = self._operator
-            schur = self.setup.preconditioner.schur
             if A.handle == before.A.handle and self.setup.preconditioner.serves(apart):
-                if schur is not None and bounded is not None:
-                    schur.bounded = bounded
                 self._describe()
                 return
         self._drop(definite)  # so that no matrix is set if an option raises an error
@@ -212,9 +207,7 @@ class LinearSolver:
         ksp.setConvergenceHistory(reset=True)
         with self.options.database(self.options.prefix):
             ksp.setFromOptions()
-            schur = None
-            if apart is not None:
-                schur = SchurComplement(apart, apart if bounded is None else bounded, product)
+            schur = None if apart is None else SchurComplement(apart, product)
             copied = self.direct and schur is None
             operator = Operator(A, direct=copied, definite=definite)
             preconditioner = Preconditioner(operator, ksp, self.options, self.unknowns, schur)
@@ -355,10 +348,6 @@ class LinearSolver:
             return negative_pivots(setup.preconditioner.pc) + self.beyond > 0
         return count_negative(setup.operator.matrix) > 0
 
-    def hold(self, held: Ints) -> None:
-        """Hold these unknowns of the present matrix; collective."""
-        self._operator.hold(held)
-
     def apply(self, r: PETSc.Vec, x: PETSc.Vec) -> None:
         """Apply the present factorisation or preconditioner once: x = F^-1 r."""
         begin = perf_counter()
@@ -452,10 +441,7 @@ class LinearSolver:
         begin = perf_counter()
         setup, held = self.setup, self._operator.held
         assert held is not None
-        try:
-            setup.preconditioner.follow(held)
-        except LinAlgError as error:
-            raise NotDefinite(f"nothing holds a body ({error})") from error
+        setup.preconditioner.follow(held)
         stale = not setup.preconditioner.is_of(held)
         floor, limit = self._operator.round_off(x) * (EPS / ROUND_OFF), setup.max_iterations
         if stale and self.direct:  # many, which a new one would have saved

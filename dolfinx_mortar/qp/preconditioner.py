@@ -5,6 +5,7 @@ It is renewed as soon as that is cheaper than to continue with it. The decisions
 residuals, not on clocks, so that they are the same on all ranks.
 """
 
+import ctypes
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -12,12 +13,14 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from dolfinx_mortar.algebra.congruence import CongruentOperator, decouple
+from dolfinx_mortar.algebra.csr import call, has
 from dolfinx_mortar.algebra.parallel import free_unused
-from dolfinx_mortar.arrays import LIMIT, TINY, Floats, Ints
+from dolfinx_mortar.arrays import TINY, Floats, Ints
+from dolfinx_mortar.qp.bound_qp import BoundQP
 from dolfinx_mortar.qp.multigrid import Multigrid, OwnUnknowns, Unknowns
 from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.qp.options import SolverOptions
-from dolfinx_mortar.qp.schur import SchurComplement
 
 # Iterations above those of a new one that are worth a renewal. A numeric factorisation in 2D costs
 # 5 to 7 solves with it (5k, 50k and 200k unknowns, MUMPS). A set-up of multigrid in 3D costs 25 to
@@ -87,6 +90,117 @@ class Renewal:
             self.excess += its - reached / self.fresh_rate
 
 
+def set_apart(qp: BoundQP, options: SolverOptions) -> Ints | None:
+    """Return the unknowns that a factorisation may leave for last; None for an ordinary one.
+
+    These are those with bounds or friction, and those of C if A is a product, ascending, on one
+    rank, if S has few entries, and if PETSc's library shows the function.
+    """
+    if not qp.definite or qp.scalars is not None:
+        return None
+    if qp.product is not None:
+        return interface_unknowns(qp.product.K, qp.product.C, options)
+    return _few(qp.A, qp.held, options)
+
+
+def interface_unknowns(K: PETSc.Mat, C: PETSc.Mat | None, options: SolverOptions) -> Ints | None:
+    """Return the unknowns of C, if (I + C)^T K (I + C) need not be formed; see `set_apart`."""
+    if C is None or C.comm.size > 1:
+        return None
+    start, columns = C.getRowIJ()
+    on = np.diff(start) > 0
+    on[columns] = True
+    return _few(K, np.flatnonzero(on).astype(np.int32), options)
+
+
+def _few(A: PETSc.Mat, unknowns: Ints, options: SolverOptions) -> Ints | None:
+    """Return these unknowns if they may be left for last: S has at most twice the entries of A."""
+    used = options.of_definite("pc_type"), options.of_definite("pc_factor_mat_solver_type")
+    if used != ("cholesky", "mumps") or not has("MatFactorSetSchurIS") or A.getType() != "seqaij":
+        return None
+    few = 0 < unknowns.size**2 <= 2 * A.getInfo()["nz_used"] and unknowns.size < A.getSize()[0]
+    return unknowns if few else None
+
+
+class SchurComplement:
+    """S = A_GG - A_GI A_II^-1 A_IG, of a factorisation by MUMPS that leaves G for last.
+
+    Which of G are held concerns S alone, so that one factorisation serves all active sets. If
+    A = T^T K T with T = I + C, and C in G x G, it is K that is factorised, and T^T S T is that of
+    A: then one serves all geometries, too, and A is never formed (39 thousand unknowns in four
+    elastic steps: 1 factorisation for 20, in .4 of the time). PETSc has this on one rank only, and
+    petsc4py 3.22 does not wrap it.
+
+    Args:
+        unknowns: G (k,), ascending.
+        product: the matrix, if K is factorised in its place.
+
+    Attributes:
+        unknowns, product: as above.
+        prepared: whether the PC knows of it.
+        S: (k, k), of the last factorisation; solves hold G.
+    """
+
+    def __init__(self, unknowns: Ints, product: CongruentOperator | None = None) -> None:
+        self.unknowns, self.product, self.prepared = unknowns, product, False
+        self.S: Floats = np.zeros((0, 0))
+        self._decoupled: Ints = np.empty(0, dtype=np.int32)  # in K when it was copied
+        self._K: PETSc.Mat | None = None
+
+    def state(self, A: PETSc.Mat) -> int:
+        """Return a number that changes with the values of what is factorised; -1 if that is old."""
+        if self.product is None:
+            return int(A.stateGet())
+        same = self._K is None or np.array_equal(self._decoupled, self._elsewhere())
+        return int(self.product.K.stateGet()) if same else -1
+
+    def matrix(self, A: PETSc.Mat) -> PETSc.Mat:
+        """Return the matrix to be factorised."""
+        if self.product is None:
+            return A
+        if self._K is None:
+            self._K = self.product.K.duplicate(copy=True)
+            self._K.setOption(PETSc.Mat.Option.SPD, True)
+            self._K.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        else:
+            self.product.K.copy(self._K, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self._decoupled = self._elsewhere()
+        decouple(self._K, self._decoupled, self.product.scale)
+        return self._K
+
+    def _elsewhere(self) -> Ints:
+        """Return what is decoupled in K, too."""
+        assert self.product is not None
+        return np.setdiff1d(self.product.decoupled, self.unknowns)
+
+    def prepare(self, pc: PETSc.PC) -> None:
+        """Leave the unknowns for last in the first factorisation of a PC."""
+        if self.prepared:
+            return
+        self.prepared = True
+        pc.setFactorSetUpSolverType()
+        last = PETSc.IS().createGeneral(self.unknowns.astype(PETSc.IntType), comm=pc.comm)
+        factor = ctypes.c_void_p(pc.getFactorMatrix().handle)
+        call("MatFactorSetSchurIS", factor, ctypes.c_void_p(last.handle))
+
+    def read(self, pc: PETSc.PC) -> None:
+        """Take S from a new factorisation; zeros for its inverse hold G in solves."""
+        factor, S = ctypes.c_void_p(pc.getFactorMatrix().handle), ctypes.c_void_p()
+        first, inverted = ctypes.POINTER(ctypes.c_double)(), 2  # MAT_FACTOR_SCHUR_INVERTED
+        call("MatFactorGetSchurComplement", factor, ctypes.byref(S), None)
+        call("MatDenseGetArray", S, ctypes.byref(first))
+        entries = np.ctypeslib.as_array(first, shape=(self.unknowns.size,) * 2).T
+        self.S = np.tril(entries) + np.tril(entries, -1).T  # MUMPS gives its lower part
+        entries[:] = 0.0
+        call("MatDenseRestoreArray", S, ctypes.byref(first))
+        call("MatFactorRestoreSchurComplement", factor, ctypes.byref(S), inverted)
+
+    def destroy(self) -> None:
+        """Free the copy of K."""
+        if self._K is not None:
+            self._K.destroy()
+
+
 class Preconditioner:
     """M^-1 for an operator with an earlier matrix and earlier held unknowns.
 
@@ -115,10 +229,8 @@ class Preconditioner:
         self._followed: tuple[int, Ints] = (-1, np.empty(0, dtype=np.int32))
         self.multigrid: Multigrid | None = None
         self.pc = ksp.getPC()
-        if schur is not None:
-            if schur.product is None:
-                operator.A.setOption(PETSc.Mat.Option.SPD, True)
-            ksp.setPC(schur.solver(self.pc))
+        if schur is not None and schur.product is None:
+            operator.A.setOption(PETSc.Mat.Option.SPD, True)
         if not options.direct:
             self.multigrid = Multigrid(operator.A, options.prefix)
             self.pc = self.multigrid.inner
@@ -149,8 +261,6 @@ class Preconditioner:
         """Return in how many held unknowns it differs (collective); None if it is not set up."""
         if self.held is None:
             return None
-        if self.schur is not None:
-            return 0
         return int(self.comm.allreduce(np.setxor1d(self.held, held).size))
 
     def clear(self) -> None:
@@ -160,7 +270,6 @@ class Preconditioner:
         """
         self.ksp.getPC().reset()
         if self.schur is not None:
-            self.pc.reset()
             self.schur.destroy()
         if self.multigrid is not None:
             self.multigrid.clear()
@@ -191,9 +300,7 @@ class Preconditioner:
         return why
 
     def follow(self, held: Ints) -> None:
-        """Set the held unknowns of S, and those and the matrix of multigrid; collective."""
-        if self.schur is not None and self.schur.prepared:
-            self.schur.hold(self.pc, held)
+        """Set the held unknowns and the matrix of multigrid; collective."""
         if self.multigrid is None:
             return
         if not self.multigrid.follows:
@@ -211,8 +318,8 @@ class Preconditioner:
         factorised = self.operator.factorised
         if self.schur is not None:
             factorised = self.schur.matrix(factorised)
-        self._set_operators(factorised)
-        for _ in range(LIMIT):
+        self.ksp.setOperators(self.operator.matrix, factorised)
+        while True:
             with self.options.database(self.options.prefix):
                 if self.schur is not None:
                     self.schur.prepare(self.pc)
@@ -225,15 +332,9 @@ class Preconditioner:
             if self.options[WORKSPACE] != str(twice):
                 break  # the user's options database takes precedence
             self._reset()  # a failed factor cannot be used again
-            self._set_operators(factorised)
+            self.ksp.setOperators(self.operator.matrix, factorised)
             counts.symbolic += 1
         self.pc.setReusePreconditioner(True)
-
-    def _set_operators(self, factorised: PETSc.Mat) -> None:
-        """Set what the KSP solves with, and what the PC factorises."""
-        self.ksp.setOperators(self.operator.matrix, factorised)
-        if self.schur is not None and self.schur.product is not None:
-            self.pc.setOperators(factorised)
 
     def _reset(self) -> None:
         """Free a factorisation."""

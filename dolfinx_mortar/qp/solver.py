@@ -14,7 +14,7 @@ from dolfinx_mortar.qp import active_set, interior_point
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPNotSolved, QPSolution, check, validate
 from dolfinx_mortar.qp.held import State, nearest
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
-from dolfinx_mortar.qp.schur import set_apart
+from dolfinx_mortar.qp.preconditioner import set_apart
 
 # Errors of a backend that are no fault of the code.
 FAILURES = (
@@ -144,7 +144,6 @@ def _run(
         definite=qp.definite,
         apart=apart,
         product=qp.product,
-        bounded=qp.held,
         near=qp.near,
     )
     if backend == INTERIOR_POINT:

@@ -6,7 +6,7 @@ With those of its inner unknowns I eliminated,
     S = A_GG - A_GI A_II^-1 A_IG,    g = b_G - A_GI A_II^-1 b_I,
 
 the QP of S and g is of the same kind, so that the same loop solves it; a state takes a dense
-factorisation of its free rows. MUMPS gives S, see `schur`, on one rank.
+factorisation of its free rows. MUMPS gives S on one rank, see `preconditioner.SchurComplement`.
 """
 
 from __future__ import annotations
@@ -17,15 +17,14 @@ from petsc4py import PETSc
 
 import numpy as np
 from numpy.linalg import norm
-from scipy.linalg import LinAlgError, lapack
+from scipy.linalg import cholesky, lapack, solve_triangular
 
 from dolfinx_mortar.algebra.congruence import ContextOf
+from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.arrays import (
     EPS,
-    HALF_OF_DIGITS,
     QUARTER_OF_DIGITS,
     ROUND_OFF,
-    SAME,
     Floats,
     Ints,
     Longs,
@@ -127,86 +126,81 @@ def _slipping(S: Floats, sliding: Sliding) -> Floats:
 class Condensed:
     """A QP on one rank, condensed to its unknowns with bounds or friction by MUMPS's S.
 
+    The linear solver factorises A_II, with G held. If G has more unknowns than those with bounds or
+    friction, the others are eliminated from S.
+
     Args:
         whole: the QP.
-        linear: solver of A.
-        held: unknowns that an initial state holds,
-        values: and where.
+        linear: solver of A, with S.
+        atol: norm of b - A x on inner unknowns that counts as zero.
 
     Attributes:
         dense: the solver of the condensed linear systems.
-        qp: the condensed QP.
+
+    Raises:
+        LinAlgError: if A is not positive definite with bounds and friction held.
     """
 
-    def __init__(self, whole: BoundQP, linear: LinearSolver, held: Ints, values: Floats) -> None:
-        self._whole, self._linear, self._G = whole, linear, whole.held
-        G, law = self._G, whole.friction
-        linear.factorise(G)
-        self._y = self._begin(held, values)
-        assert linear.schur is not None
-        self.dense = Dense(linear.schur.model(), whole.stiffness[G])
+    def __init__(self, whole: BoundQP, linear: LinearSolver, atol: float) -> None:
+        schur, product = linear.schur, whole.product
+        assert schur is not None
+        self._whole, self._linear, self._G = whole, linear, schur.unknowns
+        self._atol = atol
+        linear.factorise(self._G)
+        S, out = schur.S, whole.held[:0]
+        self._x: Floats = np.zeros(whole.b.getLocalSize())
+        if product is not None:
+            C = owned_rows(product.C)[self._G][:, self._G]
+            half = S + C.T @ S
+            S, out = half + half @ C, product.decoupled
+            self._x[out] = whole.b.array_r[out] / product.scale
+        on = np.isin(self._G, whole.held)
+        rest = ~on & ~np.isin(self._G, out)
+        self._on, self._rest = np.flatnonzero(on), np.flatnonzero(rest)
+        self._L = cholesky(S[np.ix_(rest, rest)], lower=True)
+        self._Q = solve_triangular(self._L, S[np.ix_(rest, on)], lower=True)
+        inner = S[np.ix_(on, on)] - self._Q.T @ self._Q
+        self.dense = Dense(inner, whole.stiffness[whole.held])
+
+    def about(self, x: Floats | None = None) -> BoundQP:
+        """Return the condensed QP, with what round-off has left of a solution x (n,)."""
+        whole, held = self._whole, self._whole.held
+        self._x = self._with_inner(self._x if x is None else x)
+        left = self._left(self._x)[self._G]
+        self._w = solve_triangular(self._L, left[self._rest], lower=True)
         b, lower, upper = (self.dense.matrix.createVecRight() for _ in range(3))
-        b.array[:] = self._product(self._y)[G] + self.dense.S @ self._y[G]
+        b.array[:] = left[self._on] - self._Q.T @ self._w + self.dense.S @ self._x[held]
         if not np.isfinite(b.array_r).all():
             raise LinearSolveFailed("The linear solver gave NaN or infinity: check its options.")
-        lower.array[:], upper.array[:] = whole.lower.array_r[G], whole.upper.array_r[G]
+        lower.array[:], upper.array[:] = whole.lower.array_r[held], whole.upper.array_r[held]
+        law = whole.friction
         if law is not None:
-            places = np.searchsorted(G, law.tangential)
+            places = np.searchsorted(held, law.tangential)
             law = replace(law, tangential=np.where(law.some, places, -1).astype(np.int32))
-        bounded = np.searchsorted(G, whole.bounded).astype(np.int32)
-        self.qp = replace(
-            whole,
-            A=self.dense.matrix,
-            b=b,
-            lower=lower,
-            upper=upper,
-            bounded=bounded,
-            friction=law,
-            product=None,
-            near=None,
-        )
+        bounded = np.searchsorted(held, whole.bounded).astype(np.int32)
+        parts = {"b": b, "lower": lower, "upper": upper, "bounded": bounded, "friction": law}
+        return replace(whole, A=self.dense.matrix, product=None, near=None, **parts)
 
-    def _begin(self, held: Ints, values: Floats) -> Floats:
-        """Return x (n,) in a state; with G held at 0 where that is not of use.
+    def expand(self, own: Floats) -> Floats:
+        """Return x (n,) for that of the condensed QP (k,)."""
+        held, x = self._whole.held, self._x.copy()
+        right = self._w - self._Q @ (own - x[held])
+        x[self._G[self._rest]] += solve_triangular(self._L, right, lower=True, trans="T")
+        x[held] = own
+        return self._with_inner(x)
 
-        MUMPS's S serves all states, of which the first one is the last one most often.
-        """
-        at: Floats = np.zeros(self._whole.b.getLocalSize())
-        if self._whole.friction is None and held.size:
-            at[held] = values
-            try:
-                at += self._inner(self._product(at), held)
-            except LinAlgError:  # nothing holds a body in that state
-                return self._inner(self._whole.b.array_r, self._G)
-            x = self._whole.b.duplicate()
-            x.array[:] = at
-            if self._linear.round_off(x) <= HALF_OF_DIGITS * self._whole.b.norm():
-                return at
-        return self._inner(self._whole.b.array_r, self._G)  # bounds are far, or nothing holds it
-
-    def _product(self, x: Floats) -> Floats:
+    def _left(self, x: Floats) -> Floats:
         """Return b - A x (n,)."""
         at = self._whole.b.duplicate()
         at.array[:] = x
         return np.asarray(reaction(self._whole, at).array_r)
 
-    def _inner(self, values: Floats, held: Ints) -> Floats:
-        """Return A^-1 times values (n,), with these held at 0."""
-        right, found = self._whole.b.duplicate(), self._whole.b.duplicate()
-        right.array[:] = values
-        right.array[held] = 0.0
-        self._linear.hold(held)
-        self._linear.apply(right, found)
-        found.array[held] = 0.0
-        return np.asarray(found.array_r)
-
-    def expand(self, own: Floats) -> Floats:
-        """Return x (n,) for that of the condensed QP (k,)."""
-        stiffness = self._whole.stiffness[self._G]
-        found = self._y.copy()
-        if norm(stiffness * (own - found[self._G])) > SAME * norm(stiffness * own):
-            at = np.zeros_like(found)
-            at[self._G] = own
-            found[:] = self._inner(self._product(at), self._G)
-        found[self._G] = own
-        return found
+    def _with_inner(self, x: Floats) -> Floats:
+        """Return x (n,) with the solution x_I for its x_G."""
+        left, found = self._whole.b.duplicate(), self._whole.b.duplicate()
+        left.array[:] = self._left(x)
+        left.array[self._G] = 0.0
+        if left.norm() <= self._atol:
+            return x
+        self._linear.apply(left, found)
+        return x + found.array_r
