@@ -2,14 +2,12 @@
 """Segments in 3D: convex polygons in the auxiliary planes of the slave facets.
 
 The plane is normal to the mean normal of a slave facet, through its centre. The intersection of
-both projected facets is split into triangles; weights are areas in the plane over the cosine
-between plane and slave facet. Facets of second order are clipped in four parts, unless straight and
-flat.
+both projected facets is split into triangles; weights are areas in the plane over the cosine to the
+slave facet. Facets of second order are clipped in four parts, unless straight and flat.
 
-Integrals of Phi_j N_l are exact on flat triangles and parallelograms. On other quadrilaterals the
-degree grows with the change of the Jacobian and of the slopes: constant pressures are transmitted
-with an error of 1e-14 down to a quality (`facets.distortions`) of 0.6, of 1e-8 at 0.3, where meshes
-are refused.
+Integrals of Phi_j N_l are exact on flat triangles and parallelograms. On others the degree grows
+with the change of the Jacobian and of the slopes: constant pressures have an error of 1e-14 down to
+a quality (`facets.distortions`) of 0.6, of 1e-8 at 0.3, where meshes are refused.
 """
 
 from collections.abc import Sequence
@@ -69,7 +67,7 @@ def _rules() -> tuple[Floats, Floats, Longs]:
 
 @numba.njit(**KERNEL)
 def _depth(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
-    """Return how far the projected facet M lies below S at (x, y)."""
+    """Return the depth of the projected facet M below S at (x, y)."""
     xi, eta, _ = inverse(S, bilinear[0], x, y)
     r, s, _ = inverse(M, bilinear[1], x, y)
     return height_at(S, bilinear[0], xi, eta) - height_at(M, bilinear[1], r, s)
@@ -79,7 +77,7 @@ def _depth(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
 def _overlap(P, Q):  # type: ignore[no-untyped-def]
     """Tell whether two projected facets share more than a line."""
     p, q = P.shape[0], Q.shape[0]
-    # with a tolerance: overlaps as narrow as a thin polygon do not count
+    # overlaps as narrow as a thin polygon do not count
     if plane.is_beside(P, p, Q, q, plane.orientation(P, p), -64 * ROUND_OFF):
         return False
     return not plane.is_beside(Q, q, P, p, plane.orientation(Q, q), -64 * ROUND_OFF)
@@ -87,7 +85,7 @@ def _overlap(P, Q):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _any_overlap(M, count):  # type: ignore[no-untyped-def]
-    """Tell whether any of the first `count` projected facets overlap."""
+    """Tell whether any of `count` projected facets overlap."""
     low, high = np.empty(count), np.empty(count)
     for i in range(count):
         low[i] = high[i] = M[i, 0, 0]
@@ -101,7 +99,7 @@ def _any_overlap(M, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _is_hidden(S, M, bilinear, i, j, pieces, sizes, common, spare):  # type: ignore[no-untyped-def]
-    """Tell whether facet j hides facet i; consistent for both orders of i and j."""
+    """Tell whether facet j hides facet i, consistently in i and j."""
     a, b = min(i, j), max(i, j)
     if a == b or not _overlap(M[a], M[b]):
         return False
@@ -137,7 +135,7 @@ def _doubled(a):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyped-def]
-    """Return the parts of polygon i that none of n facets hides: points, sizes, number."""
+    """Return the visible parts of polygon i among n: points, sizes, number."""
     pieces = np.empty((2 * VERTICES, VERTICES, 2))
     sizes = np.empty(2 * VERTICES, np.int64)
     common, spare = np.empty((VERTICES, 2)), np.empty((VERTICES, 2))
@@ -170,7 +168,7 @@ def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyp
 
 @numba.njit(**KERNEL)
 def _is_far(middle, radius, centre, axes):  # type: ignore[no-untyped-def]
-    """Tell whether the projections of a ball and of the slave facet's are apart."""
+    """Tell whether the projections of a ball and the slave facet are apart."""
     x = y = square = 0.0
     for i in range(3):
         offset, along = middle[i] - centre[i], axes[0, i]
@@ -182,7 +180,7 @@ def _is_far(middle, radius, centre, axes):  # type: ignore[no-untyped-def]
 def _clip(  # type: ignore[no-untyped-def]
     S, x_m, balls, bilinear, pairs, deepest, first, last, centre, axes, M, pieces, sizes, row
 ):
-    """Fill M, pieces, sizes and row (of the pair) for one slave facet; return the count."""
+    """Fill M, pieces, sizes and row (pair) for one slave facet; return the count."""
     spare = np.empty((VERTICES, 2))
     count = 0
     k, n = S.shape[0], x_m.shape[1]
@@ -202,7 +200,7 @@ def _clip(  # type: ignore[no-untyped-def]
         if deepest[r] < np.inf:
             _, x, y = plane.measure(pieces[count], size)
             if _depth(S, P, bilinear, x, y) > deepest[r]:
-                continue  # on the far side of the body
+                continue  # behind the body
         sizes[count], row[count] = size, r
         count += 1
     return count
@@ -210,7 +208,7 @@ def _clip(  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
-    """Append the triangles of a polygon, but for round-off; return the new arrays."""
+    """Append the triangles of a polygon; return the new arrays."""
     if t + VERTICES > len(which):
         which, corners = _doubled(which), _doubled(corners)
     least = ROUND_OFF * plane.measure(P, n)[0]
@@ -228,7 +226,7 @@ def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _split(S, x_m, balls, bilinear, pairs, deepest, first, last, centre, axes, which, corners, t):  # type: ignore[no-untyped-def]
-    """Append the triangles of one slave facet; return the arrays, and if masters hide others."""
+    """Append the triangles of one slave facet; return the arrays, and if masters overlap."""
     n = last - first
     M, row = np.empty((n, x_m.shape[1], 3)), np.empty(n, np.int64)
     pieces, sizes = np.empty((n, VERTICES, 2)), np.empty(n, np.int64)
@@ -248,11 +246,11 @@ def _split(S, x_m, balls, bilinear, pairs, deepest, first, last, centre, axes, w
 
 @numba.njit(**KERNEL)
 def _triangulate(x_s, x_m, balls, bilinear, pairs, deepest, centre, axes):  # type: ignore[no-untyped-def]
-    """Return pairs (t,), corners (t, 3, 2) of all triangles, and where masters hide others."""
+    """Return pairs (t,), corners (t, 3, 2) of triangles, and where masters overlap."""
     p, hidden = len(pairs), np.zeros(len(x_s), np.bool_)
     which, corners = np.empty(4 * p + 64, dtype=np.int64), np.empty((4 * p + 64, 3, 2))
     S = np.empty((x_s.shape[1], 3))
-    t = last = np.int64(0)  # a literal 0 has a type of its own: callees would compile twice
+    t = last = np.int64(0)  # literals have a type of their own: callees would compile twice
     while last < p:
         first, s = last, pairs[last, 0]
         while last < p and pairs[last, 0] == s:
@@ -267,7 +265,7 @@ def _triangulate(x_s, x_m, balls, bilinear, pairs, deepest, centre, axes):  # ty
 
 @numba.njit(**KERNEL)
 def _changes(P, bilinear, corners):  # type: ignore[no-untyped-def]
-    """Return the relative change of the Jacobian over a triangle, and of slopes, squared."""
+    """Return the relative change of the Jacobian, and of slopes, squared, over a triangle."""
     if not bilinear:
         return 0.0, 0.0
     low, high, turn = np.inf, 0.0, 0.0
@@ -311,7 +309,7 @@ def _place(  # type: ignore[no-untyped-def]
     x_s, x_m, bilinear, pairs, centre, axes, radius, which, corners, size, rule, whole, points,
     weights, start
 ):  # fmt: skip
-    """Return pair, xi_s, xi_m and weight of all points; weights are on parts unless `whole`."""
+    """Return pair, xi_s, xi_m and weight of all points; on parts unless `whole`."""
     total = 0
     for t in range(len(which)):
         total += start[rule[t] + 1] - start[rule[t]]
@@ -345,7 +343,6 @@ def _inside(c, r, s):  # type: ignore[no-untyped-def]
 
 
 def _areas(c: Floats) -> Floats:
-    """Return the areas (t,) of triangles (t, 3, 2)."""
     u, v = c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]
     return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / 2
 
@@ -357,7 +354,7 @@ def _degree_of_moments(slave: FacetElement, master: FacetElement, smooth: bool) 
 
 @numba.njit(**KERNEL)
 def _nearest_line(c, e, P, r, best):  # type: ignore[no-untyped-def]
-    """Return the distance of edge e of triangle c from polygon r, r and its edge, if < best."""
+    """Return distance, polygon r and its corner, of the line nearest to edge e of triangle c."""
     f = (e + 1) % 3
     for v in range(len(P)):
         o = (v + 1) % len(P)
@@ -372,7 +369,7 @@ def _nearest_line(c, e, P, r, best):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _is_next(corners, which, t):  # type: ignore[no-untyped-def]
-    """Tell whether triangle t shares the edge between corners 0 and 1 with the one before."""
+    """Tell whether triangle t shares its edge 01 with the one before."""
     if t == 0 or t == len(corners) or which[t - 1] != which[t]:
         return False
     same = True
@@ -384,7 +381,7 @@ def _is_next(corners, which, t):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _find_edges(x_s, x_m, bilinear, pairs, centre, axes, which, corners, hidden):  # type: ignore[no-untyped-def]
-    """Return (q, 4) moving edges: triangle, edge, pair of the master's line or < 0, its corner."""
+    """Return (q, 4) moving edges: triangle, edge, pair with the line (< 0: slave), its corner."""
     found, q, none = np.empty((3 * len(which), 4), np.int64), 0, np.int64(-1)
     S, M, N = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3)), np.empty((x_m.shape[1], 3))
     for t in range(len(which)):
@@ -441,7 +438,7 @@ def moments(
 
 
 class _Given(NamedTuple):
-    """Input of the points of pairs (c,) of slave facets (p,) with others."""
+    """Input of the points of pairs (c,)."""
 
     over: "_Overlaps"
     place: Longs  # see `Sides`
@@ -502,7 +499,7 @@ def _create(
 
 
 def _nodes_of_lines(given: _Given, part: Longs, pair: Longs, corners: Longs) -> Longs:
-    """Return nodes (s, 2) of edges of slave parts if pair < 0, else of the pair's master."""
+    """Return nodes (s, 2) of edges, of slave parts where pair < 0, else of masters."""
     over, sides = given.over, []
     of_master = over.pairs[pair, 1]
     for facets, of in ((over.slave, part), (over.master, of_master)):
@@ -515,7 +512,7 @@ def _nodes_of_lines(given: _Given, part: Longs, pair: Longs, corners: Longs) -> 
 
 
 def _oblique(V: Floats, n: Floats) -> Floats:
-    """Return the vectors (s, q, 2, 3) dual to tangents V, normal to n (s, 1, 3)."""
+    """Return the vectors (s, q, 2, 3) dual to tangents V, normal to n."""
     first, second = np.cross(V[:, :, 1], n), np.cross(n, V[:, :, 0])
     size = (V[:, :, 0] * first).sum(axis=2)[..., None, None]
     return np.stack([first, second], axis=2) / size
@@ -531,7 +528,7 @@ def _frames(over: "_Overlaps") -> tuple[Floats, Floats, Floats]:
 
 
 def _scattered(element: FacetElement, part: Longs) -> Floats:
-    """Return the matrices (s, v, k) of nodes of parts among those of their facets."""
+    """Return the selection (s, v, k) of nodes of parts in facets."""
     nodes = np.array(element.sub_facets)[part % count(element)]
     return np.eye(element.nodes)[nodes]
 
@@ -559,7 +556,7 @@ def _add_inner(over: "_Overlaps", inner: _OfPairs, found: Sums) -> None:
     by_x[:, :, 4] -= np.swapaxes(dN, 2, 3) @ K
     along = (K @ bend[..., None])[:, :, ::-1]  # of the Jacobian by xi of the part
     by_x[:, :, 4] += N[:, :, 0] * (np.swapaxes(along, 2, 3) @ K)
-    # a tilt of the plane acts like the opposite rotation of all nodes
+    # a tilt acts like the opposite rotation of all nodes
     back = n[:, None, None] * (u @ np.swapaxes(X, 1, 2))[..., None]
     back -= u[:, :, None] * (X @ n[:, :, None])[:, None]
     z = 3 * inner.nodes.shape[1]
@@ -576,7 +573,7 @@ def _add_inner(over: "_Overlaps", inner: _OfPairs, found: Sums) -> None:
 
 
 def _columns(inner: _OfPairs, found: Sums) -> Longs:
-    """Return the columns (s, k + l + 1) of moments of pairs among those of facets."""
+    """Return the columns (s, k + l + 1) of pairs among those of facets."""
     last = np.full((len(inner.pair), 1), found.values.shape[2] - 1)
     return np.concatenate([inner.nodes, last], axis=1)
 
@@ -592,10 +589,8 @@ def _add_edges(
 ) -> None:
     """Add the derivatives by the motion of edges of triangles (s,).
 
-    Args:
-        lines: (s, 2, 3) nodes of the lines that contain the edges, with numbers `ids`.
-        ends: (s, 2, 2) of the edges, anticlockwise.
-        t: (q,) places of the points in [0, 1].
+    Of lines (s, 2, 3) between nodes ids (s, 2), at shares t (q,) of anticlockwise edges with ends
+    (s, 2, 2).
     """
     at, (u, normal, tilts) = inner.at, inner.frame
     (s, q, k), radius = at.N.shape, over.planes[2][inner.part]
@@ -635,13 +630,7 @@ def place_points(
 ) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
     """Project, clip, split and place quadrature points; folded facets cover nothing.
 
-    Args:
-        pairs: (p, 2) of facets that face each other, ordered by slave facet.
-        deepest: (p,) largest distance of the master behind the slave facet, in the middle of a
-            part.
-
-    Returns:
-        Index into the pairs (q,), xi_s (q, 2), xi_m (q, 2) and weight (q,) of the points.
+    See `line.place_points`, but for xi (q, 2).
     """
     least = _least_degree(slave.element, master.element)
     simple_s, simple_m = first_order(slave), first_order(master)
@@ -679,7 +668,7 @@ class _Overlaps(NamedTuple):
 
 
 def _find_overlaps(slave: Facets, master: Facets, pairs: Ints, deepest: Floats) -> _Overlaps:
-    """Return the triangles in which facets overlap, see `place_points`."""
+    """Return the triangles in which facets overlap."""
     parts_s, parts_m = parts_of(slave), parts_of(master)
     pairs, of = pairs_of_parts(pairs, slave.element, master.element)
     planes = create_planes(parts_s.x)
