@@ -5,17 +5,17 @@ See theory.md, Curved sides. With unit normals n_a at the nodes x_a, the height 
 
     h = 1/2 sum_{a<b} N_a N_b c_ab,     c_ab = (n_b - n_a).(x_b - x_a)
 
-over all pairs of nodes, at X. On a sphere of radius R, c_ab = |x_b - x_a|^2 / R, and by Lagrange's
+over all pairs of nodes, at X; on a sphere of radius R, c_ab = |x_b - x_a|^2 / R, and by Lagrange's
 identity h is exact to leading order. Bodies of equal stiffness in contact have the curvature K =
-(K_s - K_m) / 2, each for its own outward normal, with e_ab.K e_ab = c_ab; so c_ab is the mean of
-both sides (of one side alone, Hertzian forces are 1 to 10 % too large). Facets of second order
-become curved with u: each side has its own c_ab, times the stretch along the normal.
+(K_s - K_m) / 2, each for its own outward normal, with e_ab.K e_ab = c_ab: c_ab is the mean of both
+sides (of one alone, Hertzian forces are 1 to 10 % too large). Facets of second order become curved
+with u: each side has its own c_ab, times the stretch along the normal.
 
 Normals are those of Max (J. Graphics Tools 4, 1999), n_a ~ sum (e_1 x e_2) / (|e_1|^2 |e_2|^2) with
-the edges of each facet at the node; in the plane the chords' normals over their lengths. They are
-exact on spheres and circles if facets surround the node. For other surfaces, edges in space are
-first projected on the tangent plane, by half of |e|^2 times the deviatoric curvature; in the plane,
-facets at a jump of curvature have that of their other end.
+the edges of each facet at the node; in 2D the chords' normals over their lengths. They are exact on
+spheres and circles if facets surround the node. Otherwise edges in space are first projected on the
+tangent plane, by half of |e|^2 times the deviatoric curvature; in 2D facets at a jump of curvature
+have that of their other end.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def one_ring_sums(
 def end_angles(facets: Facets, n: Floats) -> tuple[Floats, Floats]:
     """Return sines (m, 2) of the angles between lines and tangents at their ends, and lengths (m,).
 
-    By normals n (m, 2, 2); on a circle of radius R a sine is half of the length over R.
+    By normals n (m, 2, 2). On a circle of radius R a sine is half of the length over R.
     """
     chord = edges(facets)[:, 0]
     length = np.linalg.norm(chord, axis=1)
@@ -101,7 +101,7 @@ def end_angles(facets: Facets, n: Floats) -> tuple[Floats, Floats]:
 
 
 def _projected(e: Floats, n: Floats, K: Floats) -> Floats:
-    """Return edges e + 1/2 |e|^2 (t.K t) n (m, k, d) on the tangent plane, t = e / |e|."""
+    """Return edges e + 1/2 |e|^2 (t.K t) n (m, k, d) on the tangent plane, t tangential."""
     t = unit(e - np.einsum("mki,mki->mk", e, n)[..., None] * n)
     below = 0.5 * (e**2).sum(axis=2) * np.einsum("mki,mkij,mkj->mk", t, K, t)
     return np.asarray(e + below[..., None] * n)
@@ -116,11 +116,7 @@ def normal_changes(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
     """Return changes of normals m_ab (m, e, d), n_b - n_a unless the normal of an end is one-sided.
 
     If only b is regular, m_ab = 2 n_b, exact on spheres and cylinders; if none is, n_b - n_a, or
-    zero where an end is sharp.
-
-    Args:
-        normals: of all nodes.
-        nodes: (m, k) the facets' nodes.
+    zero where an end is sharp. Nodes (m, k) are the facets'.
     """
     a, b = node_pairs(first_order(facets.element))
     at_a, at_b = (normals.n[nodes[:, end]] for end in (a, b))
@@ -140,10 +136,9 @@ def edge_sagittas(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
 def own_curvatures(facets: Facets) -> Floats:
     """Return the curvatures K (m, d, d), symmetric, fitted to the nodes of second-order facets.
 
-    The height of a surface of constant curvature over the tangent plane in the middle is w = const
-    + g.y - y.K y / 2 - |K y|^2 y.K y / 8, with y along the edges of the reference facet. The larger
-    curvature k is added as k n n^T: K is I / R on spheres and (I - a a^T) / R on cylinders with the
-    axis a.
+    Over the tangent plane in the middle a surface of constant curvature has the height w = const +
+    g.y - y.K y / 2 - |K y|^2 y.K y / 8. The larger curvature k is added as k n n^T: K is I / R on
+    spheres and (I - a a^T) / R on cylinders with the axis a.
 
     >>> from dolfinx_mortar.geometry.elements import LINE3
     >>> facet = Facets(LINE3, np.array([[[0.6, 0.8], [-0.6, 0.8], [0.0, 1.0]]]))
