@@ -64,7 +64,7 @@ class FacetElement:
 
     @cached_property
     def slopes(self) -> Floats:
-        """The table and those of the first and second derivatives (n, 9)."""
+        """Coefficients (n, 9) of N and its first and second derivatives."""
         e = self.points.shape[1]
 
         def by(table: Floats, a: int) -> Floats:
@@ -87,12 +87,11 @@ def _interval(xi: Floats) -> Floats:
 
 
 def _interval_derivatives(xi: Floats) -> Floats:
-    """Return the derivatives of `_interval` (q, 2, 1)."""
     return np.broadcast_to(np.array([[-0.5], [0.5]]), (len(xi), 2, 1))
 
 
 def _quadratic_interval(xi: Floats) -> Floats:
-    """Return the quadratic functions of the interval (q, 3) at xi (q, 1): the ends, the middle.
+    """Return the quadratic functions of the interval (q, 3): ends, middle.
 
     >>> _quadratic_interval(np.array([[0.5]]))
     array([[-0.125,  0.375,  0.75 ]])
@@ -104,24 +103,22 @@ def _quadratic_interval(xi: Floats) -> Floats:
 
 
 def _quadratic_interval_derivatives(xi: Floats) -> Floats:
-    """Return the derivatives of `_quadratic_interval` (q, 3, 1)."""
     return np.stack([xi - 0.5, xi + 0.5, -2 * xi], axis=1)
 
 
 def _triangle(xi: Floats) -> Floats:
-    """Return the linear functions of the triangle (q, 3) at xi (q, 2)."""
+    """Return the linear functions of the triangle (q, 3)."""
     (r, s), N = xi.T, np.empty((3, len(xi)))  # values of a function contiguous
     N[0], N[1], N[2] = 1 - r - s, r, s
     return N.T
 
 
 def _triangle_derivatives(xi: Floats) -> Floats:
-    """Return the derivatives of `_triangle` (q, 3, 2)."""
     return np.broadcast_to(np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]]), (len(xi), 3, 2))
 
 
 def _quadratic_triangle(xi: Floats) -> Floats:
-    """Return the quadratic functions of the triangle (q, 6): vertices, middles of 01, 12, 20."""
+    """Return the quadratic functions of the triangle (q, 6): vertices, edges 01, 12, 20."""
     L, N = _triangle(xi).T, np.empty((6, len(xi)))
     for i in range(3):
         np.multiply(L[i], 2 * L[i] - 1, out=N[i])
@@ -130,7 +127,6 @@ def _quadratic_triangle(xi: Floats) -> Floats:
 
 
 def _quadratic_triangle_derivatives(xi: Floats) -> Floats:
-    """Return the derivatives of `_quadratic_triangle` (q, 6, 2)."""
     L, dL = _triangle(xi)[:, :, None], _triangle_derivatives(xi)
     beside, d_beside = np.roll(L, -1, axis=1), np.roll(dL, -1, axis=1)
     return np.concatenate([(4 * L - 1) * dL, 4 * (L * d_beside + beside * dL)], axis=1)
@@ -141,7 +137,7 @@ _R, _S = [0, 1, 1, 0, 2, 1, 2, 0, 2], [0, 0, 1, 1, 0, 2, 1, 2, 2]
 
 
 def _products(functions: Functions, xi: Floats) -> Floats:
-    """Return the functions of the square (q, k) at xi (q, 2), products of those of the interval.
+    """Return products (q, k) of functions of the interval on the square.
 
     >>> _products(_interval, np.array([[0.0, 0.5]]))
     array([[0.125, 0.125, 0.375, 0.375]])
@@ -167,14 +163,14 @@ def _product_derivatives(functions: Functions, derivatives: Functions, xi: Float
 
 
 def _gauss(n: int, tdim: int) -> tuple[Floats, Floats]:
-    """Return n Gauss points per direction and weights, on the interval or the square."""
+    """Return n Gauss points per direction and weights, sum 1."""
     points, weights = np.polynomial.legendre.leggauss(n)
     xi = np.stack(np.meshgrid(*tdim * [points]), axis=-1).reshape(-1, tdim)
     return xi, np.asarray(reduce(np.multiply.outer, tdim * [weights / 2])).ravel()
 
 
 def triangle_rule(degree: int) -> tuple[Floats, Floats]:
-    """Return points (q, 2) and weights (q,), sum 1, of a rule of a degree on the triangle."""
+    """Return points (q, 2) and weights (q,), sum 1, of a rule on the triangle."""
     found = basix.make_quadrature(basix.CellType.triangle, degree)
     points, weights = (np.array(part, dtype=np.float64, order="C") for part in found)
     return points, weights / weights.sum()
