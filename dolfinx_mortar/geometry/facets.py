@@ -95,10 +95,7 @@ def surface_gradients(facets: Facets, which: Ints, xi: Floats) -> tuple[Floats, 
 
 
 def dual_basis(a: Floats) -> tuple[Floats, Floats]:
-    """Return the tangential vectors (.., d-1, d) dual to tangents a (.., d-1, d), and normals.
-
-    Normals (.., d) are as long as the length or the area of a.
-    """
+    """Return the dual tangents (.., d-1, d) of a, and normals (.., d) as long as its size."""
     normal, dual = _normals(a), a
     if a.shape[-1] > 2:
         turned = np.stack([a[..., 1, :], -a[..., 0, :]], axis=-2)
@@ -108,7 +105,7 @@ def dual_basis(a: Floats) -> tuple[Floats, Floats]:
 
 
 def _normals(a: Floats) -> Floats:
-    """Return normals (.., d) to tangents a (.., d-1, d), as long as their length or area."""
+    """Return normals (.., d) to tangents, as long as their length or area."""
     if a.shape[-1] == 2:
         return np.stack([a[..., 0, 1], -a[..., 0, 0]], axis=-1)
     return np.asarray(np.cross(a[..., 0, :], a[..., 1, :]), dtype=np.float64)
@@ -124,7 +121,7 @@ def bounding_balls(x: Floats) -> tuple[Floats, Floats]:
 
 
 def facet_sizes(x: Floats) -> Floats:
-    """Return the diameter (m,) of facets with the node coordinates x (m, k, d)."""
+    """Return the diameter (m,) of facets with nodes x (m, k, d)."""
     return 2 * bounding_balls(x)[1]
 
 
@@ -144,7 +141,7 @@ def are_inside(x: Floats, n: Floats, p: Floats) -> Bools:
 
 
 def scaled_normals(facets: Facets, xi: Floats) -> Floats:
-    """Return normals (m, q, d) at xi (q, d-1), as long as the Jacobian: their means are areas."""
+    """Return normals (m, q, d) at xi (q, d-1), as long as the Jacobian; means are areas."""
     dN = facets.element.derivatives(xi)
     return facets.element.size * _normals(np.einsum("qka,mki->mqai", dN, facets.x))
 
