@@ -22,8 +22,7 @@ from dolfinx_mortar.geometry.segments import Cones, are_facing, find_meeting
 def distances(a: Floats, b: Floats) -> Floats:
     """Return the distances (p,) of lines or triangles a and b (p, d, d), 0 where they meet.
 
-    Least distances between edges, and between vertices and faces (Ericson, Real-Time Collision
-    Detection, 2005, sections 5.1.9 and 5.1.10).
+    Ericson, Real-Time Collision Detection, 2005, sections 5.1.9 and 5.1.10.
 
     Example:
         >>> a = np.array([[[0.0, 0.0], [1.0, 0.0]]] * 2)
@@ -50,7 +49,7 @@ def distances(a: Floats, b: Floats) -> Floats:
 
 
 def _between_lines(p: Floats, q: Floats, r: Floats, s: Floats) -> Floats:
-    """Return the squared distances (m,) of the lines from p to q and from r to s, (m, d) each."""
+    """Return the squared distances (m,) of lines p to q and r to s, (m, d) each."""
     v, w, across = q - p, s - r, p - r
     a, e, b = (np.einsum("mi,mi->m", *of) for of in ((v, v), (w, w), (v, w)))
     c, f = (np.einsum("mi,mi->m", of, across) for of in (v, w))
@@ -59,7 +58,7 @@ def _between_lines(p: Floats, q: Floats, r: Floats, s: Floats) -> Floats:
         share = np.einsum("mi,mi->m", point - end, way) / np.maximum(length, TINY)
         nearest = end + np.clip(share, 0.0, 1.0)[:, None] * way
         found = np.minimum(found, ((point - nearest) ** 2).sum(axis=1))
-    angle = a * e - b * b  # 0 for parallel lines, where an end is as near as any point
+    angle = a * e - b * b  # 0 for parallel lines
     skew = angle > EPS * a * e
     angle = np.where(skew, angle, 1.0)
     t, u = (b * f - c * e) / angle, (a * f - b * c) / angle
@@ -69,7 +68,7 @@ def _between_lines(p: Floats, q: Floats, r: Floats, s: Floats) -> Floats:
 
 
 def _pierce(p: Floats, q: Floats, x: Floats, n: Floats) -> Bools:
-    """Tell (m,) whether the lines from p to q, (m, 3) each, pierce triangles x with normals n."""
+    """Tell (m,) whether lines p to q, (m, 3) each, pierce triangles x with normals n."""
     before, after = (np.einsum("mi,mi->m", end - x[:, 0], n) for end in (p, q))
     crosses = before * after < 0.0
     share = before / np.where(crosses, before - after, 1.0)
@@ -77,7 +76,7 @@ def _pierce(p: Floats, q: Floats, x: Floats, n: Floats) -> Bools:
 
 
 def facet_distances(a: Facets, b: Facets) -> Floats:
-    """Return the distances (p,) of facets a and b (p), flat, or two halves, between vertices."""
+    """Return the distances (p,) of facets a and b, flat or two flat halves between vertices."""
     found = np.full(len(a.x), np.inf)
     for x in _halves(a):
         for y in _halves(b):
@@ -86,7 +85,7 @@ def facet_distances(a: Facets, b: Facets) -> Floats:
 
 
 def _halves(facets: Facets) -> list[Floats]:
-    """Return the lines or triangles (m, d, d) that make up facets."""
+    """Return the lines or triangles (m, d, d) of facets."""
     x = facets.x[:, np.array(facets.element.vertices)]
     return [x[:, [0, 1, 2]], x[:, [0, 2, 3]]] if facets.element.bilinear else [x]
 
@@ -101,7 +100,7 @@ class Crossings:
     ends: Floats  # (p, 2 d) of the edge, equal for facets that share it
 
     def part(self, which: Bools) -> "Crossings":
-        """Return some of them."""
+        """Return some of the crossings."""
         return Crossings(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
@@ -131,7 +130,7 @@ def near_others(x: Floats, body: Longs, boxes: Floats) -> Bools:
 
 
 def find_crossings(x: Floats, pairs: Longs) -> Crossings:
-    """Return the crossings of some pairs (p, 2), each once, of lines or triangles x (m, d, d).
+    """Return the crossings of pairs (p, 2), each once, of lines or triangles x (m, d, d).
 
     Example:
         >>> line = np.array([[[1.0, 0.0], [-1.0, 0.0]], [[0.5, 3.0], [0.5, -1.0]]])
@@ -159,7 +158,7 @@ def find_crossings(x: Floats, pairs: Longs) -> Crossings:
 
 
 def ordered(p: Floats, q: Floats) -> Floats:
-    """Return the points p and q (m, d) side by side (m, 2 d), the lower one first.
+    """Return the points p and q (m, d) as (m, 2 d), the lower one first.
 
     Example:
         >>> ordered(np.array([[1.0, 0.0]]), np.array([[1.0, -2.0]])).tolist()
@@ -173,12 +172,11 @@ def ordered(p: Floats, q: Floats) -> Floats:
 def near_pairs(x: Floats, group: Longs, apart: Bools) -> Longs:
     """Return pairs (p, 2) of facets with vertices x (m, k, d) whose boxes meet, each once.
 
-    Facets are sorted into classes of size by factors of two, which limits comparisons; distances
-    are relative to the largest extents in each direction.
+    By classes of size, and distances relative to extents in each direction.
 
     Args:
         group: (m,) number of the group of each.
-        apart: (groups, groups) which of them to compare, symmetric.
+        apart: (groups, groups) which to compare, symmetric.
     """
     low, high = bounds(x)
     centre, half = (low + high) / 2, (high - low) / 2
@@ -220,11 +218,8 @@ def flat_parts(facets: Facets) -> Floats:
 def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
     """Return the points (q,) that pass from before a facet to behind it, ascending.
 
-    Points, vertices and distances are linear in time.
-
-    Args:
-        p: points (n, d) at start and end.
-        x: vertices (m, d, d) of lines or triangles then, with outward normals as in `area_vectors`.
+    All is linear in time, from points p (n, d) and outward lines or triangles x (m, d, d) at start
+    and end.
 
     Example:
         >>> line = np.array([[[1.0, 0.0], [-1.0, 0.0]]])  # y > 0 is before it
@@ -260,8 +255,8 @@ def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
 def thickness(facets: Facets, others: Facets) -> Floats:
     """Return the thickness (m,) of the body behind facets, flat between their vertices.
 
-    The distance from the middle of a facet, against its outward normal, to the nearest of the other
-    facets that faces the opposite way, or inf.
+    The distance from the middle, against the normal, to the nearest other facet that faces the
+    opposite way, or inf.
 
     Example:
         >>> from dolfinx_mortar.geometry.elements import LINE2
@@ -282,7 +277,7 @@ def thickness(facets: Facets, others: Facets) -> Floats:
     along = np.einsum("pi,pi->p", middle[a] - y[b].mean(axis=1), n_other[b])
     depth = along / np.einsum("pi,pi->p", n[a], n_other[b])
     hit = are_inside(y[b], n_other[b], middle[a] - depth[:, None] * n[a])
-    hit &= depth > HALF_OF_DIGITS * size[a]  # the other face of a crack is in front of the facet
+    hit &= depth > HALF_OF_DIGITS * size[a]  # a crack's other face is in front
     result = np.full(len(x), np.inf)
     np.minimum.at(result, a[hit], depth[hit])
     return result
