@@ -2,10 +2,9 @@
 """Segments in 2D: intervals of slave facets, straight or curved.
 
 A slave facet x_s(xi) = sum_i N_i(xi) x_i, xi in [-1, 1], is projected along the interpolated
-averaged nodal normals n(xi) = sum_i N_i n_i (not normalised): (x_s(xi) - x_m(eta)) x n(xi) = 0.
-
-Second-order facets are clipped as parabolas: with chords, ends and normals would be off by a share
-of the sagitta. Kernels take the coefficients of a + b xi + c xi^2.
+averaged nodal normals n(xi) = sum_i N_i n_i: (x_s(xi) - x_m(eta)) x n(xi) = 0. Second-order facets
+are clipped as parabolas a + b xi + c xi^2; with chords, ends would be off by a share of the
+sagitta.
 """
 
 from collections.abc import Sequence
@@ -43,8 +42,7 @@ def _moment(x, n, y0, y1, xi):  # type: ignore[no-untyped-def]
 def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
     """Return xi in [-1, 1] where the slave's normal meets y, or the nearer end.
 
-    (x(xi) - y) x n(xi) decreases while y is nearer than the centre of curvature of a concave facet;
-    nan behind it. Newton's method, safeguarded by bisection.
+    nan behind the centre of curvature of a concave facet. Newton's method with bisection.
     """
     first, last = _moment(x, n, y0, y1, -1.0)[0], _moment(x, n, y0, y1, 1.0)[0]
     if first <= 0.0 or last >= 0.0:
@@ -80,7 +78,7 @@ def _opposite(x, n, y, xi):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _distances(x, n, y, xi):  # type: ignore[no-untyped-def]
-    """Return the distance along n(xi) to y, and the depth of y behind the slave's mean plane."""
+    """Return the distance along n(xi) to y, and the depth of y behind the mean plane."""
     eta = _opposite(x, n, y, xi)
     p0, p1 = _at(x, xi, FIRST) - _at(y, eta, FIRST), _at(x, xi, SECOND) - _at(y, eta, SECOND)
     t0, t1 = x[1, 0], x[1, 1]
@@ -101,7 +99,6 @@ def _nearest(x, n, x_m, master, deepest, low, high, a, b):  # type: ignore[no-un
 
 @numba.njit(**KERNEL)
 def _insert(cuts, count, value):  # type: ignore[no-untyped-def]
-    """Insert a value into the first `count` ascending ones."""
     while count > 0 and cuts[count - 1] > value:
         cuts[count] = cuts[count - 1]
         count -= 1
@@ -110,7 +107,7 @@ def _insert(cuts, count, value):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _clip_facet(x, n, x_m, ends_m, pairs, deepest, first, last, which, ends, q):  # type: ignore[no-untyped-def]
-    """Append the disjoint segments of one slave facet, of pairs first to last; return the count."""
+    """Append the disjoint segments of one slave facet; return the count."""
     p, c, start = last - first, 0, q
     low, high, cuts = np.empty(p), np.empty(p), np.empty(2 * p)
     index, master, most = np.empty(p, np.int32), np.empty(p, np.int32), np.empty(p)
@@ -166,7 +163,7 @@ def _point(x, n, y, low, high, t):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _place(x_s, n_s, x_m, pairs, which, ends, points, weights):  # type: ignore[no-untyped-def]
-    """Return xi_s, xi_m and weight of all quadrature points, ordered by segment."""
+    """Return xi_s, xi_m and weight of all points, ordered by segment."""
     k = len(points)
     xi_s, xi_m = np.empty(len(which) * k), np.empty(len(which) * k)
     weight = np.empty(len(which) * k)
@@ -225,12 +222,11 @@ def moments(
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
-    """Return a x b of vectors (.., 2)."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
 def _by_nodes(N: Floats, M: Floats, n: Floats, apart: Floats) -> Floats:
-    """Return the derivatives (s, q, 2 (2 k + m)) of (x - y) x n by the nodes of x, n and y."""
+    """Return the derivatives (s, q, 2 (2 k + m)) of (x - y) x n by the nodes."""
     along, across = (v[:, :, None, ::-1] * [1.0, -1.0] for v in (n, apart))
     N, M = N[..., None], M[..., None]
     parts = np.concatenate([N * along, -N * across, -M * along], axis=2)
@@ -240,7 +236,7 @@ def _by_nodes(N: Floats, M: Floats, n: Floats, apart: Floats) -> Floats:
 def _end_rates(
     slave: FacetElement, ends: Floats, x: Floats, n: Floats, y: Floats, is_end: Bools
 ) -> Floats:
-    """Return the derivatives (s, 2, 2 (2 k + m)) of the ends of segments, 0 where a side ends."""
+    """Return the derivatives (s, 2, 2 (2 k + m)) of segments' ends, 0 where a side ends."""
     N, dN, _ = functions(slave, ends[..., None])
     normal, apart = N @ n, (N @ x)[:, :, None] - y[:, None]
     off = np.where(is_end[:, None], np.abs(_cross(apart, normal[:, :, None])), np.inf)
@@ -254,7 +250,7 @@ def _end_rates(
 
 
 def _polynomials(element: FacetElement, v: Floats) -> Floats:
-    """Return the coefficients (m, 3, 2) of 1, xi and xi^2 of fields with nodal values v (m, k, 2).
+    """Return the coefficients (m, 3, 2) of 1, xi, xi^2 for nodal values v (m, k, 2).
 
     >>> from dolfinx_mortar.geometry.elements import LINE3
     >>> _polynomials(LINE3, np.array([[[0.0, 1.0], [2.0, 1.0], [1.0, 3.0]]])).tolist()
@@ -284,12 +280,11 @@ def place_points(
 ) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
     """Project, clip and place Gauss points on every segment: three, or five for degree two.
 
-    On straight parallel facets the integrals of Phi_j N_l are exact; on others neither the map
-    between them nor the length is polynomial.
+    Integrals of Phi_j N_l are exact on straight parallel facets.
 
     Args:
         n_s: (ms, k, 2) averaged normals at the nodes.
-        pairs: (p, 2) of facets that face each other, ordered by slave facet.
+        pairs: (p, 2) of facing facets, ordered by slave facet.
         deepest: (p,) largest distance of the master behind the slave facet, in the middle of a
             part.
 
