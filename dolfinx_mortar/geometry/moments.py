@@ -22,7 +22,7 @@ from dolfinx_mortar.geometry.facets import Facets, dual_basis, surface_gradients
 
 
 class Sides(NamedTuple):
-    """Slave facets (p,) and the master facets (c,) that they face, ordered by slave facet."""
+    """Slave facets (p,) and the master facets (c,) that they face, ordered."""
 
     x: Floats  # (p, k, d)
     n: Floats  # (p, k, 2) directions of projection; (p, 0, 3) in 3D
@@ -49,7 +49,7 @@ class Sums(NamedTuple):
     chords: Floats  # (c, k, 2) dH_j by log lengths of both chords; (0, ..) without arcs
 
     def add_heights(self, points: "Points", pairs: Ints) -> None:
-        """Add the derivatives of H by the data of heights, at the points of some pairs (s,)."""
+        """Add the derivatives of H by heights, at the points of pairs (s,)."""
         v = points.weight[..., None] * points.N
         for i, (E, N) in enumerate(zip((self.E_s, self.E_m), points.own, strict=True)):
             if len(E):
@@ -60,7 +60,7 @@ class Sums(NamedTuple):
 
 
 class Points(NamedTuple):
-    """Points (s, q) of pairs of facets with k and l nodes in d dimensions."""
+    """Points (s, q) of pairs of facets with k and l nodes."""
 
     N: Floats  # (s, q, k) of the slave
     dN: Floats  # (s, q, d-1, k)
@@ -79,8 +79,7 @@ class Points(NamedTuple):
     def differentiate(self, by_s: Floats, by_m: Floats, by_w: Floats) -> tuple[Floats, Floats]:
         """Return the moments (s, k, k + l + 1), and their derivatives (s, z, k, k + l + 1).
 
-        By derivatives (s, q, d-1, z) of xi of both facets, and (s, q, z) of the log weight at fixed
-        xi.
+        By derivatives (s, q, d-1, z) of both xi, and (s, q, z) of the log weight at fixed xi.
         """
         e, v = by_s.shape[2], self.weight[..., None] * self.N
         rates = self.by_xi[:, :, None]
@@ -93,10 +92,7 @@ class Points(NamedTuple):
 
 
 def products(v: Floats, f: Floats, by_v: Floats, by_f: Floats) -> tuple[Floats, Floats]:
-    """Return sums over points of v_j f_a (s, k, n), and their derivatives (s, z, k, n).
-
-    Derivatives by_v (s, q, z, k) and by_f (s, q, z, n).
-    """
+    """Return sums over points of v_j f_a (s, k, n), and their derivatives (s, z, k, n)."""
     (s, q, z, k), n, v = by_v.shape, f.shape[2], np.swapaxes(v, 1, 2)
     changes = (np.swapaxes(by_v.reshape(s, q, z * k), 1, 2) @ f).reshape(s, z, k, n)
     changes += np.swapaxes((v @ by_f.reshape(s, q, z * n)).reshape(s, k, z, n), 1, 2)
@@ -104,7 +100,7 @@ def products(v: Floats, f: Floats, by_v: Floats, by_f: Floats) -> tuple[Floats, 
 
 
 def functions(element: FacetElement, xi: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return N (s, q, k) at xi (s, q, d-1), dN (s, q, d-1, k) and ddN (s, q, d-1, d-1, k)."""
+    """Return N (s, q, k) at xi (s, q, d-1), dN (s, q, d-1, k), ddN (s, q, d-1, d-1, k)."""
     (s, q, e), k = xi.shape, element.nodes
     one, both = np.ones(s * q), xi.reshape(-1, e).T
     powers = [np.stack([one, v, v * v]) for v in (*both, 0.0 * one)[:2]]  # in the plane eta is 0
@@ -120,9 +116,9 @@ def sums(N: Floats, x: Floats) -> Floats:
 
 
 def turns(element: FacetElement, x: Floats) -> tuple[Floats, Floats]:
-    """Return mean normals n (m, d) of facets x (m, k, d), and gradients g (m, k, d) of vertices.
+    """Return normals n (m, d) of facets x (m, k, d), and g (m, k, d): dn = -sum_a g_a (n.dx_a).
 
-    dn = -sum_a g_a (n.dx_a), g in the middle of the facet.
+    In the middle, by the vertices.
     """
     part = element.part or element
     xi = part.points[list(part.vertices)].mean(axis=0)
@@ -162,10 +158,10 @@ def create_points(
         slave: N, dN, ddN of `functions`.
         master: N and dN.
         nodes: (s, k, d) and (s, l, d).
-        weight: (s, q) on the reference facet of the slave.
+        weight: (s, q) on the slave's reference facet.
         given: nodal weights (s, k) of the integrals; reach (s, 2) of `Segments`, or (s, 0).
         tilts: `turns` of the slave facets.
-        heights: Q (s, k, k) and (s, l, l) of both facets and arcs (s, 2, 2), or empty.
+        heights: Q (s, k, k), (s, l, l) and arcs (s, 2, 2), or empty.
         spread: (s, l, m) the master's nodes among m, for results by these.
     """
     (N, dN, ddN), (M, dM), (x, y), (factor, reach) = slave, master, nodes, given
@@ -174,7 +170,7 @@ def create_points(
     dual, normal = dual_basis(T)
     scale = sums(N, factor)
     by_s = (dual[:, :, None] * sums(ddN, x)).sum(axis=(3, 4))
-    by_s += sums(dN, factor)[..., 0] / np.where(scale > 0.0, scale, np.inf)  # 0 on an axis
+    by_s += sums(dN, factor)[..., 0] / np.where(scale > 0.0, scale, np.inf)  # on an axis
     weight = weight * scale[..., 0] * np.linalg.norm(normal, axis=2)
     h, by_N, by_chords = np.zeros(weight.shape), [np.zeros_like(N), np.zeros_like(M)], []
     for i, one in enumerate(own if heights[0].size else ()):
@@ -205,12 +201,8 @@ def whole(
 ) -> tuple[Floats, Floats]:
     """Return the moments (p, k, k + 1) of whole facets below a tool, where H is minus int N_j phi.
 
-    And derivatives (p, d k, k, k + 1).
-
-    Args:
-        weights: (p, q) on the reference facet, at xi (q, d-1).
-        phi: (p, q) distances.
-        by_x: (p, q, k, d) derivatives of phi by the nodes.
+    And derivatives (p, d k, k, k + 1). For weights (p, q) on the reference facet, phi (p, q) at xi
+    (q, d-1), and its derivatives by the nodes (p, q, k, d).
     """
     N, dN, _ = (v[0] for v in functions(facets.element, xi[None]))
     dual, normal = dual_basis(dN @ facets.x[:, None])
