@@ -29,7 +29,7 @@ def parts_of(facets: Facets) -> Facets:
 
 
 def first_order(facets: Facets) -> Facets | None:
-    """Return equal facets of first order, None unless all are straight and flat up to round-off."""
+    """Return equal facets of first order, None unless all are straight and flat."""
     element, x = facets.element, facets.x
     if element.part is None:
         return facets
@@ -45,7 +45,7 @@ def first_order(facets: Facets) -> Facets | None:
 
 
 def pairs_of_parts(pairs: Ints, slave: FacetElement, master: FacetElement) -> tuple[Ints, Ints]:
-    """Return the pairs of parts (p', 2), ordered by the slave's, and the pair (p',) of each.
+    """Return the pairs of parts (p', 2), ordered by slave, and the pair (p',) of each.
 
     >>> from dolfinx_mortar.geometry.elements import TRI3
     >>> pairs, of = pairs_of_parts(np.array([[0, 3], [0, 5]], dtype=np.int32), TRI3, TRI3)
@@ -61,7 +61,7 @@ def pairs_of_parts(pairs: Ints, slave: FacetElement, master: FacetElement) -> tu
 
 @numba.njit(**KERNEL)
 def all_pairs(pairs, a, b):  # type: ignore[no-untyped-def]
-    """See `pairs_of_parts`; slave facets have a parts, master facets b."""
+    """See `pairs_of_parts`, for a and b parts."""
     size = len(pairs) * a * b
     every, of = np.empty((size, 2), np.int32), np.empty(size, np.int32)
     first, k = 0, 0
@@ -96,12 +96,12 @@ def coefficients(facets: Facets) -> Floats:
     return np.ascontiguousarray(np.swapaxes(facets.element.table.T @ facets.x, 1, 2))
 
 
-# Facets by number: a view of each would cost as much as a point.
+# by number: a view of each facet costs as much as a point
 
 
 @numba.njit(**KERNEL)
 def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
-    """Return component i of a point of facet m, and of its tangents, at (r, s)."""
+    """Return component i of a point of facet m and of its tangents."""
     c1, c2, c4, c5, c7, c8 = c[m, i, 1], c[m, i, 2], c[m, i, 4], c[m, i, 5], c[m, i, 7], c[m, i, 8]
     mid, high = c[m, i, 3] + s * (c4 + s * c5), c[m, i, 6] + s * (c7 + s * c8)
     along = (c1 + 2 * s * c2) + r * ((c4 + 2 * s * c5) + r * (c7 + 2 * s * c8))
@@ -110,7 +110,7 @@ def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _point(c, m, r, s):  # type: ignore[no-untyped-def]
-    """Return a point of facet m, three numbers, and the area per reference area."""
+    """Return a point of facet m, and the area per reference area."""
     x0, a0, b0 = _component(c, m, FIRST, r, s)
     x1, a1, b1 = _component(c, m, SECOND, r, s)
     x2, a2, b2 = _component(c, m, THIRD, r, s)
@@ -120,13 +120,13 @@ def _point(c, m, r, s):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _on_facet(c, r, s):  # type: ignore[no-untyped-def]
-    """Return the coordinates on the facet of a point of part c (3, 9), an affine map."""
+    """Return the coordinates on the facet of a point of part c (3, 9)."""
     return c[0, 0] + s * c[0, 1] + r * c[0, 3], c[1, 0] + s * c[1, 1] + r * c[1, 3]
 
 
 @numba.njit(**KERNEL)
 def along(c, m, axes, P):  # type: ignore[no-untyped-def]
-    """Write the coefficients of facet m along the tangents of a plane into P (1, 2, 9)."""
+    """Write the coefficients of facet m in a plane into P (1, 2, 9)."""
     for a in range(2):
         for k in range(9):
             P[0, a, k] = 0.0
@@ -136,10 +136,7 @@ def along(c, m, axes, P):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
-    """Return (r, s) where a facet projected on a plane, P (1, 2, 9), has the point (x, y), or NaN.
-
-    By Newton's method from (r, s) on a part of the facet.
-    """
+    """Return (r, s) where a projected facet P (1, 2, 9) has the point (x, y), or NaN, by Newton."""
     for _ in range(LIMIT):
         y0, a0, b0 = _component(P, FIRST, FIRST, r, s)
         y1, a1, b1 = _component(P, FIRST, SECOND, r, s)
@@ -187,15 +184,11 @@ def on_facets(
 ) -> tuple[Floats, Floats, Floats]:
     """Return xi_s, xi_m (q, 2) and weights (q,) of points on the facets' true surfaces.
 
-    xi_m is NaN where the line through a point does not meet the master.
+    xi_m is NaN where the line through a point misses the master.
 
     Args:
-        axes: (ms * s, 3, 3) of the planes of the slave's parts; the last is the direction of
-            projection.
-        part: (q, 2) parts of slave and master.
-        xi_s: (q, 2) on the slave's part.
-        xi_m: (q, 2) on the master's.
-        weight: (q,) on the reference facet of the slave's part.
+        axes: (ms * s, 3, 3) of the slave parts' planes; the last is the direction of projection.
+        part: (q, 2) parts of slave and master, to which xi_s, xi_m and weight belong.
     """
     part_s = slave.element.part or slave.element
     scale = slave.element.size / (count(slave.element) * part_s.size)
