@@ -21,7 +21,7 @@ each cut; polygons are halved before it is full."""
 
 @numba.njit(**KERNEL)
 def cut(P, n, ax, ay, bx, by, Q):  # type: ignore[no-untyped-def]
-    """Write the part of P on the left of the line from a to b into Q; return its size."""
+    """Write the part of P left of the line from a to b into Q; return its size."""
     dx, dy = bx - ax, by - ay
     scale = 1.0 / np.sqrt(dx**2 + dy**2)
     dx, dy = scale * dx, scale * dy
@@ -45,7 +45,7 @@ def cut(P, n, ax, ay, bx, by, Q):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def halve(P, n, Q):  # type: ignore[no-untyped-def]
-    """Keep one half of P on this side of a diagonal, write the other into Q; return the sizes."""
+    """Keep one half of P, write the other into Q; return the sizes."""
     half = n // 2
     for k in range(half, n):
         Q[k - half, 0], Q[k - half, 1] = P[k, 0], P[k, 1]
@@ -55,7 +55,7 @@ def halve(P, n, Q):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def measure(P, n):  # type: ignore[no-untyped-def]
-    """Return area and centroid (the mean of the vertices if the area is 0) of P."""
+    """Return area and centroid of P, or the mean of its vertices if the area is 0."""
     area, x, y, mx, my = 0.0, 0.0, 0.0, P[0, 0], P[0, 1]
     for i in range(1, n):
         mx, my = mx + P[i, 0], my + P[i, 1]
@@ -88,7 +88,7 @@ def is_thin(P, n):  # type: ignore[no-untyped-def]
 def orientation(P, n):  # type: ignore[no-untyped-def]
     """Return 1 or -1 for an anticlockwise or clockwise convex polygon, 0 for any other.
 
-    Corners with less than HALF_OF_DIGITS of the sum of areas are straight: no inverse map there.
+    Corners with less than HALF_OF_DIGITS of the sum of areas are straight.
     """
     least, most, whole = np.inf, -np.inf, 0.0
     for i in range(n):
@@ -104,7 +104,7 @@ def orientation(P, n):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def intersect(P, n, Q, m, sign, out, spare):  # type: ignore[no-untyped-def]
-    """Write P cut by the convex Q of the given orientation into out; return its size."""
+    """Write P cut by the convex Q into out; return its size."""
     for i in range(n):
         out[i, 0], out[i, 1] = P[i, 0], P[i, 1]
     for i in range(m):
@@ -120,7 +120,7 @@ def intersect(P, n, Q, m, sign, out, spare):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def is_beside(P, n, Q, m, sign, distance):  # type: ignore[no-untyped-def]
-    """Tell whether some edge of P, of the given orientation, has all of Q beyond a distance."""
+    """Tell whether an edge of P has all of Q beyond a distance."""
     for i in range(n):
         j = i + 1 if i + 1 < n else 0
         dx, dy = sign * (P[j, 0] - P[i, 0]), sign * (P[j, 1] - P[i, 1])
@@ -138,7 +138,7 @@ def is_beside(P, n, Q, m, sign, distance):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def subtract(P, n, Q, m, sign, pieces, sizes, count, spare):  # type: ignore[no-untyped-def]
-    """Append the convex pieces of P without Q, of the given orientation; return the new count."""
+    """Append the convex pieces of P without Q; return the new count."""
     rest = np.empty((VERTICES, 2))
     for i in range(n):
         rest[i, 0], rest[i, 1] = P[i, 0], P[i, 1]
@@ -172,7 +172,7 @@ def create_planes(x: Floats) -> tuple[Floats, Floats, Floats]:
 
 @numba.njit(**KERNEL)
 def project(x, centre, axes, P):  # type: ignore[no-untyped-def]
-    """Write the facet x (k, 3) in the coordinates of a plane into P: tangents, then height."""
+    """Write the facet x (k, 3) in a plane's tangents and height into P."""
     for j in range(x.shape[0]):
         for i in range(3):
             P[j, i] = 0.0
@@ -191,8 +191,8 @@ def bilinear_map(P, i):  # type: ignore[no-untyped-def]
 def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
     """Return xi, eta and the Jacobian's size where the projected facet P meets (x, y).
 
-    With p = m - (x, y) of the bilinear map, p + xi a + eta (b + xi c) = 0 times b + xi c is C + B
-    xi + A xi^2 = 0, whose derivative is the Jacobian: at the root inside it has the sign of a x b.
+    With p = m - (x, y), p + xi a + eta (b + xi c) = 0 times b + xi c is C + B xi + A xi^2 = 0,
+    whose derivative is the Jacobian: at the root inside it has the sign of a x b.
     """
     if not bilinear:
         a0, a1, b0, b1 = P[1, 0] - P[0, 0], P[1, 1] - P[0, 1], P[2, 0] - P[0, 0], P[2, 1] - P[0, 1]
@@ -222,7 +222,7 @@ def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def height_at(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
-    """Return the height of the point (xi, eta) of a facet over the plane."""
+    """Return the height of the facet's point (xi, eta)."""
     if not bilinear:
         return (1 - xi - eta) * P[0, 2] + xi * P[1, 2] + eta * P[2, 2]
     m, a, b, c = bilinear_map(P, THIRD)
@@ -233,7 +233,7 @@ def height_at(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
 def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
     """Return the two slopes s of a facet against the plane at (xi, eta), minus those of its normal.
 
-    Its area is sqrt(1 + s_0^2 + s_1^2) of that in the plane.
+    Its area is sqrt(1 + s_0^2 + s_1^2) of the projection.
     """
     if not bilinear:
         return 0.0, 0.0
@@ -268,10 +268,7 @@ def _are_near(x_s, x_m, pairs, centre, axes, radius, margin):  # type: ignore[no
 
 
 def are_near(slave: Facets, master: Facets, pairs: Ints, margin: Floats) -> Bools:
-    """Tell (p,) which pairs are closer than a margin (ms,) when projected on the slave's plane.
-
-    Pairs are ordered by slave facet.
-    """
+    """Tell (p,) which ordered pairs, projected on the slave's plane, are within a margin (ms,)."""
     a, b = parts_of(slave), parts_of(master)
     of_parts, of = pairs_of_parts(pairs, slave.element, master.element)
     margins = np.repeat(margin, count(slave.element))
