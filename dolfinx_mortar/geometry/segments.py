@@ -63,13 +63,13 @@ def create_cones(x_s: Floats, n_s: Floats, margin: Floats) -> Cones:
     # a half space or more: beyond all coordinates
     cosine = np.clip((n_s * axis[:, None]).sum(axis=2).min(axis=1, initial=1.0), EPS, 1)
     slope = np.sqrt(1 - cosine**2) / cosine
-    # normals start anywhere in the ball, hence radius * slope; the last factor is for round-off
+    # normals start anywhere in the ball; last factor: round-off
     return Cones(centre, axis, (radius * (1 + slope) + margin) * (1 + HALF_OF_DIGITS), slope)
 
 
 @numba.njit(**KERNEL)
 def _meets(c, axis, radius, slope, p, rho):  # type: ignore[no-untyped-def]
-    """Tell whether the cone at c can meet the ball at p."""
+    """Tell whether a cone can meet the ball at p."""
     axial = 0.0
     square = 0.0
     for i in range(c.size):
@@ -83,8 +83,8 @@ def _meets(c, axis, radius, slope, p, rho):  # type: ignore[no-untyped-def]
 def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-untyped-def]
     """Return all pairs (cone, ball of the first level) that can meet.
 
-    Level l has the balls start[l] to start[l + 1]; ball i encloses the balls i b to (i + 1) b - 1
-    of the level below, b = 2^d.
+    Level l has balls start[l] to start[l + 1]; ball i encloses i b to (i + 1) b - 1 of the level
+    below, b = 2^d.
     """
     branches = 2 ** centre.shape[1]
     pairs = np.empty((8 * (len(radius) + start[1]) + 64, 2), dtype=np.int32)
@@ -121,8 +121,8 @@ def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-
 def sort_in_space(x: Floats) -> Longs:
     """Return an order of points x (n, d) with compact aligned blocks of 2^j points, j >= d.
 
-    By halving blocks across their longest side; with scipy's cKDTree or Morton's curve the search
-    takes two to four times as long.
+    By halving; orders of scipy's cKDTree or Morton's curve make the search two to four times as
+    long.
     """
     order = np.arange(len(x))
     half = smallest = 2 ** x.shape[1]
@@ -143,7 +143,7 @@ def sort_in_space(x: Floats) -> Longs:
 
 @numba.njit(**KERNEL)
 def _enclose(ball, rho, start):  # type: ignore[no-untyped-def]
-    """Fill the balls of all levels but the first, see `_meeting`."""
+    """Fill the balls of higher levels."""
     branches, d = 2 ** ball.shape[1], ball.shape[1]
     for level in range(1, len(start) - 1):
         for k in range(start[level], start[level + 1]):
@@ -184,15 +184,14 @@ def find_meeting(cones: Cones, centre: Floats, radius: Floats, order: Longs | No
 class Segments:
     """Quadrature points of all segments, ordered by slave facet.
 
-    The weights contain the Jacobian of the slave facet: their sum over a slave facet is the length
-    (area) of its covered part.
+    Weights contain the Jacobian: they add up to the length (area) of a facet's covered part.
     """
 
     pair: Ints  # (q,) index into the candidate pairs
     slave: Ints  # (q,) slave facet, ascending
     master: Ints
     xi_s: Floats  # (q, d-1) reference coordinates
-    xi_m: Floats  # (q, d-1) those of the projected point
+    xi_m: Floats  # (q, d-1) of the projected point
     weight: Floats  # (q,) positive
     facet_weights: Floats  # (ms, k) integral of N_j over each whole slave facet
     element: FacetElement  # of the slave facets
@@ -219,10 +218,7 @@ def projection_directions(slave: Facets, n_s: Floats) -> Floats:
 
 
 def bounding_directions(slave: Facets, n_s: Floats) -> Floats:
-    """Return unit vectors (m, k or 1, d) whose cone contains all directions of projection.
-
-    For unit averaged normals n_s (m, k, d).
-    """
+    """Return unit vectors (m, k or 1, d) whose cone contains all projections along n_s."""
     if slave.x.shape[2] > 2:
         n = facet_normals(parts_of(slave))
         return n.reshape(len(slave.x), count(slave.element), 3)
@@ -235,9 +231,9 @@ def bounding_directions(slave: Facets, n_s: Floats) -> Floats:
 
 
 def sliding_margins(x_s: Floats) -> Floats:
-    """Return the sliding (m,) within which candidates of slave facets x_s (m, k, d) suffice.
+    """Return the sliding (m,) for which candidates of slave facets x_s (m, k, d) suffice.
 
-    One facet in 2D, about half an edge in 3D, where candidates grow with the area.
+    One facet in 2D, half an edge in 3D.
     """
     return _SLIDING[x_s.shape[2]] * facet_sizes(x_s)
 
@@ -252,8 +248,8 @@ def find_candidates(
 ) -> Ints:
     """Find the pairs (p, 2) of facets that can share a segment, ordered, at any distance.
 
-    Without margins (ms,) still a superset of the pairs with segments. For `order` see
-    `find_meeting`; n_s (ms, k, d) are unit averaged normals.
+    Without margins (ms,) still a superset of the pairs with segments. Unit averaged normals n_s
+    (ms, k, d).
     """
     cones = create_cones(slave.x, bounding_directions(slave, n_s), margin)
     pairs = find_meeting(cones, *bounding_balls(master.x), order)
@@ -268,14 +264,13 @@ def create_segments(
 ) -> Segments:
     """Project, clip, split and place quadrature points.
 
-    The nearest of several master facets covers the slave; facets too deep behind it, on the far
-    side of a body, neither cover nor hide.
+    The nearest of several master facets covers the slave; those too deep, behind the body, neither
+    cover nor hide.
 
     Args:
         n_s: (ms, k, d) averaged normals at the nodes.
         pairs: (p, 2) candidates, ordered by slave facet.
-        deepest: (p,) largest distance of the master behind the slave facet, against its mean
-            normal; any if None.
+        deepest: (p,) largest distance of the master behind the slave facet; any if None.
     """
     deepest = np.full(len(pairs), np.inf) if deepest is None else deepest
     n_s, n_m = projection_directions(slave, n_s), facet_normals(master)
