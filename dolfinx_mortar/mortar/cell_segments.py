@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Segments for integrals of a user: points with the functions of both sides.
 
-A point sum_k N_k(xi) of a facet is sum_k N_k(xi) X_k in the reference cell, with the places X_k of
-the facet's nodes. Master cells are sent to the ranks that have received their facets.
+A point sum_k N_k(xi) of a facet is sum_k N_k(xi) X_k in the reference cell, X_k being the facet's
+nodes. Master cells are sent to the ranks with their facets.
 """
 
 from __future__ import annotations
@@ -35,16 +35,15 @@ class Segments:
     """Quadrature points where two sides face each other, on the slave facets of this rank.
 
     An integral over the covered part of the slave side is the sum of weights times values over the
-    points of all ranks. Lengths are those of the mesh. A side has k functions in a cell; the dofs
-    of a vector space are those of the d components of each.
+    points of all ranks. A side has k functions in a cell; a vector space has d dofs for each.
     """
 
     x: Floats  # (n, d) points of the slave side at X + u
-    weight: Floats  # (n,) of the area (length in 2D) of the slave side at X + u, positive
-    normal: Floats  # (n, d) outward unit normals of the slave facets at X + u
-    gap: Floats  # (n,) from x to the master along the normal: < 0 where sides overlap
-    slave_cells: Longs  # (n,) global cells
-    master_cells: Longs  # (n,) global cells, perhaps of other ranks
+    weight: Floats  # (n,) of the slave side's area (2D: length) at X + u, positive
+    normal: Floats  # (n, d) outward, unit, of the slave facets at X + u
+    gap: Floats  # (n,) from x to the master along the normal; < 0: overlap
+    slave_cells: Longs  # (n,) global
+    master_cells: Longs  # (n,) global, perhaps of other ranks
     xi_slave: Floats  # (n, d) in the reference cells
     xi_master: Floats  # (n, d)
     slave_dofs: Longs  # (n, k) global dofs; (n, k, d) of a vector space
@@ -74,7 +73,7 @@ class _Cells:
 def _find_cells(
     V: dolfinx.fem.FunctionSpace, side: Surface, u: dolfinx.fem.Function | None, name: str
 ) -> _Cells:
-    """Return the cells behind the facets of a side at X + u; collective."""
+    """Return the cells behind facets at X + u; collective."""
     W, d, cells = side.V, side.X.shape[1], cells_of(side)
     nodes = W.dofmap.list[cells]
     of_facets = side.nodes[side.facets]
@@ -106,7 +105,7 @@ def _place(x: Floats) -> str:
 
 
 def _tabulate(V: dolfinx.fem.FunctionSpace, xi: Floats) -> Floats:
-    """Return values and derivatives (1 + d, q, k) of functions of V at xi (q, d) in a cell."""
+    """Return values and derivatives (1 + d, q, k) of V at xi (q, d) in a cell."""
     one_more = np.vstack([xi, np.zeros(xi.shape[1])])  # basix 0.9 aborts without a point
     return np.asarray(V.element.basix_element.tabulate(1, one_more)[:, :-1, :, 0])
 
@@ -142,7 +141,6 @@ def segments(
 
     Args:
         V: scalar or vector Lagrange space of degree 1 or 2 on the mesh of all bodies.
-        facet_tags: facet tags of the same mesh.
         slave: tag or name of the side that is integrated.
         master: tag or name of the other side.
         u: displacement, in any vector Lagrange space of degree 1 or 2 on this mesh: positions,
