@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: MIT
 """Normals of contact nodes, common to both sides (theory.md, Normals).
 
-With the spread S = mean (n_f - n')(n_f - n')^T, n' = mean n_f, of the normals of all exterior
-facets at a node, the normal of node j is the least-squares mean of those of both sides, a_j and
-b_j,
+With the spread S = mean (n_f - n')(n_f - n')^T, n' = mean n_f, of the normals of exterior facets at
+a node, the normal of node j is the least-squares mean of those of both sides, a_j and b_j,
 
     n_j = unit [C_m (C_s + C_m)^-1 a_j + C_s (C_s + C_m)^-1 b_j],   C_s = a_j a_j^T + S_s + eps I,
 
 C_m likewise, and b_j = -unit sum_l M_jl n_l. Spreads at X turn with the surface, without tied
-facets; at mid-side nodes S is the mean of the vertices'. eps contains a part of neighbouring
-spreads, so that the end of a flat part at an arc or corner yields to the other side's face. Across
-an edge a_j and n_l are means of the facets that face the other side; up to half of the spread at
-the feature angle the averaged normals, between the two a part of both. On a plane of symmetry sums
-include images, and exclude facets in the plane.
+facets; eps contains a part of neighbouring spreads, so that the end of a flat part yields to the
+other side's face. Across an edge a_j and n_l are means of the facets that face the other side; up
+to half of the spread at the feature angle averaged normals, in between parts of both. On planes of
+symmetry sums include images, and no facets in the plane.
 """
 
 from collections.abc import Callable, Sequence
@@ -49,7 +47,7 @@ face differ by 1e-4, of crossing edges by 0.002."""
 
 @dataclass(frozen=True, eq=False)
 class Spreads:
-    """Spreads of the normals of the exterior facets around the nodes of contacts."""
+    """Spreads of normals of exterior facets around the nodes of contacts."""
 
     V: fem.FunctionSpace
     nodes: Ints  # (s,) local nodes of contacts, ascending
@@ -58,8 +56,8 @@ class Spreads:
     mirrors: Bools  # (local nodes, d) components across planes of symmetry
     turned: Longs  # indices of the nodes with a spread
     boundary: Boundary  # facets around these
-    places: Ints  # (m, k) of their nodes among `nodes`, len(nodes) for others
-    gradients: Floats  # (m, k, d) of their shape functions in the middle at X
+    places: Ints  # (m, k) of their nodes in `nodes`, or len(nodes)
+    gradients: Floats  # (m, k, d) of N in the middle at X
     normals: Floats  # (m, d) there
 
     def at(self, u: fem.Function | None) -> Floats:
@@ -104,7 +102,7 @@ def find_spreads(
         free &= ~np.isin(boundary.entities, side.entities)
     if mirrors is None:
         mirrors = np.zeros((len(marks.array), V.dofmap.index_map_bs), dtype=bool)
-    along = facet_normals(boundary.facets)[:, None] ** 2 > 0.5  # rather in the plane than across it
+    along = facet_normals(boundary.facets)[:, None] ** 2 > 0.5  # in the plane
     free &= ~(along & mirrors[nodes]).any(axis=(1, 2))
     boundary = boundary[np.flatnonzero(free)]
     nodes = boundary.nodes
@@ -133,13 +131,13 @@ def find_spreads(
 
 
 def _with_images(S: Floats, mirrors: Bools) -> Floats:
-    """Return the means (n, d, d) of tensors and their images in planes of symmetry."""
+    """Return the means (n, d, d) of tensors and their images in planes."""
     off = ~np.eye(S.shape[1], dtype=bool) & (mirrors[:, :, None] | mirrors[:, None])
     return np.where(off, 0.0, S)
 
 
 def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Bools) -> Floats:
-    """Return S (local nodes, d, d) of facets at their nodes (m, k); collective."""
+    """Return S (local nodes, d, d) at facets' nodes (m, k); collective."""
     n = facet_normals(facets)
     d = n.shape[1]
     products = (n[:, :, None] * n[:, None]).reshape(len(n), d * d)
@@ -150,7 +148,7 @@ def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Boo
 
 
 def _rotations(F: Floats) -> Floats:
-    """Return the rotations (n, d, d) of tensors F by Newton and Schulz' iteration."""
+    """Return the rotations (n, d, d) of tensors by Newton-Schulz iterations."""
     R = F * np.sqrt(F.shape[1]) / np.linalg.norm(F, axis=(1, 2), keepdims=True)
     for _ in range(LIMIT):
         off = np.swapaxes(R, 1, 2) @ R - np.eye(R.shape[1])
@@ -162,11 +160,11 @@ def _rotations(F: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class CommonNormals:
-    """The normals at the owned slave nodes, and their derivatives by the averaged ones."""
+    """Normals at the owned slave nodes, and their derivatives by the averaged ones."""
 
     n: Floats  # (n, d)
     of_master: Floats  # (m, d) n_l at the owned nodes of the master
-    below_edges: Bools  # (n,) coupled to an edge of the master, on none of the slave
+    below_edges: Bools  # (n,) coupled to an edge of the master, on none
     differentiate: Callable[[], tuple[Floats, Floats]]  # returns by_slave, by_master
 
     @cached_property
@@ -265,20 +263,20 @@ def in_planes(n: Floats, mirrors: Bools) -> tuple[Floats, Floats]:
 
 
 def carried(n: Floats, a: Floats) -> Floats:
-    """Return the derivatives (n, d, d) of unit vectors a that turn with others n, without spin."""
+    """Return the derivatives (n, d, d) of unit vectors a that turn with n, without spin."""
     along = (n * a).sum(axis=1)[:, None, None]
     return np.asarray(along * np.eye(n.shape[1]) - n[:, :, None] * a[:, None])
 
 
 def _across(n: Floats) -> Floats:
-    """Return I - n n^T (n, d, d) of unit vectors, or of zero."""
+    """Return I - n n^T (n, d, d)."""
     return np.asarray(np.eye(n.shape[1]) - n[:, :, None] * n[:, None])
 
 
 def _facing(
     pairing: Pairing, segments: Segments, u: fem.Function | None, edged: Bools, edged_m: Bools
 ) -> tuple[Floats, Floats]:
-    """Return sums (owned nodes, d) of w N_j n_s and w N_l n_m, whole at edged nodes; collective."""
+    """Return sums (owned nodes, d) of w N_j n_s and w N_l n_m at edged nodes; collective."""
     V, slave, master = pairing.slave.V, pairing.slave, pairing.master
     flags = np.zeros_like(master.X)
     flags[:, 0] = edged_m
@@ -304,12 +302,12 @@ def _facing(
 
 
 def _edged(S: Floats, limit: float) -> Bools:
-    """Return the nodes (n,) on an edge: spreads (n, d, d) of more than half of the limit."""
+    """Return the nodes (n,) on an edge: tr S of more than half of the limit."""
     return np.asarray(np.trace(S, axis1=1, axis2=2) > limit / 2)
 
 
 def _of_side(averaged: Floats, facing: Floats, S: Floats, limit: float) -> Floats:
-    """Return the normals (n, d) of one side: averaged ones, or across edges the facing ones."""
+    """Return the normals (n, d) of a side: averaged, or across edges facing."""
     edged = np.flatnonzero(_edged(S, limit) & facing.any(axis=1))
     if not len(edged):
         return averaged.copy()
