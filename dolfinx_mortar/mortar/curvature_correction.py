@@ -4,7 +4,6 @@
 Arguments: `fixed` are components (local nodes, d) with Dirichlet data, `feature_angle` the least
 angle of an edge in degrees, `u` the displacement (None: X), `sides` smooth surfaces at X, `which`
 (q,) the facets and `xi` (q, d-1) the reference coordinates of points, `segments` those at X + u.
-Functions with a Pairing or Surface are collective.
 """
 
 from collections.abc import Callable, Sequence
@@ -67,10 +66,9 @@ def smooth_normals(
 ) -> NodeNormals:
     """Return the normals of the smooth surface at the nodes with coordinates x (n, d); collective.
 
-    n = 0 where the normal of a facet has no positive component along the sum, as at a cusp. On a
-    plane of symmetry (`mirrors` of `find_mirrors`), mirror images complete the facets. In space,
-    edges are projected by the deviatoric curvature of these normals, and the sums repeated. `fixed`
-    is (n, d).
+    n = 0 where a facet's normal has no positive component along it, as at a cusp. On planes of
+    symmetry (`mirrors`), mirror images complete the facets. In space, edges are projected by the
+    deviatoric curvature of these normals, and the sums repeated. `fixed` is (n, d).
     """
     facets = facets_at(surface, x)
     if mirrors is None:
@@ -106,7 +104,7 @@ def _find_jumps(surface: Surface, facets: Facets, normals: NodeNormals) -> Bools
 
 
 def _at_ends(surface: Surface, values: Floats) -> Floats:
-    """Return the sums (n, c) of values (m, 2, c) at the ends of lines; collective."""
+    """Return nodal sums (n, c) of values (m, 2, c) of lines; collective."""
     m, k = surface.facets.shape
     return sum_at_nodes(surface, np.concatenate([values, np.zeros((m, k - 2, values.shape[2]))], 1))
 
@@ -131,12 +129,12 @@ def _classify(
     mirrors: Bools,
     feature_angle: float,
 ) -> NodeNormals:
-    """Return the normals of sums over one-rings, and which are open or sharp; collective."""
+    """Return the normals of one-ring sums, and which are open or sharp; collective."""
     (n, gap, limit), d = ring_sums(surface, parts), mirrors.shape[1]
     is_open = np.linalg.norm(gap, axis=1) > limit
     limits = np.cos(np.radians(feature_angle / 2)), HALF_OF_DIGITS  # of cosines
     completed = straightened = is_open & mirrors.any(axis=1)
-    if d > 2:  # one mirror closes a one-ring that begins and ends on it; in the plane any does
+    if d > 2:  # one mirror closes a one-ring between its ends; in 2D any
         off_plane = np.linalg.norm(np.where(mirrors, gap, 0.0), axis=1) > limit
         completed = straightened & ((mirrors.sum(axis=1) > 1) | ~off_plane)
     straight = unit(np.where(mirrors, 0.0, n))
@@ -157,7 +155,7 @@ class SmoothSide:
     normals: NodeNormals | None  # of all nodes; None over curved facets
     nodes: Ints  # (m, k) the facets' nodes
     sagitta: Floats  # (m, e) c_ab of `edge_sagittas`, or `curved_sagittas`
-    edges: Ints  # (2,) numbers of owned nodes on an edge, and without a normal
+    edges: Ints  # (2,) owned nodes on an edge, without a normal
 
 
 @timed("~Mortar: smooth surfaces")
@@ -211,7 +209,7 @@ def _over(facets: Facets, shape: NodeShape, nodes: Ints, count: Ints) -> SmoothS
 
 
 def _nodal_curvatures(surface: Surface) -> Floats:
-    """Return the mean curvatures (n, d, d) of curved facets at nodes, at X; collective."""
+    """Return mean curvatures (n, d, d) of curved facets at nodes; collective."""
     facets, d = facets_at(surface, surface.X), surface.X.shape[1]
     K = own_curvatures(facets).reshape(-1, d * d)
     columns = np.concatenate([K, np.ones((len(K), 1))], axis=1)[:, None]
@@ -222,7 +220,7 @@ def _nodal_curvatures(surface: Surface) -> Floats:
 def side_heights(
     surface: Surface, side: SmoothSide, u: dolfinx.fem.Function | None, which: Ints, xi: Floats
 ) -> Floats:
-    """Return the heights (q,) of a side of second order over its facets at X + u; collective."""
+    """Return the heights (q,) of a second-order side over its facets at X + u; collective."""
     facets, c, arcs = _at(surface, side, u)
     h = heights(facets, c, which, xi)
     return h if arcs is None else heights_of_arcs(arcs[which], h)
@@ -231,7 +229,7 @@ def side_heights(
 def _at(
     surface: Surface, side: SmoothSide, u: dolfinx.fem.Function | None
 ) -> tuple[Facets, Floats, Floats | None]:
-    """Return facets of a second-order side at X + u, c_ab and arcs, if any; collective."""
+    """Return second-order facets at X + u, c_ab and arcs, if any; collective."""
     facets, c = facets_at(surface, coordinates(surface, u)), side.sagitta
     if u is None:
         return facets, c, None
@@ -257,7 +255,7 @@ def side_slopes(
 
 
 def _count_edges(normals: NodeShape, owned: int) -> Ints:
-    """Return the numbers of owned nodes on an edge, and without a normal."""
+    """Return the numbers of owned nodes on an edge, without a normal."""
     if not isinstance(normals, NodeNormals):
         return np.zeros(2, dtype=np.int32)
     none = np.abs(normals.n[:owned]).max(axis=1, initial=0.0) == 0.0
@@ -288,7 +286,7 @@ class Curved:
 
     @cached_property
     def _first(self) -> tuple[Ints, Ints]:
-        """Positions of the different facets, and the index of each among these (m,)."""
+        """Positions of the distinct facets, and the index of each (m,)."""
         _, again = distinct(self.which)
         first = np.empty(again.max(initial=-1) + 1, dtype=np.int32)
         first[again] = np.arange(len(again))
@@ -340,7 +338,7 @@ def point_heights(
 
     First-order sides share one surface, see `common_sagittas`. On second-order ones heights are h
     (1 + e_n), e_n the strain along the normal, since mid-side nodes move with the bodies; with h
-    alone the error of pressures is of first order, E h e_n over the length of a facet.
+    alone the error of pressures is of first order, E h e_n over a facet's length.
     """
     pairs, of = distinct(segments.pair)
     c_s, c_m, arcs = pair_sagittas(pairing, u, sides, pairs)
@@ -359,7 +357,7 @@ def pair_sagittas(
 ) -> tuple[Floats, Floats, Floats]:
     """Return the own c_ab (p, e) of both facets of pairs (p,), and arcs (p, 2, 2); collective.
 
-    For second order with the strain, see `point_heights`; arcs are curved over lines straight at X.
+    For second order with the strain, and curved arcs over lines straight at X.
     """
     a, b = find_curved(pairing, u, sides, pairs)
     c, arcs = [a.sagitta, b.sagitta], np.tile([0.0, 1.0], (len(pairs), 2, 1))
@@ -379,9 +377,8 @@ def missed_heights(
 ) -> Floats:
     """Return the fourth-order error (q,) of heights of degree 1 over round surfaces; collective.
 
-    A point x of a facet with nodes on a sphere of radius R has |x|^2 = R^2 - 2 R h, h of leading
-    order: its distance from the sphere is R - |x| = h + h^2 / (2 R). And `common_sagittas` shortens
-    edges by a projection.
+    With |x|^2 = R^2 - 2 R h over facets of a sphere, R - |x| = h + h^2 / (2 R). And
+    `common_sagittas` shortens edges by a projection.
     """
     pairs, of = distinct(segments.pair)
     a, b = find_curved(pairing, u, sides, pairs)
@@ -460,8 +457,8 @@ def find_parting(
 ) -> float:
     """Return the mean of |k_s + k_m| over that of max(|k_s|, |k_m|), k = tr K; collective.
 
-    Over the covered area: 1 for a ball on a plane, c / R for a pin in a hole of radius R with the
-    clearance c, infinite for planes.
+    1 for a ball on a plane, c / R for a pin in a hole of radius R with the clearance c, infinite
+    for planes.
     """
     pairs, of = distinct(segments.pair)
     size = np.bincount(of, segments.weight, minlength=len(pairs))
@@ -474,7 +471,7 @@ def find_parting(
 
 
 def _received(pairing: Pairing, own: NodeNormals) -> NodeNormals:
-    """Return the normals at the master nodes that this rank has received; collective."""
+    """Return the normals at received master nodes; collective."""
     flags = np.zeros_like(own.n)
     flags[:, 0] = own.open + 2 * own.sharp + (0 if own.jumps is None else 4 * own.jumps)
     n, flags = receive(pairing, own.n), receive(pairing, flags)
