@@ -1,25 +1,25 @@
 # SPDX-License-Identifier: MIT
 """Dual functions of the Lagrange multiplier, and the slave nodes that carry one.
 
-Phi_j of the paper's eq. 20, biorthogonal over the covered part G of each facet: Phi = A N with A =
-D m^-1, D = diag(int_G N_j) and m = int_G N N^T. m is almost singular when little is covered, so it
-is not formed: with the weights w and sqrt(w) N = Q R, sqrt(w) Phi = Q R^-T D and m^-1 = R^-1 R^-T.
-If a diagonal entry of R is round-off of its column, all functions of the facet are equal.
+Phi_j of the paper's eq. 20, biorthogonal over the covered part G of each facet: Phi = A N, A = D
+m^-1, D = diag(int_G N_j), m = int_G N N^T. m, almost singular at little coverage, is not formed:
+with the weights w and sqrt(w) N = Q R, sqrt(w) Phi = Q R^-T D and m^-1 = R^-1 R^-T; if a diagonal
+entry of R is round-off, all functions of the facet are equal.
 
-Nodes with little coverage or a negative integral have no multiplier. The functions of the kept
-nodes are biorthogonal among themselves; 1 - sum_j Phi_j, orthogonal to all N_j kept, is added to
-them in equal parts. So constants remain in the space of multipliers, D stays diagonal, and
-functions are bounded however little is covered.
+Nodes with little coverage or a negative integral have no multiplier (theory.md, Partly covered
+facets). The functions of the others are biorthogonal among themselves; 1 - sum_j Phi_j, orthogonal
+to their N_j, is added to them in equal parts. So constants remain in the space of multipliers, D
+stays diagonal, and functions are bounded.
 
-Vertex functions of six-node triangles integrate to zero. A share of the mid-side functions is added
-to them (Popp, Wohlmuth, Gee and Wall, SIAM J. Sci. Comput. 34, 2012),
+Vertex functions of six-node triangles integrate to zero. With shares of the mid-side functions
+(Popp, Wohlmuth, Gee and Wall, SIAM J. Sci. Comput. 34, 2012),
 
     N~_v = N_v + alpha sum_m N_m,      N~_m = (1 - 2 alpha) N_m,      alpha = 1 / 12,
 
-and Phi is biorthogonal to N~. With N, D has D_vv and D_mm on the diagonal and D_mv = -alpha D_mm at
-both ends of an edge. Functions of mid-side nodes without multiplier are not added, so that no
-vertex depends on another one. With 1/12 the centroid of N~_v is the vertex, and tied tetrahedra
-have the orders 3.0 and 1.98 in L2 and H1; with the 1/5 of that paper 2.54 and 1.54.
+Phi is biorthogonal to N~; D has D_vv and D_mm on the diagonal and D_mv = -alpha D_mm at both ends
+of an edge. Mid-side nodes without multiplier share nothing, so that no vertex depends on another
+one. Tied tetrahedra have the orders 3.0 and 1.98 in L2 and H1; with 1/5 as in that paper 2.54 and
+1.54.
 """
 
 from collections.abc import Sequence
@@ -73,7 +73,7 @@ int (x - x_v) sum_m N_m = A/5 (d_1 + d_2) of the two mid-side functions.
 def absorbed(
     shares: Sequence[tuple[int, int, int]], values: Floats, kept: Bools | None = None
 ) -> Floats:
-    """Return N~ (q, k) for values N (q, k) of the slave shape functions, or of their integrals.
+    """Return N~ (q, k) for values N (q, k), or integrals, of the slave shape functions.
 
     Args:
         shares: of the FacetElement.
@@ -150,7 +150,7 @@ def _biorthogonalise(Q, roots, Phi, inverse):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SUMS)
 def _facet_dual(N, weight, kept, count, first, last, Phi, inverse):  # type: ignore[no-untyped-def]
-    """Fill the functions (k, q) of one facet with `count` kept nodes, and m^-1."""
+    """Fill the functions (k, q) of one facet, `count` kept, and m^-1."""
     Q, found = np.empty((count, last - first)), np.zeros((count, last - first))
     roots, which = np.sqrt(weight[first:last]), np.flatnonzero(kept)
     among = np.zeros((count, count))
@@ -173,9 +173,9 @@ def _facet_dual(N, weight, kept, count, first, last, Phi, inverse):  # type: ign
 
 @numba.njit(**SUMS)
 def _all_duals(N, weight, slave, keep):  # type: ignore[no-untyped-def]
-    """Return Phi (k, q) and m^-1 (m, k, k) of the kept nodes, points ordered by facet."""
+    """Return Phi (k, q) and m^-1 (m, k, k) of kept nodes; points ordered by facet."""
     Phi, inverse = np.zeros(N.shape), np.zeros((len(keep), len(N), len(N)))
-    a = np.int64(0)  # a literal 0 has a type of its own, also below: compiled twice
+    a = np.int64(0)  # literals have a type of their own, also below: compiled twice
     while a < len(slave):
         b = a
         while b < len(slave) and slave[b] == slave[a]:
@@ -207,7 +207,7 @@ class Duals:
     inverse: Floats  # (m, k, k) m^-1, 0 for other nodes, and where it is inaccurate
 
     def of(self, facets: Longs) -> "Duals":
-        """Return those of some facets, at all points."""
+        """Return the functions of some facets, at all points."""
         return Duals(self.Phi, self.kept[facets], self.inverse[facets])
 
 
@@ -218,10 +218,10 @@ def create_duals(N: Floats, weight: Floats, slave: Ints, kept: Bools) -> Duals:
     those of the kept nodes of a facet add up to one.
 
     Args:
-        N: (q, k) values N~, see `absorbed`.
+        N: (q, k) values N~.
         weight: (q,) positive.
         slave: (q,) facet of each point, ascending.
-        kept: (m, k) nodes of facets with a multiplier.
+        kept: (m, k) nodes with a multiplier.
     """
     columns, weight = np.ascontiguousarray(N.T), np.ascontiguousarray(weight)
     at = np.ascontiguousarray(slave), np.ascontiguousarray(kept)
@@ -299,19 +299,15 @@ def default_keep(
 ) -> Bools:
     """Return the slave nodes (n,) that may carry a multiplier, the same on any ranks (collective).
 
-    More than `LEAST_COVERAGE` of their weight is covered. Of a covered facet without such a node
-    the best covered one is kept, so that no covered part is without multiplier.
-
-    Args:
-        covered: (n,) of `node_weights`.
-        tributary: (n,) whole weights of `node_weights`.
-        allowed: (n,) nodes that may be kept; all if None.
+    More than `LEAST_COVERAGE` of their weight is covered, see `node_weights`. Of a covered facet
+    without such a node the best covered `allowed` one is kept: no covered part is without
+    multiplier.
     """
     allowed = np.ones(len(covered), dtype=bool) if allowed is None else allowed
     none, _ = _find_weightless(pairing, segments)
     coverage = np.where(allowed & ~none, covered, 0.0) / np.where(none, 1.0, tributary)
     keep = coverage > LEAST_COVERAGE
-    if pairing.slave.element.shares:  # a vertex needs mid-side nodes that share their functions
+    if pairing.slave.element.shares:  # vertices need mid-side nodes that share
         left = node_weights(pairing, segments, keep)[0] / np.where(none, 1.0, tributary)
         coverage = np.where(left > HALF_OF_DIGITS * coverage, coverage, 0.0)
         keep &= left > LEAST_COVERAGE
@@ -332,13 +328,9 @@ def choose_duals(
 ) -> tuple[Bools, Floats]:
     """Return the slave nodes (n,) that carry a multiplier, and w Phi_j (q, k) (collective).
 
-    Nodes of `default_keep` with int Phi_j > 0, the force of a unit pressure. It may be negative
-    where D_jj is positive, as at second-order vertices whose facets are covered in far corners; the
-    choice is repeated without such nodes.
-
-    Args:
-        weights: of `node_weights`.
-        allowed: (n,) nodes that may be kept.
+    Nodes of `default_keep` with int Phi_j > 0, the force of a unit pressure; at second-order
+    vertices whose facets are covered in far corners it is negative. The choice is repeated without
+    such nodes. For weights of `node_weights`, and `allowed` nodes (n,).
     """
     while True:  # each time with fewer nodes
         keep = default_keep(pairing, segments, *weights, allowed)
@@ -351,7 +343,7 @@ def choose_duals(
 
 
 def _best_nodes(coverage: Floats, X: Floats) -> Ints:
-    """Return the best covered node (m,) of each facet; of equal ones the last by x, y, z."""
+    """Return the best covered node (m,) of each facet, or the last by x, y, z."""
     best = coverage >= (1 - HALF_OF_DIGITS) * coverage.max(axis=1, initial=0.0)[:, None]
     size = facet_sizes(X)
     for x in np.moveaxis(X, 2, 0):
