@@ -40,7 +40,7 @@ from dolfinx_mortar.mortar.surface import (
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """Exterior facets of this rank, and the connected parts of the mesh that they belong to."""
+    """Exterior facets of this rank, with connected parts of the mesh."""
 
     facets: Facets  # (m,)
     part: Longs  # (m,)
@@ -49,7 +49,7 @@ class Skin:
 
 @dataclass(frozen=True, eq=False)
 class Facing:
-    """Pairs of facets of different parts that face each other, first the facet of this rank."""
+    """Pairs of facets of different parts that face each other, first that of this rank."""
 
     facet: Longs  # (p,) index into the skin
     part: Longs  # (p, 2) connected parts of both
@@ -91,7 +91,7 @@ def find_facing(
     least = _least_gaps(facets, others, segments, n[:, 0], len(pairs))
     a, b = pairs.T
     size = np.stack([facet_sizes(facets.x)[a], facet_sizes(others.x)[b]], axis=1)
-    # facets side by side overlap in their projections by round-off
+    # side by side they overlap by round-off
     over = area > HALF_OF_DIGITS * size[:, 0] ** (facets.x.shape[2] - 1)
     found = np.flatnonzero(over & (part[b] != skin.part[own][a]))
     distance = _distances(facets[a[found]], others[b[found]], least[found])
@@ -121,7 +121,10 @@ def _least_gaps(
 
 
 def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
-    """Return distances (p,) of pairs; inf where a facet sees a flank past the edge of a body."""
+    """Return distances (p,) of pairs; inf where a facet sees a flank past the edge of a body.
+
+    Facets that cross at less than 45 degrees touch, as on curved sides that fit.
+    """
     size, vertices = facet_sizes(facets.x), others.x[:, np.array(others.element.vertices)]
     n, other = facet_normals(facets), facet_normals(others)
     middle = facets.x[:, np.array(facets.element.vertices)].mean(axis=1)
@@ -140,7 +143,7 @@ def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
 def _receive(
     comm: MPI.Intracomm, asking: Facets, skin: Skin, depth: Floats
 ) -> tuple[Facets, Longs, Longs, Floats]:
-    """Return the facets of all ranks that those of this rank can face; collective."""
+    """Return the facets of all ranks that facets of this rank can face; collective."""
     if comm.size == 1:
         return skin.facets, skin.part, skin.label, depth
     n = facet_normals(asking)[:, None]
@@ -167,7 +170,7 @@ def check_angle(feature_angle: Any) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Faces:
-    """The smooth faces into which edges divide the skins of bodies."""
+    """Smooth faces between the edges of bodies."""
 
     of_facets: Longs  # (m,) face of each facet of this rank; numbers of all ranks
     beside: frozenset[tuple[int, int]]  # pairs of faces with a common edge, both ways
@@ -178,8 +181,8 @@ def find_faces(
 ) -> Faces:
     """Divide exterior facets of this rank, with local nodes (m, k), into faces; collective.
 
-    Two facets of one body with a common edge (in the plane: vertex) are of one face where their
-    normals differ by less than the feature angle, in degrees.
+    Facets of one body with a common edge (in 2D: vertex) are of one face where their normals differ
+    by less than the feature angle, in degrees.
     """
     comm = V.mesh.comm
     edges = _edges(V, facets, nodes)
@@ -207,7 +210,7 @@ def find_faces(
 
 
 def _edges(V: fem.FunctionSpace, facets: Facets, nodes: Ints) -> Longs:
-    """Return the global numbers (m, e, 2 or 1) of the ends of the edges of facets, ascending."""
+    """Return the global ends (m, e, 2 or 1) of facets' edges, ascending."""
     local = nodes[:, np.array(facets.element.vertices)]
     numbers = V.dofmap.index_map.local_to_global(local.ravel().astype(np.int32))
     corners: Longs = np.asarray(numbers, dtype=np.int64).reshape(local.shape)
@@ -233,7 +236,7 @@ def _meeting(keys: Longs, normals: Floats, limit: float) -> tuple[Longs, Longs, 
 
 
 def _components(n: int, a: Longs, b: Longs) -> tuple[int, Longs]:
-    """Return the number of connected parts of a graph with n vertices, and that of each."""
+    """Return the number of connected parts of a graph, and that of each vertex (n,)."""
     parts, found = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), False)
     return int(parts), np.asarray(found, dtype=np.int64)
 
@@ -242,7 +245,7 @@ def facing_edges(pairing: Pairing, segments: Segments, feature_angle: float) -> 
     """Return the slave facets (m,) that convex edges or corners of the master face; collective.
 
     At X, over more than a twentieth of the facing area, the master's normal differs from the mean
-    by more than half of the feature angle (degrees), and normals diverge.
+    by more than half of the feature angle, and normals diverge.
     """
     on, count, w = segments.slave, len(pairing.slave.facets), segments.weight
     received = received_facets(pairing, None)
