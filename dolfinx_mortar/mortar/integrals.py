@@ -43,8 +43,7 @@ in part, and changes a gap by up to a sixth of it."""
 
 _OF_POINTS = "pair", "slave", "master", "xi_s", "xi_m", "weight"  # of each point
 
-# Loops compile three times as fast as array expressions; contiguous values and sums in any order
-# are added several at once.
+# loops compile three times as fast as array expressions; sums in any order are vectorised
 SUMS = {**KERNEL, "fastmath": {"reassoc", "contract", "nsz"}}
 
 
@@ -66,7 +65,7 @@ def add(factor, a, b):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SUMS)
 def _add_products(blocks, Phi, N, where):  # type: ignore[no-untyped-def]
-    """Add Phi (k, q) times N (l, q) of all points to blocks (size, k, l)."""
+    """Add Phi (k, q) times N (l, q) to blocks (size, k, l)."""
     first = 0
     while first < len(where):
         last = first  # points of a block mostly are neighbours
@@ -81,7 +80,7 @@ def _add_products(blocks, Phi, N, where):  # type: ignore[no-untyped-def]
 def sums_of_products(Phi: Floats, N: Floats, where: Ints, size: int) -> Floats:
     """Return the sums (size, k, l) of Phi (q, k) times N (q, l) over the points of each place (q,).
 
-    Phi contains the weights of the points.
+    Phi contains weights.
     """
     blocks = np.zeros((size, Phi.shape[1], N.shape[1]))
     _add_products(blocks, np.ascontiguousarray(Phi.T), np.ascontiguousarray(N.T), where)
@@ -91,7 +90,7 @@ def sums_of_products(Phi: Floats, N: Floats, where: Ints, size: int) -> Floats:
 def sums_of_values(Phi: Floats, values: Floats, where: Ints, size: int) -> Floats:
     """Return the sums (size, k) of Phi (q, k) times values (q,) over the points of each place (q,).
 
-    In the order of the points, in a tenth of the time of `np.bincount`. Phi contains weights.
+    Phi contains weights; `np.bincount` takes ten times as long.
     """
     sums = np.zeros((size, Phi.shape[1]))
     _add_values(sums, np.ascontiguousarray(Phi.T), np.ascontiguousarray(values), where)
@@ -181,7 +180,7 @@ def _reaches(slave: Surface, least: Floats, sums: Floats, size: Floats) -> Float
 
 @numba.njit(cache=True)
 def _measure(gap, least, sums, N_s, N_m, x_s, x_m, n_s, n_m, slave, master, weight):  # type: ignore[no-untyped-def]
-    """Fill gaps (q,) along normals, the least of facets (m,), and sums (m, 2) of w |tan a|, w."""
+    """Fill gaps (q,) along normals, least ones (m,), sums (m, 2) of w |tan a|, w."""
     for q in range(len(slave)):
         s, m = slave[q], master[q]
         gap[q], cosine = 0.0, 0.0
@@ -221,9 +220,8 @@ def drop_far(
     """Return the segments without the pairs that are too far apart, as a whole (collective).
 
     Args:
-        u: displacement, None for X.
-        reach: function of sizes of facets (q,), see `point_distances`, and the least distance of
-            all; returns the largest distances (q,).
+        reach: sizes of facets (q,), see `point_distances`, and the least distance -> largest
+            distances (q,).
     """
     distances, larger = point_distances(pairing, segments, u)
     comm = pairing.slave.V.mesh.comm
@@ -234,13 +232,13 @@ def drop_far(
 
 
 def some_points(segments: Segments, which: Bools) -> Segments:
-    """Return the segments with some of their points (q,) only."""
+    """Return the segments with some of their points (q,)."""
     points = {name: getattr(segments, name)[which] for name in _OF_POINTS}
     return replace(segments, **points)
 
 
 def _weigh(pairing: Pairing, segments: Segments, facets: Facets) -> Segments:
-    """Return segments on the slave facets (m,) at X + u with the weight of the pairing."""
+    """Return segments with the weight of the pairing."""
     if pairing.weight is None:
         return segments
     at_X, xi = facets_at(pairing.slave, pairing.slave.X), facets.element.rule[0]
