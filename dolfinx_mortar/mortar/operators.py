@@ -36,7 +36,7 @@ SmoothSides = tuple[SmoothSide, SmoothSide]
 class MortarOperators:
     """D, M and P in one configuration, for c choices of the nodes with a multiplier.
 
-    A choice for each direction of the multipliers, as Dirichlet data allow. Nodes are the n owned
+    One choice per direction of the multipliers, as Dirichlet data allow. Nodes are the n owned
     slave nodes; entries follow the patterns of the pairing.
     """
 
@@ -46,7 +46,7 @@ class MortarOperators:
     D: Floats  # (e, c) entries of D; 0 in rows of other nodes
     M: Floats  # (f, c) entries of M
     weight: Floats  # (n, c) D_jj, 0 where not kept
-    P: Floats  # (g, c) D_jj^-1 (M - D_other) on the pattern of P, D_other off-diagonal
+    P: Floats  # (g, c) D_jj^-1 (M - D_other), D_other off-diagonal
     heights: Floats  # (n,) of smooth surfaces, to be subtracted from gaps
     coverage: Coverage
     motions: Floats | None = None  # (f, d, d) D_jj^-1 int Phi_j A_l, see `point_motions`
@@ -65,7 +65,6 @@ def create_operators(
     """Integrate D and M over segments at X + u (collective).
 
     Args:
-        u: displacement, None for X.
         normals: outward unit normals (n, d) of the local slave nodes.
         allowed: (n, c) local slave nodes that may carry a multiplier.
         heights_of: smooth surfaces at X for heights.
@@ -126,7 +125,7 @@ def integrate_matrices(
 
     Args:
         keep: (n,) slave nodes with a multiplier, equal on all ranks.
-        Phi: their weighted functions of `weighted_duals`, if known.
+        Phi: of `weighted_duals`, if known.
 
     Returns:
         Entries (e,) of D and (f,) of M. Rows of removed nodes vanish; their columns in D do not.
@@ -144,7 +143,7 @@ def integrate_matrices(
 
 
 def in_D(element: FacetElement) -> Bools:
-    """Return (k, k) where D has entries between kept nodes of a facet."""
+    """Return (k, k) entries of D between kept nodes of a facet."""
     found = np.eye(element.nodes, dtype=bool)
     for middle, *ends in element.shares:
         found[middle, ends] = True
@@ -160,9 +159,7 @@ def integrate_motions(
 ) -> Floats:
     """Return int Phi_j A_l (f, d, d) at the entries of M (collective).
 
-    Args:
-        Phi: of `weighted_duals` (q, k), for each row of A_l.
-        motions: see `point_motions`.
+    Phi (q, k) of `weighted_duals` for each row of A_l; for motions see `point_motions`.
     """
     d, k, m = len(Phi), pairing.slave.element.nodes, pairing.master.element.nodes
     blocks = np.zeros((d, len(pairing.pairs), k, m * d))
@@ -180,9 +177,9 @@ def integrate_motions(
 def mean_values(
     pairing: Integrated, segments: Segments, Phi: Floats, weight: Floats, at_points: Floats
 ) -> Floats:
-    """Return int Phi_j f / D_jj (n,) at the owned slave nodes, 0 without multiplier (collective).
+    """Return int Phi_j f / D_jj (n,) at the owned slave nodes, or 0 (collective).
 
-    Phi of `weighted_duals`, weight D_jj (n,), f (q,) at the points.
+    Phi of `weighted_duals`, weight D_jj (n,), f (q,).
     """
     total = integrate_values(pairing, segments, Phi, at_points)[: pairing.slave.owned]
     return np.asarray(total * inverse(weight))
