@@ -47,8 +47,8 @@ Weight = Callable[[Floats], Floats]
 THROUGH = 0.5
 """A facet further behind the slave than this part of the thinner body is on its far side.
 
-Overlaps where contact begins are far smaller, and the far side is one thickness away. From 0.25 to
-0.9 stacks, edges and corners have the same iterations and forces.
+Overlaps where contact begins are far smaller. From 0.25 to 0.9 stacks, edges and corners have the
+same iterations and forces.
 """
 
 
@@ -56,8 +56,8 @@ Overlaps where contact begins are far smaller, and the far side is one thickness
 class Pairing:
     """Candidate pairs of facets at one configuration, with a margin.
 
-    The matrices have a row for each owned slave node j; the columns of P = D^-1 (M - D_other) are
-    those of D off its diagonal, then those of M.
+    Matrices have a row for each owned slave node j; columns of P = D^-1 (M - D_other) are those of
+    D off its diagonal, then of M.
     """
 
     slave: Surface
@@ -68,7 +68,7 @@ class Pairing:
     master_X: Floats  # (nm, d) their reference coordinates
     deepest: Floats  # (p,) largest depth of a partner, or inf
     sent: Bools  # (own master facets, ranks) that have received them
-    groups: list[Ints]  # slave facets of this rank in groups of neighbours
+    groups: list[Ints]  # groups of neighbouring slave facets
     scatter: PETSc.Scatter  # from a vector of V to displacements of master_nodes
     source: PETSc.Vec  # a vector of V: source of the scatter
     received: PETSc.Vec  # (d * nm) on this rank: its target
@@ -88,7 +88,7 @@ class Pairing:
 
 
 def _slave_facets(slave: Surface, u: dolfinx.fem.Function | None) -> tuple[Facets, Floats]:
-    """Return the facets and their directions of projection (m, k or 1, d) (collective)."""
+    """Return facets and directions of projection (m, k or 1, d) (collective)."""
     x = coordinates(slave, u)
     facets = facets_at(slave, x)
     return facets, projection_directions(facets, nodal_normals(slave, x)[slave.facets])
@@ -97,7 +97,7 @@ def _slave_facets(slave: Surface, u: dolfinx.fem.Function | None) -> tuple[Facet
 def _send_facets(
     master: Surface, receivers: Bools, deepest: Floats
 ) -> tuple[Longs, Ints, Floats, Floats]:
-    """Send copies of master facets; return global nodes, facets, X, deepest (collective)."""
+    """Send master facets; return global nodes, facets, X, deepest (collective)."""
     V = master.V
     numbers = V.dofmap.index_map.local_to_global(master.nodes)[master.facets]
     X = master.X[master.facets]
@@ -110,7 +110,7 @@ def _send_facets(
 
 
 def _deepest(surface: Surface, u: dolfinx.fem.Function | None, itself: bool) -> Floats:
-    """Return how far (m,) behind facets a partner may lie, in self-contact at X + u."""
+    """Return the largest depth (m,) of partners behind facets."""
     if u is None or not itself:
         return THROUGH * surface.thickness
     stretch = thickness_stretches(surface, u)[surface.facets].min(axis=1, initial=np.inf)
@@ -120,7 +120,7 @@ def _deepest(surface: Surface, u: dolfinx.fem.Function | None, itself: bool) -> 
 def _create_scatter(
     V: dolfinx.fem.FunctionSpace, nodes: Longs
 ) -> tuple[PETSc.Scatter, PETSc.Vec, PETSc.Vec]:
-    """Create the scatter of values of V at global nodes to this rank (collective)."""
+    """Create the scatter of V at global nodes to this rank (collective)."""
     d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
     size = (d * index_map.size_local, d * index_map.size_global)
     source = PETSc.Vec().createMPI(size, comm=V.mesh.comm)
@@ -132,7 +132,7 @@ def _create_scatter(
 def _create_triplets(
     slave: Surface, pairs: Ints, nodes: Longs, facets: Ints
 ) -> tuple[Triplets, Triplets]:
-    """Fix the patterns of D and M for all candidate pairs (collective)."""
+    """Fix the patterns of D and M (collective)."""
     index_map = slave.V.dofmap.index_map
     rows = index_map.local_to_global(slave.nodes)[slave.facets]
     paired, found = np.unique(pairs[:, 0]), []
@@ -147,7 +147,7 @@ def _create_triplets(
 
 
 def pattern_of_P(slave: Surface, D: Triplets, *M: Triplets) -> dict[str, Any]:
-    """Return rows and columns of P, and the places of its entries and of D_jj among those of D."""
+    """Return rows and columns of P, and the places of P and D_jj in D."""
     index_map = slave.V.dofmap.index_map
     nodes = slave.nodes[: slave.owned]
     position = np.full(index_map.size_local, -1, dtype=np.int32)
@@ -168,7 +168,7 @@ def _check_surfaces(
     master: Surface,
     u: dolfinx.fem.Function | None,
 ) -> None:
-    """Raise a ValueError on all ranks for surfaces that are not a pair."""
+    """Raise a ValueError on all ranks unless surfaces are a pair."""
     if slave.V != V or master.V != V:
         raise ValueError("slave and master have to be surfaces of V.")
     if u is not None and (not isinstance(u, dolfinx.fem.Function) or u.function_space != V):
@@ -182,7 +182,7 @@ def _check_surfaces(
 
 
 def _check_finite(u: dolfinx.fem.Function | None, *sides: Surface) -> None:
-    """Raise a ValueError on all ranks if X + u is not finite on a side (collective)."""
+    """Raise a ValueError on all ranks unless X + u is finite (collective)."""
     finite = all(np.isfinite(coordinates(side, u)).all() for side in sides)
     if any_rank(sides[0].V.mesh.comm, not finite)[0]:
         raise ValueError(
@@ -191,7 +191,7 @@ def _check_finite(u: dolfinx.fem.Function | None, *sides: Surface) -> None:
 
 
 def _check_facing(pairs: Ints, slave: Surface, master: Surface, n_s: Floats, n_m: Floats) -> None:
-    """Raise a ValueError on all ranks if no slave facet faces any master facet (collective)."""
+    """Raise a ValueError on all ranks if no two facets face each other (collective)."""
     comm = slave.V.mesh.comm
     if comm.allreduce(len(pairs)):
         return
@@ -219,10 +219,9 @@ def create_pairing(
     """Find the candidate pairs at X + u and fix the patterns of D and M for them (collective).
 
     Pairs of moving surfaces allow a relative sliding by half an edge or more, see `outside_margin`.
-    One surface as both sides is in self-contact: its slave facets are chosen at each search.
+    With one surface as both sides, its slave facets are chosen at each search.
 
     Args:
-        u: displacement, None for X.
         again: a later search: sides that have turned away have no pairs, and raise no error.
         weight: factor of all integrals over the slave side; None for 1.
         earlier: of the same surfaces; its patterns are reused if the pairs are the same.
@@ -293,20 +292,17 @@ def _master_coordinates(
     received: PETSc.Vec,
     u: dolfinx.fem.Function | None,
 ) -> Floats:
-    """Return the coordinates X + u (nm, d) of the received master nodes (collective)."""
+    """Return X + u (nm, d) of the received master nodes (collective)."""
     if u is None:
         return X
-    # Not u.x.petsc_vec: dolfinx destroys it with u, at different times on the ranks: a deadlock.
+    # not u.x.petsc_vec: dolfinx destroys it with u, at different times on ranks: a deadlock
     source.array_w[:] = u.x.array[: source.local_size]
     scatter.scatter(source, received)
     return X + received.array_r.reshape(X.shape)
 
 
 def receive(pairing: Pairing, values: Floats) -> Floats:
-    """Return values (n, d) of the master's nodes, by their owners, at the received ones (nm, d).
-
-    Collective.
-    """
+    """Return owners' values (n, d) at the received master nodes (nm, d); collective."""
     master, d = pairing.master, values.shape[1]
     own = slice(None, master.owned)
     pairing.source.array_w.reshape(-1, d)[master.nodes[own]] = values[own]
@@ -328,10 +324,8 @@ def outside_margin(
     """Tell whether a segment at X + u can belong to a pair that is not a candidate (collective).
 
     A search without margin must not find a new pair: the answer depends on the relative motion
-    only, and False is certain. True where u is not finite: the next search raises the error.
-
-    Args:
-        among: (ms,) slave facets of this rank to be tested; all if None.
+    only, and False is certain. True where u is not finite: the next search raises the error. Tests
+    `among` the slave facets (ms,) of this rank, or all.
     """
     comm = pairing.slave.V.mesh.comm
     slave, n_s = _slave_facets(pairing.slave, u)
