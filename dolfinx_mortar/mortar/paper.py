@@ -83,15 +83,14 @@ def assemble_mortar(
 
     Args:
         V: vector or scalar Lagrange space of degree 1 or 2 on the mesh of all bodies.
-        facet_tags: facet tags of the same mesh.
         slave: tag or name of the side that carries the multipliers.
         master: tag or name of the other side.
         u: displacement, in V or in a vector Lagrange space of no higher degree on this mesh;
             segments, normals and gap are at X + u.
         weight: factor of all integrals at points X of the slave side, (q, d) -> (q,), such as 2 pi
             r; None for 1.
-        feature_angle: least angle of an edge between facets in degrees, for the normals of
-            `Contact`; None for averaged normals.
+        feature_angle: least angle of an edge in degrees, for the normals of `Contact`; None for
+            averaged normals.
 
     Raises:
         ValueError: On all ranks, for tags, spaces and displacements that do not fit.
