@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether one side has passed through the other in a step, where contact does not find it.
+"""Whether one side has passed through the other in a step, undetected by contact.
 
 Facets deeper than a part of the thinner body, or beyond an edge, are not paired (`THROUGH`). So the
 middle of the body behind each facet, if inside the body at the start, must not enter the other body
@@ -41,7 +41,7 @@ class Middles:
     depth: Floats  # (m,) distance from each facet at X
 
     def at(self, u: fem.Function) -> tuple[Floats, Floats]:
-        """Return centres (k, d) of facets and their middles (k, d), where the depth is finite."""
+        """Return facets' centres (k, d) and middles (k, d), where the depth is finite."""
         finite, own = np.isfinite(self.depth), self.surface
         facets = facets_at(own, coordinates(own, u))[np.flatnonzero(finite)]
         faces = facets.x[:, np.array(own.element.vertices)].mean(axis=1)
@@ -51,7 +51,7 @@ class Middles:
 def find_middles(surface: Surface, body_of: Ints, skin: Facets, bodies: Ints) -> Middles:
     """Return the middles of the bodies behind a surface; collective.
 
-    body_of (m,) and bodies are the numbers of the bodies of its facets and of the exterior facets,
+    body_of (m,) and bodies number the bodies of its facets and of this rank's exterior facets,
     skin.
     """
     facets = facets_at(surface, surface.X)
@@ -96,7 +96,7 @@ class SeenByTool:
 
 @dataclass(frozen=True)
 class Passing:
-    """Bodies that have passed through a surface, over all ranks."""
+    """Bodies that have passed through a surface, on all ranks."""
 
     surface: Surface | None  # None for a tool
     count: int  # facets whose middle has passed
@@ -107,8 +107,7 @@ class Passing:
 def is_far(slave: Middles, master: Middles, before: Floats, now: Floats) -> bool:
     """Tell whether relative displacements of sides reach the least depth of a middle; collective.
 
-    Otherwise neither has passed the other, since sides at most touch at the start. Displacements
-    are (owned nodes, d).
+    Otherwise neither has passed the other. Displacements are (owned nodes, d).
     """
     sides = slave.surface, master.surface
     nodes = np.concatenate([side.nodes[: side.owned] for side in sides])
@@ -134,7 +133,7 @@ def find_passed(
 def _passed(
     side: Middles, other: Surface, before: fem.Function, now: fem.Function
 ) -> Passing | None:
-    """Return how middles of a side have passed through another surface; collective."""
+    """Return how a side's middles have passed through a surface; collective."""
     own, comm = side.surface, other.V.mesh.comm
     facets = [facets_at(own, coordinates(own, u)) for u in (before, now)]
     (faces, start_at), (_, end_at) = side.at(before), side.at(now)
@@ -160,13 +159,13 @@ def _passed(
 
 
 def _outside(faces: Floats, middles: Floats, skin: Floats) -> Longs:
-    """Return the middles (q,) that have left the body behind their facet as it bends, ascending."""
+    """Return the middles (q,) that have left their body as it bends, ascending."""
     inward = skin[:, ::-1]
     return find_passing((faces, middles), (inward, inward))
 
 
 def _first(side: Middles, through: Surface | None, faces: Floats, passed: Longs) -> Passing | None:
-    """Return the Passing, from the numbers of facets of this rank; collective."""
+    """Return the Passing of facets of this rank; collective."""
     comm, depth = side.surface.V.mesh.comm, side.depth[np.isfinite(side.depth)]
     count = comm.allreduce(len(passed), op=MPI.SUM)
     if not count:
@@ -193,7 +192,7 @@ def find_passed_tool(
     way = np.linalg.norm(y[1] - y[0], axis=1).max(initial=0.0)
     inner = depth_of_point(comm, seen)
     most, least = maximum(comm, way, -depth.min(initial=np.inf))
-    within = inner >= HALF_OF_DIGITS * least  # tips are on the surface, up to round-off
+    within = inner >= HALF_OF_DIGITS * least  # tips are on the surface
     sums = np.stack([rigid_sums(*(at[: own.owned] for at in both)) for both in (x, y)])
     body, motion = (best_motion(part) for part in comm.allreduce(sums, op=MPI.SUM))
     near = not most >= min(-least, inner if within else np.inf)
@@ -258,7 +257,7 @@ def _cross(
     least: Floats,
     distance: Callable[[Floats], Floats],
 ) -> Bools:
-    """Return which straight paths (n, d) enter negative distances, by bisection down to `least`."""
+    """Return which straight paths (n, d) enter negative distances, by bisection."""
     (a, b), (near, far) = ends, phi
     inside, left = far < 0.0, np.arange(len(a))
     while left.size:
@@ -301,7 +300,7 @@ class RigidMotion:
         return RigidMotion(other.R.T @ self.R, other.back(self.c))
 
     def rotation(self) -> Floats:
-        """Return the rotation vector (3,) in radians; in the plane along the third axis."""
+        """Return the rotation vector (3,) in radians; in 2D along the third axis."""
         R, d = np.eye(3), len(self.c)
         R[:d, :d] = self.R
         return np.asarray(Rotation.from_matrix(R).as_rotvec())
@@ -352,7 +351,7 @@ def best_motion(sums: Floats) -> RigidMotion:
 
 
 def times_of(motions: list[RigidMotion]) -> Floats:
-    """Return times from 0 to 1 between which no motion turns by more than `TURN`."""
+    """Return times in [0, 1] between which no motion turns by more than `TURN`."""
     most = max((motion.angle() for motion in motions), default=0.0)
     return np.asarray(np.linspace(0.0, 1.0, max(int(np.ceil(most / TURN)), 1) + 1), dtype=float)
 
