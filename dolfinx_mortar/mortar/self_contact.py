@@ -2,7 +2,9 @@
 """Self-contact: facets of a surface that can touch, and which of two is the slave.
 
 At each search the facets near others are divided into slaves and masters. A node of both kinds
-carries no multiplier, since T expresses slave nodes by master nodes.
+carries no multiplier, since T expresses slave nodes by master nodes. Arguments: own facets (ms,),
+received `copies` (mm,), global `nodes` (ms, k) and (mm, k) of both, their coordinates `X`, `pairs`
+(p, 2) of facing ones, and `deepest`, how far behind a facet a partner may lie.
 """
 
 from dataclasses import dataclass
@@ -23,7 +25,7 @@ half the distance require a new search, before they touch."""
 
 @dataclass(frozen=True, eq=False)
 class Roles:
-    """Slaves and masters in self-contact, at a search."""
+    """Slaves and masters at a search."""
 
     slave: Bools  # (ms,) own facets
     copies: Bools  # (mm,) received ones that are slaves
@@ -39,12 +41,6 @@ def distances_in_reach(
     """Return the distances (p,) of pairs, in diameters of the larger facet; inf if not near.
 
     Facets with a common node are not near, nor are those deeper behind a facet than `deepest` (p,).
-
-    Args:
-        facets: own (ms,).
-        copies: received (mm,).
-        pairs: (p, 2) that face each other.
-        nodes: global (ms, k) and (mm, k).
     """
     found = np.full(len(pairs), np.inf)
     f, g = pairs.T
@@ -70,16 +66,10 @@ def choose_roles(
 ) -> tuple[Bools, Bools]:
     """Return which own (ms,) and which received facets (mm,) are slaves; collective.
 
-    Decided pair by pair, the nearest first: facets that face each other have opposite roles;
-    neighbours, a diameter apart, the same one; then the finer one at X, by powers of two, is the
-    slave. Undecided parts begin with a slave in the order of coordinates, so that roles do not
-    change with every near facet. All ranks decide the same.
-
-    Args:
-        pairs: (p, 2) own and received facets that are near.
-        distance: (p,) in facet diameters.
-        nodes: global (ms, k) and (mm, k).
-        X: reference coordinates of these.
+    Pair by pair, the nearest first by distances (p,) in diameters: facets that face each other have
+    opposite roles; neighbours, a diameter apart, the same; then the finer one at X, by powers of
+    two, is the slave. Undecided parts begin with a slave in the order of coordinates, so that roles
+    do not change with every near facet. All ranks decide the same.
     """
     rows = np.sort(nodes[0], axis=1), np.sort(nodes[1], axis=1)
     f, g = pairs.T
@@ -102,11 +92,11 @@ def _are_among(rows: Longs, keys: Longs) -> Bools:
 
 
 def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Bools:
-    """Return which facets (n,), with global nodes `keys` (n, k), are slaves, by pairs a, b (p,)."""
+    """Return which facets (n,), with nodes `keys` (n, k), are slaves, by pairs a, b (p,)."""
     n = len(keys)
     if n == 0:
         return np.zeros(0, dtype=bool)
-    # in an order that does not depend on the ranks
+    # independent of the ranks
     size = facet_sizes(X)
     grain = HALF_OF_DIGITS * size.max()
     place = np.column_stack([np.sort(X, axis=1).mean(axis=1), X.max(axis=1) - X.min(axis=1)])
@@ -133,7 +123,7 @@ def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Boo
 
 
 def _neighbours(keys: Longs, least: int) -> Longs:
-    """Return the pairs (2, p) of facets with at least so many common nodes."""
+    """Return the pairs (2, p) of facets with `least` common nodes."""
     n, k = keys.shape
     nodes, column = np.unique(keys, return_inverse=True)
     shape = (n, len(nodes))
@@ -152,15 +142,7 @@ def divide(
     X: tuple[Floats, Floats],
     deepest: tuple[Floats, Floats],
 ) -> tuple[Ints, Roles]:
-    """Return the candidates (p, 2) from slaves to masters, and the roles; collective.
-
-    Args:
-        facets: own (ms,) at X + u.
-        copies: received (mm,).
-        nodes: global (ms, k) and (mm, k).
-        X: reference coordinates of these.
-        deepest: (ms,) and (mm,) largest distance of a partner behind a facet.
-    """
+    """Return the candidates (p, 2) from slaves to masters, and the roles; collective."""
     limit = np.minimum(deepest[0][pairs[:, 0]], deepest[1][pairs[:, 1]])
     distance = distances_in_reach(facets, copies, pairs, nodes, limit)
     near = np.flatnonzero(distance < np.inf)
@@ -175,11 +157,6 @@ def has_changed(roles: Roles, facets: Facets, copies: Facets, pairs: Ints) -> bo
     """Tell whether facets of this rank are near others that were not divided from them.
 
     Within half of the reach; equal roles once the distance is half of that at the division.
-
-    Args:
-        facets: own (ms,) at X + u.
-        copies: received (mm,).
-        pairs: (p, 2) that face each other now.
     """
     limit = np.minimum(roles.deepest[0][pairs[:, 0]], roles.deepest[1][pairs[:, 1]])
     nodes = roles.nodes
@@ -195,14 +172,14 @@ def has_changed(roles: Roles, facets: Facets, copies: Facets, pairs: Ints) -> bo
         known = roles.seen[place] == keys
         then = roles.distance[place]
     own, other = roles.slave[pairs[:, 0]], roles.copies[pairs[:, 1]]
-    settled = ~own & other  # the rank of the slave tests that
+    settled = ~own & other  # the rank of the slave tests it
     settled |= own & ~other & known
     settled |= (own == other) & known & (distance > then / 2)
     return bool((~settled).any())
 
 
 class _Parts:
-    """Parts of facets in which one role determines all (union-find with parity)."""
+    """Facets with roles relative to a root (union-find with parity)."""
 
     def __init__(self, n: int) -> None:
         self.above = list(range(n))
