@@ -41,7 +41,7 @@ mean normal, along which the facet is projected. At 0.3 areas are divided by mor
 
 
 class Nodes(Protocol):
-    """Local nodes that every owner knows, of a surface or others."""
+    """Local nodes that every owner knows."""
 
     @property
     def V(self) -> dolfinx.fem.FunctionSpace:
@@ -56,8 +56,7 @@ class Nodes(Protocol):
 class Surface:
     """The marked facets that this rank integrates, and their nodes.
 
-    A facet belongs to the rank that owns its cell. Nodes are those of these facets, and owned ones
-    of other ranks' facets: every owner knows its nodes.
+    A facet belongs to the rank of its cell. Nodes include owned ones of other ranks' facets.
     """
 
     V: dolfinx.fem.FunctionSpace
@@ -74,14 +73,14 @@ class Surface:
 
     @property
     def curved(self) -> bool:
-        """Whether the mesh has curved cells."""
+        """Whether cells are curved."""
         return compat.cell_degree(self.V.mesh) > 1
 
     @cached_property
     def behind(self) -> tuple[Ints, Floats, Floats, Floats]:
         """Cells behind facets: nodes (m, k), X (m, k, d), slopes (d, m, k), volume over area (m,).
 
-        Slopes: derivatives of the shape functions in the middle of the facet.
+        Slopes are dN/dxi in the middle of the facet.
         """
         V, cell = self.V, self.V.mesh.basix_cell()
         cells, local = _cells_behind(V, self.entities)
@@ -101,7 +100,7 @@ def check_tags(facet_tags: Any) -> None:
 
 
 def _owned_facets_with(facet_tags: dolfinx.mesh.MeshTags, tag: int) -> Ints:
-    """Return the owned facets that any rank has marked with `tag`."""
+    """Return the owned facets that any rank has marked."""
     facet_map = facet_tags.topology.index_map(facet_tags.dim)
     mark = dolfinx.la.vector(facet_map)
     mark.array[:] = 0.0
@@ -111,7 +110,7 @@ def _owned_facets_with(facet_tags: dolfinx.mesh.MeshTags, tag: int) -> Ints:
 
 
 def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str) -> Ints:  # type: ignore[no-untyped-def]
-    """Return the marked facets that this rank owns; raise a ValueError on all ranks."""
+    """Return the owned marked facets; raise a ValueError on all ranks."""
     topology, comm = V.mesh.topology, V.mesh.comm
     fdim = topology.dim - 1
     check_tags(facet_tags)
@@ -165,7 +164,7 @@ def _cells_behind(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, I
 
 
 def _facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
-    """Return the local nodes (m, k) around facets, and their cells (m,)."""
+    """Return the local nodes (m, k) around facets, and cells (m,)."""
     tdim, (cells, local) = V.mesh.topology.dim, _cells_behind(V, entities)
     count = len(basix.topology(V.mesh.basix_cell())[tdim - 1])
     order, layout = _element(V).order, V.dofmap.dof_layout
@@ -182,7 +181,7 @@ def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.Function
 
 
 def create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, PETSc.Vec]:
-    """Return nodes, with owned ones of other ranks' facets, the number owned, and the vector."""
+    """Return nodes, including owned ones of other ranks' facets; the number owned; the vector."""
     index_map = V.dofmap.index_map
     number = dolfinx.la.vector(index_map)
     number.array[:] = 0.0
@@ -199,7 +198,7 @@ def create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, P
 
 
 def _check_shapes(facets: Facets, comm: MPI.Comm, name: str) -> None:
-    """Raise a ValueError on all ranks for facets without a usable shape."""
+    """Raise a ValueError on all ranks for unusable facets."""
     finite = np.isfinite(facets.x).all()
     quality = distortions(facets) if finite else np.ones(len(facets.x))
     unusable = np.flatnonzero(quality < _MOST_WARPED)
@@ -223,13 +222,10 @@ def create_surface(
 ) -> Surface:
     """Collect the exterior facets marked with `tag`, a number or name, on any rank (collective).
 
-    Args:
-        name: of the argument, for messages.
-
     Raises:
-        ValueError: On all ranks, for an unsupported space, tags of another mesh or dimension, a tag
-            that is no 32 bit integer or marks no or interior facets, and facets that are not
-            finite, degenerate, inverted or badly warped.
+        ValueError: On all ranks, naming the argument, for an unsupported space, tags of another
+            mesh or dimension, a tag that is no 32 bit integer or marks no or interior facets, and
+            facets that are not finite, degenerate, inverted or badly warped.
     """
     check_space(V)
     element = _element(V)
@@ -377,7 +373,7 @@ def accumulate(surface: Nodes, values: npt.NDArray[Any], *, largest: bool = Fals
 
 
 def sum_at_nodes(surface: Surface, values: npt.NDArray[Any]) -> Floats:
-    """Return the sums (n, c) at nodes of values (m, k, c) of facets of all ranks (collective)."""
+    """Return the sums (n, c) of values (m, k, c) of all ranks' facets at nodes (collective)."""
     sums = np.zeros((len(surface.nodes), values.shape[2]))
     add_at_nodes(sums, surface.facets, np.ascontiguousarray(values, dtype=np.float64))
     return accumulate(surface, sums)
@@ -385,7 +381,7 @@ def sum_at_nodes(surface: Surface, values: npt.NDArray[Any]) -> Floats:
 
 @numba.njit(cache=True)
 def add_at_nodes(sums, nodes, values):  # type: ignore[no-untyped-def]
-    """Add values (m, k, c) of facets and their nodes (m, k) to sums (n, c) of these."""
+    """Add values (m, k, c) of facets' nodes (m, k) to sums (n, c)."""
     for f in range(len(nodes)):
         for i in range(nodes.shape[1]):
             for c in range(sums.shape[1]):
@@ -401,22 +397,21 @@ def dependent_nodes(surface: Surface) -> Bools:
 
 
 def coordinates(surface: Surface, u: dolfinx.fem.Function | None) -> Floats:
-    """Return the coordinates X + u (n, d) of the nodes; the ghosts of u are up to date."""
+    """Return the coordinates X + u (n, d) of the nodes; ghosts of u must be up to date."""
     if u is None:
         return surface.X
     return surface.X + u.x.array.reshape(-1, surface.X.shape[1])[surface.nodes]
 
 
 def facets_at(surface: Surface, x: Floats) -> Facets:
-    """Return the facets of a surface whose nodes have the coordinates x (n, d)."""
+    """Return the facets of a surface with nodes at x (n, d)."""
     return Facets(surface.element, x[surface.facets])
 
 
 def nodal_normals(surface: Surface, x: Floats) -> Floats:
     """Return the averaged unit normals (n, d) of the nodes (collective).
 
-    Normalised sums of the unit normals of all facets of the surface at the node; zero where they
-    cancel.
+    Of the unit normals of all facets of the surface at the node; zero where these cancel.
     """
     total = sum_at_nodes(surface, normals_at_nodes(facets_at(surface, x)))
     length = np.linalg.norm(total, axis=1)[:, None]
@@ -426,7 +421,7 @@ def nodal_normals(surface: Surface, x: Floats) -> Floats:
 def nodal_sagittas(surface: Surface, x: Floats) -> Floats:
     """Return the mean deviation (n,) of a surface from its flat facets at each node; collective.
 
-    L a / 8 for an arc with a chord L that turns by a; its facet and nodal normals differ by a / 2.
+    L a / 8 for an arc of chord L and angle a, twice that between facet and nodal normals.
     """
     facets = facets_at(surface, x)
     normals = nodal_normals(surface, x)[surface.facets]
@@ -440,8 +435,8 @@ def nodal_sagittas(surface: Surface, x: Floats) -> Floats:
 def normal_derivatives(surface: Surface, x: Floats) -> Floats:
     """Return the terms (m, k, d, k, d) of facets in the derivatives of nodal normals (collective).
 
-    [f, j, :, l, :] is the change of n_j with x_l by facet f; with its normal n_f and surface
-    gradients G_l at node j and S = sum_f n_f, dn_j = -(I - n_j n_j^T) / |S| sum_f G_l (n_f.dx_l).
+    [f, j, :, l, :] is the change of n_j with x_l by facet f: dn_j = -(I - n_j n_j^T) / |S| sum_f
+    G_l (n_f.dx_l), with its normal n_f and surface gradients G_l at node j, and S = sum_f n_f.
     """
     facets = facets_at(surface, x)
     at_nodes = normals_at_nodes(facets)
@@ -456,7 +451,7 @@ def normal_derivatives(surface: Surface, x: Floats) -> Floats:
 
 
 def _gradients_at_nodes(facets: Facets) -> Floats:
-    """Return the surface gradients (m, k, k, d) of facets: [f, j, l] of N_l at node j."""
+    """Return surface gradients (m, k, k, d): [f, j, l] of N_l at node j."""
     element, (m, k, d) = facets.element, facets.x.shape
     points = element.points
     if element.degree == 1:  # the mean normal is that in the middle
@@ -470,8 +465,8 @@ def carrying(surface: Surface, x: Floats, n: Floats, vectors: Floats) -> Floats:
     """Return W (m, k, k), by which tangential vectors v_j (n, d) move with the surface; collective.
 
     sum_f sum_l W_fjl x_l, over the facets of node j, is v_j but for a part along n_j (n, d): the
-    mean over the facets of F_f a_j with the deformation gradients F_f = sum_l x_l grad N_l^T, I -
-    n_f n_f^T at x. Zero where n_j is, or where facets have no common tangent.
+    mean of F_f a_j with the deformation gradients F_f = sum_l x_l grad N_l^T, I - n_f n_f^T at x.
+    Zero where n_j is, or where facets have no common tangent.
     """
     facets, d = facets_at(surface, x), x.shape[1]
     n_f = normals_at_nodes(facets)
@@ -494,7 +489,7 @@ def carrying(surface: Surface, x: Floats, n: Floats, vectors: Floats) -> Floats:
 def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
     """Return the stretch 1 / |F^-T n| (n,) of the bodies along the normals at X (collective).
 
-    Means over facets of the change of volume behind over area, at the centre.
+    Means over facets of the change of volume over area at the centre.
     """
     element, (nodes, X, slopes, height) = surface.element, surface.behind
     x = X + u.x.array.reshape(-1, X.shape[2])[nodes]
@@ -505,7 +500,7 @@ def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
 
 
 def _heights_behind(surface: Surface, x: Floats, of_nodes: Floats, slopes: Floats) -> Floats:
-    """Return volume over area (m,) at the middles of facets, of cells with nodes x (m, k, d)."""
+    """Return volume over area (m,) at facets' middles, of cells x (m, k, d)."""
     volume = np.linalg.det(np.einsum("amk,mki->mai", slopes, x))
     middle = surface.element.points[list(surface.element.vertices)].mean(axis=0)
     normals = scaled_normals(facets_at(surface, of_nodes), middle[None])[:, 0]
@@ -513,7 +508,7 @@ def _heights_behind(surface: Surface, x: Floats, of_nodes: Floats, slopes: Float
 
 
 def mean_facet_length(surface: Surface) -> float:
-    """Return the mean length of the first edges of the facets at X (collective)."""
+    """Return the mean length of the facets' first edges at X (collective)."""
     first, second = surface.element.vertices[:2]
     edges = surface.X[surface.facets[:, second]] - surface.X[surface.facets[:, first]]
     local = np.array([np.linalg.norm(edges, axis=1).sum(), len(edges)])
@@ -531,10 +526,7 @@ def create_groups(x: Floats) -> list[Ints]:
 
 
 def group_cones(x: Floats, directions: Floats, groups: list[Ints], margin: Floats) -> Cones:
-    """Bound the projections of groups of facets x (m, k, d) along directions (m, k', d).
-
-    With lateral margins (m,).
-    """
+    """Bound the projections of groups of facets x (m, k, d) along directions (m, k', d)."""
     cones = [create_cones(x[:0], directions[:0], margin[:0])]  # there may be no group
     for group in groups:
         nodes, normals = (v[group].reshape(1, -1, x.shape[2]) for v in (x, directions))
@@ -544,7 +536,7 @@ def group_cones(x: Floats, directions: Floats, groups: list[Ints], margin: Float
 
 
 def find_receivers(comm: MPI.Intracomm, cones: Cones, facets: Facets) -> Bools:
-    """Return which of the own facets (m, ranks) ranks can need, by their cones (collective)."""
+    """Return which own facets (m, ranks) other ranks can need, by their cones (collective)."""
     needed = np.zeros((len(facets.x), comm.size), dtype=bool)
     balls = bounding_balls(facets.x)
     for rank, others in enumerate(comm.allgather(cones)):
