@@ -38,7 +38,7 @@ from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals
 
 @dataclass(frozen=True, eq=False)
 class Tractions:
-    """Normals and tractions at the local slave nodes, as functions of the normals."""
+    """Normals and tractions at local slave nodes, as functions of the normals."""
 
     normals: Floats  # (n, d) n_j of gaps; zero without multiplier
     tractions: Floats  # (n, d) c_j = lambda_j n_j + tau_j
@@ -119,7 +119,7 @@ def _sums(
     types: tuple[FacetElement, FacetElement],
     counts: tuple[int, int],
 ) -> Sums:
-    """Return the moments; counts: of derivatives by Q, and by lengths."""
+    """Return the moments; counts of derivatives by Q, and by lengths."""
     (p, k, d), m, l = sides.x.shape, sides.y.shape[1], sides.place.shape[1]  # noqa: E741
     z, n = d * (k + sides.n.shape[1] + m), k + m + 1
     E_s, E_m = (np.zeros((counts[0], k, v, v)) for v in (k, l))
@@ -134,9 +134,8 @@ def differentiate_whole(
     """Return dF (f, k, d, k, d), dg (f, k, k, d) and D (f, k, k) on whole facets, below a tool.
 
     Args:
-        weights: (f, q) on the reference facet, times the factor of the integrals.
-        phi: (f, q) distances at xi (q, d-1).
-        by_x: (f, q, k, d) their derivatives by the nodes.
+        weights: (f, q) on the reference facet, with all factors.
+        phi: (f, q) distances at xi (q, d-1); by_x (f, q, k, d) their derivatives.
         c: (f, k, d) tractions.
     """
     (p, k, d), element, kept = facets.x.shape, facets.element, duals.kept
@@ -161,7 +160,7 @@ def differentiate(
     """Return the derivatives of forces and weighted gaps at X + u (collective).
 
     Args:
-        segments: at X + u, of all slave facets or of some.
+        segments: of all slave facets or of some.
         keep: (n,) local slave nodes with a multiplier.
         smooth: smooth surfaces at X; None for facets.
         normals: n_l (nm, d) of the received master nodes; zero if None.
@@ -267,7 +266,7 @@ class _Group:
 
 
 def _groups(pairing: Pairing, used: Ints) -> list[_Group]:
-    """Return the groups of the slave facets of pairs, ordered by facet."""
+    """Return the groups of slave facets of pairs."""
     s, m = pairing.pairs[used].T.astype(np.int64)
     nodes = pairing.master_facets[m].astype(np.int64)
     size = len(pairing.master_nodes)
@@ -285,7 +284,7 @@ def _groups(pairing: Pairing, used: Ints) -> list[_Group]:
 
 
 def _parts(count: Longs, pairing: Pairing) -> Iterator[Longs]:
-    """Return facets with equal numbers of master nodes, within limited memory."""
+    """Return facets with equal numbers of master nodes, in limited memory."""
     k, d = pairing.slave.element.nodes, pairing.slave.X.shape[1]
     for m in np.unique(count):
         which = np.flatnonzero(count == m)
@@ -301,7 +300,7 @@ def _add_parts(
     own: Ints,
     others: Ints,
 ) -> None:
-    """Add the derivatives of a group of facets, nodes (p, k) and (p, m), to the parts."""
+    """Add the derivatives of facets with nodes (p, k) and (p, m) to the parts."""
     (_, k, d), lines = sides.x.shape, sides.n.shape[1]
     both = np.concatenate([own, others], axis=1)
     z = found.F.shape[-1]
@@ -319,7 +318,7 @@ def _add_parts(
     parts["F_n"].append(Blocks(both, own, forces))
     v = found.M @ sides.y - found.D @ sides.x
     gaps = v.reshape(-1, 1, 1, 1, d)
-    each = own.reshape(-1, 1)  # a gap depends on the normal of its own node
+    each = own.reshape(-1, 1)  # gaps depend on their node's normal
     parts["G_n"].append(Blocks(each, each, gaps))
 
 
@@ -340,7 +339,7 @@ class Fixed(NamedTuple):
 
 
 class Results(NamedTuple):
-    """Derivatives by the z coordinates: of the slave facet, directions, and nodes of masters."""
+    """Derivatives by the z coordinates: slave facet, directions, masters."""
 
     F: Floats  # (p, k + m, d, z)
     G: Floats  # (p, k, z)
@@ -376,16 +375,15 @@ def apply(
     y: Floats,
     others: int,
 ) -> Results:
-    """Return the derivatives of facets with nodes x (p, k, d), and masters' nodes y (p, m, d).
+    """Return the derivatives of facets with nodes x (p, k, d) and masters' nodes y (p, m, d).
 
     Args:
-        moments: (p, k, k + m + 1) S, R and H side by side.
-        changes: (p, z, k, k + m + 1) their derivatives.
-        others: first coordinate of a master.
+        moments: (p, k, k + m + 1) S, R and H.
+        changes: (p, z, k, k + m + 1) by the coordinates; `others` is the first of a master.
     """
     (p, k, d), m, (_, z, _, size) = x.shape, y.shape[1], changes.shape
     C, dC = duals(moments[:, :, :k], changes[..., :k], *basis)
-    C *= basis.kept[:, :, None]  # rows of dC without multiplier are not used
+    C *= basis.kept[:, :, None]  # unused rows
     DM, w = C @ moments, 2 * d + 1
     D, M = DM[:, :, :k], DM[:, :, k:-1]
     by_nodes = np.zeros((p, size, w))  # gaps of D and M, b, and C H
