@@ -67,14 +67,14 @@ def create_whole_side(slave: Surface, weight: Weight | None) -> WholeSide:
 
 
 def rule_of(element: FacetElement) -> tuple[Floats, Floats]:
-    """Return points (q, d-1) and weights (q,), sum 1, that integrate products of functions."""
+    """Return points (q, d-1) and weights (q,), sum 1, exact for products of functions."""
     if len(element.rule[1]) >= element.nodes:
         return element.rule
     return triangle_rule(4)
 
 
 def whole_facets(side: WholeSide, x: Floats, facing: Bools) -> tuple[Segments, Floats]:
-    """Return some facets (m,) as segments, and their points (q, d), for nodes at x (n, d)."""
+    """Return facing facets (m,) at x (n, d) as segments, and their points (q, d)."""
     slave = side.slave
     facets, element = facets_at(slave, x), slave.element
     xi, weights = rule_of(element)
@@ -99,10 +99,9 @@ def whole_facets(side: WholeSide, x: Floats, facing: Bools) -> tuple[Segments, F
 
 
 def integrate_side(side: WholeSide, x: Floats, facing: Bools, allowed: Bools) -> SideOperators:
-    """Integrate D over the facing facets (m,) of this rank, for nodes at x (n, d); collective.
+    """Integrate D over the facing facets (m,) of this rank, at x (n, d); collective.
 
-    Args:
-        allowed: (n,) local nodes that may carry a multiplier.
+    Only `allowed` local nodes (n,) may carry a multiplier.
     """
     slave, own = side.slave, slice(None, side.slave.owned)
     segments, points = whole_facets(side, x, facing)
@@ -128,10 +127,7 @@ def integrate_side(side: WholeSide, x: Floats, facing: Bools, allowed: Bools) ->
 
 
 def means(side: WholeSide, found: SideOperators, at_points: Floats) -> Floats:
-    """Return int Phi_j f / D_jj (n, c) at the owned nodes for f (q, c) at the points; collective.
-
-    Zero at nodes without a multiplier.
-    """
+    """Return int Phi_j f / D_jj (n, c) at the owned nodes for f (q, c), or 0; collective."""
     weight = found.weight[:, 0]
     at = side, found.segments, found.Phi, weight
     return np.stack([mean_values(*at, f) for f in at_points.T], axis=1)
