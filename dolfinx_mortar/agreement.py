@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Comparison of arguments that must agree among ranks; for all modules.
 
-Different numbers, names or laws would mix problems, or ranks would wait for each other in different
-places. Arguments are divided into replicated values: numbers, texts, tags, kinds of objects,
-elements of Functions, UFL signatures, values of Constants. Not compared are values of Functions,
-dofs, tags of cells, and results of functions of points.
+Compared are replicated values: numbers, texts, tags, kinds of objects, elements of Functions, UFL
+signatures, values of Constants; not values of Functions, dofs, tags of cells, or results of
+functions of points.
 """
 
 import dataclasses
@@ -25,19 +24,16 @@ from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
 from ufl.domain import extract_unique_domain
 
-SHOWN = 60  # characters of a value in a message
+SHOWN = 60  # characters shown
 
 
 def check_same_on_all_ranks(comm: MPI.Comm, **named_values: Any) -> None:
     """Raise a ValueError on all ranks where a value differs; collective.
 
-    One reduction of 16 bytes. No argument can raise another error, perhaps on one rank only.
+    One reduction of 16 bytes; no argument can raise another error.
 
     Args:
-        **named_values: values by their names in the error.
-
-    Raises:
-        ValueError: with the first value that differs, by rank.
+        **named_values: by their names in the error.
     """
     if comm.size == 1:
         return
@@ -51,7 +47,7 @@ def check_same_on_all_ranks(comm: MPI.Comm, **named_values: Any) -> None:
 
 
 def find_constants(value: Any) -> list[Any] | None:
-    """The Constants in arguments; None with a user's laws, terms, interfaces or functions.
+    """Constants in arguments; None with a user's laws, terms, interfaces or functions.
 
     >>> find_constants({"nu": 0.3}), find_constants([abs])
     ([], None)
@@ -62,7 +58,6 @@ def find_constants(value: Any) -> list[Any] | None:
 
 
 def _difference(texts: Sequence[Mapping[str, str]]) -> str:
-    """Describe the first value that differs, from the texts of all ranks."""
     for name in dict.fromkeys(name for own in texts for name in own):
         every = [own.get(name, "missing") for own in texts]
         others = [rank for rank, text in enumerate(every) if text != every[0]]
@@ -80,7 +75,7 @@ def _difference(texts: Sequence[Mapping[str, str]]) -> str:
 
 
 def _excerpt(text: str, start: int) -> str:
-    """Part of a text from a character on.
+    """Part of a text.
 
     >>> _excerpt("[1.0]", 0), _excerpt("Constant [1.0, 2.0]", 9)
     ('[1.0]', '... [1.0, 2.0]')
@@ -105,7 +100,6 @@ def _text(leaf: Any) -> str:
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield replicated parts: Constants, texts, and classes of users."""
     inside: Mapping[str, Any] = {}
     if isinstance(value, fem.Constant) or type(value).__name__.startswith("Constant_"):
         yield name, value
@@ -139,7 +133,6 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _fields(value: Any) -> Mapping[str, Any]:
-    """Arguments of an object."""
     if isinstance(value, type):
         return {}
     if hasattr(value, "given"):
@@ -149,7 +142,7 @@ def _fields(value: Any) -> Mapping[str, Any]:
 
 
 def _plain(value: Any) -> str | None:
-    """Text that is equal for equal values, None for others than numbers and texts.
+    """Text that is equal for equal values, None for others.
 
     >>> _plain([1, np.float64(-0.0)]), _plain(np.array([[2.0]])), _plain(("a", None, True))
     ('[1.0, 0.0]', '[[2.0]]', "['a', None, True]")
@@ -161,7 +154,7 @@ def _plain(value: Any) -> str | None:
     if isinstance(value, os.PathLike):
         return repr(os.fspath(value))
     if isinstance(value, Real):
-        return repr(float(value) + 0.0)  # -0.0 equals 0.0
+        return repr(float(value) + 0.0)
     if isinstance(value, Complex):
         return repr(complex(value))
     if isinstance(value, np.ndarray):
