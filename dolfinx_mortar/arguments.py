@@ -25,7 +25,7 @@ T = TypeVar("T")
 class Rule(Generic[T]):
     """Rule for an argument."""
 
-    remedy: str  # end of the error
+    remedy: str
     read: Callable[[Any], T | None]  # converts a value, None for a wrong one
 
 
@@ -106,9 +106,8 @@ def array(
     """Rule for arrays of numbers.
 
     Args:
-        *shapes: allowed ones, None for any size; all without any.
+        *shapes: allowed ones, None for any size; default any.
         remedy: default that of vectors.
-        finite: whether all have to be finite.
         holds: further condition.
     """
     sizes = " or ".join(str(shape[0]) for shape in shapes if shape)
@@ -135,19 +134,19 @@ POISSON = number("Poisson's ratio, 0.499 for an incompressible body,", above=-1.
 
 
 def is_number(value: Any) -> bool:
-    """Tell whether a value is a finite real number, no truth value.
+    """Whether a value is a finite real number, no truth value.
 
     >>> [is_number(v) for v in (1, np.float32(2.5), True, np.nan, 10**400, 1j, "1", None)]
     [True, True, False, False, False, False, False, False]
     """
     try:
         return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
-    except OverflowError:  # integer beyond all floats
+    except OverflowError:  # beyond all floats
         return False
 
 
 def is_integer(value: Any) -> bool:
-    """Tell whether a value is an integer, no truth value."""
+    """Whether a value is an integer, no truth value."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
@@ -159,7 +158,7 @@ def as_numbers(value: Any) -> Floats | None:
     """
     try:
         array = np.asarray(value)
-    except ValueError:  # lists of unequal length
+    except ValueError:
         return None
     return array.astype(np.float64) if array.dtype.kind in "fiu" else None
 
