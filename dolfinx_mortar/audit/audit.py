@@ -28,7 +28,7 @@ from dolfinx_mortar.mortar.surface import (
 from dolfinx_mortar.supports.bodies import Bodies, Motion, find_free
 from dolfinx_mortar.supports.dirichlet import Dirichlet
 
-# added for unconstrained bodies if a tie has a pretension
+# for ties with a pretension
 PRETENSION_HINT = (
     ". A tie with a pretension does not hold its sides against its direction: supports, other ties "
     "or contacts have to, at both ends of the bolt"
@@ -41,7 +41,7 @@ class Audit:
 
     bodies: int
     interfaces: list[InterfaceAudit]
-    held_by_contact: list[str]  # bodies restrained only by contact
+    held_by_contact: list[str]
     warnings: list[str]
 
     def __str__(self) -> str:
@@ -49,7 +49,7 @@ class Audit:
         lines += [str(i) for i in self.interfaces]
         return "\n".join(lines + [f"warning: {w}" for w in self.warnings])
 
-    __repr__ = __str__  # for notebooks
+    __repr__ = __str__
 
 
 def create_audit(
@@ -68,7 +68,7 @@ def create_audit(
         x: (n,) X + u.
         springs: relative resistance of the potential to a motion.
         at: displacement of the contacts, None for X.
-        increment: largest prescribed increment of the next step, 0 if unknown.
+        increment: largest prescribed one of the next step.
 
     Raises:
         ValueError: if a body can move rigidly without resistance.
@@ -107,10 +107,7 @@ def find_free_motions(
     supports: Dirichlet,
     springs: Callable[[PETSc.Vec], Floats],
 ) -> tuple[list[str], list[str]]:
-    """Free rigid motions, and bodies restrained only by contact, by names; collective.
-
-    A tie with a pretension resists all but its overlap.
-    """
+    """Free rigid motions, and bodies restrained only by contact, by names; collective."""
     contacts = [link.constrained_motion for link in system.unilateral]
     facets = [_facet_motion(link) for link in system.unilateral]
     held = _held_motions(system, supports, springs)
@@ -122,7 +119,6 @@ def find_free_motions(
 def _held_motions(
     system: InterfaceSystem, supports: Dirichlet, springs: Callable[[PETSc.Vec], Floats]
 ) -> list[Motion]:
-    """Motions resisted by supports, springs and ties."""
     held: list[Motion] = [lambda v: v.array_r[supports.owned.ravel()], springs]
     for link in system.links:
         bolt = _bolt(link)
@@ -149,10 +145,7 @@ def _held_but(link: Link, axis: Floats) -> Motion:
 
 
 def _facet_motion(link: Link) -> Motion:
-    """Relative motion within the error of facet normals, as vectors; collective.
-
-    Half the mean angle between facet and nodal normals: sliding shows as much normal motion.
-    """
+    """Relative motion within half the angle of facet to nodal normals; collective."""
     comm = link.sides.V.mesh.comm
     edge = link.interface.feature_angle
     angle = max(facet_angle(side, edge, comm) for side in link.sides.surfaces)
@@ -160,7 +153,7 @@ def _facet_motion(link: Link) -> Motion:
     normals = link.coupling.normals[kept]
 
     def motion(v: PETSc.Vec) -> Floats:
-        relative = relative_motions(link, v)[0, kept]  # contacts have one choice of nodes
+        relative = relative_motions(link, v)[0, kept]
         along = (relative * normals).sum(axis=1, keepdims=True)
         return np.asarray(0.5 * angle * (relative - along * normals))
 
@@ -179,11 +172,7 @@ def facet_angle(surface: Surface, feature_angle: float, comm: MPI.Comm) -> float
 
 
 def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec, increment: float) -> None:
-    """Raise a ValueError on all ranks if two sides face each other only through their bodies.
-
-    All slave nodes are deeper inside the master than any body's size plus prescribed motions; of
-    parts of one surface one suffices, or all facing is across the body.
-    """
+    """Raise a ValueError on all ranks if two sides face each other only through their bodies."""
     interface, kept = link.interface, link.coupling.kept.all(axis=1)
     normal = -link.gaps(x)
     shallowest, deepest, some, joined, facing, reached = maximum(
