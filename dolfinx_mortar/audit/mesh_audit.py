@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Audit of the mesh: NaN coordinates; collapsed, inverted or folded cells.
 
-As dolfinx orders nodes freely, the sign of one Jacobian has no meaning. Compared are signs at the
-Gauss points of a cell, and the sides of a facet on which two simplices lie.
+As dolfinx orders nodes freely, only the signs of the Jacobian within a cell are compared, and the
+sides of a facet on which two simplices lie.
 """
 
 from dataclasses import dataclass
@@ -27,8 +27,6 @@ CELLS = (*SIMPLICES, "quadrilateral", "hexahedron")
 
 @dataclass(frozen=True)
 class _Cells:
-    """Owned cells, vectorised over cells."""
-
     mesh: Mesh
     kind: str
     nodes: Longs  # (k, n) global numbers
@@ -41,9 +39,6 @@ def check_mesh(mesh: Mesh) -> None:
     Invalid: unsupported degree of the geometry, NaN or infinite coordinates, no volume, Jacobians
     that change sign, overlaps with neighbours. Bodies may overlap. Unsupported kinds of cells are
     ignored.
-
-    Raises:
-        ValueError: with number, place and remedy.
     """
     kind, d = mesh.topology.cell_name(), mesh.topology.dim
     if kind not in CELLS or mesh.geometry.dim != d:
@@ -72,7 +67,7 @@ def check_mesh(mesh: Mesh) -> None:
 
 
 def jacobians(x: Floats, kind: str, points: Floats, degree: int = 1) -> Floats:
-    """The Jacobians (q, n) of cells x (k, d, n) at reference points (q, d).
+    """Jacobians (q, n) of cells x (k, d, n) at reference points (q, d).
 
     >>> square = np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 1.0], [2.0, 1.0]])[:, :, None]
     >>> jacobians(square, "quadrilateral", np.array([[0.25, 0.5]])).round(12).tolist()
@@ -85,7 +80,7 @@ def jacobians(x: Floats, kind: str, points: Floats, degree: int = 1) -> Floats:
 
 
 def _points(kind: str, degree: int) -> Floats:
-    """Reference points (q, d): on quadrilaterals and hexahedra two per edge, three for degree 2."""
+    """Reference points (q, d), two per edge of tensor cells, three for degree 2."""
     exact = 3 * degree - 2 if kind in SIMPLICES else 2 * degree + 1
     points, _ = basix.make_quadrature(basix.CellType[kind], exact)
     return np.asarray(points)
@@ -102,7 +97,7 @@ def _determinants(vectors: list[Floats]) -> Floats:
 
 
 def _round_off(x: Floats) -> Floats:
-    """Error of the Jacobian of cells x (k, d, n), EPS |x| h^(d-1) times operations."""
+    """Error of the Jacobian of cells x (k, d, n), EPS |x| h^(d-1)."""
     most, least = x.max(axis=0), x.min(axis=0)
     largest, extent = np.maximum(most, -least).max(axis=0), (most - least).max(axis=0)
     return np.asarray(ROUND_OFF * largest * extent ** (x.shape[1] - 1))
@@ -118,16 +113,12 @@ def _own_cells(mesh: Mesh, kind: str) -> _Cells:
 
 
 def _beside_neighbour(cells: _Cells) -> Bools:
-    """Mask of simplices (n,) on the same side of a facet as their neighbour; collective.
-
-    Signs of det(x_1 - x_0, .., x_d - x_0), facet vertices by global numbers and the other one last,
-    cancel in a valid mesh.
-    """
+    """Mask (n,) of simplices on the same side of a facet as their neighbour; collective."""
     topology, d = cells.mesh.topology, cells.x.shape[1]
     topology.create_entities(d - 1)
     topology.create_connectivity(d, d - 1)
     x, nodes = cells.x[: d + 1], cells.nodes[: d + 1]
-    # facet i lacks vertex i, which moves to the end past larger numbers
+    # facet i lacks vertex i, which moves to the end
     sides = np.tile(np.sign(_determinants([x[i] - x[0] for i in range(1, d + 1)])), (d + 1, 1))
     for i, j in combinations(range(d + 1), 2):
         ordered = np.where(nodes[i] < nodes[j], 1.0, -1.0)
@@ -143,7 +134,6 @@ def _beside_neighbour(cells: _Cells) -> Bools:
 
 
 def _reject(cells: _Cells, bad: Any, what: str, remedy: str) -> None:
-    """Raise a ValueError on all ranks for bad cells; collective."""
     count, total = cells.mesh.comm.allreduce(np.array([bad.sum(), len(bad)]), op=MPI.SUM)
     if count == 0:
         return
