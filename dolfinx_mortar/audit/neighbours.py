@@ -15,10 +15,7 @@ from dolfinx_mortar.supports.bodies import Bodies, name_of
 
 
 def are_near(facing: Facing, within: float | None) -> Bools:
-    """Mask (p,) of near pairs of facets.
-
-    At most `within` apart, default the diameter of the larger facet.
-    """
+    """Mask (p,) of pairs of facets `within` a distance, default the diameter of the larger."""
     reach = facing.size.max(axis=1, initial=0.0) if within is None else within
     return np.asarray(facing.distance <= reach)
 
@@ -37,13 +34,7 @@ def boxes_of(comm: MPI.Comm, x: Floats, body: Longs, count: int) -> Floats:
 def warnings_on_neighbours(
     bodies: Bodies, system: InterfaceSystem, at: fem.Function | None
 ) -> list[str]:
-    """Warning for each pair of near bodies without an interface; collective.
-
-    Near as in `find_pairs`.
-
-    Args:
-        at: displacement, None for X.
-    """
+    """Warning for each pair of near bodies (`find_pairs`) without an interface; collective."""
     coupled = _coupled(bodies, system)
     if (coupled | np.eye(bodies.count, dtype=bool)).all():
         return []
@@ -64,7 +55,6 @@ def warnings_on_neighbours(
 
 
 def _nearest(rows: Floats) -> Floats:
-    """Row with the least distance of each pair: pair, distance, place."""
     rows = rows[np.lexsort(rows.T[::-1])]
     return rows[np.unique(rows[:, :2], axis=0, return_index=True)[1]]
 
