@@ -38,7 +38,6 @@ from dolfinx_mortar.spaces import check_space
 from dolfinx_mortar.supports.bodies import find_bodies
 from dolfinx_mortar.tags import Tags, check_entities, names_of
 
-# End of messages about lost constraints.
 REFINE = "so they are not constrained there; refine around them, so that it matters less"
 
 
@@ -47,10 +46,10 @@ class Pair:
     """A proposed contact; areas are lengths in the plane."""
 
     slave: str  # name in the tags of `Pairs`
-    master: str  # likewise
+    master: str
     facets: tuple[int, int]  # of both sides
-    sizes: tuple[float, float]  # mean diameters of near facets
-    area: float  # of the slave side, where it faces the near master
+    sizes: tuple[float, float]  # mean facet diameters
+    area: float  # of the facing part of the slave side
     distance: float  # least between facing facets; negative: overlap
 
 
@@ -58,11 +57,11 @@ class Pair:
 class Pairs:
     """Proposed contacts and the tags of their sides; unpacks as ``facet_tags, contacts``."""
 
-    tags: Tags  # facets of all sides
-    contacts: list[Contact]  # one for each pair
-    found: list[Pair]  # rows of the table
+    tags: Tags
+    contacts: list[Contact]
+    found: list[Pair]
     joined: dict[tuple[str, str], int]  # nodes shared by two bodies of one part: no contact
-    lost: list[str]  # slave nodes that lose a constraint, in words
+    lost: list[str]  # in words
 
     def __iter__(self) -> Iterator[Any]:
         return iter((self.tags, self.contacts))
@@ -75,7 +74,7 @@ class Pairs:
         lines += [describe_joined(self.joined)] if self.joined else []
         return "\n".join([*lines, *self.lost])
 
-    __repr__ = __str__  # for notebooks
+    __repr__ = __str__
 
 
 def describe_joined(joined: dict[tuple[str, str], int]) -> str:
@@ -107,32 +106,33 @@ def find_pairs(
         facet_tags, contacts = found
         problem = dm.ContactProblem(solid, contacts, bcs=bcs)
 
-    Bodies are the connected parts of the mesh, divided by cell tags. Common nodes join bodies: no
-    contact. Two bodies are a pair if some facet of one, projected along its normal, meets an
-    opposite facet of the other, with nothing between them, at most `within` apart; overlaps count
-    up to half of the thinner body. A side is the whole face of such facets, up to edges. Faces that
-    face several bodies have one tag.
+    Bodies are the connected parts of the mesh, divided by cell tags; common nodes join bodies. Two
+    bodies are a pair if some facet of one, projected along its normal, meets an opposite facet of
+    the other, with nothing between them, at most `within` apart; overlaps count up to half of the
+    thinner body. A side is the whole face of such facets, up to edges; faces that face several
+    bodies have one tag.
     The finer side is the slave, unless nodes would lose a constraint, as slaves of two contacts or
-    in a cycle; then another side is, if not more than twice as coarse. Remaining losses are told
-    below the table. Tags, order and names do not depend on the ranks.
+    in a cycle; then another side is, if not more than twice as coarse. The table tells remaining
+    losses.
 
     Args:
         mesh: of all bodies.
         cell_tags: tags of all cells; names of `Tags` become those of the bodies.
         within: largest distance of a pair; default the diameter of the larger facet.
-        surface: of all contacts, see `Contact`.
-        feature_angle: degrees between facets from which on an edge is sharp; of all contacts, too.
-        friction: of all contacts.
-        tresca: of all contacts.
+        surface: of all contacts, as the next ones, see `Contact`.
+        feature_angle: degrees between facets from which on an edge is sharp.
+        friction: Coulomb's coefficient.
+        tresca: limit of the tangential traction.
         show: whether rank 0 prints the table.
 
     Returns:
-        A record that unpacks as facet tags, such as "disc to block", and contacts.
+        A record that unpacks as facet tags, such as "disc to block", and contacts, the same on any
+            ranks.
 
     Raises:
-        ValueError: on all ranks, for an invalid or unsupported mesh; tags of another mesh or not of
-            all cells; `within` not positive; options that `Contact` refuses; a single connected
-            body; and if there is no pair, with the nearest distance or least overlap.
+        ValueError: on all ranks, for an invalid mesh; tags of another mesh or not of all cells;
+            invalid options; a single connected body; and if there is no pair, with the nearest
+            distance or least overlap.
     """
     if not isinstance(mesh, Mesh):
         raise ValueError(f"mesh is {mesh!r}: give a dolfinx.mesh.Mesh of all bodies")
@@ -178,7 +178,7 @@ def _check(mesh: Mesh, cell_tags: Any, within: Any, surface: Any) -> None:
 
 
 def _tags_of_cells(mesh: Mesh, cell_tags: MeshTags | None) -> Longs:
-    """Tag (owned cells,) of each cell, 0 without tags; without communication."""
+    """Tag (owned cells,) of each cell, else 0; without communication."""
     owned = mesh.topology.index_map(mesh.topology.dim).size_local
     tags = np.zeros(owned, dtype=np.int64)
     if cell_tags is None:
@@ -202,20 +202,18 @@ class _Side:
     body: int
     other: int
     faces: frozenset[int]
-    area: float  # of facets that face the other body
+    area: float
     distance: float
-    sizes: tuple[float, float]  # mean facet diameters of both bodies
+    sizes: tuple[float, float]
 
 
 @dataclass(frozen=True)
 class _Found:
-    """Results of the search."""
-
-    names: Sequence[str]  # of bodies
-    entities: Longs  # exterior facets of this rank
+    names: Sequence[str]
+    entities: Longs
     faces: Faces
-    sides: dict[tuple[int, int], _Side]  # by body and other body
-    joined: dict[tuple[str, str], int]  # shared nodes
+    sides: dict[tuple[int, int], _Side]
+    joined: dict[tuple[str, str], int]
     common: Longs  # (sides, sides) shared nodes that face partners
 
 
@@ -255,7 +253,7 @@ def _find(
     if not sides:
         deep = find_facing(comm, Skin(facets, part_of_cell[cells], label), deep=True)
         deep = deep[deep.distance < 0.0]
-        least = float(maximum(comm, deep.distance.max(initial=-np.inf))[0])  # least overlap
+        least = float(maximum(comm, deep.distance.max(initial=-np.inf))[0])
         deep = deep[deep.distance >= least]
         _raise_none(_sides(comm, deep if np.isfinite(least) else facing), names, within, told)
     numbers, common = entities.astype(np.int64), _facing_nodes(V, boundary.nodes, facing, sides)
@@ -265,7 +263,7 @@ def _find(
 def _facing_nodes(
     V: fem.FunctionSpace, nodes: Ints, facing: Facing, sides: dict[tuple[int, int], _Side]
 ) -> Longs:
-    """Numbers (s, s) of nodes that sides share where they face their partners; collective."""
+    """Numbers (s, s) of common nodes where sides face their partners; collective."""
     bodies, faces = facing.label[:, :, 0], facing.label[:, 0, 1]
     seen = []
     for side in sides.values():
@@ -277,7 +275,6 @@ def _facing_nodes(
 def _shared_nodes(
     V: fem.FunctionSpace, body_of_cell: Longs, part: Longs
 ) -> dict[tuple[int, int], int]:
-    """Numbers of nodes that bodies of one part share; collective."""
     several = np.flatnonzero(np.bincount(part)[part] > 1)
     cells = V.dofmap.list[: len(body_of_cell)]
     common = np.triu(_common_nodes(V, [cells[body_of_cell == k] for k in several]), 1)
@@ -285,7 +282,6 @@ def _shared_nodes(
 
 
 def _common_nodes(V: fem.FunctionSpace, sets: Sequence[Ints]) -> Longs:
-    """Numbers (n, n) of nodes that two of n sets of local nodes share; collective."""
     if not sets:
         return np.zeros((0, 0), dtype=np.int64)
     layout, comm, on = V.dofmap.index_map, V.mesh.comm, []
@@ -293,12 +289,11 @@ def _common_nodes(V: fem.FunctionSpace, sets: Sequence[Ints]) -> Longs:
         nodes = layout.local_to_global(np.unique(local).astype(np.int32)).astype(np.int64)
         found = sums_at_nodes(comm, layout, nodes, np.ones((len(nodes), 1)))[:, 0] > 0.0
         on.append(sparse.csr_array(found.astype(np.int64)[None]))
-    rows = sparse.vstack(on)  # sparse: one long row per set
+    rows = sparse.vstack(on)  # one long row per set
     return np.asarray(comm.allreduce((rows @ rows.T).toarray(), op=MPI.SUM))
 
 
 def _ordered_parts(V: fem.FunctionSpace) -> tuple[Longs, int]:
-    """Connected part of each owned cell, and their number; collective."""
     bodies = find_bodies(V)
     d = V.mesh.geometry.dim
     x = V.tabulate_dof_coordinates()[: len(bodies.label), :d]
@@ -328,7 +323,6 @@ def _names(known: Longs, cell_tags: MeshTags | None) -> list[str]:
 
 
 def _sides(comm: MPI.Intracomm, facing: Facing) -> dict[tuple[int, int], _Side]:
-    """Sides from pairs of facets of all ranks; collective."""
     key = np.column_stack([facing.label[:, :, 0], facing.label[:, :, 1]])
     own, which = np.unique(key, axis=0, return_inverse=True)
     columns = facing.area, *facing.size.T, np.ones(len(key))
@@ -350,7 +344,6 @@ def _sides(comm: MPI.Intracomm, facing: Facing) -> dict[tuple[int, int], _Side]:
 def _raise_none(
     sides: dict[tuple[int, int], _Side], names: Sequence[str], within: float | None, told: str
 ) -> None:
-    """Raise a ValueError with the nearest or least overlapping bodies."""
     how = "a facet is long" if within is None else f"within={within:g}"
     none = f"find_pairs: no two bodies face each other at a distance of at most {how}"
     if not sides:
@@ -391,7 +384,7 @@ def _create(V: fem.FunctionSpace, found: _Found, options: dict[str, Any]) -> Pai
 
 
 def _groups(found: _Found) -> list[tuple[str, frozenset[int]]]:
-    """Name and faces of each tag: sides of one body with common faces are merged."""
+    """Name and faces of each tag; sides of a body with common faces are merged."""
     groups: list[tuple[int, list[int], frozenset[int]]] = []
     for side in found.sides.values():
         others, faces, rest = [side.other], side.faces, []
@@ -414,7 +407,6 @@ def _nodes(count: int) -> str:
 def _choose_slaves(
     found: _Found, tag_of_face: Mapping[int, int]
 ) -> tuple[list[tuple[_Side, _Side]], list[str]]:
-    """Slave and master side of each pair, and lost constraints."""
     place = {key: k for k, key in enumerate(found.sides)}
     keys = [(a, b) for a, b in found.sides if a < b]
     pairs = [(found.sides[a, b], found.sides[b, a]) for a, b in keys]
