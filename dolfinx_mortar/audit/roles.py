@@ -12,9 +12,8 @@ from scipy.sparse.csgraph import connected_components
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Longs
 
 Cost = tuple[float, ...]
-# Ratio of slave to master facets above which pressures are coarse. Disc on a block, moduli 1:1 to
-# 1:1000: forces and peaks are right to .7 % up to 4, peaks to 6 % at 8 and 11 % at 12; a factor of
-# two is left for patches of fewer facets.
+# Ratio of slave to master facets for accurate pressures. Disc on a block, moduli 1:1 to 1:1000:
+# peaks are right to .7 % up to 4, to 6 % at 8, 11 % at 12; half of 4 for small patches.
 COARSE = 2.0
 
 
@@ -28,7 +27,7 @@ class Candidates:
     common: Longs  # (s, s) shared nodes that face partners
 
     def __getitem__(self, which: Longs) -> "Candidates":
-        """Some of the pairs."""
+        """Some pairs."""
         return Candidates(self.sides[which], self.sizes[which], self.group, self.common)
 
 
@@ -47,10 +46,10 @@ def choose_roles(given: Candidates) -> Roles:
     """Roles with fine slaves and few lost constraints.
 
     A node is the slave in one contact only; contacts must not need each other's slave nodes in a
-    cycle (`interfaces.claims`). Minimised in this order: slaves more than `COARSE` times coarser
-    than their masters; slave faces that face two masters at a node; shares of slave sides lost by
-    cycles; shares of other nodes that face two masters; coarseness of slaves; number of the side.
-    Of 150 unevenly pressed walls of 2 to 9 blocks 3 do not converge, with a choice pair by pair 9.
+    cycle (`interfaces.claims`). Minimised in this order: slaves `COARSE` times coarser than their
+    masters; slave faces with two masters at a node; shares of slave sides lost by cycles; shares of
+    other nodes with two masters; coarseness of slaves; number of the side. (Of 150 walls 3 do not
+    converge, with a choice pair by pair 9.)
     """
     slave = np.zeros(len(given.sides), dtype=np.int64)
     for which in _related(given):
@@ -59,21 +58,20 @@ def choose_roles(given: Candidates) -> Roles:
 
 
 def _links(given: Candidates) -> Longs:
-    """Matrix (p, p), nonzero where roles of two pairs depend on each other."""
+    """Matrix (p, p), nonzero where roles of pairs depend on each other."""
     sides = given.sides.T
     linked = (given.common > 0) | (given.group[:, None] == given.group)
     return np.asarray(sum(linked[np.ix_(a, b)].astype(np.int64) for a in sides for b in sides))
 
 
 def _related(given: Candidates) -> Iterator[Longs]:
-    """Yield the numbers of linked pairs."""
     label = connected_components(coo_array(_links(given)), directed=False)[1]
     for one in range(label.max(initial=-1) + 1):
         yield np.flatnonzero(label == one)
 
 
 def _search(given: Candidates) -> Longs:
-    """Best roles (p,) of few related pairs, good ones of many by turning single pairs."""
+    """Best roles (p,) of few related pairs, good ones of many."""
     own, other = given.sizes.T
     finer = (other < own * (1.0 - HALF_OF_DIGITS)).astype(np.int64)
     count = len(finer)
@@ -130,12 +128,11 @@ def assess(given: Candidates, slave: Longs) -> Roles:
         float(((shared - straddling) / size).sum()),
         float(np.log(ratio).clip(min=0.0).sum()),
     )
-    digits = tuple(float(np.rint(part / HALF_OF_DIGITS)) for part in cost)  # without round-off
+    digits = tuple(float(np.rint(part / HALF_OF_DIGITS)) for part in cost)
     return Roles(slave, twice, cyclic, digits)
 
 
 def _close_cycles(needed: Longs) -> dict[tuple[int, int], int]:
-    """Nodes removed from the second of two contacts, as by `resolve_claims`."""
     label = connected_components(coo_array(needed), directed=True, connection="strong")[1]
     needs: dict[int, set[int]] = {}
     removed: dict[tuple[int, int], int] = {}
@@ -151,7 +148,6 @@ def _close_cycles(needed: Longs) -> dict[tuple[int, int], int]:
 
 
 def _reaches(needs: dict[int, set[int]], start: int, end: int) -> bool:
-    """Tell whether one contact needs another one, also indirectly."""
     seen, ahead = {start}, [start]
     while ahead:
         new = needs[ahead.pop()] - seen
