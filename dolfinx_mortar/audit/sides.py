@@ -23,12 +23,11 @@ from dolfinx_mortar.mortar.integrals import find_segments, point_distances
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import mean_facet_length
 
-# Largest ratio of sagitta forces to contact forces. The peak pressure of a pin in its hole is right
-# to 2 % below 0.05, to 5 % below 0.2, and 30 to 130 % too high from 0.3 on.
+# Ratio of sagitta to contact forces: the peak pressure of a pin in its hole is right to 2 % below
+# 0.05, to 5 % below 0.2, and 30 to 130 % too high from 0.3 on.
 SPOILT = 0.2
-# Sides fit closely if their relative curvature is below this part of the larger curvature. The peak
-# pressure of a pin with six facets in contact is 112, 62 and 25 % too high for 0.1, 0.33 and 0.5;
-# of a disc on a plane (1) 6 %.
+# Relative curvature of closely fitting sides over the larger one: the peak pressure of a pin is
+# 112, 62 and 25 % too high for 0.1, 0.33 and 0.5, of a disc on a plane (1) 6 %.
 CLOSE = 0.5
 
 
@@ -36,18 +35,18 @@ CLOSE = 0.5
 class Edges:
     """Nodes of both smooth sides where facets are kept, all ranks."""
 
-    feature_angle: float  # degrees from which on an edge is sharp
-    nodes: int  # on edges
-    without_normal: int  # of these: normals cancel
+    feature_angle: float
+    nodes: int
+    without_normal: int  # normals cancel
 
 
 @dataclass(frozen=True)
 class TieReach:
     """Distances of points tied at X, all ranks."""
 
-    farthest: float  # largest distance, 0 without ties
-    share: float  # largest distance over the larger facet
-    beyond: int  # slave nodes that face the master beyond the reach
+    farthest: float  # 0 without ties
+    share: float  # distance over the larger facet
+    beyond: int  # slave nodes beyond the reach
 
 
 @dataclass(frozen=True)
@@ -58,18 +57,18 @@ class InterfaceAudit:
     slave_facets: int
     master_facets: int
     slave_nodes: int
-    kept_nodes: int  # with a multiplier
-    uncovered_nodes: int  # face no master: gap not-a-number, "facing" 0
-    removed_nodes: int  # face a master without a multiplier (Dirichlet, claims)
-    dirichlet_nodes: int  # face a master, but all directions are prescribed
+    kept_nodes: int
+    uncovered_nodes: int  # gap not-a-number, "facing" 0
+    removed_nodes: int  # face a master (Dirichlet, claims)
+    dirichlet_nodes: int  # all directions prescribed
     facing_away: int  # slave facets that touch master facets from behind
-    size_ratio: float  # mean slave over mean master facet length; 1 without a master
-    least_gap: float  # smallest gap of a kept node, negative in an overlap
-    largest_gap: float  # not-a-number, as the least, without a master or tool
+    size_ratio: float  # mean facet lengths, slave over master; 1 without a master
+    least_gap: float  # of kept nodes, negative in an overlap
+    largest_gap: float  # not-a-number without a master or tool, as the least
     edges: Edges | None = None  # of smooth surfaces
-    reach: TieReach | None = None  # of ties
+    reach: TieReach | None = None
     unheld: str | None = None  # slave facets whose multipliers Dirichlet data prevent
-    meets_itself: bool = False  # self-contact
+    meets_itself: bool = False
 
     def __str__(self) -> str:
         gap = f", gaps from {self.least_gap:.3g} to {self.largest_gap:.3g}"
@@ -119,7 +118,7 @@ def audit_sides(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     # round-off of coordinates is no gap
     x = np.abs(sides.V.mesh.geometry.x).max(initial=0.0)
     size = ROUND_OFF * max(float(lengths[0]), float(maximum(sides.V.mesh.comm, x)[0]))
-    if sides.hold:  # nodes are held in place
+    if sides.hold:
         least = largest = np.nan
     ends = [0.0 if abs(end) < size or np.isinf(end) else float(end) for end in (-least, largest)]
     edges = None
@@ -143,10 +142,7 @@ def _count_facets(link: Link) -> tuple[int, int]:
 
 
 def _count_facing_away(pairing: Pairing) -> int:
-    """Number of this rank's slave facets that touch a master facet of the same direction.
-
-    Within one facet length at X; facets at a right angle do not count.
-    """
+    """Number of slave facets that touch the back of a master facet, within a facet length."""
     x_s = pairing.slave.X[pairing.slave.facets]
     x_m = pairing.master_X[pairing.master_facets]
     if len(x_s) == 0 or len(x_m) == 0:
@@ -162,7 +158,7 @@ def _measure_reach(link: Link) -> TieReach | None:
     """Measure a tie; None for others; collective."""
     if link.unilateral or link.pairing is None:
         return None
-    pairing, segments = link.mortar[0], link.mortar[1].segments  # ties are coupled at X
+    pairing, segments = link.mortar[0], link.mortar[1].segments  # ties stay at X
     everything, _ = find_segments(pairing, None)
     distances, larger = point_distances(pairing, segments, None)
     comm = link.sides.V.mesh.comm
@@ -175,10 +171,7 @@ def _measure_reach(link: Link) -> TieReach | None:
 
 
 def _find_unheld(link: Link) -> str | None:
-    """Describe slave facets without a multiplier that meet several master facets; collective.
-
-    Over a single master facet both sides are linear; over several nothing ties them.
-    """
+    """Slave facets without a multiplier that meet several master facets; collective."""
     if not link.pairing:
         return None
     slave, segments = link.sides.slave, link.mortar[1].segments
@@ -212,10 +205,7 @@ def _remedy(link: Link) -> str:
 
 
 def _warnings_on_reach(link: Link, reach: TieReach) -> list[str]:
-    """Warn where separated points are tied or left out by default.
-
-    Sagittas of facets at the feature angle a are tan(a / 4) / 2 of their length.
-    """
+    """Warn of separated points that are tied or left out by default."""
     plain = np.tan(np.radians(link.interface.feature_angle / 4))
     told = []
     if reach.share > plain:
@@ -270,7 +260,7 @@ def _warnings(i: InterfaceAudit) -> list[str]:
 
 
 def are_flat(link: Link, sides: tuple[SmoothSide, SmoothSide]) -> bool:
-    """Tell whether the sagittas of both sides are round-off; collective."""
+    """Whether the sagittas of both sides are round-off; collective."""
     highest = max(np.abs(side.sagitta).max(initial=0.0) for side in sides)
     length = mean_facet_length(link.sides.slave)
     return float(maximum(link.sides.V.mesh.comm, highest)[0]) <= HALF_OF_DIGITS * length
@@ -279,9 +269,9 @@ def are_flat(link: Link, sides: tuple[SmoothSide, SmoothSide]) -> bool:
 def warnings_on_straight_facets(link: Link, u: fem.Function | None = None) -> list[str]:
     """Warnings about second order on straight facets of curved sides; collective.
 
-    Pressures of ties do not converge: the scatter (rms) on rings with 20, 80 and 320 facets is 2,
-    0.6 and 0.4 %; of first order 0.2, 0.02 and 0.001 %. Closely fitting contacts need fine meshes:
-    peaks of an elliptic pin with 52, 73, 103 and 205 facets are 80, 29, 6 and 0.4 % too high.
+    Pressures of ties on rings with 20, 80, 320 facets scatter by 2, 0.6, 0.4 % (rms), of first
+    order by 0.2, 0.02, 0.001 %. Peaks of a closely fitting elliptic pin with 52, 73, 103, 205
+    facets are 80, 29, 6, 0.4 % too high.
     """
     slave, interface = link.sides.slave, link.interface
     if link.pairing is None or slave.curved or slave.element.degree == 1:
