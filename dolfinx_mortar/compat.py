@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The dolfinx calls that changed between 0.9 and 0.11: one function per changed API."""
+"""Dolfinx calls that changed between 0.9 and 0.11: one function per call."""
 
 from typing import Any
 
@@ -14,13 +14,13 @@ from dolfinx import default_scalar_type, fem, jit, mesh
 
 
 def interpolation_points(V: fem.FunctionSpace) -> np.ndarray:
-    """Return the reference points (q, tdim) of V's element (a method until 0.9)."""
+    """Reference points (q, tdim) of V's element (a method until 0.9)."""
     points = V.element.interpolation_points
     return np.asarray(points() if callable(points) else points)
 
 
 def on_same_mesh(tags: mesh.MeshTags | mesh.Mesh, domain: mesh.Mesh) -> bool:
-    """Tell whether tags, or a mesh, are of this very mesh (topologies may be wrapped)."""
+    """Whether tags, or a mesh, are of this very mesh (topologies may be wrapped)."""
 
     def unwrapped(topology: Any) -> Any:
         return getattr(topology, "_cpp_object", topology)
@@ -54,10 +54,7 @@ def scaled_mesh(domain: mesh.Mesh, scale: float) -> mesh.Mesh:
 def mesh_from_gmsh(
     model: Any, comm: Any, dim: int
 ) -> tuple[mesh.Mesh, mesh.MeshTags, mesh.MeshTags]:
-    """Mesh, cell tags and facet tags of the Gmsh model on rank 0; collective.
-
-    Since 0.10 the module has another name, and missing tags are None.
-    """
+    """Mesh, cell tags and facet tags of the Gmsh model on rank 0; collective."""
     try:
         from dolfinx.io.gmsh import model_to_mesh
     except ImportError:
@@ -80,11 +77,7 @@ def cell_kinds(domain: mesh.Mesh) -> list[str]:
 def compile_together(*forms: ufl.Form, compiler: list[str] | None = None) -> list[fem.Form]:
     """Return `fem.form` of forms over cells, compiled in one module; collective.
 
-    A module costs 0.1 s of compiler and linker. It is kept on disk as a whole: compile forms that
-    vary, such as the user's load, on their own.
-
-    Args:
-        compiler: options of the compiler, default the usual ones.
+    A module costs 0.1 s of compiler and linker, and is cached as a whole: not with forms that vary.
     """
     comm = forms[0].ufl_domain().ufl_cargo().comm
     options = ffcx.get_options({"scalar_type": default_scalar_type})
@@ -96,7 +89,6 @@ def compile_together(*forms: ufl.Form, compiler: list[str] | None = None) -> lis
 
 
 def _create_form(form: ufl.Form, kernel: Any, module: Any, code: Any) -> fem.Form:
-    """Compiled form with its data, as of `fem.form`."""
     ((domain, data),) = form.subdomain_data().items()
     functions, positions = form.coefficients(), kernel.original_coefficient_positions
     address = int(module.ffi.cast("uintptr_t", module.ffi.addressof(kernel)))
