@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Files replaced as a whole; checks of a path and its disk before HDF5 writes.
 
-The name, the space (HDF5 crashes on a full disk), and whether the file to be replaced is a
-checkpoint: ``Writer("run.xdmf", ..)`` and ``checkpoint="run.h5"`` use the same file.
+HDF5 crashes on a full disk, and ``Writer("run.xdmf", ..)`` uses the same file as
+``checkpoint="run.h5"``.
 """
 
 import errno
@@ -15,16 +15,16 @@ from mpi4py import MPI
 
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 
-# Bytes of HDF5 per array and per file in addition to the data; measured 0.5 kB (h5py) and 4.4 kB
-# (chunks of PETSc).
+# Bytes of HDF5 per array and file in addition to data; measured 0.5 kB (h5py) and 4.4 kB (chunks of
+# PETSc).
 INDEX = 2**13
-CANNOT_TELL = (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS)  # file systems that cannot allocate
+CANNOT_TELL = (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS)  # file systems without allocation
 
 CHECKPOINT = b"dolfinx_mortar checkpoint"  # first bytes of the file
 
 
 def is_checkpoint(file: Path) -> bool:
-    """Tell whether a file exists and begins as a checkpoint."""
+    """Whether a file exists and begins as a checkpoint."""
     if not file.is_file():
         return False
     with file.open("rb") as stream:
@@ -41,7 +41,7 @@ def replace_by_draft(path: Path) -> None:
     draft = draft_of(path)
     flush(draft)
     draft.replace(path)
-    with suppress(OSError):  # not all file systems can; either file is whole
+    with suppress(OSError):  # not all file systems can
         flush(path.parent)
 
 
@@ -60,10 +60,7 @@ def space_for(arrays: int, size: int) -> int:
 
 
 def demand_space(file: Path, size: int) -> None:
-    """Raise an OSError unless an existing file can grow by so many bytes; it is not changed.
-
-    Nothing is raised where space cannot be reserved.
-    """
+    """Raise an OSError if an existing file, which is not changed, cannot grow by so many bytes."""
     if not hasattr(os, "posix_fallocate"):
         return
     with file.open("r+b") as stream:
@@ -89,7 +86,6 @@ def check_path(comm: MPI.Comm, path: Any, name: str = "path") -> Path:
 
 
 def _can_be_name(path: str | bytes) -> bool:
-    """Tell whether a text can be a file name."""
     try:
         name = os.fsencode(path)
     except UnicodeEncodeError:
