@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Change of basis u = T y of a problem, in which every constraint is a bound.
 
-T contains P = D^-1 M, so that row j of B_I T = N^T (D - M) T is D_jj times a unit vector, and g_j
->= 0 a bound on w_n,j (theory.md, Constraints become bounds).
-T is the identity off slave nodes, and T = (I - Q)^-1 W, W = blockdiag(R_j). Without references to
-slave nodes T = W + Q; in a stack of bodies T is the product of the interfaces' matrices in
-topological order. Sides of six-node triangles have two matrices, that of the mid-side nodes on the
-left.
+T contains P = D^-1 M: row j of B_I T = N^T (D - M) T is D_jj times a unit vector (theory.md,
+Constraints become bounds). T = (I - Q)^-1 W, W = blockdiag(R_j), is W + Q without references to
+slave nodes, in a stack of bodies the product of the interfaces' matrices in topological order.
+Sides of six-node triangles have two matrices, first that of the mid-side nodes.
 """
 
 from collections.abc import Sequence
@@ -25,22 +23,17 @@ from dolfinx_mortar.interfaces.link import Link
 
 
 class Transformation:
-    """T and T^T K T on patterns that are fixed as long as the pairings.
-
-    Args:
-        links: interfaces with pairings, claims and near nodes.
-        claims: order and dependencies of the interfaces.
-    """
+    """T and T^T K T on patterns that are fixed as long as the pairings."""
 
     def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], claims: Claims) -> None:
-        # without chains one matrix for all interfaces saves products
+        # without chains one matrix saves products
         self.claims = claims
         groups = [[i] for i in claims.order] if self.chained else [claims.order]
         self.links = links
         dependent = any_rank(V.mesh.comm, any(link.sides.dependent.any() for link in links))[0]
         levels = (True, False) if dependent else (None,)
         parts = [(group, level) for group in groups for level in levels]
-        self.factors = [_Factor(V, links, *part) for part in parts]  # T is their product
+        self.factors = [_Factor(V, links, *part) for part in parts]
         self._congruences: list[Congruence] = []
 
     @property
@@ -49,7 +42,7 @@ class Transformation:
         return bool(self.claims.dependencies)
 
     def serves(self, claims: Claims) -> bool:
-        """Tell whether its factors fit other claims."""
+        """Whether its factors fit other claims."""
         mine = self.claims
         return claims.order == mine.order and claims.dependencies == mine.dependencies
 
@@ -86,7 +79,7 @@ class Transformation:
         """Return C of u = (I + C) v, without stored zeros, and E or None; collective.
 
         Args:
-            held: owned unknowns of y that are fixed.
+            held: owned fixed unknowns of y.
         """
         if self.chained:
             return self.change, None
@@ -105,7 +98,7 @@ class Transformation:
             return y
         once, v = y.duplicate(), y.duplicate()
         E.multAdd(y, y, once)
-        E.multAdd(once, y, v)  # (I - E)^-1 = I + E + E^2: vertices may be open, too
+        E.multAdd(once, y, v)  # (I - E)^-1 = I + E + E^2: vertices may be open
         return v
 
     def inverse(self, u: PETSc.Vec) -> PETSc.Vec:
@@ -133,10 +126,7 @@ class Transformation:
 
 
 class _Factor:
-    """T = I + C of independent interfaces.
-
-    Of all their slave nodes, of dependent mid-side nodes, or of the others.
-    """
+    """T = I + C of independent interfaces, of all or some of their slave nodes."""
 
     def __init__(
         self,
@@ -149,7 +139,7 @@ class _Factor:
         taken = np.zeros(n, dtype=bool)
         rows, columns = [], []
         self.parts: list[tuple[int, Bools, Bools]] = []  # link, nodes with frames, rows of Q
-        # a shared slave node has the frame of its owner
+        # shared slave nodes have the frame of their owner
         for k in members:
             link, p = links[k], links[k].pattern
             others = [links[i] for i in members if i != k]
@@ -194,7 +184,7 @@ class _Factor:
             in_frame = np.where(free[:, :, None], link.coupling.rows[at] @ blocks[off], 0.0)
             kept = blocks.copy()
             kept[off] -= link.coupling.R[at] @ in_frame
-            kept[off & (link.constrained == free_now)[p.row].all(axis=1)] = 0.0  # no round-off
+            kept[off & (link.constrained == free_now)[p.row].all(axis=1)] = 0.0
             on = used & kept.any(axis=(1, 2))
             C.append((link.nodes[p.row[on]], p.column[on], kept[on]))
             E.append((link.nodes[p.row[off]], p.column[off], in_frame))
@@ -216,9 +206,9 @@ class _Factor:
 
 
 def _product(Cs: Sequence[PETSc.Mat]) -> PETSc.Mat:
-    """C of the product of factors I + C_k; collective."""
+    """C of the product of I + C_k; collective."""
     total = Cs[0]
-    for C in Cs[1:]:  # (I + A) (I + B) = I + A + B + A B
+    for C in Cs[1:]:
         both = total.matMult(C)
         for part in (total, C):
             both.axpy(1.0, part, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
@@ -227,7 +217,6 @@ def _product(Cs: Sequence[PETSc.Mat]) -> PETSc.Mat:
 
 
 def _create(V: fem.FunctionSpace, parts: Sequence[tuple[Ints, Longs, Floats]]) -> PETSc.Mat:
-    """Matrix of parts (rows, columns, blocks); collective."""
     rows, columns, values = (np.concatenate([part[k] for part in parts]) for k in range(3))
     blocks = create_blocks(V, rows, columns)
     blocks.fill(values)
@@ -235,7 +224,6 @@ def _create(V: fem.FunctionSpace, parts: Sequence[tuple[Ints, Longs, Floats]]) -
 
 
 def _kept_by(links: Sequence[Link], nodes: Ints) -> Bools:
-    """Mask of owned nodes that an interface may keep."""
     found = np.zeros(len(nodes), dtype=bool)
     for link in links:
         found |= link.sides.on_slave[nodes] & ~link.banned[nodes]
