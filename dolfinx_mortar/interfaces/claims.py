@@ -24,13 +24,13 @@ from dolfinx_mortar.mortar.surface import nodal_normals, sum_at_nodes
 class Claims:
     """Owners of slave nodes, and order of the interfaces."""
 
-    owner: Ints  # (owned nodes,) interface that may keep it
-    banned: list[Bools]  # of each interface (local nodes,): slave nodes that it may not keep
+    owner: Ints  # (owned nodes,) interface
+    banned: list[Bools]  # of each interface (local nodes,): slave nodes of others
     dependencies: frozenset[
         tuple[int, int]
     ]  # (i, k): i depends on slave nodes of k, T_i is left of T_k
     order: list[int]  # of the transformations
-    notes: list[str]  # on removed multipliers
+    notes: list[str]
 
 
 def referenced(sides: Sides, pattern: Pattern) -> Bools:
@@ -41,11 +41,7 @@ def referenced(sides: Sides, pattern: Pattern) -> Bools:
 
 
 def choose_owners(sides: Sequence[Sides], coverage: Sequence[Coverage]) -> Ints:
-    """Owner (n,) of each owned node; no communication.
-
-    The first interface whose master the node faces enough for a multiplier, else the first that
-    covers it.
-    """
+    """Owner (n,) of each owned node: first interface that faces or covers it; no communication."""
     n = sides[0].n_owned
     owner, best = np.zeros(n, dtype=np.int32), np.full(n, -1)
     for k, (side, found) in enumerate(zip(sides, coverage, strict=True)):
@@ -57,11 +53,7 @@ def choose_owners(sides: Sequence[Sides], coverage: Sequence[Coverage]) -> Ints:
 
 
 def find_referenced(sides: Sides, pattern: Pattern, banned: Bools, coverage: Coverage) -> Bools:
-    """Mask of owned nodes to which P of an interface may refer; collective.
-
-    Master nodes of candidate pairs, and slave nodes without multiplier on covered facets, whose
-    dual function is shared out.
-    """
+    """Mask of owned master nodes and removed slave nodes to which P may refer; collective."""
     leant_on = referenced(sides, pattern)
     leant_on[sides.nodes[coverage.reached & banned[sides.nodes]]] = True
     return leant_on
@@ -70,11 +62,7 @@ def find_referenced(sides: Sides, pattern: Pattern, banned: Bools, coverage: Cov
 def _why_claimed(
     sides: Sequence[Sides], interfaces: Sequence[Interface], owners: Ints, k: int
 ) -> str:
-    """Reason and remedy for nodes of interface k with other owners; collective.
-
-    Args:
-        owners: of those nodes; the message names the first.
-    """
+    """Reason and remedy for nodes of interface k with other owners; collective."""
     first = int(owners.min(initial=k))
     pair = sides[k].V.mesh.comm.allreduce(first, op=MPI.MIN), k
     why = "claimed by an earlier interface that they face as well; "
@@ -95,10 +83,7 @@ def _common(
     coverage: Sequence[Coverage],
     owner: Ints,
 ) -> Bools:
-    """Masks (n,) of owned nodes shared with the owner, for each interface; collective.
-
-    Both masters cover them, and both sides are one face; in a corner pressures differ in direction.
-    """
+    """Masks (n,) of owned nodes on one face with the owner, covered by both masters; collective."""
     d, own = sides[0].V.mesh.geometry.dim, np.arange(len(owner))
     whole = np.zeros((len(sides), len(owner)), dtype=bool)
     of_sides = np.zeros((*whole.shape, d))
@@ -111,11 +96,7 @@ def _common(
 
 
 def _lost(sides: Sides, coverage: Coverage, banned: Bools, common: Bools) -> Bools:
-    """Mask (n,) of owned nodes whose removal loses contact; collective.
-
-    None where two sides of one face end together (``common``) and every slave facet has another
-    node.
-    """
+    """Mask (n,) of removed owned nodes that lose contact, not at ``common`` ends; collective."""
     slave = sides.slave
     taken = np.asarray(with_ghosts(sides.V, banned)[slave.nodes][slave.facets].all(axis=1))
     alone = np.repeat(taken[:, None, None], slave.facets.shape[1], axis=1)
@@ -134,13 +115,7 @@ def resolve_claims(
 ) -> Claims:
     """Assign every slave node to one interface and order the interfaces; collective.
 
-    A claim that would close a cycle is removed from the later interface. Dual functions of removed
-    nodes are shared out.
-
-    Args:
-        interfaces: in the user's order.
-        patterns: of their candidate pairs.
-        coverage: of the slave nodes.
+    The later interface loses claims that would close a cycle.
     """
     comm, n = sides[0].V.mesh.comm, sides[0].n_owned
     owner = choose_owners(sides, coverage)
@@ -155,7 +130,6 @@ def resolve_claims(
             notes.append(f"{interfaces[k]}: {count} slave nodes removed, {why}")
 
     def dependent(i: int, k: int) -> Bools:
-        """Owned slave nodes of k on which i depends."""
         leant_on = find_referenced(sides[i], patterns[i], banned[i], coverage[i])
         return np.asarray(leant_on & slaves[k] & ~banned[k])
 
@@ -188,10 +162,7 @@ def resolve_claims(
 
 
 def are_outdated(claims: Claims, links: Sequence[CoupledSides]) -> bool:
-    """Tell whether claims must be resolved again after slides; collective.
-
-    A node faces only another interface's master, or there is a new dependency.
-    """
+    """Whether claims must be resolved again after slides; collective."""
     sides = [link.sides for link in links]
     coverage = [link.coupling.coverage for link in links]
     if len(sides) < 2:
@@ -212,12 +183,10 @@ def are_outdated(claims: Claims, links: Sequence[CoupledSides]) -> bool:
 
 
 def _reaches(edges: set[tuple[int, int]], a: int, b: int) -> bool:
-    """Tell whether b can be reached from a."""
     return any(c == a and (e == b or _reaches(edges, e, b)) for c, e in edges)
 
 
 def _topological(n: int, edges: set[tuple[int, int]]) -> list[int]:
-    """Return 0..n-1 with i before k for every edge (i, k)."""
     order: list[int] = []
     while len(order) < n:
         order.append(
@@ -236,14 +205,7 @@ def notes_on_splits(
     coverage: Sequence[Coverage],
     displacements: Sequence[fem.Function | None],
 ) -> list[str]:
-    """Notes on facets that face another interface's master; collective.
-
-    Where two slave sides meet their masters must end, too: what lies between is not coupled. Facets
-    with nodes of both slave sides count from `LEAST_COVERAGE` on.
-
-    Args:
-        displacements: None for X.
-    """
+    """Notes on facets at two slave sides that face another interface's master; collective."""
     comm, n = sides[0].V.mesh.comm, sides[0].n_owned
     numbers = [k for k, side in enumerate(sides) if side.master not in (None, side.slave)]
     shares = np.full((len(sides), n), np.nan)
@@ -266,10 +228,7 @@ def notes_on_splits(
 
 
 def _between(side: Sides, other: Sides, u: fem.Function | None) -> Floats:
-    """Part of slave facets (m,) that only the other's master covers; collective.
-
-    Zero for facets without a node of both slave sides, or shared ones.
-    """
+    """Part (m,) of facets beside the other slave side that only its master covers; collective."""
     facets = side.slave.nodes[side.slave.facets]
     beside, shared = other.on_slave[facets], other.on_master[facets].all(axis=1).any()
     if other.master is None or side.master is None or any_rank(side.V.mesh.comm, shared)[0]:
