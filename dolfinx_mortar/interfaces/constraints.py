@@ -47,12 +47,7 @@ class Constraints:
 def check_shapes(
     name: str, found: object, shapes: Mapping[str, tuple[int, ...]], *, infinite: bool = False
 ) -> None:
-    """Raise a ValueError for arrays of wrong shapes or with NaN.
-
-    Args:
-        shapes: by field names.
-        infinite: whether infinity is allowed.
-    """
+    """Raise a ValueError for arrays of wrong ``shapes``, by field names, or with NaN."""
     for field, shape in shapes.items():
         values = np.asarray(getattr(found, field))
         if values.shape != shape:
@@ -62,12 +57,7 @@ def check_shapes(
 
 
 def check_constraints(name: str, found: Constraints, nodes: Ints, directions: Bools) -> None:
-    """Raise a ValueError for invalid bounds of an interface.
-
-    Args:
-        nodes: (n,) owned slave nodes.
-        directions: (n, d) constrained directions of the frames.
-    """
+    """Raise a ValueError for invalid bounds at nodes (n,) in directions (n, d)."""
     shape = np.shape(found.dofs)[:1]
     check_shapes(name, found, {"dofs": shape, "weight": shape})
     check_shapes(name, found, {"lower": shape, "upper": shape}, infinite=True)
@@ -83,7 +73,7 @@ def check_constraints(name: str, found: Constraints, nodes: Ints, directions: Bo
 
 
 def equalities(dofs: Ints, values: Floats, weight: Floats | None = None) -> Constraints:
-    """Return the constraints y = values.
+    """Constraints y = values.
 
     >>> equalities(np.array([4], dtype=np.int32), np.array([0.5])).equal.tolist()
     [True]
@@ -93,7 +83,7 @@ def equalities(dofs: Ints, values: Floats, weight: Floats | None = None) -> Cons
 
 
 def upper_bounds(nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
-    """W_n <= gap; arguments as in `Interface.constraints`."""
+    """Return w_n <= gap; arguments as in `Interface.constraints`."""
     on = directions[:, 0]
     gap = -slip[on, 0]
     dofs = (directions.shape[1] * nodes[on]).astype(np.int32)
@@ -107,10 +97,9 @@ def join(parts: Sequence[Constraints]) -> Constraints:
     return Constraints(dofs.astype(np.int32), lower, upper, weight)
 
 
-# Elastic slip of friction at nodes with prescribed slip, as a part of a facet; stick would
-# constrain the master. The stiffness mu p / ROOM over the facet stays small compared to E, so that
-# friction known from the last iterate converges (pressures of E / 200, mu = .3: contraction .1,
-# with .01 .35).
+# Elastic slip of friction at nodes with prescribed slip, in facets. The stiffness mu p / ROOM over
+# the facet must be below E for friction of the last iterate to converge (pressures of E / 200, mu =
+# .3: contraction .1, with .01 .35).
 ROOM = 0.05
 
 
@@ -119,12 +108,12 @@ class SlipLimits:
     """Limits of the tangential reactions at nodes with friction.
 
     |z_t| <= coefficient z_n + cohesion where closed, in this rank's numbering. In prescribed
-    directions the slip s_e is known instead of an unknown z_t; the share of the limit there, with
-    elastic slip a,
+    directions the slip s_e is known, not z_t; with the elastic slip a the share of the limit there
+    is
 
         q / max(|q + s_t / a|, 1),     q = (share at the last commit) + s_e / a,
 
-    leaves the rest to the tangential unknowns.
+    the rest is for the tangential unknowns.
     """
 
     nodes: Ints  # (m,) owned
@@ -177,11 +166,11 @@ class SlipLimits:
         return np.asarray(self.tangential >= 0)
 
     def along(self, vectors: Floats) -> Floats:
-        """Return the tangential components (m, d - 1) of vectors (m, d)."""
+        """Tangential components (m, d - 1) of vectors (m, d)."""
         return np.asarray(np.where(self.some, np.einsum("mti,mi->mt", self.axes, vectors), 0.0))
 
     def vectors(self, parts: Floats) -> Floats:
-        """Return vectors (m, d) of tangential components (m, d - 1)."""
+        """Vectors (m, d) of tangential components (m, d - 1)."""
         return np.asarray(np.einsum("mti,mt->mi", self.axes, parts))
 
 
@@ -203,7 +192,7 @@ class FrictionLaw:
     Coulomb, "friction": abs(tau) <= mu p. Tresca, "tresca": abs(tau) <= s.
     """
 
-    name: str  # of the argument
+    name: str
     value: Limit
 
     @property
@@ -252,12 +241,12 @@ class FrictionLaw:
         """
         comm, n = scalar.mesh.comm, scalar.dofmap.index_map.size_local
         if isinstance(self.value, fem.Function):
-            self.value.x.scatter_forward()  # values may come from ghost cells
+            self.value.x.scatter_forward()  # values may come from ghosts
             at_nodes = fem.Function(scalar)
             at_nodes.interpolate(self.value)
             values = np.asarray(at_nodes.x.array[:n], dtype=np.float64)
             largest = maximum(comm, np.abs(values).max(initial=0.0))[0]
-            # interpolation leaves round-off of zeros
+            # round-off of zeros
             none = np.isfinite(values) & (values < 0.0) & (values >= -ROUND_OFF * largest)
             values[none] = 0.0
         else:
@@ -271,11 +260,7 @@ class FrictionLaw:
 
 
 def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | None:
-    """Law, None for neither argument and for the number 0.
-
-    Raises:
-        ValueError: for both, and for invalid limits.
-    """
+    """Law, None for neither argument and the number 0; a ValueError for both or invalid ones."""
     if friction is not None and tresca is not None:
         raise ValueError(
             f"friction is {friction!r} and tresca is {tresca!r}: give one of the two, a "
