@@ -1,16 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Unilateral contact, between two sides and as a base class.
 
-With Lagrange multipliers lambda_j >= 0 and weighted gaps g_j the contact functional, its variation
-and linearisation are
+The bounds w_n <= g_j / D_jj, with reactions D_jj lambda_j, are the conditions of
 
-    Pi_c = lambda^T g(u),     g(u) = -N^T (D - M) (X + u) = c_I - B_I u,     B_I = N^T (D - M),
-    delta Pi_c = delta lambda^T g(u) - lambda^T B_I delta u,
-    Delta delta Pi_c = -(delta lambda^T B_I Delta u + Delta lambda^T B_I delta u),
+    Pi_c = lambda^T g(u),     g(u) = -N^T (D - M) (X + u) = c_I - B_I u,     B_I = N^T (D - M)
 
-with D, M and N of the present iterate; `interfaces.moving_geometry` has their derivatives. In the
-basis of `interfaces.basis` the conditions are bounds w_n <= g_j / D_jj with reactions D_jj
-lambda_j.
+(theory.md, Equations 12 to 15) in the basis of `interfaces.basis`, with D, M and N of the iterate.
 """
 
 from typing import Any
@@ -28,8 +23,8 @@ from dolfinx_mortar.interfaces.results import NoResult
 from dolfinx_mortar.mortar.operators import SmoothSides
 from dolfinx_mortar.spaces import check_mesh
 
-# Nodes whose normal has a smaller free part (more than 84 degrees from the free directions) carry
-# no multiplier: it would exceed the free force tenfold.
+# Least free part of a node's normal (84 degrees off) for a multiplier, which else exceeds the free
+# force tenfold.
 MIN_FREE_NORMAL = 0.1
 
 
@@ -47,7 +42,7 @@ class Unilateral(Interface):
         return f"{name[:-1]}, {self.law.name}={said})"
 
     def given(self) -> dict[str, Any]:
-        """Arguments that must agree among ranks, by name; see `agreement`."""
+        """See `Interface.given`."""
         return super().given() | {"friction": self.friction, "tresca": self.tresca}
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
@@ -57,12 +52,12 @@ class Unilateral(Interface):
 
     @property
     def friction(self) -> Limit | None:
-        """Coefficient of friction as given; None without."""
+        """Coefficient of friction, or None."""
         return self._limit("friction")
 
     @property
     def tresca(self) -> Limit | None:
-        """Limit of the tangential traction as given; None without."""
+        """Limit of the tangential traction, or None."""
         return self._limit("tresca")
 
     def _limit(self, name: str) -> Limit | None:
@@ -75,7 +70,7 @@ class Unilateral(Interface):
     def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
         """Frames with the constrained normal first; Cartesian where not kept.
 
-        With friction free tangents are constrained, too.
+        With friction the free tangents are constrained, too.
         """
         R, slot, directions = normal_frames(normals, kept[:, 0], fixed)
         if self.law is not None:
@@ -108,7 +103,7 @@ class Unilateral(Interface):
 
     @property
     def slip(self) -> fem.Function:
-        """Accumulated slip of the nodes since the start, including the last step."""
+        """Accumulated slip of the nodes since the start."""
         return self._of_friction("slip")
 
     @property
@@ -118,7 +113,7 @@ class Unilateral(Interface):
 
     @property
     def dissipation(self) -> float:
-        """Energy dissipated by friction since the start, including the last step."""
+        """Energy dissipated by friction since the start."""
         self._of_friction("status")
         return self.dissipated
 
@@ -135,29 +130,28 @@ class Contact(Unilateral, MortarInterface):
     ``gap`` (>= 0 when open; not-a-number at nodes that face no master), ``active`` (1 in contact,
     else 0). ``force`` is the resultant on the slave side, -sum_j D_jj lambda_j n_j plus friction.
     ``pressure`` and ``traction`` are per area of the slave side at X + u with geometry="updated",
-    at X with "reference". They belong to the part that faces the master, also at a node just beyond
-    its end: their integral is the force only if all of the slave side faces the master, else
-    larger.
-    Friction: abs(tau) <= mu p, with equality against the slip where the sides slip: R_t^T (D^-1 (D
-    - M) (u - u_committed)), the tangential motion relative to the master since the last commit.
-    Further results: ``traction`` (tangential, on the slave side), ``step_slip`` (of the last step,
-    a length), ``slip`` (accumulated), ``status`` (0 open, 1 stick, 2 slip), and ``dissipation``
+    at X with "reference", and belong to the part that faces the master, also at a node just beyond
+    its end: their integral exceeds the force unless all of the side faces the master.
+    Friction: abs(tau) <= mu p, with equality against the slip R_t^T (D^-1 (D - M) (u -
+    u_committed)), the tangential motion relative to the master since the last commit. Further
+    results: ``traction`` (tangential, on the slave side), ``step_slip`` (of the last step, a
+    length), ``slip`` (accumulated), ``status`` (0 open, 1 stick, 2 slip), and ``dissipation``
     (energy since the start). Where Dirichlet data prescribe the slip, friction reaches its limit
-    over a slip of a twentieth of a facet.
+    over a twentieth of a facet.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
         slave: tag or name (see `Tags`) of the side with the multipliers.
-        master: tag or name of the other side; equal to ``slave`` for self-contact, where each
-            search divides the surface, see `dolfinx_mortar.mortar.self_contact`.
+        master: tag or name of the other side; equal to ``slave`` for self-contact, see
+            `dolfinx_mortar.mortar.self_contact`.
         surface: "smooth" measures the gap between smooth surfaces through the nodes, g_j - sum_q w
             Phi_j (h_s + h_m) with the heights h of `dolfinx_mortar.geometry.curvature`; "facets"
-            between the facets, as the paper. D, M and N are the same.
+            between the facets, as the paper.
         feature_angle: degrees between facets from which on an edge is sharp; for smooth surfaces.
         friction: Coulomb's coefficient mu: a number, a scalar Constant, or a scalar Lagrange
-            Function on the mesh of the displacement, read at every step; 0 is no friction.
+            Function on the mesh of the displacement, read at every step.
         tresca: limit of the tangential traction instead, of the same kinds, at every slave node
-            that faces the master, whatever the pressure. A step is then a convex minimisation. In
+            that faces the master, whatever the pressure; a step is then a convex minimisation. In
             axisymmetry per circumference at X for small strains.
     Source: the paper, eqs. 12 to 20; friction: S. Hueeber, G. Stadler, B. Wohlmuth, SIAM J. Sci.
     Comput. 30 (2008) 572-596; M. Gitterle, A. Popp, M. W. Gee, W. A. Wall, Int. J. Numer. Methods
