@@ -2,8 +2,8 @@
 """Derivatives of forces, weighted gaps and slips of one contact by the displacement.
 
 The system is in `moving_geometry`, the product rule in `mortar.tangent`. On a tool tractions
-lambda_j n_j + tau_j turn with dn_j = -(I - n n^T) Hess phi dx_j, tangents as in `moving_geometry`,
-and phi is that of `point_gaps`. Changes of heights of second order by normal strain are left out.
+lambda_j n_j + tau_j turn with dn_j = -(I - n n^T) Hess phi dx_j, and phi is that of `point_gaps`.
+Changes of heights of second order by normal strain are left out.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ from dolfinx_mortar.shapes.shape import unit_vectors
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Division of the unknowns of a vector space among ranks; see `algebra.triplets.Layout`."""
+    """Layout of the unknowns of a vector space, see `algebra.triplets.Layout`."""
 
     size_local: int
     size_global: int
@@ -61,14 +61,13 @@ class Unknowns:
 class SlipRows:
     """Rows of the slips of a contact, s.(du_j - P du) + m.dt, m being the present motion.
 
-    P belongs to the partners (`slip_partners`); tangents t turn with the normal. s = t, but on
-    tools, where m depends on the normal, too: + t.dm.
+    The tangents t turn with the normal. s = t, but on tools, where m depends on the normal: + t.dm.
     """
 
     link: CoupledSides
     partners: Partners
     turning: Floats  # (n, d - 1, d) derivatives m.dt + t.dm by the normals
-    normals: PETSc.Mat  # derivatives of the normals
+    normals: PETSc.Mat
     along: Floats  # (n, d - 1, d) s
 
     @property
@@ -113,22 +112,20 @@ class LinkDerivatives(ABC):
 
     @abstractmethod
     def serves(self, link: CoupledSides) -> bool:
-        """Tell whether the pattern fits another link; on this rank."""
+        """Whether the pattern fits another link; on this rank."""
 
     @abstractmethod
     def differentiate(
         self, link: CoupledSides, u: fem.Function, multipliers: Floats, tangential: Floats | None
     ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
-        """Derivatives of forces and gaps, and the nodes of the latter; collective.
+        """Derivatives of forces and gaps, and a mask (n,) of known rows of the latter; collective.
+
+        d(B^T lambda)/du, and dG_j in the rows w_n; the next call refills the matrices.
 
         Args:
             link: the interface at X + u.
             multipliers: lambda_j (owned nodes,).
             tangential: tangential tractions (owned nodes, d), None without friction.
-
-        Returns:
-            d(B^T lambda)/du, dG_j in the rows w_n, and a mask (n,) of rows that are known. The next
-                call refills the matrices.
         """
 
     @abstractmethod
@@ -142,7 +139,7 @@ class ContactDerivatives(LinkDerivatives):
     """Derivatives of the forces and weighted gaps of one contact.
 
     F_x + F_n C + F_p N, with derivatives C of contact normals and N of averaged ones (along which
-    facets are projected in 2D). By the dual functions they depend on all partners of a facet.
+    facets are projected in 2D).
     """
 
     def __init__(self, link: CoupledSides) -> None:
@@ -178,7 +175,7 @@ class ContactDerivatives(LinkDerivatives):
         self.gaps = SumWithProducts(*of, x, *by_gaps)
 
     def serves(self, link: CoupledSides) -> bool:
-        """Tell whether a link has the same pairs."""
+        """Whether a link has the same pairs."""
         new, _ = link.mortar
         names = "pairs", "master_facets", "master_nodes"
         return all(np.array_equal(getattr(self._found, v), getattr(new, v)) for v in names)
@@ -186,10 +183,7 @@ class ContactDerivatives(LinkDerivatives):
     def differentiate(
         self, link: CoupledSides, u: fem.Function, multipliers: Floats, tangential: Floats | None
     ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
-        """Derivatives of forces and gaps, and the nodes of the latter; collective.
-
-        In space gap rows only on loaded facets and their neighbours.
-        """
+        """See `LinkDerivatives`; in space gap rows of loaded facets and neighbours; collective."""
         slave, (_, operators) = link.sides.slave, link.mortar
         x = coordinates(slave, u)
         given, keep = tractions_of(link, multipliers, tangential)
@@ -211,7 +205,6 @@ class ContactDerivatives(LinkDerivatives):
     def _derivatives(
         self, link: CoupledSides, u: fem.Function, segments: Segments, keep: Bools, given: Tractions
     ) -> Derivatives:
-        """Derivatives of this rank; collective."""
         pairing, common = link.mortar[0], link.coupling.common
         assert common is not None
         at = pairing, u, segments, keep, given, link.pattern.smooth
@@ -220,7 +213,7 @@ class ContactDerivatives(LinkDerivatives):
     def slips(
         self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
     ) -> SlipRows:
-        """Rows of slips at the last differentiated iterate; collective."""
+        """See `LinkDerivatives`; collective."""
         tangents = link.coupling.rows[:, 1:]
         along = (partners.motion(link, since) * link.coupling.R[:, :, 0]).sum(axis=1)
         turned = -along[:, None, None] * tangents  # tangents change along n only
@@ -230,18 +223,11 @@ class ContactDerivatives(LinkDerivatives):
 class _Normals:
     """Derivatives of the normals of contact, Y_s dn_j + Y_m sum_l (dM_jl n_l + M_jl dn_l).
 
-    n_j, n_l and spreads turn with the averaged normals. Left out: weights of spreads by M, and
-    facets at edges that are only in one of the averages.
+    Left out: weights of spreads by M, and facets at edges in only one of the averages.
     """
 
     def __init__(self, link: CoupledSides, x: BlockEntries, y: BlockEntries, N: PETSc.Mat) -> None:
-        """Create the patterns; collective.
-
-        Args:
-            x: of sum_l dM_jl n_l by coordinates.
-            y: the same by the averaged normals of the slave.
-            N: matrix of these.
-        """
+        """Create the patterns; x, y: sum_l dM_jl n_l by coordinates, by normals N; collective."""
         V, pattern, n = link.sides.V, link.pattern, len(link.nodes)
         assert link.sides.master is not None
         d, of = V.dofmap.index_map_bs, (V.mesh.comm, layout_of(V))
@@ -261,11 +247,10 @@ class _Normals:
         self._sum = SumWithProducts(*of, none, (one, N), (one, self._facing.zero()))
 
     def zero(self) -> PETSc.Mat:
-        """Matrix of `fill` with any values, for its pattern."""
         return self._sum.zero()
 
     def fill(self, link: CoupledSides, u: fem.Function, found: Derivatives) -> PETSc.Mat:
-        """Derivatives, given filled ones of the averaged normals; collective."""
+        """Derivatives, given those of the averaged normals; collective."""
         master, common, M = link.sides.master, link.coupling.common, link.mortar[1].M[:, :1]
         assert master is not None and common is not None
         N_m = self._of_master.fill(_in_planes(link, coordinates(master, u)))
@@ -342,9 +327,7 @@ def tractions_of(
 ) -> tuple[Tractions, Bools]:
     """Normals, tractions, and the mask of kept local slave nodes; collective.
 
-    Args:
-        multipliers: lambda_j (owned nodes,).
-        tangential: tangential tractions (owned nodes, d), None without friction.
+    Arguments as in `LinkDerivatives.differentiate`.
     """
     slave, nodes, kept = link.sides.slave, link.nodes, link.coupling.kept[:, :1]
     n = np.where(kept, link.coupling.normals, 0.0)
@@ -388,7 +371,7 @@ class ToolDerivatives(LinkDerivatives):
     def differentiate(
         self, link: CoupledSides, u: fem.Function, multipliers: Floats, tangential: Floats | None
     ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
-        """Derivatives of forces and gaps, and the nodes of the latter; collective."""
+        """See `LinkDerivatives`; collective."""
         slave, side, x = link.sides.slave, self.side, coordinates(link.sides.slave, u)
         pose, shape, d = self.tool.pose(), self.tool.asked, x.shape[1]
         given, keep = tractions_of(link, multipliers, tangential)
@@ -418,7 +401,7 @@ class ToolDerivatives(LinkDerivatives):
     def slips(
         self, link: CoupledSides, u: fem.Function, partners: Partners, since: PETSc.Vec
     ) -> SlipRows:
-        """Rows of slips; collective."""
+        """See `LinkDerivatives`; collective."""
         slave, x = link.sides.slave, coordinates(link.sides.slave, u)
         assert isinstance(partners, ToolPartners)
         by_x, by_n = partners.derivatives(link, since)
