@@ -6,11 +6,11 @@ The change of basis of theory.md, "Constraints become bounds":
     u_j = R_j w_j + sum_l Q_jl u_l,      Q_jl = R_j S_j R_j^-1 P_jl,     P = D^-1 (M - D_other)
 
 D_other are the entries of D off the diagonal: columns of removed nodes, and of vertices on which
-mid-side nodes of six-node triangles depend (`mortar.duals`). Ties of smooth surfaces add D_jj^-1
-int Phi_j A_l of `curvature_correction.point_motions` to P_jl I.
-Where a Cartesian component e is prescribed and n = n_f + n_e e, R_j^-1 has the rows n, e, .., t,
-and R_j the columns n_f / |n_f|^2, e - n_e n_f / |n_f|^2, .., t. A reaction z exerts R^-T z on the
-slave side and -P^T R^-T z on the master.
+mid-side nodes of six-node triangles depend (`mortar.duals`). Smooth ties add D_jj^-1 int Phi_j A_l
+of `curvature_correction.point_motions` to P_jl I.
+Where a component e is prescribed and n = n_f + n_e e, R_j^-1 has the rows n, e, .., t, and R_j the
+columns n_f / |n_f|^2, e - n_e n_f / |n_f|^2, .., t. A reaction z exerts R^-T z on the slave side
+and -P^T R^-T z on the master.
 """
 
 from __future__ import annotations
@@ -40,30 +40,30 @@ from dolfinx_mortar.mortar.surface import Surface
 
 @dataclass(frozen=True)
 class Sides:
-    """Surfaces of an interface in the space of the displacement."""
+    """Surfaces of an interface in the displacement space."""
 
     V: fem.FunctionSpace
     slave: Surface
-    master: Surface | None  # None for a rigid tool
+    master: Surface | None
     on_slave: Bools  # (local nodes,)
     on_master: Bools  # (local nodes,)
     fixed: Bools  # (local nodes, d) directions with Dirichlet data
-    mirrors: Bools  # (local nodes, d) planes of symmetry of both sides: `find_mirrors`
-    dependent: Bools  # (n,) owned slave nodes that depend on others with multipliers
-    unilateral: bool  # whether the sides can separate
-    weight: Weight | None = None  # factor of all integrals over the interface; None for 1
-    spreads: Spreads | None = None  # of normals around the nodes of two-sided contacts
-    judged: Sequence[tuple[Bools, Floats]] = ()  # of slave and master: `judge_supports`
-    shapes: Sequence[NodeShape] = ()  # of slave and master: `find_shape`; empty unless used
+    mirrors: Bools  # (local nodes, d) planes of symmetry: `find_mirrors`
+    dependent: Bools  # (n,) owned slave nodes that depend on others
+    unilateral: bool
+    weight: Weight | None = None  # of all integrals; None for 1
+    spreads: Spreads | None = None  # of two-sided contacts
+    judged: Sequence[tuple[Bools, Floats]] = ()  # of both sides: `judge_supports`
+    shapes: Sequence[NodeShape] = ()  # of both sides: `find_shape`; empty unless used
 
     @property
     def meet_themselves(self) -> bool:
-        """Whether both are one surface, divided at each search."""
+        """Self-contact, divided at each search."""
         return self.master is self.slave
 
     @property
     def hold(self) -> bool:
-        """Whether nodes are constrained in all directions, as by supports."""
+        """Whether all directions are constrained, as by supports."""
         return self.master is None and not self.unilateral
 
     @property
@@ -84,33 +84,33 @@ class Sides:
 
 @dataclass(frozen=True)
 class Pattern:
-    """Sparsity of the coupling of slave nodes to other nodes; fixed between two searches."""
+    """Sparsity of the coupling of slave nodes; fixed between two searches."""
 
     row: Ints  # (e,) index into the owned slave nodes
     column: Longs  # (e,) global node
-    split: int  # entries before it are of the slave side (D_other), the others of M
-    blocks: BlockMatrix  # storage of Q
-    scalars: BlockMatrix  # storage of P
-    smooth: tuple[SmoothSide, SmoothSide] | None = None  # where facets approximate smooth surfaces
-    nearby: tuple[SmoothSide, SmoothSide] | None = None  # of a contact that uses the facets
+    split: int  # entries before it are of D_other, the others of M
+    blocks: BlockMatrix  # for Q
+    scalars: BlockMatrix  # for P
+    smooth: tuple[SmoothSide, SmoothSide] | None = None  # in place of facets
+    nearby: tuple[SmoothSide, SmoothSide] | None = None  # if facets are used
 
 
 @dataclass(frozen=True)
 class Coupling:
     """One interface in one configuration, at its owned slave nodes."""
 
-    blocks: Floats  # (e, d, d) entries of Q on the pattern, read-only
-    P: Floats  # (e, c) D^-1 (M - D_other) on the pattern, for c choices of direction
-    R: Floats  # (n, d, d) frames; columns are the motions of unit unknowns
-    slot: Ints  # (n, d) column of R that is a prescribed Cartesian direction, else -1
-    directions: Bools  # (n, d) constrained directions of the frame
+    blocks: Floats  # (e, d, d) entries of Q, read-only
+    P: Floats  # (e, c) D^-1 (M - D_other), for c choices of direction
+    R: Floats  # (n, d, d) frames as columns
+    slot: Ints  # (n, d) column of R of a prescribed axis, else -1
+    directions: Bools  # (n, d) constrained directions
     kept: Bools  # (n, c) nodes with a multiplier
     weight: Floats  # (n, c) D_jj, 0 where not kept
-    normals: Floats  # (n, d) outward; 0 if all but prescribed directions vanish
+    normals: Floats  # (n, d) outward; 0 if wholly prescribed
     heights: Floats  # (n,) reduction of the gap n.(P x - x_j), see `gaps`
-    coverage: Coverage  # of the slave nodes by the master
-    operators: MortarOperators | None = None  # None without a master
-    common: CommonNormals | None = None  # of two-sided contacts, with the prescribed directions
+    coverage: Coverage
+    operators: MortarOperators | None = None
+    common: CommonNormals | None = None  # of two-sided contacts
 
     @cached_property
     def rows(self) -> Floats:
@@ -140,12 +140,7 @@ def check_coupling(name: str, found: Coupling, sides: Sides, pattern: Pattern) -
 
 
 def create_blocks(V: fem.FunctionSpace, rows: Ints, columns: Longs) -> BlockMatrix:
-    """Matrix of d x d blocks (p,) between nodes of V; collective.
-
-    Args:
-        rows: (p,) owned nodes, local numbers.
-        columns: (p,) nodes, global numbers.
-    """
+    """Matrix of d x d blocks at owned ``rows`` (p,), global ``columns`` (p,); collective."""
     return BlockMatrix(V.mesh.comm, V.dofmap.index_map, V.dofmap.index_map_bs, rows, columns)
 
 
@@ -183,11 +178,11 @@ class CoupledSides:
     """An interface with the results of search and update."""
 
     sides: Sides
-    pairing: Pairing | None  # facet pairs; None without a master
+    pairing: Pairing | None  # None without a master
     pattern: Pattern
     coupling: Coupling
     near: Bools  # (n,) slave nodes in the change of basis
-    banned: Bools  # (local nodes,) slave nodes that belong to another interface
+    banned: Bools  # (local nodes,) slave nodes of other interfaces
 
     @property
     def unilateral(self) -> bool:
@@ -245,10 +240,10 @@ class CoupledSides:
         return np.asarray(np.einsum("nij,nj->ni", self.coupling.rows, local))
 
     def gaps(self, v: PETSc.Vec) -> Floats:
-        """N_j.(P v - v_j) - h_j at the owned slave nodes (n,) for v = X + u; collective.
+        """Return n_j.(P v - v_j) - h_j at the owned slave nodes (n,) for v = X + u; collective.
 
-        The distance to the master along the normal, less the mean height h_j of smooth surfaces;
-        without a master P = 0, and -h_j is the position of the tool along the normal.
+        The distance along the normal, less the mean height h_j of smooth surfaces; without a master
+        P = 0, and -h_j is the position of the tool along the normal.
         """
         normals = self.coupling.normals
         moved = (self.Q * v).array_r - v.array_r
@@ -262,8 +257,7 @@ class CoupledSides:
     def transpose(self, forces: Floats) -> tuple[Floats, Floats]:
         """Owned nodal forces (I - Q)^T v of slave forces v (n, d); collective.
 
-        Two arrays: on the slave side (I and D) and on the master side (M); their sum is (I - Q)^T
-        v.
+        Two summands: on the slave side (I and D) and the master side (M).
         """
         moved = -np.einsum("eij,ei->ej", self.coupling.blocks, forces[self.pattern.row])
         return self._on_both_sides(forces, moved)
@@ -297,7 +291,7 @@ def relative_motions(coupled: CoupledSides, v: PETSc.Vec) -> Floats:
 
 
 def node_motions(coupled: CoupledSides, P: PETSc.Mat, v: PETSc.Vec) -> Floats:
-    """V_j - sum_l P_jl v_l (n, d) at the slave nodes; collective."""
+    """Return v_j - sum_l P_jl v_l (n, d) at the slave nodes; collective."""
     d = coupled.coupling.normals.shape[1]
     w, result = P.createVecRight(), np.zeros((len(coupled.nodes), d))
     for i in range(d):
@@ -307,7 +301,7 @@ def node_motions(coupled: CoupledSides, P: PETSc.Mat, v: PETSc.Vec) -> Floats:
 
 
 def along_and_across(relative: Floats, normals: Floats) -> tuple[Floats, Floats]:
-    """Normal part and the length of the tangential part of motions (.., d).
+    """Normal part and length of the tangential part of motions (.., d).
 
     >>> along_and_across(np.array([[3.0, -2.0]]), np.array([[0.0, 1.0]]))
     (array([-2.]), array([3.]))
@@ -317,10 +311,7 @@ def along_and_across(relative: Floats, normals: Floats) -> tuple[Floats, Floats]
 
 
 def slipped(coupled: CoupledSides, u: PETSc.Vec) -> Floats:
-    """Tangential displacement (n,) of slave nodes relative to the master; collective.
-
-    Length of the tangential part of D^-1 (D - M) u, the largest over the choices of direction.
-    """
+    """Tangential part (n,) of D^-1 (D - M) u, its largest length over the choices; collective."""
     _, across = along_and_across(relative_motions(coupled, u), coupled.coupling.normals)
     return np.asarray(across.max(axis=0))
 
@@ -329,9 +320,9 @@ def slipped(coupled: CoupledSides, u: PETSc.Vec) -> Floats:
 class Frame:
     """Directions at the owned slave nodes, and which are constrained."""
 
-    R: Floats  # (n, d, d) columns are motions of unit unknowns, rows of R^-1 directions
-    slot: Ints  # (n, d) column of R that is a prescribed Cartesian direction, else -1
-    directions: Bools  # (n, d) constrained columns of R
+    R: Floats  # (n, d, d) frames as columns
+    slot: Ints  # (n, d) column of R of a prescribed axis, else -1
+    directions: Bools  # (n, d) constrained columns
     normals: Floats  # (n, d) 0 without a multiplier
 
 
@@ -340,19 +331,19 @@ def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
 
     Args:
         normals: (n, d) unit normals; zero in every prescribed direction.
-        fixed: (n, d) True where a Cartesian direction is prescribed.
+        fixed: (n, d) prescribed Cartesian directions.
 
     Returns:
-        R (n, d, d) with the frame vectors as columns, and slot (n, d): the column of R that is the
-            Cartesian axis i where ``fixed[:, i]``, else -1.
+        R (n, d, d) with the frame vectors as columns, and slot (n, d): the column of R of a
+            prescribed axis, else -1.
 
     >>> R, slot = create_frames(np.array([[0.0, -1.0]]), np.array([[True, False]]))
     >>> R[0].tolist(), slot[0].tolist()
     ([[0.0, 1.0], [-1.0, 0.0]], [1, -1])
     """
     n, d = normals.shape
-    # The free axis closest to n is left out, so that [n, axes] is regular. The others keep their
-    # order: tangents must not swap under small rotations, or reused multigrid levels become poor.
+    # Without the free axis closest to n, [n, axes] is regular. Others keep their order, lest
+    # tangents swap under small rotations, for which reused multigrid levels are poor.
     order = np.argsort(np.abs(normals) - 2.0 * fixed, axis=1, kind="stable")[:, : d - 1]
     order = np.sort(order, axis=1)
     columns = np.concatenate([normals[:, None, :], np.eye(d)[order]], axis=1)
@@ -369,10 +360,10 @@ def normal_frames(normals: Floats, kept: Bools, fixed: Bools) -> tuple[Floats, I
     Args:
         normals: (n, d) unit normals, not wholly prescribed at kept nodes.
         kept: (n,) nodes that carry a multiplier.
-        fixed: (n, d) True where a Cartesian direction is prescribed.
+        fixed: (n, d) prescribed Cartesian directions.
 
     Returns:
-        R (n, d, d), slot (n, d) as in `create_frames`, and the constrained directions (n, d).
+        R and slot as in `create_frames`, and the constrained directions (n, d).
 
     >>> n, e = np.array([[0.6, 0.8]]), np.array([[True, False]])
     >>> R, slot, directions = normal_frames(n, np.array([True]), e)
@@ -395,7 +386,7 @@ def free_directions(normals: Floats, fixed: Bools) -> tuple[Floats, Floats]:
     """Unit normals (n, d), or 0, without prescribed directions, and their lengths (n,)."""
     free = normals * ~fixed
     left = np.linalg.norm(free, axis=1)
-    some = (left > ROUND_OFF)[:, None]  # smaller ones are round-off
+    some = (left > ROUND_OFF)[:, None]
     return np.where(some, free / np.maximum(left, TINY)[:, None], 0.0), left
 
 
