@@ -41,16 +41,13 @@ from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.surface import check_tags, create_surface, dependent_nodes
 from dolfinx_mortar.tags import check_tag, label, tag_of
 
-# Default angle between normals of facets at a sharp edge: round sides have at least nine facets per
-# circle (40 degrees), chamfers 45 degrees.
+# Default angle between normals at a sharp edge: round sides have at least nine facets per circle
+# (40 degrees), chamfers 45 degrees.
 FEATURE_ANGLE = 40.0
 
 
 class Collective:
-    """Errors of a user's methods on one rank are raised on all ranks.
-
-    After the call: a collective method may only communicate where all ranks do.
-    """
+    """Errors of a user's methods on one rank are raised on all ranks, after the call."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -63,7 +60,9 @@ class Interface(Collective, Results, ABC):
     """A constraint on the nodes of a tagged slave side: base class of all interfaces.
 
     A subclass gives nodes, directions and distances in `couple`, and bounds in `constraints`.
-    Errors of its methods on one rank are raised on all after the call.
+    Errors of its methods on one rank are raised on all after the call: collective methods may only
+    communicate where all ranks do. Results: ``force``, ``moment``, ``pressure``, ``gap`` and
+    ``active``.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
@@ -73,15 +72,13 @@ class Interface(Collective, Results, ABC):
         ValueError: for invalid tags and unknown names.
 
     Attributes:
-        unilateral: whether it can open, so that bounds are one-sided.
+        unilateral: whether it can open: one-sided bounds.
         stays: whether it is always coupled at X.
         smooth: whether facets approximate smooth surfaces.
         feature_angle: degrees between facets from which on an edge is sharp.
         within: largest distance of partners, None by the facets.
         rigid: rigid body that holds or meets the side, or None.
         tool: the same, if it meets the side.
-    After a step ``force``, ``moment``, ``pressure``, ``gap`` and ``active``; signs in the
-    subclasses.
     """
 
     unilateral: ClassVar[bool] = False
@@ -120,7 +117,7 @@ class Interface(Collective, Results, ABC):
 
         Args:
             V: vector space of the displacement.
-            fixed: (local nodes, d) True where a direction of a node is prescribed.
+            fixed: (local nodes, d) prescribed directions.
             weight: factor of all integrals over the interface, None for 1.
         """
         slave = create_surface(V, self.facet_tags, self.slave, "slave")
@@ -145,7 +142,7 @@ class Interface(Collective, Results, ABC):
         Args:
             u: displacement, None for X.
             again: whether sides may have turned away, an error at first.
-            earlier: result of an earlier search, returned if the pairs are the same.
+            earlier: of an earlier search, returned for the same pairs.
         """
         if earlier is not None:
             return earlier
@@ -171,16 +168,12 @@ class Interface(Collective, Results, ABC):
 
         Args:
             pairing: candidate pairs.
-            pattern: of Q.
             banned: (local nodes,) slave nodes that may not carry a multiplier.
             u: displacement, None for X.
         """
 
     def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
-        """Prescribed displacement (n, d) between the sides at slave nodes (n,); collective.
-
-        None for none; of bilateral interfaces.
-        """
+        """Prescribed displacement (n, d) of tied sides at slave nodes (n,), or None; collective."""
         return None
 
     def constraints(self, nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
@@ -189,8 +182,8 @@ class Interface(Collective, Results, ABC):
         Args:
             nodes: (n,) owned slave nodes.
             directions: (n, d) constrained directions of the frames.
-            slip: (n, d) relative motion in the frames: if unilateral of positions, so that the
-                first component is minus the gap, else of displacements minus `apart`.
+            slip: (n, d) relative motion in the frames: if unilateral of positions (first component
+                minus the gap), else of displacements minus `apart`.
             D: (n, c) weights.
         """
         if self.unilateral:
@@ -238,7 +231,7 @@ def full_coverage(sides: Sides) -> Coverage:
     return Coverage(np.ones(n), faces, ~faces)
 
 
-# Methods of users and the types that they return.
+# methods of users, and their results
 _RETURNS: Mapping[str, tuple[type, ...]] = {
     "find_sides": (Sides,),
     "pair": (tuple,),
@@ -271,7 +264,6 @@ def _raised_together(name: str, method: Callable[..., Any]) -> Callable[..., Any
 def _check_returned(
     name: str, found: object, kinds: tuple[type, ...], args: tuple[Any, ...]
 ) -> None:
-    """Raise a ValueError for an invalid result of a user's method."""
     if not isinstance(found, kinds):
         wanted = " or ".join("None" if k is NoneType else k.__name__ for k in kinds)
         raise ValueError(f"{name} a {type(found).__name__}: return a {wanted}")
@@ -282,11 +274,7 @@ def _check_returned(
 
 
 def check_owned(interfaces: Iterable[Interface], owner: object) -> None:
-    """Raise a ValueError if another problem has taken over an interface.
-
-    Args:
-        owner: object by which the problem has taken them.
-    """
+    """Raise a ValueError if another problem has taken over an interface."""
     for interface in interfaces:
         if interface.owner is not owner:
             raise ValueError(
