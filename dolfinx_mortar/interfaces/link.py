@@ -33,12 +33,7 @@ class Link(CoupledSides):
         return not self.unilateral or (law is not None and not law.by_pressure)
 
     def partners(self, x: PETSc.Vec, *, frozen: bool) -> Partners | None:
-        """Slip partners; None for the present P; collective.
-
-        Args:
-            x: (n,) positions at the last commit.
-            frozen: whether surfaces stay at X.
-        """
+        """Slip partners at committed positions x (n,), None for the present P; collective."""
         if self.interface.law is None:
             return None
         if (tool := self.interface.tool) is not None:
@@ -100,11 +95,7 @@ class Link(CoupledSides):
         return v
 
     def shown_gap(self, gap: Floats) -> Floats:
-        """Gap (n,) for output, of ties the opening by a jump.
-
-        Args:
-            gap: (owned nodes,) of contacts.
-        """
+        """Gap (n,) for output, of ties the opening by a jump, from contact gaps (owned nodes,)."""
         if self.unilateral:
             return np.asarray(gap[self.nodes])
         apart = None if self.sides.hold else self.apart()
@@ -127,8 +118,8 @@ def set_results_of(
         reaction: (n, d) D_jj lambda_j in the frames, 0 in unconstrained directions.
         known: (n, d) friction in prescribed directions, as vectors.
         gap: (n,) nodal gaps, of ties the opening by a jump.
-        active: (n,) nodes on which the interface acts.
-        x: (owned nodes, d) coordinates at which the forces act.
+        active: (n,)
+        x: (owned nodes, d) coordinates of the forces.
         growth: (n,) area per D_jj, for tractions.
     """
     found = link.interface
@@ -147,7 +138,7 @@ def set_results_of(
     found.pressure.x.array[:] = np.nan_to_num(found.pressure.x.array)
     _fill(found.gap, link, gap, kept)
     _fill(found.active, link, active.astype(np.float64), kept)
-    # a node without weight, on the axis, is active if a neighbour is
+    # nodes without weight, on the axis, are active with a neighbour
     around = link.coupling.coverage.weightless & (found.active.x.array[link.nodes] > 0.0)
     found.active.x.array[:] = 0.0
     found.active.x.array[link.nodes] = active | around
@@ -160,7 +151,7 @@ def set_sliding(
 ) -> None:
     """Set the results of friction at the owned slave nodes, (n, d) and (n,); collective."""
     interface, nodes = link.interface, link.nodes
-    # on the axis a closed node without multiplier sticks
+    # on the axis closed nodes stick
     on = link.coupling.coverage.weightless & (interface.active.x.array[nodes] > 0.0)
     status = np.where(on, 1.0, status)
     vectors = {"traction": traction, "step_slip": step_slip}
@@ -176,13 +167,13 @@ def set_sliding(
 def _resultants(
     link: Link, forces: Floats, known: Floats, multiplier: Floats, x: Floats
 ) -> tuple[Resultants, tuple[float, float]]:
-    """Resultants and balances of slave forces and friction in prescribed directions; collective."""
+    """Resultants and balances of slave forces and prescribed friction; collective."""
     comm, n, d = link.sides.V.mesh.comm, link.sides.n_owned, forces.shape[1]
     f, points = np.zeros((2, n, 3)), np.zeros((n, 3))
     f[:, :, :d], points[:, :d] = link.transpose(forces), x
     if link.interface.law is not None:
         f[:, :, :d] += link.exert(known)
-    if link.sides.master is None:  # a tool has the opposite forces
+    if link.sides.master is None:  # the tool has the opposite forces
         f[1] = -f[0]
     local = np.array([[-s.sum(axis=0), -np.cross(points, s).sum(axis=0)] for s in f])
     total = comm.allreduce(local, op=MPI.SUM)
@@ -200,23 +191,12 @@ def _resultants(
 
 
 def _place_of(interface: Interface) -> Floats:
-    """Position (3,) of a tool or rigid side, else 0."""
     place = np.zeros(0) if interface.rigid is None else interface.rigid.place()
     return np.append(place, np.zeros(3 - len(place)))
 
 
 def _balances(comm: MPI.Comm, f: Floats, points: Floats, h: float) -> tuple[float, float]:
-    """Relative imbalances of forces and moments of the two sides; collective.
-
-        |sum_j (s_j + t_j)| / S,   |sum_j a_j x (s_j + t_j)| / sum_j |s_j| (|a_j| + h)
-
-    with S = sum_j |s_j|, c = sum_j |s_j| x_j / S, a_j = x_j - c (theory.md, Moments).
-
-    Args:
-        f: (2, n, 3) forces s and t of the slave and the master side at owned nodes.
-        points: (n, 3) x.
-        h: mean slave facet length.
-    """
+    """Relative imbalances of forces f (2, n, 3) and moments (theory.md, Moments); collective."""
     size = np.linalg.norm(f[0], axis=1)
     whole = comm.allreduce(np.append(size @ points, size.sum()), op=MPI.SUM)
     arms, both = points - whole[:3] / np.maximum(whole[3], TINY), f.sum(axis=0)
@@ -236,8 +216,7 @@ def _fill(function: fem.Function, link: Link, values: Floats, kept: Bools) -> No
 def _extended(link: Link, values: Floats, kept: Bools) -> Floats:
     """Nodal values (local nodes, k) of those (n, k) at kept slave nodes (n, k); collective.
 
-    Covered nodes without multiplier have the mean of kept neighbours, to which their dual functions
-    are shared out. Nodes beyond the master are not-a-number.
+    Other covered nodes have the mean of kept neighbours, nodes off the master not-a-number.
     """
     sides, k = link.sides, values.shape[1]
     vector = la.vector(sides.V.dofmap.index_map, 2 * k)
