@@ -42,7 +42,7 @@ SURFACES = ("smooth", "facets")
 
 
 def is_smooth(surface: str) -> bool:
-    """Tell whether a surface is "smooth"; raise a ValueError for unknown ones."""
+    """Whether a surface is "smooth"; raise a ValueError for unknown ones."""
     if not isinstance(surface, str) or surface not in SURFACES:
         raise ValueError(f"surface is {surface!r}: choose 'smooth' or 'facets'")
     return surface == "smooth"
@@ -56,10 +56,10 @@ class MortarInterface(Interface):
         slave: tag or name (see `Tags`) of the nonmortar side, with multipliers and integration.
         master: tag or name of the mortar side.
         surface: "facets", or "smooth" for smooth surfaces through the nodes.
-        feature_angle: degrees between facets from which on an edge is sharp; for smooth surfaces.
+        feature_angle: degrees between facets from which on an edge is sharp.
 
     Raises:
-        ValueError: for invalid tags, names, surface or angle.
+        ValueError: for invalid arguments.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class MortarInterface(Interface):
         return f"{super().__repr__()[:-1]}, master={master}{said})"
 
     def given(self) -> dict[str, Any]:
-        """Arguments that must agree among ranks, by name; see `agreement`."""
+        """See `Interface.given`."""
         return super().given() | {
             "master": self.master,
             "surface": "smooth" if self.smooth else "facets",
@@ -127,7 +127,7 @@ class MortarInterface(Interface):
         """Arguments of `create_operators` for smooth surfaces."""
 
     def find_sides(self, V: fem.FunctionSpace, fixed: Bools, weight: Weight | None = None) -> Sides:
-        """Return both surfaces in V, see `Interface.find_sides`; collective."""
+        """See `Interface.find_sides`; collective."""
         slave = master = create_surface(V, self.facet_tags, self.slave, "slave")
         if self.slave != self.master:
             master = create_surface(V, self.facet_tags, self.master, "master")
@@ -155,7 +155,7 @@ class MortarInterface(Interface):
         again: bool,
         earlier: tuple[Pairing | None, Pattern] | None = None,
     ) -> tuple[Pairing, Pattern]:
-        """Pair slave and master facets at X + u, see `Interface.pair`; collective."""
+        """See `Interface.pair`; collective."""
         assert sides.master is not None
         known, pattern = (None, None) if earlier is None else earlier
         options = {"again": again, "weight": sides.weight, "earlier": known}
@@ -181,13 +181,13 @@ class MortarInterface(Interface):
     def measure_coverage(
         self, sides: Sides, pairing: Pairing | None, u: fem.Function | None
     ) -> Coverage:
-        """Coverage of the slave nodes at X + u; collective."""
+        """See `Interface.measure_coverage`; collective."""
         assert pairing is not None
         segments, _ = self.find_partners(pairing, u)
         return find_coverage(pairing, segments, *node_weights(pairing, segments))
 
     def derivatives(self, link: CoupledSides) -> ContactDerivatives | None:
-        """Derivatives of contacts, see `contact_tangent`; collective."""
+        """See `Interface.derivatives`; collective."""
         return ContactDerivatives(link) if self.unilateral else None
 
     def couple(
@@ -198,7 +198,7 @@ class MortarInterface(Interface):
         banned: Bools,
         u: fem.Function | None,
     ) -> Coupling:
-        """Integrate D and M at X + u on the fixed pattern, see `Interface.couple`; collective."""
+        """See `Interface.couple`; collective."""
         assert pairing is not None
         comm, slave, own = sides.V.mesh.comm, sides.slave, slice(None, sides.slave.owned)
         segments, averaged = self.find_partners(pairing, u)
@@ -238,10 +238,10 @@ class MortarInterface(Interface):
 
 
 def have_slid(sides: Sides, pairing: Pairing, u: fem.Function | None, near: Bools | None) -> bool:
-    """Tell whether two sides slid beyond the margin of the last search; collective.
+    """Whether two sides slid beyond the margin of the last search; collective.
 
     Args:
-        near: slave nodes (n,) whose facets are considered; None for all.
+        near: slave nodes (n,) to be considered; None for all.
     """
     if near is None or sides.meet_themselves:  # self-contact lacks pairs of far parts
         return outside_margin(pairing, u)
