@@ -3,13 +3,11 @@
 
     (K + H) du + B^T lambda+ = r,    G_j + dG_j.du >= 0,    H = d(B^T lambda)/du at fixed lambda,
 
-with residual r and weighted gaps G. Test functions are those of T; du = T_g y with y_n = -dG_j.du /
-D_jj, so that gaps are bounds: K^ = T^T (K + H) T_g, unsymmetric. In rows of T_g the parts of
-neighbouring slave nodes are lumped on node j. The neglected part, a few per cent, corrects the
-bounds once du is known.
+with weighted gaps G. Test functions are those of T; du = T_g y with y_n = -dG_j.du / D_jj makes
+gaps bounds: K^ = T^T (K + H) T_g. In rows of T_g the parts of neighbouring slave nodes are lumped
+on node j; the neglected part, a few per cent, corrects the bounds once du is known.
 With friction y_t is the change of the slip t.m, t.(du_j - P du) + m.dt, with the partners' P
-(`slip_partners`) and the motion m; dt = -r (t.dn), r the first column of R. Tractions are reactions
-over D_jj in the geometry of the iterate.
+(`slip_partners`) and the motion m; dt = -r (t.dn), r the first column of R.
 """
 
 from __future__ import annotations
@@ -118,12 +116,7 @@ class Products:
 
 
 class MovingGeometry:
-    """Derivatives of contacts, on the patterns of their pairs.
-
-    Args:
-        links: interfaces; ties stay at X.
-        claims: of T.
-    """
+    """Derivatives of contacts, on the patterns of their pairs."""
 
     def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], claims: Claims) -> None:
         """Create the patterns; collective."""
@@ -133,7 +126,7 @@ class MovingGeometry:
         self._products = Products()
 
     def serves(self, links: Sequence[Link]) -> bool:
-        """Tell whether the patterns fit the pairs of links with the same T."""
+        """Whether the patterns fit the pairs of links with the same T."""
         return all(contact.serves(links[k]) for k, contact in self._contacts.items())
 
     def linearise(
@@ -144,14 +137,7 @@ class MovingGeometry:
         tangential: Floats | None,
         slips: tuple[PETSc.Vec, Sequence[Partners | None]],
     ) -> GeometryTangent:
-        """Derivatives of the contacts at X + u; collective.
-
-        Args:
-            links: those of the patterns, in another configuration.
-            multipliers: lambda_j (owned nodes,).
-            tangential: tangential tractions (owned nodes, d), None without friction.
-            slips: displacement since the last commit, and the partners of each interface.
-        """
+        """Derivatives at X + u, see `InterfaceSystem.linearise_geometry`; collective."""
         moved, H, gaps, sliding = list(links), [], [], []
         since, partners = slips
         for k, contact in self._contacts.items():
@@ -170,9 +156,8 @@ class MovingGeometry:
 def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None) -> Link:
     """Scale rows dG_j to w_n, and return the link of T_g; collective.
 
-    Unknown rows are 0 and have those of T in T_g; likewise, for T_g to be regular, gap rows with a
-    small own part along n_j and slip rows nearly dependent on them. The corrections of the QP
-    remedy that (three digits each with no row replaced, one with all).
+    Lest T_g be singular, rows of T replace unknown gap rows, those with a small own part along n_j,
+    and dependent slip rows.
     """
     coupling, nodes, row = link.coupling, link.nodes, link.pattern.row
     kept, R, across = coupling.kept[:, 0], coupling.R, coupling.rows
@@ -201,12 +186,9 @@ def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None
 
 
 def _lumped(link: Link, rows: sparse.csr_array) -> tuple[Floats, Floats]:
-    """Own parts (n, d) of rows (n, unknowns), and minus parts (e, d) on the pattern.
-
-    Parts outside the pattern, mostly neighbouring slave nodes, are lumped on j.
-    """
+    """Own parts (n, d) of rows, with other parts lumped on them, and minus parts (e, d)."""
     coupling, pattern = link.coupling, link.pattern
-    used = np.arange(len(pattern.row)) >= pattern.split  # of the master
+    used = np.arange(len(pattern.row)) >= pattern.split
     used |= coupling.P[:, 0] != 0.0
     (n, N), d = rows.shape, coupling.R.shape[1]
     rows.sort_indices()
