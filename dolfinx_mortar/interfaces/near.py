@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Slave nodes near the master, which take part in the change of basis.
 
-Far nodes in T would add fill to factorisations, and new pairs wherever curved sides slide past each
-other. Their gaps are watched: the choice affects time, not accuracy.
+Far nodes in T would add fill to factorisations, and new pairs where curved sides slide past each
+other. Their gaps are watched: only time depends on the choice.
 """
 
 from collections.abc import Sequence
@@ -17,15 +17,13 @@ from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Actives, Bools, Floats, Ints
 from dolfinx_mortar.interfaces.link import Link
 
-# Near is this share of the largest prescribed increment plus so many facet lengths: the neighbour
-# of a touching node has a gap below two facets if the surfaces are inclined by less than 63
-# degrees.
+# Near is this share of the largest prescribed increment plus so many facets: next to a touching
+# node the gap is below two facets for surfaces inclined by less than 63 degrees.
 INCREMENT_SHARE, FACETS = 0.25, 2.0
-# T holds nodes up to this multiple of the near distance. Eight cases of large sliding need 74, 70,
-# 66, 66, 66 different T with 1, 1.25, 2, 4, 8.
+# Multiple of the near distance for T. Eight cases of large sliding need 74, 70, 66, 66, 66
+# different T with 1, 1.25, 2, 4, 8.
 MARGIN = 2.0
-# Round bodies that overlap by delta touch where they overlap by half of it (Hertz: a^2 = R delta;
-# the overlap ends at 2 R delta).
+# Round bodies that overlap by delta touch where they overlap by half of it (Hertz: a^2 = R delta).
 OVERLAP = 0.5
 
 
@@ -48,7 +46,7 @@ class Reach:
     distance: float  # limit of `beyond` for near nodes
 
     def missing(self, links: Sequence[Link]) -> bool:
-        """Tell whether a node outside T is near; on this rank."""
+        """Whether a node outside T is near; on this rank."""
         close = (self.beyond <= self.distance) | (self.gap <= 0.0)
         return any(close[link.nodes[~link.near]].any() for link in links)
 
@@ -73,7 +71,7 @@ def find_reach(
 
 
 def touches_far_nodes(links: Sequence[Link], x: PETSc.Vec, n: int) -> bool:
-    """Tell whether a slave node outside T penetrates the master; collective."""
+    """Whether a slave node outside T penetrates the master; collective."""
     gap = nodal_gaps(links, x, n)
     touched = [(gap[link.nodes[~link.near]] <= 0.0).any() for link in links]
     return bool(any_rank(links[0].sides.V.mesh.comm, any(touched))[0])
@@ -84,12 +82,11 @@ def predict_active(
 ) -> Actives:
     """Initial active set on the owned nodes ``bounded``; collective.
 
-    Nodes that overlap at the predicted positions x as deeply as round bodies in contact; without
-    overlap the nearest nodes.
+    Nodes that overlap at x like round bodies in contact, or the nearest.
     """
     comm: MPI.Comm = links[0].sides.V.mesh.comm
     gap = nodal_gaps(links, x, n)
     nearest = -float(maximum(comm, -gap.min(initial=np.inf))[0])
     depth = nearest if nearest > 0.0 else OVERLAP * nearest
-    level = HALF_OF_DIGITS * facet_length  # round-off of equal gaps
+    level = HALF_OF_DIGITS * facet_length
     return np.asarray(gap[bounded] <= depth + level).astype(np.int8)
