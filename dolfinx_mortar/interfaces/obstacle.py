@@ -1,13 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Unilateral contact of a side with a rigid tool without a mesh.
 
-With its signed distance phi, positive outside, the weighted gaps are
-
-    g_j(u) = int Phi_j phi(X + u) >= 0,
-
-and the multipliers lambda_j >= 0 exert the forces -D_jl lambda_j n_j, n_j = -grad phi(x_j), on the
-nodes l of the side, and the opposite on the tool. Smooth surfaces: `point_gaps`; tangent:
-`contact_tangent`.
+Multipliers lambda_j exert the forces -D_jl lambda_j n_j, n_j = -grad phi(x_j), on the nodes l of
+the side, and the opposite on the tool. Smooth surfaces: `point_gaps`; tangent: `contact_tangent`.
 """
 
 from __future__ import annotations
@@ -63,7 +58,7 @@ from dolfinx_mortar.mortar.whole_side import (
 )
 from dolfinx_mortar.shapes import Distance, Shape
 
-# Largest | |grad phi| - 1 | within a facet length of the surface; forces and gaps have this error.
+# Largest | |grad phi| - 1 | within a facet of the surface, the error of forces and gaps.
 NO_DISTANCE = 0.1
 
 
@@ -81,10 +76,9 @@ class Obstacle(Movable, Unilateral):
     (an angle in the plane, a rotation vector in space; radians). Both are Constants, read in every
     step, which ``ramp`` and ``on_time`` of `load_steps` may set.
     Results are those of a `Contact` with the tool as master; slip is relative to the moving tool.
-    ``tool_force`` and ``tool_moment`` act on the tool, the latter about its point.
-    A node of several interfaces belongs to the first one that it faces: a tool within two facet
-    lengths. Facets inclined by 78 degrees or more to the tool's surface, and untagged ones, are not
-    in contact: tag flanks that fold onto the tool, too.
+    ``tool_force`` and ``tool_moment`` (about its point) act on the tool. A node faces a tool within
+    two facet lengths. Facets inclined by 78 degrees or more to the tool's surface, and untagged
+    ones, are not in contact: tag flanks that fold onto the tool, too.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
@@ -93,17 +87,17 @@ class Obstacle(Movable, Unilateral):
         reference: d initial coordinates of the tool's point; default ``shape.point``.
         load: given forces on the tool by name: "x", "y" and "moment" about its point in the plane,
             "x", "y", "z", "moment x" to "moment z" in space, "y" in axisymmetry, each a number or a
-            scalar Constant, read at every step. Motions without a name are prescribed by position
-            and rotation. The tool moves by ``travel`` until ``tool_force + load = 0``.
+            scalar Constant, read at every step. Other motions are prescribed. The tool moves by
+            ``travel`` until ``tool_force + load = 0``.
         surface: as in `Contact`, for straight cells. "smooth" with displacements of first order
             takes distances at the nodes and does not see a tip between them; default "smooth", for
             flat sides of first order "facets".
-        friction: coefficient of Coulomb's law, as in `Contact`.
-        tresca: limit of the tangential traction instead, as in `Contact`.
+        friction: as in `Contact`.
+        tresca: as in `Contact`.
 
     Raises:
-        ValueError: for invalid tags, names, shapes, dimensions or limits, and, from the problem,
-            for shapes that are not of revolution in axisymmetry.
+        ValueError: for invalid tags, names, shapes or limits, and, from the problem, for shapes
+            that are not of revolution in axisymmetry.
 
     Attributes:
         tool: shape, position and rotation.
@@ -141,7 +135,7 @@ class Obstacle(Movable, Unilateral):
         return self.tool.shape
 
     def given(self) -> dict[str, Any]:
-        """Arguments that must agree among ranks, by name; see `agreement`."""
+        """See `Interface.given`."""
         return super().given() | self.tool.given() | {"surface": self.meant}
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
@@ -223,7 +217,7 @@ class Obstacle(Movable, Unilateral):
         assert isinstance(pattern, SidePattern) and pattern.side is not None
         side, slave, own = pattern.side, sides.slave, slice(None, sides.slave.owned)
         comm, x = sides.V.mesh.comm, coordinates(slave, u)
-        with raised_together(comm):  # errors of a user's function
+        with raised_together(comm):  # errors of users
             pose = self.tool.pose()
             at_nodes = pose.distance(self.tool.asked, x)
             self._check_distance(at_nodes, x, side.facet_length)
@@ -233,7 +227,7 @@ class Obstacle(Movable, Unilateral):
         _, left = free_directions(into, sides.fixed[slave.nodes])
         allowed = self.may_carry(left, sides.fixed[slave.nodes])[:, 0] & ~banned[slave.nodes]
         near = at_nodes.value <= FACETS * side.facet_length
-        if any_rank(comm, banned[slave.nodes].any())[0]:  # other interfaces have the rest
+        if any_rank(comm, banned[slave.nodes].any())[0]:
             facing &= near[slave.facets].any(axis=1)
         found = integrate_side(side, x, facing, allowed)
         frame = self.frame(into[own], found.kept, sides.fixed[sides.nodes])
@@ -253,7 +247,7 @@ class Obstacle(Movable, Unilateral):
         )
 
     def _check_distance(self, at_nodes: Distance, x: Floats, length: float) -> None:
-        """Raise a ValueError where |grad phi| differs from 1 near the surface."""
+        """Raise a ValueError where |grad phi| is not 1 near the surface."""
         size = np.linalg.norm(at_nodes.gradient, axis=1)
         off = np.where(np.abs(at_nodes.value) <= length * size, np.abs(size - 1.0), 0.0)
         if off.max(initial=0.0) > NO_DISTANCE:
