@@ -2,11 +2,8 @@
 """Pretension of a bolt cut by a tie: an unknown overlap s with given conjugate force F.
 
 The tie constrains w_j = jump_j + e_j s, e_j being n without directions with Dirichlet data and
-shares of nodes without multiplier. With the reactions r_j of the tie, virtual work gives
-
-    sum_j e_j . r_j = F,
-
-the left side being ``tie.force @ n`` (theory.md, Pretension).
+shares of nodes without multiplier; its reactions r_j satisfy sum_j e_j . r_j = F (theory.md,
+Pretension).
 """
 
 from __future__ import annotations
@@ -33,20 +30,16 @@ Direction = Sequence[float] | Floats | None
 Force = float | fem.Constant | None
 """A number, or a scalar Constant."""
 
-# Least cosine with the outward normal of the slave side: below it is shear, or points inward if
-# negative. Cuts at 60 degrees to the axis are above.
+# Least cosine with the outward normal: below is shear, or inward if negative. Cuts at 60 degrees to
+# the axis are above.
 ALONG = 0.45
-# Length of a side's mean unit normal, below which it goes around a shank: an arc of the angle 2 a
-# has sin(a) / a, below for more than 327 degrees.
+# Least mean unit normal of a side that is not around a shank: an arc of the angle 2 a has sin(a) /
+# a, below for more than 327 degrees.
 AROUND = 0.1
 
 
 def check_force(value: Any) -> Any:
-    """Checked pretension; without communication.
-
-    Raises:
-        ValueError: for other than finite numbers, scalar Constants or None.
-    """
+    """Checked pretension, or a ValueError; without communication."""
     if isinstance(value, fem.Constant):
         check_real("pretension", value)
         if value.value.shape == ():
@@ -60,11 +53,7 @@ def check_force(value: Any) -> Any:
 
 
 def check_direction(direction: Any, d: int) -> Floats:
-    """Unit vector (d,) of a direction; without communication.
-
-    Raises:
-        ValueError: for other than d finite components, or only zeros.
-    """
+    """Unit vector (d,) of a direction, or a ValueError; without communication."""
     numbers = as_numbers(direction.tolist() if isinstance(direction, np.ndarray) else direction)
     n = np.zeros(0) if numbers is None else numbers
     if n.shape != (d,) or not np.isfinite(n).all() or not n.any():
@@ -81,10 +70,10 @@ class Bolt:
     """Overlap s of a tie along n as an unknown with given conjugate force F, see `Driven`."""
 
     axis: Floats  # (d,) n
-    force: Callable[[], float]  # returns F
-    tighten: Callable[[Floats], None]  # adds an overlap (d,) to the tie
+    force: Callable[[], float]
+    tighten: Callable[[Floats], None]
     overlap: Floats  # (d,) present
-    name: str  # of the tie
+    name: str
 
     holds = True
     names = ("pretension",)
@@ -134,11 +123,6 @@ class Bolt:
 def find_axis(normal: Floats, direction: Direction, who: str) -> Floats:
     """Unit vector (d,) of a pretension, the mean normal for None.
 
-    Args:
-        normal: mean of the outward unit normals of the slave side.
-        direction: unit vector.
-        who: name of the tie.
-
     Raises:
         ValueError: if the direction points into the slave side, or is missing.
     """
@@ -166,7 +150,7 @@ def describe_shear(normal: Floats, axis: Floats, who: str) -> str:
     length = float(np.linalg.norm(normal))
     if length <= AROUND or float(axis @ normal) >= ALONG * length:
         return ""
-    shown = np.round(np.array([axis @ normal, *normal]) / length, 3) + 0.0  # no -0
+    shown = np.round(np.array([axis @ normal, *normal]) / length, 3) + 0.0
     outward = ", ".join(f"{x:g}" for x in shown[1:])
     return (
         f"direction is {axis.tolist()}, whose cosine with the normal [{outward}] out of the slave "
