@@ -46,7 +46,7 @@ class Results:
         law: of friction, or None.
         owner: problem to which the interface belongs.
         nodal: Functions by name: "pressure", "gap", "active", and with friction "traction",
-            "step_slip", "slip", "status", "energy" (dissipated by a node since the start).
+            "step_slip", "slip", "status", "energy" (dissipated since the start).
         resultants: None until the first step.
         dissipated: energy of all ranks.
     """
@@ -98,7 +98,6 @@ class Results:
         return np.asarray(getattr(self.resultants, name))
 
     def _about_place(self, moment: Floats, force: Floats) -> Floats:
-        """Convert a moment (3,) about the origin to one about the rigid body's point."""
         whole = np.append(force, np.zeros(3 - len(force)))
         return np.asarray(moment - np.cross(self._resultant("place"), whole))
 
@@ -119,8 +118,7 @@ class Results:
     def moment(self) -> Floats:
         """Moment (3,) about the origin of the forces on the slave side.
 
-        Of rings that of the sums in the plane of the section, to check the balance of both sides;
-        on the whole it is zero.
+        Of rings that of the sums in the plane of the section, to check the balance of both sides.
         """
         return self._resultant("moment")
 
@@ -194,7 +192,7 @@ def merge_results(
 
     "pressure", "gap", "status", "facing", or with friction "traction" and "slip". A node of several
     slave sides has the value of the interface with its multiplier, else of the first whose master
-    it faces; elsewhere 0, which "facing" tells from a gap of 0.
+    it faces; elsewhere 0.
     """
     n, size = sides[0].n_owned, function.function_space.dofmap.index_map_bs
     merged, best = np.zeros((n, size)), np.full(n, -1)
