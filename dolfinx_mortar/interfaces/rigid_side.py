@@ -1,12 +1,8 @@
 # SPDX-License-Identifier: MIT
 """A side of a body glued to a rigid plate.
 
-With the plate's point c, its displacement t and rotation R
-
-    u_j = t + R (X_j - c) - (X_j - c),    at small strain  u_j = t + theta x (X_j - c).
-
-t and R are prescribed, or unknown with given force F or moment M: sum_j f_j = F and sum_j R (X_j -
-c) x f_j = M for the nodal forces f_j, see `newton_method.driven_tools`.
+Unknown motions with given force F or moment M have the equations sum_j f_j = F and sum_j R (X_j -
+c) x f_j = M for the nodal forces f_j, see `RigidSide`.
 """
 
 from __future__ import annotations
@@ -43,7 +39,7 @@ class Plate(RigidBody):
         self.small = True
 
     def ahead(self, amounts: Floats) -> Floats:
-        """Travel (3,) or (6,) plus amounts (m,) of the driven motions."""
+        """See `RigidBody`."""
         return self.travel + self.steps(amounts) if self.small else super().ahead(amounts)
 
     def turned(self, arm: Floats, rotation: Floats) -> Floats:
@@ -54,7 +50,7 @@ class Plate(RigidBody):
         return arm + spun(arm, rotation)
 
     def place(self) -> Floats:
-        """Position (d,) of its point, the initial one at small strain."""
+        """See `RigidBody`; the initial position at small strain."""
         return self.point if self.small else super().place()
 
     def moved(self, X: Floats, travel: Floats | None = None) -> Floats:
@@ -66,14 +62,14 @@ class Plate(RigidBody):
         return np.asarray(self.turned(X - self.point, rotation) + pose.position)
 
     def curve(self, X: Floats, amounts: Floats) -> Floats:
-        """Motion minus its linearisation (n, d), see `Driven`."""
+        """See `Driven`."""
         if self.small:
             return np.zeros_like(X)
         way = np.tensordot(amounts, self.motions(X, X, np.zeros_like(amounts)), 1)
         return self.moved(X, self.ahead(amounts)) - self.moved(X) - way
 
     def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
-        """Displacements (m, n, d) by one unit of each driven motion, see `Driven`."""
+        """See `Driven`."""
         arm = X - self.point
         if not self.small:
             arm = self.turned(arm, self.pose().rotation)
@@ -100,10 +96,8 @@ class RigidSide(Movable, Interface):
         facet_tags: facet markers on the mesh of the displacement.
         side: tag or name (see `Tags`) of the side.
         reference: d initial coordinates of its point.
-        load: given forces and moments by name: "x", "y" and "moment" about its point in the plane,
-            "x", "y", "z", "moment x" to "moment z" in space, "y" in axisymmetry, each a number or a
-            scalar Constant, read at every step; 0 leaves a motion free. Other motions are
-            prescribed.
+        load: given forces and moments by name, as of `Obstacle`; 0 leaves a motion free. Other
+            motions are prescribed.
 
     Raises:
         ValueError: for invalid tags, names, points or loads, and, from the problem, for a side
@@ -128,7 +122,7 @@ class RigidSide(Movable, Interface):
         return super().__repr__().replace("slave=", "", 1)
 
     def given(self) -> dict[str, Any]:
-        """Arguments that must agree among ranks, by name; see `agreement`."""
+        """See `Interface.given`."""
         return super().given() | self.rigid.given()
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
@@ -143,7 +137,7 @@ class RigidSide(Movable, Interface):
             ValueError: on all ranks, for nodes with Dirichlet conditions.
         """
         sides = super().find_sides(V, fixed, weight)
-        free = 1 if self.rigid.revolved else 0  # on the axis u_r = 0 in any case
+        free = 1 if self.rigid.revolved else 0  # on the axis u_r = 0
         held = np.asarray(fixed[sides.nodes][:, free:].any(axis=1))
         self._refuse(sides, held, "Dirichlet conditions hold", "of the two")
         return sides
@@ -156,11 +150,11 @@ class RigidSide(Movable, Interface):
         banned: Bools,
         u: fem.Function | None,
     ) -> Coupling:
-        """Constrain all nodes in all directions, see `Interface.couple`; collective."""
+        """See `Interface.couple`: all directions are constrained; collective."""
         self._refuse(sides, banned[sides.nodes], "an earlier interface has", "of the two")
         slave, n, d = sides.slave, len(sides.nodes), sides.fixed.shape[1]
         x = coordinates(slave, u)
-        areas = tributary_weights(facets_at(slave, x)).mean(axis=1)  # equal parts, none zero
+        areas = tributary_weights(facets_at(slave, x)).mean(axis=1)  # none is zero
         if sides.weight is not None:
             areas = areas * sides.weight(slave.X[slave.facets].mean(axis=1))
         areas = np.repeat(areas[:, None, None], slave.facets.shape[1], axis=1)
