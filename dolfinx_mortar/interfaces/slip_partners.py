@@ -1,21 +1,20 @@
 # SPDX-License-Identifier: MIT
 """Slip in a step, relative to the master points (partners) at the last commit.
 
-With the present P, slips would change with every geometry update; with P of the start a sticking
-node keeps its partner (10 Newton iterations instead of 15 for a Hertz step).
-The tangential distance of a node and its partner must not count as slip in rigid rotations: in the
-plane it turns with the normal; in space, where it may also spin, it is carried by the slave side.
-On a moving rigid tool slips are along arcs of its surface. The point of the tool nearest to the
-node at the last commit moves with the tool to y, its normal (into the tool) to n_0; the nearest
-point is now z, with the normal n. With d = z - y, c = n_0.n, h = |n_0 + n|, the angle b between n_0
-and n, f = (b/2) / sin(b/2), and tangents t at z, the slip is
+With the present P slips would change with every geometry update (15 instead of 10 Newton iterations
+of a Hertz step). The tangential distance of a node and its partner must not slip in rigid
+rotations: in the plane it turns with the normal; in space, where it may spin, the slave side
+carries it.
+On a moving rigid tool slips are along arcs of its surface. The nearest point of the tool at the
+last commit moves with it to y, its normal (into the tool) to n_0; the nearest point is now z, with
+the normal n. With d = z - y, c = n_0.n, h = |n_0 + n|, the angle b between n_0 and n, f = (b/2) /
+sin(b/2), and tangents t at z, the slip is
 
     t.(d - B n_0),   B = d.(n + n_0) / h^2 + K d.(n - n_0),
-    K = (f - 1) / (2 - 2 c) + f / (h (2 + h)).
+    K = (f - 1) / (2 - 2 c) + f / (h (2 + h)),
 
-It is exact on planes, cylinders and spheres up to half a turn, and zero where node and tool move
-alike. Rotation about the normal uses the chord.
-With frozen geometry it is the displacement minus the tool's motion at X: s + theta x (X - p), with
+exact on planes, cylinders and spheres up to half a turn, and zero in common motions. Rotation about
+the normal uses the chord. With frozen geometry the tool's motion at X is s + theta x (X - p), with
 rotation theta, translation s of its point, and p the middle of its path.
 """
 
@@ -37,10 +36,7 @@ from dolfinx_mortar.mortar.surface import accumulate, carrying
 
 @dataclass(frozen=True)
 class Partners:
-    """P of a contact at the start of a step, and the distance of its sides.
-
-    In space P includes what the slave side carries, see `carrying`.
-    """
+    """P of a contact and its distances at the start of a step; in space see `carrying`."""
 
     P: PETSc.Mat  # (nodes, nodes) between nodes, scalar
     known: Bools  # (n,) slave nodes that face the master
@@ -67,11 +63,7 @@ class Partners:
         )
 
     def motion(self, link: CoupledSides, moved: PETSc.Vec) -> Floats:
-        """X_j - P x minus its tangential part at the commit, turned with n; collective.
-
-        Args:
-            moved: (n,) displacement since the last commit.
-        """
+        """Return x_j - P x minus its tangential part at the commit, turned with n; collective."""
         both = self.normals + link.coupling.normals
         cosine = (self.normals * link.coupling.normals).sum(axis=1)
         tilt = (self.along * link.coupling.normals).sum(axis=1) / np.maximum(1.0 + cosine, EPS)
@@ -79,21 +71,13 @@ class Partners:
         return np.asarray(whole + tilt[:, None] * both)
 
     def slip(self, link: CoupledSides, moved: PETSc.Vec) -> Floats:
-        """Motion (n, d) since the last commit, in the present frames; collective.
-
-        Args:
-            moved: (n,) displacement since the last commit.
-        """
+        """Motion (n, d) by the displacement ``moved``, in present frames; collective."""
         in_frames = np.einsum("nij,nj->ni", link.coupling.rows, self.motion(link, moved))
         return np.where(self.known[:, None], in_frames, link.relative(moved))
 
 
 def partners_on_master(link: CoupledSides, x: PETSc.Vec) -> Partners:
-    """Partners in the present configuration of a contact; collective.
-
-    Args:
-        x: (n,) positions at the last commit.
-    """
+    """Partners in the present configuration of a contact, x (n,) at the last commit; collective."""
     scalars, coupling = link.pattern.scalars, link.coupling
     scalars.fill(coupling.P[:, 0, None, None])
     P = scalars.matrix.copy()
@@ -137,13 +121,7 @@ class ToolPartners(Partners):
 
     @classmethod
     def create(cls, link: CoupledSides, x: PETSc.Vec, tool: Tool, *, frozen: bool) -> ToolPartners:
-        """Partners of a link; collective.
-
-        Args:
-            x: (n,) positions at the last commit.
-            tool: with its pose at the last commit.
-            frozen: whether the surfaces stay at X.
-        """
+        """Partners of a link, x (n,) being positions at the last commit; collective."""
         n, scalars = link.coupling.normals, link.pattern.scalars
         scalars.fill(np.zeros((len(link.coupling.P), 1, 1)))
         at = x.array_r.reshape(-1, n.shape[1])[link.nodes]
@@ -166,7 +144,7 @@ class ToolPartners(Partners):
         )
 
     def completed(self, link: CoupledSides, other: Partners) -> Partners:
-        """These: all nodes have partners."""
+        """See `Partners`: none is missing."""
         return self
 
     def motion(self, link: CoupledSides, moved: PETSc.Vec) -> Floats:
@@ -203,13 +181,13 @@ class _Arcs:
     """Arcs of a surface from their chords and the normals at their ends."""
 
     def __init__(self, chord: Floats, start: Floats, end: Floats) -> None:
-        """Take the chords d and the unit normals n_0 and n, all (n, d)."""
+        """Take the chords d and unit normals n_0 and n (n, d)."""
         self.chord, self.start, self.end = chord, start, end
         both, apart = end + start, end - start
         h, w = np.linalg.norm(both, axis=1), np.linalg.norm(apart, axis=1)
-        h = np.maximum(h, HALF_OF_DIGITS)  # direction undefined at half a turn
+        h = np.maximum(h, HALF_OF_DIGITS)  # undefined at half a turn
         half = np.arctan2(w, h)
-        straight = w**2 <= HALF_OF_DIGITS  # limits of the following
+        straight = w**2 <= HALF_OF_DIGITS
         z = np.where(straight, 1.0, w**2)
         f = np.where(straight, 1.0, half / np.maximum(w / 2, TINY))
         f_c = np.where(straight, -1 / 12, (f - 2 / h) / z)
@@ -219,7 +197,7 @@ class _Arcs:
         K_c = G_c + f_c / (h * (2 + h)) - f * (2 + 2 * h) / h / (h * (2 + h)) ** 2
         e, q = (chord * both).sum(axis=1), (chord * apart).sum(axis=1)
         self.motion = chord - (e / h**2 + K * q)[:, None] * start
-        self.lift = (self.motion * end).sum(axis=1)  # part along n
+        self.lift = (self.motion * end).sum(axis=1)
         self.B_by_chord = both / h[:, None] ** 2 + K[:, None] * apart
         by_c = q * K_c - 2 * e / h**4
         self.B_by_end = (1 / h**2 + K)[:, None] * chord + by_c[:, None] * start
