@@ -60,7 +60,7 @@ from dolfinx_mortar.spaces import with_values
 
 @dataclass(frozen=True)
 class Paired:
-    """Where surfaces were paired, and the nodes in T: they determine pairs, claims and T."""
+    """Displacement and nodes in T at the pairing: they determine pairs, claims and T."""
 
     at: Floats  # (n,) displacement; empty for X
     near: Sequence[Bools]  # (slave nodes,) of each interface
@@ -70,12 +70,12 @@ class Paired:
 class Configuration:
     """All interfaces at given positions, for given positions of the pairing."""
 
-    links: Sequence[Link] = ()  # interfaces with pairings and couplings
-    claims: Claims | None = None  # None without interfaces
-    transformation: Transformation | None = None  # T; None without interfaces
-    increment: float = 0.0  # largest prescribed motion of the step, which defines near nodes
+    links: Sequence[Link] = ()
+    claims: Claims | None = None
+    transformation: Transformation | None = None
+    increment: float = 0.0  # largest prescribed motion of the step
     paired_at: Floats = field(default_factory=lambda: np.zeros(0))  # (n,), see `Paired`
-    searched: bool = False  # new pairs: the nodes in T are still to be chosen
+    searched: bool = False  # new pairs: nodes in T are to be chosen
 
     @property
     def paired(self) -> Paired:
@@ -89,12 +89,7 @@ class Configuration:
         return float(maximum(u.comm.tompi4py(), largest)[0])
 
     def partners(self, x: PETSc.Vec, *, frozen: bool) -> list[Partners | None]:
-        """Slip partners of contacts with friction; collective.
-
-        Args:
-            x: (n,) positions at the last commit.
-            frozen: whether surfaces stay at X.
-        """
+        """Slip partners of contacts with friction, see `Link.partners`; collective."""
         return [link.partners(x, frozen=frozen) for link in self.links]
 
 
@@ -102,31 +97,29 @@ class Configuration:
 class Reused:
     """Last search and last T, whose matrices are reused where their patterns fit."""
 
-    pairs: Sequence[
-        tuple[Pairing | None, Pattern]
-    ] = ()  # of each interface; empty before the first search
+    pairs: Sequence[tuple[Pairing | None, Pattern]] = ()
     claims: Claims | None = None
-    at_X: Mapping[int, Coupling] = field(default_factory=dict)  # by interface, for these pairs
-    paired_at: Floats | None = None  # displacement at the search
+    at_X: Mapping[int, Coupling] = field(default_factory=dict)
+    paired_at: Floats | None = None
     transformation: Transformation | None = None
     held: Sequence[Any] = ()  # dependencies of its pattern, see `_pattern_of`
-    moving: MovingGeometry | None = None  # matrices of the exact tangent, once used
+    moving: MovingGeometry | None = None
 
 
 class InterfaceSystem:
-    """The interfaces of a problem, and their present configuration.
+    """Interfaces of a problem, and their present configuration.
 
     Args:
         interfaces: in the order in which they claim slave nodes.
-        fixed: (local nodes, d) True where a direction of a node is prescribed.
+        fixed: (local nodes, d) prescribed directions.
         weight: factor of all integrals over interfaces, None for 1.
 
     Attributes:
-        present: configuration in use, of the audit or the iterate.
+        present: configuration in use.
         searches: number of pairings.
         middles: mid-surface points of both sides of each contact, see `newton_method.tunnelling`.
-        faced: whether the sides have faced each other, so that they may turn away.
-        facet_length: largest mean slave facet of the interfaces, 1 without interfaces.
+        faced: whether the sides have faced each other, and may turn away.
+        facet_length: largest mean slave facet, 1 without interfaces.
     """
 
     def __init__(
@@ -144,7 +137,7 @@ class InterfaceSystem:
         self.present = Configuration()
         self._reused = Reused()
         self.searches = 0
-        self.middles: list[tuple[Middles, ...]] | None = None  # computed on demand
+        self.middles: list[tuple[Middles, ...]] | None = None
         self.faced = False
 
     def _find_spreads(self) -> None:
@@ -170,12 +163,12 @@ class InterfaceSystem:
 
     @property
     def links(self) -> Sequence[Link]:
-        """Present interfaces with pairings and couplings."""
+        """Present interfaces."""
         return self.present.links
 
     @property
     def unilateral(self) -> list[Link]:
-        """Links of contacts, with one-sided bounds."""
+        """Links with one-sided bounds."""
         return [link for link in self.links if link.unilateral]
 
     @property
@@ -218,9 +211,9 @@ class InterfaceSystem:
         return marks
 
     def tools_at(self, u: fem.Function) -> list[tuple[Outline, Floats]]:
-        """Outlines of the rigid tools, each with the box (2, d) of its side; collective.
+        """Outlines of the rigid tools, each with a box in its frame; collective.
 
-        The box encloses the side at X + u on all ranks, in the frame of the tool.
+        The box (2, d) encloses the side at X + u on all ranks.
         """
         tools = []
         for interface, sides in zip(self.interfaces, self.sides, strict=True):
@@ -269,7 +262,7 @@ class InterfaceSystem:
         ]
         self.faced = True
         coverage = [full_coverage(self.sides[0])]
-        if len(every) > 1:  # coverage decides only between several
+        if len(every) > 1:
             coverage = [
                 interface.measure_coverage(sides, pairing, v)
                 for (interface, sides), (pairing, _), v in zip(every, found, at, strict=True)
@@ -318,12 +311,9 @@ class InterfaceSystem:
     def begin(self, u: fem.Function | None, known: Paired | None) -> Configuration:
         """First configuration of a step at X + u, without T; collective.
 
-        Pairs of the last step are reused as long as they serve, since new ones change the pattern
-        of T and with it multigrid levels or factorisations.
-
         Args:
             u: displacement, None for X.
-            known: last committed pairing; None pairs the surfaces at X + u.
+            known: last committed pairing, kept while it fits; None pairs the surfaces at X + u.
         """
         if known is None or not self.interfaces:
             return self.at(u)
@@ -343,10 +333,8 @@ class InterfaceSystem:
     def enter(self, found: Configuration, x: PETSc.Vec, increment: float) -> bool:
         """Make a configuration the present one; return whether T has a new pattern; collective.
 
-        T contains the near nodes, those of the last step unless others have come near.
-
         Args:
-            x: (n,) coordinates X + u, also for frozen surfaces.
+            x: (n,) X + u, also for frozen surfaces.
             increment: largest prescribed motion of the step.
         """
         found = replace(found, increment=increment)
@@ -364,7 +352,7 @@ class InterfaceSystem:
 
         Args:
             u: displacement for normals and segments; None for X.
-            x: (n,) coordinates X + u, also for frozen surfaces.
+            x: (n,) X + u, also for frozen surfaces.
             everywhere: pair again after slides anywhere, not only near the contact.
         """
         before = self.present
@@ -390,7 +378,7 @@ class InterfaceSystem:
         same = T is not None and T.serves(claims) and len(held) == len(reused.held)
         same = same and all(map(np.array_equal, held, reused.held))
         if T is None or not self.V.mesh.comm.allreduce(same, op=MPI.LAND):
-            self.present = Configuration()  # free the old T before the new one is allocated
+            self.present = Configuration()  # free the memory for the new T
             self._reused = replace(reused, transformation=None, moving=None)
             T = Transformation(self.V, links, claims)
             self._reused = replace(self._reused, transformation=T, held=held)
@@ -399,11 +387,7 @@ class InterfaceSystem:
         return T is not reused.transformation
 
     def _slid(self, u: fem.Function | None, near: Sequence[Bools] | None = None) -> bool:
-        """Tell whether sides slid beyond the margins of the last search; collective.
-
-        Args:
-            near: slave nodes of each interface to be considered, None for all.
-        """
+        """Whether sides slid beyond the margins of the last search; collective."""
         slid = []
         for k, (interface, sides) in enumerate(zip(self.interfaces, self.sides, strict=True)):
             pairing = self._reused.pairs[k][0]
@@ -413,24 +397,18 @@ class InterfaceSystem:
 
     @contextmanager
     def put_back(self) -> Iterator[None]:
-        """Restore the present configuration after the block, except a first one; collective.
-
-        An audit between steps so leaves the matrices of the next step.
-        """
+        """Restore the present configuration after the block, except a first one; collective."""
         present, reused = self.present, self._reused
         try:
             yield
-        finally:  # errors may be local: no communication
+        finally:  # perhaps on this rank: no communication
             if present.transformation is not None:
                 self.present, self._reused = present, reused
         if present.transformation is not None:
             present.transformation.update(present.links)  # the block may have refilled it
 
     def is_complete(self, u: fem.Function | None, x: PETSc.Vec) -> bool:
-        """Tell whether no slave node outside T may be in contact; collective.
-
-        False after slides beyond the margins, and where a gap has closed.
-        """
+        """Whether no slave node outside T may be in contact, also by slides; collective."""
         if not self.links:
             return True
         slid = u is not None and self._slid(u)
@@ -446,7 +424,6 @@ class InterfaceSystem:
         """Derivatives of the moving geometry at X + u; collective.
 
         Args:
-            u: displacement, of the present configuration.
             multipliers: lambda_j (owned nodes,).
             tangential: tangential tractions (owned nodes, d), None without friction.
             slips: displacement since the last commit, and the partners of each interface.
@@ -463,7 +440,7 @@ class InterfaceSystem:
         """Bounds of all interfaces on increments of y; collective.
 
         Args:
-            x: (n,) coordinates X + u, also with frozen geometry.
+            x: (n,) X + u, also with frozen geometry.
             u: (n,) displacement.
         """
         parts = []
@@ -497,7 +474,8 @@ class InterfaceSystem:
 
         Args:
             moved: (n,) displacement since the last commit.
-            limits: (owned nodes,) coefficients or tractions of each interface with friction.
+            limits: (owned nodes,) coefficients or tractions of each interface, None without
+                friction.
             partners: of each interface at the start of the step, None for present ones.
             sliding: (owned nodes, d) directions of slip at the last commit.
         """
@@ -555,7 +533,6 @@ class InterfaceSystem:
 
 
 def _pattern_of(links: Sequence[Link]) -> list[Any]:
-    """Dependencies of the pattern of T besides the claims."""
     held: list[Any] = []
     for link in links:
         held += [link.pattern.row, link.pattern.column, link.near, link.banned]
