@@ -34,9 +34,8 @@ from ufl.core.expr import Expr
 Jump = Sequence[float] | Floats | fem.Constant | fem.Function | Callable[[Floats], Floats] | None
 """A vector in Cartesian components, the same everywhere or one at each point."""
 
-# Fraction of the larger facet by which the default reach of ties exceeds the least distance. Facets
-# of smooth surfaces deviate by sagittas of tan(a / 4) / 2 of a facet, a the angle between two of
-# them: together less than 0.42 up to right angles.
+# Default reach of ties beyond the least distance, in larger facets. Sagittas are tan(a / 4) / 2 of
+# a facet, a the angle between two: together less than 0.42 up to right angles.
 WITHIN = 0.5
 
 
@@ -44,49 +43,44 @@ class Tie(MortarInterface):
     """Mesh tying ("glue"): both sides move together in all directions, or a given jump apart.
 
     The constraint is u_slave - P u_master = jump + s n, P = D^-1 M at X. With a pretension the
-    overlap s along the unit vector n is an additional unknown, with the equation ``force @ n ==
-    pretension``. Prescribed displacement components are not tied. Jumps, tightenings and directions
-    do not rotate with the bodies: where these rotate by R, multiply them by R in each step, or a
-    bolt loses force. The offset between separated sides rotates (linearised) with
-    ``surface="smooth"``, not with "facets". ``force`` is the resultant on the slave side;
-    ``pressure`` the normal traction per area at X, positive in compression; ``gap`` the normal part
-    of the jump, negative where the sides overlap.
+    overlap s along the unit vector n is unknown, with the equation ``force @ n == pretension``.
+    Prescribed displacement components are not tied. Jumps, tightenings and directions do not rotate
+    with the bodies: where these rotate by R, multiply them by R in each step, or a bolt loses
+    force. The offset between separated sides rotates (linearised) with ``surface="smooth"``, not
+    with "facets". ``force`` is the resultant on the slave side; ``pressure`` the normal traction
+    per area at X, positive in compression; ``gap`` the normal part of the jump, negative where the
+    sides overlap.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
         slave: tag or name (see `Tags`) of the side with the multipliers.
         master: tag or name of the other side.
-        jump: displacement of the slave side relative to the master side, a length in Cartesian
-            components: d numbers, a Constant, a Function on the displacement's mesh, or a function
-            of points x (3, n) that returns (d, n), all taken at the slave nodes at the start of
-            every step. A vector from the slave side into the master side makes them overlap, which
-            tightens a bolt cut by the tie; the opposite one opens a slit.
+        jump: displacement of the slave side relative to the master side, a length: d Cartesian
+            components, a Constant, a Function on the displacement's mesh, or a function of points x
+            (3, n) that returns (d, n), evaluated at the slave nodes in every step. A vector from
+            the slave side into the master side makes them overlap, the opposite opens a slit.
         pretension: resultant on the slave side along ``direction``, a force, positive in tension: a
-            number or a scalar Constant, read at the start of every step. Half a bolt on a plane of
-            symmetry has half the force. None keeps jump and tightening: set it to None once the
-            bolt is tight, and later loads change its force.
-        direction: d numbers of any length, out of the slave side: the axis of the bolt. None is the
+            number or a scalar Constant, read in every step. Half a bolt on a plane of symmetry has
+            half the force. None keeps jump and tightening: later loads change the force of a tight
+            bolt.
+        direction: d numbers of any length, out of the slave side: the axis of the bolt; default the
             mean normal of the slave side.
         surface: "facets" ties points of facets, u_s = P u_m as in the paper; "smooth" the smooth
             surfaces through their nodes: where facets are apart by r, u_s = P u_m + (motion of r),
-            see `dolfinx_mortar.mortar.curvature_correction.point_motions`. D and M are the same.
+            see `dolfinx_mortar.mortar.curvature_correction.point_motions`.
         feature_angle: degrees between facets from which on an edge is sharp; for smooth surfaces.
-        within: largest distance between tied facets at X, a length. None is the least distance
-            between the sides plus half of the larger of two facets; the audit warns where this
-            leaves facets untied, or ties more than curvature explains.
+        within: largest distance between tied facets at X, a length; default the least distance
+            between the sides plus half of the larger of two facets (the audit warns where that may
+            be wrong).
     Source: the paper, section 4, eq. 16 with equality.
 
     Raises:
-        ValueError: for invalid tags, names, surface or angle, a jump or direction that has not d
-            finite components, a pretension that is no number, and ``within`` that is not positive.
+        ValueError: for invalid tags, names, surface or angle, a jump or direction without d finite
+            components, a pretension that is no number, and ``within`` that is not positive.
         TypeError: for friction.
 
     Attributes:
-        jump: as given; setting it checks it.
-        pretension: as given; setting it checks it.
-        direction: a unit vector, or None; setting it checks it.
-        tightening: (d,) added to the jump everywhere: s n, set by every step with a pretension,
-            else zero.
+        tightening: (d,) added to the jump everywhere: s n, set by every step with a pretension.
     """
 
     stays = True
@@ -163,7 +157,7 @@ class Tie(MortarInterface):
         self._direction: Direction = unit
 
     def given(self) -> dict[str, Any]:
-        """Arguments that must agree among ranks, by name; see `agreement`."""
+        """See `Interface.given`."""
         return super().given() | {
             "jump": self.jump,
             "tightening": self.tightening,
@@ -256,16 +250,15 @@ class Tie(MortarInterface):
         self.tightening = self.tightening + way
 
     def state(self, ended: bool) -> dict[str, Floats]:
-        """Tightening, which a restored bolt needs."""
+        """See `Interface.state`."""
         return {"tightening": self.tightening}
 
     def restore(self, state: Mapping[str, Floats]) -> None:
-        """Set the tightening."""
+        """See `Interface.restore`."""
         self.tightening = state["tightening"]
 
 
 def _check_within(within: Any) -> float | None:
-    """Largest distance over which to tie as a number, None for the default."""
     if within is None:
         return None
     everything = isinstance(within, float) and within == np.inf
@@ -311,7 +304,7 @@ def _check_jump(jump: Any, d: int) -> Any:
 
 
 def _nodal_function(jump: Any, V: fem.FunctionSpace) -> Any:
-    """Return a Function as one of V, all else unchanged; collective for Functions."""
+    """Function as one of V, all else unchanged; collective for Functions."""
     if not isinstance(jump, fem.Function) or jump.function_space == V:
         return jump
     jump.x.scatter_forward()
@@ -331,7 +324,7 @@ def _values_at(jump: Any, V: fem.FunctionSpace, nodes: Ints) -> Floats:
         return np.tile(jump.value, (len(nodes), 1))
     if isinstance(jump, np.ndarray):
         return np.tile(jump, (len(nodes), 1))
-    if not len(nodes):  # functions need not handle an empty set of points
+    if not len(nodes):  # no points
         return np.zeros((0, d))
     x = np.ascontiguousarray(V.tabulate_dof_coordinates()[nodes].T)
     found = as_numbers(jump(x))
