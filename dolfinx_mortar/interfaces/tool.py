@@ -29,10 +29,7 @@ from dolfinx_mortar.shapes.zero_level import find_zero_level
 
 
 class Driven(Protocol):
-    """A rigid tool or side with m unknown motions, each driven by a given force; same on all ranks.
-
-    Interfaces return one from `Interface.driven`; Newton's method solves for the motions.
-    """
+    """A rigid tool or side with m unknown motions driven by given forces; same on all ranks."""
 
     @property
     def holds(self) -> bool:
@@ -43,11 +40,7 @@ class Driven(Protocol):
         """Names (m) of the motions and their forces."""
 
     def loads(self) -> Floats:
-        """Given forces (m,) on the tool.
-
-        Raises:
-            ValueError: for values of Constants that are not finite.
-        """
+        """Given forces (m,) on the tool; a ValueError for NaN and infinity."""
 
     def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
         """Displacements (m, n, d) of points by one unit of each motion.
@@ -55,19 +48,11 @@ class Driven(Protocol):
         Args:
             x: (n, d) present positions, X with frozen geometry.
             X: (n, d) positions at the start.
-            moved: (m,) motions from the present pose at which to linearise; their effect may be
-                neglected.
+            moved: (m,) motions from the present pose at which to linearise; may be neglected.
         """
 
     def curve(self, X: Floats, amounts: Floats) -> Floats:
-        """Motion minus its linearisation (n, d) at points that follow it.
-
-        Called only where `holds`.
-
-        Args:
-            X: (n, d) positions at the start.
-            amounts: (m,) of the motions.
-        """
+        """Motion by amounts (m,) minus its linearisation (n, d) at X (n, d); only where `holds`."""
 
     def move(self, amounts: Floats) -> None:
         """Move the tool by amounts (m,) of its motions."""
@@ -78,7 +63,7 @@ class Pose:
     """Pose of a tool: x = position + R (xi - point) of a point xi in its initial position."""
 
     position: Floats  # (d,) of the tool's point
-    rotation: Floats  # (1,) angle in the plane, (3,) rotation vector in space
+    rotation: Floats  # (1,) or (3,) rotation vector
     point: Floats  # (d,) its initial position
 
     @property
@@ -123,8 +108,8 @@ class RigidBody:
         position: Constant (d,), position of this point without ``travel``.
         rotation: Constant, an angle in the plane, a rotation vector (3,) in space.
         revolved: whether the problem is axisymmetric.
-        load: given forces and moments about the point, by names of `motions_in`.
-        travel: (3,) or (6,) motion by the loads, in addition to position and rotation.
+        load: given forces and moments by names of `motions_in`.
+        travel: (3,) or (6,) additional motion by the loads.
     """
 
     holds = False
@@ -141,11 +126,7 @@ class RigidBody:
         self.travel: Floats = np.zeros(len(motions_in(d)))
 
     def pose(self, travel: Floats | None = None) -> Pose:
-        """Present pose, or the one with another travel.
-
-        Raises:
-            ValueError: for NaN and infinity, and off the axis in an axisymmetric problem.
-        """
+        """Present pose, or the one with another travel; a ValueError for NaN, and off an axis."""
         position: Floats = np.array(self.position.value, dtype=np.float64)
         rotation: Floats = np.array(self.rotation.value, dtype=np.float64).reshape(-1)
         for name, value in (("position", position), ("rotation", rotation)):
@@ -186,7 +167,7 @@ class RigidBody:
         """Present values (m,).
 
         Raises:
-            ValueError: for NaN and infinity, and other than "y" in an axisymmetric problem.
+            ValueError: for NaN and infinity, and other than "y" in axisymmetry.
         """
         if self.revolved and self.load.keys() - {"y"}:
             raise ValueError(
@@ -205,7 +186,7 @@ class RigidBody:
         return {"reference": self.point.tolist()}
 
     def given(self) -> dict[str, Any]:
-        """Arguments that must agree among ranks, by name."""
+        """See `Interface.given`."""
         return {name: getattr(self, name) for name in ("point", "position", "rotation", "load")}
 
     def place(self) -> Floats:
@@ -213,16 +194,16 @@ class RigidBody:
         return self.pose().position
 
     def state(self, ended: bool) -> dict[str, Floats]:
-        """State, see `Interface.state`."""
+        """See `Interface.state`."""
         return {"travel": self.travel}
 
     def restore(self, state: Mapping[str, Floats]) -> None:
-        """Set the state."""
+        """See `Interface.restore`."""
         self.travel = state["travel"]
 
     @property
     def names(self) -> Sequence[str]:
-        """Motions driven by loads, see `motions_in`."""
+        """See `Driven`."""
         return tuple(self.load)
 
     @property
@@ -230,11 +211,11 @@ class RigidBody:
         return [motions_in(len(self.point)).index(name) for name in self.names]
 
     def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
-        """Displacements (m, n, d) by one unit of each driven motion, see `Driven`."""
+        """See `Driven`."""
         return self.along(x - self.pose().position)
 
     def curve(self, X: Floats, amounts: Floats) -> Floats:
-        """Return 0: no node follows a tool, see `Driven`."""
+        """See `Driven`; 0."""
         return np.zeros_like(X)
 
     def along(self, arm: Floats) -> Floats:
@@ -260,7 +241,7 @@ class RigidBody:
         return np.concatenate([self.travel[:d] + step[:d], after(self.travel[d:], step[d:])])
 
     def move(self, amounts: Floats) -> None:
-        """Add amounts (m,) of the driven motions to the travel."""
+        """See `Driven`."""
         self.travel = self.ahead(amounts)
 
 
@@ -281,10 +262,7 @@ class Movable:
 
     @property
     def rotation(self) -> fem.Constant:
-        """Rotation since the start, in radians; set its value.
-
-        An angle in the plane, in space a rotation vector (3,), axis times angle.
-        """
+        """Rotation since the start in radians, an angle or a vector (3,); set its value."""
         return self.rigid.rotation
 
     @property
@@ -297,11 +275,11 @@ class Movable:
         self.rigid.load = self.rigid.check_load(value)
 
     def state(self, ended: bool) -> dict[str, Floats]:
-        """State, see `Interface.state`."""
+        """See `Interface.state`."""
         return self.rigid.state(ended)
 
     def restore(self, state: Mapping[str, Floats]) -> None:
-        """Set the state."""
+        """See `Interface.restore`."""
         self.rigid.restore(state)
 
     def driven(self) -> Driven | None:
@@ -310,17 +288,14 @@ class Movable:
 
     @property
     def travel(self) -> Floats:
-        """Motion by loads in addition to position and rotation, (3,) or (6,).
-
-        Displacement, and rotation as an angle in the plane, a vector in space.
-        """
+        """Motion by loads in addition to position and rotation, (3,) or (6,)."""
         return self.rigid.travel.copy()
 
 
 class Asked(Shape):
     """A shape with checked distances, whose errors are raised on all ranks.
 
-    An error on one of several ranks is kept for `failed`; until then its points count as far away.
+    Until `failed` is called the points of a failed rank count as far away.
     """
 
     def __init__(self, shape: Shape) -> None:
@@ -338,7 +313,7 @@ class Asked(Shape):
         return self.shape.given()
 
     def distance(self, x: Floats) -> Distance:
-        """Distances of points x (n, d)."""
+        """See `Shape`."""
         try:
             return check_returned(self.shape, self.shape.distance(x), x)
         except Exception as error:
@@ -348,7 +323,7 @@ class Asked(Shape):
         return Distance(np.full(n, self._far(x)), ahead, np.zeros((n, d, d)))
 
     def values(self, x: Floats) -> Floats:
-        """Return only the values phi (n,) at points x (n, d)."""
+        """See `Shape`."""
         try:
             found = self.shape.values(x)
             check_finite(f"{type(self.shape).__name__}: the distance", found, x)
@@ -375,7 +350,6 @@ class Tool(RigidBody):
     """A shape and its pose.
 
     Attributes:
-        shape: as given.
         asked: the shape with checks.
         began: pose at the last commit.
         probes: (q, d) points whose distances identify the shape.
@@ -412,7 +386,7 @@ class Tool(RigidBody):
         return [size, *found] if np.isfinite(found).all() else "NaN or infinity"
 
     def given(self) -> dict[str, Any]:
-        """Return also the shape and its distances."""
+        """Arguments with the shape and its distances."""
         return super().given() | {"shape": self.shape, "distances": self.probed()}
 
     @property
@@ -421,19 +395,19 @@ class Tool(RigidBody):
         return super().identity | {"distances": self.probed()}
 
     def state(self, ended: bool) -> dict[str, Floats]:
-        """Travel and the pose at the last commit, or the present one for the next."""
+        """See `Interface.state`: also the pose at the last commit, or of the next one."""
         began = self.pose() if ended else self.began
         return super().state(ended) | {"position": began.position, "rotation": began.rotation}
 
     def restore(self, state: Mapping[str, Floats]) -> None:
-        """Set the state."""
+        """See `Interface.restore`."""
         super().restore(state)
         self.began = Pose(state["position"], state["rotation"], self.point)
 
     def way(self, before: Floats, after: Floats) -> Floats:
         """Displacement of points (n, d) that move with the tool since the last commit.
 
-        Mean of the displacements of the points at ``before`` and at ``after``.
+        Mean for the material points ``before`` and ``after``.
         """
         began, now = self.began, self.pose()
         forth = now.to_space(began.to_tool(before)) - before
@@ -463,10 +437,10 @@ class Outline:
 
     shape: Shape
     pose: Pose
-    revolved: bool = False  # only the part r >= 0 is shown
+    revolved: bool = False
 
     def distance(self, x: Floats) -> Floats:
-        """Return the signed distances (n,) of points (n, d)."""
+        """Signed distances (n,) of points (n, d)."""
         return self.shape.values(self.pose.to_tool(x))
 
     @property
@@ -476,10 +450,7 @@ class Outline:
         return None if found is None else (self.pose.to_space(found[0]), found[1])
 
     def cut(self, low: Floats, high: Floats) -> tuple[Floats, Longs]:
-        """Points (n, d) in initial position, and their lines or triangles (m, d).
-
-        An analytic shape is cut to a box (d,).
-        """
+        """Points (n, d) in initial position, and their lines or triangles (m, d), in a box (d,)."""
         if (found := self.shape.surface) is not None:
             return found
         if self.revolved:
@@ -488,17 +459,14 @@ class Outline:
 
 
 def spun(arm: Floats, rotation: Floats) -> Floats:
-    """Theta x r of arms r (n, d)."""
+    """Return theta x r of arms r (n, d)."""
     if len(rotation) == 1:
         return np.asarray(rotation[0] * np.stack([-arm[:, 1], arm[:, 0]], axis=1))
     return np.asarray(np.cross(rotation, arm))
 
 
 def turn_between(before: Pose, now: Pose) -> Floats:
-    """Rotation, an angle (1,) or a vector (3,), between two poses.
-
-    With whole turns in the plane, and about a fixed axis in space.
-    """
+    """Rotation, an angle (1,) or a vector (3,), between two poses, with whole turns."""
     change = now.rotation - before.rotation
     if len(change) > 1 and np.cross(before.rotation, now.rotation).any():
         return _vector_near(Rotation.from_matrix(now.R @ before.R.T), change)
@@ -506,7 +474,7 @@ def turn_between(before: Pose, now: Pose) -> Floats:
 
 
 def after(rotation: Floats, step: Floats) -> Floats:
-    """Rotation, an angle (1,) or a vector (3,), followed by ``step``, with whole turns."""
+    """Rotation (1,) or (3,) followed by ``step``, with whole turns."""
     if len(rotation) == 1:
         return rotation + step
     turned = Rotation.from_rotvec(step) * Rotation.from_rotvec(rotation)
@@ -528,13 +496,7 @@ def fewer_turns(turn: Floats) -> Floats:
 
 
 def on_the_way(before: Pose, now: Pose, turn: Floats, t: float) -> Pose:
-    """Pose at a time t in [0, 1]: uniform translation of the point and rotation.
-
-    Args:
-        before: pose at t = 0.
-        now: pose at t = 1.
-        turn: between both, see `turn_between`.
-    """
+    """Pose at a time t in [0, 1]: uniform translation of the point and rotation ``turn``."""
     if t in (0.0, 1.0):
         return now if t else before
     position = (1.0 - t) * before.position + t * now.position
@@ -550,10 +512,7 @@ def check_point(given: Any, d: int) -> Floats:
 
 
 def find_facing(side: WholeSide, pose: Pose, shape: Shape, x: Floats) -> Bools:
-    """Mask (m,) of this rank's facets that face the tool, for nodes at x (n, d).
-
-    Their mean normal and the opposite tool normal at the centre differ by less than 78 degrees.
-    """
+    """Mask (m,) of facets that face the tool within 78 degrees, for nodes at x (n, d)."""
     facets = facets_at(side.slave, x)
     tool = pose.distance(shape, facets.x.mean(axis=1)).gradient
     return np.asarray(-(facet_normals(facets) * tool).sum(axis=1) > FACING)
@@ -564,9 +523,9 @@ class SidePattern(Pattern):
     """Pattern of a side without a master."""
 
     side: WholeSide | None = None
-    own: SmoothSide | None = None  # smooth surface of facets of second order
-    nodal: bool = False  # distances at nodes, for facets of first order
-    faceted: Bools | None = None  # (owned nodes,) where facets are exact, not smoothed
+    own: SmoothSide | None = None  # for facets of second order
+    nodal: bool = False  # distances at nodes, for first order
+    faceted: Bools | None = None  # (owned nodes,) facets are exact
 
 
 def point_gaps(
@@ -579,9 +538,8 @@ def point_gaps(
 ) -> tuple[Floats, Distance]:
     """Gaps (q,) between a tool and the smooth slave surface, and the distances; collective.
 
-    Smooth surfaces of first order interpolate nodal distances (returned for all nodes), so that
-    facets between nodes on the tool have no gap. Facets of second order, straight at X, are nearer
-    by the height of the smooth surface.
+    Smooth surfaces of first order interpolate the distances of all nodes; facets of second order
+    are nearer by the height of the smooth surface.
 
     Args:
         u: displacement, None for X.
@@ -590,7 +548,7 @@ def point_gaps(
     """
     assert pattern.side is not None
     slave = pattern.side.slave
-    with raised_together(slave.V.mesh.comm):  # errors of a user's function
+    with raised_together(slave.V.mesh.comm):
         if pattern.nodal:
             found = pose.distance(shape, coordinates(slave, u))
             of_nodes = found.value[slave.facets[segments.slave]]
