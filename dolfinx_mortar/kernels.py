@@ -17,7 +17,7 @@ import ufl
 from dolfinx_mortar.arrays import Floats
 from ufl.core.expr import Expr
 
-ANYWHERE = np.full((1, 3), 0.25)  # any point of the reference tetrahedron
+ANYWHERE = np.full((1, 3), 0.25)  # any point
 _CORNERS = np.vstack([np.zeros(3), np.eye(3)])
 
 
@@ -29,9 +29,9 @@ def constants(count: int) -> ufl.Constant:
 
 def compile_vectors(vectors: list[Expr]) -> list[Callable[[Floats], Floats]]:
     """Return for each expression a function of the constants (n,)."""
-    # a number distinguishes equal expressions, which would have the same name
+    # equal expressions would have the same name
     told = [ufl.as_vector([*vector, ufl.as_ufl(k + 1.0)]) for k, vector in enumerate(vectors)]
-    # a folder of its own for each rank
+    # a folder for each rank
     with tempfile.TemporaryDirectory() as folder:
         compiled, module, _ = ffcx.codegeneration.jit.compile_expressions(
             [(vector, ANYWHERE) for vector in told],
@@ -45,7 +45,6 @@ def compile_vectors(vectors: list[Expr]) -> list[Callable[[Floats], Floats]]:
 
 
 def _evaluation(ffi: Any, kernel: Any, count: int) -> Callable[[Floats], Floats]:
-    """Compiled expression as a function of its constants."""
     nothing = [ffi.NULL] * (len(ffi.typeof(kernel).args) - 4)  # newer kernels take more
 
     def evaluate(numbers: Floats) -> Floats:
@@ -61,8 +60,8 @@ def _evaluation(ffi: Any, kernel: Any, count: int) -> Callable[[Floats], Floats]
 class Kernel:
     """A compiled expression of `constants`."""
 
-    address: int  # of the C function
-    size: int  # number of values
+    address: int
+    size: int
     module: Any  # keeps the code alive
 
 
@@ -96,7 +95,7 @@ def _call(typing, address, values, numbers, corners):  # type: ignore[no-untyped
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         pointer = ir.IntType(8).as_pointer()
-        # values, coefficients, constants, coordinates, entity, permutation; newer ones take more
+        # values, coefficients, constants, coordinates, entity, permutation; newer ones have more
         function = ir.FunctionType(ir.VoidType(), [pointer] * 7)
         called, values, numbers, corners = arguments
         none = ir.Constant(pointer, None)
@@ -110,6 +109,5 @@ def _call(typing, address, values, numbers, corners):  # type: ignore[no-untyped
 
 @numba.njit(cache=True)
 def _tabulate(address, numbers, values, corners):  # type: ignore[no-untyped-def]
-    """Call a kernel at all points."""
     for q in range(len(numbers)):
         _call(address, values[q].ctypes.data, numbers[q].ctypes.data, corners.ctypes.data)
