@@ -40,14 +40,13 @@ class Contacts:
     def after(self, last: "Contacts", limits: SlipLimits | None) -> "Contacts":
         """Correct multipliers for friction in prescribed directions.
 
-        It was that of the last multipliers. At an inclined support it opens the contact by c
-        lambda_j, so that the new ones are (lambda_j + c lambda_j of the last) / (1 + c).
+        At an inclined support it opens the contact by c lambda_j, so that lambda_j becomes
+        (lambda_j + c last lambda_j) / (1 + c).
         """
         if limits is None:
             return self
         multipliers, nodes = self.multipliers.copy(), limits.nodes
         change = multipliers[nodes] - last.multipliers[nodes]
-        # half, where friction alone nearly carries the node
         change = change / np.maximum(1.0 + limits.wedging, 0.5)
         multipliers[nodes] = np.where(
             self.active[nodes], last.multipliers[nodes] + change, multipliers[nodes]
@@ -89,13 +88,12 @@ def go_on(
 ) -> Contacts:
     """Initial active set of a step: that of the last one, without multipliers.
 
-    Slipping nodes start as slipping, lest a sliding body pass through sets that leave it free; they
-    start as sticking where the rigid prediction reverses their slip.
+    Slipping nodes start as slipping, lest a sliding body pass through free states, but as sticking
+    where the rigid prediction reverses their slip by more than ``noise``.
 
     Args:
         contacts: active set and slip directions at the end of the last step.
         limits: of the step's first balance; None without friction.
-        noise: round-off of slips.
     """
     active, sliding = contacts
     if limits is not None and sliding is not None:
@@ -107,10 +105,7 @@ def go_on(
 
 
 def found_by(lin: Linearisation, solved: QPSolution, n: int) -> Contacts:
-    """Active set and multipliers of a QP's solution, at n owned nodes.
-
-    Off the active set b - A x is residual, no contact force.
-    """
+    """Active set and multipliers of a QP's solution, at n owned nodes."""
     bounds, nodes, on = lin.balance.bounds, lin.balance.nodes, solved.active > 0
     active, multipliers = np.zeros(n, dtype=bool), np.zeros(n)
     active[nodes] = on
@@ -128,12 +123,7 @@ def found_by(lin: Linearisation, solved: QPSolution, n: int) -> Contacts:
 def find_sliders(
     limits: SlipLimits, contacts: Contacts, diagonal: PETSc.Vec, noise: float
 ) -> Sliders:
-    """Slips, tangential reactions and limits mu D_jj lambda_j at nodes with friction.
-
-    Args:
-        diagonal: of K^, the stiffness that converts slips to forces.
-        noise: round-off of slips.
-    """
+    """Slips above ``noise``, tangential reactions, limits mu D_jj lambda_j at friction nodes."""
     size = np.linalg.norm(limits.slip, axis=1, keepdims=True)
     share = np.divide(np.maximum(size - noise, 0.0), size, out=np.zeros_like(size), where=size > 0)
     position = np.arange(len(size), dtype=np.int32)
