@@ -18,19 +18,16 @@ from dolfinx_mortar.step_report import NewtonNotConverged, Note, StepReport
 from dolfinx_mortar.supports.bodies import name_of
 from dolfinx_mortar.terms.pressure import Pressure
 
-# Softness u.K u / u.K_e u below which a body is at a limit load: up to 3e-5 (von Mises) or 6e-3
-# (Drucker-Prager) in failed steps without hardening; with hardening modulus H about H / E, .05 and
-# more for metals.
+# Softness u.K u / u.K_e u at a limit load: up to 3e-5 (von Mises) or 6e-3 (Drucker-Prager) in
+# failed steps without hardening; with modulus H about H / E, .05 and more for metals.
 SOFT = 0.01
-# Stretch below which cells are nearly inverted: 0 to .1 in steps that ended by it (rubber, metal
-# pressed to a fifth), .69 and more in others.
+# Stretch of nearly inverted cells: 0 to .1 in steps that ended by it (rubber, metal pressed to a
+# fifth), .69 and more in others.
 SQUEEZED = 0.3
-# end of messages about single steps
 AS_BEFORE = (
     ". The displacement and the committed state are as before the step: retry with a smaller one "
     "(dm.load_steps does); problem.diagnose() says more"
 )
-# bodies restrained only by contact or friction, under loads and without
 MOVES_AWAY = (
     "What contact alone holds moves away if the loads do not press the sides together, or it "
     "slides or rolls freely (then prescribe that motion)"
@@ -43,7 +40,6 @@ TOO_MUCH = {
     "friction does not hold (then support it) or wedges fast between sides and supports at an "
     "angle (then release it)",
 }
-# remedies for indefinite tangents, under loads and without, and unknown ones
 UNSTABLE = {
     True: "Beyond a limit point of loads tangents are indefinite: if they exceed what the bodies "
     "carry, prescribe displacements instead of forces or pressures",
@@ -68,7 +64,7 @@ EXCHANGE = (
 )
 HARDEN = "or give the law hardening"
 # Blocks of MooneyRivlin (NeoHooke), K/mu = 500, between smooth plates become unstable at a height
-# of .62 (.64) with quadrilaterals of degree 2, of .54 as a continuum (eigenvalues of tangents).
+# of .62 (.64) with quadrilaterals of degree 2, of .54 as a continuum.
 BY_THEMSELVES = (
     "Under compression by 30 % or more, cells of degree 2 with volumetric='reduced' may buckle "
     "by themselves, in waves as long as cells: compare with cells of degree 1 or, where the law is "
@@ -80,7 +76,7 @@ class StepFailed(Exception):
     """A step failed; nothing has been undone or diagnosed yet."""
 
     def __init__(self, seen: str, why: str = "") -> None:
-        """Set the message and its explanation."""
+        """Set message and explanation."""
         super().__init__(seen)
         self.why = why
 
@@ -95,13 +91,7 @@ def failed(problem: ContactProblem, report: StepReport, seen: str, *why: str) ->
 def explain(
     problem: ContactProblem, report: StepReport, error: Exception, at: Floats
 ) -> NewtonNotConverged:
-    """Error of a failed step that is undone; collective.
-
-    Args:
-        report: of the step; may get a note.
-        error: cause of the end.
-        at: displacement with ghosts at the end.
-    """
+    """Error of a failed step that ended ``at`` u, with ghosts, and is undone; collective."""
     seen, why = str(error), [getattr(error, "why", "")]
     if not isinstance(error, StepFailed):
         seen = f"the QP of Newton iteration {len(report.iterations) + 1}: {seen.rstrip('. ')}"
@@ -129,7 +119,7 @@ def explain(
 
 
 def _look_at(problem: ContactProblem, u: Floats) -> tuple[str, str]:
-    """Describe the flowing body and shortened cells at a displacement; collective."""
+    """Flowing body and shortened cells at a displacement; collective."""
     before, shown = problem.u.x.array.copy(), problem.solid.keep()
     try:
         problem.u.x.array[:] = u
@@ -148,13 +138,12 @@ def describe_cells(problem: ContactProblem) -> str:
 
 
 def is_loaded(problem: ContactProblem) -> bool:
-    """Tell whether terms or tool loads act; collective."""
+    """Whether terms or tool loads act; collective."""
     driven = any(link.interface.driven() is not None for link in problem.system.links)
     return driven or problem.terms.assemble_forces(problem.K.createVecLeft()) > 0.0
 
 
 def _pressures(problem: ContactProblem) -> list[str]:
-    """Name follower pressures without a potential."""
     told, where = [], "where the surface is closed, or its edges are held or slide in planes "
     where += "through the origin"
     for name, term in problem.terms.named:
@@ -177,7 +166,6 @@ def _pressures(problem: ContactProblem) -> list[str]:
 
 
 def _own_laws(problem: ContactProblem) -> str:
-    """Return how to check a user's laws, or ""."""
     package = __name__.partition(".")[0]
     kinds = {type(law): None for region in problem.solid.regions for law, _ in region.parts}
     own = [kind.__name__ for kind in kinds if not kind.__module__.startswith(f"{package}.")]
@@ -189,17 +177,17 @@ def _own_laws(problem: ContactProblem) -> str:
 
 
 def _flow(problem: ContactProblem) -> str:
-    """Describe the body at a limit load, where u.K u is small beside u.K_e u; collective."""
+    """Body at a limit load, where u.K u is small beside u.K_e u; collective."""
     solid, u = problem.solid, problem.u
     try:
         solid.evaluate()
-    except ValueError:  # not a number
+    except ValueError:
         return ""
-    solid.assemble_tangent(problem.K)  # the next step assembles its own
+    solid.assemble_tangent(problem.K)
     step = problem.vector(problem.owned_u)
     if not step.dot(problem.K * step) < SOFT * solid.elastic_norm(u) ** 2:
         return ""
-    flowing, weights = solid.flowing(), solid.fields.weights  # since the committed state
+    flowing, weights = solid.flowing(), solid.fields.weights
     body, count = problem.bodies.of_cells[: len(weights)], problem.bodies.count
     parts = [(weights * part).sum(axis=1) for part in (flowing, np.ones_like(weights))]
     volumes = np.stack([np.bincount(body, part, minlength=count) for part in parts])
@@ -221,7 +209,6 @@ def with_corners(problem: ContactProblem, error: StepFailed) -> StepFailed:
         if tool is not None:
             where, what, remedy = _tool_corners(link, tool, x), IN_CORNER, ROUND_IT
         elif link.pairing is not None and not link.sides.meet_themselves:
-            # self-contact divides the surface itself
             where, what, remedy = _master_corners(link, x), AT_FACETS, EXCHANGE
         if where:
             seen.append(f"{link.interface!r}: {what.format(where)}")
@@ -231,7 +218,7 @@ def with_corners(problem: ContactProblem, error: StepFailed) -> StepFailed:
 
 
 def _master_corners(link: Link, x: PETSc.Vec) -> str:
-    """Place where an edge or a corner of the master presses on slave facets; collective."""
+    """Place where an edge or corner of the master presses on slave facets; collective."""
     pairing, operators = link.mortar
     slave, comm = link.sides.slave, link.sides.V.mesh.comm
     near, length = np.zeros(len(slave.nodes)), mean_facet_length(slave)
