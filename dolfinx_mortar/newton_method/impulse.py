@@ -23,13 +23,9 @@ from dolfinx_mortar.qp import LinearSolver
 def respond(
     problem: ContactProblem, forces: Floats, rtol: float, linear: LinearSolver
 ) -> Floats | None:
-    """Return y (owned nodes, d) with K y = f, K the last tangent; collective.
+    """Return y (owned nodes, d) with K y = f, the last K, or None; collective.
 
-    Supports and ties hold, contacts are free. None if the linear solver fails.
-
-    Args:
-        problem: at the end of a step.
-        forces: f (owned nodes, d).
+    Supports and ties hold, contacts are free.
     """
     T, r = problem.system.transformation, problem.vector(forces)
     found = problem.system.constraints(problem.positions(), problem.vector(problem.owned_u))
