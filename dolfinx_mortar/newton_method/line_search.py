@@ -3,9 +3,8 @@
 
     phi(t) = J(u + t du) + s sum_j D_jj (t w_j - gap_j)_+ + sum_j s_j |slip_j + t dw_j|,
 
-gaps of one geometry, friction limits s_j of the QP's solution. With tools driven by forces F, w is
-relative to their motion t q, and -t F.q is added. Armijo's condition holds up to the round-off of
-phi.
+with friction limits s_j of the QP's solution. With tools driven by forces F, w is relative to their
+motion t q, and -t F.q is added. Armijo's condition holds up to round-off.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ from dolfinx_mortar.qp import QPSolution
 from dolfinx_mortar.spaces import with_values
 from dolfinx_mortar.terms.sum import Energy, VolumeStep
 
-# Sufficient decrease relative to the slope (Armijo; Dennis and Schnabel 1983, Nocedal and Wright
-# 2006), and smallest step length: 14 halvings.
+# Sufficient decrease relative to the slope (Armijo; Nocedal and Wright 2006), and least step
+# length: 14 halvings.
 ARMIJO = 1e-4
 
 Curve = Callable[[float], Floats]
@@ -45,16 +44,16 @@ class NoDescent(RuntimeError):
 class Direction:
     """Path u + t du, y + t dy, and the terms of phi except J."""
 
-    start: Floats  # (n,) u
+    start: Floats
     du: Floats  # (n,)
     motion: Floats  # (k,) of bounded unknowns
     gap: Floats  # (k,) bounds including round-off
     penalty: Floats  # (k,) s D_jj
     noise: float  # error of r.du: round-off of forces and gaps, residual of the QP
-    slip: Floats  # (m, d - 1) at the start, of nodes with friction
+    slip: Floats  # (m, d - 1) at the start, with friction
     slide: Floats  # (m, d - 1) slip in the step
     limits: Floats  # (m,) of friction
-    pull: float = 0.0  # -F.q of driven tools (on one rank), and of known friction
+    pull: float = 0.0  # -F.q of driven tools (one rank), and known friction
     curve: Curve | None = None
 
     def at(self, t: float) -> Floats:
@@ -86,12 +85,12 @@ class Direction:
 class Moved:
     """Changes by a step along the solution of a QP."""
 
-    increment: float  # |du|_e of the full step
-    length: float  # step length t
-    halvings: int  # of the line search
+    increment: float
+    length: float  # t
+    halvings: int
     energy: Energy | None  # J at the end
-    travel: Floats  # (m,) of driven tools since the start of the load step
-    pressure: Floats | None  # (owned cells,) linearised mean stresses at the end
+    travel: Floats  # (m,) of driven tools since the load step began
+    pressure: Floats | None  # (owned cells,) linearised mean stresses
 
 
 def take_step(problem: ContactProblem, found: Solution, largest: float, old: Iterate) -> Moved:
@@ -138,18 +137,14 @@ def _move(
     old: Iterate,
     volumes: VolumeStep | None,
 ) -> tuple[float, int, Energy | None]:
-    """Move u along the step; return its length, the halvings, and J.
-
-    Without search, but with positive J, if there is no energy, if supports or ties prescribe
-    increments, or towards a saddle: the energy may increase.
-    """
+    """Move u along the step, whole if the energy may increase; return length, halvings, J."""
     energy = old.energy
     lin, solved, driven = found.lin, found.solved, found.driven
     lost = gap_round_off(problem.u)
     asked = float(maximum(problem.comm, old.balance.equal.scale)[0])
     with problem.timings("assembly"):
         try:
-            saddle = found.negative and not found.shift  # energy may increase
+            saddle = found.negative and not found.shift
             if energy is None or asked > lost or found.exact or saddle:
                 curve = None if driven is None else driven.curve
                 return *shorten(problem, du.array_r, curve), problem.terms.energy()
@@ -174,7 +169,7 @@ def search(
     Args:
         solved: the QP's solution.
         du: the step in u.
-        multiplier: largest multiplier so far; the penalty s is twice as large.
+        multiplier: largest multiplier so far; s is twice as large.
         before: J at the start.
         volumes: with mean stresses as unknowns, see `mean_volume`; J then has linearised volumes.
         driven: motions of tools, which are not moved here.
@@ -196,8 +191,8 @@ def search(
         move(problem, path.at(length))
         along = None if volumes is None else (volumes, length)
         after, penalty = problem.terms.energy(along), problem.comm.allreduce(path.excess(length))
-        assert after is not None  # as before
-        if not np.isfinite(after.value):  # inverted cell
+        assert after is not None
+        if not np.isfinite(after.value):
             inverted = describe_inverted(problem)
             length, halvings = 0.5 * length, halvings + 1
             continue
@@ -222,7 +217,7 @@ def shorten(problem: ContactProblem, du: Floats, curve: Curve | None = None) -> 
     """Move u along a step, halved while cells are inverted; return length and halvings; collective.
 
     Raises:
-        NoDescent: if the length falls to ARMIJO; u is then unchanged.
+        NoDescent: at the length ARMIJO; u is unchanged.
     """
     start = problem.u.x.array[: du.size].copy()
     length, halvings, volumes = 1.0, 0, problem.solid.volumes
@@ -275,7 +270,7 @@ def create_path(
 
 
 def _friction(lin: Linearisation, solved: QPSolution) -> tuple[Floats, Floats, Floats]:
-    """Slip, its change, and the limits of the QP's solution, which make it a descent direction."""
+    """Slip, its change, and the limits of the QP's solution."""
     law, bounds = lin.qp.friction, lin.balance.bounds
     if law is None:
         return np.zeros((0, 1)), np.zeros((0, 1)), np.zeros(0)
@@ -285,9 +280,9 @@ def _friction(lin: Linearisation, solved: QPSolution) -> tuple[Floats, Floats, F
 
 
 def find_slope(problem: ContactProblem, lin: Linearisation, path: Direction) -> float:
-    """Phi'(0), with the whole decrease of the penalty term; collective.
+    """Return phi'(0), with the whole decrease of the penalty; collective.
 
-    A solution of the QP closes every violated gap in proportion to t.
+    A solution of the QP closes violated gaps in proportion to t.
     """
     forces = lin.balance.r.array_r
     if lin.balance.friction is not None:  # its work is in the excess
