@@ -38,10 +38,10 @@ class Balance:
     equal: Constraints  # increments of Dirichlet data and ties
     bounds: Constraints  # of contact
     elements: float  # norm of the unassembled element forces
-    external: float  # largest norm of the forces of one term, of dead loads for example
-    limits: SlipLimits | None = None  # of friction
+    external: float  # largest norm of the forces of one term
+    limits: SlipLimits | None = None
     from_committed: bool = False  # whether bodies are linearised about the committed state
-    friction: Floats | None = None  # (n,) friction at prescribed slips, contained in r
+    friction: Floats | None = None  # (n,) at prescribed slips, contained in r
 
     def known(self, multipliers: Floats) -> Floats:
         """Friction reactions (owned nodes, d) at prescribed slips."""
@@ -68,8 +68,8 @@ class Linearisation:
     qp: BoundQP
     balance: Balance
     diagonal: PETSc.Vec  # (n,) of K^ before the elimination
-    geometry: GeometryTangent | None = None  # of the exact tangent
-    drives: Any = None  # `driven_tools.Drives`, motions that are scalars of the QP
+    geometry: GeometryTangent | None = None
+    drives: Any = None  # `driven_tools.Drives`
 
 
 def find_extent(mesh: Mesh, displacement: Floats) -> float:
@@ -90,7 +90,7 @@ def find_balance(
     """Assemble forces and constraints at the present u; collective.
 
     Args:
-        overlap: depth by which the sides may overlap (initial overlaps are resolved in parts).
+        overlap: depth of an initial overlap left to later steps.
         multipliers: lambda_j (owned nodes,), for friction at prescribed slips; None without.
         from_committed: linearise forces of bodies about the committed state.
     """
@@ -149,9 +149,8 @@ def _present_limits(
 def growth(problem: ContactProblem, link: Link) -> Floats:
     """Ratio (n,) of present to initial circumference at the slave nodes; collective.
 
-    In axisymmetry D is integrated over the present section with 2 pi r at X; times this ratio it is
-    the present area. On the axis the mean of the other nodes of the facets. One elsewhere, and at
-    X.
+    In axisymmetry D has the present section, but 2 pi r at X; times this it is the present area. On
+    the axis the mean of other nodes of the facets; one elsewhere and at X.
     """
     kinematics, slave = problem.solid.kinematics, link.sides.slave
     u = None if link.interface.stays else problem.configuration
@@ -201,9 +200,9 @@ def linearise(
             if shift > 0.0:
                 problem.solid.add_elastic(problem.K, shift)
     change = None if T is None else T.change
-    formed = direct  # factorisations need the matrix
-    # S^-1 on both sides pays where one factorisation serves many geometries (else steps take up to
-    # 1.3 of the time), and S must be definite.
+    formed = direct
+    # S^-1 on both sides pays where one factorisation serves many geometries (else up to 1.3 of the
+    # time); S must be definite
     lasting = problem.terms.linear and problem.terms.convex
     if direct and lasting and not problem.system.driven:
         formed = interface_unknowns(problem.K, change, linear.options) is None
@@ -242,18 +241,15 @@ def linearise_all(
     pressure: Floats | None = None,
     linear: LinearSolver | None = None,
 ) -> Linearisation:
-    """Assemble the QP of the exact tangent; collective.
+    """Assemble the QP of the exact tangent; arguments as in `linearise`; collective.
 
     K^ = T^T (K + H) T_g is unsymmetric (`interfaces.moving_geometry`); H contains the antisymmetric
-    tangents of terms.
+    tangents of terms. With multigrid K^ is an operator, preconditioned by T^T K T.
 
     Args:
         partners: of each interface, for its slips; empty without friction.
         multipliers: lambda_j (owned nodes,).
         tangential: tangential tractions (owned nodes, d), None without friction.
-        tangent: as in `linearise`.
-        pressure: as in `linearise`.
-        linear: as in `linearise`; with multigrid K^ is an operator, preconditioned by T^T K T.
     """
     linear = linear or problem.linear
     with problem.timings("mortar"):
@@ -280,26 +276,25 @@ def linearise_all(
 
 
 class Corrections:
-    """Parts v of the gap rows that T_g neglects, by a fixed point iteration over QP solutions.
+    """Parts v of the gap rows that T_g neglects, by Anderson mixing of QP solutions.
 
-    v is a few per cent of the rows and an affine function of its argument for a given active set.
-    Anderson mixing uses the results since a set first appeared, also if it alternates with others.
+    For a given active set the fixed point is affine; results since its first appearance are mixed.
     """
 
     def __init__(self) -> None:
         """Begin with v = 0."""
         self.given: Floats | None = None  # v of the last QP, (n,)
-        self.sets: list[Actives] = []  # active sets of the solutions
+        self.sets: list[Actives] = []
         self.weights: list[Floats] = []  # (n,) stiffness of their active bounds, 0 elsewhere
         self.found: list[Floats] = []  # v at the solutions
         self.changes: list[Floats] = []  # differences to the v of their QPs
 
     def apply(self, lin: Linearisation, solved: QPSolution) -> tuple[Linearisation, float]:
-        """The QP with the next v, and the largest force by a change of a bound; collective.
+        """QP with the next v, and the largest force by a change of a bound; collective.
 
         Args:
             lin: of the exact tangent.
-            solved: its solution, or that of the last returned QP.
+            solved: solution of it, or of the last QP.
         """
         assert lin.geometry is not None
         dofs, bounds, comm = lin.balance.bounds.dofs, lin.balance.bounds, lin.qp.comm
@@ -320,7 +315,7 @@ class Corrections:
         self.found.append(found)
         self.changes.append(change)
         others = any_rank(comm, *(not np.array_equal(one, solved.active) for one in self.sets))
-        since = int(np.argmin(others))  # first of this set
+        since = int(np.argmin(others))
         mixed = self.found[since:], self.changes[since:], np.max(self.weights[since:], axis=0)
         given = self.given = least_change(comm, *mixed)
 
@@ -334,10 +329,9 @@ class Corrections:
 def least_change(
     comm: MPI.Comm, found: Sequence[Floats], changes: Sequence[Floats], weight: Floats
 ) -> Floats:
-    """Sum a_i found_i, sum a_i = 1, of the least |weight sum a_i changes_i|; collective.
+    """Return sum a_i found_i, sum a_i = 1, of the least |weight sum a_i changes_i|; collective.
 
-    Anderson mixing; found_i is the image of found_i - changes_i. Two pairs solve a scalar affine
-    fixed point:
+    Anderson mixing; found_i is the image of found_i - changes_i.
 
     >>> change = [np.array([x]) for x in (1.0, -3.0)]  # f(v) = 1 - 3 v at 0 and 1
     >>> found = [np.array([1.0]), np.array([-2.0])]
@@ -390,7 +384,7 @@ def _follow(
 def _lifted(
     problem: ContactProblem, balance: Balance, operator: CongruentOperator | OperatorOfBases
 ) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
-    """Return K^ as an operator, r^ after the elimination, and the diagonal of T^T K T before."""
+    """Operator K^, r^ after the elimination, and the diagonal of T^T K T before."""
     dy, b = problem.vector(), balance.reduced.copy()
     dy.array[balance.equal.dofs] = balance.equal.upper
     if dy.norm(PETSc.NormType.INFINITY) != 0.0:  # zero once supports have their values
@@ -401,10 +395,7 @@ def _lifted(
 
 
 def count_changes(lin: Linearisation, solved: QPSolution, start: Actives, limit: float) -> int:
-    """Number of changes of the active set but for weakly active nodes; collective.
-
-    At these the reaction and the force that would close the gap are both within ``limit``.
-    """
+    """Number of changes of the active set by more than a force ``limit``; collective."""
     bounds = lin.balance.bounds
     z = np.abs(solved.z.array_r[bounds.dofs])
     opening = np.abs(bounds.upper - solved.x.array_r[bounds.dofs])
