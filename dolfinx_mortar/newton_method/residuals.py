@@ -3,9 +3,8 @@
 
 Forces are relative to the largest force of the step; a penetration counts as the force that would
 remove it, complementarity as work; both are at most rtol facet lengths. Without forces the first
-residual and the round-off of K u are the scales. At finite strain F = I + grad u is rounded as if u
-were the cell size h: at u = 0, for K/mu from 2 to 1e5, residuals are .1 to .7 EPS |diag(K) h|
-(ROUND_OFF is 16 EPS).
+residual and the round-off of K u are the scales, at finite strain of K h, h the cell size:
+residuals at u = 0 are .1 to .7 EPS |diag(K) h| for K/mu from 2 to 1e5.
 """
 
 from collections.abc import Sequence
@@ -22,12 +21,12 @@ from dolfinx_mortar.arrays import ROUND_OFF, Floats
 from dolfinx_mortar.newton_method.contacts import Contacts, find_sliders
 from dolfinx_mortar.newton_method.linearisation import Balance, find_extent
 
-# Error allowed to a QP, relative to the residual expected at the next iterate (Eisenstat and Walker
-# 1996); digits are cheap with a factorisation only.
+# Error of a QP relative to the residual expected next (Eisenstat and Walker 1996); digits are cheap
+# with a factorisation only.
 FORCING = {"direct": 1e-3, "iterative": 1e-1}
-# One digit: share of the tolerance of the step left to a QP. The first QP of a nonlinear step, and
-# each after an iteration without progress, are one digit more accurate: where a body flows, small
-# missing forces are large motions.
+# Share of the step's tolerance left to a QP. The first QP of a nonlinear step, and each after an
+# iteration without progress, are one digit more accurate: small missing forces are large plastic
+# motions.
 DIGIT = 0.1
 
 
@@ -51,7 +50,7 @@ class Residuals:
     contact: float  # penetration and complementarity, relative
     excess: float  # largest residual over its tolerance
     limit: float  # tolerance of the force norm
-    loads: float = 0.0  # largest relative defect of the load of a bolt, tool or rigid side
+    loads: float = 0.0  # largest relative defect of a driving load
 
 
 def round_off(
@@ -60,9 +59,9 @@ def round_off(
     extent: float = np.inf,
     cells: Floats | float = 0.0,
 ) -> float:
-    """Round-off of K u, ROUND_OFF |diag(K) (|u| + h)|; collective.
+    """Round-off of K u, ROUND_OFF |diag(K) (|u| + h)|, h = ``cells``; collective.
 
-    u is clipped at ``extent``, lest a singular tangent loosen the force tolerance; h = ``cells``.
+    u is clipped at ``extent``, lest a singular tangent loosen the force tolerance.
     """
     near = np.abs(u.x.array[: diagonal.local_size]).clip(max=extent) + cells
     return ROUND_OFF * norm(u.function_space.mesh.comm, diagonal.array_r * near)
@@ -88,11 +87,11 @@ def measure(
     elastic_norm: float,
     rtol: float,
 ) -> Residuals:
-    """The KKT residuals of an iterate with given multipliers; collective.
+    """KKT residuals of an iterate with given multipliers; collective.
 
     Args:
         contacts: multipliers of the last QP.
-        diagonal: of the last K^, the stiffness that converts penetrations to forces.
+        diagonal: of the last K^, for penetrations as forces.
         elastic_norm: |u|_e of the iterate.
     """
     comm, z = u.function_space.mesh.comm, contacts.reactions(balance)
@@ -110,13 +109,12 @@ def measure(
     now = largest_force(comm, balance, carried)
     acting = max(scales.begun, now)
     scale, limit = acting, max(rtol * acting, floor)
-    # only scale of a stress-free step: the allowed residual of the first QP
     if acting <= (left := tightest(rtol) * scales.first):
         scale, limit = left / rtol, max(limit, left)
-    if acting <= floor:  # only round-off of K u acts
+    if acting <= floor:
         scale = max(scale, floor / ROUND_OFF)
     of_gaps = norm(comm, noise * diagonal.array_r[balance.bounds.dofs])
-    if now <= of_gaps:  # only forces of gap round-off are left
+    if now <= of_gaps:
         limit = max(limit, of_gaps)
 
     active, gap = contacts.active[balance.nodes], balance.bounds.upper
@@ -147,12 +145,9 @@ def tightest(rtol: float) -> float:
 
 
 def next_tolerance(kind: str, rtol: float, size: float, residuals: Sequence[Residuals]) -> float:
-    """Relative tolerance of the next QP of a nonlinear step.
-
-    A share of the residual that the last contraction predicts for the next iterate.
+    """Relative tolerance of the next QP of a nonlinear step, "direct" or "iterative".
 
     Args:
-        kind: "direct" or "iterative".
         size: norm of the QP's right-hand side.
         residuals: of the iterates so far.
 
