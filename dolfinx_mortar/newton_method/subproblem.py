@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """QP of a Newton iteration and its solution: tangent, shift, accuracy.
 
-Either the tangent of the bodies in the present geometry, which is updated afterwards (a fixed
-point), or the unsymmetric exact tangent (theory.md, The exact tangent). At finite strain multiples
-of the elastic stiffness are added to an indefinite one.
+The tangent is that of the bodies in the present geometry (a fixed point), or the exact one
+(theory.md, The exact tangent). At finite strain multiples of the elastic stiffness are added to an
+indefinite one.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ from dolfinx_mortar.qp import LinearSolver, QPSolution
 from dolfinx_mortar.qp.solver import ACTIVE_SET
 from dolfinx_mortar.terms.sum import Energy
 
-# Relative residual of forces below which an indefinite tangent is used unshifted, see `definite`:
-# with shifts it stays above 3e-3 where a metal cube is pressed to half its height in one step.
+# Relative residual of forces below which an indefinite tangent is used unshifted: with shifts it
+# stays above 3e-3 where a metal cube is pressed to half its height in one step.
 STABLE = 1e-2
-# Least and largest multiple of the elastic stiffness added to an indefinite tangent, in decades. A
-# compression by a share e of the moduli needs about e, a column e (length / thickness)^2.
+# Least and largest multiple of the elastic stiffness added to an indefinite tangent. Compression by
+# a share e of the moduli needs about e, a column e (length / thickness)^2.
 SHIFTS = 0.01, 1000.0
-# Corrections of a QP for the neglected parts of gap rows; each gains one to two digits (iterations
-# of five plane cases with 0, 1, 2, 4 corrections: 219, 194, 192, 192).
+# Corrections of a QP for neglected parts of gap rows; iterations of five plane cases with 0, 1, 2,
+# 4: 219, 194, 192, 192.
 CORRECTIONS = 3
 
 
@@ -57,18 +57,18 @@ class Iterate:
     """Result of an iteration."""
 
     u: Floats  # (n,)
-    tools: list[tuple[Interface, dict[str, Floats]]]  # states of interfaces driven by forces
+    tools: list[tuple[Interface, dict[str, Floats]]]  # of driven interfaces
     travel: Floats  # (m,) their motion in the step
     balance: Balance
     contacts: Contacts
     start: Actives  # initial active set of the QP
     scales: Scales
-    energy: Energy | None  # J(u), for a line search
+    energy: Energy | None
     norm: float  # |u|_e
     stiffness: PETSc.Vec  # diagonal of the last K^
-    largest: float = 0.0  # largest multiplier so far
-    pressure: Floats | None = None  # (owned cells,) mean stresses of the last linearisation
-    shift: float = 0.0  # of the last tangent
+    largest: float = 0.0
+    pressure: Floats | None = None  # (owned cells,) linearised mean stresses
+    shift: float = 0.0
     negative: bool = False  # whether the last tangent is indefinite
     turned: float = np.inf  # change of contact forces by the geometry update
     slow: bool = False  # whether the fixed point converges slowly
@@ -81,10 +81,10 @@ class Solution:
 
     lin: Linearisation
     solved: QPSolution
-    driven: driven_tools.Settled | None = None  # motions of driven tools
-    shift: float = 0.0  # multiple of the elastic stiffness in the tangent
-    negative: bool = False  # whether the tangent is indefinite
-    rejected: str = ""  # why the exact tangent was rejected, if it was
+    driven: driven_tools.Settled | None = None
+    shift: float = 0.0
+    negative: bool = False
+    rejected: str = ""  # why the exact tangent was rejected
 
     @property
     def exact(self) -> bool:
@@ -94,13 +94,7 @@ class Solution:
 
 @dataclass(frozen=True)
 class Subproblem:
-    """Construction and solution of the QPs of a step.
-
-    Attributes:
-        backend: name of the QP backend.
-        rtol: tolerance of the step.
-        solver: linear solver.
-    """
+    """Construction and solution of the QPs of a step."""
 
     problem: ContactProblem
     data: StepData
@@ -130,11 +124,7 @@ class Subproblem:
 
     @property
     def may_be_exact(self) -> bool:
-        """Whether the exact tangent is available.
-
-        With driven tools only at finite strain with other contacts, which may diverge without; it
-        lacks the derivative by the tools' motions.
-        """
+        """Whether the exact tangent is available, and useful with driven tools."""
         if not self.moving or self.backend != ACTIVE_SET:
             return False
         others = [link.interface.driven() is None for link in self.problem.system.unilateral]
@@ -144,7 +134,7 @@ class Subproblem:
         """Solve the QP at an iterate; collective.
 
         Args:
-            residuals: of all iterates of the step, including this one.
+            residuals: of all iterates of the step so far.
             exact: use the exact tangent unless its QP has no solution.
         """
         tangent = not self.linear or (not residuals and self.problem.terms.vary(self.problem.K))
@@ -174,9 +164,8 @@ class Subproblem:
         """Solve the QP of the bodies' tangent, made positive definite; collective.
 
         Multiples of the elastic stiffness are added until K is positive definite on the free
-        unknowns, first a tenth of the last one. Near equilibrium K is used unshifted, so that
-        unstable equilibria converge. If no multiple suffices, unstrained modes are singular, and
-        the first solution is used.
+        unknowns, first a tenth of the last one; near equilibrium none, so that unstable equilibria
+        converge. If none suffices, unstrained modes are singular: the first solution is used.
         """
         near = bool(residuals) and residuals[-1].forces < STABLE
         least, most = SHIFTS
@@ -194,7 +183,7 @@ class Subproblem:
                 if not self.finite or not found.negative or (near and shift == 0.0):
                     return found
                 loose = (loose or shift == begun) and not found.solved.definite
-            self.solver.forget()  # factorisations are invalid
+            self.solver.forget()
             if not self.finite or shift >= most:
                 break
             shift = max(least, 10.0 * shift)
@@ -268,20 +257,18 @@ class Subproblem:
 
     def accuracy(self, lin: Linearisation, residuals: Sequence[Residuals]) -> float:
         """Relative tolerance of the next QP."""
-        if self.driven:  # deep drawing takes 606 iterations without, 153 with
+        if self.driven:  # deep drawing: 606 iterations without, 153 with
             return tightest(self.rtol)
         if self.linear and not self.moving:
-            return tightest(self.rtol)  # a single QP
-        # the first factorisation is reused, so fewer digits save solves
+            return tightest(self.rtol)  # single QP
         new = self.solver.direct and not (self.linear and residuals)
         kind = "direct" if new else "iterative"
         found = next_tolerance(kind, self.rtol, lin.qp.b.norm(), residuals)
         stiff = self.finite and self.problem.solid.volumetric != "full"
         if self.solver.direct or not (stiff or lin.balance.limits is not None):
             return found
-        # Bulk forces hide shear forces: with K/mu = 5000, 1e-2 takes 7 to 48 iterations, 1e-4 4 to
-        # 6. With friction loose solutions change slips: a bolted tee takes 53 with 1e-2, 26 with
-        # 1e-3.
+        # Bulk forces hide shear: with K/mu = 5000, 1e-2 takes 7 to 48 iterations, 1e-4 4 to 6.
+        # Loose friction changes slips: a bolted tee takes 53 with 1e-2, 26 with 1e-3.
         most = QUARTER_OF_DIGITS if stiff else DIGIT**3
         return max(tightest(self.rtol), min(found, most))
 
@@ -296,7 +283,7 @@ class Subproblem:
         """Solve a QP; collective."""
         limits, kappa = old.balance.limits, None
         if self.finite:
-            # diag(A) is a hundred times too large at sliding nodes, and GMRES stagnates
+            # diag(A) is a hundred times too large where nodes slide: GMRES stagnates
             kappa = old.contacts.kappa(limits)
         with self.problem.timings("linear_solves"):
             try:
@@ -313,7 +300,7 @@ class Subproblem:
             except backends.NoResistance as error:
                 raise driven_tools.unresisted(lin.drives, lin, error.which) from error
         if solved.travel is None:  # else `driven_tools.settle`
-            # satisfied exactly, also by an iterative solver
+            # exactly, also by an iterative solver
             equal = lin.balance.equal
             solved.x.array[equal.dofs] = equal.upper
         return solved
