@@ -19,7 +19,7 @@ from dolfinx_mortar.problem.problem import ContactProblem
 def describe_passing(problem: ContactProblem) -> str:
     """Describe bodies or tools that passed through each other since the last commit; collective.
 
-    Checked where sides have moved relatively by more than half of the thinner body.
+    Empty for none.
 
     Raises:
         ValueError: on all ranks, if all nodes of the slave side are prescribed.
@@ -61,7 +61,6 @@ def describe_passing(problem: ContactProblem) -> str:
 
 
 def _without_effect(interface: Interface, slave: str) -> str:
-    """Message: all slave nodes are prescribed, smaller steps do not help."""
     return (
         f"{interface}: Dirichlet data prescribe all nodes of slave={slave} and move them through "
         "the master: no slave node has a multiplier, so that the contact has no effect; let the "
