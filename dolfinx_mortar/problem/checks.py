@@ -41,11 +41,7 @@ def check_arguments(
     geometry: str,
     **options: Any,
 ) -> tuple[list[Interface], list[fem.DirichletBC]]:
-    """Check the arguments of a problem; return interfaces and conditions as lists; collective.
-
-    Raises:
-        ValueError: for invalid arguments, with the remedy.
-    """
+    """Check the arguments of a problem; return interfaces and conditions as lists; collective."""
     check("solid", solid, instance(Solid, "give a Solid(u, materials, cell_tags)"))
     given, conditions = _unrolled(interfaces), _unrolled(bcs)
     check_same_on_all_ranks(
@@ -84,11 +80,7 @@ def check_controls(qp: Any, rtol: Any, max_it: Any) -> None:
 def check_load_steps(
     times: Any, start: Any, max_cuts: Any, cuts: Any, comm: MPI.Comm | None = None
 ) -> list[float]:
-    """Checked load levels, see `load_steps`; collective.
-
-    Raises:
-        ValueError: for invalid arguments, with the remedy.
-    """
+    """Checked load levels, see `load_steps`; collective."""
     levels = _unrolled(times)
     if comm is not None:
         check_same_on_all_ranks(comm, times=levels, start=start, max_cuts=max_cuts, cuts=cuts)
@@ -113,7 +105,6 @@ def check_every(comm: MPI.Comm, checkpoint: Any, every: Any) -> Path | None:
 
 
 def _unrolled(values: Any) -> Any:
-    """Iterables and arrays as lists, texts and others unchanged."""
     values = values.tolist() if isinstance(values, np.ndarray) else values
     text = isinstance(values, str | bytes)
     return list(values) if isinstance(values, Iterable) and not text else values
@@ -124,7 +115,6 @@ def _as_list(name: str, given: Any) -> list[Any]:
 
 
 def _check_interfaces(interfaces: list[Any]) -> list[Interface]:
-    """Checked interfaces, all different."""
     for k, interface in enumerate(interfaces):
         check(f"interfaces[{k}]", interface, instance(Interface, "give Contact or Tie objects"))
         if any(interface is other for other in interfaces[:k]):
@@ -137,13 +127,12 @@ def _check_weight(solid: Solid) -> None:
     x = np.array(solid.mesh.geometry.x[:, : solid.mesh.geometry.dim], dtype=np.float64)
     i = solid.kinematics.radius
     if i is not None:
-        x[:, i] = np.abs(x[:, i])  # the radius on an axis may be -1e-17
+        x[:, i] = np.abs(x[:, i])
     with raised_together(solid.mesh.comm):
         solid.kinematics.weights_at(x)
 
 
 def _check_conditions(bcs: Sequence[Any], V: fem.FunctionSpace) -> list[fem.DirichletBC]:
-    """Checked Dirichlet conditions on V or its components."""
     for bc in bcs:
         check("bcs: one", bc, instance(fem.DirichletBC, "make it with dolfinx.fem.dirichletbc"))
         space = bc.function_space
