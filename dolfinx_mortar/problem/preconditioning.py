@@ -14,12 +14,8 @@ from dolfinx_mortar.supports.dirichlet import Dirichlet
 class UnknownsOfBodies:
     """Unknowns of multigrid: those of the QP, but displacements at open contacts.
 
-    The near-null space are the rigid motions of the whole, for which w_n = 0 holds at closed nodes
-    only; at open ones the change of basis is reversed (`Transformation.uncouple`).
-
-    Args:
-        operator: of the QP, with the tangent K.
-        system: interfaces with present T.
+    Rigid motions of the whole, the near-null space, have w_n = 0 at closed nodes only; at open ones
+    the change of basis is reversed (`Transformation.uncouple`).
     """
 
     def __init__(
@@ -48,10 +44,7 @@ class UnknownsOfBodies:
         return Preconditioning(B, change, motions, between)
 
     def _parts(self) -> Ints:
-        """Body (n,) of each owned unknown, tied bodies as one; collective.
-
-        One for all if contact alone restrains a body, whose matrix would be singular.
-        """
+        """Body (n,) of each owned unknown, one for ties, and for all if one is free; collective."""
         label, group = self.bodies.label, self.bodies.group
         ties = (link for link in self.system.links if not link.unilateral)
         held: list[Motion] = [link.constrained_motion for link in ties]
