@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: MIT
 """Prediction of a step: transported deformation below a slider, and the gain of the last step.
 
-A slider takes the deformation below it (a dent) along. Without this Newton's method would have to
-move the dent. The displacement u0 of the last step is moved by the sliding path c:
+The deformation below a slider (a dent) moves with it by the sliding path c:
 
     u(X) <- u(X) + w(X - C) - w(X),   w = u0 - A X,   C = (1 + A)^-1 c,
 
-at the nearest point of the body if X - C is outside. Prescribed components stay. A X + b is the fit
-of u0 at the nodes: rotation and mean strain, which stay. Paths below a facet are ignored.
-The dented body shows in the remaining overlap: in demos/ironing 2 to 5 % if the block's
-displacement is moved, 105 to 115 % for the tool's.
+with the displacement u0 of the last step, at the nearest point of the body if X - C is outside;
+prescribed components stay. A X + b is the fit of u0 at the nodes: rotation and mean strain. Paths
+below a facet are ignored. The dented body shows in the remaining overlap: in demos/ironing 2 to 5 %
+if the block's displacement is moved, 105 to 115 % for the tool's.
 """
 
 from dataclasses import dataclass, replace
@@ -38,12 +37,7 @@ def predict(
 ) -> StepData:
     """Predict u at the end of a step, after the rigid motion with the supports; collective.
 
-    Args:
-        level: load level at its end.
-        before: displacement (n,) at its start.
-
-    Returns:
-        The data with the displacement before the gain was added, and the motion of tools.
+    Returns the data with the motion of tools. Level: at the end; before: (n,) u before that motion.
     """
     _convect(problem, problem.owned_u - before, before)
     data = replace(data, begun=problem.owned_u.copy())
@@ -53,15 +47,7 @@ def predict(
 
 
 def _convect(problem: ContactProblem, carried: Floats, before: Floats) -> None:
-    """Move the deformation of a body below a slider; collective.
-
-    Of the two sides of a contact the one whose moved deformation halves the overlap. Small-strain
-    steps are linear but for friction and need no prediction.
-
-    Args:
-        carried: displacement (n,) by which supports have moved the bodies.
-        before: displacement (n,) at the start of the step.
-    """
+    """Move the deformation of the side of a contact by which the overlap halves; collective."""
     if problem.solid.strain == "small" or problem.geometry == "reference":
         return
     closed, began = problem.committed.active & ~_stuck(problem), with_values(problem.V, before)
@@ -89,10 +75,8 @@ def _convect(problem: ContactProblem, carried: Floats, before: Floats) -> None:
 def _go_on(problem: ContactProblem, level: float, target: Floats) -> Floats | None:
     """Add the scaled gain of the last step; return the motion (m,) of tools; collective.
 
-    On flowing bodies and driven tools: deep drawing takes 153 iterations instead of 458. Elastic
-    bodies are left out: nearly incompressible ones would be far from equilibrium. Supports take
-    their targets. None if nothing is added: the step reverses or grows, or other motions are
-    driven.
+    On flowing bodies (deep drawing takes 153 iterations instead of 458): nearly incompressible
+    elastic ones would be far from equilibrium.
     """
     gained, tools = problem.committed.gained, [i.driven() for i in problem.interfaces]
     if gained is None or problem.solid.strain == "small":
@@ -146,8 +130,8 @@ def find_slides(
 ) -> list[list[Dent]]:
     """Return for each sliding contact which of its sides may be dented; collective.
 
-    Closed contacts whose sides are moved past each other by a facet or more, each side in one group
-    that does not rotate. The group that moves less comes first.
+    Closed contacts that slide by a facet or more, each side in one group that does not rotate;
+    first the group that moves less.
 
     Args:
         closed: (owned nodes,) slave nodes that were closed and did not stick at the last commit.
@@ -233,12 +217,10 @@ def mean_gradient(X: Floats, u: Floats, comm: MPI.Comm) -> Floats:
 
 
 def values_near(u: fem.Function, cells: Ints, points: Floats, reach: float) -> Floats:
-    """Return u (p, d) at points (p, 3), or at the nearest points of some cells; collective.
+    """Return u (p, d) at points (p, 3), or at nearest points of owned cells; collective.
 
     Args:
-        cells: owned cells, on any ranks.
-        points: of this rank.
-        reach: largest distance from the nearest cell of all ranks.
+        reach: largest distance of a point.
     """
     V, comm = u.function_space, u.function_space.mesh.comm
     x = V.mesh.geometry.x[cell_nodes(V.mesh)[cells].ravel()]
@@ -260,7 +242,7 @@ def _nearest_values(u: fem.Function, cells: Ints, points: Floats) -> tuple[Float
     mesh, d = u.function_space.mesh, u.function_space.dofmap.index_map_bs
     if not len(cells) or not len(points):
         return np.full(len(points), np.inf), np.zeros((len(points), d))
-    # dolfinx has an absolute tolerance of 1e-6: scale cells to size one, by a power of two
+    # dolfinx has an absolute tolerance of 1e-6: scale cells to size one
     size = np.ptp(mesh.geometry.x[cell_nodes(mesh)[cells]], axis=1).max()
     scale = float(2.0 ** -np.round(np.log2(size)))
     distances, nearest, at = _nearest_points(scaled_mesh(mesh, scale), cells, scale * points)
