@@ -64,8 +64,8 @@ class ContactProblem:
         interfaces: contacts and ties; a slave node belongs to the first one whose master it faces.
         bcs: Dirichlet conditions on the space of ``solid.u`` or its components, read in every step.
         loads: linear form of the external virtual work, assembled in every step.
-        potential: functional of ``solid.u`` added to Psi. Both forms are multiplied by the weight
-            of the solid's kinematics: with "axisymmetric" write tractions without 2 pi r.
+        potential: functional of ``solid.u`` added to Psi. The solid's kinematics give both forms
+            their weight: with "axisymmetric" write tractions without 2 pi r.
         terms: further energies, forces and stiffnesses, see `Term` and `WeakForm`.
         geometry: "updated" computes normals, segments, D, M and gaps at X + u in every Newton
             iteration, "reference" once at X.
@@ -78,7 +78,7 @@ class ContactProblem:
 
     Attributes:
         committed: the state from which the next step starts, in addition to ``u`` and
-            ``solid.state``: active sets, slips and ``committed.level``, the load level.
+            ``solid.state``: active sets, slips and the load level, ``committed.level``.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class ContactProblem:
             petsc_options_prefix=petsc_options_prefix,
             petsc_options=petsc_options,
         )
-        with raised_together(solid.V.mesh.comm):  # before interfaces leave another problem
+        with raised_together(solid.V.mesh.comm):
             for side in sides:
                 revolved = solid.kinematics.radius is not None
                 side.check(solid.V, revolved, solid.strain)
@@ -131,13 +131,13 @@ class ContactProblem:
             )
             K = self.terms.create_matrix(blocks=not self.linear.direct)
             self.operator = CongruentOperator(K)
-            # a reference to the problem would keep its matrices alive
+            # the problem would keep its matrices alive
             self.linear.unknowns = UnknownsOfBodies(
                 self.operator, self.system, self.supports, replace(self.bodies, motions=motions)
             )
         slips = np.zeros((2, len(sides), self.n))
         self.committed = Committed(np.zeros(self.n, dtype=bool), self.owned_u.copy(), *slips)
-        self.outcome: StepOutcome | None = None  # of the last step, until the commit
+        self.outcome: StepOutcome | None = None
 
     @property
     def u(self) -> fem.Function:
@@ -229,7 +229,7 @@ class ContactProblem:
         return {**self.solid.given, **self._given, "interfaces": self.interfaces}
 
     def constants(self) -> list[Any] | None:
-        """The Constants that steps read; None if a user's terms may read others."""
+        """Constants that steps read; None if a user's terms may read others."""
         return find_constants(self._inputs)
 
     def check_owned(self) -> None:
@@ -239,17 +239,17 @@ class ContactProblem:
     def begin_step(self, level: float | None = None, predict: Predictor | None = None) -> StepData:
         """Read loads, Dirichlet values and jumps, predict u, pair the surfaces; collective.
 
-        The prediction translates each body, or group of tied bodies, by the mean of its prescribed
-        increments. The result depends only on the displacement and the committed state.
+        Bodies, tied ones together, are translated by the mean of their prescribed increments. The
+        result depends only on the displacement and the committed state.
 
         Args:
             level: load level of the step; None for the committed one.
             predict: further prediction, see `problem.predictors`.
 
         Raises:
-            ValueError: for NaN or infinity in data, displacement, potential or coordinates;
-                contradictory conditions, negative friction limits, points that leave an axis,
-                invalid jumps, interfaces of another problem.
+            ValueError: for NaN, infinity or contradictions in data, displacement, potential or
+                coordinates; negative friction limits, points that leave an axis, invalid jumps,
+                interfaces of another problem.
         """
         self.check_owned()
         data = self._read(level)
@@ -278,7 +278,7 @@ class ContactProblem:
             if self.comm.rank == 0:
                 log.info("%s", "; ".join(map(str, audited.interfaces)) or "no interface")
                 for warning in audited.warnings:
-                    if self.is_new(warning):  # cut steps repeat warnings
+                    if self.is_new(warning):
                         log.warning("%s", warning)
         return data
 
@@ -289,7 +289,7 @@ class ContactProblem:
         raise_together(self.comm, failed[0] if failed else None)
 
     def _read(self, level: float | None) -> StepData:
-        """Data of a step that starts at the present displacement; collective."""
+        """Data of a step from the present displacement; collective."""
         limits = []
         if self.system.has_friction:
             laws = [(one.law, one.nodal["gap"].function_space) for one in self.interfaces]
@@ -319,7 +319,7 @@ class ContactProblem:
     def _mean(self, asked: Floats) -> Floats:
         """Mean increments (n,) of the bodies; collective."""
         mean = self.bodies.mean(asked, self.supports.owned)[self.bodies.label]
-        return np.asarray(mean * self.bodies.shifts).ravel()  # in axisymmetry along the axis only
+        return np.asarray(mean * self.bodies.shifts).ravel()
 
     def _carried(self, asked: Floats, u: Floats) -> Floats:
         """Rigid displacement (n,) of supported bodies; collective."""
@@ -330,16 +330,12 @@ class ContactProblem:
         return mean + self.bodies.turned(asked, self.supports.owned, x).ravel()
 
     def _committed_positions(self) -> PETSc.Vec:
-        """Positions (n,) at the last commit."""
         return self.vector(self.X.ravel() + self.committed.displacement)
 
     def _partners(self, target: Floats) -> list[Sequence[Partners | None] | None]:
-        """Slip partners at the last commit, None for those at u; collective.
-
-        In the first step the configuration moved by the supports is a second choice.
-        """
+        """Slip partners at the last commit, at first also after the rigid motion; collective."""
         if not self.system.has_friction or self.geometry == "reference":
-            return [None]  # frozen partners
+            return [None]
         began = self.committed.displacement
         places = [began]
         if not self.committed.begun:
@@ -375,8 +371,8 @@ class ContactProblem:
         """Geometry audit at the present displacement, which stays; collective.
 
         Raises:
-            ValueError: if a body can move freely, two surfaces cannot meet even by the Dirichlet
-                data, or another problem uses one of the interfaces.
+            ValueError: if a body can move freely, two surfaces can never meet, or another problem
+                uses one of the interfaces.
         """
         self.check_owned()
         self._check_mesh()
@@ -442,18 +438,14 @@ class ContactProblem:
         self._enter(found, increment)
 
     def follow_geometry(self, *, everywhere: bool = False) -> None:
-        """Update the geometry to X + u within a step; collective.
-
-        Args:
-            everywhere: pair again after slides anywhere, not only near the contact.
-        """
+        """Update the geometry to X + u within a step; collective."""
         at, x = self.configuration, self.positions()
         with self.timings("mortar"):
             if self.system.follow(at, x, everywhere=everywhere):
-                self.linear.clear()  # multigrid levels belong to one T
+                self.linear.clear()
 
     def _enter(self, found: Configuration, increment: float) -> None:
-        """Make a configuration at u the present one; collective."""
+        """Make a configuration the present one; collective."""
         with self.timings("mortar"):
             if self.system.enter(found, self.positions(), increment):
                 self.linear.clear()
@@ -467,8 +459,7 @@ class ContactProblem:
     def commit(self) -> None:
         """Make the converged step the state from which the next one starts; collective.
 
-        An error of a term or an interface, or Ctrl-C, restores displacement, results and state of
-        the last commit.
+        An error of a term or an interface, or Ctrl-C, restores the last commit.
 
         Raises:
             ValueError: if a problem made later uses one of the interfaces.
@@ -550,10 +541,9 @@ class ContactProblem:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a checkpoint for `restore` on any number of ranks; collective.
 
-        It contains all that steps compute, also `history`; not the data that a program sets before
-        each step: loads, supports, jumps, parameters and variable eigenstrain. Nodes are identified
-        by their coordinates and those of their cells: bodies that coincide cell by cell cannot be
-        restored.
+        It contains what steps compute, also `history`; not the data that a program sets before each
+        step: loads, supports, jumps, parameters and variable eigenstrain. Bodies that coincide cell
+        by cell cannot be restored.
 
         Args:
             path: HDF5 file in an existing folder; replaced once the new one is complete on the
@@ -561,8 +551,8 @@ class ContactProblem:
 
         Raises:
             OSError: on all ranks, if it cannot be written; the older file remains.
-            ValueError: if a problem made later uses one of the interfaces, or if a step in time is
-                not committed.
+            ValueError: if a problem made later uses one of the interfaces, or a step in time is not
+                committed.
             RuntimeError: if h5py is missing (an ImportError on rank 0).
         """
         outcome = self._uncommitted_in_time()
@@ -593,7 +583,7 @@ class ContactProblem:
             self.outcome = checkpoints.read(self.state, path).put()
 
     def output_fields(self) -> dict[str, fem.Function]:
-        """The Functions for output by name; collective.
+        """Functions for output by name; collective.
 
         The displacement, ``solid.output_fields()``, and of the interfaces "pressure", "gap",
         "facing" (1 at slave nodes that face a master; elsewhere the gap is 0) and "status"; with
