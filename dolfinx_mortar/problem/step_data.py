@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Data of a step, read at its start; checks of the jumps and overlaps of ties."""
+"""Data of a step; checks of the jumps and overlaps of ties."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -22,17 +22,16 @@ class StepData:
 
     target: Floats  # (n,) prescribed displacements, 0 where free
     asked: Floats  # (owned nodes, d) prescribed minus initial values
-    increment: float  # largest of these and of changes of jumps, all ranks
+    increment: float  # largest of these and of jumps, all ranks
     # initial active set (owned nodes,) and slip directions (owned nodes, d)
     contacts: tuple[Bools, Floats | None] = (np.zeros(0, dtype=bool), None)
     # with friction, of each interface: limits (owned nodes,), and slip partners, None for present
-    # ones
     limits: Sequence[Floats | None] = ()
     partners: Sequence[Partners | None] = ()
-    # whether changes make bodies flow, so that the committed state is linearised
+    # whether bodies flow by the changes, and the committed state is linearised
     flows: bool = False
     begun: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) u before the prediction
-    travel: Floats | None = None  # (m,) predicted motion of tools; None without prediction
+    travel: Floats | None = None  # (m,) predicted motion of tools, or None
 
 
 def check_jumps(system: InterfaceSystem) -> None:
