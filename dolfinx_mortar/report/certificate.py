@@ -27,20 +27,20 @@ from dolfinx_mortar.step_report import Certificate, StepReport
 
 
 def _largest(comm: MPI.Comm, *arrays: Floats) -> Floats:
-    """Maxima of arrays over all ranks, 0 for empty ones."""
+    """Maxima over all ranks, 0 for empty arrays."""
     return maximum(comm, *(a.max(initial=0.0) for a in arrays))
 
 
 def operator_errors(link: Link, X: Floats, facet_length: float) -> tuple[float, float]:
-    """Linear-field error and the row-sum error of D and M; collective.
+    """Linear-field error and row-sum error of D and M; collective.
 
-    On flat interfaces (D - M) X has no tangential part; on curved ones it is the gap times the
-    angle between facet normals (projection) and averaged slave normals. Rows of D - M sum to zero.
+    On flat interfaces (D - M) X, X (owned nodes, d), has no tangential part; on curved ones it is
+    the gap times the angle between facet and averaged slave normals. Rows of D - M sum to zero.
     Relative to D_jj, the first also to the gap plus a facet length; for each choice of direction of
-    a tie. X: (owned nodes, d).
+    a tie.
     """
     sides, coupling = link.sides, link.coupling
-    judged = coupling.kept.T & coupling.normals.any(axis=1)  # prescribed nodes may have no normal
+    judged = coupling.kept.T & coupling.normals.any(axis=1)  # may lack a normal
     normals = coupling.normals if coupling.operators is None else coupling.operators.normals
     v = link.Q.createVecRight()
     v.set(1.0)
@@ -55,8 +55,8 @@ def operator_errors(link: Link, X: Floats, facet_length: float) -> tuple[float, 
 def find_pull(problem: ContactProblem, contacts: Contacts, least: float = 0.0) -> float:
     """Largest tension of the contacts over their largest compression; collective.
 
-    Of multipliers as D_jj lambda_j and lambda_j int Phi_j; and of connected patches, the resultant
-    along the mean normal, unless it bends by 90 degrees. Forces up to ``least`` are residual.
+    Of D_jj lambda_j, lambda_j int Phi_j, and resultants of connected patches along the mean normal,
+    unless they bend by 90 degrees. Forces up to ``least`` are residual.
     """
     found = [0.0]
     for link in problem.system.unilateral:
@@ -79,7 +79,7 @@ def _pull_of_patches(link: Link, forces: Floats) -> float:
     size = np.linalg.norm(exerted, axis=1)
     off = np.linalg.norm(exerted - size[:, None] * n, axis=1) > SAME * size
     if not any_rank(link.sides.V.mesh.comm, off.any())[0]:
-        return 0.0  # each node pushes along its normal
+        return 0.0
     patches = find_patches(link, np.asarray(exerted.any(axis=1)), exerted, area)
     whole = sum(float(np.linalg.norm(patch[:, :d], axis=1).sum()) for patch in patches)
     pulls = [0.0]
@@ -107,9 +107,9 @@ def create_certificate(
         residual: of the final geometry.
         balances: of forces and moments of the two sides, from `set_results`.
         sliders: with friction.
-        left_out: small-strain error; None computes it.
-        crossing: of uncoupled boundaries; None computes it.
-        pull: of `find_pull`; None computes it.
+        left_out: small-strain error; None computes it, as the next ones.
+        crossing: of uncoupled boundaries.
+        pull: of `find_pull`.
     """
     left_out = left_out or find_left_out(problem)
     crossing = crossing or find_crossing(problem)
@@ -166,15 +166,12 @@ def create_certificate(
 
 
 def _finite_strain(problem: ContactProblem) -> dict[str, float]:
-    """Smallest J, and largest moment of a body's internal forces at X + u.
-
-    It vanishes for energies with psi(Q F) = psi(F).
-    """
+    """Smallest J, and largest moment of a body's internal forces at X + u, 0 for objective laws."""
     volumes = problem.solid.volumes
     if volumes is None:
         return {}
     found = {"smallest_J": volumes.smallest()}
-    if not problem.bodies.shifts.all():  # axial forces on rings have no moment
+    if not problem.bodies.shifts.all():
         return found
     internal, arms, forces = problem.vector(), *np.zeros((2, problem.n, 3))
     problem.solid.add_forces(internal)
@@ -192,7 +189,6 @@ def _finite_strain(problem: ContactProblem) -> dict[str, float]:
 
 
 def _friction(comm: MPI.Comm, sliders: Sliders, facet_length: float) -> dict[str, float]:
-    """Residuals of friction by name; collective."""
     size, way = (np.linalg.norm(v, axis=1) for v in (sliders.reaction, sliders.slip))
     most, work = sliders.limit, (sliders.reaction * sliders.slip).sum(axis=1)
     sticks = (most > 0.0) & ~sliders.directions()[0].any(axis=1)
@@ -214,8 +210,8 @@ def set_results(
     """Set the interfaces' resultants and Functions; collective.
 
     Returns the slips, and the largest imbalances of forces and moments. Reactions of equalities are
-    residual forces, those of contacts D_jj times the multipliers. Tractions are per area of the
-    interface's configuration, see `growth`.
+    residual forces, those of contacts D_jj times the multipliers; tractions are per present area,
+    see `growth`.
     """
     d, n = problem.d, problem.n
     moved = problem.X + problem.u.x.array[: d * n].reshape(-1, d)
@@ -239,7 +235,7 @@ def set_results(
             np.where(on[:, :1], known[link.nodes], 0.0),
             link.shown_gap(gap),
             link.acting(contacts.active),
-            problem.X if frozen else moved,  # where the forces act
+            problem.X if frozen else moved,
             grown[k],
         )
         balances.append(found)
