@@ -37,15 +37,15 @@ log = logging.getLogger(__name__)
 class StepEnd:
     """End of a step, for diagnoses."""
 
-    problem: ContactProblem  # in the final geometry, with evaluated stresses
+    problem: ContactProblem
     balance: Balance
     contacts: Contacts
     stiffness: Floats  # (n,) owned diagonal of the last K^
-    overlap: float  # of the sides at X, left to later steps
+    overlap: float
     left_out: LeftOut
     crossing: Crossing
     pull: float  # of contacts, see `find_pull`
-    rtol: float  # of the step
+    rtol: float
     limit: float  # allowed norm of residual forces
 
 
@@ -57,7 +57,7 @@ def note_partners(end: StepEnd) -> list[str]:
         seen = f"contacts pull, by {end.pull:.1%} of the largest push: forces are wrong there"
         why = "Refine the slave side where the master ends, or let the other side be the slave"
         notes.append(Note(seen, why))
-    if end.overlap == 0.0:  # else a prescribed part of an initial overlap is left
+    if end.overlap == 0.0:  # else a part of an initial overlap is left
         closed = end.contacts.active
         notes += notes_on_overlaps(end.problem.system.unilateral, end.problem.u, closed, end.rtol)
     return notes + notes_on_crossings(end.problem, end.crossing)
@@ -99,10 +99,7 @@ def _frozen(end: StepEnd) -> list[str]:
 
 
 def _turn(problem: ContactProblem, link: Link, contacts: Contacts) -> float:
-    """atan2(|sum_j z_j N_j x n_j|, sum_j z_j N_j . n_j): rotation of normals; collective.
-
-    z_j are the reactions, N_j and n_j the normals at X and now; flanks of a dent cancel.
-    """
+    """Rotation of normals, atan2(|sum_j z_j N_j x n_j|, sum_j z_j N_j . n_j); collective."""
     slave, d = link.sides.slave, problem.d
     at_X, now = np.zeros((2, slave.owned, 3))
     for normals, u in ((at_X, None), (now, problem.u)):
@@ -114,10 +111,7 @@ def _turn(problem: ContactProblem, link: Link, contacts: Contacts) -> float:
 
 
 def _turned_tools(end: StepEnd) -> list[str]:
-    """Notes on rotations of tools that make slips wrong; collective.
-
-    Slips are arcs up to half a turn along a surface, chords about its normal.
-    """
+    """Notes on rotations of tools that make slips, arcs or chords, wrong; collective."""
     notes, sliding = list[str](), end.contacts.sliding
     for link in end.problem.system.links:
         tool = link.interface.tool
@@ -151,7 +145,6 @@ def note_pressures(end: StepEnd) -> list[str]:
     forces, stiffness = np.zeros((2, end.problem.n))
     forces[end.balance.nodes] = end.contacts.reactions(end.balance)
     stiffness[end.balance.nodes] = end.stiffness[end.balance.bounds.dofs]
-    # below the residual, or the round-off of gaps
     forces[forces <= np.maximum(end.limit, stiffness * gap_round_off(end.problem.u))] = 0.0
     x, u = end.problem.positions(), end.problem.configuration
     notes, few = list[str](), list[str]()
@@ -163,7 +156,7 @@ def note_pressures(end: StepEnd) -> list[str]:
     return notes + few
 
 
-DIAGNOSES = note_partners, note_strains, note_pressures  # same notes on all ranks
+DIAGNOSES = note_partners, note_strains, note_pressures  # the same on all ranks
 
 
 def find_notes(end: StepEnd) -> list[str]:
