@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Overlaps that weighted gaps do not show: between nodes, and without an interface.
-
-A weighted gap is a mean over facets and misses a corner between nodes. Boundaries without an
-interface cross where edges pierce facets.
-"""
+"""Overlaps at corners between nodes, and of bodies without an interface."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -53,8 +49,8 @@ In 280 steps of the tests (pins, balls, blocks and sockets, elastic, plastic, wi
 .04 at most, apart from the sagittas of facets; a corner between nodes penetrates as far as it is
 pressed.
 """
-# Sagittas of smooth sides that are subtracted: known at two Gauss points, a height may be 1 / 0.79
-# of the larger one at the end of a segment.
+# Subtracted sagittas: known at two Gauss points, a height may be 1 / 0.79 of the larger at the
+# segment's end.
 HIGHER = 2.0
 HELD = (
     "Dirichlet data prescribe all nodes of slave facets there, so that none has a multiplier, and "
@@ -76,10 +72,8 @@ def notes_on_overlaps(
 ) -> list[str]:
     """Note for each contact whose sides overlap deeply at some point; collective.
 
-    Also at nodes on an axis without multiplier.
-
     Args:
-        closed: (owned nodes,) contact; contacts without any are checked more strictly.
+        closed: (owned nodes,) contact; without any the check is stricter.
         rtol: overlap allowed by the step, in facet lengths.
     """
     notes = list[str]()
@@ -89,8 +83,8 @@ def notes_on_overlaps(
         bare: Bools = np.zeros(0, dtype=bool)
         if link.pairing:
             is_open = closed is not None and not any_rank(comm, closed[link.nodes].any())[0]
-            # without a closed node no loaded mean excuses an overlap, only the tolerance of the
-            # step, with a digit for points beside the nodes
+            # only a closed node excuses more overlap than the step's tolerance, with a digit for
+            # points beside nodes
             *parts, bare = _find_overlaps(link, u, rtol / DIGIT if is_open else SUNK)
             found = parts[0], parts[1], parts[2]
         elif found is not None:
@@ -110,11 +104,7 @@ def notes_on_overlaps(
 
 
 def _depths(link: Link, tool: Tool, u: fem.Function) -> tuple[Floats, Floats, Floats]:
-    """Depths (p,) in a tool over facet sizes, depths, and points (p, d); collective.
-
-    At integration points, facet centres, and the tool's own point (a ball may be smaller than the
-    distances); nodal distances minus the bend of the smooth surface.
-    """
+    """Depths (p,) in a tool over facet sizes, depths, points (p, d) between nodes; collective."""
     assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
     side, pose, x = link.pattern.side, tool.pose(), coordinates(link.sides.slave, u)
     facing = find_facing(side, pose, tool.asked, x)
@@ -142,7 +132,7 @@ def _depths(link: Link, tool: Tool, u: fem.Function) -> tuple[Floats, Floats, Fl
 
 
 def _deepest(comm: MPI.Comm, *columns: Any) -> Any:
-    """The columns where the first one is largest over all ranks; collective."""
+    """Columns where the first one is largest over all ranks; collective."""
     mine = [[column[i].tolist() for column in columns] for i in np.argsort(columns[0])[-1:]]
     return max((found for rank in comm.allgather(mine) for found in rank), default=None)
 
@@ -152,9 +142,8 @@ def _find_overlaps(
 ) -> tuple[Floats, Floats, Floats, Bools]:
     """Overlaps (p,) over the finer facet, depths, points (p, d), mask of prescribed slave facets.
 
-    At integration points, vertices and crossing edges; of smooth sides minus sagittas, except on an
-    axis. Pairs that share less than `SUNK` of the smaller facet are left out, as those of a body's
-    far side. Values below `unseen`, with facets below `SUNK`, are zero.
+    Pairs that share less than `SUNK` of the smaller facet, as of a body's far side, and values
+    below `unseen` (with facets `SUNK`) are left out.
     """
     pairing, segments = link.mortar[0], link.mortar[1].segments
     own, smooth, (s, m) = pairing.slave, link.pattern.smooth, pairing.pairs.T
@@ -213,11 +202,7 @@ def _vertices_in(
 def _crossing_edges(
     slave: Facets, s: Ints, master: Facets, m: Ints, pairs: Ints
 ) -> list[tuple[Floats, Ints, Floats]]:
-    """Depths (p,) of edges of facets s below those of facets m, pairs, and points.
-
-    Along the common normal of two edges, if it leaves both facets; not for parallel edges
-    (`FACING`), nor changes of the gap below `SUNK`.
-    """
+    """Depths (p,) of edges of facets s below those of m along the normal of both; pairs; points."""
     n_s, n_m = facet_normals(slave)[s], facet_normals(master)[m]
     inclined = (n_s * n_m).sum(axis=1) > -np.sqrt(1.0 - (4 * SUNK) ** 2)
     if slave.x.shape[2] == 2 or not inclined.any():
@@ -274,7 +259,6 @@ class _Skin:
 
     @property
     def normals(self) -> Floats:
-        """Outward normals (m, d)."""
         return facet_normals(Facets(LINE2 if self.x.shape[2] == 2 else TRI3, self.x))
 
     def received(self, comm: MPI.Comm) -> "_Skin":
@@ -289,11 +273,7 @@ class _Skin:
         return _Skin(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(self)))
 
     def pairs(self, meets_itself: Bools) -> Longs:
-        """Pairs (p, 2) of near facets without an interface.
-
-        Facets on opposite sides of an interface that face each other are coupled. Pairs within a
-        body only on surfaces of self-contact, ``meets_itself`` (interfaces,).
-        """
+        """Pairs (p, 2) of near facets of two bodies, or in self-contact, without an interface."""
         count = int(self.body.max(initial=-1)) + 1
         own = np.zeros(count, dtype=bool)
         surface = self.sides.any(axis=1) & meets_itself
@@ -309,8 +289,8 @@ class _Skin:
 def find_crossing(problem: ContactProblem) -> Crossing:
     """Deepest crossing of the boundaries of bodies at X + u; collective.
 
-    Of two bodies, and of a surface in self-contact; minus jumps of ties, and minus the sagittas of
-    both sides, as facets are taken as flat.
+    Of two bodies, or a surface in self-contact; minus jumps of ties, and sagittas of both sides, as
+    facets count as flat.
     """
     meets_itself: Bools = np.array([s.meet_themselves for s in problem.system.sides], dtype=bool)
     if problem.bodies.count == 1 and not meets_itself.any():
@@ -318,7 +298,7 @@ def find_crossing(problem: ContactProblem) -> Crossing:
     comm, own = problem.comm, _create_skin(problem, meets_itself)
     skin = own.received(comm)
     found = find_crossings(skin.x, skin.pairs(meets_itself))
-    found = found.part(found.pairs[:, 1] < len(own.body))  # this rank has all facets at the edge
+    found = found.part(found.pairs[:, 1] < len(own.body))  # has all facets at the edge
     one, other = skin[found.pairs[:, 0]], skin[found.pairs[:, 1]]
     reach = np.minimum(_seen_reach(one, other), _seen_reach(other, one))
     reach = np.where(one.body == other.body, np.inf, reach)
@@ -333,11 +313,7 @@ def find_crossing(problem: ContactProblem) -> Crossing:
 
 
 def _least_at_edges(found: Crossings, depth: Floats) -> Floats:
-    """Least depth (p,) of all facets that share an edge and cross with it.
-
-    An edge along the flank of another block crosses it by round-off, far from its ends, but its
-    other facet sees the end of the flank.
-    """
+    """Least depth (p,) of facets that share an edge, lest round-off along a flank count."""
     edges = np.column_stack([found.ends, found.pairs[:, 1]])
     _, edge = np.unique(edges, axis=0, return_inverse=True)
     least = np.full(len(depth), np.inf)
@@ -353,10 +329,7 @@ def _seen_reach(one: _Skin, other: _Skin) -> Floats:
 
 
 def _from_seen_edges(place: Floats, one: _Skin, other: _Skin) -> Floats:
-    """Distance (m,) of crossings from edges seen by an interface, or infinity.
-
-    Facets along a shaft cross the end face of a ring at the rim of its bore.
-    """
+    """Distance (m,) of crossings from edges seen by an interface, else infinity."""
     d, least = place.shape[1], np.full(len(place), np.inf)
     beside = ~(one.sides & other.sides[:, ::-1]).any(axis=(1, 2))
     on = one.sides[:, None] & other.on[:, :, ::-1]
@@ -437,7 +410,7 @@ def _create_skin(problem: ContactProblem, meets_itself: Bools) -> _Skin:
     boxes = boxes_of(problem.comm, facets.x, body, problem.bodies.count)
     near = near_others(facets.x, body, boxes) | (sides.any(axis=1) & meets_itself).any(axis=1)
     x, count = flat_parts(facets[near]), int(near.sum())
-    again = np.arange(len(x)) % max(count, 1)  # halves of quadrilaterals follow each other
+    again = np.arange(len(x)) % max(count, 1)
     flat = flat_parts(Facets(facets.element, at[nodes[near]]))
     on = flat[:, :, 1:].reshape(*flat.shape[:2], *sides.shape[1:]) > 0.0
     sagitta = at[nodes[near], 0].max(axis=1, initial=0.0)[again]
