@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Reactions: forces of Dirichlet conditions on the bodies.
 
-Internal forces F, loads f, forces of contacts and ties c and reactions r balance, F(u) = f + c + r.
-In the unknowns y, u = T y, a prescribed component is an unknown of its own, where r = T^T (F - f)
-without any part of c.
+In F(u) = f + c + r (internal forces, loads, contacts and ties, reactions) a prescribed component is
+an unknown of y, u = T y, for which r = T^T (F - f) without any part of c.
 """
 
 from collections.abc import Sequence
@@ -58,9 +57,9 @@ def reaction(
         dm.reaction(problem, base).force
 
     R = sum r_i and M = sum (x_i - about) x r_i over the prescribed dofs i, with r = F(u) - f - c:
-    internal forces minus loads minus forces of contacts and ties. R acts on the bodies. In half a
-    model it is half the force, in the plane per thickness, of rings that of the whole ring. x is X
-    + u with a contact in updated geometry or at finite strain, otherwise X.
+    internal forces minus loads minus forces of contacts and ties. R acts on the bodies: in half a
+    model half the force, in the plane per thickness, of rings that of the whole ring. x is X + u
+    with a contact in updated geometry or at finite strain, otherwise X.
 
     Args:
         problem: after a step.
@@ -71,9 +70,6 @@ def reaction(
         facet_tags: of the tag, also of cells, edges or vertices; default those of all interfaces if
             they are the same.
         about: point of the moment, d numbers, default the origin; not for rings, whose moment is 0.
-
-    Returns:
-        Force, moment and point, the same on all ranks.
 
     Raises:
         ValueError: on all ranks, for invalid arguments, before the first step, and if a problem
@@ -132,7 +128,6 @@ def resultants(problem: ContactProblem, masks: Sequence[Bools], about: Floats) -
 
 
 def _check_point(problem: ContactProblem, about: Any) -> Floats:
-    """Checked point of the moment; collective."""
     given = about.tolist() if isinstance(about, np.ndarray) else about
     check_same_on_all_ranks(problem.comm, about=given)
     if given is None:
@@ -202,7 +197,6 @@ def _tagged(problem: ContactProblem, support: int | str, facet_tags: Any) -> Boo
 
 
 def _tags_of(problem: ContactProblem) -> MeshTags:
-    """Tags shared by all interfaces."""
     tags = [interface.facet_tags for interface in problem.interfaces]
     if not tags or any(one is not tags[0] for one in tags):
         raise ValueError(
