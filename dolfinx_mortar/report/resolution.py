@@ -40,12 +40,11 @@ from dolfinx_mortar.mortar.whole_side import whole_facets
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.step_report import Note
 
-# Nodes that resolve the largest pressure, in 2D and 3D. Errors against Hertz at equal force: line
-# contacts with 5 nodes -5 to 9 %, with 7 -3 to 3 %; point contacts with 9 -14 to 5 %, with 17 to 25
-# -2 to 4 %.
+# Nodes that resolve the largest pressure, in 2D and 3D. Errors against Hertz: lines with 5 nodes -5
+# to 9 %, with 7 -3 to 3 %; points with 9 -14 to 5 %, with 17 to 25 -2 to 4 %.
 NODES = {2: 7, 3: 17}
-# Oscillation of pressures in the plane over their mean. Disc and block, moduli 1:100 to 100:1: .007
-# to .083 where pressures are within a tenth of Hertz', .15 to 1 where they are off by a fifth.
+# Oscillation of plane pressures over their mean. Disc and block, moduli 1:100 to 100:1: .007 to
+# .083 where pressures are within a tenth of Hertz', .15 to 1 where a fifth off.
 OSCILLATION = 0.1
 Find = Callable[
     [Pairing, Segments, fem.Function | None, tuple[SmoothSide, SmoothSide]],
@@ -68,10 +67,10 @@ def _means(link: Link, u: fem.Function | None, find: Find) -> Floats:
 
 
 def missed_gaps(link: Link, u: fem.Function | None) -> Floats:
-    """Return by how much gaps (n,) exceed those of round sides; collective.
+    """Return by how much gaps (n,) exceed those of round sides in contact; collective.
 
-    For touching sides: errors of heights, and of gaps along the normal n at a point that count
-    along n_j, int Phi_j (n_j - n).(x_m - x_s) / D_jj.
+    Errors of heights, and of gaps along the normal n at a point that count along n_j, int Phi_j
+    (n_j - n).(x_m - x_s) / D_jj.
     """
     sides, own = link.sides, link.coupling.normals
     normals: Floats = np.zeros((len(sides.slave.nodes), own.shape[1]))
@@ -101,10 +100,10 @@ def note_on_facets(
 ) -> list[str]:
     """Note on a contact if facets make its pressures inaccurate; collective.
 
-    Gaps have errors h_j: with facets the height of smooth surfaces, minus its mean over loaded
-    nodes; with smooth surfaces of degree 1 `missed_gaps`. K^_jj h_j, with the stiffness of both
-    sides in series, is compared with the contact forces z_j, at loaded nodes and those with gaps
-    below h_j. A uniform h_j is counted two to four times.
+    Errors h_j of gaps are, with facets, the height of smooth surfaces, minus its mean over loaded
+    nodes; with smooth surfaces of degree 1 `missed_gaps`. K^_jj h_j, with both sides in series, is
+    compared with the contact forces z_j, at loaded nodes and those with gaps below h_j. A uniform
+    h_j counts two to four times.
     Uniform facets on a tool: forces F of an overlap w store Psi = F w / 2, and -z.h is 2 Psi (1 -
     F'/F), F' the force of the smooth surface (accurate to 1 % on rings of 64 facets).
 
@@ -113,8 +112,8 @@ def note_on_facets(
         u: displacement of the facets, None for X.
         forces: (owned nodes,) of contact.
         stiffness: (owned nodes,) force per gap, K^_jj.
-        diagonal: returns that of K, of the bodies alone.
-        potential: returns that of the bodies at u, see `Solid.potential`.
+        diagonal: of K, of the bodies alone.
+        potential: see `Solid.potential`.
     """
     comm, k, z = link.sides.V.mesh.comm, stiffness[link.nodes], forces[link.nodes]
     on, meshed = z > 0.0, link.pairing is not None
@@ -152,7 +151,7 @@ def _missed(link: Link, u: fem.Function | None) -> Floats | None:
     """Excess (n,) of gaps, None if unknown; collective."""
     if link.pairing is None:
         faceted = link.pattern.faceted if isinstance(link.pattern, SidePattern) else None
-        if faceted is None:  # flat side
+        if faceted is None:
             return None
         tool = link.interface.tool
         heights = None if tool is None else _heights_at_tool(link, tool, u)
@@ -197,10 +196,10 @@ def _in_series(link: Link, k: Floats, diagonal: PETSc.Vec) -> Floats:
 def notes_on_resolution(link: Link, contacts: Contacts) -> list[str]:
     """Notes on pressures that are not resolved, or that oscillate; collective.
 
-    Patches up to the ends of sides are left out: their size is given, and pressures may be
-    singular. Multipliers of a slave side finer and stiffer than the master oscillate, as their
-    space is larger than the trace of the compliant displacements (measured in the plane). Below a
-    master edge the force acts at a slave node, off by up to a facet.
+    Patches up to the ends of sides are left out: pressures may be singular. Multipliers of a slave
+    side finer and stiffer than the master oscillate, as their space is larger than the trace of the
+    compliant displacements (measured in the plane). Forces of master edges are off by up to a
+    facet.
     """
     count, ends = _peak_patch(link, contacts)
     if not ends:
@@ -234,8 +233,8 @@ def oscillation(link: Link, contacts: Contacts) -> float:
     """Amplitude of node-to-node oscillations of pressures, over their mean; collective.
 
     sum_j D_jj |d_j - (M d)_j| / 4 over sum_j D_jj p_j, d = p - M p, with p_j the multiplier of node
-    j and M the mean over the other nodes of its facets; d_j = 0 at nodes next to ones without
-    multiplier. In the plane pressures p (1 +- a) give a, smooth ones a fourth-order difference.
+    j and M the mean over the other nodes of its facets; d_j = 0 next to nodes without multiplier.
+    In the plane pressures p (1 +- a) give a, smooth ones a fourth-order difference.
     """
     slave, nodes, comm = link.sides.slave, link.nodes, link.sides.V.mesh.comm
     own = np.zeros((len(slave.nodes), 2))
@@ -256,10 +255,7 @@ def oscillation(link: Link, contacts: Contacts) -> float:
 
 
 def _peak_patch(link: Link, contacts: Contacts) -> tuple[int, bool]:
-    """Number of nodes of the patch with the peak, and whether it ends at open nodes; collective.
-
-    A node off a model's symmetry planes counts two to the number of planes.
-    """
+    """Number of nodes of the patch with the peak, and whether it ends at open nodes; collective."""
     slave, nodes = link.sides.slave, link.nodes
     active, planes = contacts.active[nodes], link.sides.mirrors[nodes].sum(axis=1)
     marks = np.zeros((len(slave.nodes), 1))
@@ -275,7 +271,7 @@ def find_patches(link: Link, marked: Bools, *columns: Floats | Bools) -> list[Fl
 
     Args:
         marked: (n,) nodes that count.
-        columns: (n,) or (n, c) columns of the tables.
+        columns: (n,) or (n, c), of the tables.
     """
     slave, comm, layout = link.sides.slave, link.sides.V.mesh.comm, link.sides.V.dofmap.index_map
     marks = np.zeros((len(slave.nodes), 1))
