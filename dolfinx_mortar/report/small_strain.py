@@ -20,18 +20,16 @@ from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.step_report import Note
 from dolfinx_mortar.supports.bodies import name_of
 
-# Largest error without a note. At small strain the rotation part of the neglected work, the
-# first-order change of energy: two blocks turned by 1, 2, 5 degrees under pressure have forces 1.7,
-# 6.7, 42 % too high for 1.7, 6.4, 31 %; elastic indentation has at most 1.7 %, where Hencky's
-# strain changes forces by 1.4, Green's by -5.5 %. Or half of the whole term if larger: perfectly
-# plastic blocks under a ball lose 5 to 35 % of the force for 6 to 48 %. In logarithmic strain space
-# the stress norm: perfectly plastic shear by .5, 1, 2, 5 loses .002, .02, .089, .137 of it, and .3,
-# 2.7, 17, 56 % of the shear stress.
+# Largest error without a note. At small strain the rotation part of the neglected work: two blocks
+# turned by 1, 2, 5 degrees under pressure have forces 1.7, 6.7, 42 % too high for 1.7, 6.4, 31 %.
+# Or half of the whole term: perfectly plastic blocks under a ball lose 5 to 35 % of the force for 6
+# to 48 %. In logarithmic strain space the stress norm: perfectly plastic shear by .5, 1, 2, 5 loses
+# .002, .02, .089, .137 of it, of the shear stress .3, 2.7, 17, 56 %.
 LARGEST_SHARE = 0.02
-# Also for the mean of |H^T H| over a body's volume or weighted by stress work. A strip bent by 11
-# %, a bar stretched by 14 %, a body turned by 7 degrees have 1 %, indentation at most 0.13 %.
+# also of the mean |H^T H|: a strip bent by 11 %, a bar stretched by 14 %, a body turned by 7
+# degrees have 1 %, indentation at most 0.13 %
 
-# Strain or rotation (radians, 2.9 degrees) at a point above which a note is given.
+# strain or rotation (radians, 2.9 degrees) for a note
 LARGE = 0.05
 
 
@@ -66,7 +64,7 @@ def _measure(solid: Solid, weights: Floats, cells: slice) -> Floats:
     def peak(values: Floats) -> Floats:
         return np.asarray(values.reshape(-1, points).max(axis=1))
 
-    own = np.arange(len(weights), dtype=np.int32)[cells]  # ghosts come after them
+    own = np.arange(len(weights), dtype=np.int32)[cells]
     found = solid.gradients.evaluate(own)
     shown = solid.stress.x.array.reshape(-1, dofmap.bs)[dofmap.list[own].ravel()]
     stress: Floats = np.asfortranarray(shown)
@@ -83,8 +81,8 @@ def _measure(solid: Solid, weights: Floats, cells: slice) -> Floats:
 def find_left_out(problem: ContactProblem) -> LeftOut:
     """Measure strain and rotation at u, given the stress of `Solid.evaluate`; collective."""
     solid, comm, count = problem.solid, problem.comm, problem.bodies.count
-    body, weights = problem.bodies.of_cells, solid.fields.weights  # assembled by all ranks
-    many = CHUNK // weights.shape[1]  # cells; all would need the memory of the tangent
+    body, weights = problem.bodies.of_cells, solid.fields.weights
+    many = CHUNK // weights.shape[1]  # all cells would need the memory of the tangent
     chunks = [slice(i, i + many) for i in range(0, len(body), many)]
     parts = [_measure(solid, weights, cells) for cells in chunks]
     columns = np.concatenate([np.zeros((9, 0)), *parts], axis=1)
