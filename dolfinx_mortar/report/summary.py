@@ -23,9 +23,6 @@ def summarise(step: LoadStep) -> dict[str, Any]:
 
         rows = [dm.summarise(step) | {"gap": gap()} for step in dm.load_steps(...)]
 
-    Args:
-        step: a committed load step.
-
     Returns:
         "time"; "parts" (more than one after cuts); over all parts "newton_iterations",
             "qp_iterations", "linear_iterations", "factorisations", "residual_history", "notes" and
@@ -76,7 +73,7 @@ def write_summary(
         more: further entries.
 
     Raises:
-        ValueError: for an invalid path, problem or list of rows (on all ranks).
+        ValueError: for invalid arguments (on all ranks).
         OSError: if the file cannot be written (on all ranks).
     """
     check_problem(problem, ContactProblem)
