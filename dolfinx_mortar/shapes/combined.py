@@ -29,22 +29,18 @@ class _Combined(Shape):
 
     @property
     def point(self) -> Floats:
-        """Point of the first shape."""
         return self.shapes[0].point
 
     def given(self) -> Mapping[str, Any]:
-        """Return the shapes by name."""
         return {f"shape{k}": shape for k, shape in enumerate(self.shapes, start=1)}
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({', '.join(map(repr, self.shapes))})"
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Why one of them is unusable, or ""."""
         return next((m for shape in self.shapes if (m := shape.misfit(d, revolved))), "")
 
     def distance(self, x: Floats) -> Distance:
-        """Return the distances of points x (n, d)."""
         found, *others = (shape.distance(x) for shape in self.shapes)
         for other in others:
             found = found.where(self.sign * found.value <= self.sign * other.value, other)
@@ -52,29 +48,19 @@ class _Combined(Shape):
 
 
 class Union(_Combined):
-    """Union of shapes: phi = min phi_k, exact outside.
-
-    Args:
-        shapes: one or more, of the same dimension.
-
-    Raises:
-        ValueError: for no or invalid shapes, and different dimensions.
-    """
+    """Union of shapes of the same dimension: phi = min phi_k, exact outside."""
 
     sign = 1.0
 
 
 class Intersection(_Combined):
-    """Intersection of shapes: phi = max phi_k.
+    """Intersection of shapes of the same dimension: phi = max phi_k.
 
     Surface and distances from faces are exact; off an edge phi is the larger of both distances,
     less than that from the edge.
 
-    Args:
-        shapes: one or more, of the same dimension.
-
     Raises:
-        ValueError: naming a wrong argument, and for an empty intersection.
+        ValueError: also for an empty intersection.
     """
 
     sign = -1.0
@@ -88,15 +74,12 @@ class Intersection(_Combined):
             )
 
     def _is_empty(self) -> bool:
-        """Tell whether repeated projections onto the farthest shape end at a gap.
-
-        For convex shapes a proof: opposite normals on both sides of a gap.
-        """
+        """Whether repeated projections onto the farthest shape end at a gap (convex: a proof)."""
         x = np.array([shape.point for shape in _leaves(self)])
         for _ in range(LIMIT):
             try:
                 found = [shape.distance(x) for shape in self.shapes]
-            except Exception:  # a user's function may fail there
+            except Exception:
                 return False
             values = np.array([one.value for one in found])
             gradients = np.array([one.gradient for one in found])
@@ -114,7 +97,6 @@ class Intersection(_Combined):
 
 
 def _leaves(shape: Any) -> list[Shape]:
-    """Elementary shapes of a combination."""
     if isinstance(shape, Complement):
         return _leaves(shape.shape)
     if isinstance(shape, _Combined):
@@ -123,38 +105,31 @@ def _leaves(shape: Any) -> list[Shape]:
 
 
 class Complement(Shape):
-    """Complement of a shape: phi = -phi_0, such as a socket or a die.
-
-    Args:
-        shape: what is left out.
-
-    Raises:
-        ValueError: for other objects.
-    """
+    """Complement of a shape: phi = -phi_0, such as a socket or a die."""
 
     def __init__(self, shape: Shape) -> None:
         self.shape = check("Complement: shape", shape, instance(Shape, "give one"))
 
     @property
     def point(self) -> Floats:
-        """Point of the shape."""
+        """See `Shape`."""
         return self.shape.point
 
     def given(self) -> Mapping[str, Any]:
-        """Return the shape by name."""
+        """See `Shape`."""
         return {"shape": self.shape}
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Why the shape is unusable, or ""."""
+        """See `Shape`."""
         return self.shape.misfit(d, revolved)
 
     def distance(self, x: Floats) -> Distance:
-        """Return the distances of points x (n, d)."""
+        """See `Shape`."""
         return -self.shape.distance(x)
 
 
 def berkovich(tip: Any, axis: Any, turned: float = 0.0) -> Intersection:
-    """Return Berkovich's pyramid: three faces at 65.27 degrees to the axis.
+    """Berkovich's pyramid: three faces at 65.27 degrees to the axis.
 
     The area of its section at depth h is 24.5 h^2.
 
@@ -162,9 +137,6 @@ def berkovich(tip: Any, axis: Any, turned: float = 0.0) -> Intersection:
         tip: 3 coordinates.
         axis: direction from the tip into the tool.
         turned: degrees of rotation about the axis, -360 to 360.
-
-    Raises:
-        ValueError: for other than 3 finite coordinates, an axis of 0, and other angles.
     """
     at, a = check("tip", tip, array((3,))), check_unit("axis", axis, 3)
     check("turned", turned, number("an angle in degrees", least=-360.0, most=360.0))
