@@ -9,7 +9,7 @@ A triangle with corners p_i, area coordinates s_i and parabolic edges, b_ij = -a
 
     S = sum_i s_i p_i + sum_ij s_i s_j a_ij.
 
-Both lie in the convex hull of their corners and of p + (c + a) / 2 and q - (c + b) / 2.
+Both lie in the convex hull of their corners, p + (c + a) / 2 and q - (c + b) / 2.
 """
 
 from __future__ import annotations
@@ -30,13 +30,7 @@ class Curved(Shape):
     """Region bounded by curved lines or triangles."""
 
     def _bend(self, corners: Floats, bends: Floats, *normals: Floats) -> None:
-        """Set m lines or triangles.
-
-        Args:
-            corners: (m, d, d).
-            bends: (m, edges, 2, d), a and b.
-            *normals: (m, edges, d) at edges, (m, d, d) at corners, of any length.
-        """
+        """Set corners (m, d, d), bends a and b (m, edges, 2, d), normals at edges and corners."""
         self._corners, self._bends = _in_space(corners), _in_space(bends)
         self._normals = [_in_space(one) for one in normals]
         self._tree = create_tree(self._corners, self._bends)
@@ -46,7 +40,7 @@ class Curved(Shape):
         n, d = x.shape
         x = _in_space(x)
         near, where, at = find_nearest(x, self._corners, self._bends, *self._tree)
-        if d == 2:  # in 2D only points beyond a corner belong to it
+        if d == 2:
             offset, slope, _ = self._on_edges(x, near, 0 * near, at)
             past = np.abs((offset * slope).sum(axis=1)) > HALF_OF_DIGITS * (slope**2).sum(axis=1)
             where = np.where((where >= POINT) & past, where, FACE)
@@ -121,8 +115,7 @@ def create_tree(corners: Floats, bends: Floats) -> tuple[Floats, Longs, Floats]:
     """Boxes (2 k, 2, 3) of a binary tree, indices (k,) at its leaves, and bulges (m,).
 
     Box 1 is the root, 2 i and 2 i + 1 the halves of box i across its longest side, box k + i that
-    of leaf i; the last leaf is repeated up to a power of two. Bulges bound the displacement by
-    bends.
+    of leaf i; the last leaf is repeated up to a power of two. Bulges bound the bends.
     """
     half = (corners + np.roll(corners, -1, axis=1))[:, : bends.shape[1]] / 2
     net = np.hstack([corners, half + bends[:, :, 0] / 2, half - bends[:, :, 1] / 2])
@@ -217,7 +210,6 @@ def _in_face(x, p, a):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _box_distance(x, box):  # type: ignore[no-untyped-def]
-    """Squared distance of a point from a box."""
     total = 0.0
     for i in range(3):
         off = max(box[0, i] - x[i], x[i] - box[1, i], 0.0)
@@ -227,7 +219,6 @@ def _box_distance(x, box):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _from_flat(x, p):  # type: ignore[no-untyped-def]
-    """Distance of a point from a flat triangle."""
     a, b, r = p[1] - p[0], p[2] - p[0], x - p[0]
     aa, ab, bb, ra, rb = _dot(a, a), _dot(a, b), _dot(b, b), _dot(r, a), _dot(r, b)
     det = aa * bb - ab * ab
