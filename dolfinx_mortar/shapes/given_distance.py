@@ -85,15 +85,15 @@ class SignedDistance(Shape):
 
     @property
     def point(self) -> Floats:
-        """As given, (d,)."""
+        """As given."""
         return self._point
 
     def given(self) -> Mapping[str, Any]:
-        """Return the arguments by name."""
+        """See `Shape`."""
         return {"point": self._point, "length": self.length}
 
     def distance(self, x: Floats) -> Distance:
-        """Return the distances of points x (n, d)."""
+        """See `Shape`."""
         if self._kernel is None:
             return Distance(self.values(x), self._gradients(x), self._hessians(x))
         d = x.shape[1]
@@ -105,7 +105,7 @@ class SignedDistance(Shape):
         return Distance(value, gradient, hessian.reshape(-1, d, d))
 
     def values(self, x: Floats) -> Floats:
-        """Return phi (n,) at points x (n, d)."""
+        """See `Shape`."""
         if self._kernel is None:
             return _returned("phi", self.phi, x, ())
         found = tabulate(self._kernel, np.ascontiguousarray(x))[:, 0]
@@ -160,7 +160,7 @@ def _compile(phi: Expr, d: int) -> Kernel:
 def _returned(name: str, function: Function, x: Floats, shape: tuple[int, ...]) -> Floats:
     """Checked result (n, ..) of a function at points x (n, d)."""
     n = len(x)
-    if not n:  # functions need not handle an empty set of points
+    if not n:  # no points
         return np.zeros((0, *shape))
     values = function(np.ascontiguousarray(x.T))
     found = np.moveaxis(check(f"{name}(x)", values, returned((*shape, n), n)), -1, 0)
