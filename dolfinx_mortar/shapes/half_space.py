@@ -17,9 +17,6 @@ class Plane(Shape):
     Args:
         point: p, d coordinates.
         normal: n, of any length, out of the tool, towards the body.
-
-    Raises:
-        ValueError: for other than 2 or 3 finite coordinates, and a normal of 0.
     """
 
     def __init__(self, point: Any, normal: Any) -> None:
@@ -32,17 +29,17 @@ class Plane(Shape):
         return self._point
 
     def given(self) -> Mapping[str, Any]:
-        """Return the arguments by name."""
+        """See `Shape`."""
         return {"point": self._point, "normal": self.normal}
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Why it is unusable, or "": not across the axis in axisymmetry."""
+        """See `Shape`."""
         if revolved and abs(self.normal[0]) > SAME:
             return f"{self!r} is not across the axis, so no plane of revolution: give a Cone"
         return super().misfit(d, revolved)
 
     def distance(self, x: Floats) -> Distance:
-        """Return the distances of points x (n, d)."""
+        """See `Shape`."""
         n, d = x.shape
         gradient = np.tile(self.normal, (n, 1))
         return Distance((x - self._point) @ self.normal, gradient, np.zeros((n, d, d)))
