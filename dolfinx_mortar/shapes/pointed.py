@@ -20,12 +20,7 @@ from dolfinx_mortar.shapes.shape import (
 
 
 class _Pointed(Shape):
-    """A sharp section offset outwards by the tip radius.
-
-    With distance rho from the axis, height h over the tip's centre (along the axis into the tool)
-    and half angle a, phi is rho cos a - h sin a - R at the flank, where rho sin a + h cos a > 0,
-    and sqrt(rho^2 + h^2) - R at the tip.
-    """
+    """A sharp section offset outwards by the tip radius, see `Cone`."""
 
     def __init__(self, tip: Any, half_angle: Any, axis: Any, radius: Any) -> None:
         self.tip = check("tip", tip, POINT)
@@ -40,27 +35,20 @@ class _Pointed(Shape):
         return self.tip
 
     def given(self) -> Mapping[str, Any]:
-        """Return the arguments by name."""
         names = "tip", "half_angle", "axis", "radius"
         return {name: getattr(self, name) for name in names}
 
     def _section(self, x: Floats, across: Distance, tip: Distance) -> Distance:
-        """Distances of points x (n, d).
-
-        Args:
-            across: rho, distance from the axis.
-            tip: distance from the tip's centre, or line of centres.
-        """
+        """Distances of points x (n, d), given those ``across`` the axis and from the ``tip``."""
         height, angle = (x - self._centre) @ self.axis, np.radians(self.half_angle)
         s, c = np.sin(angle), np.cos(angle)
         flank = Distance(
             c * across.value - s * height, c * across.gradient - s * self.axis, c * across.hessian
         )
-        # on the axis the mean normal of the flanks
         lost = across.value <= SAME * (np.abs(height) + self.radius)
         flank = replace(flank, gradient=np.where(lost[:, None], -self.axis, flank.gradient))
         found = flank.where(s * across.value + c * height > 0.0, tip)
-        sharp = found.value == 0.0  # a sharp tip itself
+        sharp = found.value == 0.0
         gradient = np.where((sharp & lost)[:, None], -self.axis, found.gradient)
         return Distance(found.value - self.radius, gradient, found.hessian)
 
@@ -80,16 +68,13 @@ class Cone(_Pointed):
         half_angle: degrees between axis and flank; 70.3 is equivalent to Berkovich's pyramid.
         axis: d components, from the tip into the tool.
         radius: R of the tip, 0 if sharp.
-
-    Raises:
-        ValueError: naming a wrong argument.
     """
 
     def __init__(self, tip: Any, half_angle: Any, axis: Any, radius: Any = 0.0) -> None:
         super().__init__(tip, half_angle, axis, radius)
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Why it is unusable, or ""."""
+        """See `Shape`."""
         if d == 2 and not revolved:
             return f"{self!r} is no plane figure: give a Wedge"
         size = self.radius + float(np.abs(self.tip).max())
@@ -99,7 +84,7 @@ class Cone(_Pointed):
         return super().misfit(d, revolved)
 
     def distance(self, x: Floats) -> Distance:
-        """Return the distances of points x (n, d)."""
+        """See `Shape`."""
         offset = x - self._centre
         return self._section(x, of_axis(offset, self.axis), of_centre(offset))
 
@@ -115,9 +100,6 @@ class Wedge(_Pointed):
         axis: d components, from the tip into the tool.
         radius: of the tip, 0 if sharp.
         edge: direction of the edge in space, normal to the axis; None in the plane.
-
-    Raises:
-        ValueError: naming a wrong argument, as an edge not normal to the axis.
     """
 
     def __init__(
@@ -133,11 +115,11 @@ class Wedge(_Pointed):
             raise ValueError(f"edge is {edge!r}: it has to be across the axis {axis!r}")
 
     def given(self) -> Mapping[str, Any]:
-        """Return the arguments by name."""
+        """See `Shape`."""
         return {**super().given(), "edge": self.edge}
 
     def distance(self, x: Floats) -> Distance:
-        """Return the distances of points x (n, d)."""
+        """See `Shape`."""
         offset, d = x - self._centre, x.shape[1]
         if self.edge is None:
             return self._section(x, of_axis(offset, self.axis), of_centre(offset))
