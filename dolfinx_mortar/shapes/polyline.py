@@ -4,8 +4,7 @@
 Edges are cubics of `curved` with unit tangents t_p and t_q, a = |c| t_p - c and b = |c| t_q - c. A
 tangent is the mean of the two closest of five: the edges before and after the point, and the
 circles through the point and both neighbours, or the next two on one side. So lines stay straight,
-and distances from arcs have order 4. Corners beyond ``crease`` stay sharp; an edge ends there with
-the angle at its other end, as an arc.
+and distances from arcs have order 4. Corners beyond ``crease`` stay sharp, with edges as arcs.
 """
 
 from __future__ import annotations
@@ -39,8 +38,8 @@ class Polyline(Curved):
             distance from it: the body must not get there.
 
     Raises:
-        ValueError: naming a wrong argument; for coinciding points, edges that go back or cross
-            others, and clockwise polygons.
+        ValueError: also for coinciding points, edges that go back or cross others, and clockwise
+            polygons.
     """
 
     def __init__(
@@ -77,7 +76,7 @@ class Polyline(Curved):
             "edges that cross others",
             REMEDY,
         )
-        if closed and (x[:, 0] * self._q[:, 1] - x[:, 1] * self._q[:, 0]).sum() < 0.0:  # area
+        if closed and (x[:, 0] * self._q[:, 1] - x[:, 1] * self._q[:, 0]).sum() < 0.0:
             raise ValueError(
                 "points go clockwise around the tool: reverse them, points[::-1], or for a body in "
                 "a cavity give the Complement of that"
@@ -85,7 +84,7 @@ class Polyline(Curved):
         chord = self._q - self._p
         start, end = self._tangents(lengths, along)
         bends = np.stack([lengths[:, None] * t - chord for t in (start, end)], axis=1)
-        ends = np.stack([start[:, ::-1], end[:, ::-1]], axis=1) * [1.0, -1.0]  # normals
+        ends = np.stack([start[:, ::-1], end[:, ::-1]], axis=1) * [1.0, -1.0]
         around = ends.copy()
         around[:, 0] += np.roll(ends[:, 1], 1, axis=0)
         around[:, 1] += np.roll(ends[:, 0], -1, axis=0)
@@ -96,7 +95,7 @@ class Polyline(Curved):
 
     @property
     def point(self) -> Floats:
-        """As given, or the middle of the points' box, (2,)."""
+        """As given, or the middle of the points' box."""
         return self._point
 
     @property
@@ -109,7 +108,7 @@ class Polyline(Curved):
         return x, np.stack(lines, axis=1)
 
     def given(self) -> Mapping[str, Any]:
-        """Arguments by name, with a digest of the points."""
+        """See `Shape`; with a digest of the points."""
         digest = hashlib.sha256(self.points.tobytes()).hexdigest()
         names = {"point": self._point, "crease": self.crease, "closed": self.closed}
         return {"points": digest, **names}
@@ -118,7 +117,7 @@ class Polyline(Curved):
         return f"Polyline({len(self.points)} points{'' if self.closed else ', closed=False'})"
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Why it is unusable in d dimensions or axisymmetry, or ""."""
+        """See `Shape`."""
         x, near = self.points, HALF_OF_DIGITS * np.abs(self.points).max()
         if d == 2 and revolved and x[:, 0].min() <= near:
             image = cKDTree(x).query(x * [-1.0, 1.0])[0].max()
@@ -140,7 +139,7 @@ class Polyline(Curved):
         _, middle = unit_vectors(weighted + np.roll(weighted, 1, axis=0))
         last = np.roll(lengths, 1)
         found, spans = [middle, before, along], [last + lengths, last, lengths]
-        for ways, way in ((before, -1), (along, 1)):  # from the next and the last point
+        for ways, way in ((before, -1), (along, 1)):
             of_circle = np.roll(_mirrored(middle, ways), way, axis=0)
             found.append(np.where(np.roll(smooth, way)[:, None], of_circle, np.inf))
             spans.append(np.roll(spans[0], way))
@@ -159,11 +158,7 @@ def _mirrored(tangent: Floats, along: Floats) -> Floats:
 
 
 def _agreeing(directions: Floats, spans: Floats) -> Floats:
-    """Mean (n, 2) of the two closest of k unit vectors (k, n, 2), non-finite ones excluded.
-
-    Of several that agree to half of the digits those with the shorter ``spans`` (k, n): a line
-    between two arcs could be an arc.
-    """
+    """Mean (n, 2) of the two closest of k unit vectors (k, n, 2), short ``spans`` first."""
     one, other = np.triu_indices(len(directions), 1)
     with np.errstate(invalid="ignore"):
         apart = ((directions[one] - directions[other]) ** 2).sum(axis=2)
