@@ -33,7 +33,6 @@ class _Round(Shape):
         return self.centre
 
     def given(self) -> Mapping[str, Any]:
-        """Return the arguments by name."""
         return {"centre": self.centre, "radius": self.radius}
 
     @property
@@ -47,13 +46,10 @@ class Sphere(_Round):
     Args:
         centre: c, d coordinates.
         radius: R.
-
-    Raises:
-        ValueError: for other than 2 or 3 finite coordinates, and a radius that is not > 0.
     """
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Why it is unusable, or ""."""
+        """See `Shape`."""
         if d == 2 and not revolved:
             return f"{self!r} is no plane figure: give a Cylinder"
         if revolved and abs(self.centre[0]) > SAME * self._size:
@@ -61,7 +57,7 @@ class Sphere(_Round):
         return super().misfit(d, revolved)
 
     def distance(self, x: Floats) -> Distance:
-        """Return the distances of points x (n, d)."""
+        """See `Shape`."""
         found = of_centre(x - self.centre)
         return Distance(found.value - self.radius, found.gradient, found.hessian)
 
@@ -73,9 +69,6 @@ class Cylinder(_Round):
         centre: c, d coordinates of a point of the axis.
         radius: R.
         axis: d components; None in plane problems.
-
-    Raises:
-        ValueError: naming a wrong argument.
     """
 
     def __init__(self, centre: Any, radius: Any, axis: Any = None) -> None:
@@ -85,11 +78,11 @@ class Cylinder(_Round):
             raise ValueError("axis is None: give the direction of the cylinder's axis in space")
 
     def given(self) -> Mapping[str, Any]:
-        """Return the arguments by name."""
+        """See `Shape`."""
         return {**super().given(), "axis": self.axis}
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Why it is unusable, or ""."""
+        """See `Shape`."""
         if d == 2 and not revolved and self.axis is not None:
             return f"{self!r} has an axis, which in plane problems is across the plane: give none"
         if revolved:
@@ -100,7 +93,7 @@ class Cylinder(_Round):
         return super().misfit(d, revolved)
 
     def distance(self, x: Floats) -> Distance:
-        """Return the distances of points x (n, d)."""
+        """See `Shape`."""
         offset = x - self.centre
         found = of_centre(offset) if self.axis is None else of_axis(offset, self.axis)
         return Distance(found.value - self.radius, found.gradient, found.hessian)
@@ -114,9 +107,6 @@ class Torus(_Round):
         radius: R, of the circle through the sections' centres.
         tube: r, of the sections; r > R closes the hole, and phi is exact outside.
         axis: d components; default (0, 1) in axisymmetry.
-
-    Raises:
-        ValueError: naming a wrong argument.
     """
 
     def __init__(self, centre: Any, radius: Any, tube: Any, axis: Any = None) -> None:
@@ -127,11 +117,11 @@ class Torus(_Round):
         self.axis = check_unit("axis", axis, len(self.centre))
 
     def given(self) -> Mapping[str, Any]:
-        """Return the arguments by name."""
+        """See `Shape`."""
         return {**super().given(), "tube": self.tube, "axis": self.axis}
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Why it is unusable, or ""."""
+        """See `Shape`."""
         if d == 2 and not revolved:
             return f"{self!r} is no plane figure: give Cylinders, and their Union"
         if revolved and (abs(self.axis[0]) > SAME or abs(self.centre[0]) > SAME * self._size):
@@ -139,7 +129,7 @@ class Torus(_Round):
         return super().misfit(d, revolved)
 
     def distance(self, x: Floats) -> Distance:
-        """Return the distances of points x (n, d)."""
+        """See `Shape`."""
         n, d = x.shape
         offset = x - self.centre
         across = of_axis(offset, self.axis)
