@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Base of all shapes: a signed distance with its derivatives.
-
-phi(x) is the distance from the surface of a tool, positive outside. grad phi is the outward unit
-normal at the nearest point, and the Hessian of phi the curvature there, 1 / (R + phi) for a sphere.
-"""
+"""Base of all shapes: a signed distance with its derivatives."""
 
 from __future__ import annotations
 
@@ -20,9 +16,9 @@ from dolfinx_mortar.arrays import Bools, Floats, Longs
 
 @dataclass(frozen=True)
 class Distance:
-    """Signed distances of points and their derivatives."""
+    """Signed distances phi of points, their gradients and Hessians."""
 
-    value: Floats  # (n,) phi, positive outside
+    value: Floats  # (n,) positive outside
     gradient: Floats  # (n, d) unit normals, out of the tool
     hessian: Floats  # (n, d, d) curvatures, 1 / length
 
@@ -48,11 +44,7 @@ def check_finite(name: str, found: Floats, x: Floats) -> None:
 
 
 def check_returned(shape: Shape, found: Any, x: Floats) -> Distance:
-    """Checked result of `Shape.distance` at points x (n, d).
-
-    Raises:
-        ValueError: for wrong types and shapes, NaN and infinity.
-    """
+    """Checked result of `Shape.distance` at points x (n, d), or a ValueError."""
     kind, (n, d) = type(shape).__name__, x.shape
     check(f"{kind}.distance()", found, instance(Distance, "return a shapes.Distance"))
     for name, size in (("value", (n,)), ("gradient", (n, d)), ("hessian", (n, d, d))):
@@ -69,8 +61,9 @@ def returned(shape: tuple[int, ...], n: int) -> Rule[Floats]:
 class Shape(ABC):
     """A region with the signed distance phi of points from its surface, positive outside.
 
-    Coordinates are those of the mesh for the tool in its initial position; in axisymmetry (r, z),
-    of the section.
+    grad phi is the outward unit normal at the nearest point, the Hessian of phi the curvature, 1 /
+    (R + phi) for a sphere. Coordinates are those of the mesh for the tool in its initial position;
+    in axisymmetry (r, z), of the section. Errors name the wrong argument.
     """
 
     @property
@@ -80,15 +73,15 @@ class Shape(ABC):
 
     @abstractmethod
     def distance(self, x: Floats) -> Distance:
-        """Return the distances of points x (n, d)."""
+        """Distances of points x (n, d)."""
 
     def values(self, x: Floats) -> Floats:
-        """Return only the values phi (n,) at points x (n, d)."""
+        """Values phi (n,) alone at points x (n, d)."""
         return self.distance(x).value
 
     @abstractmethod
     def given(self) -> Mapping[str, Any]:
-        """Return the arguments by name."""
+        """Arguments by name."""
 
     @property
     def surface(self) -> tuple[Floats, Longs] | None:
@@ -96,12 +89,7 @@ class Shape(ABC):
         return None
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Why it is unusable in d dimensions or axisymmetry, or "".
-
-        Args:
-            d: dimension of the mesh.
-            revolved: whether the problem is axisymmetric, about the axis r = 0.
-        """
+        """Why it is unusable in d dimensions or axisymmetry (about the axis r = 0), or ""."""
         n = len(self.point)
         return "" if n == d else f"{self!r} has points of {n} components, the mesh of {d}"
 
@@ -147,9 +135,9 @@ def unit_vectors(v: Floats) -> tuple[Floats, Floats]:
 
 
 def of_centre(offset: Floats) -> Distance:
-    """Distances from a point, of offsets (n, d); derivatives are 0 at the point.
+    """Distances from a point, of offsets (n, d).
 
-    Derivatives are e = offset / r and (I - e e^T) / r.
+    Derivatives are e = offset / r and (I - e e^T) / r, 0 at the point.
     """
     r, e = unit_vectors(offset)
     across = np.eye(offset.shape[1]) - e[:, :, None] * e[:, None, :]
@@ -167,7 +155,7 @@ def of_axis(offset: Floats, axis: Floats) -> Distance:
 
 
 def of_section(u: Distance, v: Distance, phi: Distance) -> Distance:
-    """Phi(u, v) of two functions of points, given phi in the (u, v) plane."""
+    """Return phi(u, v) of two functions of points, given phi in the (u, v) plane."""
     g, H = phi.gradient, phi.hessian
     a, b = u.gradient, v.gradient
     gradient = g[:, :1] * a + g[:, 1:] * b
