@@ -19,9 +19,7 @@ VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 
 
 def read_stl(path: str | os.PathLike[str]) -> tuple[Floats, Longs]:
-    """Points (n, 3) and triangles (m, 3) of a file, with equal corners merged.
-
-    Normals in the file are ignored: the order of corners gives them.
+    """Points (n, 3) and triangles (m, 3) of a file; corners are merged, normals ignored.
 
     Raises:
         ValueError: for unreadable, invalid or truncated files, NaN and infinity.
