@@ -45,9 +45,9 @@ class Triangles(Curved):
             not get there.
 
     Raises:
-        ValueError: naming a wrong argument; for unreadable files, triangles without area or turned
-            against their neighbours, holes (without ``rim``), edges of more than two triangles, and
-            bodies turned inside out.
+        ValueError: also for unreadable files, triangles without area or turned against their
+            neighbours, holes (without ``rim``), edges of more than two triangles, and bodies turned
+            inside out.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class Triangles(Curved):
         except ValueError as error:
             if not file:
                 raise
-            self._unread = error  # raised later, perhaps on this rank only
+            self._unread = error  # perhaps on this rank only
             return
         self._triangulation = create_triangulation(points, triangles, rim=self.rim)
         x = self.triangulation.corners
@@ -79,27 +79,27 @@ class Triangles(Curved):
 
     @property
     def triangulation(self) -> Triangulation:
-        """Triangles with their neighbours; a ValueError for an unreadable file."""
+        """Triangles with neighbours; a ValueError for an unreadable file."""
         if self._unread is not None:
             raise self._unread
         return self._triangulation
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Why it is unusable, or ""."""
+        """See `Shape`."""
         return super().misfit(d, revolved) if self._unread is None else str(self._unread)
 
     @property
     def point(self) -> Floats:
-        """As given, or the middle of the box, (3,)."""
+        """As given, or the middle of the box."""
         return self._point
 
     @property
     def surface(self) -> tuple[Floats, Longs]:
-        """Points (n, 3) and triangles (m, 3) for output."""
+        """See `Shape`."""
         return self.triangulation.points, self.triangulation.triangles
 
     def given(self) -> Mapping[str, Any]:
-        """Arguments by name, with a digest of the triangles."""
+        """See `Shape`; with a digest of the triangles."""
         names = {"point": self._point, "crease": self.crease, "rim": self.rim}
         if self._unread is not None:
             return {"surface": f"not read, {self._unread}", **names}
@@ -114,7 +114,7 @@ class Triangles(Curved):
         return f"Triangles({of}{len(self.triangulation.triangles)} triangles)"
 
     def distance(self, x: Floats) -> Distance:
-        """Return the distances of points x (n, 3)."""
+        """See `Shape`."""
         _ = self.triangulation  # raises for an unreadable file
         return super().distance(x)
 
