@@ -40,9 +40,8 @@ class Triangulation:
     def point_normals(self) -> Floats:
         """Angle-weighted sum of the normals around each corner (m, 3, 3).
 
-        A point is outside where its offset from the nearest point has a positive product with it.
-        J. A. Baerentzen, H. Aanaes: Signed distance computation using the angle weighted
-        pseudonormal (2005).
+        Its product with the offset from the nearest point is positive outside. J. A. Baerentzen, H.
+        Aanaes: Signed distance computation using the angle weighted pseudonormal (2005).
         """
         one, other = self._arms()
         cosine = (one * other).sum(axis=2) / (_length(one) * _length(other))
@@ -58,7 +57,6 @@ class Triangulation:
         """
         turn = (self.normals[:, None] * self.normals[self.beyond]).sum(axis=2)
         smooth = (self.beyond >= 0) & (turn >= np.cos(np.radians(crease)) - HALF_OF_DIGITS)
-        # corners are merged at the ends of smooth edges
         m = len(self.triangles)
         mine, edge = np.nonzero(smooth)
         other = self.beyond[mine, edge]
@@ -86,16 +84,11 @@ class Triangulation:
 
 
 def create_triangulation(points: Floats, triangles: Longs, *, rim: bool) -> Triangulation:
-    """Surface of triangles.
-
-    Args:
-        points: (n, 3).
-        triangles: (m, 3).
-        rim: whether the surface may end.
+    """Surface of points (n, 3) and triangles (m, 3), perhaps with a rim.
 
     Raises:
         ValueError: for triangles without area or turned against neighbours, edges of more than two,
-            holes, and bodies turned inside out; with number and first place.
+            holes, and bodies turned inside out.
     """
     x = points[triangles]
     across = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
@@ -160,20 +153,12 @@ def _find_neighbours(x: Floats, triangles: Longs, rim: bool) -> Longs:
 
 
 def _find_turned(one: Longs, other: Longs, against: Longs, m: int) -> Bools:
-    """Mask (m,) of triangles turned against most of those connected to them.
-
-    Args:
-        one: (k,) edges of pairs of triangles.
-        other: (k,) the same edges of the second triangle.
-        against: pairs that disagree.
-        m: number of triangles.
-    """
+    """Mask (m,) of triangles against most connected ones, by common edges (k,)."""
     turned = np.zeros(m, dtype=bool)
     if not len(against):
         return turned
     differs = np.zeros(len(one), dtype=bool)
     differs[against] = True
-    # of two common edges one counts
     pairs, first = np.unique(np.stack([one // 3, other // 3], axis=1), axis=0, return_index=True)
     flips = {
         (int(pairs[k, 0]), int(pairs[k, 1])): bool(differs[first[k]]) for k in range(len(pairs))
