@@ -15,12 +15,7 @@ GRID = {2: 400, 3: 60}
 def find_zero_level(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Longs]:
     """Points (n, d) on the surface of a shape, and lines or triangles (m, d), in a box.
 
-    A grid around the surface is divided into simplices; points on crossed edges are moved onto the
-    surface.
-
-    Args:
-        low: lower corner (d,) of the box.
-        high: upper corner.
+    Points on crossed edges of simplices of a grid are moved onto the surface.
 
     Example:
         >>> from dolfinx_mortar.shapes import Cylinder
@@ -50,10 +45,7 @@ def find_zero_level(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Lo
 
 
 def _around(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Corners (d,) of the box around the surface, by a coarse grid.
-
-    Cells with a distance above twice that to their corners are left out; phi may be approximate.
-    """
+    """Corners (d,) of the box around the surface, by a coarse grid; phi may be approximate."""
     for _ in range(LIMIT):
         counts = _counts(low, high, GRID[len(low)] // 4)
         cell = (high - low) / counts
@@ -98,7 +90,7 @@ def _cross(simplices: Longs, inside: np.ndarray) -> tuple[Longs, Longs]:
     for k in range(1, d + 1):
         out, within = range(d + 1 - k), range(d + 1 - k, d + 1)
         ends = [(i, j) for i in out for j in within]
-        # two and two nodes: a quadrilateral, as two triangles
+        # two and two nodes: two triangles
         cut = [ends] if len(ends) == d else [ends[:3], ends[1:]]
         parts += [nodes[count == k][:, cell] for cell in cut]
     crossed = np.concatenate(parts)  # (m, d, 2)
