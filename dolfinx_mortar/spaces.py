@@ -27,7 +27,7 @@ def check_space(
     Supported: Lagrange of degree 1 or 2, double precision, cells of no higher degree.
 
     Args:
-        name: of the argument, for messages.
+        name: of the argument.
         scalar: whether scalar spaces are allowed.
         on_cells: whether facets have to lie on the cells.
     """
@@ -80,13 +80,12 @@ def find_positions(
     Of the highest degree of V, u and the cells; V or the space of u if one fits.
 
     Args:
-        V: scalar or vector space, see `check_space`.
-        u: displacement in any vector space of the same mesh, None for X.
+        V: scalar or vector space.
+        u: displacement in any vector space of the mesh, None for X.
         same_nodes: whether nodes must be numbered as in V.
 
     Raises:
-        ValueError: for other than displacements on this mesh, without communication; for other
-            nodes.
+        ValueError: for other displacements, without communication; for other nodes.
     """
     spaces = [V]
     if u is not None:
@@ -173,10 +172,7 @@ def with_values(V: dolfinx.fem.FunctionSpace, values: Floats) -> dolfinx.fem.Fun
 
 
 def connected_parts(V: dolfinx.fem.FunctionSpace) -> tuple[int, Ints]:
-    """Number of connected parts of a mesh, and the part of each node; collective.
-
-    (local nodes,), numbered from 0, the same on all ranks.
-    """
+    """Number of connected parts of a mesh, and the part (local nodes,) of each node; collective."""
     layout, comm = V.dofmap.index_map, V.mesh.comm
     n_owned, n_local = layout.size_local, layout.size_local + layout.num_ghosts
     cells = V.dofmap.list
@@ -184,7 +180,7 @@ def connected_parts(V: dolfinx.fem.FunctionSpace) -> tuple[int, Ints]:
     graph = coo_array((np.ones(len(first)), (first, last)), shape=(n_local, n_local))
     parts, local = connected_components(graph, directed=False)
 
-    # parts of two ranks are one where a ghost of one is owned by the other
+    # a ghost of one part may be owned by another
     offset = comm.exscan(parts) or 0
     vector = dolfinx.la.vector(layout, 1)
     vector.array[:n_owned] = local[:n_owned] + offset
@@ -202,12 +198,7 @@ def connected_parts(V: dolfinx.fem.FunctionSpace) -> tuple[int, Ints]:
 def check_nodal(
     name: str, function: dolfinx.fem.Function, shape: tuple[int, ...], wanted: str
 ) -> None:
-    """Raise a ValueError unless a Function has nodal values of a shape.
-
-    Args:
-        shape: () for a scalar, (d,) for a vector.
-        wanted: remedy for the message.
-    """
+    """Raise a ValueError unless a Function has nodal values of a shape, () or (d,)."""
     V = function.function_space
     element = V.ufl_element()
     if V.component():
