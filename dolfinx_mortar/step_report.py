@@ -18,7 +18,7 @@ class Timings:
 
     @contextmanager
     def __call__(self, part: str) -> Iterator[None]:
-        """Add the time spent inside the ``with`` block to ``part``."""
+        """Add the time in the ``with`` block to ``part``."""
         start = time.perf_counter()
         try:
             yield
@@ -48,19 +48,19 @@ class Iteration:
 
     number: int
     increment: float  # |du|_e / (|u|_e + |u + du|_e), elastic energy norm
-    force_residual: float  # projected force residual after the step, relative
-    contact_residual: float  # penetration and complementarity after the step, relative
-    kkt: float  # largest KKT residual of the QP, relative
+    force_residual: float  # projected, relative
+    contact_residual: float  # penetration and complementarity, relative
+    kkt: float  # largest residual of the QP, relative
     active: int  # active contact nodes, all interfaces and ranks
     changed: int  # changes of the active set but for weakly active nodes
     updates: int  # iterations of the QP backend
     linear_iterations: int
     factorisations: int
     step_length: float  # accepted by the line search
-    line_search_steps: int  # reductions of the step
+    line_search_steps: int
     geometry_change: float  # gap minus its prediction by the last linearisation, in facet lengths
     shift: float = 0.0  # multiple of the elastic stiffness added to an indefinite tangent
-    exact_tangent: bool = False  # whether the tangent was exact
+    exact_tangent: bool = False  # whether moving surfaces were linearised
 
     def __str__(self) -> str:
         return (
@@ -78,10 +78,10 @@ class Iteration:
 class Certificate:
     """Residuals of a converged step, each relative to its own scale.
 
-    Scales: forces to the largest of external, contact, reaction and element forces; lengths to the
-    mean slave facet; multipliers to the largest one, their forces to the largest of these,
-    resultants of patches to the sum of forces; tangential reactions to the largest friction limit,
-    their energies to limits times slips. Small-strain errors are of the worst body.
+    Forces: the largest of external, contact, reaction and element forces; lengths: the mean slave
+    facet; multipliers: the largest one, their forces the largest of these, resultants of patches
+    the sum of forces; tangential reactions: the largest friction limit, their energies limits times
+    slips. Small-strain errors are of the worst body.
     """
 
     equilibrium: float  # forces on free unknowns
@@ -95,9 +95,9 @@ class Certificate:
     moment_balance: float
     linear_field_error: float  # tangential part of x_s - P x_m per gap + facet length
     row_sum_error: float  # largest row sum of D - M over D_jj
-    smallest_coverage: float  # covered share of the tributary length over kept nodes
+    smallest_coverage: float  # covered share of a kept node's tributary length
     kept_nodes: int
-    removed_nodes: int  # slave nodes without multiplier, whose dual function is shared out
+    removed_nodes: int  # without multiplier, whose dual function is shared out
     active_nodes: int
     active_set_changes: int
     newton_iterations: int
@@ -109,11 +109,11 @@ class Certificate:
     friction_work: float = 0.0  # limits times slips, less the dissipation
     friction_gain: float = 0.0  # largest energy that a node gains by friction
     left_out_strain: float = 0.0  # largest |H^T H| / 2, H = grad u, over the largest strain
-    left_out_work: float = 0.0  # share of neglected rotations in the work of a body's stresses
+    left_out_work: float = 0.0  # share of neglected rotations in a body's stress work
     left_out_lengths: float = 0.0  # mean of |H^T H| / 2 in a body
     rotation: float = 0.0  # largest rotation, radians
     loads: float = 0.0  # missing share of the load of a bolt, tool or rigid side
-    crossing: float = 0.0  # penetration of bodies without an interface, in facets
+    crossing: float = 0.0  # penetration without an interface, in facets
     # at finite strain: moment at X + u of a body's internal forces, over forces times arms
     internal_moment: float = 0.0
     smallest_J: float = 1.0  # smallest det F at integration points, 1 for small strains
@@ -125,24 +125,24 @@ class Ledger:
     """Energies of a motion at the end of a step, and works since its start.
 
     Of the whole ring, or per thickness in the plane. Works by the trapezoidal rule, exact for
-    linear bodies. Energy is conserved where
+    linear bodies.
 
         kinetic + stored + dissipated + friction + damping = initial + loads + supports.
     """
 
     initial: float  # kinetic and stored energy at the start
     kinetic: float
-    stored: float  # in the bodies, elastic and hardening; see `EnergyLedger`
+    stored: float  # in the bodies; see `EnergyLedger`
     dissipated: float  # by plastic flow
-    friction: float  # dissipated by friction
+    friction: float
     damping: float  # dissipated by Rayleigh's damping
-    loads: float  # work of loads, other terms, and changes of temperature and parameters
+    loads: float  # work of loads, other terms, temperature and parameters
     supports: float  # work of supports, rigid sides and tools
-    contact: float  # work of contact beyond friction, before the energy was restored
+    contact: float  # work beyond friction, before the energy was restored
     defect: float  # left minus right side, over the largest energy
     largest: float  # largest of these energies and works
     owed: float = 0.0  # work given by contact, not yet restored
-    # (d,) of each contact of problem.interfaces on the slave side since the start, by the
+    # (d,) on the slave side of each contact of problem.interfaces since the start, by the
     # trapezoidal rule, with those that restored the energy; else None
     impulses: list[list[float] | None] = field(default_factory=list)
 
@@ -162,13 +162,13 @@ class StepReport:
     """Report of one load step; ``print`` shows a table, ``as_dict`` goes to JSON."""
 
     converged: bool = False
-    backend: str = ""  # ``qp`` of the step
+    backend: str = ""  # ``qp``
     geometry: str = ""  # "updated" or "reference"
     linear_solver: str = ""  # in words
     friction: str = ""  # linearisation of friction
     rtol: float = 0.0
-    iterations: list[Iteration] = field(default_factory=list)  # of Newton's method
-    certificate: Certificate | None = None  # residuals at the end
+    iterations: list[Iteration] = field(default_factory=list)
+    certificate: Certificate | None = None
     ledger: Ledger | None = None  # of `time_steps`
     cuts: int = 0  # failures of larger steps before, by `load_steps`
     notes: list[str] = field(default_factory=list)  # possible inaccuracies
@@ -181,12 +181,12 @@ class StepReport:
 
     @property
     def qp_iterations(self) -> int:
-        """Iterations of the QP backend over the whole step."""
+        """Iterations of the QP backend."""
         return sum(it.updates for it in self.iterations)
 
     @property
     def factorisations(self) -> int:
-        """Numerical factorisations (preconditioner set-ups) over the whole step."""
+        """Numerical factorisations (preconditioner set-ups)."""
         return sum(it.factorisations for it in self.iterations)
 
     @property
@@ -195,14 +195,14 @@ class StepReport:
         return [it.increment for it in self.iterations]
 
     def note_friction(self, number: int, linearisation: str) -> None:
-        """Note the linearisation of friction and the iteration from which it changes."""
+        """Note the linearisation of friction, and from which iteration."""
         if not self.friction:
             self.friction = linearisation
         elif not self.friction.endswith(linearisation):
             self.friction += f", from iteration {number} on {linearisation}"
 
     def begin_anew(self) -> None:
-        """Note that the predicted motion led to no convergence, and clear the iterations."""
+        """Note that the predicted motion failed, and clear the iterations."""
         self.notes.append(
             f"the motion of the last step led nowhere in {len(self.iterations)} iterations: this "
             "one began without it"
@@ -261,14 +261,14 @@ class StepReport:
         lines.append("seconds: " + ", ".join(f"{k} {v:.3f}" for k, v in self.seconds.items()))
         return "\n".join(lines)
 
-    __repr__ = __str__  # for notebooks
+    __repr__ = __str__
 
 
 @dataclass(frozen=True)
 class LoadStep:
     """A committed load or time step, as `load_steps` and `time_steps` yield it."""
 
-    number: int  # 1, 2, ...
+    number: int
     time: float  # load level, or time, at its end
     report: StepReport  # of the last part
     parts: list[StepReport] = field(default_factory=list)  # several after cuts
@@ -308,7 +308,7 @@ class NewtonNotConverged(RuntimeError):
     """Newton's method failed; ``report`` has the details.
 
     Displacement and committed state are those before the step, or before the failed part of a step
-    that `load_steps` has cut: retry with a smaller one.
+    of `load_steps`: retry with a smaller one.
     """
 
     def __init__(self, message: str, report: StepReport) -> None:
