@@ -18,8 +18,7 @@ from dolfinx_mortar.supports.dirichlet import Dirichlet
 def check_axis(solid: Solid, supports: Dirichlet, sides: Sequence[Sides]) -> None:
     """Raise a ValueError on all ranks for free nodes or facets on the axis; collective.
 
-    A radial displacement there makes u_r / r infinite, on a mesh merely large. Facets on the axis
-    are no surface of the body.
+    A radial displacement there makes u_r / r infinite, on a mesh merely large.
     """
     V, i = solid.V, solid.kinematics.radius
     if i is None:
