@@ -39,7 +39,7 @@ class Bodies:
     count: int
     label: Ints  # (owned nodes,) body of each node
     centre: Floats  # (count, d) mean of the nodes' coordinates
-    radius: Floats  # (count,) rms distance of the nodes from the centre
+    radius: Floats  # (count,) rms distance of the nodes from it
     motions: Callable[[Floats], dict[str, Floats]] = translations_and_rotations  # see `Kinematics`
     group: Ints | None = None  # (count,) common number of tied bodies
 
@@ -74,7 +74,7 @@ class Bodies:
     def shifts(self) -> Bools:
         """Mask (d,) of strain-free translations."""
         d = self.V.dofmap.index_map_bs
-        probes = np.vstack([np.zeros(d), np.eye(d)])  # modes are affine
+        probes = np.vstack([np.zeros(d), np.eye(d)])
         motions = [motion.ravel() for motion in self.motions(probes).values()]
         if not motions:
             return np.zeros(d, dtype=bool)
@@ -91,10 +91,10 @@ class Bodies:
         return vector
 
     def turned(self, asked: Floats, where: Bools, x: Floats) -> Floats:
-        """Displacements of nodes by rotations of the bodies, (owned nodes, d); collective.
+        """Displacements (owned nodes, d) by rotations beyond the mean increments; collective.
 
-        In addition to the mean increments. Of bodies, tied ones together, whose wholly prescribed
-        nodes, not all on a line, move rigidly from x to x + asked; zero for others.
+        Of bodies, tied ones together, whose wholly prescribed nodes, not all on a line, move
+        rigidly from x to x + asked; zero for others.
         """
         comm, d, result = self.V.mesh.comm, x.shape[1], np.zeros_like(x)
         group = self.groups
@@ -140,33 +140,25 @@ def find_bodies(
     V: fem.FunctionSpace,
     motions: Callable[[Floats], dict[str, Floats]] = translations_and_rotations,
 ) -> Bodies:
-    """Find the parts of the mesh connected by nodes; collective.
-
-    Args:
-        motions: rigid-body modes, `rigid_motions` of the solid's kinematics.
-    """
+    """Connected parts of the mesh, with ``motions`` as rigid-body modes; collective."""
     count, label = connected_parts(V)
     label = label[: V.dofmap.index_map.size_local]
     return dataclasses.replace(_measure(V, count, label), motions=motions)
 
 
 def with_ties(bodies: Bodies, sides: Sequence[tuple[Bools, Bools]]) -> Bodies:
-    """Bodies with their groups by ties; collective.
-
-    Args:
-        sides: of each tie masks (local nodes,) of its slave and master nodes.
-    """
+    """Bodies with groups by ties, given masks (local nodes,) of both sides of each; collective."""
     n = len(bodies.label)
     touched = np.zeros((len(sides), bodies.count))
     for k, (slave, master) in enumerate(sides):
         touched[k, bodies.label[slave[:n] | master[:n]]] = 1.0
-    touched = bodies.V.mesh.comm.allreduce(touched, op=MPI.SUM)  # arrays have no MAX
+    touched = bodies.V.mesh.comm.allreduce(touched, op=MPI.SUM)
     _, group = connected_components(touched.T @ touched, directed=False)
     return dataclasses.replace(bodies, group=np.asarray(group, dtype=np.int32))
 
 
 def _measure(V: fem.FunctionSpace, count: int, label: Ints) -> Bodies:
-    """Bodies with their centres and radii; collective."""
+    """Measure centres and radii; collective."""
     d = V.dofmap.index_map_bs
     x = V.tabulate_dof_coordinates()[: len(label), :d]
     bodies = Bodies(V, count, label, np.zeros((count, d)), np.ones(count))
@@ -194,12 +186,10 @@ def free_motions(
         constraints: linear functions of a displacement vector that return constrained displacements
             (any number on each rank).
         contacts: such functions of contacts, as if they could also pull.
-        facets: such functions of resistance only due to facets of a curved side, as of a spinning
-            pin.
+        facets: such functions of resistance only by facets of a curved side, as of a spinning pin.
 
     Returns:
-        Names of motions of single bodies where possible, then of several bodies together, then
-            sums.
+        Motions of single bodies where possible, then of several together, then sums.
     """
     return find_free(bodies, constraints, contacts, facets)[0]
 
@@ -210,7 +200,7 @@ def find_free(
     contacts: Sequence[Motion],
     facets: Sequence[Motion],
 ) -> tuple[list[str], list[str]]:
-    """The `free_motions`, with and without contacts; collective."""
+    """Names of `free_motions`, with and without contacts; collective."""
     modes = bodies.rigid_modes()
     if not modes:
         return [], []
@@ -226,12 +216,11 @@ def _name_free(
     """Names of modes in the null space of quadratic forms, see `free_motions`."""
     scale = max(float((held + touching).diagonal().max()), TINY)
     null = np.eye(len(modes))
-    # only contacts depend on facets
     for form in (held, touching - uneven):
         if null.shape[1] == 0:
             return []
         values, vectors = np.linalg.eigh(null.T @ form @ null / scale)
-        null = null @ vectors[:, values < ROUND_OFF * len(modes)]  # of sums of squares
+        null = null @ vectors[:, values < ROUND_OFF * len(modes)]
     rest = null
     body = np.array([k for k, _, _ in modes])
     named = [f"{name} of {name_of(bodies, [k])}" for k, name, _ in modes]
@@ -281,7 +270,7 @@ def _take_out(null: Floats, rest: Floats, motions: dict[str, Floats]) -> tuple[F
 
 
 def _groups(null: Floats, body: npt.NDArray[np.int_]) -> list[list[int]]:
-    """Sets of bodies that only move together in a null space (modes, k)."""
+    """Sets of bodies that only move together (modes, k)."""
     linked = np.abs(null @ null.T) > QUARTER_OF_DIGITS
     _, label = connected_components(linked | (body[:, None] == body), directed=False)
     return [np.unique(body[label == k]).tolist() for k in np.unique(label)]
