@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Dirichlet conditions as marks and values of dofs, on whichever ranks they were located."""
+"""Dirichlet conditions as marks and values of dofs."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ def prescribed_dofs(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> Boo
     """Mask (local nodes, d) of prescribed components; collective.
 
     Raises:
-        ValueError: on all ranks, for dofs that the space or component of a condition lacks.
+        ValueError: on all ranks, for dofs outside the space of a condition.
     """
     with raised_together(V.mesh.comm):
         for bc in bcs:
@@ -38,7 +38,6 @@ def marked_dofs(V: fem.FunctionSpace, dofs: Iterable[Ints]) -> Bools:
 
 
 def _check_dofs(V: fem.FunctionSpace, bc: fem.DirichletBC) -> None:
-    """Raise a ValueError for dofs outside the space of a condition."""
     dofs, layout, d = bc.dof_indices()[0], V.dofmap.index_map, V.dofmap.index_map_bs
     count = layout.size_local + layout.num_ghosts
     outside = dofs[(dofs < 0) | (dofs >= d * count)]
@@ -88,7 +87,7 @@ def _check_unique(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC], target: 
     for bc in bcs:
         bc.set(given)
         dofs = bc.dof_indices()[0]
-        with np.errstate(invalid="ignore"):  # NaN and infinity are reported elsewhere
+        with np.errstate(invalid="ignore"):
             difference = np.abs(given[dofs] - chosen.array[dofs])
         farther = difference > off[dofs]
         off[dofs[farther]], farthest[dofs[farther]] = difference[farther], given[dofs[farther]]
@@ -150,11 +149,7 @@ class Dirichlet:
 
 
 def create_dirichlet(V: fem.FunctionSpace, bcs: list[fem.DirichletBC]) -> Dirichlet:
-    """Find the prescribed dofs; collective.
-
-    Raises:
-        ValueError: on all ranks, for invalid dofs and contradictory values.
-    """
+    """Find the prescribed dofs; a ValueError for invalid or contradictory ones; collective."""
     supports = Dirichlet(V, bcs, prescribed_dofs(V, bcs))
     supports.values()
     return supports
