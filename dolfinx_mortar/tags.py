@@ -27,17 +27,14 @@ class Tags(mesh.MeshTags):
         facet_tags = dm.Tags(facet_tags, {"ball": 3, "plate": 4})
 
     Attributes:
-        names: tag by name, in the order of the tags; not every tag needs one.
+        names: tag by name, in the order of the tags.
     """
 
     def __init__(self, tags: mesh.MeshTags, names: Mapping[str, int]) -> None:
         """Name tags, which are shared, or copied in the order of the entities.
 
         Args:
-            names: tag by name, the same on all ranks.
-
-        Raises:
-            ValueError: naming a wrong argument.
+            names: tag by name, the same on all ranks; not every tag needs one.
         """
         check("tags", tags, instance(mesh.MeshTags, "give a dolfinx.mesh.MeshTags"))
         check("names", names, instance(Mapping, "give a dictionary, name -> tag"))
@@ -53,19 +50,14 @@ class Tags(mesh.MeshTags):
         """Tag of a name, or a tag unchanged.
 
         Raises:
-            ValueError: for an unknown name, with the known ones, and other than integers of 32
-                bits.
+            ValueError: for unknown names, and other than integers of 32 bits.
         """
         tag = tag_of(self, name, "name")
         check_tag("name", tag)
         return int(tag)
 
     def find(self, value: int | str) -> npt.NDArray[np.int32]:
-        """Local cells or facets (n,) of a tag or name.
-
-        Raises:
-            ValueError: as in `tag`.
-        """
+        """Local cells or facets (n,) of a tag or name, see `tag`."""
         tag = tag_of(self, value, "value")
         check_tag("value", tag)
         return np.asarray(super().find(int(tag)))
@@ -103,10 +95,7 @@ def tags_of(domain: mesh.Mesh, dim: int) -> Rule[mesh.MeshTags]:
 
 
 def check_measures(name: str, form: ufl.Form, domain: mesh.Mesh) -> None:
-    """Raise a ValueError on all ranks for measures that lose cells or facets; collective.
-
-    Dolfinx accepts tags without a cell or exterior facet, and loses unsorted facets.
-    """
+    """Raise a ValueError on all ranks for measures that lose cells or facets; collective."""
     dims = {"cell": domain.topology.dim, "exterior_facet": domain.topology.dim - 1}
     for integral in form.integrals():
         tag, tags = integral.subdomain_id(), integral.subdomain_data()
@@ -146,10 +135,7 @@ def check_tag(name: str, tag: Any) -> None:
 
 
 def check_entities(name: str, tags: mesh.MeshTags) -> None:
-    """Raise a ValueError for tags of entities that this rank does not have.
-
-    Dolfinx accepts any numbers.
-    """
+    """Raise a ValueError for tags of entities that this rank does not have."""
     layout = tags.topology.index_map(tags.dim)
     count = layout.size_local + layout.num_ghosts
     outside = tags.indices[(tags.indices < 0) | (tags.indices >= count)]
@@ -161,15 +147,7 @@ def check_entities(name: str, tags: mesh.MeshTags) -> None:
 
 
 def tag_of(tags: Any, given: Any, argument: str) -> Any:
-    """Tag of a name, anything but strings unchanged.
-
-    Args:
-        tags: `Tags` if it has names.
-        argument: for messages.
-
-    Raises:
-        ValueError: for unknown names; without communication.
-    """
+    """Tag of a name, or anything but strings unchanged; a ValueError without communication."""
     if not isinstance(given, str):
         return given
     names = names_of(tags)
@@ -189,11 +167,7 @@ def tag_of(tags: Any, given: Any, argument: str) -> Any:
 
 
 def by_tag(tags: Any, given: Mapping[Any, Value], argument: str) -> dict[Any, Value]:
-    """Dictionary by name or tag as one by tag.
-
-    Raises:
-        ValueError: for unknown names and repeated tags.
-    """
+    """Dictionary by name or tag as one by tag; a ValueError for unknown and repeated ones."""
     found: dict[Any, Value] = {}
     for key, value in given.items():
         tag = tag_of(tags, key, f"{argument}: the key")
