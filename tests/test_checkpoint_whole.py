@@ -67,7 +67,8 @@ def made(request, tmp_path_factory):
 
 def state_of(problem):
     """Return all that a step starts from and all that is shown, bit for bit."""
-    committed, fields = problem.committed, [problem.u, *problem.solid.lasting_fields().values()]
+    committed = problem.committed
+    fields = [problem.u, *problem.solid.points.lasting_fields().values()]
     fields += problem.state.states_of_terms.values()
     arrays = [committed.active, committed.displacement, committed.slid, committed.dissipated]
     arrays += [committed.paired.at, *committed.paired.near, committed.supports.forces]

@@ -79,7 +79,7 @@ class Pile:
 
     def state(self):
         """Return copies of what the next step starts from, and of what is shown, on this rank."""
-        fields = [self.problem.u, *self.problem.solid.lasting_fields().values()]
+        fields = [self.problem.u, *self.problem.solid.points.lasting_fields().values()]
         fields += [*self.contact.nodal.values(), *self.tie.nodal.values()]
         found = {f"{k} {f.name}": f.x.array.copy() for k, f in enumerate(fields)}
         numbers = [self.contact.dissipation, *self.contact.force, *self.tie.force]

@@ -76,7 +76,7 @@ def test_fibres_that_turn_from_place_to_place():
     across = total(solid.energy())
     law.yaw.value = math.pi
     assert total(solid.energy()) == pytest.approx(along, rel=1e-12)
-    assert solid.varying and along > 10 * across
+    assert solid.points.follows and along > 10 * across
 
 
 @pytest.mark.parametrize(

@@ -89,7 +89,7 @@ def test_a_parameter_may_be_whatever_has_the_value(kind, cell):
     law = dm.VonMises(vary(domain, STEEL.E), 0.29, vary(domain, STEEL.Y), STEEL.a)
     varying = dm.Solid(create_displacement(domain), law, quadrature_degree=2)
     plain = dm.Solid(create_displacement(domain), STEEL, quadrature_degree=2)
-    assert varying.varying and not plain.varying
+    assert varying.points.follows and not plain.points.follows
     assert numbers(varying) == pytest.approx(numbers(plain), rel=1e-12)
 
 
@@ -124,7 +124,7 @@ def test_new_values_need_no_compiler(monkeypatch):
     solid = dm.Solid(create_displacement(domain), dm.VonMises(E, 0.29, Y, STEEL.a))
     plain = dm.Solid(create_displacement(domain), STEEL)
     for name in ("residual", "tangent", "energy", "elastic_norm", "element_force"):
-        forms = [getattr(s._forms, name) for s in (solid, plain)]
+        forms = [getattr(s.forms, name) for s in (solid, plain)]
         codes = [getattr(form, "form", form).module.__name__ for form in forms]
         assert codes[0] == codes[1]
 
@@ -177,7 +177,8 @@ def test_a_linear_law_with_a_constant_has_no_constant_tangent():
     case = PressedBlocks()
     E = constant(case.mesh, 1000.0)
     solid = dm.Solid(case.u, dm.Elastic(E, 0.3))
-    assert solid.varying and not dm.Solid(case.u, dm.Elastic(1000.0, 0.3)).varying
+    assert solid.points.follows
+    assert not dm.Solid(case.u, dm.Elastic(1000.0, 0.3)).points.follows
     bcs = [case.bc(BOTTOM)]
     tie = dm.Tie(case.facets, slave=case.contact().slave, master=case.contact().master)
     loads = case.pull((0.0, -0.1))
@@ -199,10 +200,10 @@ def test_a_constant_that_softens_makes_a_body_flow():
     solid = dm.Solid(create_displacement(domain), dm.VonMises(1000.0, 0.3, Y, 0.0))
     solid.u.interpolate(lambda x: np.stack([0.05 * x[1], 0 * x[1]]))
     solid.evaluate()
-    assert not solid.flowing().any()
+    assert not solid.points.flowing().any()
     Y.value = 10.0
     solid.evaluate()
-    assert solid.flowing().all()
+    assert solid.points.flowing().all()
     assert solid.max("von_mises") == pytest.approx(np.sqrt(1.5) * 10.0, rel=1e-9)
 
 
@@ -213,7 +214,7 @@ def test_output_sees_the_parameters_of_its_points():
     solid = dm.Solid(create_displacement(domain), dm.VonMises(1000.0, 0.3, 1.0, a))
     set_wave(solid.u, 0.1)
     solid.evaluate()
-    x = dm.solid.state.create_field(domain, solid.quadrature_degree, (), "a")
+    x = dm.solid.sources.create_field(domain, solid.quadrature_degree, (), "a")
     points = x.function_space.element.interpolation_points
     x.interpolate(fem.Expression(a, points() if callable(points) else points))
     dofs = x.function_space.dofmap.list[: solid.fields.weights.shape[0]]

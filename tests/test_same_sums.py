@@ -53,7 +53,7 @@ def test_tangents_of_bodies(kind):
         return values_of(K)
 
     check_same(compute)
-    fem_petsc.assemble_matrix(expected, solid._forms.tangent.form)
+    fem_petsc.assemble_matrix(expected, solid.forms.tangent.form)
     expected.assemble()
     scale = expected.norm()
     expected.axpy(-1.0, K)
@@ -67,7 +67,7 @@ def test_all_tangents_of_a_rank_have_the_bits_of_petsc(monkeypatch):
     solid = dm.Solid(b.u, STEEL)
     K, expected = solid.create_matrix(), solid.create_matrix()
     K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
-    fem_petsc.assemble_matrix(expected, solid._forms.tangent.form)
+    fem_petsc.assemble_matrix(expected, solid.forms.tangent.form)
     expected.assemble()
     solid.assemble_tangent(K)
     first, last = 0, K.getSize()[0] - 1

@@ -483,5 +483,5 @@ def test_a_tangent_that_varies_on_one_rank_is_assembled_by_all():
 
     bar = Bar()
     problem = bar.problem(Spring(bar.solid, energy=0.5 * bar.u[1] ** 2 * bar.ds))
-    assert problem.terms.linear and not problem.solid.varying
+    assert problem.terms.linear and not problem.solid.points.follows
     assert problem.terms.vary(problem.K)

@@ -120,7 +120,7 @@ def explain(
 
 def _look_at(problem: ContactProblem, u: Floats) -> tuple[str, str]:
     """Flowing body and shortened cells at a displacement; collective."""
-    before, shown = problem.u.x.array.copy(), problem.solid.keep()
+    before, shown = problem.u.x.array.copy(), problem.solid.points.keep()
     try:
         problem.u.x.array[:] = u
         flowing = _flow(problem)
@@ -128,7 +128,7 @@ def _look_at(problem: ContactProblem, u: Floats) -> tuple[str, str]:
         return flowing, problem.solid.gradients.describe_shortened(SQUEEZED) if finite else ""
     finally:
         problem.u.x.array[:] = before
-        problem.solid.put_back(shown)
+        problem.solid.points.put_back(shown)
 
 
 def describe_cells(problem: ContactProblem) -> str:
@@ -187,7 +187,7 @@ def _flow(problem: ContactProblem) -> str:
     step = problem.vector(problem.owned_u)
     if not step.dot(problem.K * step) < SOFT * solid.elastic_norm(u) ** 2:
         return ""
-    flowing, weights = solid.flowing(), solid.fields.weights
+    flowing, weights = solid.points.flowing(), solid.fields.weights
     body, count = problem.bodies.of_cells[: len(weights)], problem.bodies.count
     parts = [(weights * part).sum(axis=1) for part in (flowing, np.ones_like(weights))]
     volumes = np.stack([np.bincount(body, part, minlength=count) for part in parts])

@@ -25,6 +25,7 @@ from dolfinx_mortar.newton_method.residuals import gap_round_off, round_off
 from dolfinx_mortar.newton_method.subproblem import Iterate, Solution
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution
+from dolfinx_mortar.solid.solid import volume_step
 from dolfinx_mortar.spaces import with_values
 from dolfinx_mortar.terms.sum import Energy, VolumeStep
 
@@ -105,7 +106,7 @@ def take_step(problem: ContactProblem, found: Solution, largest: float, old: Ite
     du = to_displacement(T, found.solved.x)
     _check_distance(du, old.scales.extent)
     direction = with_values(problem.V, du.array_r)
-    volumes = problem.solid.volume_step(direction)
+    volumes = volume_step(problem.solid, direction)
     length, halvings, energy = _move(problem, found, du, largest, old, volumes)
     travel = old.travel
     if found.driven is not None:

@@ -198,7 +198,7 @@ def linearise(
             first = balance.from_committed
             problem.terms.assemble_tangent(problem.K, pressure, from_committed=first)
             if shift > 0.0:
-                problem.solid.add_elastic(problem.K, shift)
+                problem.solid.forms.add_elastic(problem.K, shift)
     change = None if T is None else T.change
     formed = direct
     # S^-1 on both sides pays where one factorisation serves many geometries (else up to 1.3 of the

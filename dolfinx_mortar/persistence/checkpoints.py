@@ -146,10 +146,10 @@ class Saved:
                 interface.restore({name: np.array(v, float) for name, v in found.items()})
         for name, f in {"displacement": state.u, **state.states_of_terms}.items():
             set_owned(f, nodes[name])
-        for name, f in state.solid.lasting_fields().items():
+        for name, f in state.solid.points.lasting_fields().items():
             known = name if name in points else name.replace("shown/", "committed/")
             set_owned(f, points[known])
-        state.solid.forget_data()
+        state.solid.forms.committed.forget()
         slips = Slips(*np.zeros((2, *committed.slid.shape)))
         for k in range(len(state.interfaces)):
             self._put_results(k, slips)
@@ -257,7 +257,7 @@ def _contacts(
 
 def _at_points(state: ProblemState) -> dict[str, Floats]:
     """Return the fields at the owned points; those that are shown only if not committed as well."""
-    fields = {name: _owned(f) for name, f in state.solid.lasting_fields().items()}
+    fields = {name: _owned(f) for name, f in state.solid.points.lasting_fields().items()}
     for name in [name for name in fields if name.startswith("shown/")]:
         differs = not np.array_equal(fields[name], fields[name.replace("shown/", "committed/")])
         if not any_rank(state.comm, differs)[0]:

@@ -163,7 +163,7 @@ class Before:
         self.state, self.outcome = state, outcome
         functions = [state.u, *state.states_of_terms.values()]
         self._values = [(f, f.x.array.copy()) for f in functions]
-        self._points = state.solid.keep()
+        self._points = state.solid.points.keep()
         self._results = [(i, i.keep(), i.state(False)) for i in state.interfaces]
         self._committed = vars(state.committed) | {"history": [*state.committed.history]}
 
@@ -172,7 +172,7 @@ class Before:
         state = self.state
         for f, values in self._values:
             f.x.array[:] = values
-        state.solid.put_back(self._points)
+        state.solid.points.put_back(self._points)
         for interface, kept, began in self._results:
             interface.put_back(kept)
             interface.restore(began)

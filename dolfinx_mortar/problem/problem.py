@@ -38,7 +38,7 @@ from dolfinx_mortar.problem.checks import check_arguments
 from dolfinx_mortar.problem.preconditioning import UnknownsOfBodies
 from dolfinx_mortar.problem.step_data import StepData, check_jumps
 from dolfinx_mortar.qp import LinearSolver, check_options
-from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.solid.solid import Solid, flows_at_start
 from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.spaces import with_values
 from dolfinx_mortar.step_report import LoadStep, Timings
@@ -306,7 +306,7 @@ class ContactProblem:
         start = self.committed.level
         with self.timings("assembly"):
             self.terms.begin(start, start if level is None else level)
-            flows = self.solid.flows_at_start()
+            flows = flows_at_start(self.solid)
         check_targets(self.solid, target)
         check_jumps(self.system)
         asked = self.supports.increment(target, self.u.x.array)

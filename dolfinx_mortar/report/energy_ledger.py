@@ -148,7 +148,7 @@ class EnergyLedger:
         return self._forces([("solid", self.problem.solid)])
 
     def _internal(self) -> Floats | None:
-        plain = self._potential is not None and not self.problem.solid.follows
+        plain = self._potential is not None and not self.problem.solid.points.follows
         return None if plain else self._inside()
 
     def start(self, begin: float, end: float, sides: Floats) -> None:
@@ -178,7 +178,7 @@ class EnergyLedger:
         """Note the forces at the start of a step; collective."""
         problem, inertia = self.problem, self.inertia
         supports, shape = problem.committed.supports, inertia.mass.X.shape
-        if self._potential is not None and problem.solid.follows:  # by loads that are set already
+        if self._potential is not None and problem.solid.points.follows:  # by loads set already
             self._heated = self.problem.solid.potential() != self._potential
         self._before = Ends(
             u=problem.owned_u.reshape(shape).copy(),

@@ -16,6 +16,7 @@ from dolfinx_mortar.algebra.parallel import maximum, ratio
 from dolfinx_mortar.arrays import CHUNK, HALF_OF_DIGITS, Floats
 from dolfinx_mortar.materials.tensor import double_contraction, frobenius_norm
 from dolfinx_mortar.problem.problem import ContactProblem
+from dolfinx_mortar.solid.pointwise import largest_stress_lost
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.step_report import Note
 from dolfinx_mortar.supports.bodies import name_of
@@ -152,7 +153,7 @@ def notes_on_small_strain(problem: ContactProblem, found: LeftOut) -> list[str]:
 
 def notes_on_lost_stress(problem: ContactProblem) -> list[str]:
     """Note where laws in the additive form are out of range; collective."""
-    share, name = problem.solid.stress_lost()
+    share, name = largest_stress_lost(problem.comm, problem.solid.points.found)
     if share < LARGEST_SHARE:
         return []
     seen = (

@@ -22,8 +22,7 @@ from dolfinx import fem, mesh
 from dolfinx_mortar.materials.response import Response
 from dolfinx_mortar.solid.laws import Region, tags_of_cells
 from dolfinx_mortar.solid.points import PointFields
-from dolfinx_mortar.solid.sources import Part, create_source, point_function
-from dolfinx_mortar.solid.state import fill_all
+from dolfinx_mortar.solid.sources import Part, create_source, fill_all, point_function
 from dolfinx_mortar.tags import names_of
 
 STORED, DISSIPATED = "stored_energy", "dissipated_energy"

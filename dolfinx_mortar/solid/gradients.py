@@ -23,7 +23,7 @@ from dolfinx_mortar.materials.tensor import (
     to_components,
 )
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
-from dolfinx_mortar.solid.finite_strain import Volumes, describe_lowest
+from dolfinx_mortar.solid.finite_strain import describe_lowest
 from dolfinx_mortar.solid.kinematics import Kinematics
 from ufl.core.expr import Expr
 
@@ -93,12 +93,8 @@ class PointGradients:
         stress: fem.Function,
         *,
         small: bool,
-        volumes: Volumes | None = None,
     ) -> None:
-        """Compile for the points and components of the stress; collective.
-
-        The strain is small if it is linear in u; of a finite one there are volumes at the points.
-        """
+        """Compile for the points and components of the stress; collective."""
         self._space = stress.function_space
         size, strain = self._space.dofmap.bs, kinematics.strain(u)
         parts = [to_components(strain, size), _axial(ufl.grad(u))]
@@ -108,7 +104,7 @@ class PointGradients:
         points = compat.interpolation_points(self._space)
         self._entries, self._axes = len(entries), parts[1].ufl_shape[0]
         self._compiled = fem.Expression(ufl.as_vector(entries), points)
-        self.small, self.volumes = small, volumes
+        self.small = small
 
     def evaluate(self, cells: Ints | None = None) -> Gradients:
         """Return strain and rotation at u, whose ghosts are up to date; without communication.

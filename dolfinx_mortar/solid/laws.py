@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Which law holds in which cells: the user's tags turned into one region per law."""
+"""Regions: which law, with which parameters and internal variables, holds in which cells."""
 
+import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 from types import SimpleNamespace
 from typing import Any, TypeVar
+
+from mpi4py import MPI
 
 import numpy as np
 
@@ -13,17 +18,146 @@ import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arguments import check
-from dolfinx_mortar.arrays import Floats, Ints, Longs
+from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.materials.protocol import RESERVED, Law, create_law
-from dolfinx_mortar.materials.ranges import named_parameters
+from dolfinx_mortar.materials.ranges import grouped, named_parameters, wrong_values
+from dolfinx_mortar.materials.response import Response
+from dolfinx_mortar.materials.tensor import from_components, to_components
 from dolfinx_mortar.solid.kinematics import Kinematics
-from dolfinx_mortar.solid.parameters import ParameterTable
+from dolfinx_mortar.solid.sources import (
+    Followed,
+    Part,
+    Source,
+    check_source,
+    create_field,
+    create_source,
+    middle_of,
+    point_function,
+)
 from dolfinx_mortar.tags import by_tag, check_entities, labels, tags_of
+from ufl.checks import is_cellwise_constant
+from ufl.core.expr import Expr
 
 T = TypeVar("T")
 
 UNTAGGED = int(np.iinfo(np.int32).min)
+
+
+class ParameterTable(Followed):
+    """All parameters of a law, one value per cell, or per integration point if one needs that.
+
+    Attributes:
+        function: one component per parameter, DG0 or at the integration points.
+        symbols: the parameters by name, as UFL.
+    """
+
+    def __init__(
+        self,
+        u: fem.Function,
+        law: Law,
+        materials: Sequence[Any],
+        cells: Sequence[Ints],
+        degree: int,
+    ) -> None:
+        """Create the parameters of materials of one law, with the numbers in; collective.
+
+        What may change is filled in by `follow`.
+
+        Args:
+            u: displacement, on which no parameter may depend.
+            materials: all of one class.
+            cells: local cells of each, ghosts included.
+            degree: of the quadrature of the solid.
+
+        Raises:
+            ValueError: on all ranks, if a parameter depends on u, belongs to another mesh or is
+                known at other points than those of the solid.
+        """
+        self._law, self._cells = law, np.sort(np.concatenate(cells))
+        self._names = names = list(named_parameters(materials[0]))
+        given = [
+            (on, list(named_parameters(material).values()))
+            for material, on in zip(materials, cells, strict=True)
+        ]
+        moving = [
+            (on, i, value)
+            for on, values in given
+            for i, value in enumerate(values)
+            if isinstance(value, Expr)
+        ]
+        for _, i, value in moving:
+            check_source(u, f"{law.name}: {names[i]}", value)
+        width = max(len(names), 1)  # a law may have no parameter at all
+        if all(is_cellwise_constant(value) for _, _, value in moving):
+            space = fem.functionspace(u.function_space.mesh, ("DG", 0, (width,)))
+            function = fem.Function(space)
+        else:
+            function = point_function(u.function_space.mesh, degree, (width,))
+        dofmap = function.function_space.dofmap
+        for on, values in given:
+            row = [0.0 if isinstance(value, Expr) else value for value in values] or [0.0]
+            function.x.array.reshape(-1, width)[dofmap.list[on]] = row
+        sources = [
+            create_source(on, Part(f"{law.name}: {names[i]}", function, value, slice(i, i + 1)))
+            for on, i, value in moving
+        ]
+        super().__init__(function, sources)
+        self.symbols = grouped({name: function[i] for i, name in enumerate(names)})
+
+    def values(self, cells: Ints, points: int) -> SimpleNamespace:
+        """Return the parameters by name at so many points of each cell, (cells * points,) each."""
+        return grouped(self._by_name(self._table(cells, points)))
+
+    def _table(self, cells: Ints, points: int) -> Floats:
+        """Return the parameters (cells * points, parameters) at so many points of each cell."""
+        dofs = self.function.function_space.dofmap.list[cells]
+        table = self.function.x.array.reshape(-1, max(len(self._names), 1))[dofs]
+        table = np.broadcast_to(table, (len(cells), points, table.shape[2]))
+        return np.asarray(table.reshape(len(cells) * points, table.shape[2]))
+
+    def _by_name(self, table: Floats) -> dict[str, Floats]:
+        """Return the columns of a table (q, parameters) by name."""
+        return {name: table[:, i] for i, name in enumerate(self._names)}
+
+    def judge(self) -> None:
+        """Raise ValueError on all ranks if something is out of range in an owned cell; collective.
+
+        Also where the law fails to tell.
+        """
+        V = self.function.function_space
+        domain, points = V.mesh, V.dofmap.list.shape[1]
+        size = domain.topology.index_map(domain.topology.dim).size_local
+        owned = self._cells[self._cells < size]
+        values = self._by_name(self._table(owned, points))
+        wrong: dict[str, Bools] = {}
+        with raised_together(domain.comm):
+            if len(owned):  # rules of users need not handle empty arrays
+                law = self._law
+                wrong = wrong_values(law.name, law.ranges, law.conditions, values)
+        rules = sorted(set().union(*domain.comm.allgather(set(wrong))))
+        for rule in rules[:1]:
+            where = wrong.get(rule, np.zeros(len(owned) * points, dtype=bool))
+            bad = where.reshape(-1, points).any(axis=1)
+            count = domain.comm.allreduce(int(bad.sum()), op=MPI.SUM)
+            places = domain.comm.allgather(middle_of(domain, owned[bad][0]) if bad.any() else "")
+            numbers = _extent(domain.comm, {name: v[where] for name, v in values.items()}, rule)
+            raise ValueError(
+                f"{self._law.name}: {rule} does not hold in {count} cells, such as the one "
+                f"around {next(filter(None, places))}; there {numbers}."
+            )
+
+
+def _extent(comm: MPI.Comm, values: Mapping[str, Floats], rule: str) -> str:
+    """Return the extent of the parameters that a rule names, in words; collective."""
+    parts = []
+    for name in sorted(set(values) & set(re.findall(r"\w+", rule))):
+        low = np.nanmin(values[name], initial=np.inf)
+        high = np.nanmax(values[name], initial=-np.inf)
+        low, high = comm.allreduce(float(low), op=MPI.MIN), comm.allreduce(float(high), op=MPI.MAX)
+        undefined = comm.allreduce(bool(np.isnan(values[name]).any()), op=MPI.LOR)
+        parts.append(f"{name} is NaN" if undefined else f"{name} is {low:.6g} to {high:.6g}")
+    return ", ".join(parts)
 
 
 @dataclass(frozen=True)
@@ -36,9 +170,21 @@ class Region:
     parts: tuple[tuple[Any, Ints], ...] = ()  # the materials, each with its own of these cells
 
     @property
+    def mesh(self) -> mesh.Mesh:
+        """The mesh of the cells."""
+        return self.parameters.function.function_space.mesh
+
+    @property
     def symbols(self) -> SimpleNamespace:
         """The parameters by name, as UFL."""
         return self.parameters.symbols
+
+    def tensors(self, state: Mapping[str, fem.Function]) -> dict[str, Expr]:
+        """Return the internal variables of the law as UFL, () or (3, 3) by name."""
+        return {
+            name: from_components(state[name]) if shape else state[name]
+            for name, shape in self.law.state.items()
+        }
 
     def output(self, state: Mapping[str, Floats], cells: Ints, points: int) -> dict[str, Floats]:
         """Return the law's own fields, (q,) or (q, components), q points cell by cell.
@@ -109,6 +255,53 @@ def create_regions(
         every = np.sort(np.concatenate(cells))
         regions.append(Region(law, every, table, tuple(zip(own, cells, strict=True))))
     return regions
+
+
+def create_state(
+    regions: Sequence[Region], domain: mesh.Mesh, degree: int
+) -> dict[str, fem.Function]:
+    """Create the internal variables of all laws, shared where laws use the same name.
+
+    Raises:
+        ValueError: if two laws have an internal variable of one name in two shapes.
+    """
+    shapes: dict[str, tuple[int, ...]] = {}
+    owner: dict[str, str] = {}
+    for region in regions:
+        for name, shape in region.law.state.items():
+            first = owner.setdefault(name, region.law.name)
+            if shapes.setdefault(name, shape) != shape:
+                raise ValueError(
+                    f"materials: the state {name!r} has the shape {shapes[name]} in {first} and "
+                    f"{shape} in {region.law.name}; give one of them another name."
+                )
+    return {name: create_field(domain, degree, shape, name) for name, shape in shapes.items()}
+
+
+def create_evaluations(
+    regions: Sequence[Region],
+    responses: Sequence[Response],
+    staged: Mapping[str, fem.Function],
+    stress: fem.Function,
+) -> list[Source]:
+    """Compile stress and new internal variables of all regions; collective.
+
+    All read the displacement and the committed state, so the order does not matter.
+    """
+    size, evaluations = stress.function_space.dofmap.bs, []
+    for region, response in zip(regions, responses, strict=True):
+        given = [("stress", stress, response.stress)]
+        given += [(name, staged[name], value) for name, value in response.updated.items()]
+        parts = [
+            Part(
+                f"{region.law.name}: {name}",
+                target,
+                to_components(value, size) if value.ufl_shape else value,
+            )
+            for name, target, value in given
+        ]
+        evaluations.append(create_source(region.cells, *parts))
+    return evaluations
 
 
 def _material_of_cells(
@@ -196,12 +389,32 @@ def measure(domain: mesh.Mesh, degree: int) -> ufl.Measure:
     return ufl.Measure("dx", domain, metadata=metadata)
 
 
-def measures(V: fem.FunctionSpace, regions: Sequence[Region], degree: int) -> list[ufl.Measure]:
-    """Return the measure of the cells of each region."""
-    dx = measure(V.mesh, degree)
-    if len(regions) == 1:
-        return [dx]
-    owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
-    # Numbers of the laws, not the user's tags: tags must not enter the compiled code.
-    dx = dx(subdomain_data=[(i, r.cells[r.cells < owned]) for i, r in enumerate(regions)])
-    return [dx(i) for i in range(len(regions))]
+@dataclass(frozen=True)
+class Integral:
+    """Integrals over bodies of one density per region, with the weight of the kinematics."""
+
+    regions: Sequence[Region]
+    kinematics: Kinematics
+    degree: int  # of the quadrature
+
+    @property
+    def weight(self) -> Expr:
+        """The volume per integrated area or volume."""
+        x = ufl.SpatialCoordinate(self.regions[0].mesh)
+        return ufl.as_ufl(self.kinematics.weight(x))
+
+    def __call__(self, densities: Iterable[Expr]) -> ufl.Form:
+        """Return the sum of the integrals."""
+        weight, pairs = self.weight, zip(densities, self._measures(), strict=True)
+        return reduce(add, (weight * density * dx for density, dx in pairs))
+
+    def _measures(self) -> list[ufl.Measure]:
+        """Return the measure of the cells of each region."""
+        regions, domain = self.regions, self.regions[0].mesh
+        dx = measure(domain, self.degree)
+        if len(regions) == 1:
+            return [dx]
+        owned = domain.topology.index_map(domain.topology.dim).size_local
+        # Numbers of the laws, not the user's tags: tags must not enter the compiled code.
+        dx = dx(subdomain_data=[(i, r.cells[r.cells < owned]) for i, r in enumerate(regions)])
+        return [dx(i) for i in range(len(regions))]

@@ -1,46 +1,41 @@
 # SPDX-License-Identifier: MIT
-r"""Mean dilatation at finite strain: the mean of J = det F over each cell.
+r"""Reduced integration of the volumetric part: one volume change for each cell, its mean.
 
-Where a body keeps its volume, J = 1 at every point is too many conditions: cells of first order
-lock. So of laws whose energy has a part of the volume alone,
+Where a body keeps its volume, tr eps = 0, or J = det F = 1, at every point is too many conditions:
+cells of first order lock. So the part of the energy that depends on the volume alone is taken in
+the mean over each cell. Energy, forces and tangent belong together, on cells of any shape.
 
-    psi(F) = psi_0(F) + U(J),
+**Small strain**, psi(eps) = psi(dev eps) + K/2 tr(eps)^2: the laws get the deviator, and
 
-that part is taken in the mean over each cell,
+    psi_vol = K/2 V t^2,    t = (B u - b) / V,    B_a = int tr eps(phi_a),  b = int tr eps_0,
 
-    psi_vol = V U(j),    j = 1/V int J dX,
+V the volume of the cell, with the weight of the kinematics. The forces are B^T p with the mean
+stress p = K t, which is shown; the tangent is the constant B^T (K / V) B.
 
-V the volume of the cell at X, with the weight of the kinematics. Its forces are p B^T with the mean
-stress p = U'(j) and B_a = int dJ/du_a dX; its tangent is p d2J/du2, a part of the forms, and B^T
-(U''(j) / V) B. So energy, forces and tangent belong together.
+**Finite strain**, psi(F) = psi_0(F) + U(J):
 
-On quadrilaterals and hexahedra of second order the mean is the projection onto N = (1, x - x_c),
-see `cell_functions`: with M = int N N^T, B_ka = int N_k dJ/du_a, S = int U''(j) N N^T
+    psi_vol = V U(j),    j = 1/V int J dX.
+
+The forces are p B^T with p = U'(j), B_a = int dJ/du_a dX; the tangent is p d2J/du2, a part of the
+forms, and B^T (U''(j) / V) B. On quadrilaterals and hexahedra of second order the mean is the
+projection onto N = (1, x - x_c), see `cell_functions`: with M = int N N^T, B_ka = int N_k dJ/du_a,
+S = int U''(j) N N^T
 
     psi_vol = int U(j),  j = N^T M^-1 int N J,  p = N^T M^-1 int N U'(j),  B^T M^-1 S M^-1 B.
 
-Triangles and tetrahedra of second order have constants: with N they would have one pressure for
-each two displacements, which locks. (Smallest singular values of B, in the norms of strains and
-pressures: constants on triangles .53 on any mesh; linear ones 0. Constants on tetrahedra cut out of
-cubes fall with h, .40 to .20 with 2 to 5 cubes along an edge, so that pressures alternate; those of
-hexahedra of first order do, too.)
+Triangles and tetrahedra of second order have constants: N would lock. (The smallest singular value
+of B with constants is .53 on triangles; on tetrahedra it falls with h, so that pressures alternate,
+as those of hexahedra of first order do.)
 
 Where U'' is far above the other moduli, Newton's method on u alone takes many short steps: after
-one that changes shears by e, j is wrong by e^2, and p by U'' e^2, which makes the next tangent
-indefinite and the energy larger. If p is an unknown beside u, a step leaves it where its
-linearisation goes,
+one that changes shears by e, j is wrong by e^2, and p by U'' e^2. With p as an unknown, a step
+leaves it at p + U''(j) B du / V. Forces are those of U'(j(u)) all the same; only p d2J/du2 of the
+next tangent has that p, and the energy along a step its volumes (`VolumeStep`). At the solution
+both are the same.
 
-    p + U''(j) B du / V,
-
-and its forces are those of U'(j(u)) at the next iterate all the same. Only p d2J/du2 of the next
-tangent has the p of the linearisation, and the energy along a step its volumes (`VolumeStep`). At
-the solution both p are the same, and the rate stays quadratic.
-
-Sources: Simo, Taylor, Pister, Comput. Methods Appl. Mech. Engrg. 51 (1985) 177-208, with constant
-pressure and dilatation in each cell; T. Sussman, K.-J. Bathe, Comput. Struct. 26 (1987) 357-409,
-linear ones with displacements of second order (their 9/3); for p as an unknown D. Magisano, L.
-Leonetti, G. Garcea, Comput. Methods Appl. Mech. Engrg. 313 (2017) 986-1005, who treat all stresses
-so.
+Sources: Simo, Taylor, Pister, Comput. Methods Appl. Mech. Engrg. 51 (1985) 177-208; T. Sussman,
+K.-J. Bathe, Comput. Struct. 26 (1987) 357-409 (9/3); D. Magisano, L. Leonetti, G. Garcea, Comput.
+Methods Appl. Mech. Engrg. 313 (2017) 986-1005, for p as an unknown.
 """
 
 from __future__ import annotations
@@ -48,8 +43,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
-from operator import add
 from typing import Any
 
 from petsc4py import PETSc
@@ -58,29 +51,30 @@ import numpy as np
 
 import ufl
 from dolfinx import default_scalar_type, fem
+from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar import compat
+from dolfinx_mortar.algebra.congruence import as_aij
+from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import check, one_of
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.materials.response import Response, without_variables
+from dolfinx_mortar.materials.response import Response, elastic_response, without_variables
 from dolfinx_mortar.solid.cell_functions import CellFunctions, RowsOfCells
-from dolfinx_mortar.solid.dilatation import CELLS, MeanDilatation, bulk_modulus_of, check_reducible
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
-from dolfinx_mortar.solid.kinematics import Kinematics
-from dolfinx_mortar.solid.laws import Region, measure, measures
+from dolfinx_mortar.solid.kinematics import Kinematics, axisymmetric, plane_strain, spatial
+from dolfinx_mortar.solid.laws import Integral, Region, measure
+from dolfinx_mortar.solid.term import assemble, create_vector
 from dolfinx_mortar.spaces import set_owned
 from ufl.algorithms import expand_derivatives
 from ufl.classes import Label, Variable
 from ufl.core.expr import Expr
 
+CELLS = ("quadrilateral", "hexahedron")
+# Their trace is linear in u, and the change of volume.
+TRACED = (plane_strain, axisymmetric, spatial)
+
 
 def create_dilatation(
-    u: fem.Function,
-    given: Any,
-    regions: Sequence[Region],
-    kinematics: Kinematics,
-    degree: int,
-    *,
-    eigenstrain: Eigenstrain | None,
+    u: fem.Function, given: Any, integral: Integral, eigenstrain: Eigenstrain | None
 ) -> MeanDilatation | MeanVolume | None:
     """Return what takes the volumetric part in the mean, None for "full"; collective.
 
@@ -89,10 +83,145 @@ def create_dilatation(
     """
     if check("volumetric", given, one_of("full", "reduced")) == "full":
         return None
-    check_reducible(u.function_space, regions, kinematics, degree)
+    kinematics = integral.kinematics
+    check_reducible(u.function_space, integral.regions, kinematics, integral.degree)
     if kinematics.finite:
-        return MeanVolume(u, regions, kinematics, degree)
-    return MeanDilatation(u, regions, kinematics, degree, eigenstrain)
+        return MeanVolume(u, integral)
+    return MeanDilatation(u, integral, eigenstrain)
+
+
+def check_reducible(
+    V: fem.FunctionSpace, regions: Sequence[Region], kinematics: Kinematics, degree: int
+) -> None:
+    """Raise a ValueError where there is no volumetric part that could be reduced."""
+    cell, p = V.mesh.topology.cell_name(), V.element.basix_element.degree
+    why = "volumetric is 'reduced', which is for"
+    if kinematics.finite and cell not in CELLS and p == 1:
+        raise ValueError(
+            f"{why} quadrilaterals, hexahedra, and simplices of second order, not for {cell}s of "
+            f"degree {p}: choose 'full', or such cells"
+        )
+    if not kinematics.finite and (cell not in CELLS or p != 1):
+        raise ValueError(
+            f"{why} quadrilaterals and hexahedra of first order, not for {cell}s of degree {p}: "
+            "choose 'full', or such cells"
+        )
+    if kinematics not in TRACED and (kinematics.plane_stress or not kinematics.finite):
+        raise ValueError(
+            f"{why} the kinematics {', '.join(repr(k.name) for k in TRACED)}, not for "
+            f"{kinematics.name!r}: choose 'full'"
+        )
+    whole = [r.law.name for r in regions if r.law.strain == "finite" and not r.law.volumetric]
+    if whole:
+        raise ValueError(
+            f"{why} laws of F with a part of the volume alone, such as NeoHooke and MooneyRivlin: "
+            f"{', '.join(whole)} has no volumetric(J, p); choose 'full'"
+        )
+    whole = [r.law.name for r in regions if r.law.strain == "small" and not r.law.splits]
+    if whole:
+        raise ValueError(
+            f"{why} laws that split into a deviator and a trace, such as Elastic and VonMises: "
+            f"{', '.join(whole)} does not declare splits: ClassVar = True; choose 'full'"
+        )
+    if degree < 2:
+        raise ValueError(
+            f"{why} a deviator that is fully integrated, but quadrature_degree is {degree}: give 2 "
+            "or more, or None"
+        )
+
+
+class MeanDilatation:
+    """The volumetric part of bodies with a small strain, in the mean over each cell.
+
+    Attributes:
+        mean_stress: p = K t per cell, a DG0 Function; up to date after `follow`.
+    """
+
+    def __init__(
+        self, u: fem.Function, integral: Integral, eigenstrain: Eigenstrain | None
+    ) -> None:
+        """Assemble B and V; collective."""
+        V = u.function_space
+        Q = fem.functionspace(V.mesh, ("DG", 0))
+        self.mean_stress = fem.Function(Q, name="mean_stress")
+        self._u, self._vector, test = u, create_vector(Q), ufl.TestFunction(Q)
+        trace = ufl.tr(integral.kinematics.virtual(u, ufl.TrialFunction(V)))
+        size, dx = integral.weight * test, measure(V.mesh, integral.degree)
+        B, volumes, self._modulus = compat.compile_together(
+            trace * size * dx,
+            size * dx,
+            integral(bulk_modulus_of(r) * test for r in integral.regions),
+        )
+        self._B = fem_petsc.assemble_matrix(B)
+        self._B.assemble()
+        self._volumes = assemble(volumes, self._vector).copy()
+        free = None if eigenstrain is None else ufl.tr(eigenstrain.tensor) * size * dx
+        self._free = None if free is None else fem.form(free)
+        self._bulk = np.zeros_like(self._volumes)
+        self._tangent: tuple[Floats, PETSc.Mat] | None = None
+
+    def complete(self, region: Region, response: Response) -> Response:
+        """Return the response to a deviator with p, and a tangent that sees no trace."""
+        return dataclasses.replace(
+            response,
+            stress=response.stress + self.mean_stress * ufl.Identity(3),
+            change=lambda direction: response.change(ufl.dev(direction)),
+        )
+
+    def follow(self) -> None:
+        """Take over the displacement and the parameters of the laws; collective."""
+        self._bulk = assemble(self._modulus, self._vector) / self._volumes
+        change = self._change(self._u)
+        if self._free is not None:
+            change -= assemble(self._free, self._vector)
+        self.mean_stress.x.array[: len(change)] = self._bulk * change / self._volumes
+        self.mean_stress.x.scatter_forward()
+
+    def _change(self, v: fem.Function) -> Floats:
+        """Return B v of the owned cells; collective."""
+        return np.asarray((self._B * v.x.petsc_vec).array)
+
+    def energy(self, along: Any = None) -> float:
+        """Return sum_c K/2 V t^2 over the owned cells, as `follow` found t."""
+        return float((self.densities() * self._volumes).sum())
+
+    def densities(self) -> Floats:
+        """Return K/2 t^2 of the owned cells, per volume, as `follow` found t."""
+        p = self.mean_stress.x.array[: len(self._bulk)]
+        return np.asarray(p**2 / (2 * self._bulk))
+
+    def norm_squared(self, v: fem.Function) -> float:
+        """Return sum_c K / V (B v)^2 over the owned cells; collective."""
+        return float((self._bulk / self._volumes * self._change(v) ** 2).sum())
+
+    def add_tangent(self, K: PETSc.Mat) -> None:
+        """Add B^T (K / V) B to a matrix with the pattern of the mesh; collective.
+
+        It is formed once for given parameters of the laws.
+        """
+        same = self._tangent is not None and np.array_equal(self._tangent[0], self._bulk)
+        if any_rank(self._u.function_space.mesh.comm, not same)[0]:
+            self._tangent = None  # before the new one needs the memory
+            self._tangent = self._bulk, self._product(K)
+        assert self._tangent is not None
+        K.axpy(1.0, self._tangent[1], PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+
+    def _product(self, K: PETSc.Mat) -> PETSc.Mat:
+        """Return B^T (K / V) B on the pattern of a matrix K; collective."""
+        root, B = self._B.createVecLeft(), self._B.copy()
+        root.array[:] = np.sqrt(self._bulk / self._volumes)
+        B.diagonalScale(root)
+        result = as_aij(K).duplicate(copy=False)
+        result.zeroEntries()
+        result.assemble()
+        square = B.transpose(PETSc.Mat()).matMult(B)
+        result.axpy(1.0, square, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        return result.convert(K.getType())
+
+
+def bulk_modulus_of(region: Region) -> Expr:
+    """Return the bulk modulus of a law in UFL, K = tr(C : I) / 9."""
+    return ufl.tr(elastic_response(region.law, ufl.Identity(3), region.symbols)) / 9
 
 
 @dataclass(frozen=True)
@@ -126,42 +255,34 @@ class VolumeStep:
 
 
 class MeanVolume:
-    """The part of the energy that depends on the volume, by the mean of J over each cell.
+    """The volumetric part of bodies with a finite strain, by the mean of J over each cell.
 
     Attributes:
         cells: the functions of a cell onto which J and U'(j) are projected.
         mean_stress: coefficients of p, the projection of U'(j); up to date after `follow`.
     """
 
-    def __init__(
-        self, u: fem.Function, regions: Sequence[Region], kinematics: Kinematics, degree: int
-    ) -> None:
+    def __init__(self, u: fem.Function, integral: Integral) -> None:
         """Compile; collective."""
-        V = u.function_space
-        size = kinematics.weight(ufl.SpatialCoordinate(V.mesh))
-        dx, parts = measure(V.mesh, degree), measures(V, regions, degree)
+        V, regions = u.function_space, integral.regions
+        dx = measure(V.mesh, integral.degree)
         affine = V.element.basix_element.degree > 1 and V.mesh.topology.cell_name() in CELLS
-        self.cells = cells = CellFunctions(V.mesh, size, dx, affine=affine)
+        self.cells = cells = CellFunctions(V.mesh, integral.weight, dx, affine=affine)
         self.mean_stress, self._ratio = (fem.Function(cells.space) for _ in range(2))
         self._ratio.x.array[:: cells.size] = 1.0
         self._at = fem.Constant(V.mesh, default_scalar_type(1.0))  # stands for J in derivatives
-        self._gradient = kinematics.measure(u)
+        self._gradient = integral.kinematics.measure(u)
         J = ufl.det(self._gradient)
         change = ufl.derivative(J, u, ufl.TrialFunction(V))
         j = cells.field(self._ratio)
-
-        def summed(densities: Sequence[Expr]) -> ufl.Form:
-            pairs = zip(densities, parts, strict=True)
-            return reduce(add, (density * size * on for density, on in pairs))
-
         energy, slope, stiffness = ([self._slope(r, k, j) for r in regions] for k in range(3))
         B, self._volume_form, self._bulk_form, *self._energy_forms = compat.compile_together(
-            cells.tested(change) * size * dx,
-            cells.tested(J) * size * dx,
-            summed([cells.paired(bulk_modulus_of(r)) for r in regions]),
-            summed([cells.first(e) for e in energy]),
-            summed([cells.tested(e) for e in slope]),
-            summed([cells.paired(e) for e in stiffness]),
+            cells.tested(change) * integral.weight * dx,
+            cells.tested(J) * integral.weight * dx,
+            integral(cells.paired(bulk_modulus_of(r)) for r in regions),
+            integral(map(cells.first, energy)),
+            integral(map(cells.tested, slope)),
+            integral(map(cells.paired, stiffness)),
         )
         self._B = RowsOfCells(B, cells.size)
 

@@ -28,8 +28,7 @@ from dolfinx_mortar.materials.ranges import ungrouped
 from dolfinx_mortar.materials.response import Response, respond, values_at_points
 from dolfinx_mortar.materials.tensor import COMPONENTS, GRADIENT, INDEX, stored, tensor_of
 from dolfinx_mortar.solid.laws import Region
-from dolfinx_mortar.solid.sources import middle_of, point_function
-from dolfinx_mortar.solid.state import as_tensors, create_field
+from dolfinx_mortar.solid.sources import create_field, middle_of, point_function
 from ufl.core.expr import Expr
 
 
@@ -56,7 +55,7 @@ class PointValuesOfRegion(ABC):
     ) -> None:
         """Create what is filled; the strain, or F, depends on the inputs; collective."""
         self.region = region
-        self._mesh = region.parameters.function.function_space.mesh
+        self._mesh = region.mesh
         self._committed = {name: state[name] for name in region.law.state}
         self._inputs = [*inputs, *self._committed.values(), region.parameters.function]
         self._seen: list[Floats] = []
@@ -118,7 +117,7 @@ class NormalStrain(PointValuesOfRegion):
         """Create the Function and compile its equation; collective."""
         region = self.region
         self.normal = create_field(self._mesh, degree, (), "strain_out_of_the_plane")
-        committed = as_tensors(region, self._committed)
+        committed = region.tensors(self._committed)
         with raised_together(self._mesh.comm):
             self.response = respond(region.law, strain, committed, region.symbols, self.normal)
         found = self.response.normal_strain
@@ -176,7 +175,7 @@ class PointwiseFields(PointValuesOfRegion):
         points = compat.interpolation_points(self._stress.function_space)
         self._strain = fem.Expression(self._wanted(strain), points)
         self._new = {name: f.copy() for name, f in self._committed.items()}
-        new, stress = as_tensors(self.region, self._new), self._tensor(list(self._stress))
+        new, stress = self.region.tensors(self._new), self._tensor(list(self._stress))
         self.response = Response(stress, self._energy, new, self._change)
 
     def _create_law(self) -> tuple[bool, bool]:

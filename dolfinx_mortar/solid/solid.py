@@ -1,18 +1,13 @@
 # SPDX-License-Identifier: MIT
 """The bodies: materials on cell tags, committed state, energy, residual and tangent.
 
-A step ends with `evaluate`, which shows its results, and is accepted by `commit`.
-
-Everything that a step needs is compiled and allocated when a `Solid` is made; only averages over
-cells, which serve output, when first asked for.
-The compiled code depends on the cell type and the laws, not on the mesh, the tags or the values of
-the parameters, which live in Functions. Parameters that the user changes are followed by whatever
-is assembled or evaluated next.
+A step ends with `evaluate`, which shows its results, and is accepted by `commit`. The compiled code
+depends on the cell type and the laws, not on the mesh, the tags or the values of the parameters,
+which live in Functions and are followed by whatever is assembled or evaluated next.
 """
 
 import math
 from collections.abc import Mapping
-from functools import cached_property, partial
 from typing import Any
 
 from mpi4py import MPI
@@ -28,36 +23,27 @@ from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import FLAG, check, instance, integer
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.materials.plane_stress import with_normal_stretch
-from dolfinx_mortar.solid.committed_data import CommittedData
-from dolfinx_mortar.solid.dilatation import MeanDilatation
 from dolfinx_mortar.solid.eigenstrain import create_eigenstrain
 from dolfinx_mortar.solid.energies import DISSIPATED, STORED, Energies, EnergyDensities
 from dolfinx_mortar.solid.finite_strain import Volumes, as_cauchy, check_finite
-from dolfinx_mortar.solid.forms import (
-    create_change,
-    create_elastic,
-    create_forms,
-    create_moduli,
-    create_responses,
-)
+from dolfinx_mortar.solid.forms import Forms, create_responses
 from dolfinx_mortar.solid.gradients import PointGradients
 from dolfinx_mortar.solid.kinematics import Kinematics, check_radius, choose_kinematics
-from dolfinx_mortar.solid.laws import create_regions
-from dolfinx_mortar.solid.mean_volume import MeanVolume, VolumeStep, create_dilatation
-from dolfinx_mortar.solid.points import PointFields
-from dolfinx_mortar.solid.pointwise import (
-    create_point_values,
-    fill_point_values,
-    largest_stress_lost,
-    normal_strain,
+from dolfinx_mortar.solid.laws import Integral, create_evaluations, create_regions
+from dolfinx_mortar.solid.mean_volume import (
+    MeanDilatation,
+    MeanVolume,
+    VolumeStep,
+    create_dilatation,
 )
-from dolfinx_mortar.solid.sources import Followed, follow_changed
-from dolfinx_mortar.solid.state import create_evaluations, create_field, create_state, fill_all
-from dolfinx_mortar.solid.term import MatrixForm, Term, assemble
-from dolfinx_mortar.spaces import check_real, check_space, mean_cell_sizes
+from dolfinx_mortar.solid.points import PointFields
+from dolfinx_mortar.solid.pointwise import create_point_values, normal_strain
+from dolfinx_mortar.solid.state import PointState
+from dolfinx_mortar.solid.term import Term, assemble
+from dolfinx_mortar.spaces import check_real, check_space
 
 # Written first, and if a law has them; then all internal variables and the output of the laws.
 OUTPUT_FIELDS = (
@@ -76,13 +62,15 @@ class Solid(Term):
     Attributes:
         u: displacement; its ghosts must be up to date in every call.
         kinematics: strain measure, weight and rigid motions; plane strain in 2D.
-        eigenstrain: the strain that the laws do not see, at the integration points, or None.
-        stress: quadrature Function of the same components, filled by `evaluate`; Cauchy's at
-            finite strain.
+        volumetric: how the volumetric part is integrated, "full" or "reduced".
         regions: the cells of each law, with its parameters.
-        fields: what `evaluate` found, at the integration points.
+        eigenstrain: the strain that the laws do not see, at the integration points, or None.
+        stress: quadrature Function, stored as tensors of `state` are; Cauchy's at finite strain.
+        fields: what `evaluate` found, committed or not, at the integration points.
         gradients: strain and rotation at u, at the integration points.
-        inputs: the Constants in the arguments, in which ranks must agree at every step.
+        volumes: J = det F at the integration points, None at small strain.
+        points: state and results at the integration points.
+        forms: what is compiled.
     """
 
     def __init__(
@@ -118,10 +106,9 @@ class Solid(Term):
                 steps, as loads do: in ``on_time`` of `load_steps`.
             volumetric: "full", or "reduced" (mean dilatation) for quadrilaterals and hexahedra,
                 which then do not lock where their volume hardly changes: the trace of the strain
-                and the mean stress are their means over the cell. For laws that split into a
-                deviator and a trace, see `Material`. At finite strain for cells of degree 2 of all
-                shapes, too: the volume ratio is then linear in quadrilaterals and hexahedra, see
-                `mean_volume`.
+                and the mean stress are their means over the cell, see `mean_volume`. For laws that
+                split into a deviator and a trace, see `Material`. At finite strain for cells of
+                degree 2 of all shapes, too.
             strain: "small", or "finite" for large rotations and strains of more than a few percent:
                 laws are functions of the deformation gradient F = I + grad u, and the internal
                 virtual work is int P : dF[v] dX. Without eigenstrain.
@@ -150,80 +137,58 @@ class Solid(Term):
         )
         check_real("u", u)
         check_space(u.function_space, "u")
-        self.u = u
-        self.kinematics = choose_kinematics(kinematics, self.mesh.geometry.dim)
+        self.u, domain = u, u.function_space.mesh
+        self.kinematics = choose_kinematics(kinematics, domain.geometry.dim)
         check_finite(strain, eigenstrain)
         if strain == "finite":
             self.kinematics = self.kinematics.of_finite_strain()
-        check_radius(self.kinematics, self.mesh)
+        check_radius(self.kinematics, domain)
         degree = _degree(self.V, quadrature_degree)
         self.regions = create_regions(u, materials, cell_tags, degree, self.kinematics)
-        self._committed = create_state(self.regions, self.mesh, degree)
-        if check("energies", energies, FLAG):
-            self._committed[DISSIPATED] = create_field(self.mesh, degree, (), DISSIPATED)
-        self._staged = {name: f.copy() for name, f in self._committed.items()}
-        self.stress = create_field(self.mesh, degree, (3, 3), "stress")
+        check("energies", energies, FLAG)
         self.eigenstrain = create_eigenstrain(u, eigenstrain, cell_tags, degree)
-        self._compile(volumetric, degree, cell_tags)
+        self.points = PointState(self.regions, degree, self.eigenstrain, energies)
+        self.stress, self.volumetric = self.points.stress, volumetric
+        integral = Integral(self.regions, self.kinematics, degree)
+        self._compile(integral, cell_tags)
 
-    def _compile(self, volumetric: str, degree: int, cell_tags: MeshTags | None) -> None:
+    def _compile(self, integral: Integral, cell_tags: MeshTags | None) -> None:
         """Compile the forms, and what is evaluated at points; collective."""
-        u, finite = self.u, self.kinematics.finite
-        how = u, volumetric, self.regions, self.kinematics, degree
-        dilatation = create_dilatation(*how, eigenstrain=self.eigenstrain)
-        measured = self.kinematics.measure(u)
+        u, degree, finite = self.u, integral.degree, self.kinematics.finite
+        dilatation = create_dilatation(u, self.volumetric, integral, self.eigenstrain)
+        measured, points = self.kinematics.measure(u), self.points
         seen = measured if self.eigenstrain is None else measured - self.eigenstrain.tensor
-        mean_stress = None
         if isinstance(dilatation, MeanDilatation):  # laws, pointwise ones too, see the deviator
-            seen, mean_stress = ufl.dev(seen), dilatation.mean_stress
+            seen = ufl.dev(seen)
         inputs = [u] if self.eigenstrain is None else [u, self.eigenstrain.function]
-        found = create_point_values(self.regions, seen, self.state, inputs, degree, finite=finite)
-        responses = create_responses(seen, self.regions, self.state, found, mean_stress)
-        if isinstance(dilatation, MeanVolume):
+        how = self.regions, seen, self.state
+        points.found = create_point_values(*how, inputs, degree, finite=finite)
+        responses = create_responses(*how, points.found)
+        if dilatation is not None:
             pairs = zip(self.regions, responses, strict=True)
             responses = [dilatation.complete(*pair) for pair in pairs]
-        weight, whole = self.kinematics.weight, measured
+        whole = measured
         if finite and self.kinematics.plane_stress:
-            whole = with_normal_stretch(measured, normal_strain(found))
+            whole = with_normal_stretch(measured, normal_strain(points.found))
+        self.volumes = Volumes(u, whole, degree) if finite else None
         self.gradients = PointGradients(
             *(u, self.kinematics, self.eigenstrain, self.stress),
             small=not finite and self.kinematics.linear_in(u),
-            volumes=Volumes(u, whole, degree) if finite else None,
         )
-        self.densities = None
-        if DISSIPATED in self._staged:
+        points.shown |= {} if self.volumes is None else {"J": self.volumes.J}
+        if DISSIPATED in points.staged:
             volume = None if dilatation is None else dilatation.densities
             of = self.regions, responses, self.mesh, cell_tags, degree
-            self.densities = EnergyDensities(*of, of_volume=volume)
-        shown = {**self._staged, **self._shown}
+            points.densities = EnergyDensities(*of, of_volume=volume)
+            points.shown[STORED] = points.densities.stored
+        shown, weight = points.staged | points.shown, self.kinematics.weight
         self.fields = PointFields(self.stress, shown, self.regions, degree, weight)
         with raised_together(self.mesh.comm):
             self.fields.bases  # noqa: B018 - checks the output of the laws
         cauchy = [as_cauchy(r, whole) for r in responses] if finite else responses
-        evaluations = create_evaluations(self.regions, cauchy, self._staged, self.stress)
-        if self.volumes is not None:
-            evaluations.append(self.volumes.source)
-        laws = self.regions, responses
-        points = evaluations, found
-        parameters = [region.parameters for region in self.regions]
-        change = partial(create_change, u, *laws, self.kinematics, degree, self.eigenstrain)
-        self._forms = create_forms(
-            *(u, *laws, self.kinematics, degree),
-            points=points,
-            dilatation=dilatation,
-            committed=CommittedData(u, self.eigenstrain, parameters, change),
-        )
-
-    @property
-    def volumes(self) -> Volumes | None:
-        """J = det F at the integration points, None at small strain."""
-        return self.gradients.volumes
-
-    @property
-    def _shown(self) -> dict[str, fem.Function]:
-        """What `evaluate` fills beside the stress and the internal variables, by name."""
-        shown = {} if self.volumes is None else {"J": self.volumes.J}
-        return shown if self.densities is None else {**shown, STORED: self.densities.stored}
+        points.evaluations = create_evaluations(self.regions, cauchy, points.staged, self.stress)
+        points.evaluations += [] if self.volumes is None else [self.volumes.source]
+        self.forms = Forms(u, responses, integral, dilatation, self.eigenstrain)
 
     @property
     def V(self) -> fem.FunctionSpace:
@@ -248,7 +213,7 @@ class Solid(Term):
         are stored as (xx, yy, zz, xy) in 2D, which are (rr, zz, theta theta, rz) of a ring, and
         (xx, yy, zz, xy, yz, xz) in 3D, the shear being the tensor component.
         """
-        return self._committed
+        return self.points.committed
 
     @property
     def strain(self) -> str:
@@ -260,21 +225,6 @@ class Solid(Term):
         """Whether all laws and the strain are linear: a constant tangent while parameters are."""
         return self.gradients.small and all(region.law.linear for region in self.regions)
 
-    @property
-    def varying(self) -> bool:
-        """Whether a parameter is a Constant, a Function or UFL, whose values may change."""
-        return any(region.parameters.varying for region in self.regions)
-
-    @property
-    def follows(self) -> bool:
-        """Whether parameters or the eigenstrain may change."""
-        return any(followed.varying for followed in self._followed())
-
-    @property
-    def volumetric(self) -> str:
-        """How the volumetric part is integrated, "full" or "reduced"."""
-        return "full" if self._forms.dilatation is None else "reduced"
-
     # -- one Newton iteration -------------------------------------------------------------------
 
     def create_matrix(self, kind: str = "aij") -> PETSc.Mat:
@@ -283,7 +233,7 @@ class Solid(Term):
         Args:
             kind: "aij", or "baij" for blocks of nodes.
         """
-        K = fem_petsc.create_matrix(self._forms.tangent.form, kind)
+        K = fem_petsc.create_matrix(self.forms.tangent.form, kind)
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         return K
 
@@ -296,17 +246,17 @@ class Solid(Term):
         has no positive volume, det F <= 0. At finite strain with two more addends, whose sum is
         zero: energies of F are differences of numbers near the moduli, which is their round-off.
         """
-        if self._forms.energy is None:
+        if self.forms.energy is None:
             return None
         if self.volumes is not None and self.volumes.inverted():
             return math.inf
         self.follow()
-        share, dilatation = float(fem.assemble_scalar(self._forms.energy)), self._forms.dilatation
-        if isinstance(dilatation, MeanVolume):
-            share += dilatation.energy(along)
-        elif dilatation is not None:
-            share += dilatation.energy()
-        return share if self.volumes is None else np.array([share, self._moduli, -self._moduli])
+        share = float(fem.assemble_scalar(self.forms.energy))
+        if self.forms.dilatation is not None:
+            share += self.forms.dilatation.energy(along)
+        if self.volumes is None:
+            return share
+        return np.array([share, self.forms.moduli, -self.forms.moduli])
 
     def potential(self) -> float | None:
         """Return Psi(u) of all ranks, None without; collective."""
@@ -314,20 +264,10 @@ class Solid(Term):
         none = comm.allreduce(share is None)
         return None if none or share is None else float(comm.allreduce(float(np.sum(share))))
 
-    @cached_property
-    def _moduli(self) -> float:
-        """The integral over this rank's cells of the norm of the elastic stress of a unit shear."""
-        return float(fem.assemble_scalar(create_moduli(self.regions, self.kinematics, self.stress)))
-
-    @cached_property
-    def cell_sizes(self) -> Floats:
-        """Mean size of the cells around the node of each owned dof (n,); collective at first."""
-        return mean_cell_sizes(self.V)
-
     def add_forces(self, F: PETSc.Vec) -> None:
         """Add F(u)_i = int sigma : eps(phi_i) to the owned part of F; collective."""
         self.follow()
-        F.array_w[:] += assemble(self._forms.residual, self._forms.force)[: F.local_size]
+        F.array_w[:] += assemble(self.forms.residual, self.forms.force)[: F.local_size]
 
     def add_tangent(self, K: PETSc.Mat, pressure: Floats | None = None) -> None:
         """Add the consistent tangent dF/du at u, symmetric, without boundary conditions.
@@ -336,70 +276,14 @@ class Solid(Term):
         `mean_volume`.
         """
         self.follow()
-        dilatation = self._forms.dilatation
+        dilatation = self.forms.dilatation
         if pressure is not None and isinstance(dilatation, MeanVolume):
             dilatation.set_pressure(pressure)
-        self._forms.tangent.add_to(K)
+        self.forms.tangent.add_to(K)
         K.assemble()
         if dilatation is not None:
             dilatation.follow()
             dilatation.add_tangent(K)
-
-    def flows_at_start(self) -> bool:
-        """Tell whether what has changed since the last commit makes bodies flow; collective.
-
-        Then a step begins with `add_first_forces` and `add_first_tangent`. False at finite strain,
-        where a tangent that is singular is shifted, see `newton`.
-        """
-        if not self.gradients.small or not self._staged:
-            return False
-        self.follow()
-        if not any_rank(self.mesh.comm, self._forms.committed.differ())[0]:
-            return False
-        kept = self.keep()
-        try:
-            self.evaluate()
-            return bool(any_rank(self.mesh.comm, self.flowing().any())[0])
-        finally:
-            self.put_back(kept)
-
-    def add_first_forces(self, F: PETSc.Vec) -> None:
-        """Add forces linearised about the committed state to the owned part of F; collective.
-
-        Those that `add_forces` would give if no point had flowed since, see `committed_data`.
-        """
-        self.follow()
-        change, dilatation = self._forms.committed.change(), self._forms.dilatation
-        linear = [] if dilatation is None else [dilatation.mean_stress.x.array]
-        mean_stress = [values.copy() for values in linear]
-        with self._forms.committed.put():
-            self.follow()
-            for values, now in zip(linear, mean_stress, strict=True):
-                values[:] = now
-            for form in (self._forms.residual, change):
-                F.array_w[:] += assemble(form, self._forms.force)[: F.local_size]
-
-    def add_first_tangent(self, K: PETSc.Mat) -> None:
-        """Add the tangent of the committed state to K, see `add_tangent`; collective."""
-        with self._forms.committed.put():
-            self.add_tangent(K)
-
-    def volume_step(self, du: fem.Function) -> VolumeStep | None:
-        """Return volumes and pressures along a step, None unless mean; collective."""
-        dilatation = self._forms.dilatation
-        return dilatation.step_along(du) if isinstance(dilatation, MeanVolume) else None
-
-    def add_elastic(self, K: PETSc.Mat, factor: float) -> None:
-        """Add a multiple of the stiffness of `elastic_norm`, which is positive; collective."""
-        form, share = self._elastic
-        share.value = factor
-        form.add_to(K)
-        K.assemble()
-
-    @cached_property
-    def _elastic(self) -> tuple[MatrixForm, fem.Constant]:
-        """The form of the elastic stiffness, and its factor; few steps need it."""
-        return create_elastic(self.u, self.regions, self.kinematics, self.quadrature_degree)
 
     def assemble_residual(self, r: PETSc.Vec) -> None:
         """Fill the owned part of r with the internal forces, see `add_forces`; collective."""
@@ -414,9 +298,9 @@ class Solid(Term):
     def elastic_norm(self, v: fem.Function) -> float:
         """Return the energy norm sqrt(int eps(v) : C : eps(v)) of a Function of V."""
         self.follow()
-        self._forms.direction.x.array[:] = v.x.array
-        share, dilatation = fem.assemble_scalar(self._forms.elastic_norm), self._forms.dilatation
-        return self._root(share if dilatation is None else share + dilatation.norm_squared(v))
+        self.forms.direction.x.array[:] = v.x.array
+        share, dilatation = fem.assemble_scalar(self.forms.elastic_norm), self.forms.dilatation
+        return _root(self, share if dilatation is None else share + dilatation.norm_squared(v))
 
     def element_force_norm(self) -> float:
         """Return the norm of the unassembled element forces at u, sqrt(sum_e sum_a |f_ea|^2).
@@ -426,11 +310,7 @@ class Solid(Term):
         rings the forces of the stress along them, which are never larger than the others, left out.
         """
         self.follow()
-        return self._root(fem.assemble_scalar(self._forms.element_force))
-
-    def _root(self, share: float) -> float:
-        """Return the root of a sum over all ranks."""
-        return math.sqrt(max(self.mesh.comm.allreduce(share, op=MPI.SUM), 0.0))
+        return _root(self, fem.assemble_scalar(self.forms.element_force))
 
     # -- results and committed state ------------------------------------------------------------
 
@@ -445,40 +325,7 @@ class Solid(Term):
                 All that is shown, and what `commit` would take, is then as before.
         """
         self.follow()
-        fill_point_values(self.mesh.comm, self._forms.found, at_end=True)
-        if self.densities is None:
-            fill_all(self.mesh.comm, self._forms.evaluations)
-            return
-        kept = self.keep()
-        try:
-            fill_all(self.mesh.comm, self._forms.evaluations)
-            self.densities.fill(self._committed, self._staged, self.follow)
-        except BaseException:
-            self.put_back(kept)
-            raise
-
-    def keep(self) -> list[tuple[fem.Function, Floats]]:
-        """Return copies of results, state, and the parameters that they rest on, for `put_back`.
-
-        A second evaluation would differ: u may have been set since, or nothing evaluated yet, and
-        a law that depends on the size of a step would flow further.
-        """
-        shown = [self.stress, *self._staged.values(), *self._committed.values()]
-        shown += self._shown.values()
-        functions = shown + [followed.function for followed in self._followed()]
-        return [(f, f.x.array.copy()) for f in functions]
-
-    def put_back(self, kept: list[tuple[fem.Function, Floats]]) -> None:
-        """Restore the results that `keep` has returned; without communication."""
-        for f, values in kept:
-            f.x.array[:] = values
-        for followed in self._followed():
-            followed.forget()
-
-    def _followed(self) -> list[Followed]:
-        """Return the parameters of the laws and the eigenstrain."""
-        parameters: list[Followed] = [region.parameters for region in self.regions]
-        return parameters if self.eigenstrain is None else [*parameters, self.eigenstrain]
+        self.points.evaluate(self.follow)
 
     def follow(self) -> None:
         """Update the data of the forms that have changed, evaluate pointwise laws; collective.
@@ -487,56 +334,17 @@ class Solid(Term):
             ValueError: on all ranks, if parameters are out of range, the eigenstrain is undefined,
                 or a pointwise law fails.
         """
-        follow_changed(self.mesh.comm, self._followed())
-        if self._forms.dilatation is not None:
-            self._forms.dilatation.follow()
-        fill_point_values(self.mesh.comm, self._forms.found)
-        self._forms.committed.complete()
+        dilatation = self.forms.dilatation
+        self.points.follow(None if dilatation is None else dilatation.follow)
+        self.forms.committed.complete()
 
     def commit(self) -> None:
         """Make the internal variables of the last `evaluate` the committed ones.
 
         Results do not change.
         """
-        for name, staged in self._staged.items():
-            self._committed[name].x.array[:] = staged.x.array
-        self._forms.committed.keep()
-
-    def forget_data(self) -> None:
-        """Take what is followed next for the data of the committed state, which was restored."""
-        self._forms.committed.forget()
-
-    def lasting_fields(self) -> dict[str, fem.Function]:
-        """Return the fields at integration points that are kept from step to step, by name.
-
-        The stress, the internal variables that are committed, and those that `evaluate` found last,
-        which are what is shown.
-        """
-        committed = {f"committed/{name}": f for name, f in self.state.items()}
-        shown = {f"shown/{name}": f for name, f in self._staged.items()}
-        return {"stress": self.stress} | committed | self._shown | shown
-
-    def flowing(self) -> Bools:
-        """Return at which points (owned cells, points) `evaluate` has changed internal variables.
-
-        Laws leave the state of a point that does not flow exactly as it is.
-        """
-        points = self.fields.weights.shape
-        changed = np.zeros(points, dtype=bool)
-        for name, staged in self._staged.items():
-            dofmap = staged.function_space.dofmap
-            differs = staged.x.array != self.state[name].x.array
-            per_point = differs.reshape(-1, dofmap.bs).any(axis=1)
-            changed |= per_point[dofmap.list[: points[0]]]
-        return changed
-
-    def stress_lost(self) -> tuple[float, str]:
-        """Return the largest share of its stress that a law loses by shear, and its name.
-
-        At finite strain, in laws with internal variables in the additive form, see
-        `materials.logarithmic`; at the u of the last assembly or `evaluate`; collective.
-        """
-        return largest_stress_lost(self.mesh.comm, self._forms.found)
+        self.points.commit()
+        self.forms.committed.keep()
 
     def energies(self) -> dict[int | str, Energies]:
         """Return the energy stored in each body, and dissipated since the start; collective.
@@ -552,11 +360,11 @@ class Solid(Term):
         Raises:
             ValueError: unless the solid was made with ``energies=True``.
         """
-        if self.densities is None:
+        if self.points.densities is None:
             raise ValueError(
                 "energies were not followed: make the solid with Solid(.., energies=True)"
             )
-        return self.densities.by_body(self.fields)
+        return self.points.densities.by_body(self.fields)
 
     def max(self, name: str) -> float:
         """Return the largest value of a scalar field over all integration points (collective).
@@ -591,6 +399,66 @@ class Solid(Term):
         A law whose `output` has a field ``plastic``, one or zero, says itself where it is.
         """
         return self.fields.integral("plastic") if "plastic" in self.fields.names else 0.0
+
+
+def _root(solid: Solid, share: float) -> float:
+    """Return the root of a sum over all ranks."""
+    return math.sqrt(max(solid.mesh.comm.allreduce(share, op=MPI.SUM), 0.0))
+
+
+def flows_at_start(solid: Solid) -> bool:
+    """Tell whether what has changed since the last commit makes bodies flow; collective.
+
+    Then a step begins with `add_first_forces` and `add_first_tangent`. False at finite strain,
+    where a tangent that is singular is shifted, see `newton`.
+    """
+    if not solid.gradients.small or not solid.state:
+        return False
+    solid.follow()
+    if not any_rank(solid.mesh.comm, solid.forms.committed.differ())[0]:
+        return False
+    kept = solid.points.keep()
+    try:
+        solid.evaluate()
+        return bool(any_rank(solid.mesh.comm, solid.points.flowing().any())[0])
+    finally:
+        solid.points.put_back(kept)
+
+
+def add_first_forces(solid: Solid, F: PETSc.Vec) -> None:
+    """Add forces linearised about the committed state, of a small strain, to F; collective.
+
+        F_n + int C_n : (eps(u - u_n) - (e - e_n)) : eps(v),    C_n the tangent of that state.
+
+    Where an eigenstrain e, parameters or a displacement from which a user starts lead beyond yield,
+    the tangent there is that of flow, singular where nothing hardens, and the stress is capped: it
+    does not tell how far the bodies have to move.
+    """
+    solid.follow()
+    committed, dilatation = solid.forms.committed, solid.forms.dilatation
+    form, changes = committed.change
+    for change, f, kept in zip(changes, committed.strained, committed.complete(), strict=False):
+        change.x.array[:] = f.x.array - kept
+    stress = [] if dilatation is None else [dilatation.mean_stress.x.array]
+    now = [values.copy() for values in stress]
+    with committed.put():
+        solid.follow()
+        for values, mean in zip(stress, now, strict=True):
+            values[:] = mean
+        for part in (solid.forms.residual, form):
+            F.array_w[:] += assemble(part, solid.forms.force)[: F.local_size]
+
+
+def add_first_tangent(solid: Solid, K: PETSc.Mat) -> None:
+    """Add the tangent of the committed state to K, see `Solid.add_tangent`; collective."""
+    with solid.forms.committed.put():
+        solid.add_tangent(K)
+
+
+def volume_step(solid: Solid, du: fem.Function) -> VolumeStep | None:
+    """Return volumes and pressures along a step, None unless they are means of J; collective."""
+    dilatation = solid.forms.dilatation
+    return dilatation.step_along(du) if isinstance(dilatation, MeanVolume) else None
 
 
 def _degree(V: fem.FunctionSpace, given: int | None) -> int:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Expressions evaluated at points of the bodies: stress and state, parameters, eigenstrain.
+"""Functions at points of the bodies, and the expressions that fill them.
 
 Parameters and eigenstrain may change between steps: they are followed.
 """
@@ -17,7 +17,9 @@ import basix.ufl
 import ufl
 from dolfinx import default_scalar_type, fem, mesh
 from dolfinx_mortar import compat
+from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.materials.tensor import COMPONENTS
 from dolfinx_mortar.spaces import check_real
 from ufl.algorithms.analysis import extract_coefficients, extract_constants
 from ufl.core.expr import Expr
@@ -125,6 +127,12 @@ def point_function(
     return fem.Function(fem.functionspace(domain, element), name=name)
 
 
+def create_field(domain: mesh.Mesh, degree: int, shape: tuple[int, ...], name: str) -> fem.Function:
+    """Create a quadrature Function for a scalar, shape (), or a tensor, shape (3, 3)."""
+    size = (len(COMPONENTS[domain.geometry.dim]),) if shape else ()
+    return point_function(domain, degree, size, name)
+
+
 def middle_of(domain: mesh.Mesh, cell: int) -> str:
     """Return the midpoint of a local cell in words."""
     x = mesh.compute_midpoints(domain, domain.topology.dim, np.array([cell], dtype=np.int32))[0]
@@ -200,3 +208,33 @@ def follow_changed(comm: MPI.Comm, followed: Sequence[Followed]) -> None:
     for one, outdated in zip(varying, changed, strict=True):
         if outdated:
             one.follow()
+
+
+def fill_all(comm: MPI.Comm, evaluations: Sequence[Source]) -> None:
+    """Evaluate all expressions; if that raises, the Functions are as before; collective.
+
+    Raises:
+        ValueError: on all ranks, if a law gives NaN or infinity on any, naming the law.
+    """
+    filled = {part.function for source in evaluations for part in source.parts}
+    before = {f: f.x.array.copy() for f in filled}
+    try:
+        for evaluation in evaluations:
+            evaluation.fill()
+        _check_defined(comm, evaluations)
+    except BaseException:
+        for f, values in before.items():
+            f.x.array[:] = values
+        raise
+
+
+def _check_defined(comm: MPI.Comm, evaluations: Sequence[Source]) -> None:
+    """Raise a ValueError on all ranks if a law has given NaN or infinity on any; collective."""
+    names = [part.name for source in evaluations for part in source.parts]
+    found = [float(count) for source in evaluations for count in source.undefined()]
+    for name, count in zip(names, maximum(comm, *found), strict=True):
+        if count:
+            raise ValueError(
+                f"{name} is NaN or infinite at {count:.0f} integration points or more; "
+                "check the law with dolfinx_mortar.materials.check and its parameters"
+            )

@@ -1,105 +1,115 @@
 # SPDX-License-Identifier: MIT
-"""Functions at the integration points: stress and internal variables, and their evaluation."""
+"""State and results of the bodies at the integration points, and their evaluation."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
-from mpi4py import MPI
+import numpy as np
 
-from dolfinx import fem, mesh
-from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.materials.response import Response
-from dolfinx_mortar.materials.tensor import COMPONENTS, from_components, to_components
-from dolfinx_mortar.solid.laws import Region
-from dolfinx_mortar.solid.sources import Part, Source, create_source, point_function
-from ufl.core.expr import Expr
+from dolfinx import fem
+from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx_mortar.materials.protocol import Law
+from dolfinx_mortar.solid.energies import DISSIPATED, EnergyDensities
+from dolfinx_mortar.solid.laws import Region, create_state
+from dolfinx_mortar.solid.pointwise import PointValuesOfRegion, fill_point_values
+from dolfinx_mortar.solid.sources import Followed, Source, create_field, fill_all, follow_changed
 
 
-def fill_all(comm: MPI.Comm, evaluations: Sequence[Source]) -> None:
-    """Evaluate all expressions; if that raises, the Functions are as before; collective.
+class PointState:
+    """Internal variables, committed and found last, stress, and what they rest on.
 
-    Raises:
-        ValueError: on all ranks, if a law gives NaN or infinity on any, naming the law.
+    Attributes:
+        committed: internal variables by name, from which a step starts.
+        staged: those that `evaluate` has found.
+        stress: filled by `evaluate`.
+        shown: what `evaluate` fills beside these, by name.
+        followed: the parameters of the laws and the eigenstrain.
+        found: what is found before each assembly, by law.
+        evaluations: of stress and new internal variables.
+        densities: energies, if they are asked for.
     """
-    filled = {part.function for source in evaluations for part in source.parts}
-    before = {f: f.x.array.copy() for f in filled}
-    try:
-        for evaluation in evaluations:
-            evaluation.fill()
-        _check_defined(comm, evaluations)
-    except BaseException:
-        for f, values in before.items():
+
+    found: Mapping[Law, PointValuesOfRegion]
+    evaluations: Sequence[Source]
+    densities: EnergyDensities | None = None
+
+    def __init__(
+        self, regions: Sequence[Region], degree: int, eigenstrain: Followed | None, energies: bool
+    ) -> None:
+        """Create the Functions; collective."""
+        domain = regions[0].mesh
+        self.committed = create_state(regions, domain, degree)
+        if energies:
+            self.committed[DISSIPATED] = create_field(domain, degree, (), DISSIPATED)
+        self.staged = {name: f.copy() for name, f in self.committed.items()}
+        self.stress = create_field(domain, degree, (3, 3), "stress")
+        self.shown: dict[str, fem.Function] = {}
+        self.followed: list[Followed] = [region.parameters for region in regions]
+        self.followed += [] if eigenstrain is None else [eigenstrain]
+        self._comm = domain.comm
+
+    @property
+    def follows(self) -> bool:
+        """Whether parameters or the eigenstrain may change."""
+        return any(one.varying for one in self.followed)
+
+    def follow(self, dilatation: Callable[[], None] | None) -> None:
+        """Update what has changed, then the mean dilatation, then the laws; collective."""
+        follow_changed(self._comm, self.followed)
+        if dilatation is not None:
+            dilatation()
+        fill_point_values(self._comm, self.found)
+
+    def evaluate(self, follow: Callable[[], None]) -> None:
+        """Evaluate stress and internal variables; if that raises, all are as before; collective."""
+        fill_point_values(self._comm, self.found, at_end=True)
+        if self.densities is None:
+            fill_all(self._comm, self.evaluations)
+            return
+        kept = self.keep()
+        try:
+            fill_all(self._comm, self.evaluations)
+            self.densities.fill(self.committed, self.staged, follow)
+        except BaseException:
+            self.put_back(kept)
+            raise
+
+    def commit(self) -> None:
+        """Make the internal variables of the last `evaluate` the committed ones."""
+        for name, staged in self.staged.items():
+            self.committed[name].x.array[:] = staged.x.array
+
+    def keep(self) -> list[tuple[fem.Function, Floats]]:
+        """Return copies of results, state, and the parameters that they rest on, for `put_back`.
+
+        A second evaluation would differ: u may have been set since, or nothing evaluated yet, and
+        a law that depends on the size of a step would flow further.
+        """
+        functions = [*self.lasting_fields().values(), *(one.function for one in self.followed)]
+        return [(f, f.x.array.copy()) for f in functions]
+
+    def put_back(self, kept: list[tuple[fem.Function, Floats]]) -> None:
+        """Restore the results that `keep` has returned; without communication."""
+        for f, values in kept:
             f.x.array[:] = values
-        raise
+        for followed in self.followed:
+            followed.forget()
 
+    def lasting_fields(self) -> dict[str, fem.Function]:
+        """Return the fields that are kept from step to step, by name."""
+        committed = {f"committed/{name}": f for name, f in self.committed.items()}
+        shown = {f"shown/{name}": f for name, f in self.staged.items()}
+        return {"stress": self.stress} | committed | self.shown | shown
 
-def _check_defined(comm: MPI.Comm, evaluations: Sequence[Source]) -> None:
-    """Raise a ValueError on all ranks if a law has given NaN or infinity on any; collective."""
-    names = [part.name for source in evaluations for part in source.parts]
-    found = [float(count) for source in evaluations for count in source.undefined()]
-    for name, count in zip(names, maximum(comm, *found), strict=True):
-        if count:
-            raise ValueError(
-                f"{name} is NaN or infinite at {count:.0f} integration points or more; "
-                "check the law with dolfinx_mortar.materials.check and its parameters"
-            )
+    def flowing(self) -> Bools:
+        """Return at which points (owned cells, points) `evaluate` has changed internal variables.
 
-
-def create_field(domain: mesh.Mesh, degree: int, shape: tuple[int, ...], name: str) -> fem.Function:
-    """Create a quadrature Function for a scalar, shape (), or a tensor, shape (3, 3)."""
-    size = (len(COMPONENTS[domain.geometry.dim]),) if shape else ()
-    return point_function(domain, degree, size, name)
-
-
-def create_state(
-    regions: Sequence[Region], domain: mesh.Mesh, degree: int
-) -> dict[str, fem.Function]:
-    """Create the internal variables of all laws, shared where laws use the same name.
-
-    Raises:
-        ValueError: if two laws have an internal variable of one name in two shapes.
-    """
-    shapes: dict[str, tuple[int, ...]] = {}
-    owner: dict[str, str] = {}
-    for region in regions:
-        for name, shape in region.law.state.items():
-            first = owner.setdefault(name, region.law.name)
-            if shapes.setdefault(name, shape) != shape:
-                raise ValueError(
-                    f"materials: the state {name!r} has the shape {shapes[name]} in {first} and "
-                    f"{shape} in {region.law.name}; give one of them another name."
-                )
-    return {name: create_field(domain, degree, shape, name) for name, shape in shapes.items()}
-
-
-def as_tensors(region: Region, state: Mapping[str, fem.Function]) -> dict[str, Expr]:
-    """Return the internal variables of a law as UFL, () or (3, 3) by name."""
-    return {
-        name: from_components(state[name]) if shape else state[name]
-        for name, shape in region.law.state.items()
-    }
-
-
-def create_evaluations(
-    regions: Sequence[Region],
-    responses: Sequence[Response],
-    staged: Mapping[str, fem.Function],
-    stress: fem.Function,
-) -> list[Source]:
-    """Compile stress and new internal variables of all regions; collective.
-
-    All read the displacement and the committed state, so the order does not matter.
-    """
-    size, evaluations = stress.function_space.dofmap.bs, []
-    for region, response in zip(regions, responses, strict=True):
-        given = [("stress", stress, response.stress)]
-        given += [(name, staged[name], value) for name, value in response.updated.items()]
-        parts = [
-            Part(
-                f"{region.law.name}: {name}",
-                target,
-                to_components(value, size) if value.ufl_shape else value,
-            )
-            for name, target, value in given
-        ]
-        evaluations.append(create_source(region.cells, *parts))
-    return evaluations
+        Laws leave the state of a point that does not flow exactly as it is.
+        """
+        space = self.stress.function_space
+        cells = space.mesh.topology.index_map(space.mesh.topology.dim).size_local
+        changed = np.zeros((cells, space.dofmap.list.shape[1]), dtype=bool)
+        for name, staged in self.staged.items():
+            dofmap = staged.function_space.dofmap
+            differs = staged.x.array != self.committed[name].x.array
+            changed |= differs.reshape(-1, dofmap.bs).any(axis=1)[dofmap.list[:cells]]
+        return changed

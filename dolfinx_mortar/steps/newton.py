@@ -61,6 +61,7 @@ from dolfinx_mortar.problem.checks import check_controls, check_problem
 from dolfinx_mortar.problem.predictors import predict
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import LinearSolver
+from dolfinx_mortar.spaces import mean_cell_sizes
 from dolfinx_mortar.step_report import Iteration, NewtonNotConverged, StepReport
 from dolfinx_mortar.steps.step_end import finish
 
@@ -433,7 +434,7 @@ class _Step:
         extent = find_extent(problem.V.mesh, np.append(self.data.target, self.data.increment))
         begun = largest_force(problem.comm, balance, np.zeros(0))
         length = problem.system.facet_length
-        cells = problem.solid.cell_sizes if problem.solid.strain == "finite" else 0.0
+        cells = mean_cell_sizes(problem.V) if problem.solid.strain == "finite" else 0.0
         scales = Scales(length, begun=begun, work=norm**2, extent=extent, cells=cells)
         travel = np.zeros(0) if self.data.travel is None else self.data.travel
         place = problem.owned_u.copy(), self.tools(), travel

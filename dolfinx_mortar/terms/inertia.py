@@ -420,7 +420,7 @@ class Damping(Term):
         self._inertia, self._mass, self._stiffness = inertia, float(mass), float(stiffness)
         self._K = solid.create_matrix()
         self._K.zeroEntries()
-        solid.add_elastic(self._K, self._stiffness)
+        solid.forms.add_elastic(self._K, self._stiffness)
 
     @property
     def inertia(self) -> Inertia:
@@ -480,7 +480,7 @@ class Damping(Term):
         if self._moves:
             rate = self._rate()[0]
             self._inertia.mass.add_to(K, rate * self._mass)
-            self._inertia.solid.add_elastic(K, rate * self._stiffness)
+            self._inertia.solid.forms.add_elastic(K, rate * self._stiffness)
 
 
 # -- arguments -----------------------------------------------------------------------------------

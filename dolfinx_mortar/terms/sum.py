@@ -19,7 +19,7 @@ from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arguments import array, check, instance, number
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.solid.mean_volume import VolumeStep
-from dolfinx_mortar.solid.solid import Solid
+from dolfinx_mortar.solid.solid import Solid, add_first_forces, add_first_tangent
 from dolfinx_mortar.solid.term import Term, ask_term
 from dolfinx_mortar.terms.point_terms import PointTerm
 from dolfinx_mortar.terms.weak_forms import DeadLoads
@@ -90,7 +90,8 @@ class Terms:
         Asked at the start of a step; collective.
         """
         found = [self._ask(f"{n}: varies()", t, partial(t.varies, K)) for n, t in self._stiff]
-        return bool(any_rank(self.comm, self.solid.varying or any(found))[0])
+        found += [region.parameters.varying for region in self.solid.regions]
+        return bool(any_rank(self.comm, any(found))[0])
 
     @property
     def _stiff(self) -> list[tuple[str, Term]]:
@@ -125,11 +126,13 @@ class Terms:
         """Fill F with dJ/du; return the largest norm of the forces of a term; collective.
 
         Those of the bodies are not among them: their scale are the unassembled element forces. They
-        may be linearised about the committed state, see `Solid.add_first_forces`.
+        may be linearised about the committed state, see `add_first_forces`.
         """
         F.array_w[:] = 0.0
-        solid = self.solid
-        (solid.add_first_forces if from_committed else solid.add_forces)(F)
+        if from_committed:
+            add_first_forces(self.solid, F)
+        else:
+            self.solid.add_forces(F)
         one, largest = F.duplicate(), 0.0
         for name, term in self.named:
             one.array_w[:] = 0.0
@@ -158,7 +161,7 @@ class Terms:
         """
         K.zeroEntries()
         if from_committed:
-            self.solid.add_first_tangent(K)
+            add_first_tangent(self.solid, K)
         else:
             self.solid.add_tangent(K, pressure)
         self.add_tangents(K)
