@@ -21,8 +21,7 @@ from dolfinx import fem, mesh
 from dolfinx_mortar.kernels import compile_vectors, constants
 from dolfinx_mortar.materials.law_check import law_at_point
 from dolfinx_mortar.materials.protocol import create_law
-from dolfinx_mortar.materials.voce import VonMisesVoce, increment, wright_omega
-from dolfinx_mortar.materials.von_mises import VonMises
+from dolfinx_mortar.materials.von_mises import VonMises, VonMisesVoce, increment, wright_omega
 from tests.choice import quick
 
 E, NU, Y = 206_900.0, 0.29, 450 * math.sqrt(2 / 3)

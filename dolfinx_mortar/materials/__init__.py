@@ -8,14 +8,10 @@ It must not know of meshes, functions or contact; `check` tries a law out withou
 from typing import Any
 
 from dolfinx_mortar.materials.drucker_prager import DruckerPrager
-from dolfinx_mortar.materials.elastic import Elastic
-from dolfinx_mortar.materials.mooney_rivlin import MooneyRivlin
-from dolfinx_mortar.materials.neo_hooke import NeoHooke
-from dolfinx_mortar.materials.ogden import Ogden
-from dolfinx_mortar.materials.orthotropic import Orthotropic
+from dolfinx_mortar.materials.elastic import Elastic, Orthotropic
+from dolfinx_mortar.materials.hyperelastic import MooneyRivlin, NeoHooke, Ogden
 from dolfinx_mortar.materials.protocol import Material, PointwiseLaw
-from dolfinx_mortar.materials.voce import VonMisesVoce
-from dolfinx_mortar.materials.von_mises import VonMises
+from dolfinx_mortar.materials.von_mises import VonMises, VonMisesVoce
 
 __all__ = [
     "DruckerPrager",

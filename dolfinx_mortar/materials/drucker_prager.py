@@ -11,8 +11,13 @@ from typing import Any, ClassVar, NamedTuple
 import ufl
 from dolfinx_mortar.arrays import EPS
 from dolfinx_mortar.materials.elastic import Elastic, bulk_modulus, shear_modulus
-from dolfinx_mortar.materials.protocol import Material
-from dolfinx_mortar.materials.ranges import Parameter, Range, check_fields, check_parameters
+from dolfinx_mortar.materials.protocol import (
+    Material,
+    Parameter,
+    Range,
+    check_fields,
+    check_parameters,
+)
 from dolfinx_mortar.materials.von_mises import YIELD_TOLERANCE
 from ufl.core.expr import Expr
 

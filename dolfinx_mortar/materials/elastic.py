@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Isotropic linear elasticity."""
+"""Linear elasticity: isotropic, and orthotropic as of wood, fibre composites, rolled plates."""
 
 import math
 from collections.abc import Mapping
@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import ufl
-from dolfinx_mortar.materials.protocol import Material
-from dolfinx_mortar.materials.ranges import Parameter, Range, check_fields
+from dolfinx_mortar.materials.protocol import Material, Parameter, Range, check_fields
 from ufl.core.expr import Expr
 
 
@@ -63,3 +62,105 @@ class Elastic(Material):
         return lame_modulus(p) / 2 * ufl.tr(strain) ** 2 + shear_modulus(p) * ufl.inner(
             strain, strain
         )
+
+
+_POSITIVE: Range = (0.0, math.inf, False)
+_ANY: Range = (-math.inf, math.inf, False)
+
+
+@dataclass(frozen=True)
+class Orthotropic(Material):
+    r"""Hooke's law with three planes of symmetry, in axes 1, 2, 3 of the material.
+
+        eps_11 = sigma_11 / E1 - nu12 sigma_22 / E1 - nu13 sigma_33 / E1  (nu21 / E2 = nu12 / E1 ..)
+        eps_12 = sigma_12 / (2 G12), ..
+
+    The axes are x, y, z turned by yaw about z, then by pitch about the new y, then by roll about
+    the new x (radians, right hand): the columns of Rz(yaw) Ry(pitch) Rx(roll). In the plane use yaw
+    alone: otherwise the body would leave the plane.
+
+    Source: R. M. Jones, Mechanics of Composite Materials (1999), section 2.3.
+
+    Raises:
+        ValueError: naming a modulus that is out of its range, and if the energy is not positive.
+    """
+
+    E1: Parameter  # Young's modulus along axis 1
+    E2: Parameter  # along axis 2
+    E3: Parameter  # along axis 3
+    nu12: Parameter  # contraction along 2 by stress along 1
+    nu13: Parameter  # along 3 by stress along 1
+    nu23: Parameter  # along 3 by stress along 2
+    G12: Parameter  # shear modulus in the plane of axes 1 and 2
+    G13: Parameter  # of axes 1 and 3
+    G23: Parameter  # of axes 2 and 3
+    yaw: Parameter = 0.0  # radians about z
+    pitch: Parameter = 0.0  # radians about the new y
+    roll: Parameter = 0.0  # radians about the new x
+
+    state: ClassVar[Mapping[str, tuple[int, ...]]] = {}
+    linear: ClassVar[bool] = True
+    ranges: ClassVar[Mapping[str, Range]] = {
+        **dict.fromkeys(("E1", "E2", "E3", "G12", "G13", "G23"), _POSITIVE),
+        **dict.fromkeys(("nu12", "nu13", "nu23", "yaw", "pitch", "roll"), _ANY),
+    }
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @staticmethod
+    def conditions(p: Any) -> dict[str, Any]:
+        """Return what makes the energy positive: leading minors of the compliance."""
+        return {
+            "nu12^2 < E1 / E2": p.nu12**2 < p.E1 / p.E2,
+            "nu13^2 < E1 / E3": p.nu13**2 < p.E1 / p.E3,
+            "nu23^2 < E2 / E3": p.nu23**2 < p.E2 / p.E3,
+            "nu12^2 E2 / E1 + nu23^2 E3 / E2 + nu13^2 E3 / E1 + 2 nu12 nu23 nu13 E3 / E1 < 1": (
+                _determinant(p) > 0
+            ),
+        }
+
+    @staticmethod
+    def elastic_stress(strain: Expr, p: Any) -> Expr:
+        """Return C : strain, by the strain in the axes of the material."""
+        R = _axes(p)
+        e = R.T * strain * R
+        nu21, nu31, nu32 = p.nu12 * p.E2 / p.E1, p.nu13 * p.E3 / p.E1, p.nu23 * p.E3 / p.E2
+        normal = [
+            [1 - p.nu23 * nu32, nu21 + nu31 * p.nu23, nu31 + nu21 * nu32],
+            [p.nu12 + nu32 * p.nu13, 1 - p.nu13 * nu31, nu32 + p.nu12 * nu31],
+            [p.nu13 + p.nu12 * p.nu23, p.nu23 + nu21 * p.nu13, 1 - p.nu12 * nu21],
+        ]
+        moduli, D = (p.E1, p.E2, p.E3), _determinant(p)
+        s1, s2, s3 = (
+            E / D * sum(c * e[j, j] for j, c in enumerate(row))
+            for E, row in zip(moduli, normal, strict=True)
+        )
+        s12, s13, s23 = 2 * p.G12 * e[0, 1], 2 * p.G13 * e[0, 2], 2 * p.G23 * e[1, 2]
+        return R * ufl.as_tensor([[s1, s12, s13], [s12, s2, s23], [s13, s23, s3]]) * R.T
+
+    @staticmethod
+    def energy(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
+        """Return psi = 1/2 eps:C:eps."""
+        return ufl.inner(Orthotropic.elastic_stress(strain, p), strain) / 2
+
+    @staticmethod
+    def stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
+        """Return C : strain."""
+        return Orthotropic.elastic_stress(strain, p)
+
+
+def _determinant(p: Any) -> Any:
+    """Return det of the compliance of normal strains times E1 E2 E3, of numbers, arrays or UFL."""
+    coupled = 2 * p.nu12 * p.nu23 * p.nu13 * p.E3 / p.E1
+    pairs = p.nu12**2 * p.E2 / p.E1 + p.nu23**2 * p.E3 / p.E2 + p.nu13**2 * p.E3 / p.E1
+    return 1 - pairs - coupled
+
+
+def _axes(p: Any) -> Expr:
+    """Return the matrix (3, 3) whose columns are the axes of the material."""
+    (cz, sz), (cy, sy), (cx, sx) = ((ufl.cos(t), ufl.sin(t)) for t in (p.yaw, p.pitch, p.roll))
+    yaw = ufl.as_tensor([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    pitch = ufl.as_tensor([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    roll = ufl.as_tensor([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    return yaw * pitch * roll

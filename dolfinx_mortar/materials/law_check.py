@@ -17,8 +17,7 @@ from dolfinx_mortar.arrays import EPS, Floats, Ints
 from dolfinx_mortar.kernels import compile_vectors, constants
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
 from dolfinx_mortar.materials.plane_stress import solve
-from dolfinx_mortar.materials.protocol import PLASTIC, Law, create_law
-from dolfinx_mortar.materials.ranges import grouped, named_parameters
+from dolfinx_mortar.materials.protocol import PLASTIC, Law, create_law, grouped, named_parameters
 from dolfinx_mortar.materials.response import (
     PointValues,
     elastic_response,

@@ -36,8 +36,7 @@ from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.kernels import Kernel, compile_kernel, constants, tabulate
 from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.plane_stress import solve
-from dolfinx_mortar.materials.protocol import PLASTIC, Law
-from dolfinx_mortar.materials.ranges import grouped, ungrouped
+from dolfinx_mortar.materials.protocol import PLASTIC, Law, grouped, ungrouped
 from dolfinx_mortar.materials.response import PointValues, Response, respond, values_at_points
 from dolfinx_mortar.materials.tensor import (
     GRADIENT,

@@ -20,8 +20,7 @@ from dolfinx_mortar.materials.plane_stress import (
     with_normal_strain,
     with_normal_stretch,
 )
-from dolfinx_mortar.materials.protocol import PLASTIC, Law
-from dolfinx_mortar.materials.ranges import grouped, ungrouped
+from dolfinx_mortar.materials.protocol import PLASTIC, Law, grouped, ungrouped
 from dolfinx_mortar.materials.tensor import mean_of_shears
 from ufl.algorithms import expand_derivatives
 from ufl.classes import Label, Variable

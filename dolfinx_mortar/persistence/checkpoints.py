@@ -27,7 +27,7 @@ from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.interfaces.interface import check_owned
 from dolfinx_mortar.interfaces.results import Resultants
 from dolfinx_mortar.interfaces.system import Paired
-from dolfinx_mortar.materials.ranges import named_parameters
+from dolfinx_mortar.materials.protocol import named_parameters
 from dolfinx_mortar.persistence.committed import (
     Before,
     Committed,

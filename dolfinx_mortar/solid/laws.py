@@ -20,8 +20,14 @@ from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arguments import check
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.materials import Material
-from dolfinx_mortar.materials.protocol import RESERVED, Law, create_law
-from dolfinx_mortar.materials.ranges import grouped, named_parameters, wrong_values
+from dolfinx_mortar.materials.protocol import (
+    RESERVED,
+    Law,
+    create_law,
+    grouped,
+    named_parameters,
+    wrong_values,
+)
 from dolfinx_mortar.materials.response import Response
 from dolfinx_mortar.materials.tensor import from_components, to_components
 from dolfinx_mortar.solid.kinematics import Kinematics

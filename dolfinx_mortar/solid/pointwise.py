@@ -23,8 +23,7 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.kernels import ANYWHERE, Kernel, kernel_of
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw, Start
 from dolfinx_mortar.materials.plane_stress import solve
-from dolfinx_mortar.materials.protocol import Law
-from dolfinx_mortar.materials.ranges import ungrouped
+from dolfinx_mortar.materials.protocol import Law, ungrouped
 from dolfinx_mortar.materials.response import Response, respond, values_at_points
 from dolfinx_mortar.materials.tensor import COMPONENTS, GRADIENT, INDEX, stored, tensor_of
 from dolfinx_mortar.solid.laws import Region

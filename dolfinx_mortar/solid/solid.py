@@ -27,10 +27,8 @@ from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials import Material
 from dolfinx_mortar.materials.plane_stress import with_normal_stretch
 from dolfinx_mortar.solid.eigenstrain import create_eigenstrain
-from dolfinx_mortar.solid.energies import DISSIPATED, STORED, Energies, EnergyDensities
-from dolfinx_mortar.solid.finite_strain import Volumes, as_cauchy, check_finite
 from dolfinx_mortar.solid.forms import Forms, create_responses
-from dolfinx_mortar.solid.gradients import PointGradients
+from dolfinx_mortar.solid.gradients import PointGradients, Volumes, as_cauchy, check_finite
 from dolfinx_mortar.solid.kinematics import Kinematics, check_radius, choose_kinematics
 from dolfinx_mortar.solid.laws import Integral, create_evaluations, create_regions
 from dolfinx_mortar.solid.mean_volume import (
@@ -39,7 +37,7 @@ from dolfinx_mortar.solid.mean_volume import (
     VolumeStep,
     create_dilatation,
 )
-from dolfinx_mortar.solid.points import PointFields
+from dolfinx_mortar.solid.points import DISSIPATED, STORED, Energies, EnergyDensities, PointFields
 from dolfinx_mortar.solid.pointwise import create_point_values, normal_strain
 from dolfinx_mortar.solid.state import PointState
 from dolfinx_mortar.solid.term import Term, assemble

@@ -8,8 +8,8 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.materials.protocol import Law
-from dolfinx_mortar.solid.energies import DISSIPATED, EnergyDensities
 from dolfinx_mortar.solid.laws import Region, create_state
+from dolfinx_mortar.solid.points import DISSIPATED, EnergyDensities
 from dolfinx_mortar.solid.pointwise import PointValuesOfRegion, fill_point_values
 from dolfinx_mortar.solid.sources import Followed, Source, create_field, fill_all, follow_changed
 

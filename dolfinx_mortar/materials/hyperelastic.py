@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rubber by Ogden, with any number of terms, in principal stretches."""
+"""Rubber: neo-Hookean, by Mooney and Rivlin, and by Ogden, laws of the deformation gradient."""
 
 import math
 from collections.abc import Mapping
@@ -12,10 +12,111 @@ import numpy as np
 
 import ufl
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.materials.mooney_rivlin import MooneyRivlin
-from dolfinx_mortar.materials.protocol import PointwiseLaw
-from dolfinx_mortar.materials.ranges import Parameter, Range, check_fields
+from dolfinx_mortar.materials.elastic import Elastic, lame_modulus, shear_modulus
+from dolfinx_mortar.materials.protocol import Material, Parameter, PointwiseLaw, Range, check_fields
 from ufl.core.expr import Expr
+
+
+@dataclass(frozen=True)
+class NeoHooke(Material):
+    """psi(F) = mu/2 (tr C - 3 - 2 ln J) + lambda/2 (ln J)^2, C = F^T F, J = det F.
+
+    P = mu (F - F^-T) + lambda ln J F^-T. For small strains it is Hooke's law with E and nu. Source:
+    Bonet and Wood, Nonlinear Continuum Mechanics for Finite Element Analysis (2008), eq. 6.27.
+
+    Raises:
+        ValueError: if E <= 0, nu is outside (-1, 0.5) or a number is not finite.
+    """
+
+    E: Parameter  # Young's modulus at F = I
+    nu: Parameter  # Poisson's ratio at F = I
+
+    state: ClassVar[Mapping[str, tuple[int, ...]]] = {}
+    linear: ClassVar[bool] = False
+    strain: ClassVar[str] = "finite"
+    ranges: ClassVar[Mapping[str, Range]] = {
+        "E": (0.0, math.inf, False),
+        "nu": (-1.0, 0.5, False),
+    }
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    elastic_stress = staticmethod(Elastic.elastic_stress)
+
+    @staticmethod
+    def energy(F: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
+        """Return psi per volume at X."""
+        log_J = ufl.ln(ufl.det(F))
+        return (
+            shear_modulus(p) / 2 * (ufl.inner(F, F) - 3 - 2 * log_J)
+            + lame_modulus(p) / 2 * log_J**2
+        )
+
+    @staticmethod
+    def volumetric(J: Expr, p: Any) -> Expr:
+        """Return the part of psi that lambda makes stiff, which only depends on the volume."""
+        return lame_modulus(p) / 2 * ufl.ln(J) ** 2
+
+    @staticmethod
+    def stress(F: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
+        """Return P = d psi / dF."""
+        inverse = ufl.transpose(ufl.inv(F))
+        log_J = ufl.ln(ufl.det(F))
+        return shear_modulus(p) * (F - inverse) + lame_modulus(p) * log_J * inverse
+
+
+@dataclass(frozen=True)
+class MooneyRivlin(Material):
+    """psi(F) = C10 (I1 - 3) + C01 (I2 - 3) + K/2 (J - 1)^2, J = det F.
+
+    I1 = tr C / J^(2/3) and I2 = (tr(C)^2 - tr(C^2)) / (2 J^(4/3)) see no change of volume,
+    C = F^T F. The shear modulus at F = I is 2 (C10 + C01); C01 = 0 is a neo-Hookean rubber. Source:
+    Holzapfel, Nonlinear Solid Mechanics (2000), sections 6.4 and 6.5.
+
+    Raises:
+        ValueError: if K <= 0, C10 + C01 <= 0 or a number is not finite.
+    """
+
+    C10: Parameter  # stress
+    C01: Parameter  # stress
+    K: Parameter  # bulk modulus
+
+    state: ClassVar[Mapping[str, tuple[int, ...]]] = {}
+    linear: ClassVar[bool] = False
+    strain: ClassVar[str] = "finite"
+    ranges: ClassVar[Mapping[str, Range]] = {
+        "C10": (-math.inf, math.inf, False),
+        "C01": (-math.inf, math.inf, False),
+        "K": (0.0, math.inf, False),
+    }
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @staticmethod
+    def conditions(p: Any) -> dict[str, Any]:
+        """Return what several parameters must satisfy."""
+        return {"C10 + C01 > 0": p.C10 + p.C01 > 0.0}
+
+    @staticmethod
+    def elastic_stress(strain: Expr, p: Any) -> Expr:
+        """Return C : strain of a small strain."""
+        mu = 2 * (p.C10 + p.C01)
+        return p.K * ufl.tr(strain) * ufl.Identity(3) + 2 * mu * ufl.dev(strain)
+
+    @staticmethod
+    def energy(F: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
+        """Return psi per volume at X."""
+        C, J = ufl.transpose(F) * F, ufl.det(F)
+        first = ufl.tr(C) * J ** (-2 / 3)
+        second = (ufl.tr(C) ** 2 - ufl.inner(C, C)) / 2 * J ** (-4 / 3)
+        return p.C10 * (first - 3) + p.C01 * (second - 3) + MooneyRivlin.volumetric(J, p)
+
+    @staticmethod
+    def volumetric(J: Expr, p: Any) -> Expr:
+        """Return the part of psi that only depends on the volume."""
+        return p.K / 2 * (J - 1) ** 2
 
 
 @dataclass(frozen=True)
