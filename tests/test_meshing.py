@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar import meshing
-from dolfinx_mortar.meshing import disc_on_block, two_bodies
+from dolfinx_mortar.meshing import two_bodies
 from tests.integrals import integral
 
 COMM = MPI.COMM_WORLD
@@ -133,7 +133,7 @@ def test_a_running_gmsh_is_left_as_it_was(monkeypatch):
             found = meshing.hertz(COMM, kind="graded", h=0.6, cell=cell).mesh.geometry.x
             assert cell == "triangle" or np.array_equal(found, alone)
         meshing.sphere(COMM, h=1.0, cell="tetrahedron")
-        monkeypatch.setattr(disc_on_block, "read_cells", lambda *_: 1 / 0)
+        monkeypatch.setattr(two_bodies, "read_cells", lambda *_: 1 / 0)
         with pytest.raises(RuntimeError, match="gmsh failed"):
             meshing.hertz(COMM, kind="graded", h=0.6)
         assert gmsh.model.getCurrent() == "theirs" and len(gmsh.model.list()) == 2  # and an empty
@@ -176,7 +176,7 @@ def test_meshing_is_deterministic_and_silent(capfd):
     ],
 )
 def test_bad_input_is_named_on_all_ranks(arguments, name, monkeypatch):
-    monkeypatch.setattr(disc_on_block, "distribute", pytest.fail)
+    monkeypatch.setattr(two_bodies, "distribute", pytest.fail)
     with pytest.raises(ValueError, match=f"^{name} is "):
         meshing.hertz(COMM, **arguments)
 

@@ -11,7 +11,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import entities_to_geometry
 from dolfinx_mortar import compat, meshing
-from dolfinx_mortar.meshing import ball_on_block
+from dolfinx_mortar.meshing import two_bodies
 from tests.integrals import integral
 
 COMM = MPI.COMM_WORLD
@@ -122,7 +122,7 @@ def test_tags_and_counts_follow_the_element_size():
     ],
 )
 def test_bad_arguments_are_named(options, monkeypatch):
-    monkeypatch.setattr(ball_on_block, "distribute", pytest.fail)
+    monkeypatch.setattr(two_bodies, "distribute", pytest.fail)
     with pytest.raises(ValueError, match=f"^{next(iter(options))} is "):
         meshing.sphere(COMM, **options)
 

@@ -15,13 +15,13 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
-from dolfinx_mortar.meshing.ball_on_block import graded_octant
 from dolfinx_mortar.meshing.two_bodies import (
     Arrays,
     TaggedMesh,
     distribute,
     exterior_facets,
     gmsh_model,
+    graded_octant,
     name_parts,
     read_cells,
     set_graded_size,

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Meshes of bodies that touch, each in one distributed mesh: from files, or a disc or a ball."""
 
-from dolfinx_mortar.meshing.ball_on_block import sphere
-from dolfinx_mortar.meshing.disc_on_block import hertz
 from dolfinx_mortar.meshing.msh import read_msh
-from dolfinx_mortar.meshing.two_bodies import TaggedMesh
+from dolfinx_mortar.meshing.two_bodies import TaggedMesh, hertz, sphere
 
 __all__ = ["TaggedMesh", "hertz", "read_msh", "sphere"]

@@ -1,8 +1,21 @@
 # SPDX-License-Identifier: MIT
-"""Two bodies in one distributed mesh: from arrays on one rank, or from gmsh, with names."""
+"""A disc or a ball on a block, and what makes meshes of two bodies of arrays on one rank.
+
+The bodies are two disconnected parts of one mesh, made on rank 0 and distributed. What gmsh meshes
+is in a model of its own for each, so that no node is shared where the bodies touch. The halves of
+the disc and of its block are mirrored, so that the mesh has the symmetry of the problem.
+
+Hexahedra are mapped: around the contact point, the block is a cube in shells that end at its sides.
+The half ball is the image of such a half ball of twice the radius under the inversion in the sphere
+of radius 2R around its highest point's mirror image (0, 0, 2R): it takes the plane z = 0 to the
+ball's surface and the sphere of radius 2R to the flat face, and as it is conformal, well-shaped
+cells stay so.
+"""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import pairwise
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from mpi4py import MPI
@@ -13,11 +26,15 @@ import basix
 import basix.ufl
 import ufl
 from dolfinx import mesh as dmesh
-from dolfinx_mortar.arguments import POSITIVE, array, check, number
+from dolfinx_mortar.agreement import check_same_on_all_ranks
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arguments import POSITIVE, array, check, number, one_of
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.tags import Tags
 
 Arrays = tuple[Floats, Longs]  # nodes (n, d), cells (m, k)
+PAPER_DIVISIONS = (34, 20)  # half block: 34 x 20 rectangles, 2720 triangles in the whole block
+PAPER_DISC_SIZE = 0.45 / 8.0  # element size over radius that gives about 1200 triangles
 
 # All options of gmsh that are set here, with gmsh's defaults for those that only some meshes set.
 GMSH_OPTIONS = {
@@ -43,9 +60,265 @@ class TaggedMesh(NamedTuple):
     facet_tags: Tags  # sides and supports
 
 
+def hertz(
+    comm: MPI.Intracomm,
+    *,
+    kind: str = "paper",
+    h: float | tuple[float, float] = 0.05,
+    radius: float = 8.0,
+    block: tuple[float, float] = (30.0, 10.0),
+    gap: float = 0.0,
+    cell: str = "triangle",
+    half: bool = False,
+    limit: float = 10.0,
+    core: float = 2.5,
+) -> TaggedMesh:
+    """Mesh a half disc above a block, non-matching where they touch (collective).
+
+    The block is [-w/2, w/2] x [-t, 0] with (w, t) = ``block``. The disc has its lowest point at
+    (0, ``gap``) and its flat face on top at y = ``radius + gap``. The mesh is symmetric in x and
+    (0, 0), (0, ``gap``) are nodes. Bodies: "block", "disc". Sides: "bottom" and "top" of the block,
+    "flat" and "arc" of the disc, and "axis", which is x = 0 in the half.
+
+    Args:
+        comm: Communicator of the mesh; gmsh runs on its rank 0 only.
+        kind: "paper": about 1200 cells in the disc and 2720 in the block (as triangles, for any
+            ``radius`` and ``block``); "graded": element size ``h`` within ``core`` of the first
+            contact point and h (1 + r - core), at most ``limit`` h, at distance r mm.
+        h: Element size of the graded mesh [mm]; a pair gives (block, disc) separately.
+        radius: Radius of the disc [mm].
+        block: Width and thickness of the block [mm].
+        gap: Initial vertical gap between the bodies [mm]; negative for an overlap.
+        cell: "triangle" or "quadrilateral".
+        half: Whether to leave out x < 0; the rest is also the section of a ball on a round plate.
+        limit: Largest size of the graded mesh over h, greater than 1.
+        core: Where the graded mesh begins to coarsen [mm].
+
+    Raises:
+        ValueError: if an argument is out of range, or not the same on all ranks.
+        RuntimeError: if gmsh is missing or fails. All errors are raised on all ranks.
+    """
+    with raised_together(comm):
+        check("kind", kind, one_of("paper", "graded"))
+        check("cell", cell, one_of("triangle", "quadrilateral"))
+        sizes = check_sizes(h, radius, block, gap, "width, thickness")
+        if kind == "graded" and max(sizes) > radius / 2:
+            raise ValueError(f"h is {h!r}: give at most half of the radius, {radius / 2:g}")
+        check("limit", limit, number("the largest size over h,", above=1.0))
+        check("core", core, POSITIVE)
+    same = {"kind": kind, "cell": cell, "h": h, "radius": radius, "block": block, "gap": gap}
+    check_same_on_all_ranks(comm, **same, limit=limit, core=core, half=half)
+
+    def draw_block(geo: Any) -> int:
+        """Draw [0, w/2] x [-t, 0]."""
+        w, t = 0.5 * block[0], block[1]
+        p = [geo.addPoint(x, y, 0.0) for x, y in ((0, 0), (0, -t), (w, -t), (w, 0))]
+        lines = [geo.addLine(p[i], p[(i + 1) % 4]) for i in range(4)]
+        surface = geo.addPlaneSurface([geo.addCurveLoop(lines)])
+        if kind == "paper":
+            nx, ny = PAPER_DIVISIONS
+            for line, n in zip(lines, (ny, nx, ny, nx), strict=True):
+                geo.mesh.setTransfiniteCurve(line, n + 1)
+            geo.mesh.setTransfiniteSurface(surface)
+        return p[0]
+
+    def draw_disc(geo: Any) -> int:
+        """Draw the quarter disc x >= 0."""
+        p = [geo.addPoint(x, y + gap, 0.0) for x, y in ((0, 0), (radius, radius), (0, radius))]
+        arc = geo.addCircleArc(p[0], p[2], p[1])
+        lines = [arc, geo.addLine(p[1], p[2]), geo.addLine(p[2], p[0])]
+        geo.addPlaneSurface([geo.addCurveLoop(lines)])
+        return p[0]
+
+    def mesh_half(draw: Callable[[Any], int], size: float, uniform: float) -> Arrays:
+        """Mesh the surface; sizes are graded from the point that ``draw`` returns, or uniform."""
+        # 6 = frontal Delaunay; 8 and 3 = its variant and blossom-full-quad recombination
+        quads = cell == "quadrilateral"
+        options = {"Mesh.Algorithm": 8.0 if quads else 6.0, "Mesh.RecombineAll": float(quads)}
+        options["Mesh.RecombinationAlgorithm"] = 3.0
+        if kind == "paper":
+            options |= {"Mesh.MeshSizeMin": uniform, "Mesh.MeshSizeMax": uniform}
+        with gmsh_model(options) as gmsh:
+            origin = draw(gmsh.model.geo)
+            gmsh.model.geo.synchronize()
+            if kind == "graded":
+                set_graded_size(gmsh, origin, size, core=core, limit=limit, beyond=limit - 1.0)
+            gmsh.model.mesh.generate(2)
+            x, cells = read_cells(gmsh, cell)
+        return (on_axis(x[:, :2]), cells) if half else mirrored(x[:, :2], cells)
+
+    def create() -> tuple[Arrays, Arrays]:
+        lower = mesh_half(draw_block, sizes[0], block[1])
+        return lower, mesh_half(draw_disc, sizes[1], PAPER_DISC_SIZE * radius)
+
+    mesh, first = distribute(comm, create, cell)
+    mesh.name = "hertz"
+    of = {"thickness": block[1], "radius": radius, "gap": gap}
+    return name_sides(mesh, first, **of, names=("disc", "arc"), planes=("axis",))
+
+
+def sphere(
+    comm: MPI.Intracomm,
+    *,
+    cell: str = "hexahedron",
+    h: float | tuple[float, float] = 0.125,
+    radius: float = 8.0,
+    block: tuple[float, float, float] = (30.0, 30.0, 10.0),
+    gap: float = 0.0,
+    core: float | None = None,
+    half: bool = False,
+) -> TaggedMesh:
+    """Mesh a quarter of a half ball above a block, non-matching where they touch (collective).
+
+    The whole block is [-w/2, w/2] x [-l/2, l/2] x [-t, 0] with (w, l, t) = ``block``. The half ball
+    has its lowest point at (0, 0, ``gap``) and its flat face on top at z = ``radius + gap``. The
+    quarter x, y >= 0 of both is meshed; (0, 0, 0) and (0, 0, ``gap``) are nodes. Bodies: "block",
+    "ball". Sides: "bottom" and "top" of the block, "flat" and "sphere" of the ball, "symmetry_x"
+    and "symmetry_y", on x = 0 and y = 0.
+
+    Args:
+        comm: Communicator of the mesh; it is created on rank 0 and distributed.
+        cell: "hexahedron" or "tetrahedron" (which needs gmsh).
+        h: Element size at the first contact point [mm]; a pair gives (block, ball) separately. The
+            ball's hexahedra are one more along the edge of the core, so that they do not match.
+        radius: Radius of the ball [mm].
+        block: Width, length and thickness of the whole block [mm].
+        gap: Initial vertical gap between the bodies [mm]; negative for an overlap.
+        core: Distance from the contact point within which the size is ``h`` [mm], by default an
+            eighth of the radius; beyond, sizes grow in proportion to the distance.
+        half: Whether to mesh the half y >= 0 of both instead, for loads along x; the part x < 0 is
+            the mirror image of the quarter, and nothing is "symmetry_x" then.
+
+    Raises:
+        ValueError: if an argument is out of range, or not the same on all ranks.
+        RuntimeError: if gmsh is missing or fails. All errors are raised on all ranks.
+    """
+    with raised_together(comm):
+        check("cell", cell, one_of("hexahedron", "tetrahedron"))
+        sizes = check_sizes(h, radius, block, gap, "width, length, thickness")
+        largest = 0.5 * min(radius, block[0] / 2, block[1] / 2, block[2])
+        what = "a number, at most half of what the radius and the block leave,"
+        wanted = number(what, above=0.0, most=largest)
+        inner = check("core", radius / 8 if core is None else core, wanted)
+        what = "at most the core, by default an eighth of the radius,"
+        check("h", max(sizes), number(what, most=inner))
+    same = {"cell": cell, "h": h, "radius": radius, "block": block, "gap": gap, "core": core}
+    check_same_on_all_ranks(comm, **same, half=half)
+    corner = np.array([block[0] / 2, block[1] / 2, block[2]])
+
+    def create() -> tuple[Arrays, Arrays]:
+        of_hexahedra = cell == "hexahedron"
+        of_block = _block_of_hexahedra if of_hexahedra else _block_of_tetrahedra
+        of_ball = _ball_of_hexahedra if of_hexahedra else _ball_of_tetrahedra
+        bodies = of_block(corner, inner, sizes[0]), of_ball(radius, gap, inner, sizes[1])
+        return (mirrored(*bodies[0]), mirrored(*bodies[1])) if half else bodies
+
+    mesh, first = distribute(comm, create, cell)
+    mesh.name = "sphere"
+    of = {"thickness": block[2], "radius": radius, "gap": gap}
+    planes = ("symmetry_x", "symmetry_y")  # the first is no side of the half
+    return name_sides(mesh, first, **of, names=("ball", "sphere"), planes=planes)
+
+
+def _block_of_hexahedra(corner: Floats, core: float, h: float) -> Arrays:
+    n = int(np.ceil(core / h - 1e-9))
+    x, cells = graded_octant(core, n, float(np.cbrt(corner.prod())), lambda p: p * corner)
+    return x * [1.0, 1.0, -1.0] + 0.0, cells
+
+
+def _ball_of_hexahedra(radius: float, gap: float, core: float, h: float) -> Arrays:
+    n = int(np.ceil(core / h - 1e-9)) + 1
+
+    def outer(p: Floats) -> Floats:
+        # equal angles; on a far face the largest coordinate is 1
+        angles = np.tan(0.25 * np.pi * p)
+        return 2.0 * radius * angles / np.linalg.norm(angles, axis=1, keepdims=True)
+
+    x, cells = graded_octant(core, n, 2.0 * radius, outer)
+    # inversion of the lower half space around (0, 0, 2R)
+    arm = x * [1.0, 1.0, -1.0] - [0.0, 0.0, 2.0 * radius]
+    x = (2.0 * radius) ** 2 * arm / (arm**2).sum(axis=1, keepdims=True) + [0, 0, 2.0 * radius + gap]
+    return x, cells
+
+
+HXT = {"Mesh.Algorithm3D": 10.0}  # a fast Delaunay algorithm
+
+
+def _block_of_tetrahedra(corner: Floats, core: float, h: float) -> Arrays:
+    with gmsh_model(HXT) as gmsh:
+        w, b, t = corner
+        gmsh.model.occ.addBox(0, 0, -t, w, b, t)
+        return _tetrahedra(gmsh, (0.0, 0.0, 0.0), core, h, float(np.linalg.norm(corner)))
+
+
+def _ball_of_tetrahedra(radius: float, gap: float, core: float, h: float) -> Arrays:
+    with gmsh_model(HXT) as gmsh:
+        occ = gmsh.model.occ
+        part = [(3, occ.addSphere(0, 0, 0, radius, -1, 0.0, np.pi / 2, np.pi / 2))]
+        # the pole of the parametrisation goes to the rim, away from the contact
+        occ.rotate(part, 0, 0, 0, 0, 1, 0, np.pi / 2)
+        occ.translate(part, 0, 0, radius + gap)
+        return _tetrahedra(gmsh, (0.0, 0.0, gap), core, h, 2.0 * radius)
+
+
+def _tetrahedra(
+    gmsh: Any, contact: tuple[float, float, float], core: float, h: float, far: float
+) -> Arrays:
+    """Mesh the model; sizes grow from h at the contact point to h far / core at distance far."""
+    gmsh.model.occ.synchronize()
+    points = np.array([gmsh.model.getValue(0, tag, []) for _, tag in gmsh.model.getEntities(0)])
+    nearest = int(np.linalg.norm(points - contact, axis=1).argmin())
+    origin = gmsh.model.getEntities(0)[nearest][1]
+    set_graded_size(gmsh, origin, h, core=core, limit=far / core, beyond=far - core)
+    gmsh.model.mesh.generate(3)
+    return read_cells(gmsh, "tetrahedron")
+
+
+def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], Floats]) -> Arrays:
+    """Mesh an octant x, y, z >= 0 whose outer boundary can be seen from the origin, by hexahedra.
+
+    The cube at the origin has n^3 equal cells; each shell around it repeats the 3 n^2 facets of its
+    three outer faces, a little larger. So cells grow in proportion to their distance from the
+    origin, nearly cubes everywhere, about n^3 (1 + 3 log(outer radius / edge)) of them.
+
+    Args:
+        edge: edge of the cube.
+        n: cells along it.
+        radius: typical distance of the outer boundary, which sets the number of shells.
+        outer: maps points (p, 3) on the three far faces of the unit cube to the outer boundary;
+            points with a zero coordinate must keep it.
+
+    Returns:
+        Nodes (p, 3) and cells (m, 8) in the order of dolfinx.
+
+    >>> x, cells = graded_octant(1.0, 2, 2.0, lambda p: 2.0 * p)
+    >>> x.shape, cells.shape
+    ((46, 3), (20, 8))
+    """
+    lattice = np.stack(np.meshgrid(*[np.arange(n + 1)] * 3, indexing="ij"), axis=-1)
+    lattice = lattice.reshape(-1, 3)
+    far = np.flatnonzero(lattice.max(axis=1) == n)  # nodes on the three far faces
+    shells = max(1, round(n * np.log(radius / edge)))
+    radii = edge * (radius / edge) ** (np.arange(1, shells + 1) / shells)
+    s = ((radii - edge) / (radius - edge))[:, None, None]
+    inner, boundary = edge * lattice[far] / n, outer(lattice[far] / n)
+    x = np.concatenate([edge * lattice / n, ((1.0 - s) * inner + s * boundary).reshape(-1, 3)])
+    nodes = np.arange(len(lattice)).reshape([n + 1] * 3)
+    ends = slice(0, n), slice(1, n + 1)  # of the cells along an edge
+    cube = [nodes[i, j, k].ravel() for i in ends for j in ends for k in ends]
+    faces = [np.take(nodes, n, axis=axis) for axis in range(3)]
+    quads = np.concatenate(
+        [np.stack([face[i, j].ravel() for i in ends for j in ends], axis=1) for face in faces]
+    )
+    levels = np.vstack([far, len(lattice) + np.arange(len(far) * shells).reshape(shells, -1)])
+    levels = levels[:, np.searchsorted(far, quads)]  # (levels, quads, 4)
+    parts = [np.hstack([low, high]) for low, high in pairwise(levels)]
+    return x, np.concatenate([np.stack(cube, axis=1), *parts])
+
+
 @contextmanager
-def gmsh_model() -> Iterator[Any]:
-    """Yield gmsh with an empty model of its own; leave gmsh as it was found."""
+def gmsh_model(options: Mapping[str, float] = MappingProxyType({})) -> Iterator[Any]:
+    """Yield gmsh with an empty model of its own and some options; leave gmsh as it was found."""
     import gmsh
 
     started = not gmsh.isInitialized()
@@ -54,7 +327,7 @@ def gmsh_model() -> Iterator[Any]:
     before = {name: gmsh.option.getNumber(name) for name in GMSH_OPTIONS}
     model = gmsh.model.getCurrent()
     try:
-        for name, value in GMSH_OPTIONS.items():
+        for name, value in {**GMSH_OPTIONS, **options}.items():
             gmsh.option.setNumber(name, value)
         gmsh.model.add("dolfinx_mortar body")
         try:
