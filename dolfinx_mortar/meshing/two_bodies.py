@@ -133,9 +133,11 @@ def hertz(
     def mesh_half(draw: Callable[[Any], int], size: float, uniform: float) -> Arrays:
         """Mesh the surface; sizes are graded from the point that ``draw`` returns, or uniform."""
         # 6 = frontal Delaunay; 8 and 3 = its variant and blossom-full-quad recombination
-        quads = cell == "quadrilateral"
-        options = {"Mesh.Algorithm": 8.0 if quads else 6.0, "Mesh.RecombineAll": float(quads)}
-        options["Mesh.RecombinationAlgorithm"] = 3.0
+        options = {
+            "Mesh.Algorithm": 8.0 if cell == "quadrilateral" else 6.0,
+            "Mesh.RecombineAll": float(cell == "quadrilateral"),
+            "Mesh.RecombinationAlgorithm": 3.0,
+        }
         if kind == "paper":
             options |= {"Mesh.MeshSizeMin": uniform, "Mesh.MeshSizeMax": uniform}
         with gmsh_model(options) as gmsh:
