@@ -10,7 +10,10 @@
 The theory is in Cermak, Svetlik, Varga, Pospisil (2024), doi 10.4203/ccc.9.10.3.
 """
 
-from dolfinx_mortar import analytic, materials, meshing, plotting, shapes
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from dolfinx_mortar import materials, shapes
 from dolfinx_mortar.audit.pairs import Pair, Pairs, find_pairs
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.obstacle import Obstacle
@@ -45,6 +48,9 @@ from dolfinx_mortar.terms.inertia import Damping, Inertia
 from dolfinx_mortar.terms.point_terms import PointForce, PointSpring
 from dolfinx_mortar.terms.pressure import Pressure
 from dolfinx_mortar.terms.weak_forms import WeakForm
+
+if TYPE_CHECKING:
+    from dolfinx_mortar import analytic, meshing, plotting
 
 __version__ = "0.1.0"
 
@@ -98,3 +104,14 @@ __all__ = [
     "time_steps",
     "write_summary",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a companion of the package when it is first used."""
+    if name in ("analytic", "meshing", "plotting"):
+        return import_module(f"{__name__}.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -15,7 +15,7 @@ from msh_files import boxes, msh_file
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.plotting.gathered import gather_bodies
+from dolfinx_mortar.plotting import gather_bodies
 from tests import jobs
 
 COMM = MPI.COMM_WORLD
@@ -43,13 +43,12 @@ problem = dm.ContactProblem(solid, [contact], bcs=bcs)
 dm.newton(problem)
 drawn = [dm.plotting.field(problem, "stress_zz", file=f"{folder}/field.png", view=(1, 2, 3))]
 drawn += [dm.plotting.field(problem, "displacement_z"), dm.plotting.pressure(problem)]
-for wrong in ({"over": "x"}, {"ax": None if comm.rank else 1}):  # axes are on rank 0 alone
-    try:
-        dm.plotting.pressure(problem, **wrong)
-    except ValueError as error:
-        assert "in space" in str(error) or "leave it out" in str(error), error
-    else:
-        raise AssertionError(wrong)
+try:
+    dm.plotting.pressure(problem, ax=None if comm.rank else 1)  # axes are on rank 0 alone
+except ValueError as error:
+    assert "leave it out" in str(error), error
+else:
+    raise AssertionError
 tie = dm.Tie(facet_tags, slave="lower", master="upper")
 tied = dm.ContactProblem(dm.Solid(fem.Function(V), law), [tie], bcs=bcs)
 dm.newton(tied)
@@ -157,10 +156,12 @@ def test_only_the_outside_of_bodies_in_space_is_gathered(cell, degree):
     DG.interpolate(lambda x: x[2])
     owned = mesh.mesh.topology.index_map(3).size_local
     height = V.tabulate_dof_coordinates()[:, 2]
-    found = gather_bodies(V, {"z": height}, {"cell": DG.x.array[:owned]})
+    X = V.tabulate_dof_coordinates()
+    shaded = gather_bodies(V, X, height, at_nodes=True)
+    found = gather_bodies(V, X, DG.x.array[:owned], at_nodes=False)
     assert (found is None) != FIRST
     if FIRST:
-        assert found.at_nodes["z"] == pytest.approx(found.x[:, 2])
+        assert shaded.values == pytest.approx(shaded.x[:, 2])
         x = found.x[found.nodes]
         n = 3 if cell == "tetrahedron" else 4
         corners = x[:, :n]
@@ -170,7 +171,7 @@ def test_only_the_outside_of_bodies_in_space_is_gathered(cell, degree):
         if n == 4:
             sizes += np.linalg.norm(np.cross(c - a, block[:, 3] - a), axis=1) / 2
         assert sizes.sum() == pytest.approx(2 * 64.0 + 4 * 48.0)
-        below = found.of_parts["cell"][(corners[:, :, 2] <= 1e-9).all(axis=1)]
+        below = found.values[(corners[:, :, 2] <= 1e-9).all(axis=1)]
         assert (below < 0.0).all()
         middles = {6: (3, 4, 5), 9: (4, 5, 6, 7)}.get(found.nodes.shape[1], ())
         for i, node in enumerate(middles):

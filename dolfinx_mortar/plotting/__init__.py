@@ -11,6 +11,392 @@ collective and gather what they draw on rank 0: for models that fit there. For l
 `Writer`, and ParaView.
 """
 
-from dolfinx_mortar.plotting.pictures import field, mesh, pressure
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from itertools import cycle
+from typing import Any
+
+import numpy as np
+
+import basix
+import ufl
+from dolfinx import fem, plot
+from dolfinx import mesh as dmesh
+from dolfinx_mortar import compat
+from dolfinx_mortar.agreement import check_same_on_all_ranks
+from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.arguments import check, check_optional, instance, one_of
+from dolfinx_mortar.arrays import Floats, Ints, Longs
+from dolfinx_mortar.geometry.elements import FACETS_OF
+from dolfinx_mortar.spaces import CELLS
+from dolfinx_mortar.tags import names_of, tags_of
 
 __all__ = ["field", "mesh", "pressure"]
+
+SIDES = ("#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
+NO_TAG = np.iinfo(np.int32).min
+File = str | os.PathLike[str] | None
+
+
+def mesh(
+    mesh: dmesh.Mesh,
+    cell_tags: dmesh.MeshTags | None = None,
+    facet_tags: dmesh.MeshTags | None = None,
+    *,
+    file: File = None,
+    view: Any = None,
+    ax: Any = None,
+) -> Any:
+    """Draw a mesh with its bodies and sides in colours, and their names if the tags have some.
+
+    Collective; all is gathered on rank 0.
+
+    Args:
+        mesh: the mesh.
+        cell_tags: of its bodies, see `Tags` for names.
+        facet_tags: of its sides; in space they have a pane of their own.
+        file: picture to write (.png); no window is opened then.
+        view: in space, the direction (x, y, z) to look from.
+        ax: axes of matplotlib to draw in, in the plane; on rank 0.
+
+    Returns:
+        matplotlib's axes in the plane, PyVista's plotter in space (call its ``show()``), None on
+        all ranks but 0.
+
+    Raises:
+        ValueError: for no mesh, tags of another one, `view` in the plane, `ax` in space.
+        ImportError: without matplotlib or PyVista; the message names the extra.
+        RuntimeError: in space, if there is no screen to draw on.
+    """
+    if not isinstance(mesh, dmesh.Mesh) or mesh.topology.cell_name() not in CELLS:
+        unpack = "; unpack what a reader returns, mesh(*found)" if isinstance(mesh, tuple) else ""
+        raise ValueError(
+            f"mesh is {mesh!r}: give a dolfinx mesh of {', '.join(CELLS)} cells{unpack}."
+        )
+    check_same_on_all_ranks(mesh.comm, cell_tags=cell_tags, facet_tags=facet_tags)
+    tdim = mesh.topology.dim
+    check_optional("cell_tags", cell_tags, tags_of(mesh, tdim))
+    check_optional("facet_tags", facet_tags, tags_of(mesh, tdim - 1))
+    values: Ints = np.full(mesh.topology.index_map(tdim).size_local, NO_TAG, dtype=np.int32)
+    if cell_tags is not None:
+        inside = cell_tags.indices < len(values)
+        values[cell_tags.indices[inside]] = cell_tags.values[inside]
+    V = fem.functionspace(mesh, ("Lagrange", compat.cell_degree(mesh)))
+    x = V.tabulate_dof_coordinates()
+    bodies = gather_bodies(V, x, values, at_nodes=False)
+    sides = None if facet_tags is None else _gather_facets(V, x, facet_tags)
+
+    def draw(drawer: Any, on: Any) -> None:
+        drawer.draw_mesh(on, bodies, sides, cell_tags, facet_tags)
+
+    return _on_rank_0(mesh, draw, file, view, ax, panes=1 if facet_tags is None else 2)
+
+
+def field(
+    problem: Any,
+    name: str | fem.Function,
+    *,
+    scale: float = 1.0,
+    file: File = None,
+    view: Any = None,
+    ax: Any = None,
+) -> Any:
+    """Draw a field on the deformed bodies. Collective; all is gathered on rank 0.
+
+    Rigid tools are drawn where they are now, as far as they reach around the bodies, unless
+    displacements are enlarged.
+
+    Args:
+        problem: a `ContactProblem`, or a `Solid`, which has no tools.
+        name: of a scalar field of `Solid.cell_values`, such as "von_mises", "stress_yy" or
+            "plastic_strain_norm", with one colour per cell; "displacement" for its length, or
+            "displacement_x"; or another Function: one value per cell (DG0), or a continuous scalar
+            or vector (of which the length is drawn).
+        scale: by how much displacements are enlarged.
+        file: as `view` and `ax` and what is returned, see `mesh`.
+
+    Raises:
+        ValueError: for unknown names, tensors, Functions of another mesh or that jump from cell to
+            cell; else as `mesh` does.
+    """
+    solid = getattr(problem, "solid", problem)
+    V = getattr(solid, "V", None)
+    if not isinstance(V, fem.FunctionSpace) or not hasattr(solid, "cell_values"):
+        raise ValueError(f"problem is {problem!r}: give a ContactProblem or a Solid.")
+    check_same_on_all_ranks(V.mesh.comm, name=name, scale=scale)
+    function, title = _function_of(solid, name)
+    at_nodes = function.function_space.ufl_element().degree > 0
+    values = _lengths(V, function, at_nodes)
+    bodies = gather_bodies(V, _moved(V, solid.u, scale), values, at_nodes)
+    every = getattr(problem, "interfaces", ()) if scale == 1.0 else ()
+    tools = [one.tool.outline() for one in every if one.tool is not None]
+
+    def draw(drawer: Any, on: Any) -> None:
+        assert bodies is not None
+        drawer.draw_field(on, bodies, title)
+        if tools and len(bodies.x):
+            x = bodies.x[:, : V.mesh.geometry.dim]
+            low, high = x.min(axis=0), x.max(axis=0)
+            beside = 0.1 * np.linalg.norm(high - low)
+            drawer.draw_tools(on, tools, low - beside, high + beside)
+
+    return _on_rank_0(V.mesh, draw, file, view, ax)
+
+
+def pressure(
+    problem: Any, interfaces: Any = None, *, file: File = None, view: Any = None, ax: Any = None
+) -> Any:
+    """Draw the contact pressure: along the slave side in the plane, over it in space.
+
+    Collective; all is gathered on rank 0. In the plane the abscissa is the axis along which the
+    sides are longer. Of ties the normal traction is drawn, positive in compression like a pressure
+    and negative in tension.
+
+    Args:
+        problem: a `ContactProblem` that has made a step.
+        interfaces: one or several of its interfaces, by default its contacts, or its ties if it
+            has none.
+        file: as `view` and `ax` and what is returned, see `mesh`.
+
+    Raises:
+        ValueError: for interfaces of other problems; else as `mesh` does.
+        NoResult: before the first step.
+    """
+    chosen = _chosen(problem, interfaces)
+    V: fem.FunctionSpace = problem.solid.V
+    moved, sides = _moved(V, problem.solid.u, 1.0), []
+    for one in chosen:
+        one.force  # noqa: B018 - an error before the first step
+        side = _gather_facets(V, moved, one.facet_tags, one.slave, one.pressure.x.array)
+        sides += [] if side is None else [(repr(one), side)]
+    # one title for all sides: the pressure of a contact is a normal traction, too
+    title = "contact pressure" if all(one.unilateral for one in chosen) else "normal traction"
+
+    def draw(drawer: Any, on: Any) -> None:
+        drawer.draw_pressure(on, sides, title)
+
+    return _on_rank_0(V.mesh, draw, file, view, ax)
+
+
+def _chosen(problem: Any, interfaces: Any) -> list[Any]:
+    """Return the interfaces to draw; collective."""
+    if not hasattr(problem, "check_owned"):
+        raise ValueError(f"problem is {problem!r}: give a ContactProblem.")
+    problem.check_owned()
+    check_same_on_all_ranks(problem.comm, interfaces=interfaces)
+    asked = (problem.contacts or problem.interfaces) if interfaces is None else interfaces
+    asked = list(asked) if isinstance(asked, list | tuple) else [asked]
+    wrong = [one for one in asked if not any(one is own for own in problem.interfaces)]
+    if wrong or not asked:
+        raise ValueError(
+            f"interfaces is {wrong or interfaces!r}: no contact or tie of the problem is given or "
+            f"there; it has {problem.interfaces}."
+        )
+    return asked
+
+
+def _function_of(solid: Any, name: str | fem.Function) -> tuple[fem.Function, str]:
+    """Return the Function to draw, and its title; collective.
+
+    Raises:
+        ValueError: if it is on another mesh, or is neither constant in cells nor continuous.
+    """
+    V: fem.FunctionSpace = solid.V
+    d = V.mesh.geometry.dim
+    if not isinstance(name, fem.Function):
+        components = [f"displacement_{axis}" for axis in "xyz"[:d]]
+        rule = one_of("displacement", *components, *solid.fields.scalars)
+        check("name", name, rule, f"{rule.remedy}, or give a Function")
+        if name in components:
+            return solid.u.sub(components.index(name)).collapse(), name
+        return solid.u if name == "displacement" else solid.cell_values(name), name
+    space, told = name.function_space, f"name: the Function {name.name!r}"
+    element = space.ufl_element()
+    if space.mesh is not V.mesh:
+        raise ValueError(f"{told} is on another mesh than the bodies.")
+    if name.ufl_shape not in ((), (d,)):
+        raise ValueError(
+            f"{told} has values of shape {name.ufl_shape}: give a scalar or a vector ({d},)."
+        )
+    if element.family_name != "P" or (element.discontinuous and element.degree > 0):
+        raise ValueError(
+            f"{told} ({'discontinuous ' * element.discontinuous}{element.family_name} of degree "
+            f"{element.degree}) is neither Lagrange nor constant in cells: interpolate it into "
+            "such a space."
+        )
+    return (name.collapse() if space.component() else name), name.name
+
+
+def _lengths(V: fem.FunctionSpace, function: fem.Function, at_nodes: bool) -> Floats:
+    """Return a scalar, or lengths of vectors, at the local nodes of V or in the owned cells."""
+    found = ufl.sqrt(ufl.inner(function, function)) if function.ufl_shape else function
+    space = V.sub(0).collapse()[0] if at_nodes else fem.functionspace(V.mesh, ("DG", 0))
+    target = fem.Function(space)
+    target.interpolate(fem.Expression(found, compat.interpolation_points(space)))
+    target.x.scatter_forward()
+    owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
+    return target.x.array if at_nodes else target.x.array[space.dofmap.list[:owned, 0]]
+
+
+def _moved(V: fem.FunctionSpace, u: fem.Function, scale: float) -> Floats:
+    """Return the local nodes (n, 3) at X + scale u."""
+    x = V.tabulate_dof_coordinates().copy()
+    d = V.mesh.geometry.dim
+    x[:, :d] += scale * u.x.array.reshape(-1, d)
+    return x
+
+
+def _on_rank_0(
+    domain: dmesh.Mesh,
+    draw: Callable[[Any, Any], None],
+    file: File,
+    view: Any,
+    ax: Any,
+    panes: int = 1,
+) -> Any:
+    """Draw on rank 0 and return axes or plotter; errors are raised on all ranks; collective.
+
+    The module that draws is imported on all ranks; axes may be given on rank 0 alone.
+    """
+    dim = domain.geometry.dim
+    with raised_together(domain.comm):
+        check_optional("file", file, instance((str, os.PathLike), "give the name of a picture"))
+        name, given, where = ("view", view, "space") if dim == 2 else ("ax", ax, "the plane")
+        if given is not None:
+            raise ValueError(f"{name} is {given!r}: for bodies in {where} only; leave it out")
+    try:
+        drawer = import_module(f"{__name__}.{'in_plane' if dim == 2 else 'in_space'}")
+    except ImportError as error:
+        library = "matplotlib" if dim == 2 else "pyvista"
+        raise ImportError(
+            f"{library} is needed for this picture and cannot be imported ({error}): pip install "
+            f"'dolfinx_mortar[demo]', or the package python3-{library}.",
+            name=library,
+        ) from error
+    result = None
+    with raised_together(domain.comm):
+        if domain.comm.rank == 0:
+            result = drawer.begin(file, ax, panes)
+            draw(drawer, result)
+            drawer.finish(result, file, view)
+    return result
+
+
+# -- what is drawn -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Cells in the plane, or facets, of all ranks, with values at their nodes or one for each."""
+
+    x: Floats  # (n, 3)
+    nodes: Longs  # (m, k): vertices in order around the part, middles of edges, the one inside
+    values: np.ndarray  # (n,) at nodes, or (m,)
+    at_nodes: bool
+
+    @property
+    def polygons(self) -> Longs:
+        """The nodes (m, p) around the parts: vertices, with middles of edges between."""
+        k = self.nodes.shape[1]
+        n = 3 if k in (3, 6) else 4
+        return self.nodes if k == n else self.nodes[:, np.arange(2 * n).reshape(2, n).T.ravel()]
+
+    @property
+    def triangles(self) -> Longs:
+        """The nodes (t, 3) of triangles that fill the parts, part after part.
+
+        They meet at the node inside, or else at the first but one of the polygon: a middle if there
+        are some, from which no other two nodes lie on one line.
+        """
+        around = self.polygons
+        if self.nodes.shape[1] > around.shape[1]:
+            tip, rim = self.nodes[:, -1:], np.hstack([around, around[:, :1]])
+        else:
+            tip, rim = around[:, 1:2], np.hstack([around[:, 2:], around[:, :1]])
+        corners = np.broadcast_arrays(tip, rim[:, :-1], rim[:, 1:])
+        return np.stack(corners, axis=2).reshape(-1, 3)
+
+    def by_tag(
+        self, tags: dmesh.MeshTags | None, colours: Sequence[str]
+    ) -> Iterator[tuple[str, str, Parts]]:
+        """Yield name, colour and parts of each tag; colours are repeated if there are too few."""
+        names = {tag: name for name, tag in names_of(tags).items()} | {NO_TAG: "no tag"}
+        for tag, colour in zip(np.unique(self.values), cycle(colours), strict=False):
+            on = self.values == tag
+            parts = replace(self, nodes=self.nodes[on], values=self.values[on])
+            yield names.get(int(tag), f"tag {tag}"), colour, parts
+
+
+def gather_bodies(
+    V: fem.FunctionSpace, x: Floats, values: np.ndarray, at_nodes: bool
+) -> Parts | None:
+    """Return the cells of bodies in the plane, or the outer facets of others, on rank 0.
+
+    Collective; None on all other ranks.
+
+    Args:
+        V: Lagrange space of degree 1 or 2; its nodes are those of the parts.
+        x: (n, 3) where its local nodes are drawn.
+        values: at the local nodes (n,), or of the owned cells.
+        at_nodes: which of both.
+    """
+    topology = V.mesh.topology
+    if topology.dim == 2:
+        listed, _, _ = plot.vtk_mesh(V)
+        nodes = listed.reshape(-1, V.dofmap.dof_layout.num_dofs + 1)[:, 1:]
+        return _gather(V, nodes, x, values, at_nodes)
+    topology.create_connectivity(2, 3)
+    nodes, cells = _nodes_of(V, dmesh.exterior_facet_indices(topology))
+    return _gather(V, nodes, x, values if at_nodes else values[cells], at_nodes)
+
+
+def _gather_facets(
+    V: fem.FunctionSpace,
+    x: Floats,
+    tags: dmesh.MeshTags,
+    tag: int | None = None,
+    values: Floats | None = None,
+) -> Parts | None:
+    """Return the facets that have tags, or one of them, with values at nodes or their tags."""
+    chosen = tags.indices < V.mesh.topology.index_map(tags.dim).size_local
+    if tag is not None:
+        chosen &= tags.values == tag
+    nodes, _ = _nodes_of(V, tags.indices[chosen])
+    own = tags.values[chosen] if values is None else values
+    return _gather(V, nodes, x, own, at_nodes=values is not None)
+
+
+def _nodes_of(V: fem.FunctionSpace, facets: Ints) -> tuple[Longs, Ints]:
+    """Return the nodes (m, k) of facets, and the cells (m,) that they belong to."""
+    topology, d = V.mesh.topology, V.mesh.topology.dim
+    for pair in ((d - 1, d), (d, d - 1)):
+        topology.create_connectivity(*pair)
+    to_cell = topology.connectivity(d - 1, d)
+    cells = to_cell.array[to_cell.offsets[facets]]
+    count = len(basix.topology(V.mesh.basix_cell())[d - 1])
+    own = topology.connectivity(d, d - 1).array.reshape(-1, count)[cells]
+    number = np.argmax(own == facets[:, None], axis=1)
+    order = FACETS_OF[topology.cell_name(), V.element.basix_element.degree].order
+    layout = V.dofmap.dof_layout
+    closure = np.array([layout.entity_closure_dofs(d - 1, i) for i in range(count)])[:, order]
+    return V.dofmap.list[cells[:, None], closure[number]].astype(np.int64), cells
+
+
+def _gather(
+    V: fem.FunctionSpace, nodes: Longs, x: Floats, values: np.ndarray, at_nodes: bool
+) -> Parts | None:
+    """Return the parts of all ranks on rank 0, None elsewhere; collective."""
+    used, own = np.unique(nodes, return_inverse=True)
+    ranks = V.mesh.comm.gather(
+        (x[used], own.reshape(nodes.shape), values[used] if at_nodes else values)
+    )
+    if ranks is None:
+        return None
+    points, numbers, found = zip(*ranks, strict=True)
+    before = np.cumsum([0, *map(len, points)])
+    own = np.concatenate([one + n for one, n in zip(numbers, before, strict=False)])
+    return Parts(np.concatenate(points), own, np.concatenate(found), at_nodes)

@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 
 from dolfinx import mesh as dmesh
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.plotting.gathered import SIDES, Parts, groups, polygons_of, triangles_of
+from dolfinx_mortar.plotting import SIDES, Parts
 
 GRID = 400
 """Points along each side of the box in which tools are drawn."""
@@ -43,11 +43,11 @@ def draw_mesh(
 ) -> None:
     """Draw bodies in pale colours and tagged sides as thick lines, with their names."""
     entries: list[Any] = []
-    for name, colour, body in groups(cells, cell_tags, BODIES):
+    for name, colour, body in cells.by_tag(cell_tags, BODIES):
         _add_cells(axes, body, facecolor=colour, edgecolor="#20415c80")
         if cell_tags is not None:
             entries.append(Patch(facecolor=colour, edgecolor="#20415c", label=name))
-    for name, colour, side in groups(facets, facet_tags, SIDES) if facets is not None else ():
+    for name, colour, side in facets.by_tag(facet_tags, SIDES) if facets is not None else ():
         lines = side.x[_in_order(side)][:, :, :2]
         entries.append(LineCollection(lines, colors=colour, linewidths=2.5, label=name))
         axes.add_collection(entries[-1])
@@ -58,14 +58,13 @@ def draw_mesh(
 
 def draw_field(axes: Any, cells: Parts, name: str) -> None:
     """Draw a field of cells (flat colours) or of nodes (shaded) with its scale."""
-    if name in cells.of_parts:
-        drawn = _add_cells(axes, cells, array=cells.of_parts[name], edgecolor="#00000030")
-    else:
+    if cells.at_nodes:
         x, y = cells.x[:, :2].T
-        drawn = axes.tripcolor(
-            x, y, triangles_of(cells), cells.at_nodes[name], shading="gouraud", cmap="viridis"
-        )
+        style = {"shading": "gouraud", "cmap": "viridis"}
+        drawn = axes.tripcolor(x, y, cells.triangles, cells.values, **style)
         _add_cells(axes, cells, facecolor="none", edgecolor="#00000030")
+    else:
+        drawn = _add_cells(axes, cells, array=cells.values, edgecolor="#00000030")
     axes.figure.colorbar(drawn, ax=axes, label=name, shrink=0.8)
     _frame(axes)
 
@@ -82,26 +81,21 @@ def draw_tools(axes: Any, tools: list[Any], low: Floats, high: Floats) -> None:
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
 
 
-def draw_pressure(axes: Any, sides: list[tuple[str, Parts]], over: str | None, title: str) -> None:
+def draw_pressure(axes: Any, sides: list[tuple[str, Parts]], title: str) -> None:
     """Draw pressures over x or y, facet by facet, where there are some and as far again beside."""
-    axis = "xy".index(over) if over else int(np.argmax(sum(_extents(side) for _, side in sides)))
+    axis = int(np.argmax(sum(np.ptp(side.x[:, :2], axis=0) for _, side in sides if len(side.x))))
     for (name, side), colour in zip(sides, SIDES * len(sides), strict=False):
         order = _in_order(side)
         gap = np.full((len(order), 1), np.nan)  # between two facets no line is drawn
         s = np.hstack([side.x[order, axis], gap]).ravel()
-        p = np.hstack([side.at_nodes["pressure"][order], gap]).ravel()
+        p = np.hstack([side.values[order], gap]).ravel()
         axes.plot(s, p, ".-", color=colour, ms=4, lw=1.0, label=name)
-    loaded = np.concatenate([s.x[s.at_nodes["pressure"] != 0.0, axis] for _, s in sides])
+    loaded = np.concatenate([s.x[s.values != 0.0, axis] for _, s in sides])
     if len(loaded) > 1:
         axes.set_xlim(loaded.min() - np.ptp(loaded), loaded.max() + np.ptp(loaded))
     axes.set(xlabel="xy"[axis], ylabel=title)
     axes.grid(alpha=0.3)
     axes.legend(fontsize="small")
-
-
-def _extents(side: Parts) -> Floats:
-    """Return the lengths (2,) of a side along x and y."""
-    return np.ptp(side.x[:, :2], axis=0) if len(side.x) else np.zeros(2)
 
 
 def _in_order(facets: Parts) -> Any:
@@ -111,7 +105,7 @@ def _in_order(facets: Parts) -> Any:
 
 def _add_cells(axes: Any, cells: Parts, **style: Any) -> Any:
     """Draw cells as polygons along their nodes, with edges that do not hide their colours."""
-    polygons: Any = cells.x[polygons_of(cells)][:, :, :2]
+    polygons: Any = cells.x[cells.polygons][:, :, :2]
     drawn = PolyCollection(polygons, linewidth=0.2, cmap="viridis", **style)
     axes.add_collection(drawn)
     return drawn

@@ -15,7 +15,7 @@ import pyvista
 
 from dolfinx import mesh as dmesh
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.plotting.gathered import SIDES, Parts, groups, polygons_of, triangles_of
+from dolfinx_mortar.plotting import SIDES, Parts
 
 GRID = 60
 """Points along each side of the box in which tools are drawn."""
@@ -58,7 +58,7 @@ def draw_mesh(
 ) -> None:
     """Draw the bodies in one pane and the tagged sides in another one, with their names."""
     entries = []
-    for name, colour, body in groups(outside, cell_tags, BODIES):
+    for name, colour, body in outside.by_tag(cell_tags, BODIES):
         entries.append((name, colour))
         _add_facets(plotter, body, color=colour, ambient=0.4)
     _describe(plotter, entries if cell_tags is not None else [])
@@ -66,11 +66,11 @@ def draw_mesh(
         return
     plotter.subplot(0, 1)
     entries = []
-    for name, colour, side in groups(facets, facet_tags, SIDES):
+    for name, colour, side in facets.by_tag(facet_tags, SIDES):
         entries.append((name, colour))
         _add_facets(plotter, side, color=colour, opacity=0.5, ambient=0.6)
     # facets are numbered either way around
-    surface = _surface(outside, triangles_of(outside))
+    surface = _surface(outside, outside.triangles)
     surface = surface.compute_normals(cell_normals=False, split_vertices=False)
     outline = surface.extract_feature_edges(boundary_edges=False, manifold_edges=False)
     if outline.n_points:
@@ -81,7 +81,7 @@ def draw_mesh(
 
 def draw_field(plotter: Any, outside: Parts, name: str) -> None:
     """Draw a field of cells (flat colours) or of nodes (shaded) with its scale."""
-    _add_values(plotter, outside, name, name)
+    _add_values(plotter, outside, name)
     _describe(plotter, [])
 
 
@@ -101,12 +101,10 @@ def draw_tools(plotter: Any, tools: list[Any], low: Floats, high: Floats) -> Non
             plotter.add_mesh(surface, color=TOOL, opacity=0.35, smooth_shading=True)
 
 
-def draw_pressure(
-    plotter: Any, sides: list[tuple[str, Parts]], over: str | None, title: str
-) -> None:
+def draw_pressure(plotter: Any, sides: list[tuple[str, Parts]], title: str) -> None:
     """Draw pressures on the slave sides, seen along the direction in which these extend least."""
     for _, side in sides:
-        _add_values(plotter, side, "pressure", title)
+        _add_values(plotter, side, title)
     _describe(plotter, [])
     x = np.concatenate([side.x for _, side in sides])
     if len(x):
@@ -121,25 +119,24 @@ def _look(plotter: Any, towards: Floats) -> None:
         renderer.view_vector(towards, viewup=(0, 0, 1) if upright else (0, 1, 0))
 
 
-def _add_values(plotter: Any, parts: Parts, name: str, title: str) -> None:
+def _add_values(plotter: Any, parts: Parts, title: str) -> None:
     """Draw values of parts or at nodes in colours, with their scale."""
     bar = {"title": f"{title}\n", "color": "black", "vertical": True, "position_x": 0.85}
     bar |= {"fmt": "%.3g", "title_font_size": 18, "label_font_size": 18}
-    if name in parts.of_parts:
-        values = np.repeat(parts.of_parts[name], len(triangles_of(parts)) // len(parts.nodes))
-    else:
-        values = parts.at_nodes[name]
+    values = parts.values
+    if not parts.at_nodes:
+        values = np.repeat(values, len(parts.triangles) // len(parts.nodes))
     style = {"scalars": values, "cmap": "viridis", "lighting": False}
     _add_facets(plotter, parts, scalar_bar_args=bar, **style)
 
 
 def _add_facets(plotter: Any, facets: Parts, **style: Any) -> None:
     """Draw facets, those with curved edges in triangles, and their edges."""
-    actor = plotter.add_mesh(_surface(facets, triangles_of(facets)), **style)
+    actor = plotter.add_mesh(_surface(facets, facets.triangles), **style)
     # edges lie in front of their facets, also of those that are seen at an angle
     actor.mapper.resolve = "polygon_offset"
     actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(2.0, 2.0)
-    edges = _surface(facets, polygons_of(facets)).extract_all_edges()
+    edges = _surface(facets, facets.polygons).extract_all_edges()
     plotter.add_mesh(edges, color="#303030", line_width=1, opacity=0.4, lighting=False)
 
 
