@@ -12,7 +12,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-import dolfinx_mortar.output.files
+import dolfinx_mortar.output.xdmf
 import ufl
 from basix.ufl import element
 from dolfinx import default_scalar_type, fem, mesh
@@ -383,7 +383,7 @@ def test_no_space_for_the_mesh(folder):
 @pytest.mark.parametrize("n", [4, 90])
 def test_the_space_asked_for_is_enough(folder, monkeypatch, n):
     """No file grows by more than what was made sure of, for the mesh and for every step."""
-    asked, files = [], dolfinx_mortar.output.files
+    asked, files = [], dolfinx_mortar.output.xdmf
     monkeypatch.setattr(files, "demand_space", lambda file, size: asked.append(size))
     m = mesh.create_rectangle(COMM, [[0.0, 0.0], [2.0, 1.0]], (n, n))
     problem, path = Problem("triangle", 1), folder / "out.xdmf"

@@ -167,18 +167,24 @@ def test_a_side_that_leaves_the_box(folder):
 
 def test_a_failed_step_may_be_written_again(folder, monkeypatch):
     """Tools are there once, also where the results could not be written after them."""
-    problem, _, _ = in_plane()
-    from dolfinx_mortar.output import writer
+    case = Block(n=4)
+    plane = case.tool(dm.shapes.Plane([0.0, 0.1], [0.0, -1.0]))
+    problem = case.problem([plane])
+
+    def fail(steps):
+        raise OSError("no")
 
     with dm.Writer(folder / "out.xdmf", problem) as out:
-        replace = writer.replace_tree
-        monkeypatch.setattr(writer, "replace_tree", lambda *_: (_ for _ in ()).throw(OSError("no")))
-        with pytest.raises(OSError, match="no"):
+        with monkeypatch.context() as patch, pytest.raises(OSError, match="no"):
+            patch.setattr(out._file, "replace", fail)
             out.write(1.0)
-        monkeypatch.setattr(writer, "replace_tree", replace)
         out.write(1.0)
+        plane.position.value[1] = 0.2
         out.write(2.0)
-    assert list(read(folder / "out.tools.xdmf")) == [1.0, 2.0]
+    heights = {
+        t: points[:, 1].mean() for t, (points, *_) in read(folder / "out.tools.xdmf").items()
+    }
+    assert heights == pytest.approx({1.0: 0.1, 2.0: 0.2})
 
 
 def test_without_tools_there_is_no_file(folder):

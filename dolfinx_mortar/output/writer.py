@@ -15,7 +15,8 @@ import hashlib
 import logging
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
@@ -26,22 +27,24 @@ from dolfinx import fem, plot
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.arguments import FLAG, NUMBER, check
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.disk import check_path
-from dolfinx_mortar.output.files import (
-    claim_files,
-    create_tree,
-    demand_space_for_step,
-    field_keys,
-    release_files,
-    replace_tree,
-)
-from dolfinx_mortar.output.grids import Step, free_name, insert, read_steps
-from dolfinx_mortar.output.layout import KINDS, TOPOLOGY, Layout
-from dolfinx_mortar.output.numbers import Numbers
-from dolfinx_mortar.output.tool_file import ToolFile, create_tool_file, tools_of
+from dolfinx_mortar.materials.tensor import COMPONENTS
+from dolfinx_mortar.output.xdmf import File, Step, field_keys, insert
 
 log = logging.getLogger(__name__)
+
+TOPOLOGY = {  # XDMF names by (cell, nodes per cell); nodes in VTK order
+    ("triangle", 3): "Triangle",
+    ("triangle", 6): "Triangle_6",
+    ("quadrilateral", 4): "Quadrilateral",
+    ("quadrilateral", 9): "Quadrilateral_9",
+    ("tetrahedron", 4): "Tetrahedron",
+    ("tetrahedron", 10): "Tetrahedron_10",
+    ("hexahedron", 8): "Hexahedron",
+    ("hexahedron", 27): "Hexahedron_27",
+}
+KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}  # XDMF attribute types by components
 
 
 class Writer:
@@ -58,8 +61,8 @@ class Writer:
     components in the order of `materials.tensor`, to nine (xx, xy, xz, yx, ...); other shapes are
     written as a flat row of components.
 
-    Rigid tools go to a second file, out.tools.xdmf with the same times: their surfaces as far as
-    the sides that meet them may get, with the number of the tool in "tool".
+    Rigid tools go to a second file, out.tools.xdmf with the same times: their surfaces near the
+    sides that meet them, with the number of the tool in "tool".
 
     After every step the HDF5 file is closed and the XDMF file replaced in one move, so what has
     been written stays readable whatever happens next. An error on one rank is raised on all.
@@ -91,29 +94,33 @@ class Writer:
                 resumed, or are open in another Writer.
             OSError: on all ranks, if there is no space on the disk.
         """
-        V = _space(problem)
-        self.comm: MPI.Intracomm = V.mesh.comm
+        V = getattr(getattr(problem, "solid", None), "V", None)
+        fields = getattr(problem, "output_fields", None)
+        if not isinstance(V, fem.FunctionSpace) or not callable(fields):
+            raise ValueError(f"problem is {problem!r}: give a ContactProblem.")
+        self.problem, self.comm = problem, V.mesh.comm
         cell = V.mesh.topology.cell_type.name, V.dofmap.dof_layout.num_dofs
         self.path = check_path(self.comm, path)
         check_same_on_all_ranks(self.comm, resume=resume)
         with raised_together(self.comm):
             if self.path.suffix != ".xdmf":
                 raise ValueError(f"path is {str(path)!r}: give the name of a file ending in .xdmf.")
-            self._root, self._collection = create_tree({} if notes is None else notes)
             check("resume", resume, FLAG)
             if cell not in TOPOLOGY:
                 raise ValueError(f"problem: {cell[0]} cells with {cell[1]} nodes: no XDMF name.")
-        self._steps = read_steps(self.comm, self.path) if resume else []
-        self._numbers = Numbers(self.comm, free_name(self.path, self._steps))
-        claim_files(self.comm, self.path, self._numbers.path, self, resume=resume)
-        self.problem = problem
-        self._layout = Layout(V)
-        self._tools: ToolFile | None = None
+        notes = {} if notes is None else notes
         self._open = True
+        self._tools: _ToolFile | None = None  # on rank 0
+        self._file = File(self.comm, self.path, notes, resume=resume)
         try:
             self._grid_head = self._write_mesh(V, TOPOLOGY[cell])
-            given = problem, self.path, {} if notes is None else notes
-            self._tools = create_tool_file(self.comm, *given, resume=resume)
+            if self._outlines():
+                with raised_together(self.comm):
+                    if self.comm.rank == 0:
+                        beside = self.path.with_suffix(".tools.xdmf")
+                        self._tools = _ToolFile(MPI.COMM_SELF, beside, notes, resume=resume)
+                        with self._tools.numbers("w"):
+                            pass
         except BaseException:
             self._leave()
             raise
@@ -132,46 +139,42 @@ class Writer:
         """
         if not self._open:
             raise ValueError(f"Writer of {str(self.path)!r} is closed: make a new one.")
-        fields, tools = self.problem.output_fields(), tools_of(self.problem)
-        number = sum(not step.earlier for step in self._steps)
+        file, fields, tools = self._file, self.problem.output_fields(), self._outlines()
+        V: fem.FunctionSpace = self.problem.solid.V
+        number = sum(not step.earlier for step in file.steps)
         grid = ET.Element("Grid", GridType="Uniform")
         with raised_together(self.comm):
             check("t", t, NUMBER, "give the time or load of the step, a finite number")
             done, brought = getattr(self.problem, "steps_done", (0, 0))
             step = Step(grid, done, float(t), self._mesh)
-            steps = insert(self._steps, step, made=done > brought)
+            steps = insert(file.steps, step, made=done > brought)
             keys = field_keys(fields)
-            self._layout.check(fields)
-        grid.set("Name", f"step {steps.index(step)}")
-        ET.SubElement(grid, "Time", Value=repr(step.time))
-        step.remember()
-        found = {name: self._layout.values(name, f) for name, f in fields.items()}
-        self._check_finite({name: values for name, (values, _) in found.items()})
-        grid.extend(self._grid_head)
-        size = sum(values.nbytes for values, _ in found.values())
-        demand_space_for_step(self.comm, self.path, self._numbers.path, size, len(found))
-        with self._numbers.viewer("a") as viewer:
-            for name, (values, centre) in found.items():
-                kind = KINDS.get(values.shape[1], "Matrix")
-                about = {"Name": name, "AttributeType": kind, "Center": centre}
-                item = self._numbers.write(viewer, f"{keys[name]}_{number:06d}", values)
-                ET.SubElement(grid, "Attribute", about).append(item)
-        with raised_together(self.comm):
-            if self._tools is not None:  # first: what the results lack is dropped
-                self._tools.write(steps, step, tools)
-        self._collection[:] = [one.grid for one in steps]
-        replace_tree(self.comm, self.path, self._root)
-        self._steps = steps
-
-    def _check_finite(self, found: Mapping[str, Floats]) -> None:
-        """Raise a ValueError on all ranks for values that are NaN or infinite; collective."""
-        bad = np.array([np.sum(~np.isfinite(values)) for values in found.values()])
+            for name, f in fields.items():
+                if f.function_space.mesh is not V.mesh:
+                    raise ValueError(
+                        f"output field {name!r} is on another mesh than the displacement."
+                    )
+        step.begin(steps.index(step))
+        found = {name: _values(V, f) for name, f in fields.items()}
+        bad = np.array([np.sum(~np.isfinite(values)) for values, _ in found.values()])
         for name, count in zip(found, self.comm.allreduce(bad), strict=True):
             if count:
                 raise ValueError(
                     f"output field {name!r}: {count} values are NaN or infinite, and the step is "
                     "not written; check what they come from."
                 )
+        grid.extend(self._grid_head)
+        size = sum(values.nbytes for values, _ in found.values())
+        with file.numbers("a", size, len(found)) as viewer:
+            for name, (values, centre) in found.items():
+                kind = KINDS.get(values.shape[1], "Matrix")
+                about = {"Name": name, "AttributeType": kind, "Center": centre}
+                item = file.write(viewer, f"{keys[name]}_{number:06d}", values)
+                ET.SubElement(grid, "Attribute", about).append(item)
+        with raised_together(self.comm):
+            if self._tools is not None:  # first: what the results lack is dropped
+                self._tools.write_step(steps, step, tools)
+        file.replace(steps)
 
     def close(self) -> None:
         """End the writing: other writers may use the files; collective."""
@@ -180,9 +183,9 @@ class Writer:
 
     def _leave(self) -> None:
         self._open = False
-        release_files(self.path, self)
-        if self._tools is not None:
-            self._tools.leave()
+        for file in (self._file, self._tools):
+            if file is not None:
+                file.close()
 
     def __enter__(self) -> Writer:
         return self
@@ -194,11 +197,17 @@ class Writer:
         else:
             self._leave()
 
+    def _outlines(self) -> Sequence[tuple[Any, Floats]]:
+        """Return the tools of the problem, see `ContactProblem.output_tools`; collective."""
+        find = getattr(self.problem, "output_tools", None)
+        return () if find is None else find()
+
     def _write_mesh(self, V: fem.FunctionSpace, topology: str) -> list[ET.Element]:
         """Write cells and points, to which the grids of all steps refer; return these references.
 
         Those of an earlier run serve if nodes and cells are numbered in the same way.
         """
+        file = self._file
         nodes, _, _ = plot.vtk_mesh(V)
         k = V.dofmap.dof_layout.num_dofs
         local = nodes.reshape(-1, k + 1)[:, 1:]  # the first column repeats the number of nodes
@@ -206,38 +215,146 @@ class Writer:
         cells = cells.reshape(-1, k)
         x = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local]
         count = V.mesh.topology.index_map(V.mesh.topology.dim).size_global
-        head = ET.Element("Topology", TopologyType=topology, NumberOfElements=str(count))
-        geometry = ET.Element("Geometry", GeometryType="XYZ")
         self._mesh = _digest(self.comm, cells, x)
-        for step in self._steps:
+        for step in file.steps:
             if step.mesh == self._mesh:
-                with self._numbers.viewer("w"):
+                with file.numbers("w"):
                     return [one for one in step.grid if one.tag in ("Topology", "Geometry")]
-        if self._steps and self.comm.rank == 0:
+        if file.steps and self.comm.rank == 0:
             log.warning(
                 "%s: nodes are numbered in another way than in its earlier steps, as on another "
                 "number of ranks; ParaView reads the mesh of each step, meshio only the first one",
                 self.path,
             )
-        size = cells.nbytes + x.nbytes
-        demand_space_for_step(self.comm, self.path, self._numbers.path, size, 2)
-        with self._numbers.viewer("w") as viewer:
-            head.append(self._numbers.write_cells(viewer, "cells", cells))
-            geometry.append(self._numbers.write(viewer, "points", x))
+        head = ET.Element("Topology", TopologyType=topology, NumberOfElements=str(count))
+        geometry = ET.Element("Geometry", GeometryType="XYZ")
+        with file.numbers("w", cells.nbytes + x.nbytes, 2) as viewer:
+            head.append(file.write_cells(viewer, "cells", cells))
+            geometry.append(file.write(viewer, "points", x))
         return [head, geometry]
-
-
-def _space(problem: Any) -> fem.FunctionSpace:
-    """Return the displacement's space of a problem, or raise ValueError if it is none."""
-    V = getattr(getattr(problem, "solid", None), "V", None)
-    if not isinstance(V, fem.FunctionSpace) or not callable(
-        getattr(problem, "output_fields", None)
-    ):
-        raise ValueError(f"problem is {problem!r}: give a ContactProblem.")
-    return V
 
 
 def _digest(comm: MPI.Comm, cells: Ints, x: Floats) -> str:
     """Return a digest of cells and points of all ranks; collective."""
     own = hashlib.sha256(cells.astype(np.int64).tobytes() + x.astype(np.float64).tobytes())
     return hashlib.sha256("".join(comm.allgather(own.hexdigest())).encode()).hexdigest()
+
+
+# -- values of Functions -------------------------------------------------------------------------
+
+
+def _values(V: fem.FunctionSpace, function: fem.Function) -> tuple[Floats, str]:
+    """Return the owned values, padded, shape (n, components), and "Node" or "Cell"; collective.
+
+    They are in the order of V's owned nodes, or of the owned cells: two spaces of the same element
+    may number their nodes differently. A Function of another degree than V is interpolated.
+    """
+    degree, shape = V.ufl_element().degree, function.ufl_shape
+    of_cells = function.function_space.ufl_element().degree == 0
+    if not of_cells and function.function_space.ufl_element().degree != degree:
+        family = ("Lagrange", degree, shape) if shape else ("Lagrange", degree)
+        target = fem.Function(fem.functionspace(V.mesh, family))
+        target.interpolate(function)
+        function = target
+    dofmap, topology = function.function_space.dofmap, V.mesh.topology
+    if of_cells:
+        rows = dofmap.list[: topology.index_map(topology.dim).size_local, 0]
+    else:
+        imap = V.dofmap.index_map
+        rows = np.empty(imap.size_local + imap.num_ghosts, dtype=np.int32)
+        rows[V.dofmap.list] = dofmap.list
+        rows = rows[: imap.size_local]
+    values = function.x.array.reshape(-1, dofmap.index_map_bs)[rows]
+    return _pad(values, shape), "Cell" if of_cells else "Node"
+
+
+def _pad(values: Floats, shape: tuple[int, ...]) -> Floats:
+    """Pad vectors to three and tensors to three by three components.
+
+    >>> _pad(np.array([[1.0, 2.0]]), (2,)).tolist()
+    [[1.0, 2.0, 0.0]]
+    >>> _pad(np.array([[1.0, 2.0, 3.0, 4.0]]), (2, 2)).tolist()
+    [[1.0, 2.0, 0.0, 3.0, 4.0, 0.0, 0.0, 0.0, 0.0]]
+    >>> _pad(np.array([[1.0, 2.0, 3.0, 4.0]]), (4,)).tolist()  # xx, yy, zz, xy
+    [[1.0, 4.0, 0.0, 4.0, 2.0, 0.0, 0.0, 0.0, 3.0]]
+    """
+    n, components = values.shape
+    if shape == (2,):
+        return np.pad(values, ((0, 0), (0, 1)))
+    for names in COMPONENTS.values():
+        if shape == (len(names),):
+            nine = [min(a + b, b + a) for a in "xyz" for b in "xyz"]
+            return values @ np.array([[float(own == name) for name in nine] for own in names])
+    if len(shape) == 2 and shape[0] == shape[1] <= 3:
+        if components < shape[0] ** 2:
+            # a symmetric element stores the rows of the lower triangle
+            row, column = np.tril_indices(shape[0])
+            full = np.zeros((n, *shape))
+            full[:, row, column] = full[:, column, row] = values
+        else:
+            full = values.reshape(n, *shape)
+        margin = (0, 3 - shape[0])
+        return np.pad(full, ((0, 0), margin, margin)).reshape(n, 9)
+    return values
+
+
+# -- rigid tools ---------------------------------------------------------------------------------
+
+
+class _ToolFile(File):
+    """The surfaces of rigid tools, of rank 0.
+
+    They are found in the frames of the tools, where they do not change, and their points are moved.
+    A box around the side that meets a tool is enlarged by its diagonal: what rolls along the side
+    rolls no farther. When the side leaves it, the surface is cut anew.
+    """
+
+    written = 0  # steps, by this run, also those that the results lack
+    boxes: Sequence[tuple[Floats, Floats]] = ()  # of the last cuts
+    points: Sequence[Floats] = ()
+    head: Sequence[ET.Element] = ()  # references to their cells
+
+    def write_step(
+        self, steps: Sequence[Step], new: Step, tools: Sequence[tuple[Any, Floats]]
+    ) -> None:
+        """Write the tools at a new step, and keep only steps that the results have."""
+        number, self.written = self.written, self.written + 1
+        known = len(self.boxes) == len(tools) and all(
+            (low <= box[0]).all() and (box[1] <= high).all()
+            for (low, high), (_, box) in zip(self.boxes, tools, strict=True)
+        )
+        if not known:
+            beside = [np.linalg.norm(high - low) for _, (low, high) in tools]
+            boxes = zip(beside, tools, strict=True)
+            self.boxes = [(low - far, high + far) for far, (_, (low, high)) in boxes]
+            cuts = [tool.cut(*box) for (tool, _), box in zip(tools, self.boxes, strict=True)]
+            self.points = [x for x, _ in cuts]
+            before = np.cumsum([0, *map(len, self.points)])
+            cells = np.concatenate([c + n for (_, c), n in zip(cuts, before, strict=False)])
+            of = np.repeat(np.arange(len(cuts)), [len(c) for _, c in cuts])
+            self.head = self._write_cells(number, cells, of[:, None].astype(np.float64))
+        pairs = zip(self.points, tools, strict=True)
+        x = np.concatenate([tool.pose.to_space(points) for points, (tool, _) in pairs])
+        x = np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
+        step = replace(new, grid=ET.Element("Grid", GridType="Uniform"), mesh="tools")
+        step.begin(steps.index(new))
+        geometry = ET.Element("Geometry", GeometryType="XYZ")
+        with self.numbers("a", x.nbytes, 1) as viewer:
+            geometry.append(self.write(viewer, f"points_{number:06d}", x))
+        topology, of_cells = self.head
+        step.grid.extend([topology, geometry, of_cells])
+        places = {(one.done, one.time) for one in steps} - {(new.done, new.time)}
+        kept = [one for one in self.steps if (one.done, one.time) in places]
+        self.replace(sorted([*kept, step], key=lambda one: one.time))
+
+    def _write_cells(self, number: int, cells: Longs, of: Floats) -> list[ET.Element]:
+        """Write lines or triangles (m, d), and which tool (m, 1) each belongs to."""
+        about = {"TopologyType": "Triangle", "NumberOfElements": str(len(cells))}
+        if cells.shape[1] == 2:
+            about |= {"TopologyType": "Polyline", "NodesPerElement": "2"}
+        topology = ET.Element("Topology", about)
+        attribute = ET.Element("Attribute", Name="tool", AttributeType="Scalar", Center="Cell")
+        with self.numbers("a", cells.nbytes + of.nbytes, 2) as viewer:
+            topology.append(self.write_cells(viewer, f"cells_{number:06d}", cells))
+            attribute.append(self.write(viewer, f"tool_{number:06d}", of))
+        return [topology, attribute]

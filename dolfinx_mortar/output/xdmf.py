@@ -1,0 +1,329 @@
+# SPDX-License-Identifier: MIT
+"""An XDMF file with a grid for each step, and the HDF5 file beside it with the numbers."""
+
+import json
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from weakref import WeakValueDictionary
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx import default_scalar_type
+from dolfinx_mortar.algebra.errors import raise_together, raised_together
+from dolfinx_mortar.arguments import check, instance
+from dolfinx_mortar.arrays import Floats, Ints, Longs
+from dolfinx_mortar.disk import (
+    demand_space,
+    draft_of,
+    is_checkpoint,
+    replace_by_draft,
+    space_for,
+)
+
+# The open files of this program by path, on rank 0.
+_OPEN: WeakValueDictionary[Path, "File"] = WeakValueDictionary()
+# Characters that XML cannot hold.
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+# Names of what a grid contains beside fields: number of load steps, digest of mesh and numbering
+DONE, MESH = "load steps", "mesh"
+
+
+@dataclass(frozen=True)
+class Step:
+    """A grid of the XDMF file: all data of one step."""
+
+    grid: ET.Element
+    done: int  # load steps completed before it was written
+    time: float
+    mesh: str  # digest of the mesh with its numbering of nodes
+    earlier: bool = False  # written by an earlier run
+
+    @property
+    def files(self) -> set[str]:
+        """Names of the files with its numbers."""
+        return {str(item.text).partition(":")[0].strip() for item in self.grid.iter("DataItem")}
+
+    def begin(self, number: int) -> None:
+        """Store in the grid what it is, also for `_read`."""
+        self.grid.set("Name", f"step {number}")
+        ET.SubElement(self.grid, "Time", Value=repr(self.time))
+        for name, value in ((DONE, self.done), (MESH, self.mesh)):
+            ET.SubElement(self.grid, "Information", Name=name, Value=str(value))
+
+
+class File:
+    """The two files of some ranks; all methods but `close` are collective.
+
+    Attributes:
+        path: the XDMF file.
+        data: the HDF5 file, one that no step of an earlier run refers to.
+        steps: in the file.
+    """
+
+    def __init__(
+        self, comm: MPI.Comm, path: Path, notes: Mapping[str, Any], *, resume: bool
+    ) -> None:
+        """Reserve both files, and remove earlier ones except an XDMF file that is resumed.
+
+        Raises:
+            ValueError: on all ranks, if rank 0 cannot create them, another `File` has them, no
+                such file can be resumed, or notes are no texts and no JSON values.
+        """
+        self.comm, self.path = comm, path
+        with raised_together(comm):
+            self._root, self._collection = _create_tree(notes)
+        steps: list[Step] = []
+        with raised_together(comm):
+            if comm.rank == 0:
+                steps = _read(path) if resume and path.exists() else []
+                _reserve(self, free_name(path, steps), resume)
+        self.steps: list[Step] = comm.bcast(steps)
+        self.data = free_name(path, self.steps)
+
+    def close(self) -> None:
+        """Let others have the files; without communication."""
+        if _OPEN.get(self.path.resolve()) is self:
+            del _OPEN[self.path.resolve()]
+
+    def replace(self, steps: Sequence[Step]) -> None:
+        """Replace the XDMF file by one with these steps, in one move.
+
+        Raises:
+            OSError: on all ranks, naming the file.
+        """
+        self._collection[:] = [one.grid for one in steps]
+        with raised_together(self.comm):
+            if self.comm.rank == 0:
+                ET.indent(self._root)
+                draft = draft_of(self.path)
+                try:
+                    draft.write_bytes(ET.tostring(self._root, "utf-8", xml_declaration=True))
+                    replace_by_draft(self.path)
+                except OSError as error:
+                    draft.unlink(missing_ok=True)
+                    raise OSError(error.errno, error.strerror, str(self.path)) from error
+        self.steps = list(steps)
+
+    @contextmanager
+    def numbers(self, mode: str, size: int = 0, fields: int = 0) -> Iterator[PETSc.Viewer]:
+        """Open the HDF5 file within a ``with`` block, if it can grow by what is to be written.
+
+        A disk that is full during a parallel write leaves a broken file and a deadlock.
+
+        Args:
+            mode: "w" or "a".
+            size: bytes of the values of this rank.
+            fields: number of fields.
+        """
+        total = space_for(fields, self.comm.allreduce(size))
+        with raised_together(self.comm):
+            if self.comm.rank == 0 and fields:
+                total += self.path.stat().st_size if self.path.exists() else 0  # its next version
+                demand_space(self.data, total)
+        viewer = PETSc.Viewer()
+        self._together(lambda: viewer.createHDF5(str(self.data), mode, comm=self.comm))
+        try:
+            yield viewer
+        finally:
+            self._together(viewer.destroy)
+
+    def write(self, viewer: PETSc.Viewer, key: str, values: Floats) -> ET.Element:
+        """Write the rows of this rank, shape (n, components), and return the reference to them."""
+        n, components = values.shape
+        vector = PETSc.Vec().createWithArray(
+            np.ascontiguousarray(values, dtype=default_scalar_type).reshape(-1),
+            size=(n * components, None),
+            bsize=components,
+            comm=self.comm,
+        )
+        rows = self._view(viewer, key, vector) // components
+        return self._item(key, (rows, components) if components > 1 else (rows,), "Float", 8)
+
+    def write_cells(self, viewer: PETSc.Viewer, key: str, cells: Ints | Longs) -> ET.Element:
+        """Write the nodes (n, k) of the cells of this rank, and return the reference to them."""
+        k = cells.shape[1]
+        indices = PETSc.IS().createGeneral(cells.ravel().astype(PETSc.IntType), comm=self.comm)
+        indices.setBlockSize(k)
+        shape = self._view(viewer, key, indices) // k, k
+        return self._item(key, shape, "Int", np.dtype(PETSc.IntType).itemsize)
+
+    def _view(self, viewer: PETSc.Viewer, key: str, of_petsc: Any) -> int:
+        """Write a vector or an index set, and return how many numbers it has."""
+        of_petsc.setName(key)
+        self._together(lambda: of_petsc.view(viewer))
+        size = int(of_petsc.getSize())
+        of_petsc.destroy()
+        return size
+
+    def _together(self, action: Callable[[], Any]) -> None:
+        """Do something collective; an error on one rank is raised on all, naming the file."""
+        failed = None
+        try:
+            action()
+        except Exception as error:
+            failed = OSError(f"{self.data} could not be written: {error}")
+        raise_together(self.comm, failed)
+
+    def _item(self, key: str, shape: tuple[int, ...], kind: str, precision: int) -> ET.Element:
+        about = {"NumberType": kind, "Precision": str(precision), "Format": "HDF"}
+        item = ET.Element("DataItem", about, Dimensions=" ".join(map(str, shape)))
+        item.text = f"{self.data.name}:/{key}"
+        return item
+
+
+def _reserve(file: File, data: Path, resume: bool) -> None:
+    """Register a file, remove what it replaces, and create its HDF5 file; on rank 0."""
+    path, other = file.path, "choose an existing, writable folder"
+    if path.resolve() in _OPEN:
+        raise ValueError(f"path is {str(path)!r}, open in another Writer: close it first.")
+    try:
+        if is_checkpoint(data):
+            raise ValueError(
+                f"path is {str(path)!r}: its numbers would go to {str(data)!r}, which is a "
+                "checkpoint; choose another name."
+            )
+        if not resume:
+            path.unlink(missing_ok=True)
+        data.write_bytes(b"")
+    except OSError as error:
+        raise ValueError(
+            f"path is {str(path)!r}, which cannot be written ({error.strerror}); {other}."
+        ) from error
+    _OPEN[path.resolve()] = file
+
+
+def _create_tree(notes: Mapping[str, Any]) -> tuple[ET.Element, ET.Element]:
+    """Return the XDMF document and its collection of steps."""
+    root = ET.Element("Xdmf", Version="3.0")
+    domain = ET.SubElement(root, "Domain")
+    steps = ET.SubElement(domain, "Grid", Name="steps", GridType="Collection")
+    steps.set("CollectionType", "Temporal")
+    check("notes", notes, instance(Mapping, "give a dictionary, name -> text or JSON value"))
+    for name, note in notes.items():
+        _check_xml("notes", name)
+        text = note
+        if not isinstance(note, str):
+            try:
+                text = json.dumps(note, allow_nan=False)
+            except (TypeError, ValueError) as error:
+                wrong = f"notes[{name!r}] = {note!r} is no text and no JSON value."
+                raise ValueError(wrong) from error
+        _check_xml(f"notes[{name!r}]", text)
+        ET.SubElement(domain, "Information", Name=name, Value=text)
+    return root, steps
+
+
+def _check_xml(what: str, text: Any) -> None:
+    """Raise a ValueError for what is no text that XML can hold."""
+    if not isinstance(text, str) or _NOT_XML.search(text):
+        raise ValueError(f"{what}: {text!r} is no text that XML can hold.")
+
+
+def field_keys(names: Iterable[str]) -> dict[str, str]:
+    """Return the name of each field in the HDF5 file: letters, digits and underscores.
+
+    Raises:
+        ValueError: if two fields have names that differ only in other characters or in case.
+
+    >>> field_keys(["von Mises", "p [MPa]"])
+    {'von Mises': 'von_Mises', 'p [MPa]': 'p_MPa_'}
+    """
+    keys: dict[str, str] = {}
+    first: dict[str, str] = {}
+    for name in names:
+        _check_xml("output fields", name)
+        keys[name] = key = re.sub(r"[^A-Za-z0-9]+", "_", name)
+        other = first.setdefault(key.lower(), name)
+        if other != name:
+            raise ValueError(
+                f"output fields {other!r} and {name!r} would have one name in the file, {key!r}: "
+                "rename one so that they differ in letters or digits, whatever the case."
+            )
+    return keys
+
+
+# -- the steps of earlier runs -------------------------------------------------------------------
+
+
+def _read(path: Path) -> list[Step]:
+    """Return the steps in the file of an earlier run; on rank 0.
+
+    Raises:
+        ValueError: if it is no file of a `Writer`, or its HDF5 files are missing.
+    """
+    told = f"path is {str(path)!r}, which cannot be resumed, as"
+    steps = []
+    try:
+        root = ET.parse(path).getroot()
+        collection = root.find("Domain/Grid[@Name='steps']")
+        if root.tag != "Xdmf" or collection is None:
+            raise ValueError("it has no steps")
+        for grid in collection:
+            found = {i.get("Name"): i.get("Value") for i in grid.findall("Information")}
+            time = float(grid.find("Time").get("Value"))  # type: ignore[union-attr, arg-type]
+            steps.append(Step(grid, int(found[DONE] or ""), time, str(found[MESH]), earlier=True))
+    except (ET.ParseError, OSError, LookupError, ValueError, TypeError, AttributeError) as error:
+        raise ValueError(
+            f"{told} no Writer of this version has written it ({error}): give another name."
+        ) from error
+    gone = {name for s in steps for name in s.files if not (path.parent / name).is_file()}
+    if gone:
+        names = ", ".join(sorted(gone))
+        raise ValueError(f"{told} {names} with its numbers is gone: give another name.")
+    return steps
+
+
+def insert(steps: Sequence[Step], new: Step, *, made: bool) -> list[Step]:
+    """Return the steps in order of time with a new one, less those of an earlier run it replaces.
+
+    A load step computed by this run replaces itself and all later ones. A state restored from a
+    checkpoint replaces only itself, as a later checkpoint may follow. Before the first load step,
+    steps without load steps are replaced from the new time on.
+
+    Args:
+        steps: in the file.
+        new: the new one.
+        made: whether its load step was computed by this run, not restored from a checkpoint.
+
+    Raises:
+        ValueError: if times would not rise.
+    """
+
+    def is_replaced(one: Step) -> bool:
+        if made:
+            return one.done >= new.done
+        if new.done:
+            return (one.done, one.time) == (new.done, new.time)
+        return not one.done and one.time >= new.time
+
+    kept = [one for one in steps if not (one.earlier and is_replaced(one))]
+    for one in kept:
+        before = not one.earlier or one.done <= new.done
+        if one.time == new.time or (before and one.time > new.time):
+            raise ValueError(
+                f"t is {new.time}, but the file has a step at {one.time}: times have to rise; "
+                "where loads fall, give the number of the step, len(problem.history)."
+            )
+    return sorted([*kept, new], key=lambda one: one.time)
+
+
+def free_name(path: Path, steps: Iterable[Step]) -> Path:
+    """Return the HDF5 file for new numbers, one that no step refers to.
+
+    >>> free_name(Path("out.xdmf"), [])
+    PosixPath('out.h5')
+    """
+    taken = {name for step in steps for name in step.files}
+    file, number = path.with_suffix(".h5"), 1
+    while file.name in taken:
+        number += 1
+        file = path.with_suffix(f".{number}.h5")
+    return file
