@@ -325,14 +325,15 @@ class _ToolFile(File):
         )
         if not known:
             beside = [np.linalg.norm(high - low) for _, (low, high) in tools]
-            boxes = zip(beside, tools, strict=True)
-            self.boxes = [(low - far, high + far) for far, (_, (low, high)) in boxes]
-            cuts = [tool.cut(*box) for (tool, _), box in zip(tools, self.boxes, strict=True)]
+            sides = zip(beside, tools, strict=True)
+            boxes = [(low - far, high + far) for far, (_, (low, high)) in sides]
+            cuts = [tool.cut(*box) for (tool, _), box in zip(tools, boxes, strict=True)]
             self.points = [x for x, _ in cuts]
             before = np.cumsum([0, *map(len, self.points)])
             cells = np.concatenate([c + n for (_, c), n in zip(cuts, before, strict=False)])
             of = np.repeat(np.arange(len(cuts)), [len(c) for _, c in cuts])
             self.head = self._write_cells(number, cells, of[:, None].astype(np.float64))
+            self.boxes = boxes
         pairs = zip(self.points, tools, strict=True)
         x = np.concatenate([tool.pose.to_space(points) for points, (tool, _) in pairs])
         x = np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
