@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from dolfinx_mortar import analytic
+from demos.shrink_fit.lame import shrink_fit
 
 RADII, LENGTH, MU = (10.0, 20.0, 35.0), 25.0, 0.2
 BODIES = (200e3, 0.3, 100e3, 0.33)
@@ -30,7 +30,7 @@ def misfit(pressure, shaft, hub):
 
 
 def test_the_radii_agree():
-    fit = analytic.shrink_fit(0.02, RADII, *BODIES)
+    fit = shrink_fit(0.02, RADII, *BODIES)
     assert misfit(fit.pressure, 0.0, 0.0) == pytest.approx(0.02, rel=1e-12)
     assert fit.sliding_force(MU, LENGTH) == pytest.approx(
         MU * fit.pressure * 2 * np.pi * RADII[1] * LENGTH, rel=1e-14
@@ -39,7 +39,7 @@ def test_the_radii_agree():
 
 def test_the_pull_is_that_of_slices():
     """Integrate the axial stress; the pressure of each slice from the radii of both."""
-    fit = analytic.shrink_fit(0.02, RADII, *BODIES)
+    fit = shrink_fit(0.02, RADII, *BODIES)
     a, c, b = RADII
     A, B = np.pi * (c**2 - a**2), np.pi * (b**2 - c**2)
 
@@ -57,9 +57,9 @@ def test_the_pull_is_that_of_slices():
 
 
 def test_a_short_fit_slides_at_its_pressure():
-    fit = analytic.shrink_fit(0.02, RADII, *BODIES)
+    fit = shrink_fit(0.02, RADII, *BODIES)
     assert fit.pull_force(MU, 1e-6) == pytest.approx(fit.sliding_force(MU, 1e-6), rel=1e-6)
-    cork = analytic.shrink_fit(0.02, RADII, 200e3, 0.0, 200e3, 0.0)
+    cork = shrink_fit(0.02, RADII, 200e3, 0.0, 200e3, 0.0)
     assert cork.pull_force(MU, LENGTH) == pytest.approx(cork.sliding_force(MU, LENGTH), rel=1e-14)
 
 
@@ -79,12 +79,12 @@ def test_bad_numbers_are_named(change, name):
     names = ("interference", "radii", "E1", "nu1", "E2", "nu2")
     given = dict(zip(names, (0.02, RADII, *BODIES), strict=True)) | change
     with pytest.raises(ValueError, match=f"^{name} is "):
-        analytic.shrink_fit(**given)
+        shrink_fit(**given)
 
 
 @pytest.mark.parametrize(("friction", "length"), [(0.0, 1.0), (0.2, -1.0), (np.nan, 1.0)])
 def test_bad_pulls_are_named(friction, length):
-    fit = analytic.shrink_fit(0.02, RADII, *BODIES)
+    fit = shrink_fit(0.02, RADII, *BODIES)
     for function in (fit.sliding_force, fit.pull_force):
         with pytest.raises(ValueError, match=r"^(friction|length) is "):
             function(friction, length)

@@ -8,7 +8,7 @@
 #
 # - describe thermal strain as an eigenstrain, `eigenstrain=`,
 # - apply dead loads as a linear form, and springs as a potential of the displacement,
-# - compare with Lame's thick cylinders, `dm.analytic.shrink_fit`.
+# - compare with Lame's thick cylinders, of `lame.py` beside the demo.
 #
 # **Problem.** The bore of a hub (outer radius 30 mm) is smaller than the hollow shaft (radius 20
 # mm, bore of radius 10 mm) by the interference, 0.02 mm in the radius. Both are of steel ($E$ = 200
@@ -38,7 +38,7 @@
 # $$F = \mu p \, 2 \pi c L,$$
 #
 # or at a slightly smaller one, because the shaft contracts as it is stretched:
-# `dm.analytic.shrink_fit` includes this, too.
+# `lame.py` includes this, too.
 #
 # **Options to try.** `--dry` applies friction from the beginning: the hub, which becomes shorter as
 # it cools, compresses the shaft, and the pressure differs from Lame's; at the end the shaft slides
@@ -54,6 +54,7 @@ from mpi4py import MPI
 
 import figures
 import numpy as np
+from lame import shrink_fit
 from scipy.optimize import brentq
 from tubes import tubes
 
@@ -280,7 +281,7 @@ def measure(case: Fit, nodes: dict[str, np.ndarray], slave: str) -> dict:
 def expected_pressure(interference: float, strength: float) -> float:
     """Return the pressure between a hub that obeys Tresca's criterion and an elastic shaft."""
     a, c, b = RADII
-    lame = dm.analytic.shrink_fit(interference, RADII, E, NU, E, NU).pressure
+    lame = shrink_fit(interference, RADII, E, NU, E, NU).pressure
     if lame <= 0.5 * strength * (1.0 - (c / b) ** 2):
         return lame
 
@@ -302,7 +303,7 @@ def expected_pressure(interference: float, strength: float) -> float:
 def compare(rows: list[dict], interference: float, options: argparse.Namespace) -> dict:
     """Return pressures and the sliding force beside the formulas."""
     fitted, held = (next(row for row in rows if row["time"] == t) for t in (1.0, 2.0))
-    fit = dm.analytic.shrink_fit(interference, RADII, E, NU, E, NU)
+    fit = shrink_fit(interference, RADII, E, NU, E, NU)
     found = {
         "pressure": fitted["pressure_median"],
         "pressure_lame": fit.pressure,
