@@ -57,32 +57,28 @@ def draw_mesh(
     facet_tags: dmesh.MeshTags | None,
 ) -> None:
     """Draw the bodies in one pane and the tagged sides in another one, with their names."""
-    entries = []
-    for name, colour, body in outside.by_tag(cell_tags, BODIES):
-        entries.append((name, colour))
-        _add_facets(plotter, body, color=colour, ambient=0.4)
-    _describe(plotter, entries if cell_tags is not None else [])
-    if facets is None:
-        return
-    plotter.subplot(0, 1)
-    entries = []
-    for name, colour, side in facets.by_tag(facet_tags, SIDES):
-        entries.append((name, colour))
-        _add_facets(plotter, side, color=colour, opacity=0.5, ambient=0.6)
-    # facets are numbered either way around
-    surface = _surface(outside, outside.triangles)
-    surface = surface.compute_normals(cell_normals=False, split_vertices=False)
-    outline = surface.extract_feature_edges(boundary_edges=False, manifold_edges=False)
-    if outline.n_points:
-        plotter.add_mesh(outline, color="#404040", line_width=2)
-    _describe(plotter, entries)
+    panes: list[Any] = [(outside, cell_tags, BODIES, {"ambient": 0.4})]
+    if facets is not None:
+        panes.append((facets, facet_tags, SIDES, {"ambient": 0.6, "opacity": 0.5}))
+    for k, (parts, tags, colours, style) in enumerate(panes):
+        plotter.subplot(0, k)
+        names = []
+        for name, colour, part in parts.by_tag(tags, colours):
+            names.append((name, colour))
+            _add_facets(plotter, part, color=colour, **style)
+        if k > 0:
+            _add_facets(plotter, outside, color="white", opacity=0.1)
+        if tags is not None and names:
+            size = 0.25, 0.035 * len(names)
+            plotter.add_legend(names, face="rectangle", loc="upper left", size=size)
+        _finish_pane(plotter)
     plotter.link_views()
 
 
 def draw_field(plotter: Any, outside: Parts, name: str) -> None:
     """Draw a field of cells (flat colours) or of nodes (shaded) with its scale."""
     _add_values(plotter, outside, name)
-    _describe(plotter, [])
+    _finish_pane(plotter)
 
 
 def draw_tools(plotter: Any, tools: list[Any], low: Floats, high: Floats) -> None:
@@ -105,7 +101,7 @@ def draw_pressure(plotter: Any, sides: list[tuple[str, Parts]], title: str) -> N
     """Draw pressures on the slave sides, seen along the direction in which these extend least."""
     for _, side in sides:
         _add_values(plotter, side, title)
-    _describe(plotter, [])
+    _finish_pane(plotter)
     x = np.concatenate([side.x for _, side in sides])
     if len(x):
         least = np.linalg.eigh(np.cov(x.T))[1][:, 0]
@@ -123,33 +119,22 @@ def _add_values(plotter: Any, parts: Parts, title: str) -> None:
     """Draw values of parts or at nodes in colours, with their scale."""
     bar = {"title": f"{title}\n", "color": "black", "vertical": True, "position_x": 0.85}
     bar |= {"fmt": "%.3g", "title_font_size": 18, "label_font_size": 18}
-    values = parts.values
-    if not parts.at_nodes:
-        values = np.repeat(values, len(parts.triangles) // len(parts.nodes))
-    style = {"scalars": values, "cmap": "viridis", "lighting": False}
-    _add_facets(plotter, parts, scalar_bar_args=bar, **style)
+    style = {"cmap": "viridis", "lighting": False, "scalar_bar_args": bar}
+    _add_facets(plotter, parts, scalars=parts.values, **style)
 
 
 def _add_facets(plotter: Any, facets: Parts, **style: Any) -> None:
-    """Draw facets, those with curved edges in triangles, and their edges."""
-    actor = plotter.add_mesh(_surface(facets, facets.triangles), **style)
-    # edges lie in front of their facets, also of those that are seen at an angle
+    """Draw facets, shaded ones in triangles, and their edges in front of them."""
+    around = pyvista.PolyData.from_regular_faces(facets.x, facets.polygons)
+    shaded = pyvista.PolyData.from_regular_faces(facets.x, facets.triangles)
+    actor = plotter.add_mesh(shaded if facets.at_nodes else around, **style)
     actor.mapper.resolve = "polygon_offset"
     actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(2.0, 2.0)
-    edges = _surface(facets, facets.polygons).extract_all_edges()
-    plotter.add_mesh(edges, color="#303030", line_width=1, opacity=0.4, lighting=False)
+    edges = {"color": "#303030", "line_width": 1, "opacity": 0.4, "lighting": False}
+    plotter.add_mesh(around.extract_all_edges(), **edges)
 
 
-def _surface(facets: Parts, polygons: Any) -> Any:
-    """Return polygons (m, k) of the nodes of facets, for PyVista."""
-    return pyvista.PolyData.from_regular_faces(facets.x, polygons)
-
-
-def _describe(plotter: Any, entries: list[tuple[str, str]]) -> None:
-    """Add names and axes to a pane."""
-    for i, (name, colour) in enumerate(entries):
-        place = {"position": (0.03, 0.95 - 0.035 * i), "viewport": True}
-        plotter.add_text(name, color=colour, font_size=12, **place)
+def _finish_pane(plotter: Any) -> None:
     plotter.add_axes(color="black")
     plotter.view_isometric()
 
