@@ -125,9 +125,10 @@ def _add_values(plotter: Any, parts: Parts, title: str) -> None:
 
 def _add_facets(plotter: Any, facets: Parts, **style: Any) -> None:
     """Draw facets, shaded ones in triangles, and their edges in front of them."""
-    around = pyvista.PolyData.from_regular_faces(facets.x, facets.polygons)
-    shaded = pyvista.PolyData.from_regular_faces(facets.x, facets.triangles)
-    actor = plotter.add_mesh(shaded if facets.at_nodes else around, **style)
+    surface: Any = pyvista.PolyData.from_regular_faces
+    around = surface(facets.x, facets.polygons)
+    drawn = surface(facets.x, facets.triangles) if facets.at_nodes else around
+    actor = plotter.add_mesh(drawn, **style)
     actor.mapper.resolve = "polygon_offset"
     actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(2.0, 2.0)
     edges = {"color": "#303030", "line_width": 1, "opacity": 0.4, "lighting": False}
