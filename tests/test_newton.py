@@ -151,20 +151,6 @@ def test_no_confirming_solve():
         assert dm.newton(case.problem, rtol=rtol).newton_iterations == 1
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("law", [ELASTIC, PLASTIC], ids=["elastic", "plastic"])
-def test_tangents_that_change_are_formed_with_the_geometry(law):
-    """The tangent without T serves all geometries only if it serves more than one iteration.
-
-    One rank alone can leave unknowns for last.
-    """
-    case = create_case(dm.meshing.hertz(COMM, kind="paper"), law)
-    case.press(0.02)
-    dm.newton(case.problem)
-    formed = law is PLASTIC or case.problem.comm.size > 1
-    assert case.problem.system.transformation.formed == formed
-
-
 def judged(problem, contacts, data, lin, *, support=0.0):
     """Return the residuals of the present state where rtol is 1e-6; supports may ask for more."""
     balance, length = find_balance(problem, data), problem.system.facet_length

@@ -200,11 +200,8 @@ def linearise(
             if shift > 0.0:
                 problem.solid.forms.add_elastic(problem.K, shift)
     change = None if T is None else T.change
-    formed = direct
-    # S^-1 on both sides pays where one factorisation serves many geometries (else up to 1.3 of the
-    # time); S must be definite
-    lasting = problem.terms.linear and problem.terms.convex
-    if direct and lasting and not problem.system.driven:
+    formed = direct  # a factorisation needs the matrix, an iteration its products
+    if direct and not problem.system.driven:
         formed = interface_unknowns(problem.K, change, linear.options) is None
     if formed and T is not None and not T.formed:
         linear.clear()  # free the memory for the new product

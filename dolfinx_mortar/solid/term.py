@@ -32,7 +32,6 @@ class Term(ABC):
     Attributes:
         linear: whether K is constant in a step, so that it need not be assembled at every iterate.
         has_tangent: whether K is not zero.
-        convex: whether K is positive semidefinite wherever u is; then cheaper solvers are used.
         couplings: global dofs (k,) that K couples beyond the pattern of the mesh, an array for each
             dense block of k x k entries, the same on all ranks or each on one of them.
         state: Functions on ``solid.V`` or its scalar space, by name, that `commit` sets: what the
@@ -41,7 +40,6 @@ class Term(ABC):
 
     linear: bool = False
     has_tangent: bool = True
-    convex: bool = False
     couplings: Sequence[Ints] = ()
 
     @property

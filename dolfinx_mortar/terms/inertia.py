@@ -149,7 +149,6 @@ class Inertia(Term):
     """
 
     linear = True
-    convex = True
 
     def __init__(
         self,
@@ -396,7 +395,6 @@ class Damping(Term):
     """
 
     linear = True
-    convex = True
 
     def __init__(self, inertia: Inertia, *, mass: float = 0.0, stiffness: float = 0.0) -> None:
         """Check, and assemble K; collective."""

@@ -21,7 +21,6 @@ class PointTerm(Term):
     """A term of the displacement of the node at a point, the base of those in this module."""
 
     linear = True
-    convex = True
 
     def __init__(self, V: fem.FunctionSpace, point: Any, **given: Any) -> None:
         """Find the node; collective."""

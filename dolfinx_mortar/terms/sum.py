@@ -102,11 +102,6 @@ class Terms:
         """Whether there is more than bodies and dead forces."""
         return bool(self._stiff)
 
-    @property
-    def convex(self) -> bool:
-        """Whether the tangent of all terms but the bodies is positive semidefinite."""
-        return all(term.convex for _, term in self._stiff)
-
     # -- sums ------------------------------------------------------------------------------------
 
     def energy(self, along: tuple[VolumeStep, float] | None = None) -> Energy | None:
@@ -396,7 +391,7 @@ def check_terms(comm: MPI.Comm, terms: Any, u: fem.Function) -> list[Term]:
 
 def _kind(term: Term) -> dict[str, Any]:
     """Return what decides how a term is asked."""
-    names = "linear", "has_tangent", "convex"
+    names = "linear", "has_tangent"
     return {name: getattr(term, name) for name in names} | {"state": sorted(term.state)}
 
 
