@@ -17,6 +17,7 @@ from time import perf_counter
 from typing import Any
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 
@@ -24,7 +25,7 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.arrays import Ints
-from dolfinx_mortar.qp import Change, LinearSolver, Preconditioning
+from dolfinx_mortar.qp import Change, LinearSolver
 from dolfinx_mortar.supports.bodies import rigid_motions
 
 COMM = MPI.COMM_WORLD
@@ -101,12 +102,12 @@ class Plain:
         self.operator.follow(None, held)
         return Change(None, self.operator.matrix)
 
-    def preconditioning(self, held: Ints) -> Preconditioning:
-        """Return the tangent and rigid motions."""
-        change, motions = self.change(held), rigid_motions(self.bodies)
+    def motions(self, change: Change) -> list[PETSc.Vec]:
+        """Return rigid motions."""
+        motions = rigid_motions(self.bodies)
         for motion in motions:
-            motion.array[held] = 0.0
-        return Preconditioning(change.matrix.copy(), change, motions)
+            motion.array[self.operator.decoupled] = 0.0
+        return motions
 
 
 def measure_limit(mesh: dm.meshing.TaggedMesh, degree: int) -> float:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import logging
 import weakref
 from abc import ABC, abstractmethod
@@ -14,12 +13,10 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.csr import call, csr_of
-from dolfinx_mortar.algebra.parallel import free_unused, values_at
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.algebra.csr import csr_of
+from dolfinx_mortar.arrays import Ints
 
 log = logging.getLogger(__name__)
-_INT = np.ctypeslib.as_ctypes_type(PETSc.IntType)
 
 
 def as_aij(K: PETSc.Mat) -> PETSc.Mat:
@@ -211,107 +208,25 @@ def decouple(matrix: PETSc.Mat, rows: Ints, scale: float) -> None:
 class Halved:
     """K for products: of blocks a copy of the upper half, which is read faster.
 
-    In space, where an iteration of multigrid forms eight; its sums have other last digits.
+    In space, where an iteration of multigrid forms eight. A product of 53 thousand unknowns of
+    hexahedra takes 3.3 instead of 6.3 ms (copy 3.7), on two ranks 2.1 instead of 3.0 (copy 20).
     """
 
     def __init__(self, K: PETSc.Mat) -> None:
-        self.K = K
-        self._half: UpperHalf | None = None
+        self.K, self._half = K, PETSc.Mat()
         self._state = -1  # of K when it was copied
-        self._set_up, self._resting = False, True  # whether levels were made; whether K serves
 
     @property
-    def factor(self) -> PETSc.Mat | UpperHalf:
-        """K, or the copy, which is made again when K has other values."""
-        K, state = self.K, int(self.K.stateGet())
-        if "baij" not in K.getType() or K.getBlockSize() < 3 or self._resting:
+    def factor(self) -> PETSc.Mat:
+        """K, or the copy, which is made again when K has other values; collective."""
+        K = self.K
+        if "baij" not in K.getType() or K.getBlockSize() < 3:
             return K
-        if self._half is None:
-            self._half = UpperHalf(K)
-        elif self._state != state:
-            self._half.update()
-        self._state = state
+        if self._state != int(K.stateGet()):
+            K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            self._half = K.convert("sbaij", out=self._half)
+            self._state = int(K.stateGet())
         return self._half
-
-    def release_half(self) -> None:
-        """Free the copy of K until the next QP: a set-up, which begins, needs the memory."""
-        self._set_up = self._resting = True
-        if self._half is not None:
-            self._half.destroy()
-            self._half = None
-
-    def forget(self) -> None:
-        """Be as new: products before the next set-up read K again, whose sums differ in digits."""
-        self.release_half()
-        self._set_up = False
-
-    def use_half(self) -> None:
-        """Let products use the copy, but not before the first set-up: it would leave a gap."""
-        self._resting = not self._set_up
-
-
-class UpperHalf:
-    """A copy of the upper half of the columns that a rank owns; other columns are read in K.
-
-    A product of 53 thousand unknowns of hexahedra takes 3.3 instead of 6.3 ms (copy 3.7), on two
-    ranks 1.9 instead of 3.0 on each (copy 2.3). PETSc's format of halves on several ranks takes 2.1
-    (copy 20) and sends in both directions.
-
-    Args:
-        K: symmetric matrix in BAIJ, whose pattern stays as it is.
-    """
-
-    def __init__(self, K: PETSc.Mat) -> None:
-        """Copy the values; collective."""
-        self._K, self._half = K, PETSc.Mat()
-        self._far = _FarColumns(K) if K.comm.size > 1 else None
-        self.update()
-
-    def update(self) -> None:
-        """Copy the present values."""
-        own = self._K.getDiagonalBlock()
-        own.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self._half = own.convert("sbaij", out=self._half)
-
-    def mult(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with x; collective."""
-        if self._far is None:
-            self._half.mult(x, y)
-        else:
-            self._far.mult(self._half, x, y)
-
-    def destroy(self) -> None:
-        """Free the copy; collective."""
-        self._half.destroy()
-
-
-class _FarColumns:
-    """The columns of K that other ranks own, and what they send for a product."""
-
-    def __init__(self, K: PETSc.Mat) -> None:
-        self._K = K  # the matrix of far columns is its own
-        self._matrix, count, ghosts = ctypes.c_void_p(), _INT(), ctypes.POINTER(_INT)()
-        handle = ctypes.c_void_p(K.handle)
-        call("MatMPIBAIJGetSeqBAIJ", handle, None, ctypes.byref(self._matrix), None)
-        call("MatGetGhosts", handle, ctypes.byref(count), ctypes.byref(ghosts))
-        blocks, size = np.array(ghosts[: count.value], PETSc.IntType), K.getBlockSize()
-        x, own = K.createVecRight(), PETSc.COMM_SELF
-        self._x, self._y = x.createLocalVector(), x.createLocalVector()
-        self._values = PETSc.Vec().createSeq(size * len(blocks), bsize=size, comm=own)
-        index = PETSc.IS().createBlock(size, blocks, comm=own)
-        self._scatter = PETSc.Scatter().create(x, index, self._values, None)
-
-    def mult(self, half: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product of own and far columns with x."""
-        self._scatter.begin(x, self._values)
-        x.getLocalVector(self._x, readonly=True)
-        y.getLocalVector(self._y)
-        half.mult(self._x, self._y)
-        self._scatter.end(x, self._values)
-        total = ctypes.c_void_p(self._y.handle)
-        call("MatMultAdd", self._matrix, ctypes.c_void_p(self._values.handle), total, total)
-        x.restoreLocalVector(self._x, readonly=True)
-        y.restoreLocalVector(self._y)
 
 
 class CongruentOperator(_Decoupled):
@@ -340,7 +255,6 @@ class CongruentOperator(_Decoupled):
         The diagonal is that of a K without entries off its own.
         """
         self.C, self.decoupled = C, decoupled
-        self.half.use_half()
         if self._state != int(self.K.stateGet()):
             self.K.getDiagonal(self._of_K)
             self._state = int(self.K.stateGet())
@@ -367,26 +281,6 @@ class CongruentOperator(_Decoupled):
         self.C.multTranspose(y, self._moved)
         y.axpy(1.0, self._moved)
 
-    def split(self, parts: Ints) -> tuple[PETSc.Mat, PETSc.Mat | None]:
-        """Return the explicit matrix in two, B within the parts and X between them; collective.
-
-        Args:
-            parts: (n,) number of the part of each owned unknown; K has no entries between parts.
-
-        Returns:
-            B, and X with rows near C only; None for C = 0.
-        """
-        self.half.release_half()
-        within, between = self.K.convert("aij", out=PETSc.Mat()), None
-        if self.C is not None:
-            change, coupled = _change(within, self.C), np.ones(len(parts))
-            free_unused(self.K.comm.tompi4py())
-            coupled[self.decoupled] = -1.0
-            inside, between = _split(change, coupled * (parts + 1.0))
-            within.axpy(1.0, inside, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-        decouple(within, self.decoupled, self.scale)
-        return within, between
-
     # -- called by PETSc -------------------------------------------------------------------------
 
     def multTranspose(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
@@ -395,47 +289,9 @@ class CongruentOperator(_Decoupled):
 
     def duplicate(self, mat: PETSc.Mat, op: int) -> PETSc.Mat:
         """Return the explicit matrix."""
-        self.half.release_half()
         if self.C is not None:
             explicit = Congruence(self.K, self.C).product
         else:
             explicit = self.K.convert("aij", out=PETSc.Mat())
         decouple(explicit, self.decoupled, self.scale)
         return explicit
-
-
-def _change(K: PETSc.Mat, C: PETSc.Mat) -> PETSc.Mat:
-    """Return K C + (K C)^T + C^T K C; collective."""
-    other = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
-    KC = K.matMult(C)
-    change = C.transpose(PETSc.Mat()).matMult(KC)
-    for part in (KC, KC.transpose(PETSc.Mat())):
-        change.axpy(1.0, part, other)
-    return change
-
-
-def _split(matrix: PETSc.Mat, marks: Floats) -> tuple[PETSc.Mat, PETSc.Mat]:
-    """Return the entries within parts, and those between them and not decoupled; collective.
-
-    Args:
-        matrix: (n, n) with few entries.
-        marks: (n,) number of the part of each owned unknown, from 1; negative where decoupled.
-    """
-    indptr, columns, values = csr_of(matrix)
-    rows = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))
-    there, place = np.unique(columns, return_inverse=True)
-    of_columns = values_at(matrix.comm, marks[:, None], there)[place, 0]
-    within = np.abs(of_columns) == np.abs(marks[rows])
-    between = ~within & (of_columns > 0.0) & (marks[rows] > 0.0)
-    inside, outside = (
-        _select(matrix, rows[on], columns[on], values[on]) for on in (within, between)
-    )
-    return inside, outside
-
-
-def _select(like: PETSc.Mat, rows: Ints, columns: Ints, values: Floats) -> PETSc.Mat:
-    """Return a matrix of entries in owned rows, which ascend, and global columns; collective."""
-    counts = np.bincount(rows, minlength=like.getLocalSize()[0])
-    indptr = np.concatenate([[0], np.cumsum(counts)]).astype(PETSc.IntType)
-    csr = indptr, columns.astype(PETSc.IntType), values
-    return PETSc.Mat().createAIJ(like.getSizes(), csr=csr, comm=like.comm)

@@ -106,24 +106,6 @@ def _add_blocks(rows, places, values, start, columns, blocks):  # type: ignore[n
     return True
 
 
-def rows_of(K: PETSc.Mat, rows: Ints, result: PETSc.Mat | None = None) -> PETSc.Mat:
-    """Return owned rows of K in AIJ, in a matrix of the same rows if one is given; collective."""
-    first = K.getOwnershipRange()[0]
-    if K.getType() == "seqaij":  # blocks give blocks only
-        index = PETSc.IS().createGeneral(rows.astype(PETSc.IntType), comm=K.comm)
-        every = PETSc.IS().createStride(K.getSize()[1], step=1, comm=K.comm)
-        return K.createSubMatrix(index, every, result)
-    found = [K.getRow(int(first + row)) for row in rows]
-    indptr = np.cumsum([0, *(len(columns) for columns, _ in found)], dtype=PETSc.IntType)
-    columns = np.concatenate([np.zeros(0, PETSc.IntType), *(columns for columns, _ in found)])
-    values = np.concatenate([np.zeros(0), *(values for _, values in found)])
-    if result is not None:
-        set_csr(result, indptr, columns, values)
-        return result
-    sizes = (len(rows), PETSc.DECIDE), K.getSizes()[1]
-    return PETSc.Mat().createAIJ(sizes, csr=(indptr, columns, values), comm=K.comm)
-
-
 @contextmanager
 def _stored(A: PETSc.Mat, access: str, count: int) -> Iterator[Floats]:
     """Lend the values of a matrix on one rank, for "Read", "Write", or "" for both."""

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Multigrid matrix: the tangent in unknowns uncoupled across open contacts."""
 
+from petsc4py import PETSc
+
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.arrays import Ints
 from dolfinx_mortar.interfaces.system import InterfaceSystem
-from dolfinx_mortar.qp import Change, Preconditioning
-from dolfinx_mortar.supports.bodies import Bodies, Motion, free_motions, rigid_motions
+from dolfinx_mortar.qp import Change
+from dolfinx_mortar.supports.bodies import Bodies, rigid_motions
 from dolfinx_mortar.supports.dirichlet import Dirichlet
 
 
@@ -28,33 +30,6 @@ class UnknownsOfBodies:
         self.system, self.supports, self.bodies = system, supports, bodies
         self.operator = CongruentOperator(operator.K, operator.half)
 
-    def preconditioning(self, held: Ints) -> Preconditioning:
-        """Matrix and near-null space; collective.
-
-        Args:
-            held: owned unknowns of y at their bounds.
-        """
-        T, change = self.system.transformation, self.change(held)
-        motions = rigid_motions(self.bodies)
-        if T is not None:
-            motions = [T.uncoupled(motion, change.E) for motion in motions]
-        for motion in motions:
-            motion.array[self.operator.decoupled] = 0.0
-        B, between = self.operator.split(self._parts())
-        return Preconditioning(B, change, motions, between)
-
-    def _parts(self) -> Ints:
-        """Body (n,) of each owned unknown, one for ties, and for all if one is free; collective."""
-        label, group = self.bodies.label, self.bodies.group
-        ties = (link for link in self.system.links if not link.unilateral)
-        held: list[Motion] = [link.constrained_motion for link in ties]
-        held.append(lambda v: v.array_r[self.supports.owned.ravel()])
-        if free_motions(self.bodies, held):
-            label, group = np.zeros_like(label), None
-        return np.repeat(
-            label if group is None else group[label], self.supports.V.dofmap.index_map_bs
-        )
-
     def change(self, held: Ints) -> Change:
         """Return v for the present geometry, contacts and tangent; collective."""
         T = self.system.transformation
@@ -63,6 +38,15 @@ class UnknownsOfBodies:
         C, E = (None, None) if T is None else T.uncouple(decoupled)
         self.operator.follow(C, decoupled)
         return Change(E, self.operator.matrix)
+
+    def motions(self, change: Change) -> list[PETSc.Vec]:
+        """Return the rigid motions, zero where these unknowns are decoupled; collective."""
+        T, motions = self.system.transformation, rigid_motions(self.bodies)
+        if T is not None:
+            motions = [T.uncoupled(motion, change.E) for motion in motions]
+        for motion in motions:
+            motion.array[self.operator.decoupled] = 0.0
+        return motions
 
 
 def eliminated_dofs(system: InterfaceSystem, supports: Dirichlet) -> Ints:

@@ -12,16 +12,9 @@ where B belongs to an earlier set of held unknowns, geometry and tangent. With G
 and the smoother of the finest level use the present matrix, and only the coarse levels are those of
 B: then changes of the set cost few iterations. With other PCs each unknown that has changed
 its state since costs about one.
-
-Aggregates of nodes of two bodies in contact could not slide, as their coarse functions are rigid
-motions (graded tetrahedra, 181 thousand unknowns: 17 iterations, 12 without contact, 13 with
-aggregates of one body). The entries between bodies come from contact alone. They are left out when
-levels are made, and P^T X P of them is added to the matrix of each level.
 """
 
 import ctypes
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -30,7 +23,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
-from dolfinx_mortar.algebra.csr import call, csr_of, rows_of
+from dolfinx_mortar.algebra.csr import call
 from dolfinx_mortar.algebra.parallel import free_unused
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Ints
 from dolfinx_mortar.qp.operator import count_negative
@@ -44,24 +37,14 @@ class Change:
     matrix: PETSc.Mat  # (n, n) of the QP in v, held unknowns decoupled; maybe of type python
 
 
-@dataclass(frozen=True)
-class Preconditioning:
-    """The matrix to precondition with for one set of held unknowns."""
-
-    B: PETSc.Mat  # (n, n) explicit: the matrix of the change, less ``between``
-    change: Change
-    motions: list[PETSc.Vec]  # near null space, zero at held unknowns
-    between: PETSc.Mat | None = None  # (n, n) entries between parts that aggregates do not join
-
-
 class Unknowns(Protocol):
     """Unknowns v for each set of held unknowns of the QP."""
 
-    def preconditioning(self, held: Ints) -> Preconditioning:
-        """Return the matrices of a set-up; collective."""
-
     def change(self, held: Ints) -> Change:
         """Return v for the present geometry; collective."""
+
+    def motions(self, change: Change) -> list[PETSc.Vec]:
+        """Return the near null space in these v, zero where they are decoupled; collective."""
 
 
 class OwnUnknowns:
@@ -70,15 +53,14 @@ class OwnUnknowns:
     def __init__(self, A: PETSc.Mat) -> None:
         self.operator = CongruentOperator(A)
 
-    def preconditioning(self, held: Ints) -> Preconditioning:
-        """Return A with held unknowns decoupled; collective."""
-        change = self.change(held)
-        return Preconditioning(change.matrix.copy(), change, [])
-
     def change(self, held: Ints) -> Change:
         """Return v = x; collective."""
         self.operator.follow(None, held)
         return Change(None, self.operator.matrix)
+
+    def motions(self, change: Change) -> list[PETSc.Vec]:
+        """Return none: that of constants."""
+        return []
 
 
 def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
@@ -93,35 +75,6 @@ def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
             vector.normalize()
             basis.append(vector)
     return basis
-
-
-@contextmanager
-def _product_of_three(ranks: int) -> Iterator[None]:
-    """On one rank form the products P^T (A P) of levels in two steps, unless a user decides.
-
-    PETSc's own choice takes twice as long (48 thousand unknowns in space: set-up .85 -> .60 s);
-    on several ranks it forms two products, too. Its option has no prefix.
-    """
-    options, name = PETSc.Options(), "matptap_via"
-    ours = ranks == 1 and not options.hasName(name)
-    if ours:
-        options.setValue(name, "rap")
-    try:
-        yield
-    finally:
-        if ours:
-            options.delValue(name)
-
-
-def _add(matrix: PETSc.Mat, other: PETSc.Mat) -> None:
-    """Add a matrix of another pattern in place; collective."""
-    matrix.axpy(1.0, other, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-
-
-def _product_of_few(X: PETSc.Mat, P: PETSc.Mat) -> PETSc.Mat:
-    """Return P^T X P of a symmetric X with few rows, without a transposed copy of P; collective."""
-    rows = np.flatnonzero(np.diff(csr_of(X)[0])).astype(np.int32)
-    return rows_of(P, rows).transposeMatMult(rows_of(X, rows).matMult(P))
 
 
 class Multigrid:
@@ -156,64 +109,45 @@ class Multigrid:
         self.inner.reset()
         self.B = self.E = None
 
-    def renew(self, data: Preconditioning, held: Ints, *, definite: bool) -> None:
+    def renew(
+        self, change: Change, motions: list[PETSc.Vec], held: Ints, *, definite: bool
+    ) -> None:
         """Set up with another matrix; collective.
 
         Args:
-            data: the matrix.
+            change: v, with the matrix B of the QP in them.
+            motions: near null space, which is overwritten.
             held: unknowns that it holds.
             definite: whether it is.
         """
-        data.B.setOption(PETSc.Mat.Option.SPD, definite)
-        self.B, self.E = data.B, data.change.E
-        self.held = held
-        basis = orthonormal(data.motions)
+        self.B, self.E, self.held = change.matrix.copy(), change.E, held
+        free_unused(self.B.comm.tompi4py())
+        self.B.setOption(PETSc.Mat.Option.SPD, definite)
+        basis = orthonormal(motions)
         if basis:
-            data.B.setBlockSize(basis[0].getBlockSize())
-            data.B.setNearNullSpace(PETSc.NullSpace().create(vectors=basis, comm=data.B.comm))
+            self.B.setBlockSize(basis[0].getBlockSize())
+            self.B.setNearNullSpace(PETSc.NullSpace().create(vectors=basis, comm=self.B.comm))
         self.inner.setFromOptions()
         if self.follows:
             self.inner.setUseAmat(True)
-            self.inner.setOperators(data.change.matrix, data.B)
+            self.inner.setOperators(change.matrix, self.B)
         else:
-            self.inner.setOperators(data.B)
+            self.inner.setOperators(self.B)
         self.inner.setReusePreconditioner(False)
         self.inner.setFailedReason(PETSc.PC.FailedReason.NOERROR)  # PETSc keeps that of a set-up
-        if data.between is not None and not self.follows:
-            _add(data.B, data.between)
-        with _product_of_three(data.B.comm.size):
-            self.inner.setUp()
-            if self.follows:
-                self._forget_factors()
-            if data.between is not None and self.follows:
-                self._join(data.B, data.between)
-        self.negative = count_negative(self._coarsest) if self.follows and definite else 0
-        self.inner.setReusePreconditioner(True)  # the finest matrix changes, coarse levels stay
+        self.inner.setUp()
+        self.negative = 0
         if self.follows:
-            self._release(data.change.matrix)
+            self._forget_factors()
+            self.negative = count_negative(self._coarsest) if definite else 0
+            self._release(change.matrix)
+        self.inner.setReusePreconditioner(True)  # the finest matrix changes, coarse levels stay
 
     def _forget_factors(self) -> None:
         """Free what products P^T B P would need to be formed again, B among it; collective."""
         for level in range(self.inner.getMGLevels() - 1):
             product = self.inner.getMGSmoother(level).getOperators()[0]
             call("MatProductClear", ctypes.c_void_p(product.handle))
-
-    def _join(self, B: PETSc.Mat, between: PETSc.Mat) -> None:
-        """Add what couples the parts to the matrices of all levels; collective.
-
-        In place: the smoothers refer to them, which estimate their eigenvalues then. Of the finest,
-        Jacobi reads the diagonal only.
-        """
-        if not self._needs_diagonal:
-            _add(B, between)
-        for level in range(self.inner.getMGLevels() - 1, 0, -1):
-            between = _product_of_few(between, self.inner.getMGInterpolation(level))
-            smoother = self.inner.getMGSmoother(level - 1)
-            own = smoother.getOperators()[0]
-            _add(own, between)
-            if level > 1:
-                smoother.setOperators(own)
-            free_unused(B.comm.tompi4py())
 
     @property
     def _coarsest(self) -> PETSc.Mat:
@@ -232,19 +166,12 @@ class Multigrid:
         return bool(levels > 1 and smoother.getPC().getType() == PETSc.PC.Type.JACOBI)
 
     def _release(self, finest: PETSc.Mat) -> None:
-        """Keep of B what cycles read, and the other levels' matrices in blocks; collective."""
-        levels = self.inner.getMGLevels()
+        """Keep of B what cycles read; collective."""
         if self._needs_diagonal:
             assert self.B is not None, "not set up"
             self.B = PETSc.Mat().createDiagonal(self.B.getDiagonal())
-            for user in (self.inner.getMGSmoother(levels - 1), self.inner):
+            for user in (self.inner.getMGSmoother(self.inner.getMGLevels() - 1), self.inner):
                 user.setOperators(finest, self.B)
-        # In place: the smoothers refer to them. A cycle takes 10 to 15 % less time.
-        for level in range(1, levels - 1):
-            own = self.inner.getMGSmoother(level)
-            matrix = own.getOperators()[0]
-            if own.getPC().getType() == PETSc.PC.Type.JACOBI and matrix.getBlockSize() > 1:
-                matrix.convert("baij")
 
     def follow(self, change: Change, held: Ints) -> None:
         """Set the unknowns that are held now, and v; collective.

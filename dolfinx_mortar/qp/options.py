@@ -30,7 +30,6 @@ MULTIGRID = {
     "pc_gamg_threshold": 0.005,
     "mg_levels_ksp_max_it": 3,
     "mg_levels_ksp_chebyshev_esteig": "0,0.1,0,1.2",
-    "pc_gamg_use_sa_esteig": False,
     "ksp_max_it": 500,
 }
 DIRECT = ("cholesky", "lu")

@@ -283,9 +283,9 @@ class Preconditioner:
             self._factorise(counts)
         else:
             with self.options.database(self.options.prefix):
-                data = self.unknowns.preconditioning(held)
-                free_unused(self.comm)
-                self.multigrid.renew(data, held, definite=self.operator.definite)
+                change = self.unknowns.change(held)
+                motions, definite = self.unknowns.motions(change), self.operator.definite
+                self.multigrid.renew(change, motions, held, definite=definite)
                 self._followed = self.operator.state, held.copy()
             counts.factorisations += 1
         self.held, self._state = held.copy(), self._present()

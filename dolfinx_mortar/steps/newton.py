@@ -159,7 +159,6 @@ def solve_step(
                 problem.raise_failed()  # the cause
                 if not linear.direct:
                     linear.clear()  # levels of tangents of the step that is undone
-                    problem.operator.half.forget()
                 raise failures.explain(problem, report, error, reached) from error
             except BaseException:  # perhaps of this rank only: no communication
                 problem.undo(before)
