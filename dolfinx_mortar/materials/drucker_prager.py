@@ -35,7 +35,7 @@ class _Return(NamedTuple):
 
 @dataclass(frozen=True)
 class DruckerPrager(Material):
-    r"""Small-strain associated perfect plasticity in the cone of Drucker and Prager.
+    """Small-strain associated perfect plasticity in the cone of Drucker and Prager.
 
         |dev sigma| + beta p <= Y,      p = tr(sigma) / 3 (tension positive), apex at p = Y / beta
 
@@ -54,9 +54,8 @@ class DruckerPrager(Material):
     Plastic flow dilates: tr dep = beta |dev dep|. There is no hardening, so there are limit loads,
     and a part whose points are all at the apex has no stiffness.
 
-    Source: D. C. Drucker, W. Prager, Q. Appl. Math. 10 (1952) 157-165; the return mapping to cone
-    and apex: E. A. de Souza Neto, D. Peric, D. R. J. Owen, Computational Methods for Plasticity
-    (2008), section 8.3.
+    Source: D. C. Drucker, W. Prager, Q. Appl. Math. 10 (1952) 157-165; E. A. de Souza Neto, D.
+    Peric, D. R. J. Owen, Computational Methods for Plasticity (2008), section 8.3.
 
     Raises:
         ValueError: naming a parameter that is out of its range.

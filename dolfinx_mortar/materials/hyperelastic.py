@@ -124,9 +124,8 @@ class Ogden(PointwiseLaw):
     """psi(F) = sum_i mu_i / alpha_i (a_1^alpha_i + a_2^alpha_i + a_3^alpha_i - 3) + K/2 (J - 1)^2.
 
     a_k = lambda_k / J^(1/3) are the principal stretches without the change of volume, J = det F.
-    The shear modulus at F = I is sum_i mu_i alpha_i / 2. A law of arrays, right to round-off also
-    where stretches coincide. Source: Ogden, Proc. R. Soc. Lond. A 326 (1972) 565-584; Holzapfel,
-    Nonlinear Solid Mechanics (2000), section 6.5.
+    The shear modulus at F = I is sum_i mu_i alpha_i / 2. A law of arrays. Source: Ogden, Proc. R.
+    Soc. Lond. A 326 (1972) 565-584; Holzapfel, Nonlinear Solid Mechanics (2000), section 6.5.
 
     Raises:
         ValueError: naming a parameter that is out of its range, and for a shear modulus that is not

@@ -1,27 +1,24 @@
 # SPDX-License-Identifier: MIT
-r"""Small-strain laws at finite strain: the law sees a logarithmic strain, P is its dual.
+"""Small-strain laws at finite strain: the law sees a logarithmic strain, P is its dual.
 
 **Multiplicative form**, for laws that are isotropic and whose memory is the plastic strain and
 scalars (`Law.isotropic`). With F = F_e F_p and C_p = F_p^T F_p, of which the state has the
 logarithmic plastic strain, E_p = 1/2 ln C_p,
 
     E = 1/2 ln(C_p^-1/2 F^T F C_p^-1/2),         psi = psi(E; plastic strain 0, scalars),
-    C_p^-1 = C_pn^-1/2 exp(-2 dep) C_pn^-1/2,    dep the plastic strain that the law gives,
+    C_p^-1 = C_pn^-1/2 exp(-2 dep) C_pn^-1/2,    dep the plastic strain that the law gives.
 
-E has the principal values and psi the value of 1/2 ln b_e, b_e = F C_pn^-1 F^T, so that d psi / dE
-are Kirchhoff's principal stresses, and the update is the exponential map: exact for any shear, and
-isochoric where the law is (Simo 1992).
+E has the principal values of 1/2 ln b_e, b_e = F C_pn^-1 F^T, d psi / dE are Kirchhoff's principal
+stresses, and the update is the exponential map: exact for any shear, isochoric where the law is.
 
 **Additive form**, for all others: E = 1/2 ln(F^T F), of which the law, with its internal variables,
-is that of small strain (Miehe, Apel, Lambrecht 2002). It is exact where the principal directions do
-not turn; in simple shear by gamma = 1 perfect plasticity is 3 % too soft, by gamma = 2 17 %.
+is that of small strain. It is exact where the principal directions do not turn; in simple shear by
+gamma = 1 perfect plasticity is 3 % too soft, by gamma = 2 17 %.
 
 In both forms P = d psi / dF, and the tangent is symmetric and complete.
 
-Sources: J. C. Simo, "Algorithms for static and dynamic multiplicative plasticity that preserve the
-classical return mapping schemes of the infinitesimal theory", Comput. Methods Appl. Mech. Engrg. 99
-(1992) 61-112; C. Miehe, N. Apel, M. Lambrecht, "Anisotropic additive plasticity in the logarithmic
-strain space", Comput. Methods Appl. Mech. Engrg. 191 (2002) 5383-5425.
+Sources: J. C. Simo, Comput. Methods Appl. Mech. Engrg. 99 (1992) 61-112; C. Miehe, N. Apel,
+M. Lambrecht, Comput. Methods Appl. Mech. Engrg. 191 (2002) 5383-5425.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -206,11 +203,10 @@ class LogarithmicLaw:
         return PointValues(stress, tangent, self.update(start, H), energy=energy)
 
     def stress_lost(self, start: Start, H: Floats) -> Floats:
-        """Return by how much, relative to it, Kirchhoff's stress is below that of the law (q,).
+        """Return 1 - |dev tau| / |dev T|, tau Kirchhoff's stress and T that of the law, (q,).
 
-        1 - |dev tau| / |dev T|, which is zero in the multiplicative form, and in the additive one
-        wherever T has the principal directions of E. Where a point flows it is the error of the
-        yield stress: in simple shear by gamma = 1 of a perfectly plastic body 0.02.
+        Zero in the multiplicative form, and in the additive one wherever T has the principal
+        directions of E; where a point flows it is the error of the yield stress.
         """
         share = np.zeros(len(H))
         for some in () if self.multiplicative else _chunks(len(H)):

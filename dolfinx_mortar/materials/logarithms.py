@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-r"""Logarithmic strains at points, and the transformation of their stresses and moduli to P.
+"""Logarithmic strains at points, and the transformation of their stresses and moduli to P.
 
 With F = I + H, a symmetric G = I + g and C = (F G)^T F G, whose eigenvalues are 1 + x_a and whose
 eigenvectors are N_a,
@@ -16,16 +16,13 @@ from the first and second divided differences f_ab, f_abc of 1/2 ln at the eigen
 
     M_ab,cd = f_ab L_ab,cd f_cd + terms of f_abc T.
 
-No difference is taken of numbers that nearly coincide: the logarithms are those of 1 + x, and close
-eigenvalues take the power series of the divided differences. Of an isotropic psi(E), T is
+Close eigenvalues take the power series of the divided differences. Of an isotropic psi(E), T is
 diagonal in the eigenvectors, and L couples normal strains, each shear being coupled with itself.
 
 Components are stored as tensors are (`tensor.INDEX`): in the plane four pairs ab and the five
 components xx, xy, yx, yy, zz of F and P, in space six and nine.
 
-Source: C. Miehe, M. Lambrecht, "Algorithms for computation of stresses and elasticity moduli in
-terms of Seth-Hill's family of generalized strain tensors", Commun. Numer. Meth. Engng 17 (2001)
-337-353.
+Source: C. Miehe, M. Lambrecht, Commun. Numer. Meth. Engng 17 (2001) 337-353.
 """
 
 import numba
@@ -168,8 +165,7 @@ def second_difference(x, y, z, f_xy, f_yz, f_zx):  # type: ignore[no-untyped-def
 def decompose(H, g, shared, x, logs, N, y, m):  # type: ignore[no-untyped-def]
     """Fill x and logs (q, 3), and the columns N, y, m (q, 3, 3), for H and g (q, 3, 3).
 
-    A g that is `shared` is (1, 3, 3), zero at all points. Where det F is not positive there is no
-    logarithm, and all is NaN.
+    A g that is `shared` is (1, 3, 3). Where det F is not positive, all is NaN.
     """
     G, C, D = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     for q in range(len(H)):
@@ -215,11 +211,7 @@ def determinant(h):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def _isotropic_moduli(pairs, law, x, logs, S, M):  # type: ignore[no-untyped-def]
-    """Fill S (3, 3) and M (s, s) by T, L of normal strains, and shear moduli.
-
-    The law gives T_11, T_22, T_33, L_1111, L_1122, L_1133, L_2222, L_2233, L_3333, then the moduli
-    G of the shears 12, 23, 13, T_12 = 2 G E_12.
-    """
+    """Fill S (3, 3) and M (s, s) by T_aa, L_aabb and the shear moduli G, T_12 = 2 G E_12."""
     k = 3
     for a in range(3):
         for b in range(a, 3):
@@ -238,10 +230,7 @@ def _isotropic_moduli(pairs, law, x, logs, S, M):  # type: ignore[no-untyped-def
 
 @numba.njit(**SETTINGS)
 def _moduli(pairs, law, x, logs, N, S, M, f, h, T, R, L):  # type: ignore[no-untyped-def]
-    """Fill S (3, 3) and M (s, s) by the stored components of T and the upper triangle of L.
-
-    The others are space for divided differences, and for what is turned to the eigenvectors.
-    """
+    """Fill S (3, 3) and M (s, s) by T and the upper triangle of L; the others are space."""
     s = len(pairs)
     _differences(s, x, logs, f, h)
     _turn(s, N, R)
@@ -330,8 +319,8 @@ def _differences(s, x, logs, f, h):  # type: ignore[no-untyped-def]
 def respond(pairs, isotropic, law, x, logs, N, y, m, P, A):  # type: ignore[no-untyped-def]
     """Fill P (q, k) and the upper triangle of dP/dF, A (q, k (k + 1) / 2), row by row.
 
-    There are as many pairs as stored components; that their number is known to the compiler makes
-    this twice as fast. The law (q, ..) gives T and L, see `_isotropic_moduli` and `_moduli`.
+    That the compiler knows the number of pairs makes this twice as fast. The law (q, ..) gives T,
+    L.
     """
     S, M, B = np.zeros((3, 3)), np.zeros((6, 6)), np.empty((3, 3))
     Z, W = np.empty((6, 9)), np.empty((6, 9))
@@ -431,8 +420,8 @@ def roots(strain, g):  # type: ignore[no-untyped-def]
 def flow(strain, increment, g, N, new):  # type: ignore[no-untyped-def]
     """Fill new (q, 3, 3) with -1/2 ln(G exp(-2 D) G), G = I + g = exp(-strain).
 
-    D has the eigenvectors N and the eigenvalues increment (q, 3); where it is zero, the
-    strain (q, 3, 3) is kept to the last bit.
+    D has the eigenvectors N and the eigenvalues increment (q, 3); where it is zero, the strain is
+    kept to the last bit.
     """
     A, D, G = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     V, values = np.empty((3, 3)), np.empty(3)
@@ -458,7 +447,7 @@ def flow(strain, increment, g, N, new):  # type: ignore[no-untyped-def]
 def lost(pairs, law, x, logs, N, share):  # type: ignore[no-untyped-def]
     """Fill share (q,) with 1 - |dev tau| / |dev T|, zero where T is zero.
 
-    In the eigenvectors Kirchhoff's stress is tau_ab = 2 f_ab sqrt(1 + x_a) sqrt(1 + x_b) T_ab.
+    In the eigenvectors tau_ab = 2 f_ab sqrt(1 + x_a) sqrt(1 + x_b) T_ab.
     """
     for q in range(len(x)):
         mean = (law[q, 0] + law[q, 1] + law[q, 2]) / 3

@@ -4,12 +4,11 @@
 With the strain e in the plane and z out of it, a law gives sigma(e, z) with the moduli C. Then
 
     sigma_zz(e, z) = 0,         psi(e) = psi(e, z),
-    d sigma / d e = C - C : zz (x) zz : C / C_zzzz,
+    d sigma / d e = C - C : zz (x) zz : C / C_zzzz.
 
-the last two because psi is stationary in z. At finite strain e is F in the plane, sigma is P and z
-the stretch out of the plane less 1. For a linear law z = -sigma_zz(e, 0) / C_zzzz, in the
-compiled code; for all others Newton's method finds z before anything is assembled. The stress has
-zeros out of the plane by construction.
+At finite strain e is F in the plane, sigma is P and z the stretch out of the plane less 1. For a
+linear law z = -sigma_zz(e, 0) / C_zzzz, in the compiled code; for all others Newton's method finds
+z before anything is assembled.
 """
 
 from collections.abc import Callable
@@ -26,10 +25,7 @@ NORMAL = ufl.as_tensor([[0.0, 0, 0], [0, 0, 0], [0, 0, 1.0]])
 
 
 def with_normal_strain(strain: Expr, z: Any) -> Expr:
-    """Return the strain in the plane of a 3x3 tensor with z out of it.
-
-    With the mean of both shears, so that derivatives by the nine components are symmetric.
-    """
+    """Return the strain in the plane, with the mean of both shears, and z out of it."""
     shear = (strain[0, 1] + strain[1, 0]) / 2
     return ufl.as_tensor([[strain[0, 0], shear, 0], [shear, strain[1, 1], 0], [0, 0, z]])
 
@@ -52,10 +48,7 @@ def in_plane(tensor: Expr) -> Expr:
 
 
 def condensed(change: Callable[[Expr], Expr], *, finite: bool = False) -> Callable[[Expr], Expr]:
-    """Return d -> C : d - C : zz (C : d)_zz / C_zzzz in the plane, from the function d -> C : d.
-
-    Directions are strains, or at finite strain changes of F, which are not symmetric.
-    """
+    """Return d -> C : d - C : zz (C : d)_zz / C_zzzz in the plane, from the function d -> C : d."""
     flat = _with_normal if finite else with_normal_strain
 
     def in_plane_change(direction: Expr) -> Expr:
@@ -79,17 +72,18 @@ def solve(
 ) -> Floats:
     """Return z with sigma_zz(z) = 0, NaN where the law is undefined.
 
-    Newton's method from z = 0 or a start that depends, as z does, on strain and state alone.
-    sigma_zz grows with z where the potential is convex: the root lies between the z that gave
-    pressure and tension, and where an iterate would leave that interval, it is bisected, down to
-    neighbouring numbers. Where C_zzzz is not positive, steps are those of the elastic modulus, and
-    double.
+    Newton's method from z = 0 or a start that depends on strain and state alone. Where the
+    potential is convex, sigma_zz grows with z: iterates outside of the interval between pressure
+    and tension bisect it. Where C_zzzz is not positive, steps are those of the elastic modulus, and
+    double. At finite strain no step goes further than half of the way to z = -1, and stresses have
+    the round-off of moduli.
 
-    At finite strain z, a stretch less 1, is above -1, no step goes further than half of the way
-    there, and stresses have the round-off of moduli.
-
-    The shape is the number of rows that the equation evaluates together, such as cells, and that of
-    points in each.
+    Args:
+        law: its name.
+        equation: of rows that are evaluated together, such as cells.
+        shape: number of rows, and of points in each.
+        finite: whether z is a stretch less 1.
+        start: of z.
 
     Raises:
         ValueError: if there are points at which no z is found; the message names the law.
@@ -101,8 +95,7 @@ def solve(
     rows: Ints = np.arange(shape[0], dtype=np.int32)
     for iteration in range(LIMIT):
         values = equation(rows, z[rows])
-        # Newton's method doubles the digits: before the last iteration half of them are right. At
-        # the end of the dead band of a yield condition, where stresses jump by 1e-10, none is 0.
+        # Newton's method doubles the digits: before the last iteration half of them are right.
         rows = rows[: _advance(z, low, high, rows, values, HALF_OF_DIGITS, floor, 0.5**iteration)]
         if not rows.size:
             return z
@@ -146,10 +139,7 @@ def _advance(z, low, high, rows, values, share, floor, softer):  # type: ignore[
 
 @numba.njit(cache=True, error_model="numpy")
 def _kept_between(low, high, new, instead):  # type: ignore[no-untyped-def]
-    """Return an iterate in an interval, and whether that is narrower than numbers can tell.
-
-    The middle where `new` is outside, or another one where an end is not known yet.
-    """
+    """Return an iterate in an interval, or its middle, and whether numbers cannot divide it."""
     if low < new < high:
         return new, False
     middle = (low + high) / 2

@@ -66,8 +66,7 @@ def ungrouped(p: SimpleNamespace) -> dict[str, Any]:
 def check_fields(law: Any) -> None:
     """Raise ValueError unless the numbers among the parameters of a law are in its ranges.
 
-    What may change is judged by the `Solid`, which knows its values. The law is a dataclass with
-    ``ranges`` and, for what involves several parameters, ``conditions(p)``, see `Material`.
+    What may change is judged by the `Solid`.
     """
     kind = type(law)
     given = {name: (getattr(law, name), *limits) for name, limits in kind.ranges.items()}
@@ -147,39 +146,38 @@ class Material(Protocol):
     """A frozen dataclass whose fields are the parameters, with the law as static methods.
 
     A law knows no mesh. It gets the strain (3x3 UFL), the committed state and the parameters `p`
-    (attributes named like the fields; of a tuple of numbers a tuple) as UFL symbols, so that the
-    compiled code is the same for all values of the parameters, be they numbers or what may change
-    (see `Parameter`). Then either of
+    (attributes named like the fields; of a tuple a tuple) as UFL symbols, so that the compiled code
+    is the same for all their values, be they numbers or what may change (see `Parameter`). Then
+    either of
 
     * `energy(strain, state, p)`, the incremental potential psi of the step; the stress is
       d psi / d strain and the tangent its derivative, both taken by UFL, or
     * `stress(strain, state, p)`, for a law without a potential (no line search on the energy).
 
-    A law that has both gives its stress in closed form, and UFL differentiates only that. The
-    tangent must be symmetric. `dolfinx_mortar.materials.check` tries a law out without a mesh.
+    A law that has both gives its stress in closed form. The tangent must be symmetric.
+    `dolfinx_mortar.materials.check` tries a law out without a mesh.
 
     Where UFL should not differentiate the stress (the solution of a local equation), a law states
-    its derivative: `tangent(strain, state, p, direction)`, d stress / d strain : direction. A class
-    that inherits it and has another energy or stress has to give its own; else UFL differentiates.
+    `tangent(strain, state, p, direction)`, d stress / d strain : direction. A class that inherits
+    it and has another energy or stress has to give its own; else UFL differentiates.
 
-    In plane stress the strain out of the plane is solved for at every integration point, such that
-    the stress there vanishes; the law need not do anything. A law that has this strain in closed
-    form saves most of the time by `normal_strain(strain, state, p)`, which is None, or a property
-    that gives None, where it is to be solved for. It is inherited as `tangent` is.
+    In plane stress the strain out of the plane is solved for at every integration point. A law that
+    has it in closed form saves most of the time by `normal_strain(strain, state, p)`, which is
+    None, or a property that gives None, where it is to be solved for. It is inherited as `tangent`
+    is.
 
     A law may inherit from this class, which has no state and no output, or just have its methods.
 
     **Finite strain.** A law with ``strain = "finite"`` gets the deformation gradient F (3x3, not
-    symmetric, det F > 0) in place of the strain: `energy(F, state, p)` is psi per volume
-    at X, `stress(F, state, p)` the first Piola-Kirchhoff stress P = d psi / dF, `tangent` dP/dF :
-    direction, of a direction that is not symmetric either. Only `elastic_stress` is still that of a
-    small strain, at F = I. psi has to be objective, psi(Q F) = psi(F) for rotations Q, which a
-    function of C = F^T F is. A part of psi that depends on J = det F alone may be stated as
-    `volumetric(J, p)`, in UFL, for ``volumetric="reduced"``. Such a law needs ``Solid(..,
-    strain="finite")``. Of all others the solid makes laws of F itself.
+    symmetric, det F > 0) in place of the strain: `energy(F, state, p)` is psi per volume at X,
+    `stress(F, state, p)` the first Piola-Kirchhoff stress P = d psi / dF, `tangent` dP/dF :
+    direction, of any direction. Only `elastic_stress` is still that of a small strain, at F = I.
+    psi has to be objective, psi(Q F) = psi(F) for rotations Q. A part of psi that depends on J =
+    det F alone may be stated as `volumetric(J, p)`, in UFL, for ``volumetric="reduced"``. Such a
+    law needs ``Solid(.., strain="finite")``, which makes laws of F itself of all others.
 
     Attributes:
-        strain: "small", what the law gets as its first argument is a small strain, or "finite", F.
+        strain: "small", the first argument of the methods is a small strain, or "finite", F.
         state: internal variables, name -> shape; () or (3, 3) (symmetric). A property where the
             parameters decide which there are.
         linear: True if the stress is a linear function of the strain and nothing else.
@@ -189,13 +187,12 @@ class Material(Protocol):
             ``plastic_strain``, if there is one, and depend on no direction: no other tensor, no
             back stress, no axes. At finite strain such a law takes the multiplicative form, see
             `logarithmic`. A property where the parameters decide. Optional.
-        ranges: of the parameters, name -> (lower end, upper end, is the lower end allowed);
-            those without a range may be any number. Judged wherever the law holds, and whenever a
-            parameter has changed.
+        ranges: of the parameters, name -> (lower end, upper end, is the lower end allowed); those
+            without a range may be any number. Judged whenever a parameter has changed.
 
     What involves several parameters is a static method `conditions(p)`, rule in words -> whether or
-    where it holds, of numbers or arrays. `parameters.check_fields`, called in ``__post_init__``,
-    judges numbers as soon as a law is made.
+    where it holds, of numbers or arrays. `check_fields`, called in ``__post_init__``, judges
+    numbers as soon as a law is made.
     """
 
     state: ClassVar[Mapping[str, tuple[int, ...]]]
@@ -205,10 +202,9 @@ class Material(Protocol):
 
     @staticmethod
     def elastic_stress(strain: Expr, p: Any) -> Expr:
-        """Return C : strain, the stress of a small elastic strain; every law has to give it.
+        """Return C : strain, the stress of a small elastic strain, in UFL.
 
-        It defines the energy norm, and stands for the stiffness in estimates. With parameters other
-        than E and nu, C is what the law has at no strain, in UFL.
+        It defines the energy norm, and stands for the stiffness in estimates.
         """
         raise NotImplementedError
 
@@ -231,8 +227,8 @@ class PointwiseLaw(Material):
 
     A frozen dataclass of parameters like any `Material`, whose `update` replaces energy, stress and
     updated_state. It may stand beside laws in UFL in one solid. There is no energy, so Newton's
-    method takes whole steps. `dolfinx_mortar.materials.check` compares its tangent with differences
-    of its stress. With JAX, whose derivatives make the tangent (Hooke's law; jax in 64 bits):
+    method takes whole steps. With JAX, whose derivatives make the tangent (Hooke's law; jax in 64
+    bits):
 
         def stress(strain, E, nu):
             G, L = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
@@ -252,8 +248,7 @@ class PointwiseLaw(Material):
                 return stresses(strain, p.E, p.nu), tangents(strain, p.E, p.nu), {}
 
     With ``strain = "finite"`` the first argument is F (q, 3, 3), the stress P and the tangent
-    dP_ij/dF_kl; such a law may have a potential for the line search, `energy(F, state, p)`, psi
-    (q,) of arrays.
+    dP_ij/dF_kl; such a law may have `energy(F, state, p)`, psi (q,), for the line search.
     """
 
     state: ClassVar[Mapping[str, tuple[int, ...]]] = {}
@@ -271,21 +266,17 @@ class PointwiseLaw(Material):
             p: parameters by name, (q,) each.
 
         Returns:
-            Stress (q, 3, 3), tangent d stress_ij / d strain_kl (q, 3, 3, 3, 3) with the symmetry
-            ij <-> kl, and the internal variables at the end of the step by name. What does not flow
-            should keep its state exactly. Derivatives by nine entries of a small strain, as JAX
-            gives them, may differ in kl and lk: their mean is taken.
+            Stress (q, 3, 3), tangent d stress_ij / d strain_kl (q, 3, 3, 3, 3) with the symmetry ij
+            <-> kl, and the internal variables at the end of the step by name. What does not flow
+            should keep its state exactly. Of derivatives that differ in kl and lk the mean is
+            taken.
         """
         raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """The parts of a law, looked up once in the class of a material; None is a part it lacks.
-
-    All else reads this record: a law of arrays has `update`; one in UFL has `stress`, `energy` or
-    both, and may state its `tangent`.
-    """
+    """The parts of a law, looked up once in the class of a material; None is a part it lacks."""
 
     name: str
     strain: str  # "small" or "finite": what the first argument of the methods is

@@ -49,8 +49,8 @@ def respond(
     """Return stress, energy and new internal variables of a law in UFL.
 
     The stress of a law without one is the derivative of its energy. In plane stress the law gets
-    the 3x3 strain in the plane, and that out of it which leaves no stress: z, if `law.condensed`;
-    at finite strain F with the stretch 1 + z.
+    the 3x3 strain, or F, in the plane, and out of it z (`law.condensed`), or the root that it
+    states.
 
     Raises:
         ValueError: if a method of the law raises, or returns something of the wrong shape or name.
@@ -100,8 +100,8 @@ def _change(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any, direction
 def without_variables(expression: Expr) -> Expr:
     """Return an expression with what its Variables stand for in their place.
 
-    As UFL's `strip_variables`, which visits what occurs several times each time: thousands of
-    visits for a tangent of plastic flow, half of the time in which a `Solid` with it is made.
+    UFL's `strip_variables` visits what occurs several times each time: half of the time in which a
+    `Solid` with plastic flow is made.
     """
     return map_expr_dag(_VariableStripper(), expression)
 
@@ -311,10 +311,7 @@ def _called(law: Law, method: str, strain: Floats, *rest: Any) -> Any:
 
 
 def _remedy(error: Exception) -> str:
-    """Return what helps against an error of a user's function, "" if that is not known.
-
-    What numba keeps of a function asks for the module by the name that it had then.
-    """
+    """Return what helps if numba asks for a module by the name that it had when compiled, or ""."""
     if not isinstance(error, ModuleNotFoundError):
         return ""
     return (

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Symmetric 3x3 tensors and how they are stored.
 
-Laws always see 3x3 tensors. A plane problem pads them with zeros (plane strain) and stores the four
-components that can be non-zero; a spatial problem stores six. The stored shear is the tensor
-component (not the engineering strain) and is stored once.
+A plane problem stores the four components that can be non-zero, a spatial problem six. The stored
+shear is the tensor component (not the engineering strain) and is stored once.
 
 ==== ==========================
 gdim stored components, in order
@@ -63,8 +62,8 @@ def double_contraction(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def vector_norm(c: np.ndarray) -> np.ndarray:
     """Return the Euclidean norm of the stored components (..., 4 or 6), shear counted once.
 
-    Not invariant under rotation. Kept to compare with figures of the literature that plot the norm
-    of the stored back stress vector as "hardening".
+    Not invariant under rotation; figures of the literature plot it of the back stress as
+    "hardening".
 
     >>> float(vector_norm(np.array([3.0, 0.0, 0.0, 4.0])))
     5.0
@@ -102,10 +101,7 @@ def stored(tensors: Floats, size: int = 6) -> Floats:
 
 
 def mean_of_shears(tangent: Floats) -> Floats:
-    """Return the derivatives (q, 3, 3, 3, 3) by a symmetric tensor, given those by nine entries.
-
-    Of a function of a 3x3 tensor kl and lk may differ, and only their mean matters.
-    """
+    """Return derivatives (q, 3, 3, 3, 3) by nine entries with the means of kl and lk."""
     mean = tangent.copy()
     for k, m in INDEX[3:]:
         mean[..., k, m] = mean[..., m, k] = (tangent[..., k, m] + tangent[..., m, k]) / 2

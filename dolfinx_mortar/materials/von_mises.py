@@ -25,9 +25,8 @@ from dolfinx_mortar.materials.protocol import (
 )
 from ufl.core.expr import Expr
 
-# A committed plastic point lies on the yield surface up to round-off, which is that of 2 mu eps:
-# 1e-16 Y times the strain over the yield strain, so the band is wide enough for 1e5 of those.
-# Without it, 12-20 % of such points would count as plastic at the start of the next step.
+# Committed plastic points lie on the yield surface up to round-off of 2 mu eps; without this band
+# some would flow again. Wide enough for 1e5 yield strains.
 YIELD_TOLERANCE = 1e-10
 LEAST_RATIO = -0.9
 """Poisson's ratio down to which `flow_in_plane_stress` is exact: below, its root has two scales."""
@@ -39,7 +38,6 @@ def shifted_stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Exp
     """Return xi = 2 mu dev(eps) - (2 mu + a) ep_n, 3x3, and |xi|, differentiable also at xi = 0."""
     mu = shear_modulus(p)
     xi = 2 * mu * ufl.dev(strain) - (2 * mu + p.a) * state["plastic_strain"]
-    # (eps Y)^2 keeps |xi| differentiable at xi = 0; at |xi| = Y it is below round-off
     return xi, ufl.sqrt(ufl.inner(xi, xi) + (EPS * p.Y) ** 2)
 
 
@@ -48,9 +46,7 @@ def tangent_of_return(xi: Expr, norm: Expr, g: Any, slope: Any, direction: Expr,
 
     With t = g / |xi| and the slope s = dg / d|xi|, both 0 where nothing flows, that is
 
-        C : direction - 4 mu^2 (t dev(direction) + (s - t) (n : direction) n),
-
-    here sorted by trace, direction and the deviator xi, for fewer operations at a point.
+        C : direction - 4 mu^2 (t dev(direction) + (s - t) (n : direction) n).
     """
     mu, turn = shear_modulus(p), g / norm
     trace = (lame_modulus(p) + 4 / 3 * mu**2 * turn) * ufl.tr(direction) * ufl.Identity(3)
@@ -61,9 +57,8 @@ def tangent_of_return(xi: Expr, norm: Expr, g: Any, slope: Any, direction: Expr,
 def flow_in_plane_stress(p: Expr, q: Expr, r: Expr) -> Expr:
     """Return the root t > 0 of p^2 / (1 + r t)^2 + q^2 / (1 + t)^2 = 1, 0 if p^2 + q^2 <= 1.
 
-    With N^2 the left side, 1/N is a concave function of t, which is linear for r = 1. Three steps
-    of Halley's method from a lower bound leave round-off of N for all p and q >= 0 and
-    .0175 <= r <= 1 (2e-15; ten million p and q from 1e-9 to 1e6, and near p = 1).
+    With N^2 the left side, 1/N is a concave function of t. Three steps of Halley's method from a
+    lower bound leave round-off of N for p and q from 0 to 1e6, .0175 <= r <= 1.
     """
     first = ufl.sqrt(p**2 + q**2)
     both, from_p = first - 1, (p - 1) / r
@@ -80,7 +75,7 @@ def flow_in_plane_stress(p: Expr, q: Expr, r: Expr) -> Expr:
 
 @dataclass(frozen=True)
 class VonMises(Material):
-    r"""Small-strain von Mises plasticity with linear kinematic and isotropic hardening.
+    """Small-strain von Mises plasticity with linear kinematic and isotropic hardening.
 
     With the committed plastic strain ep_n and the trial shifted stress
 
@@ -92,7 +87,7 @@ class VonMises(Material):
         dgam  = (|xi| - Y - H k_n)_+ / (2 mu + a + H),   n = xi / |xi|,   k = k_n + dgam
         sigma = C (eps - ep_n) - 2 mu dgam n,   ep = ep_n + dgam n,   back stress = a ep.
 
-    Time-discrete normality makes this the gradient of an incremental potential,
+    This is the gradient of an incremental potential,
 
         psi = 1/2 (eps - ep_n):C:(eps - ep_n) + a/2 |ep_n|^2 + H/2 k_n^2
               - (|xi| - Y - H k_n)_+^2 / (2 (2 mu + a + H)).
@@ -101,9 +96,7 @@ class VonMises(Material):
     sqrt(3/2) Y + 3/2 (a + H) p. Only with H is there an internal variable
     ``accumulated_plastic_strain``, k; times sqrt(2/3) it is the equivalent plastic strain.
 
-    Source: M. Cermak, S. Sysala, J. Valdman, "Efficient and flexible MATLAB implementation of 2D
-    and 3D elastoplastic problems", Appl. Math. Comput. 355 (2019) 595-614, for the law; psi is
-    the stored energy plus dissipation of the step, minimised over the plastic strain.
+    Source: M. Cermak, S. Sysala, J. Valdman, Appl. Math. Comput. 355 (2019) 595-614, for the law.
 
     Raises:
         ValueError: naming a parameter that is out of its range.
@@ -162,10 +155,10 @@ class VonMises(Material):
             nu: Poisson's ratio.
             yield_stress: uniaxial yield stress; Y = sqrt(2/3) yield_stress.
             plastic_modulus: d sigma / d (plastic strain) in tension; a + H = 2/3 plastic_modulus. A
-                test's tangent modulus E_t gives plastic_modulus = E E_t / (E - E_t).
+                tangent modulus E_t gives plastic_modulus = E E_t / (E - E_t).
             isotropic: share of the hardening that is isotropic, from 0 (all of it moves the yield
-                surface) to 1 (all of it widens it). Loading in one direction does not tell; after
-                reversal the bar yields 2 (yield_stress + isotropic (stress - yield_stress)) lower.
+                surface) to 1 (all of it widens it). After reversal the bar yields
+                2 (yield_stress + isotropic (stress - yield_stress)) lower.
 
         Raises:
             ValueError: for the same ranges, naming these arguments.
@@ -223,7 +216,7 @@ class VonMises(Material):
 
     @staticmethod
     def _normal_strain(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        r"""Return the strain zz that leaves no stress zz.
+        """Return the strain zz that leaves no stress zz.
 
         In the plane stress minus back stress has the sum S = xx + yy, the difference D = xx - yy
         and the shear T; |xi|^2 = S^2 / 6 + D^2 / 2 + 2 T^2. With phi = dgam / (Y + H k_n) and the
@@ -232,10 +225,8 @@ class VonMises(Material):
             S = S (1 + H phi) / (1 + (A + H) phi),     A = E / (3 (1 - nu)) + a,
             D = D (1 + H phi) / (1 + (B + H) phi),     B = 2 mu + a,    T likewise,
 
-        where |xi| = Y + H k determines phi (`flow_in_plane_stress`).
-
-        Source: J. C. Simo, R. L. Taylor, "A return mapping algorithm for plane stress
-        elastoplasticity", Int. J. Numer. Methods Eng. 22 (1986) 649-670, for this decoupling.
+        where |xi| = Y + H k determines phi (`flow_in_plane_stress`). Source: J. C. Simo, R. L.
+        Taylor, Int. J. Numer. Methods Eng. 22 (1986) 649-670.
         """
         ep, (k, H) = state[PLASTIC], VonMises._memory(state, p)
         e, mu, bulk = strain - ep, shear_modulus(p), p.E / (1 - p.nu)
@@ -258,8 +249,7 @@ class VonMises(Material):
         return {"back_stress": p.a[:, None] * state["plastic_strain"]}
 
 
-# Below, exp(3 y) is round-off, and three terms of the series of omega in exp(y) are exact (the next
-# one is 8/3 exp(4 y)); they keep digits that y - ln w loses.
+# Below, exp(3 y) is round-off, and three terms of the series of omega in exp(y) are exact.
 SERIES_BELOW = float(np.log(np.cbrt(EPS)))
 
 
@@ -283,9 +273,8 @@ def wright_omega(y: Any) -> Expr:
 def increment(excess: Any, rest: Any, M: Any, b: Any, log_ratio: Any) -> tuple[Expr, Expr]:
     """Return the root g of M g + rest (1 - exp(-b g)) = excess, and its slope dg / d excess.
 
-    A step of Chebyshev's method, of third order, corrects what omega gives. The residual is then
-    round-off of excess and rest, for all numbers whose products are numbers
-    (tests/test_hardening.py).
+    A step of Chebyshev's method, of third order, corrects what omega gives; the residual is then
+    round-off of excess and rest.
 
     Args:
         excess: what is to be reached, positive.
@@ -308,24 +297,22 @@ def increment(excess: Any, rest: Any, M: Any, b: Any, log_ratio: Any) -> tuple[E
 
 @dataclass(frozen=True)
 class VonMisesVoce(Material):
-    r"""Small-strain von Mises plasticity, isotropic hardening with saturation, kinematic hardening.
+    """Small-strain von Mises plasticity, isotropic hardening with saturation, kinematic hardening.
 
     As `VonMises`, but the yield radius is
 
         R(k) = Y + H k + Q (1 - exp(-b k)),      k = int |dep|.
 
     The increment g of k in a step is the root of |xi| = (2 mu + a) g + R(k_n + g), in closed form
-    by Wright's omega function (`increment`). Stress and consistent tangent are those of the radial
-    return mapping,
+    by Wright's omega function. Stress and consistent tangent are those of the radial return
+    mapping,
 
-        sigma = C (eps - ep_n) - 2 mu g n,       dg / d|xi| = 1 / (2 mu + a + R'(k_n + g)),
+        sigma = C (eps - ep_n) - 2 mu g n,       dg / d|xi| = 1 / (2 mu + a + R'(k_n + g));
 
-    so that nothing differentiates the solution of the equation; the potential of the step is
+    the potential of the step is
 
         psi = 1/2 (eps - ep_n):C:(eps - ep_n) + a/2 |ep_n|^2
-              - |xi| g + (2 mu + a)/2 g^2 + Y g + I(k_n + g),     I' = R - Y,
-
-    whose derivative by g vanishes.
+              - |xi| g + (2 mu + a)/2 g^2 + Y g + I(k_n + g),     I' = R - Y.
 
     Source: E. Voce, J. Inst. Metals 74 (1948) 537-562, for the saturation.
 

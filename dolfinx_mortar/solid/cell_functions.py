@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: MIT
-r"""Functions of one cell each: constants, or constants and the coordinates at X.
+"""Functions of one cell each: constants, or constants and the coordinates at X.
 
-The mean of a field over a cell is its projection onto constants. On cells of second order the
-means of volumes and pressures are projections onto N = (1, x - x_c), x_c the middle of the cell:
-with them the rate of cells of second order stays, and pressures are stable (the sum of squares of
-shape functions would be too many). In the coordinates at X, not in those of the reference cell, the
-rate stays on cells of any shape.
+On cells of second order the means of volumes and pressures are projections onto N = (1, x - x_c),
+x_c the middle of the cell, in the coordinates at X: then their rate stays, and pressures are
+stable.
 
-Source: D. Boffi, L. Gastaldi, On the quadrilateral Q2-P1 element for the Stokes problem, Int. J.
-Numer. Methods Fluids 39 (2002) 1001-1011.
+Source: D. Boffi, L. Gastaldi, Int. J. Numer. Methods Fluids 39 (2002) 1001-1011.
 """
 
 from __future__ import annotations
@@ -113,8 +110,7 @@ def _create_basis(space: fem.FunctionSpace) -> Expr:
 class RowsOfCells:
     """A matrix B of a form whose rows are m functions of each cell, and B^T W B with its blocks W.
 
-    All matrices are made once: B here, the others at the first product. (transposeMatMult adds up
-    in the order in which messages came when it was planned, and takes longer on several ranks.)
+    All matrices are made once: B here, the others at the first product.
     """
 
     def __init__(self, form: Any, m: int) -> None:

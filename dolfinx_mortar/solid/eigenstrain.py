@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Eigenstrain, the strain that a body would have without stress: thermal, of a fit, initial.
 
-The laws see the strain without it. It is evaluated at the integration points, once for all that is
-assembled until something that it depends on changes; what is compiled for the bodies knows its
-values only.
+The laws see the strain without it. It is evaluated at the integration points when something that it
+depends on has changed.
 """
 
 from collections.abc import Mapping, Sequence

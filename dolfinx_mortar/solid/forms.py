@@ -241,8 +241,8 @@ def _from_energy(law: Law) -> bool:
 def moduli_first(response: Response, entries: Sequence[tuple[int, int]]) -> Response:
     """Return a response whose change is dP/dF, formed once at a point, times the direction.
 
-    Of a symmetric dP/dF the upper triangle, row by row, for the entries of F that may change:
-    .66 to .88 of the time of a tangent of Mooney and Rivlin's law.
+    Of a symmetric dP/dF the upper triangle, for the entries of F that may change: .66 to .88 of the
+    time of a tangent of Mooney and Rivlin's law.
     """
 
     def change(direction: Expr) -> Expr:
@@ -263,10 +263,7 @@ def moduli_first(response: Response, entries: Sequence[tuple[int, int]]) -> Resp
 def _tangent(
     u: fem.Function, responses: Sequence[Response], kinematics: Kinematics, integral: Integral
 ) -> ufl.Form:
-    """Return int d eps[v] : C : d eps[w] + sigma : d^2 eps[v, w], the consistent tangent.
-
-    The second term, the geometric stiffness, vanishes where the strain is linear in u.
-    """
+    """Return int d eps[v] : C : d eps[w] + sigma : d^2 eps[v, w], the consistent tangent."""
     V = u.function_space
     v, w = ufl.TestFunction(V), ufl.TrialFunction(V)
     virtual, along = kinematics.virtual(u, v), kinematics.virtual(u, w)
@@ -282,10 +279,7 @@ def _tangent(
 
 
 def _gradient_gram(V: fem.FunctionSpace) -> Floats:
-    """Return sum_a grad N_a (x) grad N_a at the midpoint of the reference cell, times its volume.
-
-    Shape (d, d); the gradients are those of the reference cell.
-    """
+    """Return sum_a grad N_a (x) grad N_a (d, d) at the reference midpoint, times the volume."""
     element = V.element.basix_element
     d = V.mesh.topology.dim
     midpoint, weight = map(np.asarray, basix.make_quadrature(element.cell_type, 1))

@@ -92,7 +92,7 @@ def describe_lowest(domain: Mesh, values: Floats, limit: float, cells_do: str, n
 
     Args:
         domain: the mesh.
-        values: what is judged; NaN is not above any limit.
+        values: NaN is not above any limit.
         limit: for all of them.
         cells_do: what cells do whose values are not above it.
         name: of the values.

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Kinematics: what makes a problem plane, axisymmetric or spatial, in one frozen record.
 
-Laws get the 3x3 strain of the measure and nothing else; all integrals, over bodies, their surfaces
-and interfaces, have the weight as a factor; the check for unconstrained rigid-body modes uses the
-rigid motions.
+All integrals, over bodies, their surfaces and interfaces, have the weight as a factor.
 """
 
 import dataclasses
@@ -53,9 +51,6 @@ class Kinematics:
     def of_finite_strain(self) -> "Kinematics":
         """Return these kinematics with F as measure, of which P is the work-conjugate stress.
 
-        The weak form is int P : dF[v], so that all that holds of a strain that is linear in u holds
-        of F.
-
         Raises:
             ValueError: if there is no deformation gradient.
         """
@@ -80,10 +75,7 @@ class Kinematics:
         return ufl.derivative(self.measure(u), u, v)
 
     def linear_in(self, u: Expr) -> bool:
-        """Tell whether the strain is linear in u, so that the virtual strain does not depend on it.
-
-        Nor does the tangent of a linear law then.
-        """
+        """Tell whether the strain is linear in u: the virtual strain does not depend on it."""
         virtual = self.virtual(u, ufl.TestFunction(u.function_space))
         return u not in extract_coefficients(expand_derivatives(virtual))
 
@@ -150,10 +142,7 @@ def _with_stretch(u: Expr, stretch: Any) -> Expr:
 
 
 def _meridian_strain(u: Expr) -> Expr:
-    """Return the small strain of a ring by the displacement (u_r, u_z) of its section.
-
-    In the order r, z, theta, with u_r / r along the ring.
-    """
+    """Return the small strain of a ring by (u_r, u_z), in the order r, z, theta."""
     g = ufl.sym(ufl.grad(u))
     r = ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u))[0]
     return ufl.as_tensor([[g[0, 0], g[0, 1], 0], [g[1, 0], g[1, 1], 0], [0, 0, u[0] / r]])

@@ -72,13 +72,15 @@ class ParameterTable(Followed):
 
         Args:
             u: displacement, on which no parameter may depend.
-            materials: all of one class.
+            law: of all materials, which are of one class.
+            materials: with the parameters.
             cells: local cells of each, ghosts included.
             degree: of the quadrature of the solid.
 
         Raises:
             ValueError: on all ranks, if a parameter depends on u, belongs to another mesh or is
-                known at other points than those of the solid.
+            known at
+                other points than those of the solid.
         """
         self._law, self._cells = law, np.sort(np.concatenate(cells))
         self._names = names = list(named_parameters(materials[0]))
@@ -127,10 +129,7 @@ class ParameterTable(Followed):
         return {name: table[:, i] for i, name in enumerate(self._names)}
 
     def judge(self) -> None:
-        """Raise ValueError on all ranks if something is out of range in an owned cell; collective.
-
-        Also where the law fails to tell.
-        """
+        """Raise ValueError on all ranks if something is out of range; collective."""
         V = self.function.function_space
         domain, points = V.mesh, V.dofmap.list.shape[1]
         size = domain.topology.index_map(domain.topology.dim).size_local

@@ -42,10 +42,7 @@ class PointFields:
         degree: int,
         weight: Callable[[Any], Any],
     ) -> None:
-        """Keep references to the quadrature Functions, compile the weights; collective.
-
-        The weight is that of the `Kinematics`; laws may add fields such as the back stress.
-        """
+        """Keep references to the quadrature Functions, compile the weights; collective."""
         self._stored = {"stress": stress, **state}
         self._regions = regions
         self.degree = degree
@@ -89,33 +86,20 @@ class PointFields:
         aliases = [name for name, target in ALIASES.items() if target in norms]
         return tuple(dict.fromkeys((*self.bases, *norms, "von_mises", *aliases)))
 
-    @property
-    def scalars(self) -> list[str]:
-        """All names that `values` knows of scalars: norms and components of tensors, too."""
-        size = (len(self._components),)
-        missing = {name: size if tensor else () for name, tensor in PLASTIC_FIELDS.items()}
-        shapes = missing | self.bases
-        parts = ("norm", "vector_norm", *self._components)
-        of_tensors = [
-            f"{n}_{part}" for n, shape in shapes.items() if shape == size for part in parts
-        ]
-        stored = [name for name, shape in shapes.items() if not shape]
-        return list(dict.fromkeys(["von_mises", *stored, *ALIASES, *of_tensors]))
-
     def values(self, name: str) -> np.ndarray:
         """Return a field on the owned cells: (cells, points) or (cells, points, components).
 
         Args:
             name: a stored field ("stress", "plastic_strain", or a law's own internal variable or
-                output such as "back_stress"), "plastic" (one where there is plastic strain, zero
-                elsewhere), "von_mises", a tensor's name followed by
-                "_norm" (Frobenius), "_vector_norm" (stored components, shear once) or a component
-                ("stress_yy"), or "hardening", the vector norm of the back stress. What only
-                plasticity has is zero in elastic bodies.
+            output
+                such as "back_stress"), "plastic" (one where there is plastic strain, zero
+                elsewhere), "von_mises", a tensor's name followed by "_norm" (Frobenius),
+                "_vector_norm" (stored components, shear once) or a component ("stress_yy"), or
+                "hardening", the vector norm of the back stress. What only plasticity has is zero in
+                elastic bodies.
 
         Raises:
-            ValueError: for what is no name, if no law has that field, or if a law gives NaN on this
-                rank.
+            ValueError: if no law has that field, or a law gives NaN on this rank.
         """
         check("name", name, instance(str, f"give one of {', '.join(self.names)}"))
         if name in self.bases:
@@ -165,8 +149,8 @@ class PointFields:
     def _output(self, region: Region, cells: np.ndarray) -> dict[str, np.ndarray]:
         """Return the derived fields of a region's law in some of its cells, cell by cell.
 
-        What is plastic follows from the plastic strain of any law, unless a law says it itself.
-        Laws leave the state of a point that does not flow exactly as it is, so zero means zero.
+        What is plastic follows from the plastic strain, which is exactly zero where nothing flowed,
+        unless a law says it itself.
         """
         state = {}
         for name in region.law.state:
@@ -251,7 +235,13 @@ class Energies:
 
 
 class EnergyDensities:
-    """Densities per volume at X, at the integration points.
+    """Densities per volume at X, at the integration points, for every law with a potential.
+
+    The potential of a step, psi(eps; state_n), is the least sum of the energy that is stored at its
+    end and of what is dissipated in it; at the state that it has led to nothing flows, so that
+
+        stored     = psi(eps; state),
+        dissipated = psi(eps; state_n) - psi(eps; state),     added up over the steps.
 
     Attributes:
         stored: quadrature Function, filled by `fill`.

@@ -258,8 +258,7 @@ INSIDE_OUT, UNDEFINED = "is not called where det F is not positive:", "gives NaN
 class LogarithmicFields(PointwiseFields):
     """Energy, stress P, tangent and new state of a law of a small strain at F.
 
-    Stress and tangent are evaluated straight into what the forms read; internal variables at the
-    end of a step only.
+    Internal variables are evaluated at the end of a step only.
     """
 
     def _create_law(self) -> tuple[bool, bool]:
@@ -327,10 +326,7 @@ class LogarithmicFields(PointwiseFields):
             self._set(f, new[name])
 
     def stress_lost(self) -> Floats:
-        """Return by how much Kirchhoff's stress is below that of the law at points (q,).
-
-        None of a law without memory: there it is no error that the stress turns from the strain.
-        """
+        """Return the stress lost (q,), see `LogarithmicLaw`; none of a law without memory."""
         if not self.region.law.state:
             return np.zeros(0)
         return self._law.stress_lost(self._start_of_step(), self._gradients)

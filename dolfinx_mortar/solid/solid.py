@@ -2,8 +2,7 @@
 """The bodies: materials on cell tags, committed state, energy, residual and tangent.
 
 A step ends with `evaluate`, which shows its results, and is accepted by `commit`. The compiled code
-depends on the cell type and the laws, not on the mesh, the tags or the values of the parameters,
-which live in Functions and are followed by whatever is assembled or evaluated next.
+depends on the cell type and the laws, not on the mesh, the tags or the values of the parameters.
 """
 
 import math
@@ -49,8 +48,7 @@ OUTPUT_FIELDS = (
     *("back_stress_norm", "hardening"),
 )
 
-# Degree of the highest rule on simplices that Basix has in a table (Xiao and Gimbutas); beyond it
-# come products with a number of points that only memory limits.
+# Degree of the highest rule on simplices that Basix has in a table (Xiao and Gimbutas).
 HIGHEST_RULE = 30
 
 
@@ -87,37 +85,40 @@ class Solid(Term):
         """Create the bodies and compile their forms (collective).
 
         Args:
-            u: displacement, a vector Lagrange Function of degree 1 or 2.
-            materials: one law for all cells, or a law per cell tag, or its name.
-            cell_tags: tags of the cells, see `Tags` for names; needed with a law per tag.
-            quadrature_degree: None means 2(p - 1), at least 1, on simplices and 2p on
-                quadrilaterals and hexahedra, p the degree of u.
+            u: displacement, a vector Lagrange Function of degree 1 or 2. materials: one law for all
+            cells, or a law per cell tag, or its name. cell_tags: tags of the cells, see `Tags` for
+            names; needed with a law per tag. quadrature_degree: None means 2(p - 1), at least 1, on
+            simplices and 2p on quadrilaterals and
+                hexahedra, p the degree of u.
             kinematics: "plane_strain" (the default in 2D), "plane_stress" (thin plates, forces per
                 thickness), "axisymmetric" (x[0] is the radius r, x[1] the axis z; strains, stresses
                 and loads are in the order r, z, theta, forces, energies and volumes those of the
                 whole ring), "spatial" (the only choice in 3D), or a `Kinematics`.
             eigenstrain: strain without stress (thermal, of a fit, initial), which is subtracted
-                from the strain before laws are evaluated: a scalar (the same in all three
-                directions, also out of the plane) or a 3x3 tensor, as a number, an array, a
-                Constant, a Function or UFL of these and of the coordinates; or a dictionary of such
-                by cell tag or name, zero at other tags. What it depends on may change between
-                steps, as loads do: in ``on_time`` of `load_steps`.
+            from the
+                strain before laws are evaluated: a scalar (the same in all three directions) or a
+                3x3 tensor, as a number, an array, a Constant, a Function or UFL of these and of the
+                coordinates; or a dictionary of such by cell tag or name, zero at other tags. What
+                it depends on may change between steps, in ``on_time`` of `load_steps`.
             volumetric: "full", or "reduced" (mean dilatation) for quadrilaterals and hexahedra,
-                which then do not lock where their volume hardly changes: the trace of the strain
-                and the mean stress are their means over the cell, see `mean_volume`. For laws that
+            which
+                then do not lock where their volume hardly changes, see `mean_volume`. For laws that
                 split into a deviator and a trace, see `Material`. At finite strain for cells of
                 degree 2 of all shapes, too.
             strain: "small", or "finite" for large rotations and strains of more than a few percent:
-                laws are functions of the deformation gradient F = I + grad u, and the internal
-                virtual work is int P : dF[v] dX. Without eigenstrain.
+            laws
+                are functions of the deformation gradient F = I + grad u, and the internal virtual
+                work is int P : dF[v] dX. Without eigenstrain.
             energies: whether stored and dissipated energies are evaluated at the end of each step,
-                for `energies`, and as the fields "stored_energy" and "dissipated_energy". All laws
-                need a potential.
+            for
+                `energies`, and as the fields "stored_energy" and "dissipated_energy". All laws need
+                a potential.
 
         Raises:
             ValueError: on all ranks, naming an argument that is wrong or differs between ranks; for
-                a mesh beyond the axis; for a law that lacks a part, raises, or returns something of
-                the wrong name or shape, with law and part.
+            a mesh
+                beyond the axis; for a law that lacks a part, raises, or returns something of the
+                wrong name or shape, with law and part.
         """
         check("u", u, instance(fem.Function, "give the displacement, a dolfinx.fem.Function"))
         # before anything that ranks do together
@@ -207,9 +208,8 @@ class Solid(Term):
     def state(self) -> Mapping[str, fem.Function]:
         """Committed internal variables by name, quadrature Functions: a step starts from them.
 
-        What `fields` and `max` show is the state that `evaluate` found, committed or not. Tensors
-        are stored as (xx, yy, zz, xy) in 2D, which are (rr, zz, theta theta, rz) of a ring, and
-        (xx, yy, zz, xy, yz, xz) in 3D, the shear being the tensor component.
+        Tensors are stored as (xx, yy, zz, xy) in 2D, which are (rr, zz, theta theta, rz) of a ring,
+        and (xx, yy, zz, xy, yz, xz) in 3D, the shear being the tensor component.
         """
         return self.points.committed
 
@@ -238,11 +238,10 @@ class Solid(Term):
     def energy(self, along: tuple[VolumeStep, float] | None = None) -> float | Floats | None:
         """Return this rank's share of the incremental potential Psi(u); collective.
 
-        Along a step of `volume_step`, at the length t, with the volumes of its linearisation.
-
-        None if a law gives a stress but no potential. Infinite where any point of a finite strain
-        has no positive volume, det F <= 0. At finite strain with two more addends, whose sum is
-        zero: energies of F are differences of numbers near the moduli, which is their round-off.
+        Along a step of `volume_step`, at the length t, with the volumes of its linearisation. None
+        if a law gives a stress but no potential; infinite where det F <= 0 at any point. At finite
+        strain with two more addends, whose sum is zero and whose size is the round-off of energies
+        of F.
         """
         if self.forms.energy is None:
             return None
@@ -270,8 +269,7 @@ class Solid(Term):
     def add_tangent(self, K: PETSc.Mat, pressure: Floats | None = None) -> None:
         """Add the consistent tangent dF/du at u, symmetric, without boundary conditions.
 
-        With a pressure (owned cells,) that where mean stresses are unknowns of their own, see
-        `mean_volume`.
+        With a pressure (owned cells,) that where mean stresses are unknowns, see `mean_volume`.
         """
         self.follow()
         dilatation = self.forms.dilatation
@@ -303,9 +301,8 @@ class Solid(Term):
     def element_force_norm(self) -> float:
         """Return the norm of the unassembled element forces at u, sqrt(sum_e sum_a |f_ea|^2).
 
-        This is the scale of round-off in F(u), and does not vanish with residual stresses. Exact
-        for degree 1 on simplices; on other cells the gradients at the midpoint are used, and of
-        rings the forces of the stress along them, which are never larger than the others, left out.
+        The scale of round-off in F(u); it does not vanish with residual stresses. Exact for degree
+        1 on simplices; else the gradients at the midpoint are used, without the stress along rings.
         """
         self.follow()
         return _root(self, fem.assemble_scalar(self.forms.element_force))
@@ -315,12 +312,13 @@ class Solid(Term):
     def evaluate(self) -> None:
         """Evaluate stress and internal variables at u and the committed state; collective.
 
-        These are the results of the step whose displacement is u: `stress`, `fields` and all that
-        rests on them show them from now on. The committed state stays as it is.
+        `stress`, `fields` and all that rests on them show these results of the step from now on.
+        The committed state stays as it is.
 
         Raises:
             ValueError: on all ranks, if a law gives NaN or infinity on any; the message names it.
-                All that is shown, and what `commit` would take, is then as before.
+            All that
+                is shown, and what `commit` would take, is then as before.
         """
         self.follow()
         self.points.evaluate(self.follow)
@@ -352,7 +350,7 @@ class Solid(Term):
         Bodies are the cells of a tag, under its name if it has one; without ``cell_tags`` there is
         one, 0. As `evaluate` found them at the end of the last step; of the whole ring, or per
         thickness. Elastic energy and that of hardening are stored, plastic work less the latter is
-        dissipated; what friction dissipates is in `Contact.dissipation`. So is the work of the
+        dissipated; what friction dissipates is in `Contact.dissipation`. Their sum is the work of
         supports and loads, up to the error of load steps, which is that of the trapezoidal rule.
 
         Raises:
@@ -383,8 +381,8 @@ class Solid(Term):
         """Return the cell averages worth writing, by name, in the user's units (collective).
 
         Stress, internal variables and the laws' own output, all of the last `evaluate`.
-        ``plastic_strain_norm`` and ``back_stress_norm`` are tensor (Frobenius) norms, ``hardening``
-        is the vector norm of the stored back stress components that the literature plots.
+        ``plastic_strain_norm`` and ``back_stress_norm`` are Frobenius norms, ``hardening`` is the
+        vector norm of the stored back stress components that the literature plots.
         """
         first = [name for name in OUTPUT_FIELDS if name in self.fields.names]
         return {
@@ -408,7 +406,7 @@ def flows_at_start(solid: Solid) -> bool:
     """Tell whether what has changed since the last commit makes bodies flow; collective.
 
     Then a step begins with `add_first_forces` and `add_first_tangent`. False at finite strain,
-    where a tangent that is singular is shifted, see `newton`.
+    where a tangent that is singular is shifted.
     """
     if not solid.gradients.small or not solid.state:
         return False
@@ -428,9 +426,8 @@ def add_first_forces(solid: Solid, F: PETSc.Vec) -> None:
 
         F_n + int C_n : (eps(u - u_n) - (e - e_n)) : eps(v),    C_n the tangent of that state.
 
-    Where an eigenstrain e, parameters or a displacement from which a user starts lead beyond yield,
-    the tangent there is that of flow, singular where nothing hardens, and the stress is capped: it
-    does not tell how far the bodies have to move.
+    Beyond yield, where an eigenstrain e, parameters or a start lead, the stress is capped: it does
+    not tell how far the bodies have to move.
     """
     solid.follow()
     committed, dilatation = solid.forms.committed, solid.forms.dilatation

@@ -81,8 +81,8 @@ class PointState:
     def keep(self) -> list[tuple[fem.Function, Floats]]:
         """Return copies of results, state, and the parameters that they rest on, for `put_back`.
 
-        A second evaluation would differ: u may have been set since, or nothing evaluated yet, and
-        a law that depends on the size of a step would flow further.
+        A second evaluation would differ: u may have been set, or a law depend on the size of the
+        step.
         """
         functions = [*self.lasting_fields().values(), *(one.function for one in self.followed)]
         return [(f, f.x.array.copy()) for f in functions]

@@ -25,8 +25,8 @@ class Term(ABC):
         Pi(u),   F_i = dPi/du_i,   K_ij = d2Pi/du_i du_j
 
     of all its terms; `WeakForm` does this for UFL. Write here what UFL does not reach: forces
-    between far points, tables, other programs. Of what is collective, a method may only do what
-    all ranks reach: an error is raised on all of them after the call. Your class has to define
+    between far points, tables, other programs. Of what is collective, a method may only do what all
+    ranks reach: an error is raised on all of them after the call. Your class has to define
     `add_forces` and `add_tangent`.
 
     Attributes:
@@ -35,7 +35,8 @@ class Term(ABC):
         couplings: global dofs (k,) that K couples beyond the pattern of the mesh, an array for each
             dense block of k x k entries, the same on all ranks or each on one of them.
         state: Functions on ``solid.V`` or its scalar space, by name, that `commit` sets: what the
-            next step starts from, and what a checkpoint holds.
+        next
+            step starts from, and what a checkpoint holds.
     """
 
     linear: bool = False
@@ -141,9 +142,9 @@ def assemble(form: fem.Form, vector: la.Vector) -> Floats:
 class MatrixForm:
     """A bilinear form whose matrix is the same each time, to the last bit.
 
-    PETSc adds up what other ranks send in the order in which it comes. Where several send, on more
-    than two ranks, dolfinx does it in the order of the ranks, in a matrix of its own. On one rank
-    that takes half the time of assembly in AIJ, from the second on, and gives the same bits.
+    PETSc adds up what other ranks send in the order in which it comes; on more than two ranks
+    dolfinx does it in the order of the ranks, in a matrix of its own. On one rank that takes half
+    the time of assembly in AIJ, with the same bits.
 
     Attributes:
         form: the form, compiled; Any because dolfinx annotates one overload only.
