@@ -74,7 +74,7 @@ def _measure(solid: Solid, weights: Floats, cells: slice) -> Floats:
     angles = np.linalg.norm(found.rotation, axis=1)
     # per cell: under volume constraints points vary much
     work = np.abs(per_cell(double_contraction(stress, found.seen)))
-    made = [per_cell(double_contraction(stress, found.left_out)), per_cell(found.turned(stress))]
+    made = [per_cell(double_contraction(stress, E)) for E in (found.left_out, found.turned)]
     sums = [volume.sum(axis=1), per_cell(size), work, *made]
     return np.stack([*sums, *(peak(values) for values in (size, strains, seen, angles))])
 

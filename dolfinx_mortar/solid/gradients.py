@@ -7,9 +7,7 @@ rigid, it leaves out a^2 / 2 in both directions across the axis.
 """
 
 import dataclasses
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -25,8 +23,6 @@ from dolfinx_mortar.arguments import check, one_of
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.materials.response import Response
 from dolfinx_mortar.materials.tensor import (
-    INDEX,
-    double_contraction,
     tensor_of,
     to_components,
 )
@@ -129,51 +125,14 @@ TURNS = ((2, 1), (0, 2), (1, 0))
 class Gradients:
     """Values at the n integration points of some cells, cell by cell.
 
-    Tensors have their stored components (n, 4 or 6), each of which is contiguous in memory.
+    Tensors have their stored components (n, 4 or 6).
     """
 
     strain: Floats  # what the kinematics measure
-    seen: Floats  # less the eigenstrain: what the laws see
     rotation: Floats  # (n, 1 or 3), axial vector of the skew part of grad u, radians; about z in 2D
-    small: bool  # whether the strain is a small one, linear in u
-
-    @cached_property
-    def left_out(self) -> Floats:
-        """H^T H / 2 (n, 4 or 6) of a small strain, zero for others."""
-        if not self.small:
-            return np.zeros_like(self.strain)
-        H: dict[tuple[int, int], Floats] = {}
-        for k, (i, j) in enumerate(INDEX[: self.strain.shape[1]]):
-            H[i, j] = H[j, i] = self.strain[:, k]
-        for (i, j), w in self._turns():
-            H[i, j], H[j, i] = H[i, j] + w, H[j, i] - w
-        return _half_square(H, self.strain.shape)
-
-    def turned(self, stress: Floats) -> Floats:
-        """Return stress : W^T W / 2 (n,), the part of a small strain's rotation W alone."""
-        if not self.small:
-            return np.zeros(len(stress))
-        W: dict[tuple[int, int], Floats] = {}
-        for (i, j), w in self._turns():
-            W[i, j], W[j, i] = w, -w
-        return double_contraction(stress, _half_square(W, self.strain.shape))
-
-    def _turns(self) -> Iterator[tuple[tuple[int, int], Floats]]:
-        """Return row, column and value of what the rotation adds to the gradient."""
-        axes = self.rotation.shape[1]
-        columns = (self.rotation[:, k] for k in range(axes))
-        return zip(TURNS[-axes:], columns, strict=True)
-
-
-def _half_square(H: Mapping[tuple[int, int], Floats], shape: tuple[int, ...]) -> Floats:
-    """Return the stored components of H^T H / 2 by the entries of H that are not zero."""
-    result = np.zeros(shape, order="F")
-    for c, (i, j) in enumerate(INDEX[: shape[1]]):
-        for k in range(3):
-            if (k, i) in H and (k, j) in H:
-                result[:, c] += H[k, i] * H[k, j]
-    result *= 0.5
-    return result
+    left_out: Floats  # H^T H / 2 of a small strain, zero for others
+    turned: Floats  # W^T W / 2, the part of it that the skew part W alone makes
+    seen: Floats  # the strain less the eigenstrain: what the laws see
 
 
 class PointGradients:
@@ -189,30 +148,38 @@ class PointGradients:
         small: bool,
     ) -> None:
         """Compile for the points and components of the stress; collective."""
-        self._space = stress.function_space
-        size, strain = self._space.dofmap.bs, kinematics.strain(u)
-        parts = [to_components(strain, size), _axial(ufl.grad(u))]
+        self._space, self.small = stress.function_space, small
+        size, strain, g = self._space.dofmap.bs, kinematics.strain(u), ufl.grad(u)
+        turns = TURNS[2:] if g.ufl_shape[0] == 2 else TURNS
+        rotation = [(g[i, j] - g[j, i]) / 2 for i, j in turns]
+        parts = [to_components(strain, size), ufl.as_vector(rotation)]
+        if small:
+            rows: list[list[Any]] = [[0] * 3 for _ in range(3)]
+            for (i, j), w in zip(turns, rotation, strict=True):
+                rows[i][j], rows[j][i] = w, -w
+            W = ufl.as_tensor(rows)
+            parts += [to_components(ufl.transpose(H) * H / 2, size) for H in (strain + W, W)]
         if eigenstrain is not None:
             parts.append(to_components(strain - eigenstrain.tensor, size))
+        self._sizes = [part.ufl_shape[0] for part in parts]
         entries = [part[i] for part in parts for i in range(part.ufl_shape[0])]
         points = compat.interpolation_points(self._space)
-        self._entries, self._axes = len(entries), parts[1].ufl_shape[0]
         self._compiled = fem.Expression(ufl.as_vector(entries), points)
-        self.small = small
 
     def evaluate(self, cells: Ints | None = None) -> Gradients:
         """Return strain and rotation at u, whose ghosts are up to date; without communication.
 
         In some cells, or in all that this rank owns.
         """
-        domain, size = self._space.mesh, self._space.dofmap.bs
+        domain = self._space.mesh
         if cells is None:
             owned = domain.topology.index_map(domain.topology.dim).size_local
             cells = np.arange(owned, dtype=np.int32)
-        found = np.asarray(self._compiled.eval(domain, cells)).reshape(-1, self._entries)
-        values: Floats = np.asfortranarray(found)
-        strain, rotation, seen = np.split(values, [size, size + self._axes], axis=1)
-        return Gradients(strain, seen if seen.shape[1] else strain, rotation, self.small)
+        found = np.asarray(self._compiled.eval(domain, cells)).reshape(-1, sum(self._sizes))
+        strain, rotation, *rest = np.split(found, np.cumsum(self._sizes)[:-1], axis=1)
+        if not self.small:
+            rest = [np.zeros_like(strain)] * 2 + rest
+        return Gradients(strain, rotation, rest[0], rest[1], rest[2] if rest[2:] else strain)
 
     def describe_shortened(self, limit: float) -> str:
         """Say where a finite strain at u shortens lengths to less than a limit; collective.
@@ -225,9 +192,3 @@ class PointGradients:
         values = stretches.reshape(-1, self._space.dofmap.list.shape[1])
         words = f"are shortened to less than {limit:g} of a length", "smallest stretch"
         return describe_lowest(self._space.mesh, values, limit, *words)
-
-
-def _axial(gradient: Expr) -> Expr:
-    """Return the axial vector of the skew part of grad u, of which the plane has the last entry."""
-    pairs = TURNS[2:] if gradient.ufl_shape[0] == 2 else TURNS
-    return ufl.as_vector([(gradient[i, j] - gradient[j, i]) / 2 for i, j in pairs])

@@ -108,44 +108,27 @@ class Kinematics:
         return np.maximum(weights, 0.0)
 
 
-def _symmetric_gradient(u: Expr) -> Expr:
-    """Return the small strain of a displacement in space."""
-    return ufl.sym(ufl.grad(u))
-
-
-def _padded_symmetric_gradient(u: Expr) -> Expr:
-    """Return the small strain of a displacement in the plane, with zeros out of the plane."""
-    g = ufl.sym(ufl.grad(u))
-    return ufl.as_tensor([[g[0, 0], g[0, 1], 0], [g[1, 0], g[1, 1], 0], [0, 0, 0]])
-
-
-def _gradient(u: Expr) -> Expr:
-    """Return F = I + grad u of a displacement in space."""
-    return ufl.Identity(3) + ufl.grad(u)
-
-
-def _padded_gradient(u: Expr) -> Expr:
-    """Return F of a displacement in the plane: no stretch out of the plane."""
-    return _with_stretch(u, 1)
-
-
-def _meridian_gradient(u: Expr) -> Expr:
-    """Return F of a ring by the displacement (u_r, u_z), in the order r, z, theta."""
-    r = ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u))[0]
-    return _with_stretch(u, 1 + u[0] / r)
-
-
-def _with_stretch(u: Expr, stretch: Any) -> Expr:
-    """Return F of a displacement in the plane, with a stretch out of it."""
+def _plane(u: Expr, hoop: Any = 0) -> Expr:
+    """Return H of a displacement in the plane, 3x3, with a stretch out of it less 1."""
     g = ufl.grad(u)
-    return ufl.as_tensor([[1 + g[0, 0], g[0, 1], 0], [g[1, 0], 1 + g[1, 1], 0], [0, 0, stretch]])
+    return ufl.as_tensor([[g[0, 0], g[0, 1], 0], [g[1, 0], g[1, 1], 0], [0, 0, hoop]])
 
 
-def _meridian_strain(u: Expr) -> Expr:
-    """Return the small strain of a ring by (u_r, u_z), in the order r, z, theta."""
-    g = ufl.sym(ufl.grad(u))
-    r = ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u))[0]
-    return ufl.as_tensor([[g[0, 0], g[0, 1], 0], [g[1, 0], g[1, 1], 0], [0, 0, u[0] / r]])
+def _ring(u: Expr) -> Expr:
+    """Return H of a ring by the displacement (u_r, u_z), in the order r, z, theta."""
+    return _plane(u, u[0] / ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u))[0])
+
+
+def _of_gradient(name: str, H: Callable[[Expr], Expr], dimension: int, **others: Any) -> Kinematics:
+    """Return kinematics by the displacement gradient H, 3x3, with the defaults of plane strain."""
+    others = {"weight": _unit, "rigid_motions": translations_and_rotations} | others
+    return Kinematics(
+        name,
+        lambda u: ufl.sym(H(u)),
+        gradient=lambda u: ufl.Identity(3) + H(u),
+        dimension=dimension,
+        **others,
+    )
 
 
 def _circumference(x: Any) -> Any:
@@ -183,39 +166,22 @@ def translations_and_rotations(x: Floats) -> dict[str, Floats]:
     return motions
 
 
-plane_strain = Kinematics(
-    "plane strain",
-    _padded_symmetric_gradient,
-    _unit,
-    translations_and_rotations,
-    dimension=2,
-    gradient=_padded_gradient,
-)
+plane_strain = _of_gradient("plane strain", _plane, 2)
 plane_stress = dataclasses.replace(plane_strain, name="plane stress", plane_stress=True)
-axisymmetric = Kinematics(
+axisymmetric = _of_gradient(
     "axisymmetric",
-    _meridian_strain,
-    _circumference,
-    _along_the_axis,
-    dimension=2,
+    _ring,
+    2,
+    weight=_circumference,
+    rigid_motions=_along_the_axis,
     radius=0,
     # u_r / r is small beside the gradients; without these, iterations grow with the mesh
     nearly_rigid=translations_and_rotations,
-    gradient=_meridian_gradient,
 )
-spatial = Kinematics(
-    "spatial",
-    _symmetric_gradient,
-    _unit,
-    translations_and_rotations,
-    dimension=3,
-    gradient=_gradient,
-)
+spatial = _of_gradient("spatial", ufl.grad, 3)
 KINEMATICS = {
-    "plane_strain": plane_strain,
-    "plane_stress": plane_stress,
-    "axisymmetric": axisymmetric,
-    "spatial": spatial,
+    kind.name.replace(" ", "_"): kind
+    for kind in (plane_strain, plane_stress, axisymmetric, spatial)
 }
 """What users may choose by name."""
 
