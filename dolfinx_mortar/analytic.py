@@ -50,6 +50,7 @@ __all__ = [
 
 Radius = float | tuple[float, float]
 Force = float | tuple[float, ...]
+Legs = tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
 # A node is at the edge of a contact where p^2 has fallen below this share of p0^2: its facets reach
 # out of the contact, and its pressure is their mean. Half and twice as much change the peak and the
 # half-width of nodal means over 19 facets by less than 0.5 % (tests/test_analytic.py).
@@ -255,8 +256,34 @@ def first_yield_line(
 
 
 @dataclass(frozen=True)
-class PartialSlip:
-    """A line contact of one material that has been through tangential forces.
+class _History:
+    """A contact of one material under a normal force P, after tangential forces Q, see below."""
+
+    contact: Any
+    friction: float  # mu
+    forces: tuple[float, ...]  # where the force turned, and the present one
+    weights: tuple[float, ...]  # of the legs, with the sign of the change of the force
+    k: tuple[float, ...]  # of the legs
+
+    @property
+    def force(self) -> float:
+        """The present tangential force Q."""
+        return self.forces[-1]
+
+    def _traction(self, x: npt.ArrayLike, a: float, sticks: tuple[float, ...]) -> Floats:
+        """Return the sum over legs that stick where |x| < c."""
+        at = check("x", x, FINITE)
+        total = np.zeros_like(at)
+        for w, c in zip(self.weights, sticks, strict=True):
+            # (c/a) sqrt(1 - x^2/c^2) = sqrt(c^2 - x^2)/a, which holds for c = 0, too
+            outer, inner = (np.sqrt(np.maximum(0.0, b**2 - at**2)) / a for b in (a, c))
+            total += w * (outer - inner)
+        return np.asarray(self.friction * self.contact.peak_pressure * total)
+
+
+@dataclass(frozen=True)
+class PartialSlip(_History):
+    """A line contact of one material that has been through tangential forces, per unit thickness.
 
     The normal force P is applied first and then held. A tangential force Q that one body exerts on
     the other makes the edges slip and leaves a middle that sticks. The solution of Cattaneo for a
@@ -268,31 +295,25 @@ class PartialSlip:
     others, which need half the change of the force each.
     """
 
-    contact: LineContact
-    friction: float  # mu
-    forces: tuple[float, ...]  # per unit thickness: where the force turned, and the present one
-    weights: tuple[float, ...]  # of the legs, with the sign of the change of the force
-    stick_half_widths: tuple[float, ...]  # of the legs, c = a sqrt(k)
-
     @property
-    def force(self) -> float:
-        """The present tangential force Q per unit thickness."""
-        return self.forces[-1]
+    def stick_half_widths(self) -> tuple[float, ...]:
+        """Where the legs of the history stick, c = a sqrt(k)."""
+        return tuple(self.contact.half_width * float(np.sqrt(k)) for k in self.k)
 
     @property
     def stick_half_width(self) -> float:
-        """Where the present leg of the history sticks: |x| < c."""
+        """Where the present leg sticks: |x| < c."""
         return self.stick_half_widths[-1]
 
     @property
     def dissipation(self) -> float:
-        """Energy dissipated so far, per unit thickness; not negative.
+        """Energy dissipated so far; not negative.
 
         A leg takes |weight| mu^2 P^2/(2 pi E*) (1 - k^2 + 2 k ln k); a closed loop between -Q and
         Q four times what the first loading takes.
         """
-        w, k, limit = np.abs(self.weights), self._k, self.friction * self.contact.force
-        legs = w * (1.0 - k**2 + 2.0 * _k_ln_k(k))
+        k, limit = np.array(self.k), self.friction * self.contact.force
+        legs = np.abs(self.weights) * (1.0 - k**2 + 2.0 * _k_ln_k(k))
         return float(limit**2 / (2.0 * np.pi * self.contact.E_star) * legs.sum())
 
     @property
@@ -304,20 +325,16 @@ class PartialSlip:
         the rest, mu P/(pi E*) (1 - k + k ln k) in the first loading. Positive in the direction in
         which Q pushes.
         """
-        w, k, limit = np.array(self.weights), self._k, self.friction * self.contact.force
-        return float(limit / (np.pi * self.contact.E_star) * (w * (1.0 - k + _k_ln_k(k))).sum())
-
-    @property
-    def _k(self) -> Floats:
-        return (np.array(self.stick_half_widths) / self.contact.half_width) ** 2
+        k, limit = np.array(self.k), self.friction * self.contact.force
+        legs = np.array(self.weights) * (1.0 - k + _k_ln_k(k))
+        return float(limit / (np.pi * self.contact.E_star) * legs.sum())
 
     def traction(self, x: npt.ArrayLike) -> Floats:
         """Return the shear traction at distances x from the middle, zero outside the contact.
 
         It is the one exerted by the body that pushes with Q on the other one: its integral is Q.
         """
-        at, legs = self.contact, (self.weights, self.stick_half_widths)
-        return self.friction * at.peak_pressure * _traction("x", x, at.half_width, *legs)
+        return self._traction(x, self.contact.half_width, self.stick_half_widths)
 
 
 def cattaneo_line(contact: LineContact, friction: float, force: Force) -> PartialSlip:
@@ -343,13 +360,11 @@ def cattaneo_line(contact: LineContact, friction: float, force: Force) -> Partia
     5.0
     """
     check_all(POSITIVE, friction=friction)
-    path, weights, k = _legs_of(force, friction * contact.force)
-    widths = tuple(contact.half_width * float(c) for c in np.sqrt(k))
-    return PartialSlip(contact, float(friction), path, weights, widths)
+    return PartialSlip(contact, float(friction), *_legs_of(force, friction * contact.force))
 
 
 @dataclass(frozen=True)
-class PartialSlipPoint:
+class PartialSlipPoint(_History):
     """A point contact that has been through tangential forces, see `PartialSlip`.
 
     With c = a k^(1/3), and r in place of x; distant points move by a finite distance. All slip is
@@ -357,21 +372,16 @@ class PartialSlipPoint:
     out (Johnson eqs. 7.40 to 7.42).
     """
 
-    contact: PointContact
-    friction: float  # mu
     nu: float  # Poisson's ratio of both
-    forces: tuple[float, ...]  # where the force turned, and the present one
-    weights: tuple[float, ...]  # of the legs, with the sign of the change of the force
-    stick_radii: tuple[float, ...]  # of the legs
 
     @property
-    def force(self) -> float:
-        """The present tangential force Q."""
-        return self.forces[-1]
+    def stick_radii(self) -> tuple[float, ...]:
+        """Where the legs of the history stick, c = a k^(1/3)."""
+        return tuple(self.contact.contact_radius * float(np.cbrt(k)) for k in self.k)
 
     @property
     def stick_radius(self) -> float:
-        """Where the present leg of the history sticks: r < c."""
+        """Where the present leg sticks: r < c."""
         return self.stick_radii[-1]
 
     @property
@@ -380,7 +390,7 @@ class PartialSlipPoint:
 
         The first loading moves them by D (1 - k^(2/3)), D = 3 mu P (2 - nu)/(8 a E* (1 - nu)).
         """
-        legs = np.array(self.weights) * (1.0 - np.cbrt(self._k) ** 2)
+        legs = np.array(self.weights) * (1.0 - np.cbrt(self.k) ** 2)
         return float(self._largest * legs.sum())
 
     @property
@@ -390,25 +400,20 @@ class PartialSlipPoint:
         A leg takes |weight| mu P D (1 + 5 k - 5 k^(2/3) - k^(5/3))/5; a closed loop between -Q and
         Q four times what the first loading takes.
         """
-        k, root = self._k, np.cbrt(self._k) ** 2
+        k, root = np.array(self.k), np.cbrt(self.k) ** 2
         legs = np.abs(self.weights) * (1.0 + 5.0 * k - 5.0 * root - k * root) / 5.0
         return float(self.friction * self.contact.force * self._largest * legs.sum())
-
-    @property
-    def _k(self) -> Floats:
-        return (np.array(self.stick_radii) / self.contact.contact_radius) ** 3
 
     @property
     def _largest(self) -> float:
         """The displacement D at which all slides."""
         at = self.contact
         stiffness = 8.0 * at.contact_radius * at.E_star * (1.0 - self.nu)
-        return 3.0 * self.friction * at.force * (2.0 - self.nu) / stiffness
+        return float(3.0 * self.friction * at.force * (2.0 - self.nu) / stiffness)
 
     def traction(self, r: npt.ArrayLike) -> Floats:
         """Return the shear traction at distances r from the middle, as `PartialSlip.traction`."""
-        at, legs = self.contact, (self.weights, self.stick_radii)
-        return self.friction * at.peak_pressure * _traction("r", r, at.contact_radius, *legs)
+        return self._traction(r, self.contact.contact_radius, self.stick_radii)
 
 
 def mindlin_point(
@@ -427,28 +432,14 @@ def mindlin_point(
     """
     check_all(POSITIVE, friction=friction)
     check_all(POISSON, nu=nu)
-    path, weights, k = _legs_of(force, friction * contact.force)
-    radii = tuple(contact.contact_radius * float(c) for c in np.cbrt(k))
-    return PartialSlipPoint(contact, float(friction), float(nu), path, weights, radii)
-
-
-def _traction(
-    name: str, x: npt.ArrayLike, a: float, weights: tuple[float, ...], sticks: tuple[float, ...]
-) -> Floats:
-    """Return the shear traction over mu p0, the sum over legs that stick where |x| < c."""
-    at = check(name, x, FINITE)
-    total = np.zeros_like(at)
-    for w, c in zip(weights, sticks, strict=True):
-        # (c/a) sqrt(1 - x^2/c^2) = sqrt(c^2 - x^2)/a, which holds for c = 0, too
-        outer, inner = (np.sqrt(np.maximum(0.0, b**2 - at**2)) / a for b in (a, c))
-        total += w * (outer - inner)
-    return np.asarray(total)
+    legs = _legs_of(force, friction * contact.force)
+    return PartialSlipPoint(contact, float(friction), *legs, float(nu))
 
 
 FORCES = array((), (None,), remedy="give a finite number, or several in a sequence", holds=np.size)
 
 
-def _legs_of(force: Force, limit: float) -> tuple[tuple[float, ...], tuple[float, ...], Floats]:
+def _legs_of(force: Force, limit: float) -> Legs:
     """Return the forces of a history, the weights of its legs, and k of each.
 
     The weight is 1 for the first leg and 2 for the others, with the sign of the change; 1 - k, the
@@ -468,7 +459,9 @@ def _legs_of(force: Force, limit: float) -> tuple[tuple[float, ...], tuple[float
         )
     if any(later * before > 0.0 for before, later in pairwise(weights)):
         raise ValueError(f"force is {force!r}: let it turn at every value except the last one")
-    return tuple(map(float, path)), tuple(map(float, weights)), 1.0 - np.minimum(shares, 1.0)
+    found = path, weights, 1.0 - np.minimum(shares, 1.0)
+    forces, signed, k = (tuple(map(float, each)) for each in found)
+    return forces, signed, k
 
 
 def _k_ln_k(k: Floats) -> Floats:
