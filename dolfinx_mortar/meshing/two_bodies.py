@@ -1,15 +1,8 @@
 # SPDX-License-Identifier: MIT
 """A disc or a ball on a block, and what makes meshes of two bodies of arrays on one rank.
 
-The bodies are two disconnected parts of one mesh, made on rank 0 and distributed. What gmsh meshes
-is in a model of its own for each, so that no node is shared where the bodies touch. The halves of
-the disc and of its block are mirrored, so that the mesh has the symmetry of the problem.
-
-Hexahedra are mapped: around the contact point, the block is a cube in shells that end at its sides.
-The half ball is the image of such a half ball of twice the radius under the inversion in the sphere
-of radius 2R around its highest point's mirror image (0, 0, 2R): it takes the plane z = 0 to the
-ball's surface and the sphere of radius 2R to the flat face, and as it is conformal, well-shaped
-cells stay so.
+The bodies are disconnected parts of one mesh, made on rank 0 and distributed. Each has a model of
+gmsh of its own, so that no node is shared where they touch, and halves are mirrored.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -98,6 +91,7 @@ def hertz(
         ValueError: if an argument is out of range, or not the same on all ranks.
         RuntimeError: if gmsh is missing or fails. All errors are raised on all ranks.
     """
+    given = dict(locals())
     with raised_together(comm):
         check("kind", kind, one_of("paper", "graded"))
         check("cell", cell, one_of("triangle", "quadrilateral"))
@@ -106,8 +100,7 @@ def hertz(
             raise ValueError(f"h is {h!r}: give at most half of the radius, {radius / 2:g}")
         check("limit", limit, number("the largest size over h,", above=1.0))
         check("core", core, POSITIVE)
-    same = {"kind": kind, "cell": cell, "h": h, "radius": radius, "block": block, "gap": gap}
-    check_same_on_all_ranks(comm, **same, limit=limit, core=core, half=half)
+    check_same_on_all_ranks(**given)
 
     def draw_block(geo: Any) -> int:
         """Draw [0, w/2] x [-t, 0]."""
@@ -183,18 +176,18 @@ def sphere(
         cell: "hexahedron" or "tetrahedron" (which needs gmsh).
         h: Element size at the first contact point [mm]; a pair gives (block, ball) separately. The
             ball's hexahedra are one more along the edge of the core, so that they do not match.
-        radius: Radius of the ball [mm].
+        radius: Of the ball, like ``gap`` as for `hertz`.
         block: Width, length and thickness of the whole block [mm].
-        gap: Initial vertical gap between the bodies [mm]; negative for an overlap.
+        gap: See ``radius``.
         core: Distance from the contact point within which the size is ``h`` [mm], by default an
             eighth of the radius; beyond, sizes grow in proportion to the distance.
         half: Whether to mesh the half y >= 0 of both instead, for loads along x; the part x < 0 is
             the mirror image of the quarter, and nothing is "symmetry_x" then.
 
     Raises:
-        ValueError: if an argument is out of range, or not the same on all ranks.
-        RuntimeError: if gmsh is missing or fails. All errors are raised on all ranks.
+        Exception: as `hertz` does.
     """
+    given = dict(locals())
     with raised_together(comm):
         check("cell", cell, one_of("hexahedron", "tetrahedron"))
         sizes = check_sizes(h, radius, block, gap, "width, length, thickness")
@@ -204,8 +197,7 @@ def sphere(
         inner = check("core", radius / 8 if core is None else core, wanted)
         what = "at most the core, by default an eighth of the radius,"
         check("h", max(sizes), number(what, most=inner))
-    same = {"cell": cell, "h": h, "radius": radius, "block": block, "gap": gap, "core": core}
-    check_same_on_all_ranks(comm, **same, half=half)
+    check_same_on_all_ranks(**given)
     corner = np.array([block[0] / 2, block[1] / 2, block[2]])
 
     def create() -> tuple[Arrays, Arrays]:
@@ -229,6 +221,11 @@ def _block_of_hexahedra(corner: Floats, core: float, h: float) -> Arrays:
 
 
 def _ball_of_hexahedra(radius: float, gap: float, core: float, h: float) -> Arrays:
+    """Mesh a half ball of twice the radius, and take its inversion around (0, 0, 2R).
+
+    That maps the plane z = 0 to the ball's surface and the sphere of radius 2R to the flat face;
+    it is conformal, so that well-shaped cells stay so.
+    """
     n = int(np.ceil(core / h - 1e-9)) + 1
 
     def outer(p: Floats) -> Floats:
@@ -237,7 +234,6 @@ def _ball_of_hexahedra(radius: float, gap: float, core: float, h: float) -> Arra
         return 2.0 * radius * angles / np.linalg.norm(angles, axis=1, keepdims=True)
 
     x, cells = graded_octant(core, n, 2.0 * radius, outer)
-    # inversion of the lower half space around (0, 0, 2R)
     arm = x * [1.0, 1.0, -1.0] - [0.0, 0.0, 2.0 * radius]
     x = (2.0 * radius) ** 2 * arm / (arm**2).sum(axis=1, keepdims=True) + [0, 0, 2.0 * radius + gap]
     return x, cells
@@ -280,8 +276,7 @@ def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], 
     """Mesh an octant x, y, z >= 0 whose outer boundary can be seen from the origin, by hexahedra.
 
     The cube at the origin has n^3 equal cells; each shell around it repeats the 3 n^2 facets of its
-    three outer faces, a little larger. So cells grow in proportion to their distance from the
-    origin, nearly cubes everywhere, about n^3 (1 + 3 log(outer radius / edge)) of them.
+    three outer faces, larger in proportion to the distance.
 
     Args:
         edge: edge of the cube.

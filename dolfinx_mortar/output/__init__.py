@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Results for ParaView and meshio: one XDMF file over the steps, one grid per step.
-
-Fields are Functions by name; their meaning plays no part, nor how a problem has computed them.
-"""
+"""Results for ParaView and meshio: one XDMF file over the steps, one grid per step."""
 
 from dolfinx_mortar.output.writer import Writer
 

@@ -1,12 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The writer of results.
+"""The writer of results: each step is one grid with the mesh and all fields, for meshio, too.
 
-dolfinx's own XDMF writer gives every function a grid of its own, of which meshio keeps the last
-one only. Here each step is one grid with the mesh and all fields. The heavy numbers are written in
-parallel to one HDF5 file next to the XDMF file; no field is gathered on one rank.
-
-Points are the nodes of the displacement space, whatever its degree, so that node fields need no
-interpolation.
+Numbers are written in parallel; points are the nodes of the displacement space.
 """
 
 from __future__ import annotations
@@ -304,9 +299,8 @@ def _pad(values: Floats, shape: tuple[int, ...]) -> Floats:
 class _ToolFile(File):
     """The surfaces of rigid tools, of rank 0.
 
-    They are found in the frames of the tools, where they do not change, and their points are moved.
-    A box around the side that meets a tool is enlarged by its diagonal: what rolls along the side
-    rolls no farther. When the side leaves it, the surface is cut anew.
+    They are found in the frames of the tools, in a box around the side, enlarged by its diagonal,
+    and moved. When the side leaves the box, they are found anew.
     """
 
     written = 0  # steps, by this run, also those that the results lack

@@ -13,10 +13,10 @@ place of a node, or of an integration point, is therefore
 
     (x, c),    c the mean of the midpoints of its cells.
 
-Rank 0 writes, and receives the rows of one rank at a time. The file is written under another name,
-gets its checksum, is flushed to the disk and then renamed: whenever the program is killed, the old
-or the new file is complete under the right name. A rank reads the rows of ranks whose boxes meet
-its own, and takes the nearest place. HDF5 may crash on a damaged file: the checksum comes first.
+Rank 0 writes, and receives the rows of one rank at a time. The file gets its name when it is on the
+disk, with its checksum: a program that is killed leaves the old or the new one. A rank reads the
+rows of ranks whose boxes meet its own, and takes the nearest place. HDF5 may crash on a damaged
+file, so the checksum comes first.
 """
 
 import errno
