@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Errors of some ranks, raised on all of them, so that no rank waits for another one for ever."""
+"""Errors of some ranks, raised on all of them, so that no rank waits forever."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,11 +11,10 @@ from petsc4py import PETSc
 
 @contextmanager
 def raised_together(comm: MPI.Comm) -> Iterator[None]:
-    """Run a block without collective calls; if it fails on some ranks, raise on all; collective.
+    """Run a block without collective calls; an error of some ranks is raised on all; collective.
 
-    A rank that failed raises its own error. The others raise an error with its text and rank: an
-    OSError for an OSError, a ValueError for a ValueError, otherwise a RuntimeError. A
-    KeyboardInterrupt or SystemExit of one rank is raised on all.
+    Failed ranks raise their own error; others raise an OSError, ValueError, KeyboardInterrupt,
+    SystemExit or RuntimeError with its text and rank.
 
     >>> with raised_together(MPI.COMM_SELF):
     ...     raise ValueError("E is -1")
@@ -32,7 +31,7 @@ def raised_together(comm: MPI.Comm) -> Iterator[None]:
 
 @contextmanager
 def named(name: str) -> Iterator[None]:
-    """Run a block whose errors say in their text, or in a note, whose they are.
+    """Run a block whose errors get a name in their text, or in a note.
 
     >>> with named("Plane(slave=3): couple()"):
     ...     raise ValueError("no plane here")
@@ -52,10 +51,9 @@ def named(name: str) -> Iterator[None]:
 
 @contextmanager
 def from_callbacks() -> Iterator[None]:
-    """Run a block; what Python code that PETSc calls raises there is raised as it is.
+    """Run a block, raising the errors of Python code called by PETSc unchanged, also Ctrl-C.
 
-    PETSc makes an error of its own of it, also of Ctrl-C, and leaves the vectors that it was
-    working on locked: solvers have to be made anew.
+    PETSc leaves vectors locked after such an error: solvers have to be created anew.
     """
     try:
         yield
@@ -69,21 +67,17 @@ def from_callbacks() -> Iterator[None]:
 
 
 def is_ours(thing: object) -> bool:
-    """Tell whether a class of this package made it: that fails on all ranks or on none."""
+    """Whether the class of an object is of this package: it fails on all ranks or on none."""
     return is_defined_here(type(thing))
 
 
 def is_defined_here(made: Callable[..., Any]) -> bool:
-    """Tell whether a class or function is one of this package."""
+    """Whether a class or function is of this package."""
     return str(made.__module__).startswith(f"{__name__.partition('.')[0]}.")
 
 
 def raise_together(comm: MPI.Comm, own: BaseException | None) -> None:
-    """Raise the error of this rank, or of another one; collective.
-
-    Args:
-        own: the error of this rank, if any.
-    """
+    """Raise the error of this rank (None without one), or of another one; collective."""
     found = comm.allgather(None if own is None else _kind_and_text(own))
     if own is not None:
         raise own
@@ -97,7 +91,7 @@ _KINDS = (OSError, ValueError, KeyboardInterrupt, SystemExit, RuntimeError)
 
 
 def _kind_and_text(error: BaseException) -> tuple[int, str | int]:
-    """Return the index in _KINDS of what other ranks raise, and the text or the exit status."""
+    """Index in _KINDS of the error on other ranks, and its text or exit status."""
     for index, kind in enumerate(_KINDS):
         if isinstance(error, kind):
             if isinstance(error, SystemExit) and not isinstance(error.code, str):
@@ -107,5 +101,5 @@ def _kind_and_text(error: BaseException) -> tuple[int, str | int]:
 
 
 def _text(error: BaseException) -> str:
-    """Return the message of an error with its notes."""
+    """Message of an error with its notes."""
     return "; ".join([str(error), *getattr(error, "__notes__", [])])
