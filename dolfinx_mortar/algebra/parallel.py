@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Reductions over the ranks: of small arrays, entry by entry, and of values at nodes.
 
-Mpi4py's lower-case ``allreduce`` has no MAX of arrays, as it compares whole objects.
+Mpi4py's lower-case ``allreduce`` has no MAX of arrays.
 """
 
 from typing import Any
@@ -16,7 +16,7 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 
 
 def maximum(comm: MPI.Comm, *values: float | np.bool_) -> Floats:
-    """Return the largest of each value over all ranks; NaN wins, unlike in MPI_MAX; collective.
+    """Largest of each value over all ranks; NaN wins, unlike in MPI_MAX; collective.
 
     >>> maximum(MPI.COMM_SELF, 1.0, 2.0).tolist()
     [1.0, 2.0]
@@ -30,7 +30,7 @@ def maximum(comm: MPI.Comm, *values: float | np.bool_) -> Floats:
 
 
 def norm(comm: MPI.Comm, *parts: Floats) -> float:
-    """Return the Euclidean norm of arrays put together, over all ranks; collective.
+    """Euclidean norm of concatenated arrays, over all ranks; collective.
 
     >>> norm(MPI.COMM_SELF, np.array([3.0]), np.array([4.0]))
     5.0
@@ -48,14 +48,14 @@ def ratio(value: float | np.floating[Any], scale: float | np.floating[Any]) -> f
 
 
 def any_rank(comm: MPI.Comm, *flags: bool | np.bool_) -> Bools:
-    """Return for each flag whether it is set on any rank; collective."""
+    """Whether each flag is set on any rank; collective."""
     return maximum(comm, *(float(flag) for flag in flags)) > 0.0
 
 
 def sums_at_nodes(comm: MPI.Comm, layout: Layout, nodes: Longs, values: Floats) -> Floats:
-    """Return the sums (owned nodes, c) of values (e, c) at global nodes (e,) of any rank.
+    """Sums (owned nodes, c) of values (e, c) at global nodes (e,) of any rank; collective.
 
-    Those of Vec.setValues depend on the order in which messages come, these do not; collective.
+    Unlike those of Vec.setValues they do not depend on the order of messages.
     """
     sums = np.zeros((values.shape[1], layout.size_local))
     if comm.size == 1:  # in the same order
@@ -75,7 +75,7 @@ def sums_at_nodes(comm: MPI.Comm, layout: Layout, nodes: Longs, values: Floats) 
 
 
 def values_at(comm: PETSc.Comm, values: Floats, rows: Longs | Ints) -> Floats:
-    """Return the rows (r, k), by global numbers of any rank, of owned rows (n, k); collective."""
+    """Rows (r, k), by global numbers of any rank, of owned rows (n, k); collective."""
     if comm.size == 1:
         return np.asarray(values[rows])
     k = values.shape[1]
@@ -90,7 +90,6 @@ def values_at(comm: PETSc.Comm, values: Floats, rows: Longs | Ints) -> Floats:
 def free_unused(comm: MPI.Comm) -> None:
     """Free PETSc objects without references; collective.
 
-    On several ranks petsc4py only lists them, because Python's garbage collectors run at different
-    times on the ranks.
+    On several ranks petsc4py only lists them, as ranks collect garbage at different times.
     """
     PETSc.garbage_cleanup(comm)
