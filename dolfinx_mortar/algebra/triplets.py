@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Sums over all ranks of triplets (row, column, value) and of dense blocks, on fixed patterns.
 
-PETSc sorts the triplets once and plans the exchange of off-rank rows (MatSetPreallocationCOO, which
-petsc4py 3.22 does not wrap); every later sum is one pass over the values. The sum of repeated
-entries does not depend on the order of messages.
+PETSc sorts the triplets and plans the exchange of off-rank rows once (MatSetPreallocationCOO, which
+petsc4py 3.22 does not wrap). Sums do not depend on the order of messages.
 """
 
 from __future__ import annotations
@@ -28,30 +27,29 @@ Matrix: TypeAlias = sparse.csr_array
 
 
 class Layout(Protocol):
-    """How nodes are divided among ranks; dolfinx's IndexMap is one."""
+    """Distribution of nodes among ranks, as dolfinx's IndexMap."""
 
     @property
     def size_local(self) -> int:
-        """How many nodes this rank owns."""
+        """Number of owned nodes."""
 
     @property
     def size_global(self) -> int:
-        """How many nodes there are."""
+        """Number of all nodes."""
 
 
 class Triplets:
     """Sums at the entries of a square matrix whose rows are divided among ranks (collective).
 
     Args:
-        comm: Communicator.
-        layout: How rows and columns are divided among its ranks.
-        d: Rows and columns for each of those of the layout.
-        rows: Global row (t,) of each triplet, of any rank.
-        columns: Global column (t,) of each triplet.
+        layout: distribution of rows and columns.
+        d: rows and columns for each node of the layout.
+        rows: (t,) global row of each triplet, of any rank.
+        columns: (t,) global columns.
 
     Attributes:
-        rows: Owned row (e,) of each entry of this rank, local number; ascending.
-        columns: Its global column (e,), ascending within a row.
+        rows: (e,) owned row of each entry of this rank, local number; ascending.
+        columns: (e,) global columns, ascending within a row.
     """
 
     rows: Ints
@@ -83,25 +81,22 @@ class Triplets:
         self.rows, self.columns = np.repeat(own, np.diff(self._start)), found.astype(np.int64)
 
     def fill(self, values: npt.ArrayLike) -> PETSc.Mat:
-        """Return the matrix of the sums of the values (t,) of the triplets (collective).
-
-        It is the same one in every call, which the next sum refills.
-        """
+        """Matrix of the sums of the values (t,), the same one in every call; collective."""
         v = np.ascontiguousarray(values, dtype=PETSc.ScalarType).ravel()
         pointer, mode = ctypes.c_void_p(v.ctypes.data), ctypes.c_int(PETSc.InsertMode.INSERT_VALUES)
         call("MatSetValuesCOO", ctypes.c_void_p(self._sums.handle), pointer, mode)
         return self._sums
 
     def zero(self) -> PETSc.Mat:
-        """Return the matrix of `fill`, whatever its values, for the analysis of its pattern."""
+        """Matrix of `fill` with any values, for the analysis of its pattern."""
         return self._sums
 
     def sum(self, values: npt.ArrayLike) -> Floats:
-        """Return the sums (e,) of the values (t,) of the triplets (collective)."""
+        """Sums (e,) of the values (t,) of the triplets; collective."""
         return csr_of(self.fill(values))[2]
 
     def matrix(self, values: Floats) -> PETSc.Mat:
-        """Return a new matrix with the values (e,) at the entries (collective)."""
+        """New matrix with the values (e,) at the entries; collective."""
         csr = self._start, self.columns.astype(PETSc.IntType), values
         return PETSc.Mat().createAIJ(self._sums.getSizes(), csr=csr, comm=self._sums.comm)
 
@@ -110,13 +105,13 @@ class BlockMatrix:
     """Matrix of d x d blocks between nodes, on a fixed pattern (collective).
 
     Args:
-        layout: How the nodes are divided among its ranks.
-        d: Rows and columns of a block.
-        rows: Owned node (p,) of each block, local number.
-        columns: Node (p,) of each block, global number; repeated blocks are added.
+        layout: distribution of the nodes.
+        d: rows and columns of a block.
+        rows: (p,) owned node of each block, local number.
+        columns: (p,) global nodes; repeated blocks are added.
 
     Attributes:
-        matrix: The PETSc matrix of the last blocks; zero at first.
+        matrix: the PETSc matrix of the last blocks; zero at first.
     """
 
     def __init__(
@@ -135,23 +130,23 @@ class BlockMatrix:
         self.matrix = self._sums.zero()
 
     def of(self, blocks: Floats) -> PETSc.Mat:
-        """Return the matrix of the blocks (p, d, d), refilled unless they are the last array.
+        """Matrix of the blocks (p, d, d), refilled unless they are the same array; collective.
 
-        The array must not be changed in place; collective.
+        Do not change the array in place.
         """
         if self._filled is not blocks:
             self.fill(blocks)
         return self.matrix
 
     def fill(self, blocks: Floats) -> None:
-        """Set the matrix to the blocks (p, d, d) (collective)."""
+        """Set the matrix to the blocks (p, d, d); collective."""
         self._filled = blocks
         self._sums.fill(blocks)
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Dense matrices (p,) between a rows and b columns of nodes, of i x h entries for each two."""
+    """Dense matrices (p,) between a rows and b columns of nodes, with i x h entries each."""
 
     rows: Ints  # (p, a) nodes
     columns: Ints  # (p, b) nodes
@@ -181,14 +176,14 @@ class BlockEntries:
     """Sums of blocks at the entries of a pattern of this rank's nodes.
 
     Args:
-        pattern: (m, n) which blocks there may be.
+        pattern: (m, n) possible blocks.
         block: rows and columns of each.
         rows: (block rows * m,) global rows.
         columns: (block columns * n,) global columns.
 
     Attributes:
-        rows: Global rows (e,) of all entries, some of them of other ranks.
-        columns: Their global columns (e,).
+        rows: (e,) global rows of all entries, also of other ranks.
+        columns: (e,) their global columns.
     """
 
     rows: Longs
@@ -207,7 +202,7 @@ class BlockEntries:
         self.rows, self.columns = found
 
     def sum(self, parts: Sequence[Blocks]) -> Floats:
-        """Return the sums (e,) of parts within the pattern."""
+        """Sums (e,) of parts within the pattern."""
         total = np.zeros(self._shape)
         for part in parts:
             at = part.rows, part.columns, part.values
@@ -216,7 +211,7 @@ class BlockEntries:
 
 
 class BlockSums:
-    """The matrix of the sums over all ranks of blocks at the entries of a pattern."""
+    """Matrix of the sums over all ranks of blocks at the entries of a pattern."""
 
     def __init__(self, comm: MPI.Intracomm, layout: Layout, entries: BlockEntries) -> None:
         """Analyse the pattern; collective."""
@@ -224,11 +219,11 @@ class BlockSums:
         self._sums = Triplets(comm, layout, entries.rows, entries.columns)
 
     def zero(self) -> PETSc.Mat:
-        """Return the matrix with zeros; collective."""
+        """Matrix with zeros; collective."""
         return self._sums.zero()
 
     def fill(self, parts: Sequence[Blocks]) -> PETSc.Mat:
-        """Return the sum of parts within the pattern; collective."""
+        """Sum of parts within the pattern; collective."""
         return self._sums.fill(self._entries.sum(parts))
 
 
@@ -256,7 +251,7 @@ class SumWithProducts:
         self._total = Triplets(comm, layout, np.concatenate(rows), np.concatenate(columns))
 
     def zero(self) -> PETSc.Mat:
-        """Return the matrix of `fill`, whatever its values, for the analysis of its pattern."""
+        """Matrix of `fill` with any values, for the analysis of its pattern."""
         return self._total.zero()
 
     def fill(
@@ -264,7 +259,7 @@ class SumWithProducts:
         A: Sequence[Blocks],
         *products: tuple[Sequence[Blocks], PETSc.Mat],
     ) -> PETSc.Mat:
-        """Return the sum, the same matrix in every call; collective."""
+        """The sum, the same matrix in every call; collective."""
         values = [self._A.sum(A)]
         for (sums, product), (B, N) in zip(self._products, products, strict=True):
             sums.fill(B).matMult(N, result=product)
