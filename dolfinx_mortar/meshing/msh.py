@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Meshes of a user's own: files of Gmsh, with the names of their physical groups."""
+"""Meshes from files of Gmsh, with the names of their physical groups."""
 
 import logging
 import os
@@ -24,23 +24,23 @@ from dolfinx_mortar.tags import Tags
 
 log = logging.getLogger(__name__)
 
-# Gmsh's numbers of the cells that the package knows, and how many corners their facets have.
+# Gmsh's numbers of known cells, and the corners of their facets.
 CELLS = {2: 2, 3: 2, 9: 2, 10: 2, 4: 3, 5: 4, 11: 3, 12: 4}
 KNOWN = "triangles, quadrilaterals, tetrahedra or hexahedra of degree 1 or 2"
-# A line of $PhysicalNames: dimension, tag, name. Text also in binary files.
+# A line of $PhysicalNames: dimension, tag, name; text also in binary files.
 NAMED = re.compile(rb'\s*(\d+)\s+(\d+)\s+"(.*)"\s*')
 
 
 @dataclass(frozen=True)
 class Group:
-    """The physical groups of a file that have one name, on one rank."""
+    """Physical groups of one name, on one rank."""
 
     dim: int
-    tag: int  # of the first
-    name: str  # empty if it has none
+    tag: int  # the first
+    name: str  # may be empty
     kinds: tuple[str, ...]  # of its elements, in Gmsh's words
     types: tuple[int, ...]  # Gmsh's numbers of these kinds
-    elements: Longs  # (m,) numbers of its elements
+    elements: Longs  # (m,) numbers
     nodes: tuple[Longs, ...]  # of each kind, (elements, nodes of an element)
 
     def __str__(self) -> str:
@@ -53,11 +53,10 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
         mesh, cell_tags, facet_tags = dm.meshing.read_msh("bearing.msh")
         contact = dm.Contact(facet_tags, slave="pin", master="bore")
 
-    Bodies are physical groups of the highest dimension, sides and supports those of the next lower
-    one (others are left out); each body is meshed apart, without common nodes where bodies touch.
-    The tags are Gmsh's numbers of the groups, and their names the groups' names; groups of one
-    dimension with one name are one, with the lowest of their numbers. Partitions of the file are
-    left out. Rank 0 reads, and distributes.
+    Bodies are physical groups of the highest dimension, sides and supports those one dimension
+    lower; others are ignored. Touching bodies must not share nodes. The tags are Gmsh's numbers of
+    the groups; groups of one name and dimension are merged, with the lowest number. Partitions of
+    the file are ignored. Rank 0 reads and distributes.
 
     Args:
         path: file of version 2 or 4, text or binary; in the plane z = 0 or in space, of first or
@@ -65,9 +64,10 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
         comm: communicator of the mesh.
 
     Raises:
-        OSError: if there is no such file, or it cannot be read. ValueError: if the file is damaged
-            or no .msh file; if cells are in no physical group or several, of several kinds or an
-            unknown one; if a group is empty, or of no facets of bodies.
+        OSError: if there is no such file, or it cannot be read.
+        ValueError: if the file is damaged or no .msh file; if cells are in no physical group or
+            several, of several kinds or an unknown one; if a group is empty, or of no facets of
+            bodies.
         RuntimeError: without gmsh. All on all ranks.
     """
     check("comm", comm, instance(MPI.Intracomm, "give a communicator, such as MPI.COMM_WORLD"))
@@ -90,10 +90,10 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
 
 
 def _open(file: Path, stack: ExitStack) -> Any:
-    """Return gmsh with the model of a file, which the stack closes.
+    """Gmsh with the model of a file, until the stack closes.
 
-    Elements of version 2 may lack a tag of geometry, as meshio writes them: gmsh puts all of them
-    in one entity, 0, which is in all groups. Then the tags of groups stand for those of entities.
+    In version 2 elements may lack a tag of geometry, as written by meshio: gmsh puts all of them in
+    entity 0, of all groups. Then the tags of groups replace those of entities.
 
     Raises:
         OSError: if there is no such file.
@@ -124,14 +124,14 @@ def _open(file: Path, stack: ExitStack) -> Any:
 
 
 def _renew(gmsh: Any) -> None:
-    """Put an empty model in the place of the present one."""
+    """Replace the present model by an empty one."""
     name = gmsh.model.getCurrent()
     gmsh.model.remove()
     gmsh.model.add(name)
 
 
 def _check_file(file: Path) -> None:
-    """Raise an OSError if there is no file, and a ValueError if it is none of Gmsh."""
+    """Raise an OSError if there is no file, and a ValueError if it is not of Gmsh."""
     if not file.is_file():
         raise FileNotFoundError(f"path = {str(file)!r}: there is no such file in {Path.cwd()}.")
     with file.open("rb") as stream:
@@ -143,11 +143,7 @@ def _check_file(file: Path) -> None:
 
 
 def _read_groups(model: Any, file: Path) -> list[Group]:
-    """Return the groups that have elements or a name, those of one name as one.
-
-    Gmsh forgets the names of empty groups, and one of two that are the same: those are read from
-    the file.
-    """
+    """Groups with elements or a name, merged by name; names from the file, as gmsh loses some."""
     names = {(dim, tag): name for dim, tag, name in _named(file)}
     filled = {(int(d), int(t)) for d, t in model.getPhysicalGroups()}
     alike: dict[tuple[int, int | str], list[int]] = {}
@@ -177,7 +173,7 @@ def _named(file: Path) -> Iterator[tuple[int, int, str]]:
 
 
 def _read_group(model: Any, dim: int, tag: int, name: str, entities: list[int]) -> Group:
-    """Return a group with the elements of its entities."""
+    """A group with the elements of its entities."""
     found: dict[int, list[tuple[Longs, Longs]]] = {}
     for entity in entities:
         for kind, *arrays in zip(*model.mesh.getElements(dim, entity), strict=True):
@@ -196,10 +192,7 @@ def _read_group(model: Any, dim: int, tag: int, name: str, entities: list[int]) 
 
 
 def _create_model(gmsh: Any, groups: list[Group]) -> Any:
-    """Return a model of bodies and sides alone, which takes the place of that of the file.
-
-    So dolfinx sees an entity for each group, with elements of one kind, and nodes without gaps.
-    """
+    """New model with one entity for each group, one kind of elements, and contiguous nodes."""
     tags, x, _ = gmsh.model.mesh.getNodes()
     used = np.unique(np.concatenate([nodes.ravel() for g in groups for nodes in g.nodes]))
     order = np.argsort(tags)
@@ -217,7 +210,7 @@ def _create_model(gmsh: Any, groups: list[Group]) -> Any:
 
 
 def _check(model: Any, groups: list[Group], path: str) -> list[Group]:
-    """Return bodies and sides, or raise a ValueError if no mesh of ours can be made of them."""
+    """Bodies and sides; raise a ValueError if they make no valid mesh."""
     if not groups:
         raise ValueError(
             f"{path} has no physical groups, so that nothing tells bodies and sides apart: in "
@@ -257,7 +250,7 @@ def _check_cells(model: Any, bodies: list[Group], path: str) -> None:
             f"{path}: the physical groups are of dimension {dim}; bodies are surfaces in 2D or "
             "volumes in 3D: add a physical surface or volume for each."
         )
-    every = {d: model.mesh.getElements(d)[1] for d in range(dim, 4)}  # overlaps of partitions twice
+    every = {d: model.mesh.getElements(d)[1] for d in range(dim, 4)}  # partitions repeat cells
     left = {d: len(np.unique(np.concatenate([*tags, []]))) for d, tags in every.items()}
     left[dim] -= len(np.unique(np.concatenate([g.elements for g in bodies])))
     for d, n in reversed(left.items()):
@@ -281,7 +274,7 @@ def _check_cells(model: Any, bodies: list[Group], path: str) -> None:
 
 
 def _check_facets(model: Any, bodies: list[Group], sides: list[Group], path: str) -> None:
-    """Raise a ValueError if elements of sides are no facets of a body, of which dolfinx aborts."""
+    """Raise a ValueError unless elements of sides are facets of a body: dolfinx aborts."""
     (kind,) = {kind for g in bodies for kind in g.types}
     k = CELLS[kind]
     parts = [nodes[:, :k] for g in sides for nodes in g.nodes]
@@ -305,7 +298,7 @@ def _check_facets(model: Any, bodies: list[Group], sides: list[Group], path: str
 
 
 def _are_in(facets: Longs, known: Longs) -> Bools:
-    """Return which facets (m, k) are among known ones (n, k), by their nodes in any order."""
+    """Mask (m,) of facets (m, k) that are among known ones (n, k), by their nodes in any order."""
     if facets.shape[1] != known.shape[1]:
         return np.zeros(len(facets), dtype=bool)
     every = np.sort(np.concatenate([known, facets]), axis=1)
@@ -328,7 +321,7 @@ def _check_plane(model: Any, bodies: list[Group], path: str) -> None:
 
 
 def _check_apart(groups: list[Group], path: str) -> None:
-    """Raise a ValueError if an element is in two groups, of one dimension; its tag is one."""
+    """Raise a ValueError if an element is in two groups, or twice in one."""
     kinds = sorted({kind for g in groups for kind in g.types})
     for kind in kinds:
         parts = [(g, g.nodes[g.types.index(kind)]) for g in groups if kind in g.types]
