@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: MIT
-r"""Bolts, rigid sides and tools driven by forces: unknowns of the QPs of a Newton step.
+"""Bolts, rigid sides and tools driven by forces: unknowns of the QPs of a Newton step.
 
-The motions e_a (in the frames of the nodes) of the unknowns q_a of the tools carry the bounds and
-slips of nodes along,
+The motions e_a (in the frames of the nodes) of the unknowns q_a of the tools move the bounds and
+slips of nodes,
 
     w_n <= g + e_n.q,    slip = slip_0 + w_t - e_t.q,
 
 and with the reactions z(q) they solve F_a + e_a.z(q) = 0: they are scalars of the QP, see
 `qp.scalars`.
 
-Nodes of a rigid side follow it, w = w_0 + e.q, as those of a bolt's cut do, and are eliminated:
-q changes the right-hand side, and z = r^ - K^ y there. The arms of moments turn with the side,
-e = e_0 + De q. The term De q.z_0 with the reactions z_0 of the iterate belongs to the equations, so
-that Newton's method is quadratic. A step t q rotates the side as a rigid body: its nodes move on
-arcs, not to u_0 + t e.q, so that no increment remains to be prescribed. The energy less the work of
-the loads decreases along this path, so it can limit the length of the step.
+Nodes of rigid sides and of cuts of bolts follow, w = w_0 + e.q, and are eliminated: q changes the
+right-hand side, and z = r^ - K^ y there. The arms of moments turn with the side, e = e_0 + De q;
+the term De q.z_0, with the reactions z_0 of the iterate, keeps Newton's method quadratic. A step t
+q rotates the side as a rigid body: its nodes move on arcs, not to u_0 + t e.q, and need no further
+prescribed increment. The energy less the work of the loads decreases along this path, so it can
+limit the step.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ DISTINCT = 0.5
 
 @dataclass(frozen=True)
 class Settled:
-    """A QP in which the tools carry their loads."""
+    """A QP in which the tools are in balance with their loads."""
 
     lin: Linearisation
     solved: QPSolution
@@ -68,23 +68,23 @@ class Settled:
     drives: Drives
 
     def curve(self, t: float) -> Floats:
-        """Return what rotations of rigid sides add to their motions t e.q (n,)."""
+        """Difference (n,) between rotations of rigid sides and their motions t e.q."""
         return self.drives.curve(t * self.travel)
 
 
 @dataclass(frozen=True)
 class Drives:
-    """The unknown motions of all driven tools at an iterate."""
+    """Unknown motions of all driven tools at an iterate."""
 
     tools: list[tuple[Interface, Driven]]
-    motions: Floats  # (m, n) e, of the owned unknowns of y
+    motions: Floats  # e, of the owned unknowns of y
     loads: Floats  # (m,) F
     reach: Floats  # (m,) largest motion of a slave node by each unknown, in any direction
     held: Ints  # (k,) owned unknowns of y that follow rigid sides and bolts
-    follows: Bools  # (m,) which motions are theirs
-    sides: Bools  # (m,) which motions are those of rigid sides
+    follows: Bools  # motions of rigid sides and bolts
+    sides: Bools  # motions of rigid sides
     moved: Callable[[Floats], Floats]  # q (m,) -> e (m, n) there, to first order
-    curve: Callable[[Floats], Floats]  # q (m,) -> what rotations of sides add to e.q (n,)
+    curve: Callable[[Floats], Floats]  # q (m,) -> rotations of sides minus e.q (n,)
     product: Callable[[PETSc.Vec], PETSc.Vec]  # y -> K^ y; collective
     comm: MPI.Comm
 
@@ -97,41 +97,35 @@ class Drives:
             first = end
 
     def missing(self, reactions: Floats) -> tuple[Floats, Floats]:
-        """Return F + e.z (m,) for reactions z (n,), and the size of its terms (m,); collective."""
+        """F + e.z (m,) for reactions z (n,), and the size of its terms (m,); collective."""
         parts = self.motions * reactions
         sums = np.stack([parts.sum(axis=1), np.abs(parts).sum(axis=1)])
         total, size = self.comm.allreduce(sums, op=MPI.SUM)
         size = np.maximum(size, np.abs(self.loads))
-        if (on := self.sides).any():  # none of its forces is more accurate than the largest
+        if (on := self.sides).any():  # each of its forces is as accurate as the largest
             arms = np.maximum(self.arms(), TINY)
             size[on] = (size[on] / arms[on]).max() * arms[on]
         return self.loads + total, size
 
     def noise(self, balance: Balance) -> Floats:
-        """Return the round-off in what tools carry (m,), of the forces in the bodies; collective.
-
-        A tool may carry nothing while bodies are strained, as after plastic flow.
-        """
+        """Round-off (m,) of the reactions, from the forces in the bodies; collective."""
         return np.asarray(ROUND_OFF * balance.elements * self.arms())
 
     def arms(self) -> Floats:
-        """Return the largest motion (m,) of a node by each unknown; collective."""
+        """Largest motion (m,) of a node by each unknown; collective."""
         return maximum(self.comm, *np.abs(self.motions).max(axis=1, initial=0.0))
 
     def allowed(self, force: float) -> Floats:
-        """Return tolerances (m,) for one of forces; collective.
-
-        Of loads on rigid sides, and of bolts without a force, which have no size of their own.
-        """
+        """Tolerances (m,) of loads on rigid sides and bolts, for one of forces; collective."""
         on = self.sides | (self.follows & (self.loads == 0.0))
         return np.where(on, force * self.arms(), 0.0)
 
     def check_gaps(self, balance: Balance, active: Bools, facet_length: float) -> None:
-        """Raise an error if a gap is between a body and a tool with a load; collective.
+        """Raise if an open gap separates a body from a loaded tool; collective.
 
-        Tools have no mass: with inertia a force would move them across it instantaneously. A tool
-        of radius R that touches is h^2 / (8 R) from the next node, h / 8 where it is as round as a
-        facet is long: smaller gaps are those of the mesh.
+        With inertia a load would move tools, which have no mass, across the gap instantaneously. A
+        tool of radius R in contact is h^2 / (8 R) from the next node, at most h / 8 if R >= h:
+        smaller gaps are due to the mesh.
 
         Args:
             balance: at an iterate.
@@ -158,14 +152,13 @@ class Drives:
 
 
 def find_drives(problem: ContactProblem, known: Floats | None = None) -> Drives | None:
-    """Return the motions of the tools that forces drive, in the present geometry; None for none.
+    """Motions of the driven tools in the present geometry, None for none; collective.
 
-    A contact node stands for a part of the side, on which tool and forces act: its motion is the
-    mean of those there, sum_l D_jl e_l / D_jj, which is e_j where D is diagonal; collective.
+    The motion of a slave node is the mean sum_l D_jl e_l / D_jj, which is e_j where D is diagonal.
 
     Args:
         problem: at an iterate.
-        known: reactions (owned nodes, d) that are given, which act on the tools like loads.
+        known: given reactions (owned nodes, d), which act on the tools like loads.
     """
     offered = [(link, link.interface.driven()) for link in problem.system.links]
     parts = [(link, tool) for link, tool in offered if tool is not None]
@@ -222,7 +215,7 @@ def find_drives(problem: ContactProblem, known: Floats | None = None) -> Drives 
 
 
 def _ways(problem: ContactProblem, link: Link, tool: Driven, x: Floats) -> Floats:
-    """Return the motions (m, n, d) at the slave nodes of unit amounts."""
+    """Motions (m, n, d) of the slave nodes for unit amounts."""
     return tool.motions(x[link.nodes], problem.X[link.nodes], np.zeros(len(tool.names)))
 
 
@@ -232,7 +225,7 @@ def _loads(
     x: Floats,
     known: Floats | None,
 ) -> Floats:
-    """Return the loads (m,), with what given reactions do on unit motions; collective."""
+    """Loads (m,), with the work of given reactions on unit motions; collective."""
     loads = np.concatenate([tool.loads() for _, tool in parts])
     if known is None:
         return loads
@@ -246,23 +239,22 @@ def _loads(
 
 
 def _unknowns(link: Link, d: int) -> Ints:
-    """Return the owned unknowns of y that a link constrains."""
+    """Owned unknowns of y that a link constrains."""
     node, axis = np.nonzero(link.constrained)
     return (d * link.nodes[node] + axis).astype(np.int32)
 
 
 def as_scalars(drives: Drives, lin: Linearisation, rtol: float, begun: float) -> Scalars:
-    """Return the motions, as scalars of the QP of an iterate; collective.
+    """Motions as scalars of the QP of an iterate; collective.
 
-    Each is the largest motion of a node, so that all are lengths. Nodes of a rigid side are
-    eliminated: there the reaction is r^ - K^ y, and arms turn with the side.
+    Each is scaled to a length, the largest motion of a node. On rigid sides, whose nodes are
+    eliminated, the reaction is r^ - K^ y, and arms turn with the side.
 
     Args:
         drives: the tools at the iterate.
-        lin: the QP with the tools where they are.
-        rtol: largest share of the forces on a tool that may be missing.
-        begun: largest force at the start of the step, of which rigid sides may miss as much, where
-            loads are taken off.
+        lin: the QP with the tools in their present places.
+        rtol: tolerance relative to the forces on a tool.
+        begun: largest force at the start of the step, the scale of tolerances on rigid sides.
     """
     e, held, equal = drives.motions.copy(), drives.held, lin.balance.equal
     m, inverse = len(e), 1.0 / drives.reach
@@ -296,7 +288,7 @@ def as_scalars(drives: Drives, lin: Linearisation, rtol: float, begun: float) ->
 
 
 def settle(drives: Drives, lin: Linearisation, solved: QPSolution, extent: float) -> Settled:
-    """Return the solution of a QP with the tools moved; collective.
+    """Solution of a QP with the tools moved; collective.
 
     Args:
         drives: the tools at the iterate.
@@ -316,7 +308,7 @@ def settle(drives: Drives, lin: Linearisation, solved: QPSolution, extent: float
     if drives.follows.all() and np.abs(values[least]) <= SAME:
         weakest = np.abs(vectors[:, least])
         raise unresisted(drives, lin, np.asarray(weakest == weakest.max()))
-    if not QUARTER_OF_DIGITS * np.abs(solved.travel).max() <= extent:  # nothing holds a body
+    if not QUARTER_OF_DIGITS * np.abs(solved.travel).max() <= extent:  # a body is free
         raise unresisted(drives, lin, np.abs(solved.travel))
     equal, held = lin.balance.equal, np.zeros(len(solved.x.array_r))
     held[drives.held] = (q @ drives.motions)[drives.held]
@@ -329,12 +321,12 @@ def settle(drives: Drives, lin: Linearisation, solved: QPSolution, extent: float
 
 
 def _names(drives: Drives) -> list[tuple[str, Interface, Driven]]:
-    """Return the unknowns (m,) by name, owner and what moves."""
+    """Unknowns (m,) by name, owner and tool."""
     return [(name, owner, tool) for owner, tool in drives.tools for name in tool.names]
 
 
 def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> StepFailed:
-    """Return the error that says which load (m,) of which tool nothing resists; collective."""
+    """Error that names the load (m,) of largest `which`, which nothing resists; collective."""
     k = int(np.argmax(which))
     name, owner, tool = _names(drives)[k]
     if tool.holds:
@@ -368,11 +360,12 @@ def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> StepFailed:
 def miss(
     problem: ContactProblem, balance: Balance, contacts: Contacts, residual: Residuals, rtol: float
 ) -> Residuals:
-    """Return the residuals with those of the loads of bolts, tools and rigid sides; collective.
+    """Residuals including the loads of bolts, tools and rigid sides; collective.
 
     Args:
-        balance: forces at an iterate.
-        contacts: the multipliers there.
+        problem: at an iterate.
+        balance: forces there.
+        contacts: multipliers there.
         residual: of forces and contact.
         rtol: tolerance of the step.
     """
