@@ -1,38 +1,37 @@
 # SPDX-License-Identifier: MIT
-r"""The ledger of energies of a motion, and the energy that contact restores.
+"""The ledger of energies of a motion, and the energy that contact restores.
 
 In a step from n to n+1 the trapezoidal rule keeps, of linear bodies,
 
     K + Psi = K_n + Psi_n + 1/2 (q + q_n).(u - u_n)
 
-exactly, q the forces of loads, supports, damping and contacts. Where sides meet or part in a step
-the force at one of its ends goes with a gap at the other: 1/2 (lambda g_n - lambda_n g) is lost. So
-after a step the velocity is corrected by an impulse s of the contact forces, so that the work of
-the normal ones c is zero, and that w of friction f where it is positive (as it may be where a slip
-turns back),
+exactly, q the forces of loads, supports, damping and contacts. Where sides meet or part in a step,
+1/2 (lambda g_n - lambda_n g) is lost. So after a step the velocity is corrected by an impulse s of
+the contact forces, so that the work of the normal forces c is zero, and the work w of friction f
+not positive (as it may be where a slip turns back),
 
     v <- v + s y,   (kappa M + K) y = c + c_n + f + f_n,
     K(v + s y) = K(v) - 1/2 (c + c_n).(u - u_n) - <w> + s y_f.M (v + s y / 2),
 
-the last being the work of f in the impulse (y_f its part of y), which counts as that of friction.
-y is how far these forces move the bodies within a step, waves and all. That leaves momentum and
-moment of momentum as they are, as forces between bodies do, for K y has none (Laursen and Love 2002
-correct velocities after the step, too, node by node and with M alone: then a stiff body that is hit
-cannot give back its energy, which is in its motion as a whole). Of the two roots the smaller one is
-taken; if more energy is to be taken than the impulse can, it takes all it can, and the defect shows
-the rest. On tools that move, what they do to the bodies counts as the work of supports; w and K are
-then those for who moves with them. Tools that loads drive have no mass, and exert these loads: no
-impulse acts at their nodes, whose work is part of the defect (.2 % where two nodes or more meet a
-disc; with an impulse the momentum of a block that it pushes misses F t by up to 10 %).
+with y_f the part of y due to f; the last term counts as work of friction. y is the displacement by
+these forces within a step, with waves. As K y has neither momentum nor moment of momentum, both are
+conserved. (Laursen and Love 2002 also correct velocities after the step, but node by node and with
+M alone: a stiff body that is hit cannot return the energy of its motion as a whole.) The smaller of
+the two roots s is taken; energy beyond the range of the impulse becomes part of the defect.
 
-Where an eigenstrain or parameters of laws change in a step, the potential changes without the
-forces' motion: by Psi - Psi_n - 1/2 (F + F_n).(u - u_n), F the internal forces, each at the data of
-its time. It counts as the work of loads.
+On moving tools their work on the bodies counts as work of supports; w and K are relative to the
+tool. Tools driven by loads have no mass and exert these loads: no impulse acts at their nodes,
+whose work is part of the defect (.2 % where two nodes or more meet a disc; with an impulse the
+momentum of a block that the tool pushes misses F t by up to 10 %).
 
-At finite strain the rule keeps the moment of momentum but for an error of third order in a step.
+Where an eigenstrain or parameters of laws change in a step, the change of the potential without
+motion, Psi - Psi_n - 1/2 (F + F_n).(u - u_n), F the internal forces, each with the data of its
+time, counts as work of loads.
 
-The impulse takes a solve, a fifth of a step, with friction two. It waits until what it has to
-restore is more than rtol of the largest energy so far, which contact that lasts reaches seldom.
+At finite strain the moment of momentum has an error of third order in a step.
+
+The impulse takes a solve, a fifth of a step, two solves with friction. It is made once more than
+rtol of the largest energy so far is to be restored, rarely in lasting contact.
 """
 
 from collections.abc import Sequence
@@ -50,9 +49,9 @@ from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.step_report import Ledger, Note, StepReport
 from dolfinx_mortar.terms.inertia import Damping, Inertia, Motion
 
-# Smallest defect with a note: velocities, of which energies are squares, are then wrong by half a
-# per cent. Measured on a rod that hits a wall and a bar over four periods, with generalised alpha,
-# radii 0 to 1 and two steps each (defects of 3e-4 to 8 %): by 0.4 to 0.7 of the defect.
+# Smallest defect with a note: velocities are then wrong by half a per cent, as energies are their
+# squares. Measured on a rod that hits a wall and a bar over four periods, with generalised alpha,
+# radii 0 to 1, two steps each (defects of 3e-4 to 8 %): by 0.4 to 0.7 of the defect.
 LARGE_DEFECT = 0.01
 MASS = (
     ". Contact nodes of thin bodies, of one or two layers of cells, have kept their mass, with "
@@ -62,7 +61,7 @@ MASS = (
 
 @dataclass(frozen=True)
 class Ends:
-    """The forces at one end of a step, (owned nodes, d) each."""
+    """Forces at one end of a step, (owned nodes, d) each."""
 
     u: Floats
     contact: Floats
@@ -74,19 +73,19 @@ class Ends:
 
 
 class EnergyLedger:
-    """Keeps the ledger of a problem with inertia, step by step.
+    """The ledger of a problem with inertia, step by step.
 
-    Where a law has no potential, "stored" is the work of the internal forces, of which a part may
-    have been dissipated.
+    Where a law has no potential, "stored" is the work of the internal forces, part of which may be
+    dissipated.
     """
 
     def __init__(self, problem: ContactProblem, inertia: Inertia, *, conserve: bool) -> None:
-        """Begin, or go on from the last step of the problem's history; collective.
+        """Begin, or continue from the last step of the problem's history; collective.
 
         Args:
-            problem: the problem, at the end of a step or at its start.
+            problem: at the end of a step or at its start.
             inertia: one of its terms.
-            conserve: whether contact gives back what it takes.
+            conserve: whether contact restores energy.
         """
         self.problem, self.inertia, self.conserve = problem, inertia, conserve
         history = problem.history
@@ -105,7 +104,7 @@ class EnergyLedger:
         self._inner = self._internal()
 
     def _resultants(self) -> list[Floats | None]:
-        """Return the forces (d,) on the slave sides that can open, None for other interfaces."""
+        """Forces (d,) on slave sides that can open, None for other interfaces."""
         zero = np.zeros(self.problem.d)
         return [
             (zero if one.resultants is None else one.force.copy()) if one.unilateral else None
@@ -113,7 +112,7 @@ class EnergyLedger:
         ]
 
     def _impulses(self, restored: float) -> list[list[float] | None]:
-        """Return those of the contacts until the end of the step."""
+        """Impulses of the contacts until the end of the step."""
         before, self._acting = self._acting, self._resultants()
         time = 0.5 * self.inertia.start.dt + restored
         return [
@@ -124,17 +123,17 @@ class EnergyLedger:
         ]
 
     def _forces(self, named: Sequence[tuple[str, Term]]) -> Floats:
-        """Return the sum of the forces of terms, (owned nodes, d); collective."""
+        """Sum of the forces of terms, (owned nodes, d); collective."""
         F = self.problem.vector()
         self.problem.terms.add_forces(named, F)
         return np.asarray(F.array_r.reshape(self.inertia.mass.X.shape)).copy()
 
     def _loads(self) -> Floats:
-        """Return the forces of loads and of all other terms, but of inertia and damping."""
+        """Forces of all terms but inertia and damping; collective."""
         return -self._forces(self._still)
 
     def _damping(self, velocity: Floats | None = None) -> Floats:
-        """Return the forces of damping at a velocity, by default that at the end of the step."""
+        """Forces of damping at a velocity, by default that at the end of the step."""
         terms = [term for _, term in self.problem.terms.named if isinstance(term, Damping)]
         found = [t.times(t.velocity() if velocity is None else velocity) for t in terms]
         return sum(found, np.zeros(self.inertia.mass.X.shape))
@@ -152,15 +151,14 @@ class EnergyLedger:
         return None if plain else self._inside()
 
     def start(self, begin: float, end: float, sides: Floats) -> None:
-        """Find the initial acceleration, with the loads of the start; collective.
+        """Find the acceleration M a = P^T (f - F + c) under the loads of the start; collective.
 
-        Nodes without mass are in equilibrium, with the contact forces that are known, or hang on
-        the others, and what acts on them is moved there: M a = P^T (f - F + c).
+        Nodes without mass are in equilibrium or move with others, to which P^T moves their forces.
 
         Args:
             begin: time of the start.
             end: time of the first step's end, for terms that read it.
-            sides: (owned nodes, d) with which rigid sides hold their nodes.
+            sides: (owned nodes, d) forces of rigid sides on their nodes.
         """
         problem, inertia = self.problem, self.inertia
         problem.terms.prepare(self._still, begin, end)
@@ -175,7 +173,7 @@ class EnergyLedger:
         inertia.put(acceleration=acceleration, balance=balance, load=loads, damping=damping)
 
     def open(self) -> None:
-        """Note the forces at the start of a step; collective."""
+        """Store the forces at the start of a step; collective."""
         problem, inertia = self.problem, self.inertia
         supports, shape = problem.committed.supports, inertia.mass.X.shape
         if self._potential is not None and problem.solid.points.follows:  # by loads set already
@@ -194,7 +192,7 @@ class EnergyLedger:
         return self.inertia.sum(array.sum())
 
     def _end(self) -> Ends:
-        """Return the forces at the end of a step that has converged; collective."""
+        """Forces at the end of a converged step; collective."""
         problem, shape = self.problem, self.inertia.mass.X.shape
         outcome, supports = problem.outcome, problem.committed.supports
         assert outcome is not None and supports is not None
@@ -210,10 +208,11 @@ class EnergyLedger:
         )
 
     def commit(self, report: StepReport, linear: LinearSolver) -> None:
-        """Commit a step that has converged, and put its ledger into the report; collective.
+        """Commit a converged step, and add its ledger to the report; collective.
 
         Args:
-            report: of the step; it gets a note if the energy could not be restored.
+            report: of the step; gets a note if the energy could not be restored.
+            linear: solver of the responses.
         """
         problem, inertia, before = self.problem, self.inertia, self._before
         assert before is not None
@@ -223,7 +222,7 @@ class EnergyLedger:
             name: self._sum(0.5 * (getattr(before, name) + getattr(after, name)) * du)
             for name in ("contact", "friction", "supports", "loads", "damping")
         }
-        # what a tool that moves does to the bodies is no gain of contact
+        # the work of a moving tool on the bodies is no gain of contact
         way = self._tool_way(before.u, after.u)
         tools = {
             name: self._sum(0.5 * (getattr(before, name) + getattr(after, name)) * way)
@@ -281,7 +280,7 @@ class EnergyLedger:
     def _in_bodies(
         self, before: Ends, after: Ends, potential: float | None
     ) -> tuple[float, float, float]:
-        """Return the stored energy after a step, the dissipated one, and the work of heat."""
+        """Stored energy after a step, dissipated energy, and the work of heat."""
         inner, start = 0.0, self._potential
         if before.internal is not None and after.internal is not None:
             mean = 0.5 * (before.internal + after.internal)
@@ -295,7 +294,7 @@ class EnergyLedger:
 
     @cached_property
     def _driven(self) -> Bools:
-        """Which nodes (owned nodes, 1) are on sides that may meet tools that loads drive."""
+        """Nodes (owned nodes, 1) on sides that may meet tools driven by loads."""
         on = np.zeros((len(self.inertia.mass.X), 1), dtype=bool)
         system = self.problem.system
         for sides, interface in zip(system.sides, system.interfaces, strict=True):
@@ -304,13 +303,13 @@ class EnergyLedger:
         return on
 
     def _contacts_have_mass(self) -> bool:
-        """Return whether nodes that can touch have kept their mass; collective."""
+        """Whether nodes that can touch have kept their mass; collective."""
         bare, links = self.inertia.mass.massless, self.problem.system.unilateral
         heavy = any((~bare[k.nodes] & k.coupling.kept[:, 0]).any() for k in links)
         return bool(any_rank(self.problem.comm, heavy)[0])
 
     def _tool_way(self, before: Floats, after: Floats) -> Floats:
-        """Return how far tools carry the nodes that they touch in the step, (owned nodes, d)."""
+        """Motion of tools at the nodes that they touch in the step, (owned nodes, d)."""
         X = self.inertia.mass.X
         way, free = np.zeros_like(before), np.ones(len(before), dtype=bool)
         links = self.problem.system.unilateral
@@ -327,7 +326,7 @@ class EnergyLedger:
     def _responses(
         self, forces: Sequence[Floats], rtol: float, linear: LinearSolver
     ) -> tuple[Floats, Floats] | None:
-        """Return how far forces of contact and of friction move the bodies; None if not solved."""
+        """Displacements by forces of contact and of friction; None if not solved; collective."""
         contact, friction = forces
         y: Floats | None = np.zeros_like(friction)
         if any_rank(self.problem.comm, friction.any())[0]:
@@ -343,10 +342,10 @@ class EnergyLedger:
         way: Floats,
         energy: float,
     ) -> tuple[Motion, float, float, float, float]:
-        """Return a motion that an impulse of contact forces has given an energy; collective.
+        """Motion after an impulse of the contact forces that adds an energy; collective.
 
-        Also the works of tools and of friction beside the energy, what of it is missing, and the
-        time for which the forces have acted.
+        Also the works of tools and of friction in it, the energy that is missing, and the time for
+        which the forces have acted.
         """
         if responses is None:
             return motion, 0.0, 0.0, energy, 0.0
@@ -354,7 +353,7 @@ class EnergyLedger:
         moved = [mass.extend(y) for y in responses]
         whole = moved[0] + moved[1]
         images = [mass.times(y) for y in moved]
-        # of one unit of y
+        # per unit of y
         tools, drags = (sums((f * way).sum()) / (start.kappa * start.dt) for f in forces)
         a = sums((whole * images[0]).sum())
         b = sums((motion.velocity * images[0]).sum()) - tools
@@ -370,7 +369,7 @@ class EnergyLedger:
 
 
 def _not_restored(share: float, *, unsolved: bool) -> Note:
-    """Return the note on energy that contact has kept, or has made, in a step."""
+    """Note on energy that contact has taken or added in a step."""
     what = "taken from the bodies without giving it back" if share > 0.0 else "given to the bodies"
     why = "Its forces are too small along the motion for the impulse that restores the energy"
     if unsolved:
@@ -380,7 +379,7 @@ def _not_restored(share: float, *, unsolved: bool) -> Note:
 
 
 def _balanced(ledger: Ledger) -> Ledger:
-    """Return a ledger with its defect."""
+    """A ledger with its defect."""
     gone = ledger.dissipated + ledger.friction + ledger.damping
     total = ledger.kinetic + ledger.stored
     largest = max(ledger.largest, total, gone, abs(ledger.loads), abs(ledger.supports))
@@ -388,12 +387,7 @@ def _balanced(ledger: Ledger) -> Ledger:
 
 
 def notes_on_energy(ledger: Ledger, *, thin: bool = False) -> list[str]:
-    """Return a note if energy has appeared or is lost.
-
-    Args:
-        ledger: of the last step.
-        thin: whether contact nodes have mass.
-    """
+    """A note if energy has appeared or is lost; `thin`: contact nodes have mass."""
     if abs(ledger.defect) <= LARGE_DEFECT:
         return []
     what = "appeared" if ledger.defect > 0.0 else "been lost"
