@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Load steps: levels of loads, one after the other."""
+"""Steps along load levels."""
 
 from __future__ import annotations
 
@@ -40,26 +40,22 @@ def load_steps(
             print(step.time, contact.force)
 
     A step that does not converge is halved, up to ``max_cuts`` times, and its parts are committed
-    (they are part of the solution, as plasticity depends on the load path). An overlap of the sides
-    at the start of such a step is removed in the same parts. If multigrid gives no solution, the
-    step is repeated with a factorisation, and all later steps are factorised (unless
+    (plasticity depends on the load path). An overlap of the sides at its start is removed in the
+    same parts. If multigrid fails, this step and all later ones use a factorisation (unless
     ``petsc_options`` choose a method, or beyond 200 000 unknowns); a note says so.
 
     Args:
         problem: the bodies and their constraints.
         times: load levels in the order of loading; they may decrease.
         ramp: a table for each Constant that changes, ``{push: [(0.0, 0.0), (1.0, -0.1)]}``: rows
-            (level, value) with increasing levels, between which the value is linear. Values have
-            the shape of the Constant. Tables must contain all levels, and ``start``. A note says
-            where nothing reads a Constant.
-        on_time: function of the level that sets other loads, also for levels between two times,
-            after the Constants of ``ramp``. It may be called twice for a level, if a step is cut or
-            a run is continued, so what it sets must depend on the level alone.
+            (level, value) with increasing levels, linear in between, for all levels and ``start``.
+            Values have the shape of the Constant. A note says where nothing reads a Constant.
+        on_time: function of the level that sets other loads, after the Constants of ``ramp``, also
+            for levels between two times, and twice for a level if a step is cut or a run is
+            continued: its loads must depend on the level alone.
         start: level of the committed state; by default the last level of ``load_steps`` on this
             problem, at first 0.
-        qp: as in ``newton``.
-        rtol: as in ``newton``.
-        max_it: as in ``newton``.
+        qp, rtol, max_it: as in ``newton``.
         cuts: "halve", or "none" for an error where a step does not converge.
         max_cuts: largest number of halvings of one step.
         progress: print a line for each step on rank 0; None prints if there is more than one step
@@ -69,14 +65,12 @@ def load_steps(
 
     With ``checkpoint`` a program that was killed continues when it is run again. If the file
     exists, its state is restored, ``ramp`` and ``on_time`` set its level, and only the remaining
-    steps are made and yielded, with their numbers. The steps before are in ``problem.history``. The
-    first entries of ``times`` have to be the levels that were reached, up to round-off; more may
-    follow than at first. The tables of ``ramp`` have to be the same, in the same order, up to the
-    level reached. The file is written after the body of the loop, which may therefore be run twice
-    for a step, but is never left out; after ``break`` the last step is not written.
-    ``Writer(.., resume=True)`` has each step once even so. If a step fails, what has been committed
-    since the last file is written: the steps before it, and its converged parts. To start again,
-    delete the file.
+    steps are made and yielded, with their numbers; earlier steps are in ``problem.history``. Up to
+    the level reached ``times`` and the tables of ``ramp``, in the same order, have to be those of
+    the saved run, to round-off. The file is written after the body of the loop, which may therefore
+    run twice for a step; after ``break`` the last step is not written. ``Writer(.., resume=True)``
+    still has each step once. If a step fails, its converged parts and all earlier steps are
+    written. To start again, delete the file.
 
     Yields:
         One ``LoadStep`` for every remaining entry of ``times``.
@@ -85,10 +79,10 @@ def load_steps(
         ValueError: for invalid arguments, for a problem with `Inertia`, for a checkpoint of another
             problem or with other levels, truncated or of another version, and if a second run
             starts before this one ends; on all ranks.
-        OSError: if a checkpoint cannot be written or read, on all ranks; after a step that has
-            failed, the error of the step is its ``__context__``.
-        NewtonNotConverged: if the smallest step fails, too. Steps yielded before are committed, and
-            the converged parts of the last one: the message says which.
+        OSError: if a checkpoint cannot be written or read, on all ranks; after a failed step its
+            error is the ``__context__``.
+        NewtonNotConverged: if the smallest step fails, too. Earlier steps and the converged parts
+            of the last one are committed, as the message says.
     """
     check_problem(problem, ContactProblem)
     check_same_on_all_ranks(problem.comm, on_time=on_time)
