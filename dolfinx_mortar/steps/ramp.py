@@ -28,11 +28,11 @@ class Ramp:
     values: Floats  # (n, components)
 
     def at(self, level: float) -> Floats:
-        """Return the components of the value at a level within the table."""
+        """Components of the value at a level within the table."""
         return np.array([np.interp(level, self.levels, column) for column in self.values.T])
 
     def set(self, level: float) -> None:
-        """Give the Constant its value at a level."""
+        """Set the Constant to its value at a level."""
         self.constant.value[...] = self.at(level).reshape(self.constant.value.shape)
 
     @property
@@ -42,7 +42,7 @@ class Ramp:
 
 
 def read_ramps(comm: MPI.Comm, ramp: Any) -> list[Ramp]:
-    """Return the ramps of {Constant: [(level, value), ...]}; collective.
+    """Ramps of {Constant: [(level, value), ...]}; collective.
 
     Raises:
         ValueError: on all ranks, for an invalid table, with its number and the remedy.
@@ -61,13 +61,13 @@ def read_ramps(comm: MPI.Comm, ramp: Any) -> list[Ramp]:
 
 
 def _listed(table: Any) -> Any:
-    """Return a table as a list of rows (an iterator can be read only once), other values as is."""
+    """A table as a list of rows, as iterators can be read once; other values unchanged."""
     rows = isinstance(table, Iterable) and not isinstance(table, Mapping | str | bytes)
     return list(table) if rows else table
 
 
 def _read(name: str, constant: Any, table: Any) -> Ramp:
-    """Return the ramp of one table."""
+    """Ramp of one table."""
     remedy = "give a dolfinx Constant, such as the value of a Dirichlet condition or a traction"
     check(f"{name}: the key", constant, instance(fem.Constant, remedy))
     shape = constant.value.shape
@@ -83,7 +83,7 @@ def _read(name: str, constant: Any, table: Any) -> Ramp:
 
 
 def _row(shape: tuple[int, ...], row: Any) -> list[float] | None:
-    """Return level and components of a row, None if it is no pair of finite numbers."""
+    """Level and components of a row, None if it is no pair of finite numbers."""
     if not isinstance(row, Sequence | np.ndarray) or len(row) != 2:
         return None
     level, value = as_numbers(row[0]), as_numbers(row[1])
@@ -94,12 +94,11 @@ def _row(shape: tuple[int, ...], row: Any) -> list[float] | None:
 
 
 def notes_on_unread(ramps: Sequence[Ramp], read: Sequence[Any] | None) -> list[str]:
-    """Return a note for each table whose Constant no part of a problem reads.
-
-    Conditions hold Constants of C++; two are the same if their values are at the same place.
+    """A note for each table whose Constant no part of a problem reads, by the addresses of values.
 
     Args:
-        read: the Constants that steps read; None if that is not known.
+        ramps: all tables.
+        read: the Constants that steps read; None if unknown.
     """
     if read is None:
         return []
@@ -114,7 +113,7 @@ def notes_on_unread(ramps: Sequence[Ramp], read: Sequence[Any] | None) -> list[s
 
 
 def _place(constant: Any) -> int:
-    """Return the address of a Constant's value."""
+    """Address of a Constant's value."""
     return int(np.asarray(constant.value).__array_interface__["data"][0])
 
 
@@ -131,11 +130,11 @@ def check_range(ramps: Sequence[Ramp], levels: Sequence[float]) -> None:
 
 
 def difference(saved: Sequence[Rows], ramps: Sequence[Ramp], walked: Sequence[float]) -> str:
-    """Say how tables differ from saved ones between the levels reached, "" if they do not.
+    """How tables differ from saved ones between the levels reached, "" if they do not.
 
     Args:
-        saved: the tables of the saved run.
-        ramps: those given now, for Constants in the same order.
+        saved: tables of the saved run.
+        ramps: present tables, for Constants in the same order.
         walked: levels of the run, with the initial one.
     """
     if len(saved) != len(ramps):
