@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Results of a step that has converged: reactions, notes, certificate, what a commit takes."""
+"""Results of a converged step: reactions, notes, certificate, data of the commit."""
 
 from dolfinx_mortar.newton_method.contacts import find_sliders, normal_forces, tangential_forces
 from dolfinx_mortar.newton_method.failures import StepFailed, describe_cells
@@ -20,14 +20,7 @@ from dolfinx_mortar.step_report import Note, StepReport
 def finish(
     qps: Subproblem, report: StepReport, iterate: Iterate, residual: Residuals, overlap: float
 ) -> None:
-    """Set the results of a step that has converged; collective.
-
-    Args:
-        qps: of the step.
-        report: to be completed.
-        iterate: the last one.
-        residual: there.
-        overlap: that remains, of sides that overlapped at the start.
+    """Set the results of a converged step, with a remaining initial overlap; collective.
 
     Raises:
         StepFailed: if a tightening is larger than the model.
@@ -54,7 +47,7 @@ def finish(
         problem, report, contacts, residual, balances, sliders, left_out, crossing, pull
     )
     problem.raise_failed()
-    supports = support_forces(problem, iterate.balance)  # last, as no error may follow
+    supports = support_forces(problem, iterate.balance)  # last: no error may follow
     at, paired = problem.owned_u.copy(), problem.system.present.paired
     forces = -normal_forces(problem, contacts), -tangential_forces(problem, contacts)
     ended = problem.ends_of_interfaces()
@@ -65,21 +58,17 @@ def finish(
 
 
 def _ends_indefinite(qps: Subproblem, report: StepReport) -> bool:
-    """Tell whether the last tangent is indefinite, whatever the linear solver is; collective.
-
-    Solutions do not show it where neither loads nor iterates have a part of the mode that is
-    unstable: by symmetry, before a body buckles.
-    """
+    """Whether the last tangent is indefinite, also before symmetric buckling; collective."""
     if not qps.finite or report.iterations[-1].shift:
         return False
     try:
         return qps.solver.is_indefinite()
-    except LinearSolveFailed:  # it is singular
+    except LinearSolveFailed:  # singular
         return True
 
 
 def _notes_on_shifts(problem: ContactProblem, report: StepReport, negative: bool) -> list[str]:
-    """Return a note if tangents were indefinite."""
+    """A note if tangents were indefinite."""
     notes, shifted = list[str](), [it.number for it in report.iterations if it.shift]
     cells = describe_cells(problem)
     if shifted:
