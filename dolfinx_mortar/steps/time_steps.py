@@ -40,13 +40,13 @@ CONSERVING, DAMPED = "energy-conserving", "generalised-alpha"
 
 @dataclass
 class TimeSolves(Solves):
-    """How steps of time are solved: with a ledger, of which the first step makes the beginning."""
+    """Solution of steps in time, with a ledger that the first step creates."""
 
     conserve: bool = True
     radius: float | None = None  # of "generalised-alpha"
     loading: Loading = field(default_factory=lambda: Loading([], None))
     ledger: EnergyLedger | None = None
-    notes: list[str] = field(default_factory=list)  # of the start, for the first step's report
+    notes: list[str] = field(default_factory=list)  # for the report of the first step
     name: ClassVar[str] = "time step"
 
     def to(self, level: Level) -> StepReport:
@@ -61,12 +61,14 @@ class TimeSolves(Solves):
             ledger.open()
             report = super().to(level)
             assert problem.outcome is not None
-            problem.outcome = replace(problem.outcome, before=before)  # start and all
+            problem.outcome = replace(
+                problem.outcome, before=before
+            )  # before the start has settled
         self.ledger = ledger
         return report
 
     def _begin(self, level: Level) -> EnergyLedger:
-        """Return the ledger of the first step of a call, to a level; collective."""
+        """Ledger of the first step of a call, to a level; collective."""
         problem = self.problem
         (inertia,) = find_inertia(problem)
         if any(step.report.ledger is not None for step in problem.history[-1:]):
@@ -78,7 +80,7 @@ class TimeSolves(Solves):
         return ledger
 
     def _start(self, inertia: Inertia, level: Level) -> EnergyLedger:
-        """Return the ledger of a motion that begins, with a step to a level; collective."""
+        """Ledger of a motion that begins, with a step to a level; collective."""
         problem, begin = self.problem, self.problem.committed.level
         self.notes = stop_held(problem, inertia)
         self.loading.set(problem, begin)
@@ -89,13 +91,10 @@ class TimeSolves(Solves):
         return ledger
 
     def _settle(self, inertia: Inertia, begin: float, level: Level) -> Floats:
-        """Bring nodes without mass into equilibrium, and find what acts on them; collective.
+        """Bring nodes without mass into equilibrium; return forces (owned nodes, d) on rigid sides.
 
-        Also with which forces (owned nodes, d) rigid sides hold their nodes, which are returned.
-
-        They follow the loads and contacts of the start in no time: a step from rest, so short that
-        it moves the others by a share h^2, 1e-8, of what the accelerations of the start do in the
-        first one, h being its part of that.
+        Collective. By a step from rest in a share h = 1e-4 of the first one, in which the
+        accelerations of the start move other nodes by a share h^2.
         """
         problem, mass = self.problem, inertia.mass
         on_sides, forces = np.zeros_like(mass.massless), np.zeros_like(mass.X)
@@ -134,7 +133,7 @@ class TimeSolves(Solves):
         return forces
 
     def _acts(self, nodes: Bools, begin: float, end: float) -> bool:
-        """Tell whether loads, tools or stresses may act on nodes (owned nodes,); collective."""
+        """Whether loads, tools or stresses may act on nodes (owned nodes,); collective."""
         problem, r = self.problem, self.problem.vector()
         driven = [interface.driven() for interface in problem.interfaces]
         if any(tool is not None and np.any(tool.loads()) for tool in driven):
@@ -152,7 +151,7 @@ class TimeSolves(Solves):
         self.notes = []
 
     def settings(self) -> dict[str, Any]:
-        """Return the scheme and the damping."""
+        """Scheme and damping, for the comparison with a checkpoint."""
         terms = [term for _, term in self.problem.terms.named if isinstance(term, Damping)]
         return {
             "scheme": CONSERVING if self.conserve else DAMPED,
@@ -161,7 +160,7 @@ class TimeSolves(Solves):
         }
 
     def may_cut(self, loading: Loading) -> bool:
-        """Return that half the time is another problem."""
+        """True: half the time is another problem."""
         return True
 
 
@@ -190,16 +189,14 @@ def time_steps(
         for step in dm.time_steps(problem, np.linspace(0.0, 80e-6, 801)[1:]):
             print(step.time, step.report.ledger)
 
-    It works like `load_steps`, with the same ramps, cuts and checkpoints, which contain velocities
-    and accelerations, too. With the trapezoidal rule a step of length dt minimises, within the
-    bounds of contact, the incremental potential plus
+    With the trapezoidal rule a step of length dt minimises, within the bounds of contact, the
+    incremental potential plus
 
         kappa/2 |u - p|_M^2,     kappa = 4 / dt^2,     p = u_n + dt v_n + dt^2/4 a_n,
 
-    M being the mass matrix; the generalised alpha method has other factors, see
-    `dolfinx_mortar.terms.inertia`. Bodies without supports are free to move. The initial
-    acceleration is that of the forces at the start, whose loads and supports are those of
-    ``start``; nodes without mass are then in equilibrium. The initial velocity is set to 0 where a
+    M being the mass matrix; for the generalised alpha method see `dolfinx_mortar.terms.inertia`.
+    Bodies need no supports. The initial acceleration is that of the forces, loads and supports at
+    ``start``, with nodes without mass in equilibrium. The initial velocity is set to 0 where a
     support does not move, with a note.
 
     Args:
@@ -207,30 +204,25 @@ def time_steps(
         times: ends of the steps, increasing. If they begin with all those of the last run on this
             problem, as after `ContactProblem.restore`, that run goes on.
         scheme: "energy-conserving" is the trapezoidal rule, with an impulse of the contact forces
-            after each step that restores the energy that contact has taken or given, so that
-            impacts conserve energy and only friction dissipates it. With "generalised-alpha" (Chung
-            and Hulbert 1993) high frequencies are damped.
+            after each step that restores the energy of contact: impacts conserve energy, only
+            friction dissipates it. "generalised-alpha" (Chung and Hulbert 1993) damps high
+            frequencies.
         spectral_radius: of "generalised-alpha": the factor of the amplitude of the highest
             frequencies in each step, from 0 to 1, by default 0.8; 1 means no damping.
-        ramp: as in `load_steps`, over time.
-        on_time: as in `load_steps`; also called for the start.
+        ramp, on_time: as in `load_steps`, over time; also called for the start.
         start: time of the committed state; by default the last one reached, at first 0.
-        qp: as in `newton`.
-        rtol: as in `newton`.
-        max_it: as in `newton`.
-        cuts: as in `load_steps`. A step is also cut where bodies would pass through each other.
-        max_cuts: as in `load_steps`.
-        progress: as in `load_steps`.
-        checkpoint: as in `load_steps`.
-        every: as in `load_steps`.
+        qp, rtol, max_it: as in `newton`.
+        cuts, max_cuts, progress, every: as in `load_steps`. A step is also cut where bodies would
+            pass through each other.
+        checkpoint: as in `load_steps`, with velocities and accelerations.
 
     Yields:
-        One ``LoadStep`` for every time, with the `Ledger` of energies in its report; where
-        ``checkpoint`` continues a run, for every remaining one.
+        One ``LoadStep`` for every time, or remaining time of a continued run, with the `Ledger` of
+        energies in its report.
 
     Raises:
-        ValueError: for invalid arguments, a problem without inertia or with several, and times that
-            do not increase; otherwise as `load_steps`.
+        ValueError: unless the problem has one inertia and times increase; otherwise as
+            `load_steps`.
         OSError: as `load_steps`.
         NewtonNotConverged: as `load_steps`.
     """
@@ -266,11 +258,7 @@ def time_steps(
 
 
 def choose_scheme(scheme: Any, radius: Any) -> tuple[Scheme, float | None]:
-    """Return the parameters of a scheme, and its spectral radius if it has one.
-
-    Raises:
-        ValueError: for unknown names, and a spectral radius that is none or of no use.
-    """
+    """Parameters of a scheme, and its spectral radius if it has one; or a ValueError."""
     if check("scheme", scheme, one_of(CONSERVING, DAMPED)) == CONSERVING:
         if radius is not None:
             raise ValueError(
@@ -284,13 +272,10 @@ def choose_scheme(scheme: Any, radius: Any) -> tuple[Scheme, float | None]:
 
 
 def stop_held(problem: ContactProblem, inertia: Inertia) -> list[str]:
-    """Take the initial velocity from what supports hold still in the first step; collective.
+    """Set the initial velocity to 0 where supports do not move in the first step; collective.
 
-    The trapezoidal rule, v = 2 (u - u_n) / dt - v_n, would turn it round in every step. Where a
-    support moves in the first step, its velocity is the user's to give.
-
-    Returns:
-        A note if there was any.
+    The trapezoidal rule, v = 2 (u - u_n) / dt - v_n, would change its sign in every step. Returns a
+    note if there was any.
     """
     supports, velocity = problem.supports, inertia.values("velocity").copy()
     way = supports.increment(supports.values(), problem.u.x.array)
@@ -312,7 +297,7 @@ def stop_held(problem: ContactProblem, inertia: Inertia) -> list[str]:
 
 
 def count_done(problem: ContactProblem, levels: list[float]) -> int:
-    """Return how many times the last walk has made, if these begin with them up to round-off."""
+    """Number of times of the last walk, if they are the first `levels` up to round-off, else 0."""
     committed = problem.committed
     walked = [step.time for step in committed.last_walk]
     size = max(map(abs, walked), default=0.0)
@@ -321,9 +306,9 @@ def count_done(problem: ContactProblem, levels: list[float]) -> int:
 
 
 def check_increasing(begin: float, levels: list[float]) -> None:
-    """Raise a ValueError unless times increase, by steps that numbers can tell, and square."""
+    """Raise a ValueError unless times increase, in steps dt with dt and dt^2 in floating point."""
     for before, after in zip([begin, *levels], levels, strict=False):
-        dt = QUARTER_OF_DIGITS * (after - before)  # of the step in which the start settles
+        dt = QUARTER_OF_DIGITS * (after - before)  # of the settling of the start
         if not np.isfinite((after - before) * (after - before)):
             raise ValueError(
                 f"times holds {after:g} after {before:g}: the square of that step is infinite; "
@@ -342,7 +327,7 @@ def check_increasing(begin: float, levels: list[float]) -> None:
 
 
 def find_inertia(problem: ContactProblem) -> list[Inertia]:
-    """Return the inertia of a problem, in a list; collective.
+    """The inertia of a problem, in a list; collective.
 
     Raises:
         ValueError: unless there is one, of its solid and with the mass for its contacts.
