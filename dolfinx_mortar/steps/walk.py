@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A run of steps along load levels or times: smaller steps after a failure, commits, checkpoints.
-
-The drivers `load_steps` and `time_steps` check arguments, and say how a step is solved.
-"""
+"""Steps along load levels or times: cuts after failures, commits, checkpoints."""
 
 from __future__ import annotations
 
@@ -49,11 +46,11 @@ class Level:
     """A point on the load path."""
 
     time: float
-    overlap: float = 0.0  # depth by which the sides may still overlap
+    overlap: float = 0.0  # depth of overlap that may remain
     share: float = 1.0  # of the step that ends here, a binary fraction
 
     def between(self, reached: Level) -> Level:
-        """Return the level halfway from the one reached."""
+        """The level halfway from the one reached."""
         return Level(
             (reached.time + self.time) / 2.0,
             (reached.overlap + self.overlap) / 2.0,
@@ -61,19 +58,19 @@ class Level:
         )
 
     def cuts(self, reached: Level) -> int:
-        """Return how often the step has been halved for the part from the level reached."""
+        """Number of halvings of the step, for the part from the level reached."""
         return round(-math.log2(self.share - reached.share))
 
 
 @dataclass(frozen=True)
 class Loading:
-    """The loads of a level: Constants of ramps, then a user's function."""
+    """Loads of a level: Constants of ramps, then a user's function."""
 
     ramps: Sequence[Ramp]
     on_time: Callable[[float], None] | None
 
     def __post_init__(self) -> None:
-        """Raise a ValueError unless the function is one."""
+        """Raise a ValueError unless `on_time` is a function."""
         check_optional("on_time", self.on_time, instance(Callable, "give a function of the level"))
 
     @property
@@ -82,7 +79,7 @@ class Loading:
         return bool(self.ramps) or self.on_time is not None
 
     def set(self, problem: ContactProblem, level: float) -> None:
-        """Set the loads of a level; an error on one rank is raised on all of them; collective."""
+        """Set the loads of a level, with errors on all ranks; collective."""
         for ramp in self.ramps:
             ramp.set(level)
         if self.on_time is not None:
@@ -98,37 +95,36 @@ class Loading:
 
 @dataclass
 class Solves:
-    """How the steps of a run are solved; with factorisations after multigrid has failed."""
+    """Solution of the steps of a run, by factorisations after multigrid has failed."""
 
     problem: ContactProblem
     qp: str
     rtol: float
     max_it: int
-    factorising: LinearSolver | None = None  # in place of the problem's
+    factorising: LinearSolver | None = None  # replaces the problem's
     name: ClassVar[str] = "load step"
 
     @property
     def linear(self) -> LinearSolver:
-        """The linear solver of the steps at present."""
+        """Present linear solver."""
         return self.factorising or self.problem.linear
 
     def commit(self, report: StepReport) -> None:
-        """Make a converged step the state from which the next one starts; collective."""
+        """Commit a converged step; collective."""
         self.problem.commit()
 
     def settings(self) -> dict[str, Any]:
-        """Return the settings that change results, by the name of the argument, as JSON values."""
+        """Settings that change results, by the name of the argument, as JSON values."""
         return {}
 
     def may_cut(self, loading: Loading) -> bool:
-        """Tell whether a part of a step is another problem than the whole step."""
+        """Whether a part of a step is another problem than the whole step."""
         return loading.changes
 
     def to(self, level: Level) -> StepReport:
-        """Solve a step to a level, if multigrid fails with a factorisation; collective.
+        """Solve a step to a level, by a factorisation if multigrid fails; collective.
 
-        If that fails as well, the next steps try multigrid again: the step was too large, or
-        nothing holds a body.
+        If both fail, later steps try multigrid again.
         """
         try:
             return self._solve(level, self.linear)
@@ -161,7 +157,7 @@ class Solves:
 
 @dataclass
 class Checkpoint:
-    """The file of a run, written when the committed state is new."""
+    """File of a run, written if the committed state is new."""
 
     problem: ContactProblem
     file: Path | None  # None for no checkpoints
@@ -169,7 +165,7 @@ class Checkpoint:
     new: bool = False
 
     def check_alone(self) -> None:
-        """Raise a ValueError if another run has started: each would change the other's state."""
+        """Raise a ValueError if another run has changed the committed state."""
         if self.problem.committed.walk is not self.walk:
             raise ValueError(
                 "problem: another load_steps has begun on it before this one was finished, and has "
@@ -195,18 +191,18 @@ def walk(
     progress: bool | None,
     done: int = 0,
 ) -> Iterator[LoadStep]:
-    """Walk along levels, see `load_steps` for the arguments and errors; collective.
+    """Make the steps to given levels, see `load_steps`; collective.
 
     Args:
-        solves: how a step is solved.
-        levels: where the steps end.
-        loading: the loads of a level.
-        begin: the level of the committed state.
+        solves: solution of a step.
+        levels: ends of the steps.
+        loading: loads of a level.
+        begin: level of the committed state.
         most: largest number of halvings of a step.
         file: of checkpoints, None for none.
-        every: after how many steps it is written.
-        progress: whether a line is printed for each step.
-        done: how many levels the last walk has reached already, which this one continues.
+        every: number of steps between two files.
+        progress: as in `load_steps`.
+        done: number of levels of the last walk, which this one continues.
     """
     problem = solves.problem
     committed = problem.committed
@@ -220,7 +216,7 @@ def walk(
         begin = _continue(solves, file, levels, loading, begin)
     committed.walk = Walk(begin, [one.rows for one in loading.ramps], settings)
     written = Checkpoint(problem, file, committed.walk)
-    done = committed.walked  # of the checkpoint, if there is one
+    done = committed.walked  # of the checkpoint, if any
     idle = _idle(problem, loading)
     tell = lines(problem.comm, False if progress is None and len(levels) == 1 else progress)
     for number, time in enumerate(levels[done:], start=done + 1):
@@ -234,7 +230,7 @@ def walk(
 
 
 def _idle(problem: ContactProblem, loading: Loading) -> list[str]:
-    """Return notes on tables without effect, which rank 0 logs; none if a function may use them."""
+    """Notes on tables without effect, logged by rank 0; none if there is a user's function."""
     if loading.on_time is not None:
         return []
     notes = notes_on_unread(loading.ramps, problem.constants())
@@ -251,18 +247,9 @@ def _continue(
     loading: Loading,
     begin: float,
 ) -> float:
-    """Restore a checkpoint if there is one, and check that the next can be written; collective.
-
-    Returns:
-        The initial level of the run: `begin` without a checkpoint.
-
-    Raises:
-        ValueError: on all ranks, if the first levels are not those that it has reached, if tables
-            differ up to there, or if steps were made otherwise.
-        OSError: on all ranks, if no file can be written there.
-    """
+    """Restore a checkpoint, or check that it can be written; return the first level; collective."""
     problem = solves.problem
-    # other ranks may have no access to the folder; the check has the errors of wrong names
+    # other ranks may have no access to the folder; `check_folder` raises for wrong names
     if not problem.comm.bcast(problem.comm.rank == 0 and os.path.exists(file)):
         check_folder(problem.comm, file)
         return begin
@@ -277,7 +264,7 @@ def _continue(
         check_folder(problem.comm, file)
     problem.outcome = saved.put()
     loading.set(problem, problem.committed.level)
-    problem.solid.follow()  # results of laws depend on parameters, too
+    problem.solid.follow()  # results of laws depend on parameters
     if problem.comm.rank == 0:
         left = "nothing is left to do" if len(walk) == len(levels) else "going on from there"
         log.warning(
@@ -327,7 +314,7 @@ def _check_tables(ramps: Sequence[Ramp], saved: Saved, file: Path) -> None:
 def _walk(
     solves: Solves, number: int, time: float, loading: Loading, most: int, written: Checkpoint
 ) -> LoadStep:
-    """Step to a level, in parts if that fails; return what the history has got; collective."""
+    """Step to a level, in parts if that fails; return the entry of the history; collective."""
     problem = solves.problem
     parts: list[StepReport] = []
     reached, pending = Level(problem.committed.level, share=0.0), [Level(time)]
@@ -356,7 +343,7 @@ def _walk(
                     f"{reached.time:g}): {cause}. {_describe_kept(len(parts), reached)}; "
                     "problem.diagnose() says more"
                 )
-                written.write()  # the last part is undone, on all ranks
+                written.write()  # all ranks have undone the last part
                 raise
             if problem.comm.rank == 0:
                 log.warning("no convergence at %g, trying half the step", level.time)
@@ -376,7 +363,7 @@ def _walk(
 def _book(
     problem: ContactProblem, number: int, time: float, parts: list[StepReport], cuts: int
 ) -> LoadStep:
-    """Put a step whose parts are committed into the history; return its entry; collective."""
+    """Add a committed step to the history; return its entry; collective."""
     last = parts[-1]
     last.cuts = cuts
     if cuts:
@@ -391,10 +378,7 @@ def _book(
 
 
 def find_overlap(problem: ContactProblem, rtol: float) -> float:
-    """Return the depth of overlaps at the present displacement; collective.
-
-    Up to rtol facet lengths, the tolerance of a step, count as 0.
-    """
+    """Depth of overlaps at the present u, 0 within rtol facet lengths; collective."""
     problem.update_geometry(0.0)
     gap = nodal_gaps(problem.system.links, problem.positions(), problem.n)
     deepest = float(maximum(problem.comm, (-gap).max(initial=0.0))[0])
@@ -402,7 +386,7 @@ def find_overlap(problem: ContactProblem, rtol: float) -> float:
 
 
 def _describe_kept(parts: int, reached: Level) -> str:
-    """Say which state a failed step leaves, given the number of its converged parts."""
+    """Text on the state after a failed step, given the number of its converged parts."""
     if not parts:
         return "The displacement and the committed state are as before the step"
     count = "1 part of it that has" if parts == 1 else f"{parts} parts of it that have"
@@ -414,13 +398,12 @@ def _describe_kept(parts: int, reached: Level) -> str:
 
 
 def lines(comm: MPI.Comm, wanted: bool | None) -> Callable[[str], None]:
-    """Return a function that logs a line on rank 0, and prints it unless the log is shown.
+    """Function that logs a line on rank 0, and prints it unless the log is shown; collective.
 
-    Args:
-        wanted: whether to print; None prints if logging is not configured, except in notebooks.
+    `wanted`: whether to print; None prints if logging is not configured, except in notebooks.
 
     Raises:
-        ValueError: on all ranks, if ``wanted`` is none of the three on any; collective.
+        ValueError: on all ranks, for other values.
     """
     with raised_together(comm):
         check_optional("progress", wanted, FLAG)
