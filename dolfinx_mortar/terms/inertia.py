@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-r"""Inertia and damping: bodies that move in time.
+"""Inertia and damping: bodies that move in time.
 
 With the forces G = f + c + R - F(u) - C v of loads, contacts, supports, bodies and damping, a step
 of the generalised alpha method (Chung and Hulbert 1993) solves
@@ -8,13 +8,10 @@ of the generalised alpha method (Chung and Hulbert 1993) solves
     u = u_n + dt v_n + dt^2 ((1/2 - beta) a_n + beta a),
     v = v_n + dt ((1 - gamma) a_n + gamma a).
 
-Divided by 1 - af it is the balance of forces at the end of the step, with the forces of a term that
-has a potential,
+Divided by 1 - af it is the balance of forces at the end of a static step, with a term of potential
 
     Pi(u) = kappa/2 |u - p|^2_M + g.u,      kappa = (1 - am) / ((1 - af) beta dt^2),
-    p = u_n + dt v_n + dt^2 (1/2 - beta) a_n,      g = (am M a_n - af G_n) / (1 - af),
-
-so that a step of dynamics is the minimisation that a step is without inertia.
+    p = u_n + dt v_n + dt^2 (1/2 - beta) a_n,      g = (am M a_n - af G_n) / (1 - af).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -58,7 +55,7 @@ NO_TIME = (
 
 
 def has_square(dt: float) -> bool:
-    """Tell whether the square of a number is one: of small ones it is 0, of large ones infinite."""
+    """Whether dt^2 is neither 0 nor infinite in floating point."""
     return 0.0 < dt * dt < np.inf
 
 
@@ -67,10 +64,10 @@ as_floats = partial(np.asarray, dtype=np.float64)
 
 @dataclass(frozen=True)
 class Scheme:
-    """The parameters of the generalised alpha method.
+    """Parameters of the generalised alpha method.
 
-    Second order needs gamma = 1/2 - am + af; stability for all dt, am <= af <= 1/2 and beta >= 1/4
-    + (af - am)/2.
+    Second order: gamma = 1/2 - am + af; stable for all dt: am <= af <= 1/2, beta >= 1/4 +
+    (af - am)/2.
     """
 
     am: float = 0.0
@@ -86,9 +83,9 @@ IMPLICIT = Scheme(beta=1.0, gamma=1.0)
 
 
 def generalised_alpha(radius: float) -> Scheme:
-    """Return the scheme whose highest frequencies are damped to a share of them in each step.
+    """Scheme that multiplies the highest frequencies by `radius` in each step.
 
-    Chung and Hulbert (1993), eqs. 17, 20 and 25: with a spectral radius of 1 none is.
+    Chung and Hulbert (1993), eqs. 17, 20 and 25; 1 damps nothing.
     """
     am, af = (2.0 * radius - 1.0) / (radius + 1.0), radius / (radius + 1.0)
     return Scheme(am, af, 0.25 * (1.0 - am + af) ** 2, 0.5 - am + af)
@@ -96,11 +93,11 @@ def generalised_alpha(radius: float) -> Scheme:
 
 @dataclass(frozen=True)
 class Motion:
-    """Velocity, acceleration and forces of the bodies at a time, (owned nodes, d) each."""
+    """Velocity, acceleration and forces at a time, (owned nodes, d) each."""
 
     velocity: Floats
     acceleration: Floats
-    balance: Floats  # G, all forces on a node, which its mass times acceleration equals
+    balance: Floats  # G
 
 
 @dataclass(frozen=True)
@@ -122,14 +119,14 @@ class Inertia(Term):
         for step in dm.time_steps(problem, times):
             print(step.time, inertia.kinetic_energy())
 
-    The mass matrix is consistent and assembled once. Nodes of sides that can open have no mass: it
-    is moved to the nodes behind them such that the mass of each body, its centre and its moments of
-    inertia are conserved, see `dolfinx_mortar.terms.mass`. That takes four layers of cells behind
-    each side; with three the moments of inertia change, with one or two nodes keep their mass. In
-    axisymmetry mass, energy and momentum are those of the whole ring, in the plane per thickness.
+    The mass of nodes of sides that can open is moved to the nodes behind them; mass, centre and
+    moments of inertia of each body are conserved if there are four layers of cells behind each
+    side, mass and centre with three; with one or two nodes keep their mass, see
+    `dolfinx_mortar.terms.mass`. Mass, energy and momentum are those of the whole ring in
+    axisymmetry, per thickness in the plane.
 
     Attributes:
-        scheme: how steps are made; `time_steps` sets it.
+        scheme: of the steps; `time_steps` sets it.
         velocity: of the last step, at first the initial one, a Function on ``solid.V``.
         acceleration: of the last step, a Function on ``solid.V``.
 
@@ -137,7 +134,7 @@ class Inertia(Term):
         solid: the bodies.
         density: mass per volume at X: a positive number or Constant, whose value is read here, or
             one for each tag of cells.
-        cell_tags: tags of the cells, where ``density`` or ``velocity`` are given by tag.
+        cell_tags: for ``density`` or ``velocity`` by tag.
         velocity: at the start; d numbers, a Function on ``solid.V``, a function of the coordinates
             as `fem.Function.interpolate` takes it, or d numbers by tag of cells.
 
@@ -187,10 +184,8 @@ class Inertia(Term):
         set_velocity(self.velocity, velocity, cell_tags)
         self._start: Start | None = None
         self._end: Motion | None = None
-        self._added: tuple[int, float] | None = None  # the last matrix, and its factor of M
-        self._met: tuple[Bools, Ints] | None = None  # what the mass was made for
-
-    # -- the state -------------------------------------------------------------------------------
+        self._added: tuple[int, float] | None = None  # last matrix, and its factor of M
+        self._met: tuple[Bools, Ints] | None = None  # arguments of the last `meet`
 
     @property
     def state(self) -> Mapping[str, fem.Function]:
@@ -213,7 +208,7 @@ class Inertia(Term):
         return self._state["acceleration"]
 
     def values(self, name: str) -> Floats:
-        """Return a part of the state at the owned nodes, (owned nodes, d)."""
+        """A part of the state, (owned nodes, d)."""
         return self._owned(self._state[name])
 
     def put(self, **values: Floats) -> None:
@@ -227,19 +222,14 @@ class Inertia(Term):
         n, d = self.mass.X.shape
         return np.asarray(f.x.array[: n * d].reshape(n, d))
 
-    # -- a step ----------------------------------------------------------------------------------
-
     def meet(self, contact: Bools, body: Ints) -> None:
-        """Take the mass off the nodes of contacts; collective."""
+        """Remove the mass from contact nodes (owned nodes,); collective."""
         self.mass = relieve(self.plain, contact, body)
         self.couplings = self.mass.couplings(self.plain.matrix)
         self._added, self._met = None, (contact.copy(), body.copy())
 
     def check_met(self, contact: Bools, body: Ints) -> None:
-        """Raise a ValueError on all ranks if a problem made later has other contacts; collective.
-
-        The arguments are those of `meet`.
-        """
+        """Raise a ValueError on all ranks unless the arguments are those of `meet`; collective."""
         same = self._met is not None and all(map(np.array_equal, self._met, (contact, body)))
         if any_rank(self.comm, not same)[0]:
             raise ValueError(
@@ -248,15 +238,15 @@ class Inertia(Term):
             )
 
     def begin(self, start: float, end: float) -> None:
-        """Prepare a step from one time to another.
+        """Prepare a step from time `start` to `end`.
 
         Raises:
-            ValueError: unless time goes on.
+            ValueError: unless end > start.
         """
         dt = end - start
         if not (dt > 0.0 and has_square(dt)):
             raise ValueError(f"Inertia: the step goes from {start:g} to {end:g}; {NO_TIME}")
-        # Of equal steps 13 digits are the same after a thousand; so they have one matrix.
+        # 13 digits of equal steps agree after a thousand of them: they share a matrix
         dt = float(f"{dt:.11e}")
         s, mass = self.scheme, self.mass
         v, a = mass.extend(self.values("velocity")), self.values("acceleration")
@@ -266,7 +256,7 @@ class Inertia(Term):
         self._start, self._end = Start(dt, s, predicted, constant, kappa), None
 
     def stride(self) -> float:
-        """Return how far velocity and acceleration carry a node of this rank."""
+        """Largest component of u - p on this rank."""
         return float(np.abs(self._change).max(initial=0.0))
 
     @property
@@ -278,11 +268,11 @@ class Inertia(Term):
 
     @property
     def _change(self) -> Floats:
-        """The displacement less the predicted one."""
+        """Difference u - p, (owned nodes, d)."""
         return self._owned(self.solid.u) - self.start.predicted
 
     def energy(self) -> Floats:
-        """Return the addends of Pi(u) of this rank; those of a body at rest before any step."""
+        """Addends of Pi(u) on this rank; 0 before any step."""
         if self._start is None:
             return np.zeros(1)
         w = self._change
@@ -297,17 +287,17 @@ class Inertia(Term):
         F.array_w[:] += forces.ravel()
 
     def add_tangent(self, K: PETSc.Mat) -> None:
-        """Add kappa M; before any step M, which an audit reads."""
+        """Add kappa M; before any step M, for audits."""
         factor = 1.0 if self._start is None else self._start.kappa
         self.mass.add_to(K, factor)
         self._added = K.handle, factor
 
     def varies(self, K: PETSc.Mat) -> bool:
-        """Tell whether a matrix was assembled with another kappa: for another length of step."""
+        """Whether a matrix was assembled with another kappa, as for another dt."""
         return self._added != (K.handle, self.start.kappa)
 
     def end(self) -> Motion:
-        """Return the motion at the present u, at the end of the step; collective."""
+        """Motion at the end of the step, at the present u; collective."""
         start, s, mass = self.start, self.start.scheme, self.mass
         before, a_n = mass.extend(self.values("velocity")), self.values("acceleration")
         a = mass.extend(as_floats(self._change / (s.beta * start.dt**2)))
@@ -317,13 +307,13 @@ class Inertia(Term):
         return Motion(v, a, as_floats(balance))
 
     def finish(self, motion: Motion) -> None:
-        """Say with which motion the step is to be committed, where it is not that of `end`."""
+        """Set the motion to be committed instead of that of `end`."""
         self._end = motion
 
     def commit(self) -> None:
-        """Make the motion at the end of the step that from which the next one starts; collective.
+        """Make the motion at the end of the step the start of the next one; collective.
 
-        Without a step, where a displacement has been set by hand, nothing changes.
+        Without a step nothing changes.
         """
         if self._start is None:
             return
@@ -335,14 +325,12 @@ class Inertia(Term):
         """Forget the step."""
         self._start = self._end = None
 
-    # -- results ---------------------------------------------------------------------------------
-
     def kinetic_energy(self) -> float:
         """Return 1/2 v.M v; collective."""
         return self.energy_of(self.values("velocity"))
 
     def energy_of(self, velocity: Floats) -> float:
-        """Return 1/2 v.M v of a velocity (owned nodes, d); collective."""
+        """1/2 v.M v of a velocity (owned nodes, d); collective."""
         return 0.5 * self.sum((velocity * self.mass.times(velocity)).sum())
 
     def momentum(self) -> Floats:
@@ -351,13 +339,9 @@ class Inertia(Term):
         return np.asarray(self.comm.allreduce(moments.sum(axis=0), op=MPI.SUM))
 
     def moment_of_momentum(self, about: Sequence[float] | None = None) -> Floats:
-        """Return sum_i (x_i - about) x (M v)_i; collective.
+        """Return sum_i (x_i - about) x (M v)_i, (1,) in the plane, (3,) in space; collective.
 
-        Points are at X at small strain, of which the linear theory keeps the moment, at X + u at
-        finite strain. In the plane (1,), in space (3,).
-
-        Args:
-            about: point, by default the origin.
+        x is X at small strain, X + u at finite strain; ``about`` is a point, by default the origin.
         """
         x = self.mass.X - (0.0 if about is None else np.asarray(about, dtype=float))
         if self.solid.strain == "finite":
@@ -375,15 +359,14 @@ class Inertia(Term):
         return self.solid.mesh.comm
 
     def sum(self, share: float | np.floating[Any]) -> float:
-        """Return the sum of shares over all ranks; collective."""
+        """Sum of a number over all ranks; collective."""
         return float(self.comm.allreduce(float(share), op=MPI.SUM))
 
 
 class Damping(Term):
-    r"""Rayleigh's damping: forces -C v with C = a M + b K, K the elastic stiffness at X.
+    """Rayleigh's damping: forces -C v with C = a M + b K, K the elastic stiffness at X.
 
-    A mode of the angular frequency w loses energy like a spring with the damping ratio
-    (a / w + b w) / 2.
+    The damping ratio of a mode of angular frequency w is (a / w + b w) / 2.
 
     Args:
         inertia: of the bodies, in the same problem.
@@ -427,7 +410,7 @@ class Damping(Term):
 
     @property
     def shares(self) -> list[float]:
-        """The factors a of the mass and b of the stiffness."""
+        """Factors a and b of mass and stiffness."""
         return [self._mass, self._stiffness]
 
     def times(self, velocity: Floats) -> Floats:
@@ -448,7 +431,7 @@ class Damping(Term):
         return rate, constant - rate * start.predicted
 
     def velocity(self) -> Floats:
-        """Return the velocity at the present u, at the end of the step."""
+        """Velocity at the present u, at the end of the step."""
         rate, constant = self._rate()
         u = self._inertia.solid.u.x.array[: constant.size].reshape(constant.shape)
         return np.asarray(rate * u + constant)
@@ -458,7 +441,7 @@ class Damping(Term):
         return self._inertia._start is not None
 
     def energy(self) -> Floats:
-        """Return the addends of |v|^2_C / (2 r), whose derivative are the forces C v."""
+        """Addends of |v|^2_C / (2 r), whose derivative is C v."""
         if not self._moves:
             return np.zeros(1)
         v = self.velocity()
@@ -470,7 +453,7 @@ class Damping(Term):
             F.array_w[:] += self.times(self.velocity()).ravel()
 
     def varies(self, K: PETSc.Mat) -> bool:
-        """Tell whether a matrix was assembled with another rate: for another length of step."""
+        """Whether a matrix was assembled with another rate r, as for another dt."""
         return self._inertia.varies(K)
 
     def add_tangent(self, K: PETSc.Mat) -> None:
@@ -479,9 +462,6 @@ class Damping(Term):
             rate = self._rate()[0]
             self._inertia.mass.add_to(K, rate * self._mass)
             self._inertia.solid.forms.add_elastic(K, rate * self._stiffness)
-
-
-# -- arguments -----------------------------------------------------------------------------------
 
 
 def read_numbers(density: Any) -> None:
@@ -497,24 +477,24 @@ def read_numbers(density: Any) -> None:
 
 
 def numbers_of(density: Any) -> Any:
-    """Return the number, or the numbers by tag."""
+    """Densities as one number, or as numbers by tag."""
     if isinstance(density, Mapping):
         return {str(tag): float(_value(given)) for tag, given in sorted(density.items(), key=str)}
     return float(_value(density))
 
 
 def _value(given: Any) -> Any:
-    """Return the number of a Constant, other things unchanged."""
+    """The number in a scalar Constant, other objects unchanged."""
     if isinstance(given, fem.Constant) and given.value.shape == ():
         return float(given.value)
     return given
 
 
 def create_density(solid: Solid, density: Any, cell_tags: Any) -> Any:
-    """Return the density in the cells, as UFL; collective.
+    """Density as UFL; collective.
 
     Raises:
-        ValueError: on all ranks, for tags that are unknown, and for cells without a density.
+        ValueError: on all ranks, for unknown tags and cells without density.
     """
     if not isinstance(density, Mapping):
         return fem.Constant(solid.mesh, np.float64(_value(density)))
@@ -530,14 +510,14 @@ def set_velocity(target: fem.Function, given: Any, cell_tags: Any) -> None:
     """Set the initial velocity; collective.
 
     Raises:
-        ValueError: on all ranks, for what is none.
+        ValueError: on all ranks, naming a wrong velocity.
     """
     V, d = target.function_space, target.function_space.dofmap.index_map_bs
     wanted = f"give {d} finite numbers, a Function on solid.V, or a function of the coordinates"
     if given is None:
         return
     if isinstance(given, fem.Function):
-        space = given.function_space  # another one with the same values at the same nodes will do
+        space = given.function_space  # another space of the same mesh and element will do
         same = space.mesh is V.mesh and space.ufl_element() == V.ufl_element()
         if space != V and (not same or space.component()):
             raise ValueError(
@@ -563,7 +543,7 @@ def set_velocity(target: fem.Function, given: Any, cell_tags: Any) -> None:
 
 
 def _set_by_tag(target: fem.Function, given: Any, cell_tags: Any, wanted: str) -> None:
-    """Set velocities of bodies."""
+    """Set velocities by tag of cells."""
     V, d = target.function_space, target.function_space.dofmap.index_map_bs
     rule = array((d,), remedy=wanted)
     found, tags = by_cells(V.mesh, cell_tags, given, "Inertia: velocity")
