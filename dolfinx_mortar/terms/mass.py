@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: MIT
-r"""The mass matrix, without mass at the nodes of sides that can open.
+"""The mass matrix, without mass at the nodes of sides that can open.
 
-A node with mass that meets an obstacle stops in no time, which takes an impulse: in finite steps
-contact forces oscillate, and energy appears or is lost with every impact. Without mass at these
-nodes contact forces are those of the elastic layer behind them, which are continuous in time
-(Khenous, Laborde, Renard 2008, "Mass redistribution method for finite element contact problems in
-elastodynamics"). With the consistent mass M of one displacement component,
+A node with mass that meets an obstacle needs an impulse: in finite steps contact forces oscillate,
+and impacts add or lose energy. Without mass at these nodes the contact forces are those of the
+elastic layer behind them, continuous in time (Khenous, Laborde, Renard 2008, "Mass redistribution
+method for finite element contact problems in elastodynamics"). With the consistent mass M of one
+displacement component,
 
     M* = D P^T M P D,     (P v)_c = mean of v at the inner nodes nearest to c,   (P v)_i = v_i,
 
 so that the layer moves with the nodes next to it. M* is positive semidefinite, zero in the rows of
-contact nodes. The diagonal D = 1 + s, s a polynomial of degree two in each body, gives each body
-the mass, the centre and the moments of inertia of M: sum_ij p_i M*_ij q_j is the same for p and q
-in {1, x, y, z}. As P moves a layer of the width h by h, s is of order h^2.
+contact nodes. D = 1 + s is diagonal, s a polynomial of degree two in each body, such that mass,
+centre and moments of inertia are those of M: sum_ij p_i M*_ij q_j is the same for p and q in {1, x,
+y, z}. In a layer of width h, s is of order h^2.
 """
 
 from collections.abc import Iterator
@@ -48,19 +48,16 @@ cubes: with 1 tetrahedra and triangles keep mass at corners and edges, with 2 to
 
 @dataclass(frozen=True)
 class Mass:
-    """The mass matrix M* of one displacement component, the same for all of them.
-
-    Values are (owned nodes, d).
-    """
+    """The mass matrix M* of each displacement component; values are (owned nodes, d)."""
 
     matrix: PETSc.Mat  # AIJ, of nodes
     X: Floats  # (owned nodes, d)
     extension: PETSc.Mat | None = None  # P, None for the identity
-    bare: Bools | None = None  # (owned nodes,) without mass; None for none of them
+    bare: Bools | None = None  # (owned nodes,) without mass; None for none
 
     @property
     def massless(self) -> Bools:
-        """Which owned nodes have no mass, (owned nodes,)."""
+        """Owned nodes without mass."""
         return np.zeros(len(self.X), dtype=bool) if self.bare is None else self.bare
 
     def times(self, values: Floats) -> Floats:
@@ -68,40 +65,37 @@ class Mass:
         return _apply(self.matrix, values)
 
     def extend(self, values: Floats) -> Floats:
-        """Return P v, the velocities that count; collective."""
+        """P v; collective."""
         return values if self.extension is None else _apply(self.extension, values)
 
     def inner(self, forces: Floats) -> Floats:
-        """Return P^T f, the forces that act on the nodes with mass; collective."""
+        """P^T f, the forces on the nodes with mass; collective."""
         P = self.extension
         return forces if P is None else _apply(P, forces, transposed=True)
 
     def add_to(self, K: PETSc.Mat, factor: float) -> None:
-        """Add factor M* to each component of K, on the pattern that K has."""
+        """Add factor M* to each component of K, within its pattern."""
         indptr, columns, values = self.matrix.getValuesCSR()
         blocks = factor * values[:, None, None] * np.eye(self.X.shape[1])
         K.setValuesBlockedIJV(indptr, columns, blocks.ravel(), addv=PETSc.InsertMode.ADD_VALUES)
 
     def solve(self, values: Floats, held: Bools) -> Floats:
-        """Return v with M* v = f at nodes with mass, v = 0 where held, extended by P; collective.
+        """Return P v, M* v = f at nodes with mass, v = 0 where held; collective.
 
         Args:
             values: f.
-            held: (owned nodes, d) components that are prescribed.
+            held: (owned nodes, d) prescribed components.
 
         Raises:
-            RuntimeError: on all ranks, if conjugate gradients find no solution, as for forces that
-                are not finite.
+            RuntimeError: on all ranks, if conjugate gradients do not converge, as for infinite
+                forces.
         """
         free = ~(held | self.massless[:, None])
         columns = [self._solve(values[:, k], free[:, k], "xyz"[k]) for k in range(values.shape[1])]
         return self.extend(np.stack(columns, axis=1))
 
     def _solve(self, values: Floats, free: Bools, along: str) -> Floats:
-        """Return x, 0 where not free, with the free rows and columns of M* x = values; collective.
-
-        Where these are singular conjugate gradients find one of the solutions, as there is one.
-        """
+        """x, 0 where not free, with the free rows and columns of M* x = values; collective."""
         result = np.zeros_like(values)
         solver = self._solver(free)
         b, x = solver.getOperators()[0].createVecs()
@@ -118,11 +112,7 @@ class Mass:
         return result
 
     def _solver(self, free: Bools) -> PETSc.KSP:
-        """Return conjugate gradients for the rows and columns that are free; collective.
-
-        The condition number of a consistent mass, scaled by its diagonal, does not depend on the
-        mesh: ten digits are some twenty iterations, of which PETSc allows ten thousand.
-        """
+        """Conjugate gradients for the free rows and columns, some twenty iterations; collective."""
         first = self.matrix.getOwnershipRange()[0]
         rows = (np.flatnonzero(free) + first).astype(PETSc.IntType)
         chosen = PETSc.IS().createGeneral(rows, comm=self.matrix.comm)
@@ -134,11 +124,7 @@ class Mass:
         return solver
 
     def couplings(self, plain: PETSc.Mat) -> list[Ints]:
-        """Return the blocks of dofs that M* couples beyond the pattern of another matrix, of rows.
-
-        Args:
-            plain: the mass matrix of the mesh.
-        """
+        """Blocks of dofs that M* couples beyond the pattern of the consistent mass, by rows."""
         d = self.X.shape[1]
         first = plain.getOwnershipRange()[0]
         indptr, columns, _ = self.matrix.getValuesCSR()
@@ -159,7 +145,7 @@ def assemble_mass(V: fem.FunctionSpace, density: Any, weight: Any) -> Mass:
     """Assemble the consistent mass of one component: int rho N_i N_j weight dx; collective.
 
     Args:
-        density: UFL.
+        density: rho in UFL.
         weight: volume per integrated area or volume, UFL.
     """
     scalar = V.sub(0).collapse()[0]
@@ -171,11 +157,11 @@ def assemble_mass(V: fem.FunctionSpace, density: Any, weight: Any) -> Mass:
 
 
 def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
-    """Return the mass without any at contact nodes; collective.
+    """The mass without contact nodes; collective.
 
-    Where a body has too few inner nodes for its moments of inertia, less than four layers, it keeps
-    mass and centre; in one or two layers of cells all nodes keep their mass, and so does a node
-    that has no inner node within three cells.
+    With less than four layers of nodes a body keeps mass and centre, but not its moments of
+    inertia; with one or two, all nodes keep their mass, as do nodes without an inner node within
+    three cells.
 
     Args:
         plain: the consistent mass.
@@ -201,7 +187,7 @@ def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
 
 
 def _create(like: PETSc.Mat, csr: Any) -> PETSc.Mat:
-    """Return a matrix with the rows of another one, from lists of rows; collective."""
+    """Matrix with the layout of another one, from lists of rows; collective."""
     indptr, columns, values = csr
     (n, N), _ = like.getSizes()
     arrays = (
@@ -213,14 +199,14 @@ def _create(like: PETSc.Mat, csr: Any) -> PETSc.Mat:
 
 
 def _sum_by_body(comm: MPI.Intracomm, body: Ints, count: int, values: Floats) -> Floats:
-    """Return the sums (count, m) over each body of values (owned nodes, m); collective."""
+    """Sums (count, m) over each body of values (owned nodes, m); collective."""
     sums = np.zeros((count, values.shape[1]))
     np.add.at(sums, body, values)
     return np.asarray(comm.allreduce(sums))
 
 
 def _extension(plain: Mass, contact: Bools) -> tuple[PETSc.Mat, Bools]:
-    """Return P, and which contact nodes have found an inner node; collective."""
+    """P, and the contact nodes that have an inner node; collective."""
     weights = _find_weights(plain, contact)
     n, first, own = len(contact), plain.matrix.getOwnershipRange()[0], np.ones(1)
     bare = np.zeros(n, dtype=bool)
@@ -235,7 +221,7 @@ def _extension(plain: Mass, contact: Bools) -> tuple[PETSc.Mat, Bools]:
 
 
 def _find_weights(plain: Mass, contact: Bools) -> dict[int, tuple[Ints, Floats]]:
-    """Return the inner nodes of contact nodes, and their weights; collective."""
+    """Inner nodes of contact nodes, and their weights; collective."""
     M, n = plain.matrix, len(contact)
     first = M.getOwnershipRange()[0]
     weights: dict[int, tuple[Ints, Floats]] = {}
@@ -257,11 +243,7 @@ def _find_weights(plain: Mass, contact: Bools) -> dict[int, tuple[Ints, Floats]]
 def _inner_nodes(
     plain: Mass, near: PETSc.Mat, rows: Ints, contact: Bools
 ) -> Iterator[tuple[int, tuple[Ints, Floats]]]:
-    """Yield for rows of a pattern the nearest nodes off the contact sides, in equal shares.
-
-    Equal distances count as one up to half of the digits, so that the choice does not depend on the
-    numbering.
-    """
+    """Yield rows with the nearest nodes off the contact sides, to half of the digits."""
     indptr, columns, _ = near.getValuesCSR()
     wanted, place = np.unique(columns, return_inverse=True)
     there = values_at(plain.matrix.comm, np.column_stack([plain.X, contact]), wanted)[place]
@@ -278,17 +260,7 @@ def _inner_nodes(
 def _restore_moments(
     plain: Mass, moved: PETSc.Mat, body: Ints, degree: Ints
 ) -> tuple[Floats, Bools]:
-    """Return the diagonal of D, for which M* has the moments of M, and of which bodies; collective.
-
-    Newton's method for the coefficients of s, from s = 0; as s is small, it has all digits after
-    three or four steps.
-
-    Args:
-        plain: the consistent mass.
-        moved: the one without mass at contact nodes.
-        body: (owned nodes,) numbers of the bodies.
-        degree: of s, for each body: 2 for all moments, 1 for mass and centre, 0 for nothing.
-    """
+    """Diagonal of D by Newton's method from s = 0, and the bodies whose moments are those of M."""
     comm, count = moved.comm.tompi4py(), len(degree)
     by_body = partial(_sum_by_body, comm, body, count)
     n, d = plain.X.shape
@@ -298,7 +270,7 @@ def _restore_moments(
     p = np.column_stack([np.ones(n), x / size[body][:, None]])
     pairs = list(combinations_with_replacement(range(d + 1), 2))
     q = np.stack([p[:, a] * p[:, b] for a, b in pairs], axis=1)
-    # those with 1 come first
+    # degree of s: 2 for all moments, 1 for mass and centre (the first pairs), 0 for none
     used = np.arange(len(pairs)) < np.choose(degree, [0, d + 1, len(pairs)])[:, None]
 
     def moments(left: Floats, right: Floats) -> Floats:
@@ -328,7 +300,7 @@ def _restore_moments(
 
 
 def _apply(matrix: PETSc.Mat, values: Floats, *, transposed: bool = False) -> Floats:
-    """Return a matrix, or its transpose, times columns (owned rows, k); collective."""
+    """A matrix, or its transpose, times columns (owned rows, k); collective."""
     x, y = matrix.createVecs()
     result = np.empty_like(values)
     for k in range(values.shape[1]):
