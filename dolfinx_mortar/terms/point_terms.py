@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Terms that act on one node: a dead force and a spring to the ground."""
+"""Terms of one node: a dead force and a spring to the ground."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -18,7 +18,7 @@ from dolfinx_mortar.solid.term import Term
 
 
 class PointTerm(Term):
-    """A term of the displacement of the node at a point, the base of those in this module."""
+    """A term of the displacement of the node at a point."""
 
     linear = True
 
@@ -38,14 +38,14 @@ class PointTerm(Term):
         self._u: fem.Function | None = None
 
     def given(self) -> Mapping[str, Any]:
-        """Return what all ranks have to give the same; see `agreement`."""
+        """Arguments that have to agree on all ranks; see `agreement`."""
         return self._given
 
     def act_on(self, u: fem.Function) -> None:
-        """Learn the displacement, when a problem is made.
+        """Bind the displacement of a problem.
 
         Raises:
-            ValueError: if V is not its space, or the term acts on another one.
+            ValueError: if V is not its space, or for a second displacement.
         """
         if u.function_space != self.V:
             raise ValueError(f"{type(self).__name__}: V is not the space of solid.u: give solid.V")
@@ -58,7 +58,7 @@ class PointTerm(Term):
 
     @property
     def _moved(self) -> Floats:
-        """The displacement (m, d) of the node, m = 1 on its rank and 0 on others."""
+        """Displacement (m, d) of the node, m = 1 on its rank and 0 on others."""
         if self._u is None:
             raise ValueError(f"{type(self).__name__}: it acts in a problem: ContactProblem(terms=)")
         return np.asarray(self._u.x.array.reshape(-1, self.V.mesh.geometry.dim)[self._node])
@@ -73,9 +73,8 @@ class PointForce(PointTerm):
         tip = fem.Constant(mesh, (0.0, -50.0))
         problem = dm.ContactProblem(solid, bcs=bcs, terms=[dm.PointForce(V, (4.0, 1.0), tip)])
 
-    Below a force on one point stresses have no limit as the mesh is refined, nor has the
-    displacement in 2D and 3D: that of the node is one of the mesh, while all that is farther away
-    converges. A traction on a small side has no such point.
+    As the mesh is refined stresses below the force diverge, in 2D and 3D also the displacement of
+    the node; everything farther away converges. A traction on a small side has no such singularity.
 
     Args:
         V: space of the displacement.
@@ -96,7 +95,7 @@ class PointForce(PointTerm):
         self._f = self._read()
 
     def _read(self) -> Floats:
-        """Return the present force (d,)."""
+        """The present force (d,)."""
         constant = isinstance(self._value, fem.Constant)
         d = self.V.mesh.geometry.dim
         remedy = f"give {d} finite components, numbers or a Constant"
@@ -108,7 +107,7 @@ class PointForce(PointTerm):
         self._f = self._read()
 
     def energy(self) -> Floats:
-        """Return the addends -f_i u_i of this rank."""
+        """Addends -f_i u_i of this rank."""
         return np.asarray(-self._f * self._moved).ravel()
 
     def add_forces(self, F: PETSc.Vec) -> None:
@@ -116,13 +115,13 @@ class PointForce(PointTerm):
         self._add(F, -self._f)
 
     def add_tangent(self, K: PETSc.Mat) -> None:
-        """Add nothing: the force is dead."""
+        """Add nothing."""
 
 
 class PointSpring(PointTerm):
     """A spring from the node at a point to the ground: Pi(u) = 1/2 u(X).k u(X).
 
-    Its force on the node is -k u. A soft one holds what nothing else does: ``k * outer(n, n)`` in
+    Its force on the node is -k u. A soft spring prevents rigid motions; ``k * outer(n, n)`` acts in
     the direction n alone.
 
     Args:
@@ -148,11 +147,11 @@ class PointSpring(PointTerm):
         self._k = k if k.ndim else k * np.eye(d)
 
     def varies(self, K: PETSc.Mat) -> bool:
-        """Tell that the stiffness is constant."""
+        """False: the stiffness is constant."""
         return False
 
     def energy(self) -> Floats:
-        """Return the addends u_i (k u)_i / 2 of this rank."""
+        """Addends u_i (k u)_i / 2 of this rank."""
         return np.asarray(0.5 * self._moved * (self._moved @ self._k)).ravel()
 
     def add_forces(self, F: PETSc.Vec) -> None:
@@ -168,14 +167,14 @@ class PointSpring(PointTerm):
 
 
 def _is_semidefinite(k: Floats) -> bool:
-    """Tell whether a number or a matrix is symmetric and positive semidefinite, to round-off."""
+    """Whether a number or a matrix is symmetric and positive semidefinite, to round-off."""
     k = np.atleast_2d(k)
     error = ROUND_OFF * np.abs(k).max()
     return bool(np.abs(k - k.T).max() <= error and np.linalg.eigvalsh(k)[0] >= -error)
 
 
 def find_node(V: fem.FunctionSpace, point: Floats, name: str) -> Ints:
-    """Return the node at a point, none on ranks that do not own it; collective.
+    """The node at a point, empty on ranks that do not own it; collective.
 
     Raises:
         ValueError: on all ranks, unless there is exactly one.
