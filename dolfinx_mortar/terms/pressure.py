@@ -33,25 +33,24 @@ class Pressure(WeakForm):
 
         F_i = int p (cof F N) . phi_i dS,    cof F = det F F^-T.
 
-    Its tangent is the symmetric part of dF/du. On a closed surface, or one whose edges are held or
-    slide in planes through the origin, it is symmetric: p then has the potential p V, V the volume
-    that the surface bounds, and Newton's method is quadratic and has its line search. Else whole
-    steps are made and converge linearly, at a rate of about p over the moduli, but for the end of
-    steps in which contact is closed: tangents of moving surfaces have the antisymmetric part, too.
-    Dead loads, whose direction and area are those at X, are the argument ``loads`` of the problem.
+    Its tangent is the symmetric part of dF/du. dF/du is symmetric on a closed surface, or if the
+    edges of the surface are fixed or slide in planes through the origin: p then has the potential p
+    V, V the enclosed volume, and Newton's method is quadratic, with a line search. Otherwise whole
+    steps converge linearly, at a rate of about p over the moduli, except with the exact tangent of
+    closed contacts, which includes the antisymmetric part. For dead loads, with direction and area
+    at X, see ``loads`` of the problem.
 
-    In plane stress cof F is that of the plane times the stretch through the thickness, which the
-    law finds at the integration points; on the edge it is continued from the adjacent cell by its
-    projection onto linear functions of X. Its derivative is no part of the tangent.
+    In plane stress cof F is that of the plane times the stretch through the thickness, extrapolated
+    from the integration points of the adjacent cell by its projection onto linear functions of X.
+    The tangent omits its derivative.
 
     Args:
         solid: the bodies, with ``strain="finite"``.
         facet_tags: tags of facets of their mesh.
-        tag: where the pressure acts, a tag or its name; exterior facets.
+        tag: a tag or its name, of exterior facets.
         p: pressure, positive into the body: a number, or a Constant, a Function or UFL, whose
             values may change between steps.
-        closed: whether it has the potential, as above; not in plane stress, where the edge of a
-            plate has none.
+        closed: whether it has the potential p V; not in plane stress.
 
     Raises:
         ValueError: naming a wrong argument, as a tag of facets inside the mesh, or ``closed`` in
@@ -96,17 +95,17 @@ class Pressure(WeakForm):
             self._asymmetric = None
 
     def add_forces(self, F: PETSc.Vec) -> None:
-        """Add the forces, at the present thickness; collective."""
+        """Add the forces at the present thickness; collective."""
         self._follow()
         super().add_forces(F)
 
     def add_tangent(self, K: PETSc.Mat) -> None:
-        """Add the tangent, at the present thickness; collective."""
+        """Add the tangent at the present thickness; collective."""
         self._follow()
         super().add_tangent(K)
 
     def skew(self) -> PETSc.Mat | None:
-        """Return the antisymmetric part at the present thickness, None if closed; collective."""
+        """Antisymmetric part at the present thickness, None if closed; collective."""
         self._follow()
         return super().skew()
 
@@ -115,12 +114,10 @@ class Pressure(WeakForm):
             self._thickness.follow()
 
     def has_potential(self, free: Bools) -> bool:
-        """Tell whether p V is a potential of the forces at present; collective.
+        """Whether p V is a potential of the present forces; collective.
 
-        By differences of p V, cubic in u, along a random displacement; those are exact.
-
-        Args:
-            free: which components of the owned nodes (n, d) are not prescribed.
+        By differences of p V along a random displacement of components `free` (owned nodes, d),
+        exact because p V is cubic in u.
         """
         if self._energy is None:
             return False
@@ -140,14 +137,14 @@ class Pressure(WeakForm):
                 slope += weight * float(fem.assemble_scalar(self._energy)) / (12 * step)
         finally:
             x.array[:] = before
-        # all forces are the scale: where all nodes of the side are held, those of free ones are 0
+        # scaled by all forces: those of free nodes may be 0
         error = slope - work[~held].sum()
         sums = comm.allreduce(np.array([error, np.abs(work).sum()]), op=MPI.SUM)
         return bool(abs(sums[0]) <= QUARTER_OF_DIGITS * sums[1])
 
 
 def _exterior(domain: Mesh, facet_tags: Any, tag: Any) -> tuple[MeshTags, int]:
-    """Return tags in order, and the number of a tag of exterior facets; collective."""
+    """Ordered tags, and the number of a tag of exterior facets; collective."""
     check("Pressure: facet_tags", facet_tags, tags_of(domain, domain.topology.dim - 1))
     domain.topology.create_entities(facet_tags.dim)
     with raised_together(domain.comm):
@@ -168,7 +165,7 @@ def _exterior(domain: Mesh, facet_tags: Any, tag: Any) -> tuple[MeshTags, int]:
 
 
 def _as_scalar(domain: Mesh, p: Any) -> Expr:
-    """Return a pressure as an expression of UFL."""
+    """Pressure as UFL."""
     if is_number(p):
         p = fem.Constant(domain, default_scalar_type(p))
     scalar = isinstance(p, Expr) and p.ufl_shape == () and not extract_arguments(p)
@@ -177,13 +174,13 @@ def _as_scalar(domain: Mesh, p: Any) -> Expr:
 
 
 class _Thickness:
-    """The stretch through the thickness of plates in plane stress, on their edges."""
+    """Stretch through the thickness in plane stress, on edges."""
 
     def __init__(self, solid: Solid) -> None:
         """Compile its projection onto linear functions of each cell; collective."""
         assert solid.volumes is not None
         dx = measure(solid.mesh, solid.quadrature_degree)
-        # three points of a cell know a linear function
+        # linear functions take three points per cell
         affine = solid.fields.weights.shape[1] > solid.mesh.geometry.dim
         self._cells = CellFunctions(solid.mesh, ufl.as_ufl(1.0), dx, affine=affine)
         self._tested = fem.form(self._cells.tested(solid.volumes.thickness) * dx)
@@ -192,7 +189,7 @@ class _Thickness:
         self.stretch = self._cells.field(self._coefficients)
 
     def follow(self) -> None:
-        """Take over the stretches at the present u; collective."""
+        """Update to the stretches at the present u; collective."""
         self._solid.follow()
         found = self._cells.coefficients(self._cells.vectors(self._tested))
         self._cells.values(self._coefficients)[:] = found
