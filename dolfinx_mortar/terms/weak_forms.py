@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Terms in UFL: dead loads, and weak forms of the displacement.
 
-One step minimises J(v) = Psi(v) + sum Pi(v) - f.v. Forces f that do not depend on the displacement
-are the linear form ``loads``; what depends on it (springs, elastic foundations, conservative
-pressure, a viscous damper) is a `WeakForm`, whose derivatives UFL takes, so that energy, forces and
-tangent always fit.
+One step minimises J(v) = Psi(v) + sum Pi(v) - f.v. Dead forces f are the linear form ``loads``. A
+`WeakForm` depends on the displacement (springs, elastic foundations, conservative pressure, a
+viscous damper); UFL derives its forces and tangent.
 
-Both get the weight of the kinematics, as do the integrals over the bodies: t in inner(t, v) * ds is
-a traction whatever the kinematics, and the forces are those of the whole ring where these are
-axisymmetric.
+Both are multiplied by the weight of the kinematics: t in inner(t, v) * ds is a traction, and forces
+in axisymmetry are those of the whole ring.
 """
 
 from collections.abc import Mapping
@@ -36,10 +34,7 @@ REMEDY = "give its potential instead, ContactProblem(..., potential=...)"
 
 
 class DeadLoads(Term):
-    """Forces f_i that do not follow the displacement: Pi(u) = -f.u.
-
-    The linear form of the external virtual work is assembled at the start of each step.
-    """
+    """Forces independent of the displacement, assembled at the start of a step: Pi(u) = -f.u."""
 
     linear = True
     has_tangent = False
@@ -48,7 +43,7 @@ class DeadLoads(Term):
         """Check and compile a linear form; collective.
 
         Raises:
-            ValueError: if it cannot work, with the remedy.
+            ValueError: naming the error and the remedy.
         """
         check_form(solid.u, "loads", loads, arguments=1, dead=True)
         self._u = solid.u
@@ -74,7 +69,7 @@ class DeadLoads(Term):
         return np.asarray(self._vector.array[: bs * imap.size_local])
 
     def energy(self) -> Floats:
-        """Return the addends -f_i u_i of this rank."""
+        """Addends -f_i u_i of this rank."""
         f = self.f
         return np.asarray(-f * self._u.x.array[: f.size])
 
@@ -83,7 +78,7 @@ class DeadLoads(Term):
         F.array_w[:] -= self.f
 
     def add_tangent(self, K: PETSc.Mat) -> None:
-        """Add nothing: the forces are dead."""
+        """Add nothing."""
 
 
 class WeakForm(Term):
@@ -91,8 +86,8 @@ class WeakForm(Term):
 
     With ``energy`` forces and tangent are its first and second derivative. With ``residual``, a
     linear form R(u; v), the forces are R(u; phi_i) and the tangent is the symmetric part of dR/du:
-    Newton stays quadratic if R has a potential, and converges linearly otherwise, except where
-    contact has the exact tangent, which is not symmetric in any case and takes the rest of dR/du.
+    Newton is quadratic if R has a potential, and converges linearly otherwise, except with the
+    exact tangent of contact, which takes the antisymmetric part, too.
 
     Subclasses keep a state: Functions in the form that `commit` sets, Constants that `begin` sets
     (see the guide).
@@ -100,12 +95,12 @@ class WeakForm(Term):
     Args:
         solid: the bodies, whose ``solid.u`` is in the form.
         energy: functional of ``solid.u``, for example ``0.5 * k * inner(u, u) * ds(3)`` for a bed
-            of springs; integrals over cells and exterior facets. They get the weight of the
-            solid's kinematics as a factor.
+            of springs; integrals over cells and exterior facets, times the weight of the solid's
+            kinematics.
         residual: linear form of a test function on ``solid.V`` instead.
 
     Raises:
-        ValueError: if the form cannot work, with the remedy.
+        ValueError: naming the error and the remedy.
     """
 
     def __init__(
@@ -136,7 +131,7 @@ class WeakForm(Term):
         self._given = {name: form}
 
     def given(self) -> Mapping[str, Any]:
-        """Return what all ranks have to give the same; see `agreement`."""
+        """Arguments that have to agree on all ranks; see `agreement`."""
         return self._given
 
     def energy(self) -> float | None:
@@ -153,7 +148,7 @@ class WeakForm(Term):
             self._tangent.add_to(K)
 
     def skew(self) -> PETSc.Mat | None:
-        """Return the antisymmetric part of dR/du; valid until the next call; collective."""
+        """Antisymmetric part of dR/du, valid until the next call; collective."""
         if self._skew is None:
             return None
         form, A = self._skew
@@ -164,7 +159,7 @@ class WeakForm(Term):
 
     @cached_property
     def _skew(self) -> tuple[MatrixForm, PETSc.Mat] | None:
-        """Its form and its matrix; few problems need it."""
+        """Form and matrix of the antisymmetric part, compiled at first use."""
         if self._asymmetric is None:
             return None
         half = 0.5 * (self._asymmetric - ufl.adjoint(self._asymmetric))
@@ -182,17 +177,17 @@ WANTED = (
 def check_form(
     u: fem.Function, name: str, form: Any, *, arguments: int = 0, dead: bool = False
 ) -> None:
-    """Raise ValueError unless a form can be added; collective.
+    """Raise a ValueError unless a form can be added; collective.
 
     Args:
-        u: displacement, which the form contains.
+        u: displacement in the form.
         name: of the argument.
-        form: with integrals over cells and exterior facets.
+        form: integrals over cells and exterior facets.
         arguments: number of test functions.
-        dead: whether it is one of loads, which do not contain u.
+        dead: whether it must not contain u.
     """
     wanted = WANTED[arguments + dead]
-    if not isinstance(form, ufl.Form):  # its repr may fill pages
+    if not isinstance(form, ufl.Form):  # its repr may be pages long
         compiled = "compiled form, not in UFL" if isinstance(form, fem.Form) else ""
         raise ValueError(f"{name} is a {compiled or type(form).__name__}: {wanted}")
     check_real(name, *form.coefficients(), *form.constants())
@@ -228,7 +223,7 @@ def check_form(
 
 
 def weighted(form: ufl.Form, solid: Solid) -> ufl.Form:
-    """Return a form with the weight of the kinematics in all integrals."""
+    """A form times the weight of the kinematics."""
     kinematics = solid.kinematics
     if kinematics.unweighted:
         return form
@@ -237,11 +232,7 @@ def weighted(form: ufl.Form, solid: Solid) -> ufl.Form:
 
 
 def _with_one_rule(form: ufl.Form) -> ufl.Form:
-    """Return a form whose derivatives are integrated at the same points as itself.
-
-    UFL chooses the rule by the integrand, and chooses another for the derivative of a function
-    that is no polynomial: forces would then not be the derivative of the energy that is computed.
-    """
+    """A form whose derivatives UFL integrates with the quadrature of the form itself."""
     integrals = []
     for integral in expand_derivatives(form).integrals():
         metadata = dict(integral.metadata())
@@ -253,5 +244,5 @@ def _with_one_rule(form: ufl.Form) -> ufl.Form:
 
 
 def _is_displacement(u: fem.Function, coefficient: Any) -> bool:
-    """Tell whether a coefficient is u or shares its values, as u.sub(i) does; also without any."""
+    """Whether a coefficient is u or shares its values, as u.sub(i) does."""
     return isinstance(coefficient, fem.Function) and (coefficient.x._cpp_object is u.x._cpp_object)
