@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 
 
 def as_aij(K: PETSc.Mat) -> PETSc.Mat:
-    """Return K if its format is AIJ, else a copy, for methods that take no blocks; collective."""
+    """K if its format is AIJ, else a copy, for methods that take no blocks; collective."""
     if "baij" not in K.getType():
         return K
     if K.comm.rank == 0:
@@ -31,8 +31,7 @@ def as_aij(K: PETSc.Mat) -> PETSc.Mat:
 class Congruence:
     """(I + C)^T K (I + C) = K + K C + (K C)^T + C^T K C of a symmetric K, on a fixed pattern.
 
-    C has few rows, so that all terms but K are small. PETSc's product of three matrices takes three
-    to five times as long and more memory (measured at 39k unknowns in 3D, 1 and 2 ranks).
+    C has few rows, so that all terms but K are small: faster than PETSc's triple product.
     """
 
     def __init__(self, K: PETSc.Mat, C: PETSc.Mat) -> None:
@@ -46,30 +45,24 @@ class Congruence:
             self.product.axpy(1.0, part, other)
 
     def update(self, K: PETSc.Mat, C: PETSc.Mat) -> None:
-        """Refill the product from new values on the same patterns; collective."""
+        """Recompute with new values on the same patterns; collective."""
         K = as_aij(K)
         C.transpose(self.Ct)
         K.matMult(C, result=self.KC)
         KCt = self.KC.transpose(PETSc.Mat())
         self.Ct.matMult(self.KC, result=self.CtKC)
-        refill(self.product, (self.KC, KCt, self.CtKC, K))  # as in __init__: the same round-off
+        refill(self.product, (self.KC, KCt, self.CtKC, K))  # order of __init__: same round-off
         KCt.destroy()
 
 
 class ProductOfBases:
-    """(I + C)^T A (I + D) of any A, for C and D with few rows, on a fixed pattern.
+    """(I + C)^T A (I + D) of any A in AIJ, for C and D with few rows, on a fixed pattern.
 
-    Args:
-        A: in the format AIJ.
-        C: change of the basis of test functions.
-        D: that of trial functions.
-
-    Attributes:
-        product: the matrix.
+    C changes the basis of test functions, D that of trial functions; `product` is the matrix.
     """
 
     def __init__(self, A: PETSc.Mat, C: PETSc.Mat, D: PETSc.Mat) -> None:
-        """Analyse the patterns; the values come with `update`; collective."""
+        """Analyse the patterns; `update` computes the values; collective."""
         self._Ct, self._AD = C.transpose(PETSc.Mat()), A.matMult(D)
         self._right = union(self._AD, [A])
         self._CtR = self._Ct.matMult(self._right)
@@ -77,7 +70,7 @@ class ProductOfBases:
         self.product.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
 
     def update(self, A: PETSc.Mat, C: PETSc.Mat, D: PETSc.Mat) -> None:
-        """Refill the product from new values on the same patterns; collective."""
+        """Recompute with new values on the same patterns; collective."""
         C.transpose(self._Ct)
         A.matMult(D, result=self._AD)
         refill(self._right, [self._AD, A])
@@ -86,9 +79,9 @@ class ProductOfBases:
 
 
 class ContextOf:
-    """Context of a PETSc Mat of type python whose owner does what PETSc calls.
+    """Context of a PETSc Mat of type python, with a weak reference to its owner.
 
-    PETSc keeps contexts where Python cannot see that: Mat and owner would keep each other for ever.
+    PETSc's reference to a context is invisible to Python: Mat and owner would never be freed.
     """
 
     def __init__(self, owner: object) -> None:
@@ -103,9 +96,9 @@ class _Decoupled(ABC):
 
     Attributes:
         matrix: a PETSc Mat of type python.
-        decoupled: owned unknowns that are decoupled.
-        diagonal: (n,) before decoupling; may be near to the operator's own.
-        scale: the entry at decoupled unknowns, the mean of the diagonal.
+        decoupled: owned unknowns.
+        diagonal: (n,) before decoupling, maybe approximate.
+        scale: entry at decoupled unknowns, the mean of the diagonal.
     """
 
     def __init__(self, like: PETSc.Mat) -> None:
@@ -117,10 +110,10 @@ class _Decoupled(ABC):
 
     @abstractmethod
     def product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with x, nothing decoupled; collective."""
+        """Set y to the product with x, without decoupling; collective."""
 
     def changed(self) -> None:
-        """Tell PETSc so; read the mean of the diagonal; collective."""
+        """Update PETSc's state and the mean of the diagonal; collective."""
         self.scale = self.diagonal.sum() / self.diagonal.getSize()
         self.matrix.stateIncrease()
 
@@ -142,7 +135,7 @@ class _Decoupled(ABC):
 class OperatorOfBases(_Decoupled):
     """(I + C)^T A (I + D) for a sum A and products of such factors, decoupled at some unknowns.
 
-    The same as `ProductOfBases`, without a matrix.
+    `ProductOfBases` without a matrix.
     """
 
     def __init__(self, like: PETSc.Mat) -> None:
@@ -158,12 +151,12 @@ class OperatorOfBases(_Decoupled):
         decoupled: Ints,
         diagonal: PETSc.Vec,
     ) -> None:
-        """Set the terms of A, the pairs of factors C and D, the decoupled owned unknowns.
+        """Set the operator.
 
         Args:
             parts: terms of A.
-            bases: C and D, from left to right.
-            decoupled: their rows and columns are those of the identity times the mean diagonal.
+            bases: factors C and D, from left to right.
+            decoupled: owned unknowns with rows and columns of the identity times the mean diagonal.
             diagonal: (n,) approximate diagonal.
         """
         self._parts, self._bases, self.decoupled = parts, bases, decoupled
@@ -171,7 +164,7 @@ class OperatorOfBases(_Decoupled):
         self.changed()
 
     def product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with x, nothing decoupled; collective."""
+        """Set y to the product with x, without decoupling; collective."""
         x.copy(self._u)
         for _, D in reversed(self._bases):
             D.mult(self._u, self._change)
@@ -185,7 +178,7 @@ class OperatorOfBases(_Decoupled):
 
 
 def union(A: PETSc.Mat, others: Iterable[PETSc.Mat]) -> PETSc.Mat:
-    """Return a new matrix on the union of the patterns; collective."""
+    """New matrix on the union of the patterns, with the sum of the values; collective."""
     total = A.duplicate(copy=True)
     for other in others:
         total.axpy(1.0, other, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
@@ -193,7 +186,7 @@ def union(A: PETSc.Mat, others: Iterable[PETSc.Mat]) -> PETSc.Mat:
 
 
 def refill(total: PETSc.Mat, parts: Iterable[PETSc.Mat]) -> None:
-    """Set a matrix to the sum of others, the patterns of which it contains; collective."""
+    """Set a matrix to the sum of others, whose patterns it contains; collective."""
     total.zeroEntries()
     for part in parts:
         total.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
@@ -214,7 +207,7 @@ class Halved:
 
     def __init__(self, K: PETSc.Mat) -> None:
         self.K, self._half = K, PETSc.Mat()
-        self._state = -1  # of K when it was copied
+        self._state = -1  # of the copied K
 
     @property
     def factor(self) -> PETSc.Mat:
@@ -232,27 +225,22 @@ class Halved:
 class CongruentOperator(_Decoupled):
     """(I + C)^T K (I + C), decoupled at some unknowns, for changing K, C and unknowns.
 
-    With contact in 3D the matrix would have 2.3 times the entries of K, and no equal patterns of
-    the rows of a node, which make products fast: one takes 5 times as long as with K (22 thousand
-    unknowns), that with C a tenth of it. A copy of `matrix` is an explicit matrix.
-
-    Attributes:
-        K: the matrix in the middle, and
-        half: the same for products.
-        C: the present C; None for 0.
+    In 3D the matrix would have 2.3 times the entries of K and unequal patterns of the rows of a
+    node: products would take 5 times as long. A copy of `matrix` is explicit. C is None for 0;
+    `half` is K for products.
     """
 
     def __init__(self, K: PETSc.Mat, half: Halved | None = None) -> None:
         super().__init__(K)
         self.K, self.half = K, half or Halved(K)
         self.C: PETSc.Mat | None = None
-        self._of_K, self._state = K.createVecRight(), -1  # diagonal of K, and K's state then
+        self._of_K, self._state = K.createVecRight(), -1  # diagonal of K, and the state of that K
         self._moved = K.createVecRight()
 
     def follow(self, C: PETSc.Mat | None, decoupled: Ints) -> None:
         """Set C (None for 0) and the decoupled owned unknowns; read the values of K; collective.
 
-        The diagonal is that of a K without entries off its own.
+        The diagonal is that of the product with diag(K).
         """
         self.C, self.decoupled = C, decoupled
         if self._state != int(self.K.stateGet()):
@@ -272,7 +260,7 @@ class CongruentOperator(_Decoupled):
         self.diagonal.assemble()
 
     def product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with x, nothing decoupled; collective."""
+        """Set y to the product with x, without decoupling; collective."""
         if self.C is None:
             self.half.factor.mult(x, y)
             return
@@ -288,7 +276,7 @@ class CongruentOperator(_Decoupled):
         self.mult(mat, x, y)
 
     def duplicate(self, mat: PETSc.Mat, op: int) -> PETSc.Mat:
-        """Return the explicit matrix."""
+        """Explicit matrix."""
         if self.C is not None:
             explicit = Congruence(self.K, self.C).product
         else:
