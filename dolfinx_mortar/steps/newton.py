@@ -10,8 +10,8 @@ One iteration, at u with contacts (active set, multipliers) and a geometry:
     5  converged if all are within their tolerances
 
 Updates of the geometry are a fixed-point iteration. At finite strain, and where it is slow, the
-motion of the surfaces is linearised, too; then Newton's method is quadratic. An iteration with this
-exact tangent that raises the residual is undone, and made without it.
+exact tangent includes the motion of the surfaces, and Newton's method is quadratic. An iteration
+with the exact tangent that raises the residual is undone, and repeated without it.
 """
 
 from __future__ import annotations
@@ -87,12 +87,11 @@ def newton(
 ) -> StepReport:
     """Solve one load step, from the present u and the committed state; collective.
 
-    At the iterate u^k the energy is replaced by its quadratic model (paper, eq. 9) and the
-    bound-constrained QP is solved (eq. 10), warm-started from the last active set and the last
-    directions of slip. A line search on J(v) + s sum_j D_jj (w_n - gap)_+, with s twice the largest
-    multiplier, shortens the step; laws with a stress but no energy have no J, and no line search.
-    With geometry="updated" normals, segments, D and M are computed anew in every iteration, and
-    their derivatives are part of the tangent where that converges faster.
+    At the iterate u^k the QP of the quadratic model of the energy (paper, eqs. 9 and 10) starts
+    from the last active set and directions of slip. A line search on J(v) + s sum_j D_jj
+    (w_n - gap)_+, with s twice the largest multiplier, shortens the step; laws without energy have
+    no line search. With geometry="updated" normals, segments, D and M are computed in every
+    iteration, and their derivatives are part of the tangent where that converges faster.
 
     Args:
         problem: the bodies and their constraints; ``problem.commit()`` accepts the step.
@@ -101,7 +100,7 @@ def newton(
             the step and their work; round-off is the limit.
         max_it: largest number of Newton iterations.
         level: load level at the end of the step, for terms that depend on it, see `Term.begin`.
-            With `Inertia` the time: a step that has not been committed is made anew.
+            With `Inertia` the time; a step that has not been committed is repeated.
 
     Returns:
         The report of the converged step.
@@ -125,17 +124,7 @@ def solve_step(
     level: float | None = None,
     linear: LinearSolver | None = None,
 ) -> StepReport:
-    """Solve one load step; see `newton`.
-
-    Args:
-        problem: as in `newton`.
-        qp: as in `newton`.
-        rtol: as in `newton`.
-        max_it: as in `newton`.
-        overlap: depth by which the sides may still overlap at the end, if they do at the start.
-        level: as in `newton`.
-        linear: linear solver of the step; that of the problem by default.
-    """
+    """Solve one load step with an overlap that may remain at the end; see `newton`; collective."""
     problem.check_ranks(qp=qp, rtol=rtol, max_it=max_it, level=level)
     check_controls(qp, rtol, max_it)
     report = StepReport(backend=qp, geometry=problem.geometry, rtol=rtol)
@@ -156,17 +145,17 @@ def solve_step(
             except FAILED as error:
                 reached = problem.u.x.array.copy()
                 problem.undo(before)
-                problem.raise_failed()  # the cause
+                problem.raise_failed()
                 if not linear.direct:
-                    linear.clear()  # levels of tangents of the step that is undone
+                    linear.clear()  # its levels are those of undone tangents
                 raise failures.explain(problem, report, error, reached) from error
-            except BaseException:  # perhaps of this rank only: no communication
+            except BaseException:  # maybe on one rank only: no communication
                 problem.undo(before)
                 linear.abandon()
                 raise
     finally:
         report.seconds = problem.timings.since(earlier)
-        used = solvers[-1]  # of those that may have taken over
+        used = solvers[-1]  # the last one in use
         report.linear_solver += used.description
         unread = [option for option in linear.options.unread() if option in used.options.unread()]
         if report.converged and unread:
@@ -187,11 +176,7 @@ def _solve(
     max_it: int,
     how: tuple[float | None, float],
 ) -> Gained | None:
-    """Solve a step from where the last one promises; if that fails, without; collective.
-
-    Returns:
-        What the iterations have added, of a step to another level.
-    """
+    """Solve a step from the prediction of the last one; if that fails, without; collective."""
     level, overlap = how
     for predictor in (None if problem.in_time else predict, None):
         data = problem.begin_step(level, predictor)
@@ -226,7 +211,7 @@ class _Step:
     ) -> None:
         self.problem, self.report, self.overlap, self.solvers = problem, report, overlap, solvers
         self.data, self.qps = qps.data, qps
-        if qps.solver.direct:  # a step that was tried has left another factorisation
+        if qps.solver.direct:  # the factorisation may be that of another attempt
             qps.solver.forget(keep_definite=qps.linear)
 
     def run(self, max_it: int) -> Iterate:
@@ -260,7 +245,7 @@ class _Step:
         raise failures.with_corners(self.problem, end)
 
     def renewed(self, old: Iterate) -> Iterate:
-        """Return an iterate in another T; collective."""
+        """An iterate in the T of the present geometry; collective."""
         balance = self.balance(old.contacts)
         start = old.contacts.active[balance.nodes].astype(np.int8)
         return replace(old, balance=balance, start=start)
@@ -338,10 +323,7 @@ class _Step:
     # -- the choice of the tangent ---------------------------------------------------------------
 
     def factorise(self, residuals: list[Residuals]) -> bool:
-        """Factorise near a balance for the rest of the step, if multigrid may be replaced.
-
-        Conjugate gradients may fail there: the balance may be a saddle of the energy. Collective.
-        """
+        """Factorise for the rest of the step, near a balance that may be a saddle; collective."""
         near = self.qps.finite and bool(residuals) and residuals[-1].forces < STABLE
         given_up = self.qps.solver.description
         other = self.qps.solver.factorising() if near else None
@@ -359,13 +341,7 @@ class _Step:
         return True
 
     def is_exact(self, old: Iterate, residuals: list[Residuals]) -> bool:
-        """Tell whether the next QP has the exact tangent of the moving geometry.
-
-        After the first iteration: at finite strain, where tangents are new in any case, and else
-        once the fixed point is slow; not after a tangent that had to be shifted. Where it has
-        failed it is tried again a digit below: the first step of Berkovich's pyramid into metal
-        takes 9 iterations, 11 if it is at once.
-        """
+        """Whether the next QP has the exact tangent of the moving geometry."""
         if not residuals or old.shift or not self.qps.may_be_exact:
             return False
         if not self.missed(residuals[-1]) < old.barred:
@@ -373,18 +349,12 @@ class _Step:
         return self.qps.finite or old.slow or self.report.iterations[-1].exact_tangent
 
     def is_slow(self, turned: float, before: float, residual: Residuals) -> bool:
-        """Tell whether the fixed point is slow.
-
-        Args:
-            turned: by how much the last update of the geometry has changed the contact forces.
-            before: the same of the update before.
-            residual: after it.
-        """
+        """Whether the fixed point is slow, by the force changes of the last two updates."""
         many = ratio(turned, before) ** FEW * residual.excess > 1.0
         return many and turned > SHARE * residual.forces * residual.limit / self.report.rtol
 
     def leads_away(self, residual: Residuals, residuals: list[Residuals]) -> bool:
-        """Tell whether the last iteration, with the exact tangent, has raised the residual."""
+        """Whether the last iteration, with the exact tangent, has raised the residual."""
         if not self.report.iterations[-1].exact_tangent or residual.excess <= 1.0:
             return False
         return not self.missed(residual) <= self.missed(residuals[-1])
@@ -392,17 +362,14 @@ class _Step:
     def barred(
         self, found: Solution, old: float, residual: Residuals, residuals: list[Residuals]
     ) -> float:
-        """Return the residual above which the exact tangent is not used next."""
+        """Residual above which the exact tangent is not used next."""
         if found.rejected:
             return DIGIT * self.missed(residuals[-1])
         raised = residuals and self.missed(residual) > self.missed(residuals[-1])
         return np.inf if raised and not found.exact else old
 
     def missed(self, residual: Residuals) -> float:
-        """Return what an iteration with the exact tangent has to lower.
-
-        At finite strain not the gaps alone: at rims a small force opens and closes large ones.
-        """
+        """Residual that the exact tangent must lower, with forces at finite strain (rims)."""
         return max(residual.forces, residual.contact) if self.qps.finite else residual.excess
 
     def go_back(self, old: Iterate) -> None:
@@ -416,11 +383,11 @@ class _Step:
     # -- the parts of an iteration ---------------------------------------------------------------
 
     def tools(self) -> list[tuple[Interface, dict[str, Floats]]]:
-        """Return where the tools are that forces drive."""
+        """States of the tools that forces drive."""
         return [(i, i.state(False)) for i in self.problem.interfaces if i.driven() is not None]
 
     def first(self) -> Iterate:
-        """Return the initial iterate."""
+        """The initial iterate; collective."""
         problem, flows = self.problem, self.data.flows
         balance = find_balance(problem, self.data, self.overlap, from_committed=flows)
         contacts = go_on(self.data.contacts, balance.limits, gap_round_off(problem.u))
@@ -440,17 +407,14 @@ class _Step:
         return Iterate(*place, balance, contacts, start, scales, energy, norm, problem.vector())
 
     def balance(self, contacts: Contacts | None) -> Balance:
-        """Return forces and constraints at u in the present geometry."""
+        """Forces and constraints at u in the present geometry; collective."""
         multipliers = None if contacts is None else contacts.multipliers
         return find_balance(self.problem, self.data, self.overlap, multipliers)
 
     def gap_error(
         self, found: Solution, length: float, balance: Balance, contacts: Contacts
     ) -> float:
-        """Return how far gaps of closed contacts are from their prediction, in facets; collective.
-
-        Zero where the geometry is constant.
-        """
+        """Error of predicted gaps of closed contacts, in facet lengths; collective."""
         if not (self.qps.moving or self.qps.driven):
             return 0.0
         bounds, gaps = found.lin.balance.bounds, np.full(self.problem.n, np.nan)
@@ -461,7 +425,7 @@ class _Step:
         return largest / self.problem.system.facet_length
 
     def first_forces(self, lin: Linearisation) -> float:
-        """Return the size of the forces of the first QP, prescribed increments included."""
+        """Size of the forces of the first QP, with prescribed increments; collective."""
         lifted = self.problem.vector(self.data.asked)
         lifted.pointwiseMult(lifted, lin.diagonal)
         return float(max(lin.qp.b.norm(), lifted.norm()))
@@ -474,13 +438,13 @@ class _Step:
         scales: Scales,
         norm: float,
     ) -> Residuals:
-        """Return the residuals of a balance, those of tools that forces drive included."""
+        """Residuals of a balance, and of tools that forces drive; collective."""
         rtol = self.report.rtol
         found = measure(self.problem.u, balance, contacts, diagonal, scales, norm, rtol)
         return driven_tools.miss(self.problem, balance, contacts, found, rtol)
 
     def geometry_is_complete(self) -> bool:
-        """Tell whether all touching facets are paired and all their nodes in T; else add them."""
+        """Whether all touching facets are paired and their nodes in T, or pair them; collective."""
         problem = self.problem
         with problem.timings("mortar"):
             complete = problem.system.is_complete(problem.configuration, problem.positions())
@@ -492,5 +456,5 @@ class _Step:
         """Raise if bodies have passed through each other."""
         with self.problem.timings("mortar"):
             passed = describe_passing(self.problem)
-        if passed:  # other causes need not be looked for
+        if passed:
             raise failures.failed(self.problem, self.report, passed)
