@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The sum over bodies and terms: energy, forces and tangent of a problem, each in one place."""
+"""Energy, forces and tangent of a problem: the sum over bodies and terms."""
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
@@ -47,22 +47,18 @@ CALLED_WITH = {  # the arguments of what a term may define
 
 @dataclass(frozen=True)
 class Energy:
-    """J(u) and the size of its terms."""
+    """J(u), and the sum of the absolute values of its addends."""
 
     value: float
-    terms: float  # sum of the absolute values of what is added up
+    terms: float
 
 
 @dataclass(frozen=True)
 class Terms:
-    """J(u) = Psi(u) + sum_k Pi_k(u), its first derivative and its second.
-
-    The bodies are the first term. They are told apart only where their forces are no scale of
-    external ones, and where the stiffness of all other terms is asked for.
-    """
+    """J(u) = Psi(u) + sum_k Pi_k(u), its first and its second derivative; the bodies are Psi."""
 
     solid: Solid
-    named: Sequence[tuple[str, Term]]  # all others, by the name that messages use
+    named: Sequence[tuple[str, Term]]  # Pi_k, by their names in messages
 
     @property
     def every(self) -> list[Term]:
@@ -76,19 +72,16 @@ class Terms:
 
     @property
     def comm(self) -> MPI.Comm:
-        """The ranks."""
+        """Communicator of the mesh."""
         return self.solid.mesh.comm
 
     @property
     def linear(self) -> bool:
-        """Whether the tangent is constant while what the user may change between steps is."""
+        """Whether the tangent is constant within a step."""
         return all(term.linear for term in self.every)
 
     def vary(self, K: PETSc.Mat) -> bool:
-        """Tell whether the tangent may be another than a matrix holds even so, on some rank.
-
-        Asked at the start of a step; collective.
-        """
+        """Whether the tangent of this step may differ from K on any rank; collective."""
         found = [self._ask(f"{n}: varies()", t, partial(t.varies, K)) for n, t in self._stiff]
         found += [region.parameters.varying for region in self.solid.regions]
         return bool(any_rank(self.comm, any(found))[0])
@@ -99,13 +92,13 @@ class Terms:
 
     @property
     def have_tangent(self) -> bool:
-        """Whether there is more than bodies and dead forces."""
+        """Whether a term other than the bodies has a tangent."""
         return bool(self._stiff)
 
     # -- sums ------------------------------------------------------------------------------------
 
     def energy(self, along: tuple[VolumeStep, float] | None = None) -> Energy | None:
-        """Return J(u), None if a term has none; collective.
+        """J(u), None if a term has none; collective.
 
         Along a step with the volumes of its linearisation, see `Solid.energy`.
         """
@@ -147,12 +140,9 @@ class Terms:
     def assemble_tangent(
         self, K: PETSc.Mat, pressure: Floats | None = None, *, from_committed: bool = False
     ) -> None:
-        """Fill K with d2J/du2; collective.
+        """Fill K with d2J/du2, symmetric; collective.
 
-        With the pressures of a linearisation, see `Solid.add_tangent`, or of bodies in the
-        committed state.
-        K stays symmetric; whether it stays definite depends on the terms: a foundation adds
-        stiffness, a load that grows with the displacement takes some away.
+        For `pressure` see `Solid.add_tangent`, for `from_committed` `Solid.add_first_tangent`.
         """
         K.zeroEntries()
         if from_committed:
@@ -162,19 +152,19 @@ class Terms:
         self.add_tangents(K)
 
     def add_tangents(self, K: PETSc.Mat) -> None:
-        """Add the tangents of the terms, without the bodies, on the pattern that K has; collective.
+        """Add the tangents of all terms but the bodies, within the pattern of K; collective.
 
         Raises:
             ValueError: on all ranks, if a term gives NaN or infinity.
         """
-        if self._of_users:  # an error within the assembly of a row's rank leaves others waiting
+        if self._of_users:
             K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
         before = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["mallocs"]
         for name, term in self.named:
             if term.has_tangent:
                 self._ask(f"{name}: add_tangent()", term, partial(_add, term.add_tangent, K))
         if not self._of_users:
-            K.assemble()  # once: what nobody has set by then is no longer in the pattern
+            K.assemble()
             return
         K.assemble()
         K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, True)
@@ -186,22 +176,22 @@ class Terms:
             )
 
     def skews(self) -> list[PETSc.Mat]:
-        """Return the antisymmetric parts of tangents, always of the same terms; collective."""
+        """Antisymmetric parts of tangents, always of the same terms; collective."""
         found = [self._ask(f"{n}: skew()", term, term.skew) for n, term in self.named]
         return [A for A in found if A is not None]
 
     @property
     def _of_users(self) -> str:
-        """The names of the terms of a user's that have a tangent."""
+        """Names of the user's terms with a tangent."""
         own = [name for name, term in self.named if term.has_tangent and not is_ours(term)]
         return "; ".join(own)
 
     def stiffness(self) -> PETSc.Mat:
-        """Return the tangent of all terms but the bodies; collective.
+        """Tangent of all terms but the bodies; collective.
 
         Raises:
-            ValueError: on all ranks, for NaN or infinity, and if terms of a user's are not
-                symmetric. A term that is zero at the present u is not found out.
+            ValueError: on all ranks, for NaN or infinity, and if a user's term is not symmetric,
+                which is only seen if it is not zero at the present u.
         """
         K = self.create_matrix()
         K.zeroEntries()
@@ -211,11 +201,7 @@ class Terms:
         return K
 
     def _check_symmetric(self, K: PETSc.Mat) -> None:
-        """Raise a ValueError on all ranks unless v.K w = w.K v for v and w at random; collective.
-
-        With normal entries of v and w the root mean square of the difference is |K - K^T|. From
-        differences half of the digits are right; a quarter of them is asked for.
-        """
+        """Raise a ValueError on all ranks unless v.K w = w.K v for random v and w; collective."""
         v, w = K.createVecs()
         rng = np.random.default_rng(self.comm.rank)
         v.array[:], w.array[:] = rng.normal(size=(2, v.local_size))
@@ -228,12 +214,10 @@ class Terms:
             )
 
     def create_matrix(self, *, blocks: bool = False) -> PETSc.Mat:
-        """Create the matrix of the tangent: pattern of the mesh, and of what terms couple.
+        """Matrix with the pattern of the mesh and the couplings of terms; collective.
 
-        Args:
-            blocks: Whether d x d blocks are stored, unless a tangent of a user's is to be added:
-                assembly takes half and products 60 % of the time of AIJ (48 thousand unknowns in
-                space), but PETSc has no products with other matrices, and no sums.
+        `blocks` stores d x d blocks, unless a user's tangent is added: faster assembly and
+        products, but no sums or products with other matrices.
         """
         ours = all(is_defined_here(type(term).add_tangent) for _, term in self.named)
         K = self.solid.create_matrix("baij" if blocks and ours else "aij")
@@ -244,7 +228,7 @@ class Terms:
         ]
         if not any_rank(self.comm, bool(dense))[0]:
             return K
-        self.solid.add_tangent(K)  # entries that nobody has set are not kept
+        self.solid.add_tangent(K)  # unset entries are removed
         K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
         with raised_together(self.comm):
             for name, dofs in dense:
@@ -272,20 +256,19 @@ class Terms:
             self._ask(f"{name}: begin()", term, partial(term.begin, start, end))
 
     def meet(self, contact: Bools, body: Ints) -> None:
-        """Tell all terms where the bodies may meet others, see `Term`; collective."""
+        """Pass `meet` to all terms, see `Term`; collective."""
         for name, term in self._every:
             self._ask(f"{name}: meet()", term, partial(term.meet, contact, body))
 
     def stride(self) -> float:
-        """Return how far a node may move in the step that has begun; collective."""
+        """How far a node may move in the present step; collective."""
         found = [self._ask(f"{n}: stride()", t, partial(_stride, t)) for n, t in self.named]
         return float(maximum(self.comm, max(found, default=0.0))[0])
 
     def check_energies(self) -> None:
         """Raise a ValueError on all ranks unless the energies of terms are finite at u; collective.
 
-        Of those that have none the forces, as users' are wherever they are added up; dead loads
-        check theirs.
+        Of terms without energy the forces are checked: users' and dead loads elsewhere.
         """
         for name, term in self.named:
             if isinstance(term, DeadLoads):
@@ -303,24 +286,24 @@ class Terms:
                 )
 
     def commit(self) -> None:
-        """Make the converged step the state of all terms; collective."""
+        """Commit the state of all terms; collective."""
         for name, term in self._every:
             self._ask(f"{name}: commit()", term, term.commit)
 
     def roll_back(self) -> None:
-        """Let terms forget a step that has failed, perhaps on this rank only."""
+        """Let terms forget a failed step; not collective."""
         for term in self.every:
             term.roll_back()
 
     # -- what may go wrong in terms of users -----------------------------------------------------
 
     def _ask(self, name: str, term: Term, call: Callable[[], R]) -> R:
-        """Call a method; what fails on one rank is raised on all, with its name; collective."""
+        """Call a method; raise its error on all ranks, with the term's name; collective."""
         return ask_term(self.comm, name, term, call)
 
 
 def _add(method: Callable[[Any], object], to: PETSc.Vec | PETSc.Mat) -> None:
-    """Let a term add to a vector or a matrix; what it returns instead would be lost."""
+    """Let a term add to a vector or a matrix, and return nothing."""
     returned = _within_pattern(partial(method, to))
     if returned is not None:
         raise ValueError(
@@ -330,7 +313,7 @@ def _add(method: Callable[[Any], object], to: PETSc.Vec | PETSc.Mat) -> None:
 
 
 def _within_pattern(call: Callable[[], R]) -> R:
-    """Call what sets entries; say where PETSc has no place for one."""
+    """Set entries; raise if PETSc's pattern has no place for one."""
     try:
         return call()
     except PETSc.Error as error:
@@ -340,7 +323,7 @@ def _within_pattern(call: Callable[[], R]) -> R:
 
 
 def _addends(term: Term, energy: Callable[[], object]) -> Floats | None:
-    """Return the energy of a term as an array, None if it has none."""
+    """Energy of a term as an array, None if it has none."""
     given = energy()
     if given is None:
         return None
@@ -350,25 +333,25 @@ def _addends(term: Term, energy: Callable[[], object]) -> Floats | None:
 
 
 def _stride(term: Term) -> float:
-    """Return how far a node may move by what a term knows."""
+    """How far a term may move a node."""
     return check("it", term.stride(), number("a finite length", least=0.0))
 
 
 def _couplings(term: Term) -> Sequence[Any]:
-    """Return the dense blocks of a term."""
+    """Dense blocks of a term."""
     rule = instance((list, tuple), "give a list of arrays of global dofs, () for none")
     return list(check("it", term.couplings, rule))
 
 
 def _dofs(name: str, dofs: object, n: int) -> np.ndarray:
-    """Return the global dofs of a dense block as PETSc knows them."""
+    """Global dofs of a dense block, in PETSc's type."""
     remedy = f"give arrays of global dofs, integers from 0 to {n - 1}"
     rule = array((None,), remedy=remedy, holds=lambda k: np.isin(k, np.arange(n)).all())
     return check(f"{name}: couplings: one", dofs, rule).astype(PETSc.IntType)
 
 
 def check_terms(comm: MPI.Comm, terms: Any, u: fem.Function) -> list[Term]:
-    """Return terms as a list if they can take part at the displacement u; collective.
+    """Terms as a list, after checks; collective.
 
     Raises:
         ValueError: on all ranks, naming what is missing.
@@ -390,13 +373,13 @@ def check_terms(comm: MPI.Comm, terms: Any, u: fem.Function) -> list[Term]:
 
 
 def _kind(term: Term) -> dict[str, Any]:
-    """Return what decides how a term is asked."""
+    """Attributes that have to agree on all ranks."""
     names = "linear", "has_tangent"
     return {name: getattr(term, name) for name in names} | {"state": sorted(term.state)}
 
 
 def _check_signatures(k: int, term: Term) -> None:
-    """Raise a ValueError unless the methods of a term take what they are called with."""
+    """Raise a ValueError unless the methods of a term take their arguments."""
     for name, arguments in CALLED_WITH.items():
         signature = inspect.signature(getattr(term, name))
         try:
@@ -409,7 +392,7 @@ def _check_signatures(k: int, term: Term) -> None:
 
 
 def _check_state(k: int, term: Term, V: fem.FunctionSpace) -> None:
-    """Raise a ValueError unless the state of a term is made of nodal Functions on the mesh of V."""
+    """Raise a ValueError unless the state of a term is nodal Functions on the mesh of V."""
     what = f"state of terms[{k}], a {type(term).__name__}"
     check(what, term.state, instance(Mapping, "give a dictionary of Functions by name"))
     nodes = V.dofmap.index_map
