@@ -117,7 +117,7 @@ class _Decoupled(ABC):
         self.scale = self.diagonal.sum() / self.diagonal.getSize()
         self.matrix.stateIncrease()
 
-    # -- called by PETSc -------------------------------------------------------------------------
+    # called by PETSc
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Set y to the product with x."""
@@ -199,10 +199,9 @@ def decouple(matrix: PETSc.Mat, rows: Ints, scale: float) -> None:
 
 
 class Halved:
-    """K for products: of blocks a copy of the upper half, which is read faster.
+    """K for products: in space with blocks, a copy of the upper half, read in half the time.
 
-    In space, where an iteration of multigrid forms eight. A product of 53 thousand unknowns of
-    hexahedra takes 3.3 instead of 6.3 ms (copy 3.7), on two ranks 2.1 instead of 3.0 (copy 20).
+    Its sums have other last digits.
     """
 
     def __init__(self, K: PETSc.Mat) -> None:
@@ -211,7 +210,7 @@ class Halved:
 
     @property
     def factor(self) -> PETSc.Mat:
-        """K, or the copy, which is made again when K has other values; collective."""
+        """K, or the copy, updated to the values of K; collective."""
         K = self.K
         if "baij" not in K.getType() or K.getBlockSize() < 3:
             return K
@@ -269,7 +268,7 @@ class CongruentOperator(_Decoupled):
         self.C.multTranspose(y, self._moved)
         y.axpy(1.0, self._moved)
 
-    # -- called by PETSc -------------------------------------------------------------------------
+    # called by PETSc
 
     def multTranspose(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Set y to the product with x: K is symmetric."""
