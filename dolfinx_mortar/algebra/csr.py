@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 
 from dolfinx_mortar.arrays import Floats, Ints
 
-# Symbols are looked up in the libraries that petsc4py itself is linked with.
+# the libraries that petsc4py is linked with
 _lib = ctypes.CDLL(PETSc.__file__)
 
 
