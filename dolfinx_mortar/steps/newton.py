@@ -69,10 +69,9 @@ log = logging.getLogger(__name__)
 
 FAILED = failures.StepFailed, backends.QPNotSolved, backends.UnusableQP
 
-# The fixed point is slow where it needs more iterations than these, at the rate of its updates, and
-# where an update changes the contact forces by half of the residual: else the laws are out of
-# balance. At small strain an iteration with the exact tangent takes twice the time (47 thousand
-# unknowns).
+# The fixed point is slow if at the rate of its updates it needs more than FEW iterations, and an
+# update changes the contact forces by SHARE of the residual. At small strain an iteration with the
+# exact tangent takes twice the time.
 FEW = 5
 SHARE = 0.5
 
@@ -320,8 +319,6 @@ class _Step:
         )
         return iterate, residual
 
-    # -- the choice of the tangent ---------------------------------------------------------------
-
     def factorise(self, residuals: list[Residuals]) -> bool:
         """Factorise for the rest of the step, near a balance that may be a saddle; collective."""
         near = self.qps.finite and bool(residuals) and residuals[-1].forces < STABLE
@@ -379,8 +376,6 @@ class _Step:
         for interface, kept in old.tools:
             interface.restore(kept)
         self.problem.follow_geometry()
-
-    # -- the parts of an iteration ---------------------------------------------------------------
 
     def tools(self) -> list[tuple[Interface, dict[str, Floats]]]:
         """States of the tools that forces drive."""
