@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
 """The mass matrix, without mass at the nodes of sides that can open.
 
-A node with mass that meets an obstacle needs an impulse: in finite steps contact forces oscillate,
-and impacts add or lose energy. Without mass at these nodes the contact forces are those of the
-elastic layer behind them, continuous in time (Khenous, Laborde, Renard 2008, "Mass redistribution
-method for finite element contact problems in elastodynamics"). With the consistent mass M of one
-displacement component,
+Mass at contact nodes makes contact forces oscillate in finite steps, and impacts add or lose
+energy. Without it the contact forces are those of the elastic layer behind, continuous in time
+(Khenous, Laborde, Renard 2008, "Mass redistribution method for finite element contact problems in
+elastodynamics"). With the consistent mass M of one displacement component,
 
     M* = D P^T M P D,     (P v)_c = mean of v at the inner nodes nearest to c,   (P v)_i = v_i,
 
@@ -80,15 +79,10 @@ class Mass:
         K.setValuesBlockedIJV(indptr, columns, blocks.ravel(), addv=PETSc.InsertMode.ADD_VALUES)
 
     def solve(self, values: Floats, held: Bools) -> Floats:
-        """Return P v, M* v = f at nodes with mass, v = 0 where held; collective.
-
-        Args:
-            values: f.
-            held: (owned nodes, d) prescribed components.
+        """Return P v, M* v = f where there is mass, v = 0 where held (owned nodes, d); collective.
 
         Raises:
-            RuntimeError: on all ranks, if conjugate gradients do not converge, as for infinite
-                forces.
+            RuntimeError: on all ranks, if conjugate gradients do not converge, as for infinite f.
         """
         free = ~(held | self.massless[:, None])
         columns = [self._solve(values[:, k], free[:, k], "xyz"[k]) for k in range(values.shape[1])]
@@ -142,12 +136,7 @@ class Mass:
 
 
 def assemble_mass(V: fem.FunctionSpace, density: Any, weight: Any) -> Mass:
-    """Assemble the consistent mass of one component: int rho N_i N_j weight dx; collective.
-
-    Args:
-        density: rho in UFL.
-        weight: volume per integrated area or volume, UFL.
-    """
+    """Assemble int rho N_i N_j weight dx of one component, rho and weight in UFL; collective."""
     scalar = V.sub(0).collapse()[0]
     v, w = ufl.TrialFunction(scalar), ufl.TestFunction(scalar)
     matrix = fem_petsc.assemble_matrix(fem.form(density * weight * v * w * ufl.dx))
@@ -165,7 +154,7 @@ def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
 
     Args:
         plain: the consistent mass.
-        contact: (owned nodes,) those of sides that can open.
+        contact: (owned nodes,) of sides that can open.
         body: (owned nodes,) numbers of the bodies.
     """
     comm = plain.matrix.comm.tompi4py()
