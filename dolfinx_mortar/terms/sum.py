@@ -95,8 +95,6 @@ class Terms:
         """Whether a term other than the bodies has a tangent."""
         return bool(self._stiff)
 
-    # -- sums ------------------------------------------------------------------------------------
-
     def energy(self, along: tuple[VolumeStep, float] | None = None) -> Energy | None:
         """J(u), None if a term has none; collective.
 
@@ -113,8 +111,8 @@ class Terms:
     def assemble_forces(self, F: PETSc.Vec, *, from_committed: bool = False) -> float:
         """Fill F with dJ/du; return the largest norm of the forces of a term; collective.
 
-        Those of the bodies are not among them: their scale are the unassembled element forces. They
-        may be linearised about the committed state, see `add_first_forces`.
+        Without those of the bodies, whose scale are unassembled element forces. `from_committed`:
+        see `Solid.add_first_forces`.
         """
         F.array_w[:] = 0.0
         if from_committed:
@@ -239,8 +237,6 @@ class Terms:
         K.zeroEntries()
         return K
 
-    # -- the course of a step --------------------------------------------------------------------
-
     def begin(self, start: float, end: float) -> None:
         """Let all terms prepare a step between two load levels; collective.
 
@@ -294,8 +290,6 @@ class Terms:
         """Let terms forget a failed step; not collective."""
         for term in self.every:
             term.roll_back()
-
-    # -- what may go wrong in terms of users -----------------------------------------------------
 
     def _ask(self, name: str, term: Term, call: Callable[[], R]) -> R:
         """Call a method; raise its error on all ranks, with the term's name; collective."""
