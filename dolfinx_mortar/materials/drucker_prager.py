@@ -51,8 +51,8 @@ class DruckerPrager(Material):
         psi = 1/2 e:C:e - f^2 / (2 (2 mu + K beta^2))      on the cone
         psi = Y / beta tr e - (Y / beta)^2 / (2 K)          at the apex.
 
-    Plastic flow dilates: tr dep = beta |dev dep|. There is no hardening, so there are limit loads,
-    and a part whose points are all at the apex has no stiffness.
+    Plastic flow dilates: tr dep = beta |dev dep|. Without hardening there are limit loads, and a
+    part with all points at the apex has no stiffness.
 
     Source: D. C. Drucker, W. Prager, Q. Appl. Math. 10 (1952) 157-165; E. A. de Souza Neto, D.
     Peric, D. R. J. Owen, Computational Methods for Plasticity (2008), section 8.3.
@@ -85,7 +85,7 @@ class DruckerPrager(Material):
     ) -> DruckerPrager:
         """Create the law from cohesion and angle of friction.
 
-        The cone meets Mohr and Coulomb's pyramid where `match` says: in
+        `match` is where the cone meets Mohr and Coulomb's pyramid:
 
         * "compression": triaxial compression, the outer edges (the largest cone);
         * "extension": triaxial extension, the inner edges;
@@ -123,7 +123,7 @@ class DruckerPrager(Material):
 
     @staticmethod
     def _return(strain: Expr, state: Mapping[str, Expr], p: Any) -> _Return:
-        """Return the return mapping of the trial stress."""
+        """Mapping of the trial stress."""
         elastic = strain - state["plastic_strain"]
         mu, K = shear_modulus(p), bulk_modulus(p)
         s, mean = 2 * mu * ufl.dev(elastic), K * ufl.tr(elastic)
@@ -144,7 +144,7 @@ class DruckerPrager(Material):
 
     @staticmethod
     def stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return the stress inside, on the cone or at its apex."""
+        """Stress inside, on the cone or at its apex."""
         r = DruckerPrager._return(strain, state, p)
         g = ufl.conditional(r.yields, r.g, 0.0)
         shrunk = 1 - 2 * shear_modulus(p) * g / r.norm
