@@ -55,7 +55,7 @@ class NeoHooke(Material):
 
     @staticmethod
     def volumetric(J: Expr, p: Any) -> Expr:
-        """Return the part of psi that lambda makes stiff, which only depends on the volume."""
+        """Part of psi with the factor lambda, a function of J alone."""
         return lame_modulus(p) / 2 * ufl.ln(J) ** 2
 
     @staticmethod
@@ -70,9 +70,9 @@ class NeoHooke(Material):
 class MooneyRivlin(Material):
     """psi(F) = C10 (I1 - 3) + C01 (I2 - 3) + K/2 (J - 1)^2, J = det F.
 
-    I1 = tr C / J^(2/3) and I2 = (tr(C)^2 - tr(C^2)) / (2 J^(4/3)) see no change of volume,
-    C = F^T F. The shear modulus at F = I is 2 (C10 + C01); C01 = 0 is a neo-Hookean rubber. Source:
-    Holzapfel, Nonlinear Solid Mechanics (2000), sections 6.4 and 6.5.
+    I1 = tr C / J^(2/3) and I2 = (tr(C)^2 - tr(C^2)) / (2 J^(4/3)), C = F^T F, are independent of
+    the volume. The shear modulus at F = I is 2 (C10 + C01); C01 = 0 is a neo-Hookean rubber.
+    Source: Holzapfel, Nonlinear Solid Mechanics (2000), sections 6.4 and 6.5.
 
     Raises:
         ValueError: if K <= 0, C10 + C01 <= 0 or a number is not finite.
@@ -96,7 +96,7 @@ class MooneyRivlin(Material):
 
     @staticmethod
     def conditions(p: Any) -> dict[str, Any]:
-        """Return what several parameters must satisfy."""
+        """Conditions on several parameters."""
         return {"C10 + C01 > 0": p.C10 + p.C01 > 0.0}
 
     @staticmethod
@@ -115,7 +115,7 @@ class MooneyRivlin(Material):
 
     @staticmethod
     def volumetric(J: Expr, p: Any) -> Expr:
-        """Return the part of psi that only depends on the volume."""
+        """Part of psi that is a function of J alone."""
         return p.K / 2 * (J - 1) ** 2
 
 
@@ -128,8 +128,7 @@ class Ogden(PointwiseLaw):
     Soc. Lond. A 326 (1972) 565-584; Holzapfel, Nonlinear Solid Mechanics (2000), section 6.5.
 
     Raises:
-        ValueError: naming a parameter that is out of its range, and for a shear modulus that is not
-            positive.
+        ValueError: naming a parameter out of its range, or a shear modulus that is not positive.
     """
 
     mu: tuple[Parameter, ...]  # stress
@@ -157,7 +156,7 @@ class Ogden(PointwiseLaw):
 
     @staticmethod
     def conditions(p: Any) -> dict[str, Any]:
-        """Return what several parameters must satisfy."""
+        """Conditions on several parameters."""
         rules = {f"alpha[{i}] is not 0": alpha != 0.0 for i, alpha in enumerate(p.alpha)}
         return {"sum of mu * alpha > 0": _twice_shear_modulus(p) > 0.0} | rules
 
@@ -182,17 +181,17 @@ class Ogden(PointwiseLaw):
     def update(
         F: Floats, state: Mapping[str, Floats], p: SimpleNamespace
     ) -> tuple[Floats, Floats, dict[str, Floats]]:
-        """Return P (q, 3, 3), dP/dF (q, 3, 3, 3, 3) and no state.
+        """P (q, 3, 3), dP/dF (q, 3, 3, 3, 3) and no state.
 
-        With C = sum_a x_a N_a (x) N_a, S = sum_a s(x_a) N_a (x) N_a. Divided differences of powers
-        of x, which turn the frame N, are exact at any distance of x_a and x_b.
+        With C = sum_a x_a N_a (x) N_a, S = sum_a s(x_a) N_a (x) N_a. The frame N turns by divided
+        differences of powers of x, exact at any distance of x_a and x_b.
         """
         x, N = np.linalg.eigh(np.swapaxes(F, 1, 2) @ F)  # N[:, :, a]
         J = np.sqrt(x.prod(axis=1))
         U1, U2 = p.K * (J - 1), p.K  # of the volume
         # s_a = sum_i mu_i J^(-alpha_i/3) x_a^(alpha_i/2 - 1) + (J U' - m) / x_a
         s, quotient, m, of_m = np.zeros_like(x), np.zeros((len(x), 3, 3)), 0.0, np.zeros_like(x)
-        slopes = np.zeros((len(x), 3, 3))  # d s_a / d ln lambda_b, at a frame that stands
+        slopes = np.zeros((len(x), 3, 3))  # d s_a / d ln lambda_b, in a fixed frame
         for mu, alpha in zip(p.mu, p.alpha, strict=True):
             factor, q = mu * J ** (-alpha / 3), alpha / 2 - 1
             power = x ** (alpha / 2)[:, None]
@@ -222,12 +221,12 @@ class Ogden(PointwiseLaw):
 
 
 def _twice_shear_modulus(p: Any) -> Any:
-    """Return sum_i mu_i alpha_i."""
+    """sum_i mu_i alpha_i."""
     return sum(mu * alpha for mu, alpha in zip(p.mu, p.alpha, strict=True))
 
 
 def _divided(x: Floats, power: Floats) -> Floats:
-    """Return (x_a^n - x_b^n) / (x_a - x_b) (q, 3, 3) of x (q, 3), to round-off at any distance."""
+    """(x_a^n - x_b^n) / (x_a - x_b) (q, 3, 3) of x (q, 3), to round-off at any distance."""
     t = np.log1p((x[:, None, :] - x[:, :, None]) / x[:, :, None])  # ln x_b / x_a
     n = power[:, None, None]
     same = t == 0.0
