@@ -22,7 +22,7 @@ def lame_modulus(p: Any) -> Any:
 
 
 def bulk_modulus(p: Any) -> Any:
-    """Return K = E / (3 (1 - 2 nu)), of numbers, arrays or UFL."""
+    """K = E / (3 (1 - 2 nu)), of numbers, arrays or UFL."""
     return p.E / (3 * (1 - 2 * p.nu))
 
 
@@ -70,14 +70,13 @@ _ANY: Range = (-math.inf, math.inf, False)
 
 @dataclass(frozen=True)
 class Orthotropic(Material):
-    r"""Hooke's law with three planes of symmetry, in axes 1, 2, 3 of the material.
+    """Hooke's law with three planes of symmetry, in axes 1, 2, 3 of the material.
 
         eps_11 = sigma_11 / E1 - nu12 sigma_22 / E1 - nu13 sigma_33 / E1  (nu21 / E2 = nu12 / E1 ..)
         eps_12 = sigma_12 / (2 G12), ..
 
-    The axes are x, y, z turned by yaw about z, then by pitch about the new y, then by roll about
-    the new x (radians, right hand): the columns of Rz(yaw) Ry(pitch) Rx(roll). In the plane use yaw
-    alone: otherwise the body would leave the plane.
+    The axes are x, y, z turned by yaw about z, pitch about the new y, and roll about the new x
+    (radians, right hand): the columns of Rz(yaw) Ry(pitch) Rx(roll). In the plane use yaw alone.
 
     Source: R. M. Jones, Mechanics of Composite Materials (1999), section 2.3.
 
@@ -110,7 +109,7 @@ class Orthotropic(Material):
 
     @staticmethod
     def conditions(p: Any) -> dict[str, Any]:
-        """Return what makes the energy positive: leading minors of the compliance."""
+        """Leading minors of the compliance, positive for a positive energy."""
         return {
             "nu12^2 < E1 / E2": p.nu12**2 < p.E1 / p.E2,
             "nu13^2 < E1 / E3": p.nu13**2 < p.E1 / p.E3,
@@ -151,14 +150,14 @@ class Orthotropic(Material):
 
 
 def _determinant(p: Any) -> Any:
-    """Return det of the compliance of normal strains times E1 E2 E3, of numbers, arrays or UFL."""
+    """Determinant of the compliance of normal strains times E1 E2 E3, of numbers, arrays or UFL."""
     coupled = 2 * p.nu12 * p.nu23 * p.nu13 * p.E3 / p.E1
     pairs = p.nu12**2 * p.E2 / p.E1 + p.nu23**2 * p.E3 / p.E2 + p.nu13**2 * p.E3 / p.E1
     return 1 - pairs - coupled
 
 
 def _axes(p: Any) -> Expr:
-    """Return the matrix (3, 3) whose columns are the axes of the material."""
+    """Matrix (3, 3) whose columns are the axes of the material."""
     (cz, sz), (cy, sy), (cx, sx) = ((ufl.cos(t), ufl.sin(t)) for t in (p.yaw, p.pitch, p.roll))
     yaw = ufl.as_tensor([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
     pitch = ufl.as_tensor([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
