@@ -45,21 +45,21 @@ from dolfinx_mortar.materials.tensor import (
 )
 from ufl.core.expr import Expr
 
-CHUNK = 512  # points that are treated together, so that what is kept of them stays in the cache
+CHUNK = 512  # points that are treated together, for the cache
 NORMAL = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # ab of L_aabb
 
 
 @dataclass(frozen=True)
 class Start:
-    """What q points know at the start of a step, read by each evaluation."""
+    """Data of q points at the start of a step, for each evaluation."""
 
     state: Mapping[str, Floats]  # committed, (q,) or (q, 3, 3)
     parameters: Mapping[str, Floats]  # (q,) of a law of arrays
     roots: Floats | None  # C_pn^-1/2 - I (q, 3, 3), if not zero
-    numbers: Floats  # (q, n), the arguments of a law in UFL, with space for the strain
+    numbers: Floats  # (q, n) arguments of a law in UFL, with space for the strain
 
     def at(self, points: Ints) -> "Start":
-        """Return what some points know."""
+        """Data of some points."""
         state, parameters = (
             {name: values[points] for name, values in of.items()}
             for of in (self.state, self.parameters)
@@ -74,7 +74,7 @@ class LogarithmicLaw:
 
     Attributes:
         law: its parts.
-        multiplicative: which form; else the additive one.
+        multiplicative: the form; else additive.
         has_energy: whether there is a potential.
         components: row and column of the k entries of P that may differ from zero.
     """
@@ -91,8 +91,8 @@ class LogarithmicLaw:
 
         Args:
             parameters: their names.
-            dimension: 2 where H has zeros out of the plane but for H_zz.
-            jit: how expressions are compiled.
+            dimension: 2 if H is in the plane but for H_zz.
+            jit: options of the compiler.
 
         Raises:
             ValueError: if the law raises, or returns something of the wrong shape or name.
@@ -107,7 +107,7 @@ class LogarithmicLaw:
         self._tensors = np.empty((3, CHUNK, 3, 3))
 
     def start(self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Start:
-        """Return what does not change in a step, of the committed state and the parameters.
+        """Data that are constant in a step, of the committed state and the parameters.
 
         Args:
             q: number of points.
@@ -122,16 +122,14 @@ class LogarithmicLaw:
         return Start(state, parameters if self.law.update else {}, roots, numbers)
 
     def respond(self, start: Start, H: Floats, P: Floats, A: Floats, psi: Floats) -> None:
-        """Fill stress, tangent and potential at q points.
-
-        Where det F is not positive, psi is infinite, and the others are NaN.
+        """Fill stress, tangent and potential at q points; where det F <= 0, psi = inf, others NaN.
 
         Args:
             start: of `start`.
             H: displacement gradient (q, 3, 3).
             P: d psi / dF, the k `components` (q, k).
             A: dP / dF, its upper triangle row by row (q, k (k + 1) / 2).
-            psi: (q,), per volume of the undeformed body; not touched without a potential.
+            psi: (q,), per volume of the undeformed body; unchanged without a potential.
         """
         for some in _chunks(len(H)):
             parts = self._decompose(start, H[some], some)
@@ -142,7 +140,7 @@ class LogarithmicLaw:
                 psi[some] = np.where(np.isnan(x[:, 0]), np.inf, found[:, -1])
 
     def find_normal(self, start: Start, H: Floats) -> None:
-        """Set H_zz of q points to what leaves no stress P_zz, NaN where the law is undefined.
+        """Set H_zz of q points such that P_zz = 0, NaN where the law is undefined.
 
         Raises:
             ValueError: where it is not found.
@@ -163,7 +161,7 @@ class LogarithmicLaw:
         H[:, 2, 2] = solve(self.law.name, equation, (len(H), 1), finite=True)[:, 0]
 
     def condense(self, P: Floats, A: Floats) -> None:
-        """Make stress and tangent of `respond` those of plane stress, in place."""
+        """Convert stress and tangent of `respond` to plane stress, in place."""
         k, c = len(self.components), self.components.index((2, 2))
         number = {pair: t for t, pair in enumerate(_upper(k))}
         with_normal = [A[:, number[min(a, c), max(a, c)]].copy() for a in range(k)]
@@ -174,7 +172,7 @@ class LogarithmicLaw:
         P[:, c] = 0.0
 
     def update(self, start: Start, H: Floats) -> dict[str, Floats]:
-        """Return the internal variables at the end of the step, (q,) or (q, 3, 3)."""
+        """Internal variables at the end of the step, (q,) or (q, 3, 3)."""
         new = {name: np.array(values) for name, values in start.state.items()}
         for some in _chunks(len(H)) if new else ():
             _, logs, N, _, _ = self._decompose(start, H[some], some)
@@ -187,7 +185,7 @@ class LogarithmicLaw:
         return new
 
     def values(self, F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> PointValues:
-        """Return everything at F (q, 3, 3) as tensors, see `response.values_at_points`."""
+        """All values at F (q, 3, 3) as tensors, see `response.values_at_points`."""
         q, k = len(F), len(self.components)
         H = np.ascontiguousarray(F - np.eye(3))
         P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
@@ -216,7 +214,7 @@ class LogarithmicLaw:
         return share
 
     def _decompose(self, start: Start, H: Floats, some: slice) -> list[Floats]:
-        """Return x, logs, N, y, m, see `logarithms`, at some points."""
+        """x, logs, N, y, m, see `logarithms`, at some points."""
         parts = [part[: len(H)] for part in (*self._vectors, *self._tensors)]
         roots = _NONE if start.roots is None else start.roots[some]
         logarithms.decompose(H, roots, start.roots is None, *parts)
@@ -227,20 +225,17 @@ _NONE = np.zeros((1, 3, 3))
 
 
 def _upper(k: int) -> list[tuple[int, int]]:
-    """Return rows and columns of the upper triangle, row by row."""
+    """Rows and columns of the upper triangle, row by row."""
     return [(a, b) for a in range(k) for b in range(a, k)]
 
 
 def _chunks(q: int) -> list[slice]:
-    """Return the points that are treated together."""
+    """Slices of points that are treated together."""
     return [slice(i, min(i + CHUNK, q)) for i in range(0, q, CHUNK)]
 
 
 class _InUFL:
-    """A law in UFL, compiled as a function of numbers.
-
-    Of an isotropic law the strain is that in its eigenvectors, three numbers.
-    """
+    """A law in UFL, compiled; an isotropic one as a function of the strain in its eigenvectors."""
 
     def __init__(
         self, law: Law, parameters: list[str], size: int, jit: Callable[[Expr], Kernel]
@@ -263,7 +258,7 @@ class _InUFL:
     def numbers(
         self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]
     ) -> Floats:
-        """Return the arguments (q, n): strain, internal variables, parameters."""
+        """Arguments (q, n): strain, internal variables, parameters."""
         columns: list[Floats] = [np.zeros((q, self._width))]
         for name, shape in self._memory.items():
             columns.append(stored(state[name], self._size) if shape else state[name][:, None])
@@ -271,11 +266,11 @@ class _InUFL:
         return np.ascontiguousarray(np.hstack(columns))
 
     def moduli(self, start: Start, some: slice, logs: Floats, N: Floats) -> Floats:
-        """Return T and L, see `logarithms`, and psi as the last column if there is a potential."""
+        """T and L, see `logarithms`, and psi as the last column if there is a potential."""
         return tabulate(self._moduli, self._at(start, some, logs, N))
 
     def update(self, start: Start, some: slice, logs: Floats, N: Floats) -> dict[str, Floats]:
-        """Return the new internal variables; plastic strains in the eigenvectors (q, 3)."""
+        """New internal variables; plastic strains in the eigenvectors (q, 3)."""
         assert self._state is not None
         found, first = tabulate(self._state, self._at(start, some, logs, N)), 0
         new = {}
@@ -287,7 +282,7 @@ class _InUFL:
         return new
 
     def _at(self, start: Start, some: slice, logs: Floats, N: Floats) -> Floats:
-        """Return the arguments with the strain in."""
+        """Arguments with the strain."""
         numbers = start.numbers[some]
         if self._law.isotropic:
             numbers[:, :3] = logs
@@ -296,7 +291,7 @@ class _InUFL:
         return numbers
 
     def _response(self) -> Response:
-        """Return the response of the law to symbols."""
+        """Response of the law to symbols."""
         sizes = [self._size if shape else 1 for shape in self._memory.values()]
         count = self._width + sum(sizes) + len(self._names)
         numbers = constants(count)
@@ -315,21 +310,21 @@ class _InUFL:
         return respond(self._law, strain, state, p)
 
     def _principal(self, response: Response) -> list[Expr]:
-        """Return T and L of normal strains, and the shear moduli."""
+        """T and L of normal strains, and the shear moduli."""
         changes = [response.change(_unit(i, i)) for i in range(3)]
         normal = [changes[j][i, i] for i, j in NORMAL]
         shears = [response.change(_unit(i, j))[i, j] for i, j in INDEX[3 : self._size]]
         return [*(response.stress[i, i] for i in range(3)), *normal, *shears]
 
     def _components(self, response: Response) -> list[Expr]:
-        """Return the stored components of T, and the upper triangle of L."""
+        """Stored components of T, and the upper triangle of L."""
         index = INDEX[: self._size]
         changes = [response.change(_unit(i, j)) for i, j in index]
         upper = [changes[b][index[a]] for a in range(len(index)) for b in range(a, len(index))]
         return [*(response.stress[i, j] for i, j in index), *upper]
 
     def _new(self, name: str, response: Response) -> list[Expr]:
-        """Return the entries of an internal variable at the end of the step."""
+        """Entries of an internal variable at the end of the step."""
         new = response.updated[name]
         if not self._law.state[name]:
             return [new]
@@ -337,7 +332,7 @@ class _InUFL:
 
 
 class _OfArrays:
-    """A law of arrays, as `_InUFL` is for one in UFL."""
+    """A law of arrays, with the methods of `_InUFL`."""
 
     def __init__(self, law: Law, parameters: list[str], size: int, jit: Any) -> None:
         self._law, self._size = law, size
@@ -345,11 +340,11 @@ class _OfArrays:
     def numbers(
         self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]
     ) -> Floats:
-        """Return nothing: the law gets the arrays themselves."""
+        """Nothing: the law gets the arrays themselves."""
         return np.empty((0, 0))
 
     def moduli(self, start: Start, some: slice, logs: Floats, N: Floats) -> Floats:
-        """Return T and L, see `logarithms`."""
+        """T and L, see `logarithms`."""
         found = self._values(start, some, logs, N)
         T, L, pairs = found.stress, found.tangent, INDEX[: self._size]
         if self._law.isotropic:
@@ -362,14 +357,14 @@ class _OfArrays:
         return np.stack(columns, axis=1)
 
     def update(self, start: Start, some: slice, logs: Floats, N: Floats) -> dict[str, Floats]:
-        """Return the new internal variables; plastic strains in the eigenvectors (q, 3)."""
+        """New internal variables; plastic strains in the eigenvectors (q, 3)."""
         new = self._values(start, some, logs, N).state
         if self._law.isotropic and PLASTIC in new:
             new[PLASTIC] = np.ascontiguousarray(new[PLASTIC][:, range(3), range(3)])
         return new
 
     def _values(self, start: Start, some: slice, logs: Floats, N: Floats) -> PointValues:
-        """Ask the law."""
+        """Values of the law."""
         state = {name: values[some] for name, values in start.state.items()}
         p = grouped({name: values[some] for name, values in start.parameters.items()})
         strain = np.zeros((len(logs), 3, 3))
@@ -383,7 +378,7 @@ class _OfArrays:
 
 
 def _unit(i: int, j: int) -> Expr:
-    """Return the symmetric tensor with entries ij and ji, whose sum is one."""
+    """Symmetric tensor with entries ij and ji, whose sum is one."""
     entries = [[0.0] * 3 for _ in range(3)]
     entries[i][j] += 0.5
     entries[j][i] += 0.5
