@@ -34,21 +34,21 @@ from dolfinx_mortar.materials.tensor import INDEX
 PAIRS = INDEX
 SETTINGS = {"cache": True, "error_model": "numpy"}
 
-# Below these relative differences of eigenvalues the power series are exact to round-off, and above
-# them differences keep all but two digits.
+# Below these relative differences of eigenvalues power series are exact to round-off; above them
+# differences lose at most two digits.
 NEAR = 0.08
 
 
 @numba.njit(**SETTINGS)
 def diagonalise(A, N):  # type: ignore[no-untyped-def]
-    """Turn a symmetric A (3, 3) into its eigenvalues, N into its eigenvectors, by Jacobi's method.
+    """Replace a symmetric A (3, 3) by its eigenvalues, N by its eigenvectors, by Jacobi's method.
 
-    What is zero stays zero: an A with A_02 = A_12 = 0 keeps its last eigenvector.
+    An A with A_02 = A_12 = 0 keeps its last eigenvector.
     """
     for i in range(3):
         for j in range(3):
             N[i, j] = 1.0 if i == j else 0.0
-    for _ in range(LIMIT):  # five are enough, where nothing is NaN
+    for _ in range(LIMIT):  # five are enough without NaN
         turned = False
         for p, q, r in ((0, 1, 2), (0, 2, 1), (1, 2, 0)):
             off = A[p, q]
@@ -113,7 +113,7 @@ def congruent(G, A, B):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def first_difference(x, y, log_x, log_y):  # type: ignore[no-untyped-def]
-    """Return the divided difference of 1/2 ln(1 + .), whose values are given."""
+    """Divided difference of 1/2 ln(1 + .), from its values."""
     t = (x - y) / (2 + x + y)
     if abs(t) < NEAR:
         q, total = t * t, 0.0
@@ -125,7 +125,7 @@ def first_difference(x, y, log_x, log_y):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def confluent_differences(x, y, f):  # type: ignore[no-untyped-def]
-    """Return f_xxy and f_xyy of 1/2 ln(1 + .), f = f_xy."""
+    """f_xxy and f_xyy of 1/2 ln(1 + .), f = f_xy."""
     total = 2 + x + y
     t = (x - y) / total
     even = 1 / (1 - t * t)
@@ -141,7 +141,7 @@ def confluent_differences(x, y, f):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def second_difference(x, y, z, f_xy, f_yz, f_zx):  # type: ignore[no-untyped-def]
-    """Return f_xyz of 1/2 ln(1 + .)."""
+    """f_xyz of 1/2 ln(1 + .)."""
     m = 1 + (x + y + z) / 3
     a, b, c = (1 + x - m) / m, (1 + y - m) / m, (1 + z - m) / m
     if max(abs(a), abs(b), abs(c)) < NEAR:
@@ -203,7 +203,7 @@ def add_square_minus_one(g, A):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def determinant(h):  # type: ignore[no-untyped-def]
-    """Return det(I + h)."""
+    """det(I + h)."""
     a, b, c = 1 + h[0, 0], 1 + h[1, 1], 1 + h[2, 2]
     total = a * (b * c - h[1, 2] * h[2, 1]) - h[0, 1] * (h[1, 0] * c - h[1, 2] * h[2, 0])
     return total + h[0, 2] * (h[1, 0] * h[2, 1] - b * h[2, 0])
@@ -211,7 +211,7 @@ def determinant(h):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def _isotropic_moduli(pairs, law, x, logs, S, M):  # type: ignore[no-untyped-def]
-    """Fill S (3, 3) and M (s, s) by T_aa, L_aabb and the shear moduli G, T_12 = 2 G E_12."""
+    """Fill S and M by T_aa, the upper triangle of L_aabb, and G_12, G_23, G_13, T = 2 G E."""
     k = 3
     for a in range(3):
         for b in range(a, 3):
@@ -259,7 +259,7 @@ def _moduli(pairs, law, x, logs, N, S, M, f, h, T, R, L):  # type: ignore[no-unt
 
 @numba.njit(**SETTINGS)
 def _turn(s, N, R):  # type: ignore[no-untyped-def]
-    """Fill R (s, s): what a tensor's components in the eigenvectors are of the stored ones."""
+    """Fill R (s, s), which maps stored components to those in the eigenvectors."""
     for i in range(s):
         a, b = PAIRS[i]
         for j in range(s):
@@ -354,7 +354,7 @@ def _fill_stress(pairs, y, m, S, Z, P):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def _couple(pairs, isotropic, M, Z, W):  # type: ignore[no-untyped-def]
-    """Set W (s, k) to M Z; in an isotropic law, normal strains are coupled, and no others."""
+    """Set W (s, k) to M Z; an isotropic law couples normal strains only."""
     s = len(pairs)
     k = s + 1 if s == 4 else s + 3
     for p in range(s):
@@ -398,7 +398,7 @@ def _fill_tangent(pairs, B, Z, W, A):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def _entry(n, s):  # type: ignore[no-untyped-def]
-    """Return row and column of a component of P, see `tensor.GRADIENT`."""
+    """Row and column of a component of P, see `tensor.GRADIENT`."""
     if s == 6:
         return n // 3, n % 3
     return (n // 2, n % 2) if n < 4 else (2, 2)
