@@ -25,24 +25,24 @@ NORMAL = ufl.as_tensor([[0.0, 0, 0], [0, 0, 0], [0, 0, 1.0]])
 
 
 def with_normal_strain(strain: Expr, z: Any) -> Expr:
-    """Return the strain in the plane, with the mean of both shears, and z out of it."""
+    """The strain in the plane of a 3x3 tensor, symmetrised, with z out of it."""
     shear = (strain[0, 1] + strain[1, 0]) / 2
     return ufl.as_tensor([[strain[0, 0], shear, 0], [shear, strain[1, 1], 0], [0, 0, z]])
 
 
 def with_normal_stretch(F: Expr, z: Any) -> Expr:
-    """Return F in the plane of a 3x3 tensor with the stretch 1 + z out of it."""
+    """F in the plane of a 3x3 tensor with the stretch 1 + z out of it."""
     return _with_normal(F, 1.0 + z)
 
 
 def _with_normal(tensor: Expr, normal: Any) -> Expr:
-    """Return the part in the plane of a 3x3 tensor, which need not be symmetric, with a zz."""
+    """The part in the plane of a 3x3 tensor, which need not be symmetric, with a zz."""
     (a, b), (c, d) = ((tensor[i, 0], tensor[i, 1]) for i in range(2))
     return ufl.as_tensor([[a, b, 0], [c, d, 0], [0, 0, normal]])
 
 
 def in_plane(tensor: Expr) -> Expr:
-    """Return a 3x3 tensor with zeros out of the plane."""
+    """A 3x3 tensor with zeros out of the plane."""
     rows = [[tensor[i, j] for j in range(2)] for i in range(2)]
     return ufl.as_tensor([[*rows[0], 0], [*rows[1], 0], [0, 0, 0]])
 
@@ -109,7 +109,7 @@ def solve(
 
 @numba.njit(cache=True, error_model="numpy")
 def _advance(z, low, high, rows, values, share, floor, softer):  # type: ignore[no-untyped-def]
-    """Make one iteration in some rows; return how many are not done, moved to the front."""
+    """Make one iteration in some rows; return the number of unfinished ones, moved to the front."""
     left = 0
     for k in range(len(rows)):
         row, done = rows[k], True
@@ -119,7 +119,7 @@ def _advance(z, low, high, rows, values, share, floor, softer):  # type: ignore[
                 continue
             step = -residual / (softer * elastic)
             new = z[row, q] - residual / modulus if modulus > 0.0 else z[row, q] + step
-            if floor > 0.0:  # a stretch: at most halved, since at zero nothing is defined
+            if floor > 0.0:  # a stretch is at most halved
                 new = max(new, (z[row, q] - 1.0) / 2)
             small = abs(residual) <= max(share * stress, floor * elastic) and np.isfinite(stress)
             if not small:
@@ -128,7 +128,7 @@ def _advance(z, low, high, rows, values, share, floor, softer):  # type: ignore[
                 else:
                     high[row, q] = z[row, q]
                 new, narrow = _kept_between(low[row, q], high[row, q], new, z[row, q] + step)
-                # a law that is undefined from the start, as for a strain that is NaN, is done
+                # a law undefined from the start, as for a strain that is NaN, is done
                 done = done and (narrow or (softer == 1.0 and np.isnan(stress)))
             z[row, q] = new
         if not done:
