@@ -25,7 +25,7 @@ Range = tuple[float, float, bool]
 
 
 def named_parameters(material: Any) -> dict[str, Any]:
-    """Return the parameters of a material by name; those of a tuple as ``name[0]``, ``name[1]`` ..
+    """Parameters of a material by name; those of a tuple as ``name[0]``, ``name[1]`` ..
 
     >>> from dolfinx_mortar.materials import Ogden
     >>> named_parameters(Ogden(mu=(0.6, -0.1), alpha=(1.3, -2.0), K=1e3))["mu[1]"]
@@ -42,7 +42,7 @@ def named_parameters(material: Any) -> dict[str, Any]:
 
 
 def grouped(values: Mapping[str, Any]) -> SimpleNamespace:
-    """Return what `named_parameters` has named as attributes, tuples as tuples again."""
+    """Parameters of `named_parameters` as attributes, with tuples again."""
     groups: dict[str, Any] = {}
     for name, value in values.items():
         stem, _, number = name.partition("[")
@@ -51,7 +51,7 @@ def grouped(values: Mapping[str, Any]) -> SimpleNamespace:
 
 
 def ungrouped(p: SimpleNamespace) -> dict[str, Any]:
-    """Return what `grouped` was made of.
+    """Inverse of `grouped`.
 
     >>> ungrouped(grouped({"a": 1, "b[0]": 2, "b[1]": 3}))
     {'a': 1, 'b[0]': 2, 'b[1]': 3}
@@ -94,7 +94,7 @@ def wrong_values(
     rules: Callable[..., Any] | None,
     values: Mapping[str, Floats],
 ) -> dict[str, Bools]:
-    """Return the rules that do not hold, in words, and at which places (n,)."""
+    """Violated rules, in words, and the places (n,)."""
     found = {
         f"{name} in {interval(*limits)}": ~_inside(values[name], *limits)
         for name, limits in ranges.items()
@@ -108,7 +108,7 @@ def wrong_values(
 def conditions(
     law: str, rules: Callable[..., Any] | None, values: Mapping[str, Any]
 ) -> dict[str, Bools]:
-    """Return what a law asks of several parameters, in words, and whether or where it holds."""
+    """Conditions of a law on several parameters, in words, and whether or where they hold."""
     if rules is None:
         return {}
     shape = np.shape(next(iter(values.values()), 0.0))
@@ -124,13 +124,13 @@ def conditions(
 
 
 def _inside(values: Floats, lower: float, upper: float, closed: bool) -> Bools:
-    """Return which values are finite and in a range."""
+    """Whether values are finite and in a range."""
     above = values >= lower if closed else values > lower
     return np.asarray(np.isfinite(values) & above & (values < upper))
 
 
 def interval(lower: float, upper: float, closed: bool) -> str:
-    """Return how a message writes a range.
+    """Range in the notation of messages.
 
     >>> interval(-1.0, 0.5, False)
     '(-1.0, 0.5)'
@@ -145,54 +145,54 @@ PLASTIC = "plastic_strain"
 class Material(Protocol):
     """A frozen dataclass whose fields are the parameters, with the law as static methods.
 
-    A law knows no mesh. It gets the strain (3x3 UFL), the committed state and the parameters `p`
-    (attributes named like the fields; of a tuple a tuple) as UFL symbols, so that the compiled code
-    is the same for all their values, be they numbers or what may change (see `Parameter`). Then
-    either of
+    The law gets the strain (3x3 UFL), the committed state and the parameters `p` (attributes named
+    like the fields; of a tuple of numbers a tuple) as UFL symbols, so that the compiled code is the
+    same for all values of the parameters, constant or not (see `Parameter`). It has either of
 
     * `energy(strain, state, p)`, the incremental potential psi of the step; the stress is
       d psi / d strain and the tangent its derivative, both taken by UFL, or
     * `stress(strain, state, p)`, for a law without a potential (no line search on the energy).
 
-    A law that has both gives its stress in closed form. The tangent must be symmetric.
+    With both, UFL only differentiates the stress. The tangent must be symmetric.
     `dolfinx_mortar.materials.check` tries a law out without a mesh.
 
     Where UFL should not differentiate the stress (the solution of a local equation), a law states
-    `tangent(strain, state, p, direction)`, d stress / d strain : direction. A class that inherits
-    it and has another energy or stress has to give its own; else UFL differentiates.
+    its derivative: `tangent(strain, state, p, direction)`, d stress / d strain : direction. A
+    subclass with another energy or stress does not inherit it.
 
-    In plane stress the strain out of the plane is solved for at every integration point. A law that
-    has it in closed form saves most of the time by `normal_strain(strain, state, p)`, which is
-    None, or a property that gives None, where it is to be solved for. It is inherited as `tangent`
-    is.
+    In plane stress the strain out of the plane is solved for at every integration point. A law with
+    this strain in closed form saves most of the time by `normal_strain(strain, state, p)`, None, or
+    a property that gives None, where there is no such form. It is inherited as `tangent` is.
 
     A law may inherit from this class, which has no state and no output, or just have its methods.
 
     **Finite strain.** A law with ``strain = "finite"`` gets the deformation gradient F (3x3, not
     symmetric, det F > 0) in place of the strain: `energy(F, state, p)` is psi per volume at X,
     `stress(F, state, p)` the first Piola-Kirchhoff stress P = d psi / dF, `tangent` dP/dF :
-    direction, of any direction. Only `elastic_stress` is still that of a small strain, at F = I.
-    psi has to be objective, psi(Q F) = psi(F) for rotations Q. A part of psi that depends on J =
-    det F alone may be stated as `volumetric(J, p)`, in UFL, for ``volumetric="reduced"``. Such a
-    law needs ``Solid(.., strain="finite")``, which makes laws of F itself of all others.
+    direction, for any direction. Only `elastic_stress` is that of a small strain, at F = I. psi has
+    to be objective, psi(Q F) = psi(F) for rotations Q, as are functions of C = F^T F. A part of psi
+    that depends on J = det F alone may be stated as `volumetric(J, p)`, in UFL, for
+    ``volumetric="reduced"``. Such a law needs ``Solid(.., strain="finite")``, which transforms all
+    other laws to F itself.
 
     Attributes:
-        strain: "small", the first argument of the methods is a small strain, or "finite", F.
+        strain: "small" or "finite", the first argument of the law.
         state: internal variables, name -> shape; () or (3, 3) (symmetric). A property where the
-            parameters decide which there are.
+            parameters decide.
         linear: True if the stress is a linear function of the strain and nothing else.
         splits: True if psi(strain) = psi(dev strain) + K/2 tr(strain)^2 with the constant K of
             `elastic_stress`, so that the volumetric part may be integrated otherwise. Optional.
-        isotropic: True if stress and energy see the strain less the internal variable
-            ``plastic_strain``, if there is one, and depend on no direction: no other tensor, no
-            back stress, no axes. At finite strain such a law takes the multiplicative form, see
+        isotropic: True if stress and energy depend on the strain less the internal variable
+            ``plastic_strain``, if there is one, and on no direction: no other tensor, no back
+            stress, no axes. At finite strain such a law takes the multiplicative form, see
             `logarithmic`. A property where the parameters decide. Optional.
-        ranges: of the parameters, name -> (lower end, upper end, is the lower end allowed); those
-            without a range may be any number. Judged whenever a parameter has changed.
+        ranges: of the parameters, name -> (lower end, upper end, is the lower end allowed); others
+            may be any number. Checked in every cell of the law, and whenever a parameter has
+            changed.
 
-    What involves several parameters is a static method `conditions(p)`, rule in words -> whether or
-    where it holds, of numbers or arrays. `check_fields`, called in ``__post_init__``, judges
-    numbers as soon as a law is made.
+    Rules for several parameters are a static method `conditions(p)`, rule in words -> whether or
+    where it holds, of numbers or arrays. `check_fields`, called in ``__post_init__``, checks
+    numbers when a law is made.
     """
 
     state: ClassVar[Mapping[str, tuple[int, ...]]]
@@ -210,15 +210,12 @@ class Material(Protocol):
 
     @staticmethod
     def updated_state(strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-        """Return the internal variables at the end of the step, one per name in `state`."""
+        """Internal variables at the end of the step, one per name in `state`."""
         return {}
 
     @staticmethod
     def output(state: Mapping[str, np.ndarray], p: SimpleNamespace) -> dict[str, np.ndarray]:
-        """Return further fields (q,) or (q, components) at q integration points, from NumPy.
-
-        q may be 0: the names and shapes are then all that counts. Optional.
-        """
+        """Further fields (q,) or (q, components) at q >= 0 points, from NumPy; optional."""
         return {}
 
 
@@ -279,8 +276,8 @@ class Law:
     """The parts of a law, looked up once in the class of a material; None is a part it lacks."""
 
     name: str
-    strain: str  # "small" or "finite": what the first argument of the methods is
-    plane_stress: bool  # whether the strain out of the plane is what leaves no stress there
+    strain: str  # "small" or "finite": the first argument of the methods
+    plane_stress: bool  # whether to leave no stress out of the plane
     state: Mapping[str, tuple[int, ...]]
     linear: bool
     splits: bool
@@ -290,7 +287,7 @@ class Law:
     energy: Callable[..., Any] | None
     stress: Callable[..., Any] | None
     tangent: Callable[..., Any] | None
-    normal_strain: Callable[..., Any] | None  # the root of sigma_zz = 0, if the law knows it
+    normal_strain: Callable[..., Any] | None  # root of sigma_zz = 0, if in closed form
     updated_state: Callable[..., Any] | None
     update: Callable[..., Any] | None
     output: Callable[..., Any] | None
@@ -312,7 +309,7 @@ _REMEDIES = {
     "stress(strain, state, p), or update(strain, state, p) of arrays",
     "updated_state": "add updated_state(strain, state, p) for the internal variables of `state`",
 }
-# Fields that are written beside those of the laws; a law must not hide them.
+# Fields written beside those of the laws, which must have other names.
 RESERVED = (
     *("stress", "von_mises", "J", "stored_energy", "dissipated_energy"),
     *("displacement", "pressure", "gap", "facing", "status"),
@@ -321,10 +318,10 @@ RESERVED = (
 
 
 def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
-    """Return the parts of a material's law; `name` is that of the user's argument.
+    """Parts of a material's law; `name` is that of the user's argument.
 
     Raises:
-        ValueError: unless the material declares all that a law must.
+        ValueError: unless the material declares all parts.
     """
     if not dataclasses.is_dataclass(material) or isinstance(material, type):
         raise ValueError(f"{name} = {material!r} is not a material such as Elastic(E, nu).")
@@ -368,7 +365,7 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
 
 
 def _check_parameters(law: Law, material: Any) -> None:
-    """Raise ValueError unless the parameters are numbers or UFL, and ranges name parameters."""
+    """Raise a ValueError unless the parameters are numbers or UFL, and ranges name parameters."""
     given = named_parameters(material)
     for name in law.ranges:
         check(f"{law.name}: ranges: a name", name, one_of(*given))
@@ -383,7 +380,7 @@ def _check_parameters(law: Law, material: Any) -> None:
 
 
 def _is_isotropic(name: str, material: Any, state: Any) -> bool:
-    """Return whether a law declares to be isotropic; a ValueError if its state is not."""
+    """Whether a law declares to be isotropic; a ValueError if its state is not."""
     isotropic = bool(getattr(material, "isotropic", False))
     tensors = [variable for variable, shape in state.items() if shape and variable != PLASTIC]
     if isotropic and tensors:
@@ -395,14 +392,14 @@ def _is_isotropic(name: str, material: Any, state: Any) -> bool:
 
 
 def _method(kind: type, name: str) -> Callable[..., Any] | None:
-    """Return a method of a class, None if it has none of that name, or one that is to be given."""
+    """Method of a class, None if it is missing or abstract."""
     found = getattr(kind, name, None)
     given = found not in (Material.elastic_stress, PointwiseLaw.update)
     return found if callable(found) and given else None
 
 
 def _fitting(material: Any, part: str) -> Callable[..., Any] | None:
-    """Return what a law derives from its stress, if it belongs to the energy and the stress."""
+    """A derivative of the stress, if it belongs to the law's own energy and stress."""
     places = [
         next((i for i, kind in enumerate(type(material).__mro__) if name in vars(kind)), math.inf)
         for name in (part, "energy", "stress")
@@ -412,7 +409,7 @@ def _fitting(material: Any, part: str) -> Callable[..., Any] | None:
 
 
 def _checked_state(law: str, state: Any) -> Mapping[str, tuple[int, ...]]:
-    """Return the declared internal variables, or raise ValueError for a name or shape."""
+    """Declared internal variables, or a ValueError for a name or shape."""
     check(f"{law}: state", state, instance(Mapping, "give a dictionary, name -> shape"))
     free = Rule[str](
         f"choose a text other than {', '.join(RESERVED)}",
