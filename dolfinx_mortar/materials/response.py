@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The response of a law to a strain: its methods are called and what they return is checked."""
+"""The response of a law to a strain, with checks of the values that its methods return."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -31,7 +31,7 @@ from ufl.corealg.multifunction import MultiFunction
 
 @dataclass(frozen=True)
 class Response:
-    """The answer of a law in UFL to a strain."""
+    """Response of a law in UFL to a strain."""
 
     stress: Expr  # (3, 3)
     energy: Expr | None  # the incremental potential, if the law has one
@@ -39,18 +39,17 @@ class Response:
     change: Callable[[Expr], Expr]  # direction, 3x3 -> d stress / d strain : direction
     # sigma_zz, C_zzzz, the elastic C_zzzz and |sigma| in plane stress, see `plane_stress.solve`
     equation: tuple[Expr, Expr, Expr, Expr] | None = None
-    normal_strain: Expr | None = None  # in place of the equation, its root where the law knows it
-    start: Expr | None = None  # the root of the equation if nothing flows
+    normal_strain: Expr | None = None  # replaces the equation: its root, if in closed form
+    start: Expr | None = None  # root of the equation if nothing flows
 
 
 def respond(
     law: Law, strain: Expr, state: Mapping[str, Expr], p: Any, z: Expr | None = None
 ) -> Response:
-    """Return stress, energy and new internal variables of a law in UFL.
+    """Stress, energy and new internal variables of a law in UFL.
 
-    The stress of a law without one is the derivative of its energy. In plane stress the law gets
-    the 3x3 strain, or F, in the plane, and out of it z (`law.condensed`), or the root that it
-    states.
+    The stress of a law without one is the derivative of its energy. In plane stress the strain out
+    of the plane leaves no stress: z, if `law.condensed`; at finite strain F has the stretch 1 + z.
 
     Raises:
         ValueError: if a method of the law raises, or returns something of the wrong shape or name.
@@ -80,10 +79,10 @@ def respond(
 
 
 def _stress(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-    """Return the stress of a law, or the derivative of its energy."""
+    """Stress of a law, or the derivative of its energy."""
     if law.stress is not None:
         return _call(law, "stress", (3, 3), strain, state, p)
-    # Not ufl.variable: its running number would get into the signature of the compiled code.
+    # not ufl.variable: its running number would enter the signature of the compiled code
     variable = Variable(strain, Label(-1))
     return ufl.diff(_call(law, "energy", (), variable, state, p), variable)
 
@@ -94,14 +93,14 @@ def _change(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any, direction
         return _call(law, "tangent", (3, 3), strain, state, p, direction)
     step = Variable(ufl.as_ufl(0.0), Label(-2))
     change = ufl.diff(_stress(law, strain + step * direction, state, p), step)
-    return without_variables(expand_derivatives(change))  # without what step = 0 leaves out
+    return without_variables(expand_derivatives(change))  # without terms that step = 0 removes
 
 
 def without_variables(expression: Expr) -> Expr:
-    """Return an expression with what its Variables stand for in their place.
+    """An expression with the operands of its Variables.
 
-    UFL's `strip_variables` visits what occurs several times each time: half of the time in which a
-    `Solid` with plastic flow is made.
+    UFL's `strip_variables` visits repeated parts each time, which takes half of the time to create
+    a `Solid` with plastic flow.
     """
     return map_expr_dag(_VariableStripper(), expression)
 
@@ -112,14 +111,14 @@ class _VariableStripper(MultiFunction):
     expr = MultiFunction.reuse_if_untouched
 
     def variable(self, o: Variable, expression: Expr, label: Label) -> Expr:
-        """Return what the Variable stands for."""
+        """Operand of the Variable."""
         return expression
 
 
 def _equation(
     law: Law, strain: Expr, state: Mapping[str, Expr], p: Any
 ) -> tuple[Expr, Expr, Expr, Expr]:
-    """Return what the strain out of the plane has to satisfy, see `Response.equation`."""
+    """Equation of the strain out of the plane, see `Response.equation`."""
     stress = _stress(law, strain, state, p)
     modulus = _change(law, strain, state, p, NORMAL)[2, 2]
     elastic = _call(law, "elastic_stress", (3, 3), NORMAL, p)[2, 2]
@@ -127,7 +126,7 @@ def _equation(
 
 
 def _elastic_root(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-    """Return the strain out of the plane that leaves no stress there if nothing flows."""
+    """Elastic strain out of the plane that leaves no stress there."""
     elastic = with_normal_strain(strain, 0.0)
     if law.state.get(PLASTIC) == (3, 3):
         elastic = elastic - state[PLASTIC]
@@ -136,7 +135,7 @@ def _elastic_root(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> 
 
 
 def elastic_response(law: Law, strain: Expr, p: Any) -> Expr:
-    """Return C : strain of a law, 3x3; its mistakes are ValueErrors."""
+    """C : strain of a law, 3x3; its mistakes are ValueErrors."""
 
     def elastic(e: Expr) -> Expr:
         return _call(law, "elastic_stress", (3, 3), e, p)
@@ -145,7 +144,7 @@ def elastic_response(law: Law, strain: Expr, p: Any) -> Expr:
 
 
 def _updated_state(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-    """Return the new internal variables, one for each that is declared."""
+    """New internal variables, one for each that is declared."""
     if law.updated_state is None:
         return {}
     new = _guarded(law, "updated_state", strain, state, p)
@@ -155,7 +154,7 @@ def _updated_state(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) ->
 
 
 def _check_state(law: Law, where: str, new: Any) -> None:
-    """Raise ValueError unless a law returns the internal variables that it declares."""
+    """Raise a ValueError unless a law returns its declared internal variables."""
     check(f"{where}: the state", new, instance(Mapping, "return a dictionary by name"))
     if set(new) != set(law.state):
         given, declared = (", ".join(sorted(names)) or "nothing" for names in (new, law.state))
@@ -163,7 +162,7 @@ def _check_state(law: Law, where: str, new: Any) -> None:
 
 
 def _call(law: Law, method: str, shape: tuple[int, ...], *arguments: Any) -> Expr:
-    """Return what a method of a law gives, as UFL of the right shape."""
+    """Value of a method of a law, as UFL of the right shape."""
     return _shaped(f"{law.name}.{method}", _guarded(law, method, *arguments), shape)
 
 
@@ -183,7 +182,7 @@ _ARGUMENTS = {"elastic_stress": "(strain, p)", "tangent": "(strain, state, p, di
 
 
 def _shaped(what: str, value: Any, shape: tuple[int, ...]) -> Expr:
-    """Return a value as UFL, or raise a ValueError if it is something else."""
+    """A value as UFL, or a ValueError."""
     try:
         expression = ufl.as_ufl(value)
     except Exception as error:
@@ -198,7 +197,7 @@ def _shaped(what: str, value: Any, shape: tuple[int, ...]) -> Expr:
 
 @dataclass(frozen=True)
 class PointValues:
-    """The answer of a law at q points."""
+    """Response of a law at q points."""
 
     stress: Floats  # (q, 3, 3), at finite strain P
     tangent: Floats  # (q, 3, 3, 3, 3), for a small strain with the symmetry k <-> l
@@ -208,12 +207,12 @@ class PointValues:
 
     @property
     def undefined(self) -> Bools:
-        """At which points (q,) something is NaN or infinite."""
+        """Points (q,) with NaN or infinite values."""
         parts = [self.stress, self.tangent, *self.state.values()]
         parts += [] if self.energy is None else [self.energy]
         found = np.zeros(len(self.stress), dtype=bool)
         for part in parts:
-            if not np.isfinite(part.sum()):  # much quicker than to look at each
+            if not np.isfinite(part.sum()):  # much faster than each
                 found |= ~np.isfinite(part.reshape(len(part), -1)).all(axis=1)
         return found
 
@@ -221,7 +220,7 @@ class PointValues:
 def values_at_points(
     law: Law, strain: Floats, state: Mapping[str, Floats], p: SimpleNamespace
 ) -> PointValues:
-    """Return what a law of arrays gives at q points.
+    """Values of a law of arrays at q points.
 
     For a symmetric strain (q, 3, 3), or F, committed internal variables (q,) or (q, 3, 3),
     parameters (q,); in plane stress with the strain or stretch out of the plane that leaves no
@@ -243,7 +242,7 @@ def values_at_points(
 
 
 def _flat(strain: Floats, normal: Floats) -> Floats:
-    """Return the part in the plane of tensors (q, 3, 3), with zz entries (q,)."""
+    """The part in the plane of tensors (q, 3, 3), with zz entries (q,)."""
     whole = np.zeros_like(strain)
     whole[:, :2, :2], whole[:, 2, 2] = strain[:, :2, :2], normal
     return whole
@@ -252,7 +251,7 @@ def _flat(strain: Floats, normal: Floats) -> Floats:
 def _normal_at_points(
     law: Law, strain: Floats, state: Mapping[str, Floats], p: SimpleNamespace
 ) -> Floats:
-    """Return the strain, or the stretch less 1, (q,) out of the plane that leaves no stress."""
+    """Strain, or stretch less 1, (q,) out of the plane that leaves no stress."""
     finite, parameters = law.strain == "finite", ungrouped(p)
 
     def equation(points: Ints, z: Floats) -> Floats:
@@ -268,7 +267,7 @@ def _normal_at_points(
 
 
 def _condensed(found: PointValues, z: Floats) -> PointValues:
-    """Return values with stress and tangent of plane stress."""
+    """Values with stress and tangent of plane stress."""
     stress, C = found.stress.copy(), found.tangent
     stress[:, 2], stress[:, :, 2] = 0.0, 0.0
     with np.errstate(all="ignore"):
@@ -311,7 +310,7 @@ def _called(law: Law, method: str, strain: Floats, *rest: Any) -> Any:
 
 
 def _remedy(error: Exception) -> str:
-    """Return what helps if numba asks for a module by the name that it had when compiled, or ""."""
+    """Remedy for an error of a user's function, "" if unknown; numba caches by module name."""
     if not isinstance(error, ModuleNotFoundError):
         return ""
     return (
@@ -322,7 +321,7 @@ def _remedy(error: Exception) -> str:
 
 
 def _shaped_array(what: str, value: Any, shape: tuple[int, ...]) -> Floats:
-    """Return an array of the shape, or raise a ValueError."""
+    """An array of the shape, or a ValueError."""
     try:
         array = np.asarray(value, dtype=np.float64)
     except Exception as error:
