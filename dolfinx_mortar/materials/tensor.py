@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Symmetric 3x3 tensors and how they are stored.
+"""Symmetric 3x3 tensors and their stored components.
 
-A plane problem stores the four components that can be non-zero, a spatial problem six. The stored
-shear is the tensor component (not the engineering strain) and is stored once.
+Laws always get 3x3 tensors; those of plane problems have zeros xz and yz. The stored shear is the
+tensor component (not the engineering strain), once.
 
 ==== ==========================
 gdim stored components, in order
@@ -19,7 +19,7 @@ from dolfinx_mortar.arrays import Floats
 from ufl.core.expr import Expr
 
 COMPONENTS = {2: ("xx", "yy", "zz", "xy"), 3: ("xx", "yy", "zz", "xy", "yz", "xz")}
-# Row and column of each entry of F or P that may be non-zero, which are stored in this order.
+# Row and column of each entry of F or P that may be non-zero, in the stored order.
 GRADIENT = {
     2: ((0, 0), (0, 1), (1, 0), (1, 1), (2, 2)),
     3: tuple((i, j) for i in range(3) for j in range(3)),
@@ -29,19 +29,19 @@ INDEX = tuple(("xyz".index(name[0]), "xyz".index(name[1])) for name in COMPONENT
 
 
 def from_components(c: Expr) -> Expr:
-    """Return the 3x3 tensor whose stored components are c (4 or 6 of them)."""
+    """3x3 tensor with the stored components c (4 or 6)."""
     xx, yy, zz, xy = (c[i] for i in range(4))
     yz, xz = (c[4], c[5]) if c.ufl_shape == (6,) else (0, 0)
     return ufl.as_tensor([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def to_components(tensor: Expr, size: int) -> Expr:
-    """Return the vector of the first `size` (4 or 6) stored components of a 3x3 tensor."""
+    """Vector of the first `size` (4 or 6) stored components of a 3x3 tensor."""
     return ufl.as_vector([tensor[i, j] for i, j in INDEX[:size]])
 
 
 def frobenius_norm(c: np.ndarray) -> np.ndarray:
-    """Return the Frobenius norm sqrt(T:T) of tensors stored as (..., 4 or 6), shear counted twice.
+    """Frobenius norm sqrt(T:T) of tensors stored as (..., 4 or 6), shear counted twice.
 
     >>> float(frobenius_norm(np.array([1.0, 0.0, 0.0, 2.0])))
     3.0
@@ -60,10 +60,9 @@ def double_contraction(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def vector_norm(c: np.ndarray) -> np.ndarray:
-    """Return the Euclidean norm of the stored components (..., 4 or 6), shear counted once.
+    """Euclidean norm of the stored components (..., 4 or 6), shear counted once.
 
-    Not invariant under rotation; figures of the literature plot it of the back stress as
-    "hardening".
+    Not invariant under rotation; some papers plot it of the back stress as "hardening".
 
     >>> float(vector_norm(np.array([3.0, 0.0, 0.0, 4.0])))
     5.0
@@ -83,7 +82,7 @@ def von_mises(stress: np.ndarray) -> np.ndarray:
 
 
 def tensor_of(components: Floats) -> Floats:
-    """Return symmetric tensors (q, 3, 3) of stored components (q, 4 or 6).
+    """Symmetric tensors (q, 3, 3) of stored components (q, 4 or 6).
 
     >>> tensor_of(np.array([[1.0, 2.0, 3.0, 4.0]]))[0].tolist()
     [[1.0, 4.0, 0.0], [4.0, 2.0, 0.0], [0.0, 0.0, 3.0]]
@@ -95,7 +94,7 @@ def tensor_of(components: Floats) -> Floats:
 
 
 def stored(tensors: Floats, size: int = 6) -> Floats:
-    """Return the first `size` (4 or 6) stored components (q, size) of tensors (q, 3, 3)."""
+    """The first `size` (4 or 6) stored components (q, size) of tensors (q, 3, 3)."""
     rows, columns = zip(*INDEX[:size], strict=True)
     return np.asarray((tensors[:, rows, columns] + tensors[:, columns, rows]) / 2)
 
