@@ -123,13 +123,13 @@ class VonMises(Material):
 
     @property
     def state(self) -> Mapping[str, tuple[int, ...]]:  # type: ignore[override]
-        """The internal variables: without isotropic hardening k would be read by nothing."""
+        """Internal variables, k with isotropic hardening only."""
         kinematic = isinstance(self.H, Real) and self.H == 0
         return {PLASTIC: (3, 3)} if kinematic else {PLASTIC: (3, 3), ACCUMULATED: ()}
 
     @property
     def isotropic(self) -> bool:
-        """Whether nothing but the yield radius changes: no back stress."""
+        """Whether there is no back stress."""
         return isinstance(self.a, Real) and self.a == 0
 
     @property
@@ -153,12 +153,12 @@ class VonMises(Material):
         Args:
             E: Young's modulus.
             nu: Poisson's ratio.
-            yield_stress: uniaxial yield stress; Y = sqrt(2/3) yield_stress.
+            yield_stress: uniaxial; Y = sqrt(2/3) yield_stress.
             plastic_modulus: d sigma / d (plastic strain) in tension; a + H = 2/3 plastic_modulus. A
-                tangent modulus E_t gives plastic_modulus = E E_t / (E - E_t).
-            isotropic: share of the hardening that is isotropic, from 0 (all of it moves the yield
-                surface) to 1 (all of it widens it). After reversal the bar yields
-                2 (yield_stress + isotropic (stress - yield_stress)) lower.
+                test's tangent modulus E_t gives plastic_modulus = E E_t / (E - E_t).
+            isotropic: share of the hardening that widens the yield surface, from 0 to 1; the rest
+                moves it. Only a reversal tells: the bar then yields 2 (yield_stress + isotropic
+                (stress - yield_stress)) lower.
 
         Raises:
             ValueError: for the same ranges, naming these arguments.
@@ -170,18 +170,18 @@ class VonMises(Material):
             isotropic=(isotropic, 0.0, math.nextafter(1.0, 2.0), True),
         )
         modulus = 2 / 3 * plastic_modulus
-        # not 0 * modulus, which in UFL is no number: there would be a k that nothing reads
+        # 0 * modulus is no number in UFL: there would be an unused k
         a, H = ((1 - isotropic) * modulus, isotropic * modulus) if isotropic else (modulus, 0.0)
         return cls(E, nu, math.sqrt(2 / 3) * yield_stress, a, H)
 
     @staticmethod
     def _memory(state: Mapping[str, Expr], p: Any) -> tuple[Any, Any]:
-        """Return k_n and H, zeros without isotropic hardening."""
+        """k_n and H, zeros without isotropic hardening."""
         return (state[ACCUMULATED], p.H) if ACCUMULATED in state else (0.0, 0.0)
 
     @staticmethod
     def _trial(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr, Expr]:
-        """Return xi, |xi| and (|xi| - Y - H k_n)_+ with the dead band at zero."""
+        """xi, |xi| and (|xi| - Y - H k_n)_+ with the dead band at zero."""
         xi, norm = shifted_stress(strain, state, p)
         k, H = VonMises._memory(state, p)
         radius = p.Y + H * k
@@ -207,7 +207,7 @@ class VonMises(Material):
 
     @staticmethod
     def updated_state(strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-        """Return the plastic strain and, if it is there, k at the end of the step."""
+        """Plastic strain and, if it is there, k at the end of the step."""
         xi, norm, excess = VonMises._trial(strain, state, p)
         k, H = VonMises._memory(state, p)
         growth = excess / (2 * shear_modulus(p) + p.a + H)
@@ -254,10 +254,7 @@ SERIES_BELOW = float(np.log(np.cbrt(EPS)))
 
 
 def wright_omega(y: Any) -> Expr:
-    """Return w > 0 with w + ln w = y for any y: one step of Halley's method, error below 4e-5 w.
-
-    Equivalently the principal branch of Lambert's function, W(exp(y)).
-    """
+    """Return w = W(exp(y)), w + ln w = y: one step of Halley's method, error below 4e-5 w."""
     z, t, high = ufl.exp(ufl.min_value(y, 0.0)), y - 1, ufl.max_value(y, 1.0)
     w = ufl.conditional(
         ufl.lt(y, 4.0),
@@ -271,14 +268,14 @@ def wright_omega(y: Any) -> Expr:
 
 
 def increment(excess: Any, rest: Any, M: Any, b: Any, log_ratio: Any) -> tuple[Expr, Expr]:
-    """Return the root g of M g + rest (1 - exp(-b g)) = excess, and its slope dg / d excess.
+    """Root g of M g + rest (1 - exp(-b g)) = excess, and its slope dg / d excess.
 
-    A step of Chebyshev's method, of third order, corrects what omega gives; the residual is then
-    round-off of excess and rest.
+    A step of Chebyshev's method, of third order, corrects omega to the round-off of excess and
+    rest.
 
     Args:
-        excess: what is to be reached, positive.
-        rest: what the exponential can add, positive.
+        excess: positive.
+        rest: largest part of the exponential, positive.
         M: slope of the line, positive.
         b: rate of the exponential, positive.
         log_ratio: ln(b rest / M).
@@ -384,15 +381,15 @@ class VonMisesVoce(Material):
     def _flow(
         strain: Expr, state: Mapping[str, Expr], p: Any
     ) -> tuple[Expr, Expr, Expr, Expr, Expr]:
-        """Return xi, |xi|, the increment g of k, its slope dg / d|xi|, and whether it flows."""
+        """xi, |xi|, the increment g of k, its slope dg / d|xi|, and whether it flows."""
         xi, norm = shifted_stress(strain, state, p)
         k = state[ACCUMULATED]
-        rest = p.Q * ufl.exp(-p.b * k)  # what k can still add to the radius
+        rest = p.Q * ufl.exp(-p.b * k)  # possible further growth of the radius
         radius = p.Y + p.H * k + p.Q - rest
         M = 2 * shear_modulus(p) + p.a + p.H
         excess = norm - radius
         yields = ufl.gt(excess, YIELD_TOLERANCE * radius)
-        # ln(b rest / M), of which one part is the same at all points of a cell
+        # ln(b rest / M), in part constant over a cell
         g, slope = increment(excess, rest, M, p.b, ufl.ln(p.b * p.Q / M) - p.b * k)
         return xi, norm, ufl.conditional(yields, g, 0.0), slope, yields
 
