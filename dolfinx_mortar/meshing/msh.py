@@ -54,9 +54,9 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
         contact = dm.Contact(facet_tags, slave="pin", master="bore")
 
     Bodies are physical groups of the highest dimension, sides and supports those one dimension
-    lower; others are ignored. Touching bodies must not share nodes. The tags are Gmsh's numbers of
-    the groups; groups of one name and dimension are merged, with the lowest number. Partitions of
-    the file are ignored. Rank 0 reads and distributes.
+    lower; others, and partitions, are ignored. Touching bodies must not share nodes. The tags are
+    Gmsh's numbers of the groups; groups of one name and dimension are merged, with the lowest
+    number. Rank 0 reads and distributes.
 
     Args:
         path: file of version 2 or 4, text or binary; in the plane z = 0 or in space, of first or
@@ -64,7 +64,7 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
         comm: communicator of the mesh.
 
     Raises:
-        OSError: if there is no such file, or it cannot be read.
+        OSError: if the file is missing or cannot be read.
         ValueError: if the file is damaged or no .msh file; if cells are in no physical group or
             several, of several kinds or an unknown one; if a group is empty, or of no facets of
             bodies.
@@ -96,9 +96,7 @@ def _open(file: Path, stack: ExitStack) -> Any:
     entity 0, of all groups. Then the tags of groups replace those of entities.
 
     Raises:
-        OSError: if there is no such file.
-        ValueError: if gmsh cannot read it.
-        RuntimeError: if there is no gmsh.
+        OSError, ValueError, RuntimeError: without the file, if gmsh cannot read it, without gmsh.
     """
     _check_file(file)
     try:
