@@ -29,7 +29,7 @@ Arrays = tuple[Floats, Longs]  # nodes (n, d), cells (m, k)
 PAPER_DIVISIONS = (34, 20)  # half block: 34 x 20 rectangles, 2720 triangles in the whole block
 PAPER_DISC_SIZE = 0.45 / 8.0  # element size over radius that gives about 1200 triangles
 
-# All options of gmsh that are set here, with gmsh's defaults for those that only some meshes set.
+# All options of gmsh that are set here, with their defaults.
 GMSH_OPTIONS = {
     "General.Terminal": 0.0,
     "Mesh.Algorithm": 6.0,
@@ -46,7 +46,7 @@ GMSH_OPTIONS = {
 
 
 class TaggedMesh(NamedTuple):
-    """A mesh with its bodies and their sides, by name."""
+    """A mesh with names of its bodies and their sides."""
 
     mesh: dmesh.Mesh  # of all bodies
     cell_tags: Tags  # bodies
@@ -74,22 +74,22 @@ def hertz(
     "flat" and "arc" of the disc, and "axis", which is x = 0 in the half.
 
     Args:
-        comm: Communicator of the mesh; gmsh runs on its rank 0 only.
+        comm: communicator; gmsh runs on its rank 0 only.
         kind: "paper": about 1200 cells in the disc and 2720 in the block (as triangles, for any
             ``radius`` and ``block``); "graded": element size ``h`` within ``core`` of the first
             contact point and h (1 + r - core), at most ``limit`` h, at distance r mm.
-        h: Element size of the graded mesh [mm]; a pair gives (block, disc) separately.
-        radius: Radius of the disc [mm].
-        block: Width and thickness of the block [mm].
-        gap: Initial vertical gap between the bodies [mm]; negative for an overlap.
+        h: element size of the graded mesh [mm]; a pair gives (block, disc) separately.
+        radius: of the disc [mm].
+        block: width and thickness [mm].
+        gap: initial vertical gap between the bodies [mm]; negative for an overlap.
         cell: "triangle" or "quadrilateral".
-        half: Whether to leave out x < 0; the rest is also the section of a ball on a round plate.
-        limit: Largest size of the graded mesh over h, greater than 1.
-        core: Where the graded mesh begins to coarsen [mm].
+        half: leave out x < 0; the rest is also the section of a ball on a round plate.
+        limit: largest size of the graded mesh over h, greater than 1.
+        core: distance at which the graded mesh begins to coarsen [mm].
 
     Raises:
-        ValueError: if an argument is out of range, or not the same on all ranks.
-        RuntimeError: if gmsh is missing or fails. All errors are raised on all ranks.
+        ValueError: on all ranks, if an argument is out of range, or differs between ranks.
+        RuntimeError: on all ranks, if gmsh is missing or fails.
     """
     given = dict(locals())
     with raised_together(comm):
@@ -124,7 +124,7 @@ def hertz(
         return p[0]
 
     def mesh_half(draw: Callable[[Any], int], size: float, uniform: float) -> Arrays:
-        """Mesh the surface; sizes are graded from the point that ``draw`` returns, or uniform."""
+        """Mesh the surface, graded from the point that ``draw`` returns, or uniformly."""
         # 6 = frontal Delaunay; 8 and 3 = its variant and blossom-full-quad recombination
         options = {
             "Mesh.Algorithm": 8.0 if cell == "quadrilateral" else 6.0,
@@ -253,7 +253,7 @@ def _ball_of_tetrahedra(radius: float, gap: float, core: float, h: float) -> Arr
     with gmsh_model(HXT) as gmsh:
         occ = gmsh.model.occ
         part = [(3, occ.addSphere(0, 0, 0, radius, -1, 0.0, np.pi / 2, np.pi / 2))]
-        # the pole of the parametrisation goes to the rim, away from the contact
+        # the pole of the parametrisation lies on the rim, away from the contact
         occ.rotate(part, 0, 0, 0, 0, 1, 0, np.pi / 2)
         occ.translate(part, 0, 0, radius + gap)
         return _tetrahedra(gmsh, (0.0, 0.0, gap), core, h, 2.0 * radius)
@@ -315,7 +315,7 @@ def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], 
 
 @contextmanager
 def gmsh_model(options: Mapping[str, float] = MappingProxyType({})) -> Iterator[Any]:
-    """Yield gmsh with an empty model of its own and some options; leave gmsh as it was found."""
+    """Yield gmsh with a new empty model and options; restore its state afterwards."""
     import gmsh
 
     started = not gmsh.isInitialized()
@@ -343,9 +343,9 @@ def gmsh_model(options: Mapping[str, float] = MappingProxyType({})) -> Iterator[
 def set_graded_size(
     gmsh: Any, origin: int, h: float, *, core: float, limit: float, beyond: float
 ) -> None:
-    """Let the size be h within ``core`` of the point ``origin``, then grow to limit h.
+    """Set the size to h within ``core`` of the point ``origin``, growing linearly to limit h.
 
-    The growth is linear, over the length ``beyond``.
+    The growth takes the length ``beyond``.
     """
     field = gmsh.model.mesh.field
     distance, size = field.add("Distance"), field.add("Threshold")
@@ -362,27 +362,27 @@ def set_graded_size(
 
 
 def read_cells(gmsh: Any, cell: str) -> Arrays:
-    """Return nodes (n, 3) and cells (m, k) of the current gmsh model, all of one kind."""
+    """Nodes (n, 3) and cells (m, k) of the current gmsh model, all of one kind."""
     tags, x, _ = gmsh.model.mesh.getNodes()
     _, (numbers,), (cells,) = gmsh.model.mesh.getElements(gmsh.model.getDimension())
     position = np.zeros(int(tags.max()) + 1, dtype=np.int64)
     position[tags] = np.arange(len(tags))
-    # gmsh also lists points no cell uses, such as a circle's centre
+    # gmsh also lists unused points, such as a circle's centre
     used, cells = np.unique(position[cells], return_inverse=True)
     cells = cells.reshape(len(numbers), -1)
     if cell == "quadrilateral":
-        cells = cells[:, [0, 1, 3, 2]]  # gmsh goes around, dolfinx numbers like a tensor product
+        cells = cells[:, [0, 1, 3, 2]]  # gmsh goes around, dolfinx numbers by tensor products
     return x.reshape(-1, 3)[used], cells
 
 
 def on_axis(x: Floats) -> Floats:
-    """Return nodes (n, d) with those at x = 0 up to round-off moved there."""
+    """Nodes (n, d), with x = 0 exactly where it is round-off."""
     near = np.abs(x[:, 0]) < HALF_OF_DIGITS * np.ptp(x[:, 0])
     return np.column_stack([np.where(near, 0.0, x[:, 0]), x[:, 1:]])
 
 
 def mirrored(x: Floats, cells: Longs) -> Arrays:
-    """Add the mirror image in x = 0, whose nodes are shared.
+    """Add the mirror image in x = 0, sharing nodes there.
 
     >>> nodes, cells = mirrored(np.eye(4, 3), np.array([[0, 1, 2, 3]]))
     >>> nodes[:, 0].tolist(), cells.tolist()
@@ -392,7 +392,7 @@ def mirrored(x: Floats, cells: Longs) -> Arrays:
     off = x[:, 0] != 0.0
     image = np.arange(len(x))
     image[off] = len(x) + np.arange(np.count_nonzero(off))
-    # an image is turned inside out; other orders of its nodes turn it back
+    # reflection inverts cells; another order of nodes restores the orientation
     turn = [4, 5, 6, 7, 0, 1, 2, 3] if k == 8 else [1, 0, 2, 3][:k]
     turn = [1, 0, 3, 2] if (d, k) == (2, 4) else turn
     sign = np.where(np.arange(d) == 0, -1.0, 1.0)
@@ -402,10 +402,10 @@ def mirrored(x: Floats, cells: Longs) -> Arrays:
 def distribute(
     comm: MPI.Intracomm, create: Callable[[], tuple[Arrays, Arrays]], cell: str, degree: int = 1
 ) -> tuple[dmesh.Mesh, int]:
-    """Distribute the two bodies that ``create`` returns on rank 0; collective.
+    """Mesh of the two bodies that ``create`` returns on rank 0; collective.
 
-    Returns the mesh, and how many of the input cells, which come first, belong to the first body.
-    The nodes of a cell are in the order of dolfinx.
+    Also the number of input cells of the first body, which come first, with nodes in dolfinx's
+    order.
 
     Raises:
         RuntimeError: if gmsh is missing or fails, on all ranks.
@@ -433,17 +433,14 @@ def distribute(
 
 
 def exterior_facets(mesh: dmesh.Mesh, in_first: Bools) -> tuple[Ints, Bools, Floats]:
-    """Return the exterior facets (m,), whether they bound the first body, and their nodes.
-
-    The nodes' coordinates have shape (m, k, 3).
-    """
+    """Exterior facets (m,), whether they bound the first body, and nodal coordinates (m, k, 3)."""
     d = mesh.topology.dim
     mesh.topology.create_connectivity(d - 1, d)
     facets = dmesh.exterior_facet_indices(mesh.topology)
     to_cell = mesh.topology.connectivity(d - 1, d)
     first = np.asarray(in_first[to_cell.array[to_cell.offsets[facets]]])
     x = np.asarray(mesh.geometry.x, dtype=np.float64)
-    if len(facets) == 0:  # dolfinx would divide by their number
+    if len(facets) == 0:  # dolfinx would divide by 0
         return facets, first, np.empty((0, d, 3))
     return facets, first, x[dmesh.entities_to_geometry(mesh, d - 1, facets)]
 
@@ -457,8 +454,7 @@ def name_parts(
 ) -> TaggedMesh:
     """Tag two bodies and their sides with 1, 2, 3 .. in the order of their names.
 
-    A local cell is in the first body or not (cells,); an exterior facet (m,) belongs to the last
-    side that claims it.
+    `in_first` (cells,) marks local cells; a facet (m,) belongs to the last side that marks it.
     """
     values = np.where(in_first, 1, 2).astype(np.int32)
     every = np.arange(len(values), dtype=np.int32)
@@ -485,12 +481,11 @@ def name_sides(
 ) -> TaggedMesh:
     """Name the first cells a block with its top at height 0, the others a round body above it.
 
-    The round body and its round side get the names; its flat side is at the height radius + gap.
-    The planes are names of the sides at x = 0, y = 0 ..
+    `names`: round body and its round side; `planes`: sides x = 0, y = 0 ..
     """
     in_block = mesh.topology.original_cell_index < first
     facets, of_block, x = exterior_facets(mesh, in_block)
-    # on the scale of the body itself: the other one and the gap may be of any size
+    # on the scale of each body
     tolerance = HALF_OF_DIGITS * np.where(of_block, thickness, radius)
     up = mesh.geometry.dim - 1
 
@@ -504,9 +499,9 @@ def name_sides(
 
 
 def check_sizes(h: Any, radius: Any, block: Any, gap: Any, sides: str) -> tuple[float, ...]:
-    """Return the element sizes of a block and of a round body on it; a ValueError names the rest.
+    """Element sizes of a block and of a round body on it, after checks.
 
-    The block's sides are named in words, separated by commas; its thickness is the last.
+    `sides`: names of the block's sides, separated by commas, the thickness last.
     """
     wanted = "give a positive size, or two, of the block and of the round body"
     sizes = check("h", h, array((), (2,), remedy=wanted, holds=_positive))
