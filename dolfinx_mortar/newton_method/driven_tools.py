@@ -123,13 +123,13 @@ class Drives:
     def check_gaps(self, balance: Balance, active: Bools, facet_length: float) -> None:
         """Raise if an open gap separates a body from a loaded tool; collective.
 
-        With inertia a load would move tools, which have no mass, across the gap instantaneously. A
-        tool of radius R in contact is h^2 / (8 R) from the next node, at most h / 8 if R >= h:
-        smaller gaps are due to the mesh.
+        With inertia a load would move tools, which have no mass, across it instantaneously. A tool
+        of radius R >= h in contact is h^2 / (8 R) <= h / 8 from the next node: smaller gaps are due
+        to the mesh.
 
         Args:
             balance: at an iterate.
-            active: the active set (owned nodes,) there.
+            active: (owned nodes,) the active set there.
             facet_length: h.
 
         Raises:
@@ -155,10 +155,7 @@ def find_drives(problem: ContactProblem, known: Floats | None = None) -> Drives 
     """Motions of the driven tools in the present geometry, None for none; collective.
 
     The motion of a slave node is the mean sum_l D_jl e_l / D_jj, which is e_j where D is diagonal.
-
-    Args:
-        problem: at an iterate.
-        known: given reactions (owned nodes, d), which act on the tools like loads.
+    Reactions `known` (owned nodes, d) act on the tools like loads.
     """
     offered = [(link, link.interface.driven()) for link in problem.system.links]
     parts = [(link, tool) for link, tool in offered if tool is not None]
@@ -248,13 +245,9 @@ def as_scalars(drives: Drives, lin: Linearisation, rtol: float, begun: float) ->
     """Motions as scalars of the QP of an iterate; collective.
 
     Each is scaled to a length, the largest motion of a node. On rigid sides, whose nodes are
-    eliminated, the reaction is r^ - K^ y, and arms turn with the side.
-
-    Args:
-        drives: the tools at the iterate.
-        lin: the QP with the tools in their present places.
-        rtol: tolerance relative to the forces on a tool.
-        begun: largest force at the start of the step, the scale of tolerances on rigid sides.
+    eliminated, the reaction is r^ - K^ y, and arms turn with the side. Tolerances are `rtol` times
+    the forces on a tool, on rigid sides also times `begun`, the largest force at the start of the
+    step.
     """
     e, held, equal = drives.motions.copy(), drives.held, lin.balance.equal
     m, inverse = len(e), 1.0 / drives.reach
@@ -288,16 +281,10 @@ def as_scalars(drives: Drives, lin: Linearisation, rtol: float, begun: float) ->
 
 
 def settle(drives: Drives, lin: Linearisation, solved: QPSolution, extent: float) -> Settled:
-    """Solution of a QP with the tools moved; collective.
-
-    Args:
-        drives: the tools at the iterate.
-        lin: the QP, with their motions as scalars.
-        solved: its solution.
-        extent: size of the model.
+    """Solution of a QP, with the tools moved, in a model of size `extent`; collective.
 
     Raises:
-        StepFailed: if hardly anything resists one of them.
+        StepFailed: if hardly anything resists a load.
     """
     assert solved.travel is not None and solved.resistance is not None and lin.qp.scalars
     scale = drives.reach
@@ -360,15 +347,7 @@ def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> StepFailed:
 def miss(
     problem: ContactProblem, balance: Balance, contacts: Contacts, residual: Residuals, rtol: float
 ) -> Residuals:
-    """Residuals including the loads of bolts, tools and rigid sides; collective.
-
-    Args:
-        problem: at an iterate.
-        balance: forces there.
-        contacts: multipliers there.
-        residual: of forces and contact.
-        rtol: tolerance of the step.
-    """
+    """Residuals including the loads of bolts, tools and rigid sides; collective."""
     drives = find_drives(problem, balance.known(contacts.multipliers))
     if drives is None:
         return residual
