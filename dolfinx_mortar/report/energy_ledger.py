@@ -13,25 +13,20 @@ not positive (as it may be where a slip turns back),
     v <- v + s y,   (kappa M + K) y = c + c_n + f + f_n,
     K(v + s y) = K(v) - 1/2 (c + c_n).(u - u_n) - <w> + s y_f.M (v + s y / 2),
 
-with y_f the part of y due to f; the last term counts as work of friction. y is the displacement by
-these forces within a step, with waves. As K y has neither momentum nor moment of momentum, both are
-conserved. (Laursen and Love 2002 also correct velocities after the step, but node by node and with
-M alone: a stiff body that is hit cannot return the energy of its motion as a whole.) The smaller of
-the two roots s is taken; energy beyond the range of the impulse becomes part of the defect.
+with y_f the part of y due to f; the last term counts as work of friction. As K y has neither
+momentum nor moment of momentum, both are conserved (Laursen and Love 2002 correct node by node,
+with M alone). The smaller of the two roots s is taken; energy beyond the range of the impulse
+becomes part of the defect. The impulse waits until more than rtol of the largest energy is to be
+restored.
 
-On moving tools their work on the bodies counts as work of supports; w and K are relative to the
-tool. Tools driven by loads have no mass and exert these loads: no impulse acts at their nodes,
-whose work is part of the defect (.2 % where two nodes or more meet a disc; with an impulse the
-momentum of a block that the tool pushes misses F t by up to 10 %).
+The work of moving tools on bodies counts as work of supports; w and K are relative to the tool. At
+tools driven by loads, which have no mass, no impulse acts: their momentum is that of the loads.
 
 Where an eigenstrain or parameters of laws change in a step, the change of the potential without
 motion, Psi - Psi_n - 1/2 (F + F_n).(u - u_n), F the internal forces, each with the data of its
 time, counts as work of loads.
 
 At finite strain the moment of momentum has an error of third order in a step.
-
-The impulse takes a solve, a fifth of a step, two solves with friction. It is made once more than
-rtol of the largest energy so far is to be restored, rarely in lasting contact.
 """
 
 from collections.abc import Sequence
@@ -49,9 +44,8 @@ from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.step_report import Ledger, Note, StepReport
 from dolfinx_mortar.terms.inertia import Damping, Inertia, Motion
 
-# Smallest defect with a note: velocities are then wrong by half a per cent, as energies are their
-# squares. Measured on a rod that hits a wall and a bar over four periods, with generalised alpha,
-# radii 0 to 1, two steps each (defects of 3e-4 to 8 %): by 0.4 to 0.7 of the defect.
+# Smallest defect with a note: velocities are then wrong by half a per cent. Measured on a rod that
+# hits a wall and a bar (defects of 3e-4 to 8 %): by 0.4 to 0.7 of the defect.
 LARGE_DEFECT = 0.01
 MASS = (
     ". Contact nodes of thin bodies, of one or two layers of cells, have kept their mass, with "
