@@ -39,9 +39,9 @@ def load_steps(
         for step in dm.load_steps(problem, [0.5, 1.0], ramp={push: [(0.0, 0.0), (1.0, -0.1)]}):
             print(step.time, contact.force)
 
-    A step that does not converge is halved, up to ``max_cuts`` times, and its parts are committed
-    (plasticity depends on the load path). An overlap of the sides at its start is removed in the
-    same parts. If multigrid fails, this step and all later ones use a factorisation (unless
+    A step that does not converge is halved, up to ``max_cuts`` times, and its parts are committed,
+    as plasticity depends on the load path. An initial overlap of the sides is removed in the same
+    parts. If multigrid fails, this step and all later ones use a factorisation (unless
     ``petsc_options`` choose a method, or beyond 200 000 unknowns); a note says so.
 
     Args:
@@ -50,9 +50,8 @@ def load_steps(
         ramp: a table for each Constant that changes, ``{push: [(0.0, 0.0), (1.0, -0.1)]}``: rows
             (level, value) with increasing levels, linear in between, for all levels and ``start``.
             Values have the shape of the Constant. A note says where nothing reads a Constant.
-        on_time: function of the level that sets other loads, after the Constants of ``ramp``, also
-            for levels between two times, and twice for a level if a step is cut or a run is
-            continued: its loads must depend on the level alone.
+        on_time: function of the level that sets other loads, after the Constants of ``ramp``; they
+            must depend on the level alone, since cut steps and continued runs repeat levels.
         start: level of the committed state; by default the last level of ``load_steps`` on this
             problem, at first 0.
         qp, rtol, max_it: as in ``newton``.
@@ -66,20 +65,18 @@ def load_steps(
     With ``checkpoint`` a program that was killed continues when it is run again. If the file
     exists, its state is restored, ``ramp`` and ``on_time`` set its level, and only the remaining
     steps are made and yielded, with their numbers; earlier steps are in ``problem.history``. Up to
-    the level reached ``times`` and the tables of ``ramp``, in the same order, have to be those of
-    the saved run, to round-off. The file is written after the body of the loop, which may therefore
-    run twice for a step; after ``break`` the last step is not written. ``Writer(.., resume=True)``
-    still has each step once. If a step fails, its converged parts and all earlier steps are
-    written. To start again, delete the file.
+    the level reached ``times`` and the tables of ``ramp`` have to be those of the saved run. The
+    file is written after the body of the loop, which may therefore run twice for a step; after
+    ``break`` the last step is not written. If a step fails, all that is committed is written. To
+    start again, delete the file.
 
     Yields:
         One ``LoadStep`` for every remaining entry of ``times``.
 
     Raises:
-        ValueError: for invalid arguments, for a problem with `Inertia`, for a checkpoint of another
-            problem or with other levels, truncated or of another version, and if a second run
-            starts before this one ends; on all ranks.
-        OSError: if a checkpoint cannot be written or read, on all ranks; after a failed step its
+        ValueError: on all ranks, for invalid arguments, a problem with `Inertia`, a checkpoint of
+            another problem, version or levels, or truncated, and a second run before this one ends.
+        OSError: on all ranks, if a checkpoint cannot be written or read; after a failed step its
             error is the ``__context__``.
         NewtonNotConverged: if the smallest step fails, too. Earlier steps and the converged parts
             of the last one are committed, as the message says.
