@@ -88,9 +88,9 @@ def newton(
 
     At the iterate u^k the QP of the quadratic model of the energy (paper, eqs. 9 and 10) starts
     from the last active set and directions of slip. A line search on J(v) + s sum_j D_jj
-    (w_n - gap)_+, with s twice the largest multiplier, shortens the step; laws without energy have
-    no line search. With geometry="updated" normals, segments, D and M are computed in every
-    iteration, and their derivatives are part of the tangent where that converges faster.
+    (w_n - gap)_+, with s twice the largest multiplier, shortens the step, but for laws without
+    energy. With geometry="updated" normals, segments, D and M are computed in every iteration, and
+    their derivatives are part of the tangent where that converges faster.
 
     Args:
         problem: the bodies and their constraints; ``problem.commit()`` accepts the step.
