@@ -274,8 +274,7 @@ def choose_scheme(scheme: Any, radius: Any) -> tuple[Scheme, float | None]:
 def stop_held(problem: ContactProblem, inertia: Inertia) -> list[str]:
     """Set the initial velocity to 0 where supports do not move in the first step; collective.
 
-    The trapezoidal rule, v = 2 (u - u_n) / dt - v_n, would change its sign in every step. Returns a
-    note if there was any.
+    The trapezoidal rule would change its sign in every step. Returns a note if there was any.
     """
     supports, velocity = problem.supports, inertia.values("velocity").copy()
     way = supports.increment(supports.values(), problem.u.x.array)
