@@ -16,8 +16,6 @@ from dolfinx_mortar.geometry import area
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar import common_normals, curvature_correction, integrals
 
-FAR = 1e3  # all nodes are near
-
 
 def wavy(X, phase):
     """Return vectors (n, d) at points, the same on all ranks."""
@@ -114,7 +112,7 @@ class Differences:
         self.before[X[:, -1] > 0.005, 0] -= slid
         self.u.x.array[:] = self.before.ravel()
         x = self._vector(X + self.before)
-        self.system.enter(self.system.at(self.u), x, FAR)
+        self.system.enter(self.system.at(self.u))
         (self.partners,) = self.system.present.partners(x, frozen=False)
 
     def _vector(self, values):
@@ -125,7 +123,7 @@ class Differences:
 
     def _at(self, u):
         self.u.x.array[:] = u.ravel()
-        self.system.follow(self.u, self._vector(self.X + u))
+        self.system.follow(self.u)
         (self.link,) = self.system.unilateral
         return self.link, self.link.coupling
 

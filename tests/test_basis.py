@@ -158,7 +158,7 @@ def test_transformation_follows_the_geometry(partition, rng):
     before = dense_transformation(problem)
     x = b.V.tabulate_dof_coordinates()
     b.u.x.array[:] = 0.05 * np.column_stack([np.sin(x[:, 1]), x[:, 0] ** 2]).ravel()
-    problem.update_geometry(0.0)
+    problem.update_geometry()
     T = dense_transformation(problem)
     assert np.abs(T - expected_transformation(problem)).max() < ROUND_OFF
     assert np.abs(T - before).max() > 1e-3
@@ -265,7 +265,7 @@ def test_removed_nodes_come_back_when_the_cycle_is_gone():
     for slide, gone in ((9.0, True), (0.0, False)):
         b.u.x.array[::2] = np.where(x[:, 1] > 1.0 + 1e-9, slide, 0.0)
         b.u.x.array[2 * everywhere] = slide
-        problem.update_geometry(0.0)
+        problem.update_geometry()
         banned = problem.system.link(down).banned
         assert banned[everywhere].any() != gone or everywhere.size == 0
         assert any("cycle" in note for note in problem.system.notes) != gone
@@ -282,7 +282,7 @@ def test_sides_that_turn_away_have_no_pairs_for_a_while():
     x = b.V.tabulate_dof_coordinates()[upper, :2]
     for turned in (True, False):
         b.u.x.array.reshape(-1, 2)[upper] = turned * 2 * (np.array([0.5, 1.0]) - x)  # half a turn
-        problem.update_geometry(0.0)
+        problem.update_geometry()
         (link,) = problem.system.links
         kept = COMM.allreduce(int(link.coupling.kept.sum()))
         assert kept == (0 if turned else 4)

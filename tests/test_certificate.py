@@ -12,7 +12,7 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import ROUND_OFF
-from dolfinx_mortar.interfaces.near import nodal_gaps
+from dolfinx_mortar.interfaces.link import nodal_gaps
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
 from dolfinx_mortar.newton_method.residuals import Scales, measure

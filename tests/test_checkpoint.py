@@ -159,7 +159,7 @@ def test_a_run_that_is_restored_pairs_where_the_other_has(folder):
     # the one goes on with its pairs, the other finds them again
     assert (press.problem.system.searches, fresh.problem.system.searches) == (before, 2)
     first, other = (case.problem.committed.paired for case in (press, fresh))
-    assert np.array_equal(first.at, other.at)
+    assert np.array_equal(first, other)
 
 
 @pytest.mark.slow

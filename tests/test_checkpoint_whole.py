@@ -71,7 +71,7 @@ def state_of(problem):
     fields = [problem.u, *problem.solid.points.lasting_fields().values()]
     fields += problem.state.states_of_terms.values()
     arrays = [committed.active, committed.displacement, committed.slid, committed.dissipated]
-    arrays += [committed.paired.at, *committed.paired.near, committed.supports.forces]
+    arrays += [committed.paired, committed.supports.forces]
     arrays += [np.zeros(0) if committed.sliding is None else committed.sliding]
     for interface in problem.interfaces:
         fields += interface.nodal.values()

@@ -86,7 +86,7 @@ def test_both_forms_are_one_program():
         problem = case.problem(petsc_options=options)
         data = problem.begin_step()
         case.u.interpolate(lambda x: 1e-3 * np.sin(np.stack([x[0], x[0] + 1.0])))
-        problem.update_geometry(data.increment)
+        problem.update_geometry()
         lin = linearise(problem, find_balance(problem, data))
         x = problem.vector(np.cos(problem.X))
         vectors = [v.array.copy() for v in (lin.qp.A * x, lin.qp.b)]  # these outlive the mesh

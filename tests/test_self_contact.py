@@ -17,7 +17,6 @@ from dolfinx_mortar.arrays import EPS
 from dolfinx_mortar.geometry.elements import LINE2
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.interfaces.coupling import relative_motions
-from dolfinx_mortar.interfaces.mortar_interface import have_slid
 from dolfinx_mortar.mortar import passing, self_contact
 from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
 from dolfinx_mortar.mortar.self_contact import REACH, _divide, distances_in_reach
@@ -33,7 +32,6 @@ from tests.folds import (
     closed_ring,
     create_fold,
     create_hairpin,
-    create_ring,
     create_sheet,
     hairpin,
     ring,
@@ -178,17 +176,6 @@ def test_parts_that_come_near_ask_for_a_search():
     # masters beyond the next one have not been seen by a slave
     assert not outside_margin(near, at(0.1, aside=0.1))
     assert outside_margin(near, at(0.1, aside=0.6))
-
-
-def test_parts_that_come_near_are_seen_whatever_T_holds():
-    fold = create_ring()
-    fold.problem.audit()
-    (link,) = fold.problem.system.links
-    nothing = np.zeros(len(link.nodes), dtype=bool)
-    u = fold.problem.u
-    assert not have_slid(link.sides, link.pairing, u, nothing)
-    u.interpolate(lambda x: np.stack([0.0 * x[0], -0.8 * x[1]]))
-    assert have_slid(link.sides, link.pairing, u, nothing)
 
 
 def test_facets_with_a_common_node_are_no_pair():

@@ -103,7 +103,7 @@ def test_curved_sides_on_one_surface_have_no_gap(cell, swap):
     for surface in ("facets", "smooth"):
         contact = dm.Contact(tags, slave=slave, master=master, surface=surface)
         problem = dm.ContactProblem(dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3)), [contact])
-        problem.update_geometry(0.0)
+        problem.update_geometry()
         (link,) = problem.system.links
         x = link.Q.createVecRight()
         x.array[:] = V.tabulate_dof_coordinates()[:, : domain.geometry.dim].ravel()[: x.local_size]

@@ -49,7 +49,7 @@ def test_heights_grow_with_the_bodies(cell, geometry):
     found = []
     for gradient in (np.eye(d), 1.1 * np.eye(d), turned):
         u.interpolate(lambda x, G=gradient: (G - np.eye(d)) @ x[:d])
-        problem.update_geometry(0.0)
+        problem.update_geometry()
         (link,) = problem.system.links
         found.append(link.coupling.heights.copy())
     at_X, grown, rotated = found

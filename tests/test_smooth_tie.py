@@ -59,7 +59,7 @@ def couple(mesh, tags, *, swap=False, bcs=None, **options):
     tie = dm.Tie(tags, slave=slave, master=master, **options)
     solid = dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3))
     problem = dm.ContactProblem(solid, [tie], bcs=bcs(V) if bcs else [])
-    problem.update_geometry(0.0)
+    problem.update_geometry()
     return problem.system.links[0]
 
 
@@ -347,5 +347,5 @@ def test_flat_sides_are_not_called_curved():
     V = fem.functionspace(mesh, ("Lagrange", 2, (3,)))
     tie = dm.Tie(tags, slave=3, master=4)
     problem = dm.ContactProblem(dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3)), [tie])
-    problem.update_geometry(0.0)
+    problem.update_geometry()
     assert warnings_on_straight_facets(problem.system.links[0]) == []

@@ -212,7 +212,7 @@ def test_what_heights_miss(cell, swap):
         solid = dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3))
         contact = dm.Contact(tags, slave=slave, master=master)
         problem = dm.ContactProblem(solid, [contact], bcs=planes)
-    problem.update_geometry(0.0)
+    problem.update_geometry()
     (link,) = problem.system.links
     found = [link.gaps(problem.positions()), resolution.missed_gaps(link, None)]
     found.append(resolution._means(link, None, missed_heights))

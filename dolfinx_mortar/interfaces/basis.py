@@ -146,9 +146,9 @@ class _Factor:
             mine = ~taken[link.nodes] & ~(link.banned[link.nodes] & _kept_by(others, link.nodes))
             taken[link.nodes[mine]] = True
             here = np.ones_like(mine) if dependent is None else link.sides.dependent == dependent
-            mine, near = mine & here, link.near & here
-            self.parts.append((k, mine, near))
-            on = near[p.row]
+            mine &= here
+            self.parts.append((k, mine, here))
+            on = here[p.row]
             rows += [link.nodes[mine], link.nodes[p.row[on]]]
             columns += [link.nodes[mine].astype(np.int64) + first, p.column[on]]
         self.V = V
@@ -158,10 +158,10 @@ class _Factor:
     def update(self, links: Sequence[Link]) -> None:
         """Refill the matrix; collective."""
         values = []
-        for k, mine, near in self.parts:
+        for k, mine, here in self.parts:
             link = links[k]
-            turn = link.frames[mine] - np.eye(link.frames.shape[1])
-            values += [turn, link.coupling.blocks[near[link.pattern.row]]]
+            turn = link.coupling.R[mine] - np.eye(link.coupling.R.shape[1])
+            values += [turn, link.coupling.blocks[here[link.pattern.row]]]
         self._blocks.fill(np.concatenate(values))
 
     def uncouple(self, links: Sequence[Link], held: Ints) -> tuple[PETSc.Mat, PETSc.Mat]:
@@ -172,13 +172,13 @@ class _Factor:
         is_held[held] = True
         C: list[tuple[Ints, Longs, Floats]] = []
         E: list[tuple[Ints, Longs, Floats]] = []
-        for k, mine, near in self.parts:
+        for k, mine, here in self.parts:
             link, p, blocks = links[k], links[k].pattern, links[k].coupling.blocks
             nodes = link.nodes[mine]
-            C.append((nodes, nodes.astype(np.int64) + first, link.frames[mine] - np.eye(d)))
+            C.append((nodes, nodes.astype(np.int64) + first, link.coupling.R[mine] - np.eye(d)))
             dofs = d * link.nodes[:, None] + np.arange(d)
             free_now = link.constrained & ~is_held[dofs]
-            used = blocks.any(axis=(1, 2)) & near[p.row]
+            used = blocks.any(axis=(1, 2)) & here[p.row]
             off = used & free_now[p.row].any(axis=1)
             at, free = p.row[off], free_now[p.row[off]]
             in_frame = np.where(free[:, :, None], link.coupling.rows[at] @ blocks[off], 0.0)
@@ -193,15 +193,15 @@ class _Factor:
     def inverse(self, links: Sequence[Link], u: PETSc.Vec) -> PETSc.Vec:
         """Return y with T y = u: w_j = R_j^-1 (u_j - sum_l Q_jl u_l); collective."""
         difference, d = u.copy(), self.V.dofmap.index_map_bs
-        for k, _, near in self.parts:
+        for k, _, here in self.parts:
             moved = (links[k].Q * u).array_r.reshape(-1, d)
-            nodes = links[k].nodes[near]  # others have no row in T
+            nodes = links[k].nodes[here]  # others have no row in T
             difference.array.reshape(-1, d)[nodes] -= moved[nodes]
         y = u.copy()
         for k, mine, _ in self.parts:
-            nodes = links[k].nodes[mine]
+            nodes, rows = links[k].nodes[mine], links[k].coupling.rows[mine]
             slip = difference.array_r.reshape(-1, d)[nodes]
-            y.array.reshape(-1, d)[nodes] = np.einsum("nij,nj->ni", links[k].rows[mine], slip)
+            y.array.reshape(-1, d)[nodes] = np.einsum("nij,nj->ni", rows, slip)
         return y
 
 

@@ -143,16 +143,14 @@ class ContactDerivatives(LinkDerivatives):
     """
 
     def __init__(self, link: CoupledSides) -> None:
-        """Create the patterns for all candidates of near slave facets; collective."""
+        """Create the patterns for all candidates; collective."""
         V, slave, pairing = link.sides.V, link.sides.slave, link.pairing
         assert pairing is not None
-        self.asked, self._found = facets_near(link), pairing
-        pairs = pairing.pairs[self.asked[pairing.pairs[:, 0]]]
+        self._found, pairs = pairing, pairing.pairs
         n, d = len(slave.nodes), V.dofmap.index_map_bs
-        facets: Ints = np.flatnonzero(self.asked).astype(np.int32)
         master = pairing.master_facets[pairs[:, 1]]
-        on_slave = incidence(facets, slave.facets[facets], (len(self.asked), n))
-        shape = len(self.asked), len(pairing.master_nodes)
+        on_slave = incidence_of(slave)
+        shape = len(slave.facets), len(pairing.master_nodes)
         on_both = sparse.hstack([on_slave, incidence(pairs[:, 0], master, shape)]).tocsr()
         nodes = V.dofmap.index_map.local_to_global(slave.nodes).astype(np.int64)
         both = np.concatenate([nodes, pairing.master_nodes])
@@ -187,12 +185,12 @@ class ContactDerivatives(LinkDerivatives):
         slave, (_, operators) = link.sides.slave, link.mortar
         x = coordinates(slave, u)
         given, keep = tractions_of(link, multipliers, tangential)
-        asked, loaded = self.asked, np.asarray(given.tractions.any(axis=1))
-        known: Bools = np.ones_like(loaded)
+        known: Bools = np.ones(len(x), dtype=bool)
+        segments = operators.segments
         if _in_space(link):
-            known = _neighbours(slave, loaded)
-            asked = asked & known[slave.facets].any(axis=1)
-        segments = some_points(operators.segments, asked[operators.segments.slave])
+            known = _neighbours(slave, np.asarray(given.tractions.any(axis=1)))
+            asked: Bools = np.asarray(known[slave.facets].any(axis=1))
+            segments = some_points(segments, asked[segments.slave])
         found = self._derivatives(link, u, segments, keep, given)
         N = self.averaged.fill(normal_derivatives(slave, x))
         C = self.normals.fill(link, u, found)
@@ -294,14 +292,6 @@ def _in_space(link: CoupledSides) -> bool:
     return link.sides.V.mesh.topology.dim == 3
 
 
-def facets_near(link: CoupledSides) -> Bools:
-    """Mask (m,) of this rank's slave facets with nodes in T; collective."""
-    slave, own = link.sides.slave, slice(None, link.sides.slave.owned)
-    near = np.zeros((len(slave.nodes), 1))
-    near[own, 0] = link.near
-    return np.asarray((accumulate(slave, near)[:, 0] > 0.0)[slave.facets].any(axis=1))
-
-
 def _neighbours(slave: Surface, marked: Bools) -> Bools:
     """Mask (n,) of slave nodes of facets with a marked node; collective."""
     found = np.zeros((len(slave.nodes), 1))
@@ -314,6 +304,12 @@ def incidence(facets: Ints, nodes: Ints, shape: tuple[int, int]) -> sparse.csr_a
     rows = np.repeat(facets, nodes.shape[1])
     ones = np.ones(len(rows), dtype=bool)  # sums of small integers may overflow to 0
     return sparse.coo_array((ones, (rows, nodes.ravel())), shape=shape).tocsr()
+
+
+def incidence_of(side: Surface) -> sparse.csr_array:
+    """Incidence of all facets of a side and its nodes."""
+    facets: Ints = np.arange(len(side.facets), dtype=np.int32)
+    return incidence(facets, side.facets, (len(facets), len(side.nodes)))
 
 
 def layout_of(V: fem.FunctionSpace) -> Unknowns:
@@ -345,16 +341,14 @@ def tractions_of(
 
 
 class ToolDerivatives(LinkDerivatives):
-    """Derivatives for all facets of a side that are near the tool."""
+    """Derivatives for all facets of a side."""
 
     def __init__(self, link: CoupledSides, side: WholeSide, tool: Tool) -> None:
         """Create the patterns; collective."""
         V, slave = link.sides.V, link.sides.slave
         self.side, self.tool = side, tool
-        self.asked = facets_near(link)
-        facets = np.flatnonzero(self.asked).astype(np.int32)
         n, d = len(slave.nodes), V.dofmap.index_map_bs
-        among = incidence(facets, slave.facets[facets], (len(self.asked), n))
+        among = incidence_of(slave)
         nodes = V.dofmap.index_map.local_to_global(slave.nodes).astype(np.int64)
         dofs = (d * nodes[:, None] + np.arange(d)).ravel()
         pattern = among.T @ among
@@ -365,7 +359,7 @@ class ToolDerivatives(LinkDerivatives):
         self.N = BlockSums(*of, BlockEntries(alone, (d, d), dofs, dofs))
 
     def serves(self, link: CoupledSides) -> bool:
-        """Return True: the pattern is that of the nodes in T."""
+        """Return True: the pattern is that of the side."""
         return True
 
     def differentiate(
@@ -375,7 +369,7 @@ class ToolDerivatives(LinkDerivatives):
         slave, side, x = link.sides.slave, self.side, coordinates(link.sides.slave, u)
         pose, shape, d = self.tool.pose(), self.tool.asked, x.shape[1]
         given, keep = tractions_of(link, multipliers, tangential)
-        facing = self.asked & find_facing(side, pose, shape, x)
+        facing = find_facing(side, pose, shape, x)
         segments, points = whole_facets(side, x, facing)
         assert isinstance(link.pattern, SidePattern)
         phi, found = point_gaps(link.pattern, pose, shape, u, segments, points)

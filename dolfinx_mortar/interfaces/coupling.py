@@ -181,7 +181,6 @@ class CoupledSides:
     pairing: Pairing | None  # None without a master
     pattern: Pattern
     coupling: Coupling
-    near: Bools  # (n,) slave nodes in the change of basis
     banned: Bools  # (local nodes,) slave nodes of other interfaces
 
     @property
@@ -207,28 +206,8 @@ class CoupledSides:
 
     @property
     def constrained(self) -> Bools:
-        """Constrained directions (n, d) in the change of basis."""
-        return np.asarray(self.coupling.directions & self.near[:, None])
-
-    @property
-    def slot(self) -> Ints:
-        """Column (n, d) of `frames` that is a prescribed Cartesian direction, else -1."""
-        axes = np.arange(self.coupling.slot.shape[1], dtype=np.int32)
-        left = np.where(self.sides.fixed[self.nodes], axes, -1)
-        bound = np.asarray(self.constrained.any(axis=1))[:, None]
-        return np.where(bound, self.coupling.slot, left).astype(np.int32)
-
-    @property
-    def frames(self) -> Floats:
-        """Frames (n, d, d) in the change of basis: Cartesian at unconstrained nodes."""
-        bound = np.asarray(self.constrained.any(axis=1))[:, None, None]
-        return np.where(bound, self.coupling.R, np.eye(self.coupling.R.shape[1]))
-
-    @property
-    def rows(self) -> Floats:
-        """Inverses (n, d, d) of `frames`."""
-        bound = np.asarray(self.constrained.any(axis=1))[:, None, None]
-        return np.where(bound, self.coupling.rows, np.eye(self.coupling.R.shape[1]))
+        """Constrained directions (n, d)."""
+        return self.coupling.directions
 
     def relative(self, v: PETSc.Vec) -> Floats:
         """Return R^-1 (v_j - sum_l Q_jl v_l) at the owned slave nodes, (n, d); collective.

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -11,13 +12,16 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem, la
-from dolfinx_mortar.algebra.parallel import ratio
-from dolfinx_mortar.arrays import TINY, Bools, Floats
+from dolfinx_mortar.algebra.parallel import maximum, ratio
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Actives, Bools, Floats, Ints
 from dolfinx_mortar.interfaces.coupling import CoupledSides, with_ghosts
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.results import Resultants
 from dolfinx_mortar.interfaces.slip_partners import Partners, ToolPartners, partners_on_master
 from dolfinx_mortar.mortar.surface import accumulate, mean_facet_length
+
+# Round bodies that overlap by delta touch where they overlap by half of it (Hertz: a^2 = R delta).
+OVERLAP = 0.5
 
 
 @dataclass(frozen=True)
@@ -61,8 +65,7 @@ class Link(CoupledSides):
 
     def held_motion(self, v: PETSc.Vec) -> Floats:
         """Components constrained by equalities; collective."""
-        held = self.coupling.directions & (not self.unilateral)
-        return np.asarray(self.relative(v)[held])
+        return np.asarray(self.relative(v)[self.equal])
 
     def acting(self, closed: Bools) -> Bools:
         """Mask (n,) of slave nodes at which the interface acts.
@@ -235,3 +238,28 @@ def _extended(link: Link, values: Floats, kept: Bools) -> Floats:
         mean = array[:, 0] / array[:, 1]
     extended = np.where(with_ghosts(sides.V, covered)[:, None], mean, np.nan)
     return np.asarray(np.where(known[:, 1] > 0, known[:, 0], extended))
+
+
+def nodal_gaps(links: Sequence[Link], v: PETSc.Vec, n: int) -> Floats:
+    """Return n_j.(P v - v_j) (owned nodes,), the gap for v = X + u, else inf; collective."""
+    gap = np.full(n, np.inf)
+    for link in links:
+        if link.unilateral:
+            normal = link.coupling.directions[:, 0]
+            gap[link.nodes[normal]] = link.gaps(v)[normal]
+    return gap
+
+
+def predict_active(
+    links: Sequence[Link], x: PETSc.Vec, n: int, bounded: Ints, facet_length: float
+) -> Actives:
+    """Initial active set on the owned nodes ``bounded``; collective.
+
+    Nodes that overlap at x like round bodies in contact, or the nearest.
+    """
+    comm: MPI.Comm = links[0].sides.V.mesh.comm
+    gap = nodal_gaps(links, x, n)
+    nearest = -float(maximum(comm, -gap.min(initial=np.inf))[0])
+    depth = nearest if nearest > 0.0 else OVERLAP * nearest
+    level = HALF_OF_DIGITS * facet_length
+    return np.asarray(gap[bounded] <= depth + level).astype(np.int8)

@@ -24,7 +24,6 @@ from dolfinx_mortar.interfaces.coupling import (
     create_pattern,
     free_directions,
     mark,
-    with_ghosts,
 )
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface
 from dolfinx_mortar.mortar.common_normals import common_normals
@@ -34,7 +33,7 @@ from dolfinx_mortar.mortar.facing_bodies import check_angle
 from dolfinx_mortar.mortar.integrals import drop_far, find_segments
 from dolfinx_mortar.mortar.mirrors import judge_supports
 from dolfinx_mortar.mortar.operators import SmoothSides, create_operators
-from dolfinx_mortar.mortar.pairing import Pairing, Weight, create_pairing, outside_margin
+from dolfinx_mortar.mortar.pairing import Pairing, Weight, create_pairing
 from dolfinx_mortar.mortar.surface import create_surface, dependent_nodes
 from dolfinx_mortar.tags import check_tag, label, tag_of
 
@@ -235,18 +234,3 @@ class MortarInterface(Interface):
             operators=operators,
             common=common,
         )
-
-
-def have_slid(sides: Sides, pairing: Pairing, u: fem.Function | None, near: Bools | None) -> bool:
-    """Whether two sides slid beyond the margin of the last search; collective.
-
-    Args:
-        near: slave nodes (n,) to be considered; None for all.
-    """
-    if near is None or sides.meet_themselves:  # self-contact lacks pairs of far parts
-        return outside_margin(pairing, u)
-    marks = np.zeros(sides.n_owned, dtype=bool)
-    marks[sides.nodes] = near
-    slave = sides.slave
-    among = with_ghosts(sides.V, marks)[slave.nodes][slave.facets].any(axis=1)
-    return outside_margin(pairing, u, among)

@@ -34,7 +34,6 @@ from dolfinx_mortar.interfaces.coupling import (
 )
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
 from dolfinx_mortar.interfaces.mortar_interface import is_smooth
-from dolfinx_mortar.interfaces.near import FACETS
 from dolfinx_mortar.interfaces.tool import (
     Load,
     Movable,
@@ -60,6 +59,9 @@ from dolfinx_mortar.shapes import Distance, Shape
 
 # Largest | |grad phi| - 1 | within a facet of the surface, the error of forces and gaps.
 NO_DISTANCE = 0.1
+# A tool is near within so many facets: next to a touching node the gap is below two for surfaces
+# inclined by less than 63 degrees.
+FACETS = 2.0
 
 
 class Obstacle(Movable, Unilateral):

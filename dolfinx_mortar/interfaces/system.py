@@ -39,14 +39,12 @@ from dolfinx_mortar.interfaces.interface import (
     full_coverage,
 )
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.mortar_interface import have_slid
 from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent, MovingGeometry
-from dolfinx_mortar.interfaces.near import find_reach, touches_far_nodes
 from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.tool import Outline
 from dolfinx_mortar.mortar.common_normals import find_spreads
-from dolfinx_mortar.mortar.pairing import Pairing, Weight
+from dolfinx_mortar.mortar.pairing import Pairing, Weight, outside_margin
 from dolfinx_mortar.mortar.passing import Middles
 from dolfinx_mortar.mortar.surface import (
     Boundary,
@@ -59,28 +57,13 @@ from dolfinx_mortar.spaces import with_values
 
 
 @dataclass(frozen=True)
-class Paired:
-    """Displacement and nodes in T at the pairing: they determine pairs, claims and T."""
-
-    at: Floats  # (n,) displacement; empty for X
-    near: Sequence[Bools]  # (slave nodes,) of each interface
-
-
-@dataclass(frozen=True)
 class Configuration:
     """All interfaces at given positions, for given positions of the pairing."""
 
     links: Sequence[Link] = ()
     claims: Claims | None = None
     transformation: Transformation | None = None
-    increment: float = 0.0  # largest prescribed motion of the step
-    paired_at: Floats = field(default_factory=lambda: np.zeros(0))  # (n,), see `Paired`
-    searched: bool = False  # new pairs: nodes in T are to be chosen
-
-    @property
-    def paired(self) -> Paired:
-        """Pairing for the next step."""
-        return Paired(self.paired_at, [link.near for link in self.links])
+    paired_at: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) displacement; empty for X
 
     def largest_slip(self, u: PETSc.Vec) -> float:
         """Largest deviation of tied sides from their jumps; collective."""
@@ -245,9 +228,7 @@ class InterfaceSystem:
         if not self.interfaces:
             return Configuration()
         at = self._pair(u)
-        near = [np.ones(len(sides.nodes), dtype=bool) for sides in self.sides]
-        links = self._coupled(u, near)
-        return Configuration(links, self._reused.claims, paired_at=at, searched=True)
+        return Configuration(self._coupled(u), self._reused.claims, paired_at=at)
 
     def _pair(self, u: fem.Function | None) -> Floats:
         """Pair the surfaces at X + u, resolve the claims; return u (n,); collective."""
@@ -275,13 +256,13 @@ class InterfaceSystem:
         self._reused = replace(self._reused, pairs=found, claims=claims, at_X={}, paired_at=where)
         return where
 
-    def _coupled(self, u: fem.Function | None, near: Sequence[Bools]) -> list[Link]:
+    def _coupled(self, u: fem.Function | None) -> list[Link]:
         links, claims = [], self._reused.claims
         assert claims is not None
         for k, (interface, sides) in enumerate(zip(self.interfaces, self.sides, strict=True)):
             parts = sides, *self._reused.pairs[k], claims.banned[k]
             coupling = self._couple(k, parts, u)
-            links.append(Link(*parts[:3], coupling, near[k], claims.banned[k], interface))
+            links.append(Link(*parts[:3], coupling, claims.banned[k], interface))
         return links
 
     def _couple(
@@ -308,72 +289,48 @@ class InterfaceSystem:
         parts = link.sides, link.pairing, link.pattern, link.banned
         return replace(link, coupling=self._couple(k, parts, u))
 
-    def begin(self, u: fem.Function | None, known: Paired | None) -> Configuration:
+    def begin(self, u: fem.Function | None, known: Floats | None) -> Configuration:
         """First configuration of a step at X + u, without T; collective.
 
         Args:
             u: displacement, None for X.
-            known: last committed pairing, kept while it fits; None pairs the surfaces at X + u.
+            known: (n,) displacement of the last committed pairing, kept while it fits, empty for X;
+                None pairs the surfaces at X + u.
         """
         if known is None or not self.interfaces:
             return self.at(u)
-        same = self._reused.paired_at is not None and np.array_equal(
-            self._reused.paired_at, known.at
-        )
+        same = self._reused.paired_at is not None and np.array_equal(self._reused.paired_at, known)
         if not self.V.mesh.comm.allreduce(same, op=MPI.LAND):
-            self._pair(None if u is None else with_values(self.V, known.at))
+            self._pair(None if u is None else with_values(self.V, known))
         if self._slid(u):
             return self.at(u)
-        links, claims = self._coupled(u, known.near), self._reused.claims
+        links, claims = self._coupled(u), self._reused.claims
         assert claims is not None
         if are_outdated(claims, links):
             return self.at(u)
-        return Configuration(links, claims, paired_at=known.at)
+        return Configuration(links, claims, paired_at=known)
 
-    def enter(self, found: Configuration, x: PETSc.Vec, increment: float) -> bool:
-        """Make a configuration the present one; return whether T has a new pattern; collective.
-
-        Args:
-            x: (n,) X + u, also for frozen surfaces.
-            increment: largest prescribed motion of the step.
-        """
-        found = replace(found, increment=increment)
-        if not self.interfaces:
-            self.present = found
-            return False
-        reach = find_reach(found.links, x, self.n, increment, self.facet_length)
-        links = found.links
-        if found.searched or any_rank(self.V.mesh.comm, reach.missing(links))[0]:
-            links = [replace(link, near=reach.near(link)) for link in links]
-        return self._enter(replace(found, searched=False), links)
-
-    def follow(self, u: fem.Function | None, x: PETSc.Vec, *, everywhere: bool = False) -> bool:
-        """Update to X + u within a step; return whether T has a new pattern; collective.
-
-        Args:
-            u: displacement for normals and segments; None for X.
-            x: (n,) X + u, also for frozen surfaces.
-            everywhere: pair again after slides anywhere, not only near the contact.
-        """
+    def follow(self, u: fem.Function | None) -> bool:
+        """Update to X + u (X for None) in a step; return whether T is a new one; collective."""
         before = self.present
         if not self.interfaces:
             return False
-        if self._slid(u, None if everywhere else [link.near for link in before.links]):
-            return self.enter(self.at(u), x, before.increment)
+        if self._slid(u):
+            return self.enter(self.at(u))
         links = [self._followed(k, link, u) for k, link in enumerate(before.links)]
         assert before.claims is not None and before.transformation is not None
         if are_outdated(before.claims, links):
-            return self.enter(self.at(u), x, before.increment)
-        reach = find_reach(links, x, self.n, before.increment, self.facet_length)
-        if any_rank(self.V.mesh.comm, reach.missing(links))[0]:
-            return self._enter(before, [replace(link, near=reach.near(link)) for link in links])
+            return self.enter(self.at(u))
         before.transformation.update(links)
         self.present = replace(before, links=links)
         return False
 
-    def _enter(self, found: Configuration, links: Sequence[Link]) -> bool:
-        assert found.claims is not None
-        claims, held = found.claims, _pattern_of(links)
+    def enter(self, found: Configuration) -> bool:
+        """Make a configuration the present one; return whether T is a new one; collective."""
+        links, claims, held = found.links, found.claims, _pattern_of(found.links)
+        if claims is None:  # without interfaces
+            self.present = found
+            return False
         reused, T = self._reused, self._reused.transformation
         same = T is not None and T.serves(claims) and len(held) == len(reused.held)
         same = same and all(map(np.array_equal, held, reused.held))
@@ -383,16 +340,15 @@ class InterfaceSystem:
             T = Transformation(self.V, links, claims)
             self._reused = replace(self._reused, transformation=T, held=held)
         T.update(links)
-        self.present = replace(found, links=links, transformation=T)
+        self.present = replace(found, transformation=T)
         return T is not reused.transformation
 
-    def _slid(self, u: fem.Function | None, near: Sequence[Bools] | None = None) -> bool:
+    def _slid(self, u: fem.Function | None) -> bool:
         """Whether sides slid beyond the margins of the last search; collective."""
         slid = []
-        for k, (interface, sides) in enumerate(zip(self.interfaces, self.sides, strict=True)):
-            pairing = self._reused.pairs[k][0]
+        for interface, (pairing, _) in zip(self.interfaces, self._reused.pairs, strict=True):
             if not interface.stays and u is not None and pairing is not None:
-                slid.append(have_slid(sides, pairing, u, None if near is None else near[k]))
+                slid.append(outside_margin(pairing, u))
         return any(slid)
 
     @contextmanager
@@ -406,13 +362,6 @@ class InterfaceSystem:
                 self.present, self._reused = present, reused
         if present.transformation is not None:
             present.transformation.update(present.links)  # the block may have refilled it
-
-    def is_complete(self, u: fem.Function | None, x: PETSc.Vec) -> bool:
-        """Whether no slave node outside T may be in contact, also by slides; collective."""
-        if not self.links:
-            return True
-        slid = u is not None and self._slid(u)
-        return not slid and not touches_far_nodes(self.links, x, self.n)
 
     def linearise_geometry(
         self,
@@ -483,7 +432,7 @@ class InterfaceSystem:
         for link, limit, partner in zip(self.links, limits, partners, strict=True):
             if limit is not None and (law := link.interface.law) is not None:
                 slip = link.relative(moved) if partner is None else partner.slip(link, moved)
-                at = link.nodes, link.constrained, link.rows, slip, link.coupling.weight
+                at = link.nodes, link.constrained, link.coupling.rows, slip, link.coupling.weight
                 found = law.slip_limits(*at, limit)
                 parts.append(self._with_known_slips(link, found, moved, partner, sliding))
         return join_limits(parts) if parts else None
@@ -527,7 +476,7 @@ class InterfaceSystem:
         slot: Ints = np.tile(np.arange(d, dtype=np.int32), (self.n, 1))
         for link in self.links:
             carries = link.constrained.any(axis=1)
-            nodes, own = link.nodes[carries], link.slot[carries]
+            nodes, own = link.nodes[carries], link.coupling.slot[carries]
             slot[nodes] = np.where(own >= 0, own, slot[nodes])
         return slot
 
@@ -535,5 +484,5 @@ class InterfaceSystem:
 def _pattern_of(links: Sequence[Link]) -> list[Any]:
     held: list[Any] = []
     for link in links:
-        held += [link.pattern.row, link.pattern.column, link.near, link.banned]
+        held += [link.pattern.row, link.pattern.column, link.banned]
     return held

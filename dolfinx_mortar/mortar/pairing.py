@@ -318,23 +318,17 @@ def received_facets(pairing: Pairing, u: dolfinx.fem.Function | None) -> Facets:
 
 
 @timed("~Mortar: margin")
-def outside_margin(
-    pairing: Pairing, u: dolfinx.fem.Function | None, among: Bools | None = None
-) -> bool:
+def outside_margin(pairing: Pairing, u: dolfinx.fem.Function | None) -> bool:
     """Tell whether a segment at X + u can belong to a pair that is not a candidate (collective).
 
     A search without margin must not find a new pair: the answer depends on the relative motion
-    only, and False is certain. True where u is not finite: the next search raises the error. Tests
-    `among` the slave facets (ms,) of this rank, or all.
+    only, and False is certain. True where u is not finite: the next search raises the error.
     """
     comm = pairing.slave.V.mesh.comm
     slave, n_s = _slave_facets(pairing.slave, u)
     master = received_facets(pairing, u)
     none, count = np.zeros(len(slave.x)), len(master.x)
-    among = np.ones(len(none), dtype=bool) if among is None else among
-    asked = np.flatnonzero(among)
-    pairs = find_candidates(slave[asked], n_s[asked], master, none[asked], pairing.order)
-    pairs[:, 0] = asked[pairs[:, 0]]
+    pairs = find_candidates(slave, n_s, master, none, pairing.order)
     if pairing.roles is not None:
         missing = has_changed(pairing.roles, slave, master, pairs)
     else:
@@ -344,9 +338,7 @@ def outside_margin(
     missing = missing or not (np.isfinite(slave.x).all() and np.isfinite(master.x).all())
     if comm.size > 1:
         own = facets_at(pairing.master, coordinates(pairing.master, u))
-        groups = [group[among[group]] for group in pairing.groups]
-        groups = [group for group in groups if len(group)]
-        cones = group_cones(slave.x, bounding_directions(slave, n_s), groups, none)
+        cones = group_cones(slave.x, bounding_directions(slave, n_s), pairing.groups, none)
         receivers = find_receivers(comm, cones, own)
         missing = missing or bool((receivers & ~pairing.sent).any())
     return bool(comm.allreduce(int(missing)))

@@ -26,7 +26,6 @@ from dolfinx_mortar.arrays import SAME, Bools, Floats
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.interfaces.interface import check_owned
 from dolfinx_mortar.interfaces.results import Resultants
-from dolfinx_mortar.interfaces.system import Paired
 from dolfinx_mortar.materials.protocol import named_parameters
 from dolfinx_mortar.persistence.committed import (
     Before,
@@ -206,14 +205,12 @@ class Saved:
         nodes = self.tables[NODES]
         return nodes[f"{prefix}active"][:, 0] > 0.0, nodes.get(f"{prefix}sliding")
 
-    def _paired(self) -> Paired | None:
-        """Return where the surfaces were paired; None where that is not known."""
-        tables, count = self.tables, len(self.state.interfaces)
-        near = [tables[SLAVES.format(k)].get("near") for k in range(count)]
-        known = [marks[:, 0] > 0.0 for marks in near if marks is not None]
-        at = tables[NODES].get("paired", np.zeros((0, 1))).flatten()
-        complete = "paired" in tables[NODES] or self.state.geometry == "reference"
-        return Paired(at, known) if complete and len(known) == count else None
+    def _paired(self) -> Floats | None:
+        """Return where the surfaces were paired, empty for X; None where that is not known."""
+        found = self.tables[NODES].get("paired")
+        if found is None:
+            return np.zeros(0) if self.state.geometry == "reference" else None
+        return found.flatten()
 
 
 # -- values of this rank -------------------------------------------------------------------------
@@ -232,8 +229,8 @@ def _at_nodes(state: ProblemState, outcome: StepOutcome | None) -> dict[str, Flo
     found = {"displacement": u, "slid": committed.slid.T, "dissipated": committed.dissipated.T}
     for prefix, last in (("", committed), (UNCOMMITTED, outcome)):
         found |= {f"{prefix}{name}": v for name, v in _contacts(state, last, u).items()}
-    if (paired := committed.paired) is not None and len(paired.at):
-        found["paired"] = paired.at.reshape(u.shape)
+    if (paired := committed.paired) is not None and len(paired):
+        found["paired"] = paired.reshape(u.shape)
     if (supports := committed.supports) is not None:
         found["supports"] = np.hstack([supports.forces, supports.points])
     if state.system.has_friction:  # slips are measured from it
@@ -266,14 +263,12 @@ def _at_points(state: ProblemState) -> dict[str, Floats]:
 
 
 def _at_slaves(state: ProblemState, k: int) -> dict[str, Floats]:
-    """Return the results of an interface at its owned slave nodes, and which nodes T transforms."""
+    """Return the results of an interface at its owned slave nodes."""
     interface, nodes = state.interfaces[k], state.system.sides[k].nodes
-    paired = state.committed.paired
-    values = {} if paired is None else {"near": paired.near[k][:, None].astype(float)}
     if (found := interface.resultants) is None:
-        return values
+        return {}
     multiplier = found.multiplier if found.multiplier.ndim > 1 else found.multiplier[:, None]
-    values |= {"multiplier": multiplier, "carries": found.carries[:, None].astype(float)}
+    values = {"multiplier": multiplier, "carries": found.carries[:, None].astype(float)}
     return values | {name: _owned(f)[nodes] for name, f in interface.nodal.items()}
 
 

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from dolfinx import fem
 from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.interfaces.interface import Interface
-from dolfinx_mortar.interfaces.system import InterfaceSystem, Paired
+from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term, ask_term
 from dolfinx_mortar.step_report import LoadStep
@@ -62,7 +62,7 @@ class StepOutcome:
     at: Floats  # (n,) displacement at the end of the step
     active: Bools  # (owned nodes,) closed contacts
     sliding: Floats | None  # (owned nodes, d) slip directions of closed nodes, 0 if stuck
-    paired: Paired | None  # where the surfaces were paired
+    paired: Floats | None  # (n,) displacement of the pairing; empty for X
     slips: Slips | None  # with friction
     # (owned nodes, d) forces of the contacts on both sides, normal to them and along
     normal: Floats | None = None
@@ -83,7 +83,7 @@ class Committed:
     dissipated: Floats  # (interfaces, owned nodes), see `Slips`
     begun: bool = False  # a step has been committed
     sliding: Floats | None = None  # (owned nodes, d) slip directions of closed nodes, 0 if stuck
-    paired: Paired | None = None  # where the surfaces were paired
+    paired: Floats | None = None  # (n,) displacement of the pairing; empty for X
     level: float = 0.0  # load level, of the last step of `load_steps`
     history: list[LoadStep] = field(default_factory=list)  # all steps of `load_steps`
     brought: int = 0  # how many of them a checkpoint has restored

@@ -22,7 +22,7 @@ from dolfinx.mesh import Mesh
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, QUARTER_OF_DIGITS, TINY, Bools, Floats, Ints
 from dolfinx_mortar.compat import cell_nodes, scaled_mesh
-from dolfinx_mortar.interfaces.near import nodal_gaps
+from dolfinx_mortar.interfaces.link import nodal_gaps
 from dolfinx_mortar.interfaces.system import InterfaceSystem
 from dolfinx_mortar.mortar.surface import coordinates, nodal_normals
 from dolfinx_mortar.problem.problem import ContactProblem

@@ -271,7 +271,7 @@ class ContactProblem:
                 increment=max(data.increment, found.largest_slip(u)),
                 partners=self._completed(found, partners),
             )
-        self._enter(found, data.increment)
+        self._enter(found)
         self.raise_failed()
         if audit:
             audited = self._audit(data.increment)
@@ -381,7 +381,7 @@ class ContactProblem:
         with self.system.put_back():
             with self.timings("mortar"):
                 found = self.system.at(self.configuration)
-                self.system.enter(found, self.positions(), 0.0)
+                self.system.enter(found)
             audit = self._audit(increment)
             self.raise_failed()
             return audit
@@ -431,23 +431,22 @@ class ContactProblem:
         scale = np.maximum(abs(owned_rows(springs)).max(axis=1).toarray().ravel(), least)
         return lambda v: np.asarray((springs * v).array_r / scale)
 
-    def update_geometry(self, increment: float) -> None:
+    def update_geometry(self) -> None:
         """Pair the surfaces at X + u (X if frozen), and compute D, M, N and T; collective."""
         with self.timings("mortar"):
             found = self.system.at(self.configuration)
-        self._enter(found, increment)
+        self._enter(found)
 
-    def follow_geometry(self, *, everywhere: bool = False) -> None:
+    def follow_geometry(self) -> None:
         """Update the geometry to X + u within a step; collective."""
-        at, x = self.configuration, self.positions()
         with self.timings("mortar"):
-            if self.system.follow(at, x, everywhere=everywhere):
+            if self.system.follow(self.configuration):
                 self.linear.clear()
 
-    def _enter(self, found: Configuration, increment: float) -> None:
+    def _enter(self, found: Configuration) -> None:
         """Make a configuration the present one; collective."""
         with self.timings("mortar"):
-            if self.system.enter(found, self.positions(), increment):
+            if self.system.enter(found):
                 self.linear.clear()
 
     def positions(self) -> PETSc.Vec:

@@ -12,8 +12,7 @@ from dolfinx_mortar.arrays import SAME, Floats
 from dolfinx_mortar.geometry.facets import unit
 from dolfinx_mortar.interfaces.constraints import SlipLimits
 from dolfinx_mortar.interfaces.coupling import along_and_across, relative_motions
-from dolfinx_mortar.interfaces.link import Link, set_results_of, set_sliding
-from dolfinx_mortar.interfaces.near import nodal_gaps
+from dolfinx_mortar.interfaces.link import Link, nodal_gaps, set_results_of, set_sliding
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import Balance, growth
 from dolfinx_mortar.newton_method.residuals import Residuals

@@ -98,7 +98,7 @@ def support_forces(problem: ContactProblem, balance: Balance) -> SupportForces:
     for link in problem.system.links:
         if link.sides.hold:
             own = problem.d * link.nodes[:, None] + np.arange(problem.d)
-            forces[own] = -np.einsum("nji,nj->ni", link.rows, balance.reduced.array_r[own])
+            forces[own] = -np.einsum("nji,nj->ni", link.coupling.rows, balance.reduced.array_r[own])
     forces[dofs] = -balance.reduced.array_r[slots]
     follows = problem.configuration is not None and not all(i.stays for i in problem.interfaces)
     moved = follows or problem.solid.strain == "finite"

@@ -30,7 +30,7 @@ from dolfinx_mortar.algebra.parallel import free_unused, maximum, ratio
 from dolfinx_mortar.arguments import NUMBER, check_optional
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces.interface import Interface
-from dolfinx_mortar.interfaces.near import predict_active
+from dolfinx_mortar.interfaces.link import predict_active
 from dolfinx_mortar.newton_method import driven_tools, failures
 from dolfinx_mortar.newton_method.contacts import (
     Contacts,
@@ -233,12 +233,10 @@ class _Step:
                 old, residual = replace(self.renewed(old), barred=barred), residuals[-1]
             elif not residual.excess <= 1.0:
                 old = new
-            elif self.geometry_is_complete():
+            else:
                 self.check_passing()
                 finish(self.qps, self.report, new, residual, self.overlap)
                 return new
-            else:
-                old = self.renewed(new)
             residuals.append(residual)
         end = failures.StepFailed(f"Newton did not converge in max_it={max_it} iterations")
         raise failures.with_corners(self.problem, end)
@@ -437,15 +435,6 @@ class _Step:
         rtol = self.report.rtol
         found = measure(self.problem.u, balance, contacts, diagonal, scales, norm, rtol)
         return driven_tools.miss(self.problem, balance, contacts, found, rtol)
-
-    def geometry_is_complete(self) -> bool:
-        """Whether all touching facets are paired and their nodes in T, or pair them; collective."""
-        problem = self.problem
-        with problem.timings("mortar"):
-            complete = problem.system.is_complete(problem.configuration, problem.positions())
-        if not complete:
-            problem.follow_geometry(everywhere=True)
-        return complete
 
     def check_passing(self) -> None:
         """Raise if bodies have passed through each other."""

@@ -48,7 +48,7 @@ def finish(
     )
     problem.raise_failed()
     supports = support_forces(problem, iterate.balance)  # last: no error may follow
-    at, paired = problem.owned_u.copy(), problem.system.present.paired
+    at, paired = problem.owned_u.copy(), problem.system.present.paired_at
     forces = -normal_forces(problem, contacts), -tangential_forces(problem, contacts)
     ended = problem.ends_of_interfaces()
     closed = contacts.active, contacts.sliding

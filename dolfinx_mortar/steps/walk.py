@@ -26,7 +26,7 @@ from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arguments import FLAG, check_optional, instance
 from dolfinx_mortar.arrays import SAME
-from dolfinx_mortar.interfaces.near import nodal_gaps
+from dolfinx_mortar.interfaces.link import nodal_gaps
 from dolfinx_mortar.newton_method.failures import AS_BEFORE
 from dolfinx_mortar.persistence.checkpoints import Saved, read
 from dolfinx_mortar.persistence.committed import Walk
@@ -379,7 +379,7 @@ def _book(
 
 def find_overlap(problem: ContactProblem, rtol: float) -> float:
     """Depth of overlaps at the present u, 0 within rtol facet lengths; collective."""
-    problem.update_geometry(0.0)
+    problem.update_geometry()
     gap = nodal_gaps(problem.system.links, problem.positions(), problem.n)
     deepest = float(maximum(problem.comm, (-gap).max(initial=0.0))[0])
     return deepest if deepest > rtol * problem.system.facet_length else 0.0
