@@ -332,7 +332,7 @@ def test_a_first_step_that_goes_too_far_is_cut(far):
         notes = dm.newton(problem).notes
     except dm.NewtonNotConverged:
         return
-    assert far > 4.0 and any("lie in each other" in note for note in notes)
+    assert far > 4.0 and any("deep in each other" in note for note in notes)
     assert any("strains of up to 1" in note for note in notes)
 
 

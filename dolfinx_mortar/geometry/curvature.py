@@ -26,7 +26,7 @@ from itertools import combinations
 import numpy as np
 
 from dolfinx_mortar.arrays import EPS, TINY, Bools, Floats, Ints
-from dolfinx_mortar.geometry.elements import LINE2, FacetElement
+from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import (
     Facets,
     area_vectors,
@@ -324,7 +324,7 @@ def edges(facets: Facets, element: FacetElement | None = None) -> Floats:
 
 def first_order(element: FacetElement) -> FacetElement:
     """Return the type of the straight facets with these vertices."""
-    return LINE2 if element.cell == LINE2.cell else element.part or element
+    return element.part or element
 
 
 def height_element(element: FacetElement, sagitta: Floats) -> FacetElement:

@@ -198,8 +198,10 @@ LINE3 = replace(
     shape_functions=_quadratic_interval,
     derivatives=_quadratic_interval_derivatives,
     rule=_gauss(5, 1),
+    sub_facets=((0, 2), (2, 1)),
     order=(0, 1, 2),
     mirrored=(1, 0, 2),
+    part=LINE2,
 )
 TRI3 = FacetElement(
     cell="triangle",

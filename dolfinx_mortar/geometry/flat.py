@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Flat facets, lines and triangles: distances, crossings, passing points, thickness."""
+"""Flat facets, lines and triangles: distances, overlaps, passing points, thickness."""
 
-from dataclasses import dataclass, fields
 from itertools import chain
 
 import numpy as np
@@ -15,8 +14,9 @@ from dolfinx_mortar.geometry.facets import (
     bounding_balls,
     facet_normals,
     facet_sizes,
+    unit,
 )
-from dolfinx_mortar.geometry.segments import Cones, are_facing, find_meeting
+from dolfinx_mortar.geometry.segments import FACING, Cones, are_facing, find_meeting
 
 
 def distances(a: Floats, b: Floats) -> Floats:
@@ -90,20 +90,6 @@ def _halves(facets: Facets) -> list[Floats]:
     return [x[:, [0, 1, 2]], x[:, [0, 2, 3]]] if facets.element.bilinear else [x]
 
 
-@dataclass(frozen=True, eq=False)
-class Crossings:
-    """Edges of flat facets that cross other flat facets."""
-
-    pairs: Longs  # (p, 2) facet with the edge, crossed facet
-    depth: Floats  # (p,) of the edge's nearer end beyond that facet
-    place: Floats  # (p, d) of the crossing
-    ends: Floats  # (p, 2 d) of the edge, equal for facets that share it
-
-    def part(self, which: Bools) -> "Crossings":
-        """Return some of the crossings."""
-        return Crossings(*(getattr(self, field.name)[which] for field in fields(self)))
-
-
 def bounds(x: Floats) -> tuple[Floats, Floats]:
     """Return the smallest and largest coordinates (m, d) of few points (m, k, d).
 
@@ -129,44 +115,49 @@ def near_others(x: Floats, body: Longs, boxes: Floats) -> Bools:
     return near
 
 
-def find_crossings(x: Floats, pairs: Longs) -> Crossings:
-    """Return the crossings of pairs (p, 2), each once, of lines or triangles x (m, d, d).
+def find_overlaps(x: Floats, off: Floats, pairs: Longs) -> tuple[Floats, Floats]:
+    """Return how deep (p,) pairs of lines or triangles x (m, d, d) lie in each other, and where.
+
+    0 if some axis separates them. The shortest way that parts them, along the normal of one out of
+    its body or, in space, a common normal of two edges, less `off` (m,), distances of surfaces from
+    facets: of both, but not of a vertex that lies over the other facet.
 
     Example:
         >>> line = np.array([[[1.0, 0.0], [-1.0, 0.0]], [[0.5, 3.0], [0.5, -1.0]]])
-        >>> found = find_crossings(line, np.array([[0, 1]]))
-        >>> found.pairs.tolist(), found.depth.tolist(), found.place.tolist()
-        ([[0, 1], [1, 0]], [0.5, 1.0], [[0.5, 0.0], [0.5, 0.0]])
+        >>> depth, place = find_overlaps(line, np.zeros(2), np.array([[0, 1]]))
+        >>> depth.tolist(), place.tolist()
+        ([0.5], [[1.0, 0.0]])
     """
-    d = x.shape[2]
-    pairs = np.concatenate([pairs, pairs[:, ::-1]])
-    normals = facet_normals(Facets(LINE2 if d == 2 else TRI3, x))
-    found = []
-    for k in range(1 if d == 2 else 3):
-        p, q, n = x[pairs[:, 0], k], x[pairs[:, 0], (k + 1) % d], normals[pairs[:, 1]]
-        start = x[pairs[:, 1], 0]
-        before, after = ((end - start) * n for end in (p, q))
-        d0, d1 = before.sum(axis=1), after.sum(axis=1)
-        some = np.flatnonzero(d0 * d1 < 0.0)
-        share = (d0[some] / (d0 - d1)[some])[:, None]
-        place = p[some] + share * (q - p)[some]
-        inside = are_inside(x[pairs[some, 1]], n[some], place)
-        some, place = some[inside], place[inside]
-        depth, ends = np.minimum(np.abs(d0), np.abs(d1))[some], ordered(p[some], q[some])
-        found.append((pairs[some], depth, place, ends))
-    return Crossings(*(np.concatenate([part[i] for part in found]) for i in range(4)))
-
-
-def ordered(p: Floats, q: Floats) -> Floats:
-    """Return the points p and q (m, d) as (m, 2 d), the lower one first.
-
-    Example:
-        >>> ordered(np.array([[1.0, 0.0]]), np.array([[1.0, -2.0]])).tolist()
-        [[1.0, -2.0, 1.0, 0.0]]
-    """
-    differ = (p != q).argmax(axis=1)[:, None]
-    turned = np.take_along_axis(p > q, differ, axis=1)
-    return np.where(turned, np.hstack([q, p]), np.hstack([p, q]))
+    d, size, found = x.shape[2], facet_sizes(x), np.zeros((len(pairs), 1 + x.shape[2]))
+    n, noise = facet_normals(Facets(LINE2 if d == 2 else TRI3, x)), HALF_OF_DIGITS * size
+    some: Longs = np.arange(len(pairs))
+    best: Floats = np.full(found.shape, np.inf)  # depth, place
+    normals = [(k, 0, 0) for k in (1, -1)]
+    for k, i, j in normals + [(0, *ij) for ij in np.ndindex(3, 3)] * (d == 3):
+        a, b = pairs[some, :: k or 1].T
+        least, outward = noise[a] + noise[b], np.ones(len(a), dtype=bool)
+        if k:
+            v, skew = n[b], outward
+        else:
+            v = np.cross(x[a, i] - x[a, i - 1], x[b, j] - x[b, j - 1])
+            skew = np.linalg.norm(v, axis=1) > noise[a] * noise[b] / HALF_OF_DIGITS
+            along = (unit(v) * (n[b] - n[a])).sum(axis=1)
+            v, outward = unit(v) * np.where(along < 0.0, -1.0, 1.0)[:, None], np.abs(along) > FACING
+        one, other = (np.einsum("pki,pi->pk", x[facet], v) for facet in (a, b))
+        deep, back = other.max(axis=1) - one.min(axis=1), one.max(axis=1) - other.min(axis=1)
+        p = x[a, one.argmin(axis=1)] if k else (x[a, i] + x[a, i - 1]) / 2
+        less = off[a] + off[b]
+        if k:  # the height of an arc at r is 4 r / L times its sagitta at most
+            r = np.linalg.norm(x[b] - p[:, None], axis=2).min(axis=1)
+            arc = off[b] * np.minimum(4.0 * r / size[b], 1.0)
+            less = np.where(are_inside(x[b], n[b], p), arc, less)
+        nearer = skew & outward & (deep - less < best[:, 0])
+        best = np.where(nearer[:, None], np.column_stack([deep - less, p]), best)
+        # facets that touch with their ends may be parts of surfaces that cross there
+        meet = ~skew | (np.minimum(deep, back) > np.where(outward, -least, least))
+        some, best = some[meet], best[meet]
+    found[some] = best
+    return found[:, 0].clip(min=0.0), found[:, 1:]
 
 
 def near_pairs(x: Floats, group: Longs, apart: Bools) -> Longs:

@@ -418,16 +418,19 @@ def nodal_normals(surface: Surface, x: Floats) -> Floats:
     return np.where(length > 8 * ROUND_OFF, total / np.maximum(length, TINY), 0.0)
 
 
-def nodal_sagittas(surface: Surface, x: Floats) -> Floats:
-    """Return the mean deviation (n,) of a surface from its flat facets at each node; collective.
+def nodal_sagittas(surface: Surface, x: Floats, feature_angle: float) -> Floats:
+    """Return the mean deviation (n,) of a surface from its flat parts at each node; collective.
 
-    L a / 8 for an arc of chord L and angle a, twice that between facet and nodal normals.
+    L a / 8 for an arc of chord L and angle a, twice that between facet and nodal normals, unless an
+    edge is there; facets of degree 2 have parts half as long.
     """
     facets = facets_at(surface, x)
     normals = nodal_normals(surface, x)[surface.facets]
     cosines = np.einsum("mkd,md->mk", normals, facet_normals(facets))
-    turn = np.arccos(np.clip(cosines, -1.0, 1.0)).max(axis=1, initial=0.0)
-    own = np.stack([facet_sizes(facets.x) * turn / 4, np.ones(len(turn))], axis=1)
+    turns = np.arccos(np.clip(cosines, -1.0, 1.0))
+    turn = np.where(turns > np.radians(feature_angle / 2), 0.0, turns).max(axis=1, initial=0.0)
+    sagitta = facet_sizes(facets.x) * turn / (4 * surface.element.degree**2)
+    own = np.stack([sagitta, np.ones(len(turn))], axis=1)
     total, count = sum_at_nodes(surface, np.repeat(own[:, None], surface.element.nodes, axis=1)).T
     return np.asarray(total / np.maximum(count, 1.0))
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Certificate of a converged step, and results of interfaces."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from mpi4py import MPI
 
@@ -19,7 +19,7 @@ from dolfinx_mortar.newton_method.residuals import Residuals
 from dolfinx_mortar.persistence.committed import Slips
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import Sliders
-from dolfinx_mortar.report.penetration import Crossing, find_crossing
+from dolfinx_mortar.report.penetration import Overlap, find_overlaps
 from dolfinx_mortar.report.resolution import find_patches
 from dolfinx_mortar.report.small_strain import LeftOut, find_left_out
 from dolfinx_mortar.step_report import Certificate, StepReport
@@ -97,7 +97,7 @@ def create_certificate(
     balances: tuple[float, float],
     sliders: Sliders | None = None,
     left_out: LeftOut | None = None,
-    crossing: Crossing | None = None,
+    overlaps: Mapping[int, Overlap] | None = None,
     pull: float | None = None,
 ) -> Certificate:
     """Certificate of the present state with its results; collective.
@@ -107,11 +107,11 @@ def create_certificate(
         balances: of forces and moments of the two sides, from `set_results`.
         sliders: with friction.
         left_out: small-strain error; None computes it, as the next ones.
-        crossing: of uncoupled boundaries.
+        overlaps: see `find_overlaps`.
         pull: of `find_pull`.
     """
     left_out = left_out or find_left_out(problem)
-    crossing = crossing or find_crossing(problem)
+    crossing = (find_overlaps(problem) if overlaps is None else overlaps).get(-1)
     pull = find_pull(problem, contacts) if pull is None else pull
     links, length = problem.system.links, problem.system.facet_length
     gap: list[Floats] = [np.zeros(0)]
@@ -158,7 +158,7 @@ def create_certificate(
         left_out_lengths=left_out.lengths,
         rotation=left_out.rotation,
         loads=residual.loads,
-        crossing=crossing.share,
+        crossing=0.0 if crossing is None else max(crossing.share, 0.0),
         **_finite_strain(problem),
         **({} if sliders is None else _friction(problem.comm, sliders, length)),
     )

@@ -6,7 +6,7 @@ Tunnelling and indefinite tangents are reported by Newton's method.
 
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.newton_method.linearisation import Balance
 from dolfinx_mortar.newton_method.residuals import gap_round_off
 from dolfinx_mortar.problem.problem import ContactProblem
-from dolfinx_mortar.report.penetration import Crossing, notes_on_crossings, notes_on_overlaps
+from dolfinx_mortar.report.penetration import Overlap, notes_on_crossings, notes_on_overlaps
 from dolfinx_mortar.report.resolution import note_on_facets, notes_on_resolution
 from dolfinx_mortar.report.small_strain import (
     LARGE,
@@ -43,7 +43,7 @@ class StepEnd:
     stiffness: Floats  # (n,) owned diagonal of the last K^
     overlap: float
     left_out: LeftOut
-    crossing: Crossing
+    overlaps: Mapping[int, Overlap]
     pull: float  # of contacts, see `find_pull`
     rtol: float
     limit: float  # allowed norm of residual forces
@@ -58,9 +58,8 @@ def note_partners(end: StepEnd) -> list[str]:
         why = "Refine the slave side where the master ends, or let the other side be the slave"
         notes.append(Note(seen, why))
     if end.overlap == 0.0:  # else a part of an initial overlap is left
-        closed = end.contacts.active
-        notes += notes_on_overlaps(end.problem.system.unilateral, end.problem.u, closed, end.rtol)
-    return notes + notes_on_crossings(end.problem, end.crossing)
+        notes += notes_on_overlaps(end.problem, end.overlaps, end.contacts.active, end.rtol)
+    return notes + notes_on_crossings(end.problem, end.overlaps)
 
 
 def _missed_tools(end: StepEnd) -> list[str]:
