@@ -161,8 +161,8 @@ def _check_state(law: Law, where: str, new: Any) -> None:
         raise ValueError(f"{where} returns the state {given}, but `state` declares {declared}.")
 
 
-def _call(law: Law, method: str, shape: tuple[int, ...], *arguments: Any) -> Expr:
-    """Value of a method of a law, as UFL of the right shape."""
+def _call(law: Law, method: str, shape: tuple[int, ...], *arguments: Any) -> Any:
+    """Return what a method of a law gives, as UFL, or an array, of the right shape."""
     return _shaped(f"{law.name}.{method}", _guarded(law, method, *arguments), shape)
 
 
@@ -172,27 +172,32 @@ def _guarded(law: Law, method: str, *arguments: Any) -> Any:
         return getattr(law, method)(*arguments)
     except Exception as error:
         wanted = _ARGUMENTS.get(method, "(strain, state, p)")
+        where = f"it is called as a static method, {method}{wanted}, with UFL"
+        if isinstance(arguments[0], np.ndarray):
+            where = f"at {len(arguments[0])} points"
         raise ValueError(
-            f"{law.name}.{method} raised {type(error).__name__}: {error} (it is called as a "
-            f"static method, {method}{wanted}, with UFL)"
+            f"{law.name}.{method} raised {type(error).__name__}: {error} ({where}){_remedy(error)}"
         ) from error
 
 
 _ARGUMENTS = {"elastic_stress": "(strain, p)", "tangent": "(strain, state, p, direction)"}
 
 
-def _shaped(what: str, value: Any, shape: tuple[int, ...]) -> Expr:
-    """A value as UFL, or a ValueError."""
+def _shaped(what: str, value: Any, shape: tuple[int, ...]) -> Any:
+    """Return a value as UFL, or, of a law of arrays, as an array; a ValueError if it is neither."""
+    arrays = len(shape) % 2 == 1  # points are the first axis
+    found: Any
     try:
-        expression = ufl.as_ufl(value)
+        found = np.asarray(value, dtype=np.float64) if arrays else ufl.as_ufl(value)
     except Exception as error:
-        raise ValueError(f"{what} is a {type(value).__name__}; it must be UFL.") from error
-    if expression.ufl_shape != shape or expression.ufl_free_indices:
-        indices = ", with free indices" if expression.ufl_free_indices else ""
-        raise ValueError(
-            f"{what} has the shape {expression.ufl_shape}{indices}; it must be {shape}."
-        )
-    return expression
+        wanted = "an array" if arrays else "UFL"
+        raise ValueError(f"{what} is a {type(value).__name__}; it must be {wanted}.") from error
+    given = found.shape if arrays else found.ufl_shape
+    if given != shape or (not arrays and found.ufl_free_indices):
+        where = f" at {shape[0]} points" if arrays else ""
+        where += ", with free indices" if not arrays and found.ufl_free_indices else ""
+        raise ValueError(f"{what} has the shape {given}{where}; it must be {shape}.")
+    return found
 
 
 @dataclass(frozen=True)
@@ -235,8 +240,7 @@ def values_at_points(
         strain = _flat(strain, 1.0 + z if finite else z)
     found = _updated(law, strain, state, p)
     if finite and law.energy is not None:
-        psi = _called(law, "energy", strain, state, p)
-        psi = _shaped_array(f"{law.name}.energy", psi, (len(strain),))
+        psi = _call(law, "energy", (len(strain),), strain, state, p)
         found = dataclasses.replace(found, energy=psi)
     return found if z is None else _condensed(found, z)
 
@@ -283,30 +287,19 @@ def _updated(
 ) -> PointValues:
     """Call a law of arrays at q points, see `values_at_points`."""
     where, q = f"{law.name}.update", len(strain)
-    found = _called(law, "update", strain, state, p)
+    found = _guarded(law, "update", strain, state, p)
     if not isinstance(found, tuple) or len(found) != 3:
         raise ValueError(
             f"{where} returns {type(found).__name__}; it must return stress, tangent, new state"
         )
     stress, tangent, new = found
     _check_state(law, where, new)
-    C = _shaped_array(f"{where}: the tangent", tangent, (q, 3, 3, 3, 3))
+    C = _shaped(f"{where}: the tangent", tangent, (q, 3, 3, 3, 3))
     return PointValues(
-        _shaped_array(f"{where}: the stress", stress, (q, 3, 3)),
+        _shaped(f"{where}: the stress", stress, (q, 3, 3)),
         mean_of_shears(C) if law.strain == "small" else C,
-        {n: _shaped_array(f"{where}: {n}", new[n], (q, *shape)) for n, shape in law.state.items()},
+        {n: _shaped(f"{where}: {n}", new[n], (q, *shape)) for n, shape in law.state.items()},
     )
-
-
-def _called(law: Law, method: str, strain: Floats, *rest: Any) -> Any:
-    """Call a method of a law of arrays; its errors name it."""
-    try:
-        return getattr(law, method)(strain, *rest)
-    except Exception as error:
-        raise ValueError(
-            f"{law.name}.{method} raised {type(error).__name__}: {error} (at {len(strain)} points)"
-            f"{_remedy(error)}"
-        ) from error
 
 
 def _remedy(error: Exception) -> str:
@@ -318,16 +311,3 @@ def _remedy(error: Exception) -> str:
         f"imports their file as {error.name}: delete the __pycache__ beside it, and import it by "
         "one name everywhere"
     )
-
-
-def _shaped_array(what: str, value: Any, shape: tuple[int, ...]) -> Floats:
-    """An array of the shape, or a ValueError."""
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except Exception as error:
-        raise ValueError(f"{what} is a {type(value).__name__}; it must be an array.") from error
-    if array.shape != shape:
-        raise ValueError(
-            f"{what} has the shape {array.shape} at {shape[0]} points; it must be {shape}."
-        )
-    return array

@@ -41,17 +41,25 @@ def shifted_stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Exp
     return xi, ufl.sqrt(ufl.inner(xi, xi) + (EPS * p.Y) ** 2)
 
 
-def tangent_of_return(xi: Expr, norm: Expr, g: Any, slope: Any, direction: Expr, p: Any) -> Expr:
+def _tangent(law: Any, strain: Expr, state: Mapping[str, Expr], p: Any, direction: Expr) -> Expr:
     """Return d sigma / d eps : direction of sigma = C (eps - ep_n) - 2 mu g n, n = xi / |xi|.
 
     With t = g / |xi| and the slope s = dg / d|xi|, both 0 where nothing flows, that is
 
         C : direction - 4 mu^2 (t dev(direction) + (s - t) (n : direction) n).
     """
-    mu, turn = shear_modulus(p), g / norm
+    xi, norm, g, slope = law._flow(strain, state, p)
+    xi, mu, turn = ufl.dev(xi), shear_modulus(p), g / norm
     trace = (lame_modulus(p) + 4 / 3 * mu**2 * turn) * ufl.tr(direction) * ufl.Identity(3)
     along = 4 * mu**2 * (slope - turn) / norm**2 * ufl.inner(xi, direction) * xi
     return trace + 2 * mu * (1 - 2 * mu * turn) * direction - along
+
+
+def _updated_state(law: Any, strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
+    """Return the plastic strain and, if it is there, k at the end of the step."""
+    xi, norm, g, _ = law._flow(strain, state, p)
+    new = {PLASTIC: state[PLASTIC] + g / norm * xi}
+    return new | ({ACCUMULATED: state[ACCUMULATED] + g} if ACCUMULATED in state else {})
 
 
 def flow_in_plane_stress(p: Expr, q: Expr, r: Expr) -> Expr:
@@ -180,39 +188,26 @@ class VonMises(Material):
         return (state[ACCUMULATED], p.H) if ACCUMULATED in state else (0.0, 0.0)
 
     @staticmethod
-    def _trial(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr, Expr]:
-        """xi, |xi| and (|xi| - Y - H k_n)_+ with the dead band at zero."""
+    def _flow(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr, Expr, Expr]:
+        """Return xi, |xi|, dgam and its slope d dgam / d|xi|, with the dead band at zero."""
         xi, norm = shifted_stress(strain, state, p)
         k, H = VonMises._memory(state, p)
-        radius = p.Y + H * k
-        excess = norm - radius
-        return xi, norm, ufl.conditional(ufl.gt(excess, YIELD_TOLERANCE * radius), excess, 0.0)
+        radius, slope = p.Y + H * k, 1 / (2 * shear_modulus(p) + p.a + H)
+        yields = ufl.gt(norm - radius, YIELD_TOLERANCE * radius)
+        flows = ufl.conditional(yields, slope, 0.0)
+        return xi, norm, flows * (norm - radius), flows
 
     @staticmethod
     def energy(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
         """Return the incremental potential psi."""
         ep, (k, H) = state[PLASTIC], VonMises._memory(state, p)
-        _, _, excess = VonMises._trial(strain, state, p)
+        _, _, g, _ = VonMises._flow(strain, state, p)
         stored = p.a / 2 * ufl.inner(ep, ep) + H / 2 * k**2
-        relaxation = excess**2 / (2 * (2 * shear_modulus(p) + p.a + H))
+        relaxation = (2 * shear_modulus(p) + p.a + H) / 2 * g**2
         return Elastic.energy(strain - ep, {}, p) + stored - relaxation
 
-    @staticmethod
-    def tangent(strain: Expr, state: Mapping[str, Expr], p: Any, direction: Expr) -> Expr:
-        """Return d sigma / d eps : direction."""
-        xi, norm, excess = VonMises._trial(strain, state, p)
-        slope = 1 / (2 * shear_modulus(p) + p.a + VonMises._memory(state, p)[1])
-        grows = ufl.conditional(ufl.gt(excess, 0.0), slope, 0.0)
-        return tangent_of_return(ufl.dev(xi), norm, slope * excess, grows, direction, p)
-
-    @staticmethod
-    def updated_state(strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-        """Plastic strain and, if it is there, k at the end of the step."""
-        xi, norm, excess = VonMises._trial(strain, state, p)
-        k, H = VonMises._memory(state, p)
-        growth = excess / (2 * shear_modulus(p) + p.a + H)
-        new = {PLASTIC: state[PLASTIC] + growth / norm * xi}
-        return new | ({ACCUMULATED: k + growth} if ACCUMULATED in state else {})
+    tangent = classmethod(_tangent)
+    updated_state = classmethod(_updated_state)  # type: ignore[assignment]
 
     @staticmethod
     def _normal_strain(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
@@ -378,26 +373,23 @@ class VonMisesVoce(Material):
         )  # fmt: skip
 
     @staticmethod
-    def _flow(
-        strain: Expr, state: Mapping[str, Expr], p: Any
-    ) -> tuple[Expr, Expr, Expr, Expr, Expr]:
-        """xi, |xi|, the increment g of k, its slope dg / d|xi|, and whether it flows."""
+    def _flow(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr, Expr, Expr]:
+        """Return xi, |xi|, the increment g of k and its slope dg / d|xi|."""
         xi, norm = shifted_stress(strain, state, p)
         k = state[ACCUMULATED]
         rest = p.Q * ufl.exp(-p.b * k)  # possible further growth of the radius
         radius = p.Y + p.H * k + p.Q - rest
         M = 2 * shear_modulus(p) + p.a + p.H
-        excess = norm - radius
-        yields = ufl.gt(excess, YIELD_TOLERANCE * radius)
-        # ln(b rest / M), in part constant over a cell
-        g, slope = increment(excess, rest, M, p.b, ufl.ln(p.b * p.Q / M) - p.b * k)
-        return xi, norm, ufl.conditional(yields, g, 0.0), slope, yields
+        # ln(b rest / M), of which one part is the same at all points of a cell
+        found = increment(norm - radius, rest, M, p.b, ufl.ln(p.b * p.Q / M) - p.b * k)
+        yields = ufl.gt(norm - radius, YIELD_TOLERANCE * radius)
+        return xi, norm, *(ufl.conditional(yields, value, 0.0) for value in found)
 
     @staticmethod
     def energy(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
         """Return the incremental potential psi."""
         ep, k = state[PLASTIC], state[ACCUMULATED]
-        _, norm, g, _, _ = VonMisesVoce._flow(strain, state, p)
+        _, norm, g, _ = VonMisesVoce._flow(strain, state, p)
         new = k + g
         stored = p.H / 2 * new**2 + p.Q * (new + (ufl.exp(-p.b * new) - 1) / p.b)
         flow = (2 * shear_modulus(p) + p.a) / 2 * g**2 + (p.Y - norm) * g
@@ -406,22 +398,9 @@ class VonMisesVoce(Material):
     @staticmethod
     def stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
         """Return sigma = C (eps - ep_n) - 2 mu g n."""
-        xi, norm, g, _, _ = VonMisesVoce._flow(strain, state, p)
+        xi, norm, g, _ = VonMisesVoce._flow(strain, state, p)
         elastic = Elastic.elastic_stress(strain - state[PLASTIC], p)
         return elastic - 2 * shear_modulus(p) * g / norm * xi
 
-    @staticmethod
-    def tangent(strain: Expr, state: Mapping[str, Expr], p: Any, direction: Expr) -> Expr:
-        """Return d sigma / d eps : direction."""
-        xi, norm, g, slope, yields = VonMisesVoce._flow(strain, state, p)
-        grows = ufl.conditional(yields, slope, 0.0)
-        return tangent_of_return(xi, norm, g, grows, direction, p)
-
-    @staticmethod
-    def updated_state(strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-        """Return plastic strain and accumulated plastic strain at the end of the step."""
-        xi, norm, g, _, _ = VonMisesVoce._flow(strain, state, p)
-        return {
-            PLASTIC: state[PLASTIC] + g / norm * xi,
-            ACCUMULATED: state[ACCUMULATED] + g,
-        }
+    tangent = classmethod(_tangent)
+    updated_state = classmethod(_updated_state)  # type: ignore[assignment]
