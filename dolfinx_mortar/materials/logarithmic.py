@@ -235,7 +235,7 @@ def _chunks(q: int) -> list[slice]:
 
 
 class _InUFL:
-    """A law in UFL, compiled; an isotropic one as a function of the strain in its eigenvectors."""
+    """A law in UFL, compiled as a function of numbers."""
 
     def __init__(
         self, law: Law, parameters: list[str], size: int, jit: Callable[[Expr], Kernel]

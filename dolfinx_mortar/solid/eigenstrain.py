@@ -107,21 +107,14 @@ class Eigenstrain(Followed):
             out_of_plane = (zero[:, 3:] != 0.0).any(axis=1) & ~undefined
         counts = np.array([part.sum() for part in (undefined, skew, out_of_plane)], dtype=int)
         bad = V.mesh.comm.allreduce(counts, op=MPI.SUM)
-        if bad[0]:
-            raise ValueError(
-                f"{name} is NaN or infinite at {bad[0]} integration points; check what it "
-                "depends on"
-            )
-        if bad[1]:
-            raise ValueError(
-                f"{name} is not symmetric at {bad[1]} integration points; a strain is: "
-                "give its symmetric part, ufl.sym(..) or (e + e.T) / 2"
-            )
-        if bad[2]:
-            raise ValueError(
-                f"{name} has components xz or yz at {bad[2]} integration points, which "
-                "bodies in the plane cannot follow; set them to 0"
-            )
+        told = {
+            "is NaN or infinite": "check what it depends on",
+            "is not symmetric": "give its symmetric part, ufl.sym(..) or (e + e.T) / 2",
+            "has components xz or yz": "bodies in the plane cannot follow: set them to 0",
+        }
+        for count, (what, remedy) in zip(bad, told.items(), strict=True):
+            if count:
+                raise ValueError(f"{name} {what} at {count} integration points; {remedy}")
 
 
 def create_eigenstrain(
@@ -159,11 +152,7 @@ def _parts(
 
 
 def _as_expression(u: fem.Function, name: str, value: Any) -> Expr:
-    """Return a scalar or a 3x3 tensor in UFL.
-
-    Raises:
-        ValueError: for what is none, depends on the displacement, or is on another mesh.
-    """
+    """Return a scalar or a 3x3 tensor in UFL."""
     domain = u.function_space.mesh
     if isinstance(value, Number | np.ndarray | list | tuple):
         value = fem.Constant(domain, check(name, value, array(finite=False, remedy=WANTED)))

@@ -315,10 +315,7 @@ def _material_of_cells(
     cell_tags: mesh.MeshTags | None,
     plane_stress: bool,
 ) -> tuple[list[tuple[Any, Law]], np.ndarray]:
-    """Return materials with their laws and, per local cell, ghosts included, which of them it has.
-
-    Collective.
-    """
+    """Return materials with their laws, and which of them each local cell has; collective."""
     imap = domain.topology.index_map(domain.topology.dim)
     count = imap.size_local + imap.num_ghosts
     if not isinstance(materials, Mapping):

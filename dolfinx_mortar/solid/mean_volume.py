@@ -51,9 +51,7 @@ import numpy as np
 
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar import compat
-from dolfinx_mortar.algebra.congruence import as_aij
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import check, one_of
 from dolfinx_mortar.arrays import Floats
@@ -95,39 +93,28 @@ def check_reducible(
 ) -> None:
     """Raise a ValueError where there is no volumetric part that could be reduced."""
     cell, p = V.mesh.topology.cell_name(), V.element.basix_element.degree
-    why = "volumetric is 'reduced', which is for"
-    if kinematics.finite and cell not in CELLS and p == 1:
-        raise ValueError(
-            f"{why} quadrilaterals, hexahedra, and simplices of second order, not for {cell}s of "
-            f"degree {p}: choose 'full', or such cells"
-        )
-    if not kinematics.finite and (cell not in CELLS or p != 1):
-        raise ValueError(
-            f"{why} quadrilaterals and hexahedra of first order, not for {cell}s of degree {p}: "
-            "choose 'full', or such cells"
-        )
-    if kinematics not in TRACED and (kinematics.plane_stress or not kinematics.finite):
-        raise ValueError(
-            f"{why} the kinematics {', '.join(repr(k.name) for k in TRACED)}, not for "
-            f"{kinematics.name!r}: choose 'full'"
-        )
-    whole = [r.law.name for r in regions if r.law.strain == "finite" and not r.law.volumetric]
-    if whole:
-        raise ValueError(
-            f"{why} laws of F with a part of the volume alone, such as NeoHooke and MooneyRivlin: "
-            f"{', '.join(whole)} has no volumetric(J, p); choose 'full'"
-        )
-    whole = [r.law.name for r in regions if r.law.strain == "small" and not r.law.splits]
-    if whole:
-        raise ValueError(
-            f"{why} laws that split into a deviator and a trace, such as Elastic and VonMises: "
-            f"{', '.join(whole)} does not declare splits: ClassVar = True; choose 'full'"
-        )
-    if degree < 2:
-        raise ValueError(
-            f"{why} a deviator that is fully integrated, but quadrature_degree is {degree}: give 2 "
-            "or more, or None"
-        )
+    laws = [r.law for r in regions]
+    whole = ", ".join(k.name for k in laws if k.strain == "finite" and not k.volumetric)
+    unsplit = ", ".join(k.name for k in laws if k.strain == "small" and not k.splits)
+    finite, first = kinematics.finite, p == 1
+    flat = kinematics.plane_stress or not finite
+    rules = {
+        "quadrilaterals, hexahedra, and simplices of second order, "
+        f"not for {cell}s of degree {p}": not finite or cell in CELLS or not first,
+        f"quadrilaterals and hexahedra of first order, not for {cell}s of degree {p}": finite
+        or (cell in CELLS and first),
+        f"the kinematics {', '.join(repr(k.name) for k in TRACED)}, "
+        f"not for {kinematics.name!r}": kinematics in TRACED or not flat,
+        "laws of F with a part of the volume alone, such as NeoHooke and MooneyRivlin: "
+        f"{whole} has no volumetric(J, p)": not whole,
+        "laws that split into a deviator and a trace, such as Elastic and VonMises: "
+        f"{unsplit} does not declare splits: ClassVar = True": not unsplit,
+        "a deviator that is fully integrated, "
+        f"but quadrature_degree is {degree}: give 2 or more, or None, or": degree >= 2,
+    }
+    for rule, holds in rules.items():
+        if not holds:
+            raise ValueError(f"volumetric is 'reduced', which is for {rule}: choose 'full'")
 
 
 class MeanDilatation:
@@ -152,7 +139,7 @@ class MeanDilatation:
             size * dx,
             integral(bulk_modulus_of(r) * test for r in integral.regions),
         )
-        self._B = fem_petsc.assemble_matrix(B)
+        self._B = RowsOfCells(B, 1)
         self._B.assemble()
         self._volumes = assemble(volumes, self._vector).copy()
         free = None if eigenstrain is None else ufl.tr(eigenstrain.tensor) * size * dx
@@ -171,15 +158,11 @@ class MeanDilatation:
     def follow(self) -> None:
         """Take over the displacement and the parameters of the laws; collective."""
         self._bulk = assemble(self._modulus, self._vector) / self._volumes
-        change = self._change(self._u)
+        change = self._B.times(self._u)[:, 0]
         if self._free is not None:
             change -= assemble(self._free, self._vector)
         self.mean_stress.x.array[: len(change)] = self._bulk * change / self._volumes
         self.mean_stress.x.scatter_forward()
-
-    def _change(self, v: fem.Function) -> Floats:
-        """Return B v of the owned cells; collective."""
-        return np.asarray((self._B * v.x.petsc_vec).array)
 
     def energy(self, along: Any = None) -> float:
         """Return sum_c K/2 V t^2 over the owned cells, as `follow` found t."""
@@ -192,7 +175,7 @@ class MeanDilatation:
 
     def norm_squared(self, v: fem.Function) -> float:
         """Return sum_c K / V (B v)^2 over the owned cells; collective."""
-        return float((self._bulk / self._volumes * self._change(v) ** 2).sum())
+        return float((self._bulk / self._volumes * self._B.times(v)[:, 0] ** 2).sum())
 
     def add_tangent(self, K: PETSc.Mat) -> None:
         """Add B^T (K / V) B to a matrix with the pattern of the mesh; collective.
@@ -202,21 +185,13 @@ class MeanDilatation:
         same = self._tangent is not None and np.array_equal(self._tangent[0], self._bulk)
         if any_rank(self._u.function_space.mesh.comm, not same)[0]:
             self._tangent = None  # before the new one needs the memory
-            self._tangent = self._bulk, self._product(K)
+            product = K.duplicate(copy=False)
+            product.zeroEntries()
+            product.assemble()
+            self._B.add_square((self._bulk / self._volumes)[:, None, None], product)
+            self._tangent = self._bulk, product
         assert self._tangent is not None
         K.axpy(1.0, self._tangent[1], PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-
-    def _product(self, K: PETSc.Mat) -> PETSc.Mat:
-        """Return B^T (K / V) B on the pattern of a matrix K; collective."""
-        root, B = self._B.createVecLeft(), self._B.copy()
-        root.array[:] = np.sqrt(self._bulk / self._volumes)
-        B.diagonalScale(root)
-        result = as_aij(K).duplicate(copy=False)
-        result.zeroEntries()
-        result.assemble()
-        square = B.transpose(PETSc.Mat()).matMult(B)
-        result.axpy(1.0, square, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-        return result.convert(K.getType())
 
 
 def bulk_modulus_of(region: Region) -> Expr:

@@ -147,11 +147,7 @@ class PointFields:
         return values[..., 0] if dofmap.bs == 1 else values
 
     def _output(self, region: Region, cells: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the derived fields of a region's law in some of its cells, cell by cell.
-
-        What is plastic follows from the plastic strain, which is exactly zero where nothing flowed,
-        unless a law says it itself.
-        """
+        """Return the derived fields of a region's law in some of its cells, cell by cell."""
         state = {}
         for name in region.law.state:
             values = self._at_points(self._stored[name])[cells]

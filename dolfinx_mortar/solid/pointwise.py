@@ -209,12 +209,7 @@ class PointwiseFields(PointValuesOfRegion):
         return self._tensor(sums)
 
     def _evaluate(self) -> None:
-        """Call the law.
-
-        Raises:
-            ValueError: if F has no positive determinant, or the law raises, returns something of
-                another form, or gives NaN.
-        """
+        """Call the law."""
         region, (rows, columns) = self.region, np.array(self._entries).T
         points = self._stress.function_space.dofmap.list.shape[1]
         strain = np.zeros((len(region.cells) * points, 3, 3))
