@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Material laws: one file per law, UFL expressions only.
+"""Material laws: a 3x3 strain, state and parameters give stress or energy and new state.
 
-A law turns a 3x3 strain, its committed state and parameters into stress or energy and new state.
-It must not know of meshes, functions or contact; `check` tries a law out without any of them.
+They know no meshes, functions or contact; `check` tries a law out.
 """
 
 from typing import Any

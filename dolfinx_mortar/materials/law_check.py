@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Check of a law without a mesh: stress against energy, tangent against stress, rotations, state.
-
-The law runs as compiled code, as in a solid, at one point.
-"""
+"""Check of a law at one point: stress against energy, tangent against stress, rotations, state."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass

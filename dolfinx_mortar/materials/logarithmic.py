@@ -90,6 +90,7 @@ class LogarithmicLaw:
         """Compile a law in UFL.
 
         Args:
+            law: its parts.
             parameters: their names.
             dimension: 2 if H is in the plane but for H_zz.
             jit: options of the compiler.

@@ -317,11 +317,7 @@ def _differences(s, x, logs, f, h):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def respond(pairs, isotropic, law, x, logs, N, y, m, P, A):  # type: ignore[no-untyped-def]
-    """Fill P (q, k) and the upper triangle of dP/dF, A (q, k (k + 1) / 2), row by row.
-
-    That the compiler knows the number of pairs makes this twice as fast. The law (q, ..) gives T,
-    L.
-    """
+    """Fill P (q, k) and the upper triangle of dP/dF, A (q, k (k + 1) / 2), row by row."""
     S, M, B = np.zeros((3, 3)), np.zeros((6, 6)), np.empty((3, 3))
     Z, W = np.empty((6, 9)), np.empty((6, 9))
     f, h, T = np.empty((3, 3)), np.empty((3, 3, 3)), np.empty((3, 3))
@@ -420,8 +416,8 @@ def roots(strain, g):  # type: ignore[no-untyped-def]
 def flow(strain, increment, g, N, new):  # type: ignore[no-untyped-def]
     """Fill new (q, 3, 3) with -1/2 ln(G exp(-2 D) G), G = I + g = exp(-strain).
 
-    D has the eigenvectors N and the eigenvalues increment (q, 3); where it is zero, the strain is
-    kept to the last bit.
+    D has the eigenvectors N and the eigenvalues increment (q, 3); where it is zero, nothing
+    changes.
     """
     A, D, G = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     V, values = np.empty((3, 3)), np.empty(3)

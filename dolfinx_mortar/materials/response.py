@@ -228,8 +228,7 @@ def values_at_points(
     """Values of a law of arrays at q points.
 
     For a symmetric strain (q, 3, 3), or F, committed internal variables (q,) or (q, 3, 3),
-    parameters (q,); in plane stress with the strain or stretch out of the plane that leaves no
-    stress there.
+    parameters (q,).
 
     Raises:
         ValueError: if it raises, or returns something of another form, name or shape.

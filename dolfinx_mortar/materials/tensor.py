@@ -4,13 +4,7 @@
 Laws always get 3x3 tensors; those of plane problems have zeros xz and yz. The stored shear is the
 tensor component (not the engineering strain), once.
 
-==== ==========================
-gdim stored components, in order
-==== ==========================
-2    xx, yy, zz, xy
-3    xx, yy, zz, xy, yz, xz
-==== ==========================
-"""
+==== ==================="""
 
 import numpy as np
 

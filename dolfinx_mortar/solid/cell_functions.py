@@ -108,10 +108,7 @@ def _create_basis(space: fem.FunctionSpace) -> Expr:
 
 
 class RowsOfCells:
-    """A matrix B of a form whose rows are m functions of each cell, and B^T W B with its blocks W.
-
-    All matrices are made once: B here, the others at the first product.
-    """
+    """A matrix B whose rows are m functions of each cell, and B^T W B with its blocks W."""
 
     def __init__(self, form: Any, m: int) -> None:
         """Make the matrix of a fem.Form, without entries; collective."""
@@ -131,12 +128,7 @@ class RowsOfCells:
         return np.asarray((self._B * v.x.petsc_vec).array).reshape(-1, self._m)
 
     def add_square(self, weights: Floats, K: PETSc.Mat) -> None:
-        """Add B^T W B to a matrix with the pattern of the mesh; collective.
-
-        Args:
-            weights: (owned cells, m, m) blocks of W.
-            K: the matrix, AIJ or in blocks.
-        """
+        """Add B^T W B, W (owned cells, m, m), to a matrix of the mesh; collective."""
         indptr, columns, values = csr_of(self._B)
         rows = len(weights), self._m  # those of a cell have the same columns
         blocks = values.reshape(*rows, len(values) // max(rows[0] * rows[1], 1))

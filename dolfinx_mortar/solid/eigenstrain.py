@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Eigenstrain, the strain that a body would have without stress: thermal, of a fit, initial.
-
-The laws see the strain without it. It is evaluated at the integration points when something that it
-depends on has changed.
-"""
+"""Eigenstrain, the strain that a body would have without stress: thermal, of a fit, initial."""
 
 from collections.abc import Mapping, Sequence
 from numbers import Number
@@ -120,12 +116,7 @@ class Eigenstrain(Followed):
 def create_eigenstrain(
     u: fem.Function, given: Any, cell_tags: mesh.MeshTags | None, degree: int
 ) -> Eigenstrain | None:
-    """Return the eigenstrain that a user gives, see `Solid`, None for none; collective.
-
-    Raises:
-        ValueError: on all ranks, for other shapes, unknown tags, tensors that are not symmetric,
-            and what cannot be evaluated.
-    """
+    """Return the eigenstrain that a user gives, None for none; collective."""
     if given is None:
         return None
     domain, parts = u.function_space.mesh, []

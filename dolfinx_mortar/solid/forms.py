@@ -44,10 +44,7 @@ def in_any_order() -> dict[str, list[str]]:
 
 
 def unrolled(cell: str) -> list[str]:
-    """Return the compiler's options for residual, norms and energy: those that are set.
-
-    On cells of products -O2 becomes -O3: energy .57 to .73 of the time, with the same bits.
-    """
+    """Return the options for other forms: -O3 on cells of products, with the same bits."""
     given = get_options()["cffi_extra_compile_args"]
     if cell not in ("quadrilateral", "hexahedron") or "-O2" not in given:
         return list(given)
@@ -210,8 +207,6 @@ def create_responses(
 ) -> list[Response]:
     """Return the response of the law of each region to a 3x3 strain, as UFL; collective.
 
-    What is `found` at points before each assembly comes with its response.
-
     Raises:
         ValueError: on all ranks, if a law raises or returns something wrong on any.
     """
@@ -239,11 +234,7 @@ def _from_energy(law: Law) -> bool:
 
 
 def moduli_first(response: Response, entries: Sequence[tuple[int, int]]) -> Response:
-    """Return a response whose change is dP/dF, formed once at a point, times the direction.
-
-    Of a symmetric dP/dF the upper triangle, for the entries of F that may change: .66 to .88 of the
-    time of a tangent of Mooney and Rivlin's law.
-    """
+    """Return a response whose change is a symmetric dP/dF, formed once, times the direction."""
 
     def change(direction: Expr) -> Expr:
         columns = []

@@ -49,7 +49,7 @@ class Volumes:
     Attributes:
         J: quadrature Function that `Solid.evaluate` fills; 1 before.
         source: what fills it.
-        thickness: F_zz, of plates the stretch through their thickness; at the points only.
+        thickness: F_zz, of plates the stretch through their thickness.
     """
 
     def __init__(self, u: fem.Function, gradient: Expr, degree: int) -> None:
@@ -84,17 +84,9 @@ class Volumes:
 
 
 def describe_lowest(domain: Mesh, values: Floats, limit: float, cells_do: str, name: str) -> str:
-    """Say where values at points (owned cells, points) are not above a limit; collective.
+    """Say how many cells have values (owned cells, points) not above a limit; collective.
 
-    Args:
-        domain: the mesh.
-        values: NaN is not above any limit.
-        limit: for all of them.
-        cells_do: what cells do whose values are not above it.
-        name: of the values.
-
-    Returns:
-        How many cells do, and the worst one of a rank; empty if none.
+    Empty if none; NaN is not above any limit. In the words what `cells_do` and the values' `name`.
     """
     bad = ~(values > limit).all(axis=1)
     where = ""
@@ -182,10 +174,7 @@ class PointGradients:
         return Gradients(strain, rotation, rest[0], rest[1], rest[2] if rest[2:] else strain)
 
     def describe_shortened(self, limit: float) -> str:
-        """Say where a finite strain at u shortens lengths to less than a limit; collective.
-
-        Empty if nowhere, and where u is not a number. What flows keeps its volume: J does not tell.
-        """
+        """Say where a finite strain shortens lengths to less than a limit, or ""; collective."""
         strain = np.nan_to_num(self.evaluate().strain, posinf=0.0, neginf=0.0)
         C = np.eye(3) + 2 * tensor_of(strain)
         stretches = np.sqrt(np.maximum(np.linalg.eigvalsh(C)[:, 0], 0.0))

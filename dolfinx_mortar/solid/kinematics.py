@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Kinematics: what makes a problem plane, axisymmetric or spatial, in one frozen record.
-
-All integrals, over bodies, their surfaces and interfaces, have the weight as a factor.
-"""
+"""Kinematics: what makes a problem plane, axisymmetric or spatial, in one frozen record."""
 
 import dataclasses
 from collections.abc import Callable
@@ -25,8 +22,7 @@ from ufl.core.expr import Expr
 class Kinematics:
     """How a displacement strains a body, and over which volume.
 
-    The strain may be any differentiable function of u: the virtual strain is its derivative,
-    d measure(u)/du [v], taken by UFL.
+    The virtual strain is the derivative d measure(u)/du [v], taken by UFL.
     """
 
     name: str

@@ -54,7 +54,6 @@ class ParameterTable(Followed):
     """All parameters of a law, one value per cell, or per integration point if one needs that.
 
     Attributes:
-        function: one component per parameter, DG0 or at the integration points.
         symbols: the parameters by name, as UFL.
     """
 
@@ -194,8 +193,6 @@ class Region:
     def output(self, state: Mapping[str, Floats], cells: Ints, points: int) -> dict[str, Floats]:
         """Return the law's own fields, (q,) or (q, components), q points cell by cell.
 
-        The state has the same shapes; `points` is the number of points per cell.
-
         Raises:
             ValueError: if the law raises or returns something wrong; the message names it.
         """
@@ -230,8 +227,8 @@ def create_regions(
     """Group the cells by law and store the parameters; collective.
 
     Raises:
-        ValueError: if a law lacks a part, tags and materials do not cover the cells
-            exactly, or a parameter is out of its range, belongs to another mesh or depends on u.
+        ValueError: if a law lacks a part, tags and materials do not cover the cells exactly, or a
+            parameter makes no sense.
     """
     how = kinematics.plane_stress
     given, choice = _material_of_cells(u.function_space.mesh, materials, cell_tags, how)
@@ -367,11 +364,7 @@ def by_cells(
 
 
 def tags_of_cells(domain: mesh.Mesh, cell_tags: mesh.MeshTags) -> Longs:
-    """Return the tags of the local cells, ghosts included, UNTAGGED without one; collective.
-
-    Raises:
-        ValueError: on all ranks, if the tags are not those of the cells of the mesh.
-    """
+    """Return the tags of the local cells, ghosts included, UNTAGGED without one; collective."""
     check("cell_tags", cell_tags, tags_of(domain, domain.topology.dim))
     with raised_together(domain.comm):
         check_entities("cell_tags", cell_tags)

@@ -178,10 +178,7 @@ class MeanDilatation:
         return float((self._bulk / self._volumes * self._B.times(v)[:, 0] ** 2).sum())
 
     def add_tangent(self, K: PETSc.Mat) -> None:
-        """Add B^T (K / V) B to a matrix with the pattern of the mesh; collective.
-
-        It is formed once for given parameters of the laws.
-        """
+        """Add B^T (K / V) B to a matrix, formed once for given parameters; collective."""
         same = self._tangent is not None and np.array_equal(self._tangent[0], self._bulk)
         if any_rank(self._u.function_space.mesh.comm, not same)[0]:
             self._tangent = None  # before the new one needs the memory
@@ -219,10 +216,7 @@ class VolumeStep:
         return np.asarray(np.einsum("ckl,cl->ck", self.inverse, self.slope_at(t)))
 
     def energy_at(self, t: float, ratio: Floats) -> Floats:
-        """Return the energy of each cell at another j, linear in what the linearisation misses.
-
-        It is below int U(j), if that is convex, by U''/2 times the square of what is missed.
-        """
+        """Return the energy of each cell at another j, linear in what the linearisation misses."""
         way, slope = t * self.change, self.slope_at(t)
         along = ((self.slope + slope) / 2 * way).sum(axis=1)
         missed = (slope * (ratio - self.ratio - way)).sum(axis=1)
@@ -234,7 +228,7 @@ class MeanVolume:
 
     Attributes:
         cells: the functions of a cell onto which J and U'(j) are projected.
-        mean_stress: coefficients of p, the projection of U'(j); up to date after `follow`.
+        mean_stress: coefficients of p; up to date after `follow`.
     """
 
     def __init__(self, u: fem.Function, integral: Integral) -> None:

@@ -55,11 +55,7 @@ class PointFields:
 
     @cached_property
     def bases(self) -> dict[str, tuple[int, ...]]:
-        """Stress, internal variables and the laws' own output: shape (components,) or () by name.
-
-        Raises:
-            ValueError: if a law's output is wrong, or two laws give one name in two shapes.
-        """
+        """Shapes, (components,) or (), of stress, state and the laws' own output by name."""
         shapes: dict[str, tuple[int, ...]] = {
             name: (len(self._components),) if f.function_space.dofmap.bs > 1 else ()
             for name, f in self._stored.items()
@@ -175,11 +171,7 @@ class PointFields:
         return values
 
     def max(self, name: str) -> float:
-        """Return the largest value of a scalar field over all points and ranks.
-
-        Raises:
-            ValueError: if the field is a tensor, or no law has it.
-        """
+        """Return the largest value of a scalar field over all points and ranks."""
         values = self._values_everywhere(name)
         if values.ndim > 2:
             raise ValueError(
@@ -253,14 +245,7 @@ class EnergyDensities:
         *,
         of_volume: Callable[[], np.ndarray] | None = None,
     ) -> None:
-        """Compile the potentials; collective.
-
-        Args:
-            regions: the laws and their cells.
-            responses: of the laws.
-            cell_tags: of the bodies, with their names; without, there is one.
-            degree: of the quadrature.
-            of_volume: gives what the responses leave out, a density (owned cells,), if they do.
+        """Compile the potentials, with a density (owned cells,) of what they leave out; collective.
 
         Raises:
             ValueError: if a law has no potential.
@@ -291,8 +276,8 @@ class EnergyDensities:
         """Evaluate what is stored, and add to what is dissipated; collective.
 
         Args:
-            committed: internal variables at the start of the step, with what is dissipated then.
-            staged: those at its end; the same.
+            committed: internal variables at the start of the step.
+            staged: those at its end.
             follow: takes over what has changed at the points.
         """
         fill_all(self._mesh.comm, self._sources)

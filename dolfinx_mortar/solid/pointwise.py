@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Laws that are evaluated at the integration points before each assembly; forms read the results.
-
-Laws of arrays give stress, tangent and new state; laws of a small strain at finite strain, too; of
-laws in UFL in plane stress the strain out of the plane is found.
-"""
+"""Laws evaluated at the integration points before each assembly; forms read the results."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -153,11 +149,7 @@ class NormalStrain(PointValuesOfRegion):
 
 
 class PointwiseFields(PointValuesOfRegion):
-    """Stress, tangent and new state of a law of arrays; at F the energy, too.
-
-    P and F have five entries that may be non-zero in the plane and on rings, nine in space; of the
-    symmetric tangent the upper triangle is stored.
-    """
+    """Stress, upper triangle of the tangent and new state of a law of arrays; energy at F."""
 
     def _create(self, strain: Expr, degree: int) -> None:
         """Create the Functions; compile the strain, or F; collective."""
@@ -350,7 +342,7 @@ def create_point_values(
 ) -> dict[Law, PointValuesOfRegion]:
     """Return what is found at points before each assembly, by law; collective.
 
-    The strain is F where strains are finite; of laws in UFL only those of F read it themselves.
+    The strain is F where strains are finite.
     """
     found: dict[Law, PointValuesOfRegion] = {}
     for region in regions:
@@ -370,9 +362,7 @@ def create_point_values(
 def fill_point_values(
     comm: MPI.Comm, found: Mapping[Law, PointValuesOfRegion], *, at_end: bool = False
 ) -> None:
-    """Evaluate at points where something has changed; collective if there is anything.
-
-    At the end of a step what only that needs.
+    """Evaluate where something has changed, at the end of a step what that needs; collective.
 
     Raises:
         ValueError: on all ranks, if a law fails on any.
@@ -408,10 +398,7 @@ def _pairs(size: int) -> list[tuple[int, int]]:
 
 
 def packed(tangent: Floats, entries: Sequence[tuple[int, int]]) -> Floats:
-    """Return the upper triangle of the stored part of tangents (q, 3, 3, 3, 3), row by row.
-
-    Entry (I, J) is the mean of both that the symmetry of an energy makes equal.
-    """
+    """Return the upper triangle of the symmetric part of tangents (q, 3, 3, 3, 3), row by row."""
     a, b = np.array(_pairs(len(entries))).T
     at = np.array(entries) @ [3, 1]  # the number of an entry among nine
     terms = np.stack([9 * at[a] + at[b], 9 * at[b] + at[a]], axis=1)

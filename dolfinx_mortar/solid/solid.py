@@ -324,11 +324,10 @@ class Solid(Term):
         self.points.evaluate(self.follow)
 
     def follow(self) -> None:
-        """Update the data of the forms that have changed, evaluate pointwise laws; collective.
+        """Update what has changed in the data of the forms, evaluate pointwise laws; collective.
 
         Raises:
-            ValueError: on all ranks, if parameters are out of range, the eigenstrain is undefined,
-                or a pointwise law fails.
+            ValueError: on all ranks, if parameters, the eigenstrain or a law make no sense.
         """
         dilatation = self.forms.dilatation
         self.points.follow(None if dilatation is None else dilatation.follow)

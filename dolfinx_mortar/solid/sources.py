@@ -95,9 +95,6 @@ class Source:
 def create_source(cells: Ints, *parts: Part) -> Source:
     """Compile the evaluation of parts whose Functions have the same points; collective.
 
-    Together they cost one start of compiler and linker, see `compat.compile_together`, and what
-    they share is evaluated once.
-
     Raises:
         ValueError: on all ranks, if that is impossible.
     """
@@ -196,11 +193,7 @@ class Followed(ABC):
 
 
 def follow_changed(comm: MPI.Comm, followed: Sequence[Followed]) -> None:
-    """Evaluate anew what has changed on any rank; collective if any may change.
-
-    Raises:
-        ValueError: on all ranks, if a value makes no sense; those of its Function are as before.
-    """
+    """Evaluate anew what has changed on any rank; collective if any may change."""
     varying = [one for one in followed if one.varying]
     changed = np.array([one.outdated() for one in varying], dtype=bool)
     if varying:
