@@ -10,7 +10,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx import mesh as dolfinx_mesh
-from dolfinx_mortar.newton_method import impulse
+from dolfinx_mortar.newton_method import subproblem
 from dolfinx_mortar.report import energy_ledger
 from tests.choice import quick
 from tests.meshes import LOWER, UPPER
@@ -501,7 +501,7 @@ def test_an_impulse_without_a_response_is_noted(monkeypatch):
 
     def respond(*args):
         failing.append(True)
-        found = impulse.respond(*args)
+        found = subproblem.respond(*args)
         failing.clear()
         return found
 
@@ -524,7 +524,7 @@ def test_what_contact_owes_waits_until_it_matters(monkeypatch):
 
     def respond(*args):
         tried.append(1)
-        return impulse.respond(*args)
+        return subproblem.respond(*args)
 
     monkeypatch.setattr(energy_ledger, "respond", respond)
     for step in steps(case.problem, 4e-3 * np.arange(1, 60), rtol=1e-4):
@@ -553,7 +553,7 @@ def test_the_impulse_is_solved_as_the_steps_are(monkeypatch):
 
     def respond(problem, forces, rtol, linear):
         tried.append(linear.direct)
-        return impulse.respond(problem, forces, rtol, linear)
+        return subproblem.respond(problem, forces, rtol, linear)
 
     monkeypatch.setattr(energy_ledger, "respond", respond)
     solve = dm.qp.solve

@@ -12,7 +12,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx_mortar.algebra.congruence import Congruence
 from dolfinx_mortar.qp import MULTIGRID
-from dolfinx_mortar.qp.multigrid import Multigrid
+from dolfinx_mortar.qp.preconditioner import Multigrid
 from tests.ball_case import create_problem
 from tests.sweep.problems import create
 

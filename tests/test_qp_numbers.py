@@ -42,7 +42,7 @@ def test_the_numbers_are_all_known() -> None:
         for name, value in vars(module).items()
         if name.isupper() and (isinstance(value, (int, float)) or is_table(value))
     }
-    elsewhere = {"EPS", "TINY", "SAME", "MOST_FACTORISED", "RESOLVED", "SHARE_OF_RESTART"}
+    elsewhere = {"EPS", "TINY", "SAME", "MOST_FACTORISED", "RESOLVED"}
     assert names - {"LOOSE", "TIGHT", "OUT_OF_MEMORY"} - elsewhere == set(NUMBERS)
 
 
@@ -101,12 +101,6 @@ def two_tangents(backend: str, pc: str) -> tuple[np.ndarray, list[int]]:
     second = solve(qp, backend, linear, start_active=first.active, rtol=1e-11)
     costs = [first.updates, second.updates, linear.counts.iterations, linear.counts.factorisations]
     return gathered(second.z), costs
-
-
-def test_breakdowns_count_as_a_quarter_of_a_set_up() -> None:
-    """SHARE_OF_RESTART: after four of them levels are set up again."""
-    renewal = Renewal(RENEWAL_COST["iterative"], direct=False)
-    assert [renewal.restarts() for _ in range(5)] == [True, True, True, True, False]
 
 
 def test_levels_of_an_elastic_tangent_serve_a_plastic_step() -> None:

@@ -18,6 +18,7 @@ import numpy as np
 from dolfinx_mortar import qp as backends
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Floats
+from dolfinx_mortar.interfaces.constraints import equalities, join
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.newton_method import driven_tools
 from dolfinx_mortar.newton_method.contacts import Contacts
@@ -27,6 +28,9 @@ from dolfinx_mortar.newton_method.linearisation import (
     Linearisation,
     linearise,
     linearise_all,
+    support_slots,
+    to_displacement,
+    to_reduced,
 )
 from dolfinx_mortar.newton_method.residuals import (
     DIGIT,
@@ -165,13 +169,12 @@ class Subproblem:
 
         Multiples of the elastic stiffness are added until K is positive definite on the free
         unknowns, first a tenth of the last one; near equilibrium none, so that unstable equilibria
-        converge. If none suffices, unstrained modes are singular: the first solution is used.
+        converge.
         """
         near = bool(residuals) and residuals[-1].forces < STABLE
         least, most = SHIFTS
-        begun = shift = 0.0 if near or old.shift <= least else old.shift / 10.0
+        shift = 0.0 if near or old.shift <= least else old.shift / 10.0
         failed: Exception | None = None
-        loose = False  # whether no solvable tangent is definite
         while True:
             try:
                 found = self.shifted(shift, old, residuals, tangent)
@@ -182,13 +185,10 @@ class Subproblem:
             else:
                 if not self.finite or not found.negative or (near and shift == 0.0):
                     return found
-                loose = (loose or shift == begun) and not found.solved.definite
             self.solver.forget()
             if not self.finite or shift >= most:
                 break
             shift = max(least, 10.0 * shift)
-        if loose and failed is None:
-            return self.shifted(begun, old, residuals, tangent)
         raise failed or backends.QPNotSolved(
             "the tangent stays indefinite, whatever multiple of the elastic one is added"
         )
@@ -210,7 +210,7 @@ class Subproblem:
         negative = False
         if self.finite:
             pivots = maximum(self.problem.comm, float(self.solver.negative_pivots()))[0]
-            negative = bool(pivots > 0) or not solved.definite
+            negative = bool(pivots > 0)
         return Solution(lin, solved, shift=shift, negative=negative)
 
     def exact(self, old: Iterate, residuals: Sequence[Residuals], tangent: bool) -> Solution:
@@ -304,3 +304,45 @@ class Subproblem:
             equal = lin.balance.equal
             solved.x.array[equal.dofs] = equal.upper
         return solved
+
+
+def respond(
+    problem: ContactProblem, forces: Floats, rtol: float, linear: LinearSolver
+) -> Floats | None:
+    """Return y with K y = f, K the last tangent; collective.
+
+    Supports and ties hold, contacts neither hold nor push. The factorisation of the step serves.
+
+    Args:
+        problem: at the end of a step.
+        forces: f (owned nodes, d).
+
+    Returns:
+        (owned nodes, d), None if the linear solver finds no solution.
+    """
+    T, r = problem.system.transformation, problem.vector(forces)
+    found = problem.system.constraints(problem.positions(), problem.vector(problem.owned_u))
+    tied, contacts = found.select(found.equal), found.select(~found.equal)
+    none = np.zeros(len(tied.dofs))
+    infinite = np.full(len(contacts.dofs), np.inf)
+    slots = support_slots(problem)[1]
+    supported = equalities(slots, np.zeros(len(slots)))
+    balance = Balance(
+        r=r,
+        reduced=to_reduced(T, r),
+        equal=join([supported, replace(tied, lower=none, upper=none)]),
+        bounds=replace(contacts, lower=-infinite, upper=infinite),
+        elements=0.0,
+        external=0.0,
+    )
+    try:
+        lin = linearise(problem, balance, tangent=False, linear=linear)
+        solved = backends.solve(
+            lin.qp,
+            linear=linear,
+            start_active=np.zeros(len(contacts.dofs), dtype=np.int8),
+            rtol=tightest(rtol),
+        )
+    except (backends.QPNotSolved, backends.UnusableQP):
+        return None
+    return np.asarray(to_displacement(T, solved.x).array_r.reshape(forces.shape)).copy()

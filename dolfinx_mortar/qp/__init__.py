@@ -16,8 +16,8 @@ from dolfinx_mortar.qp.bound_qp import (
 )
 from dolfinx_mortar.qp.friction import Friction, Sliders
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
-from dolfinx_mortar.qp.multigrid import Change, Unknowns
 from dolfinx_mortar.qp.options import MULTIGRID, check_options
+from dolfinx_mortar.qp.preconditioner import Change, Unknowns
 from dolfinx_mortar.qp.scalars import NoResistance, moved
 from dolfinx_mortar.qp.solver import available, check_name, solve
 

@@ -2,9 +2,7 @@
 """Primal-dual active set: semi-smooth Newton on z = max(0, z + c (x - upper)), and on lower bounds.
 
 With friction also on z_t = q min(1, s / |q|), see `qp.friction`. Where MUMPS gives the Schur
-complement of the unknowns with bounds, the QP is condensed to these, see `condensed`. Without
-friction and with a definite matrix, the interior point takes over after a cycle, and after a set
-that leaves a body unconstrained.
+complement of the unknowns with bounds, the QP is condensed to these, see `condensed`.
 """
 
 from dataclasses import dataclass, replace
@@ -16,7 +14,6 @@ import numpy as np
 
 from dolfinx_mortar.algebra.errors import from_callbacks
 from dolfinx_mortar.arrays import EPS, LIMIT, Floats
-from dolfinx_mortar.qp import interior_point
 from dolfinx_mortar.qp.bound_qp import (
     KKT,
     BoundQP,
@@ -27,59 +24,16 @@ from dolfinx_mortar.qp.bound_qp import (
     reaction,
 )
 from dolfinx_mortar.qp.condensed import Condensed
-from dolfinx_mortar.qp.descent import descend
 from dolfinx_mortar.qp.held import LOOSE, SHARE, TIGHT, HeldProblem, Outcome, Solver, State, update
-from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver, NotDefinite
+from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 from dolfinx_mortar.qp.scalars import Bordered, NoResistance, moved, no_friction
 
 # How friction was linearised: limits of the pressure of the solution, or of a solution before it
 EXACT, GIVEN = "exact linearisation", "given limits"
-
-
-@from_callbacks()
-def solve(
-    qp: BoundQP,
-    linear: LinearSolver,
-    *,
-    start: State,
-    rtol: float,
-    guess: PETSc.Vec | None = None,
-) -> QPSolution:
-    """Solve a bound-constrained QP by active-set updates (collective).
-
-    Args:
-        start: initial active set and directions of slip.
-        guess: (n,) first x, 0 by default.
-
-    Returns:
-        The solution; its active set is that of the last linear system, in which weakly active
-        unknowns may be in either state.
-
-    Raises:
-        QPNotSolved: if the interior point, called after a cycle or a failed solve, fails too.
-    """
-    law = qp.friction
-    try:
-        return solve_states(qp, linear, start, rtol, guess)
-    except QPNotSolved as error:
-        reason, definite = str(error), not isinstance(error.__cause__, NotDefinite)
-    if law is not None or qp.scalars is not None:
-        raise QPNotSolved(f"active set{' with friction' if law else ''}: {reason}")
-    if not qp.definite:
-        raise QPNotSolved(
-            f"Active set: {reason}. Where few nodes touch, as at a corner or on a coarse mesh, "
-            "they may open and close in turn: refine the mesh there, take smaller steps, or "
-            "prescribe displacements instead of loads"
-        )
-    try:
-        solution = interior_point.solve(qp, linear, rtol=rtol)
-    except (LinearSolveFailed, PETSc.Error, np.linalg.LinAlgError) as error:
-        raise QPNotSolved(
-            f"Active set: {reason}. The interior point failed as well ({error}). "
-            "Most often a body is unconstrained: add a support or a load that closes the contact."
-        ) from error
-    note = f"handed to the interior point: {reason}. {solution.note}".strip()
-    return replace(solution, note=note, definite=definite)
+FEW = (
+    "Where few nodes touch, as at a corner or on a coarse mesh, they may open and close in turn: "
+    "refine the mesh there, take smaller steps, or prescribe displacements instead of loads"
+)
 
 
 @dataclass(frozen=True)
@@ -94,10 +48,28 @@ class _Found:
     resistance: Floats | None  # (m, m) against q
 
 
-def solve_states(
-    qp: BoundQP, linear: LinearSolver, start: State, rtol: float, guess: PETSc.Vec | None = None
+@from_callbacks()
+def solve(
+    qp: BoundQP,
+    linear: LinearSolver,
+    *,
+    start: State,
+    rtol: float,
+    guess: PETSc.Vec | None = None,
 ) -> QPSolution:
-    """Solve a QP, condensed where that serves; see `solve`."""
+    """Solve a bound-constrained QP by active-set updates, condensed where that serves (collective).
+
+    Args:
+        start: initial active set and directions of slip.
+        guess: (n,) first x, 0 by default.
+
+    Returns:
+        The solution; its active set is that of the last linear system, in which weakly active
+        unknowns may be in either state.
+
+    Raises:
+        QPNotSolved: if no updates end.
+    """
     law = qp.friction
     if linear.schur is not None:
         found, at, x, z, kkt = _find_condensed(qp, linear, start, rtol)
@@ -131,17 +103,22 @@ def _of_whole(qp: BoundQP, found: _Found) -> tuple[BoundQP, PETSc.Vec, PETSc.Vec
 def _find_condensed(
     qp: BoundQP, linear: LinearSolver, start: State, rtol: float
 ) -> tuple[_Found, BoundQP, PETSc.Vec, PETSc.Vec, KKT]:
-    """Solve by a dense matrix, and again for what round-off has left; see `_find`."""
+    """Solve by a dense matrix, and again for what round-off has left; see `_find`.
+
+    Raises:
+        LinAlgError: if neither passes the check.
+    """
     condensed = Condensed(qp, linear, SHARE * rtol * qp.b.norm())
-    at = condensed.about()
-    while True:
+    x = None
+    for _ in range(2):
+        at = condensed.about(x)
         found = _find(at, condensed.dense, start, rtol)
         linear.beyond = condensed.dense.negative(found.state.held(at))
-        found = replace(found, x=condensed.expand(found.x))
-        whole = _of_whole(qp, found)
-        if whole[-1].satisfied(rtol) or start is found.state:
+        start, x = found.state, condensed.expand(found.x)
+        whole = _of_whole(qp, replace(found, x=x))
+        if whole[-1].satisfied(rtol):
             return found, *whole
-        start, at = found.state, condensed.about(found.x)
+    raise np.linalg.LinAlgError
 
 
 def _find(
@@ -189,14 +166,15 @@ def _solve_law(problem: HeldProblem, start: State) -> tuple[Outcome, str]:
     outcome = _update(problem, start, TIGHT if problem.linear.exact else LOOSE)
     if not outcome.reason:
         return outcome, EXACT
-    found, cause = None, None
+    law, found, cause = problem.qp.friction, None, None
     try:
-        found = _solve_given(problem, problem.best or start)
+        found = None if law is None else _solve_given(problem, problem.best or start)
     except LinearSolveFailed as error:
         cause = error
-    if found is None:
-        raise QPNotSolved(outcome.reason) from cause
-    return found, GIVEN
+    if found is not None:
+        return found, GIVEN
+    kind = "" if law is None or not law.normal.size else " with friction"
+    raise QPNotSolved(f"active set{kind}: {outcome.reason}. {FEW}") from cause
 
 
 def _solve_given(problem: HeldProblem, state: State) -> Outcome | None:
@@ -209,7 +187,7 @@ def _solve_given(problem: HeldProblem, state: State) -> Outcome | None:
         given = replace(law, coefficient=0.0 * limits, cohesion=limits)
         at = problem.linear, problem.x, problem.rtol, problem.most
         problem = HeldProblem(replace(qp, friction=given), *at)
-        found = (descend if _is_convex(qp) else _update)(problem, state, TIGHT)
+        found = _update(problem, state, TIGHT)
         if found.reason:
             return None
         state = found.state
@@ -218,29 +196,21 @@ def _solve_given(problem: HeldProblem, state: State) -> Outcome | None:
     return None
 
 
-def _is_convex(qp: BoundQP) -> bool:
-    """Tell whether a descent solves the QP for given limits of friction."""
-    return qp.definite and (qp.friction is None or qp.friction.plane)
-
-
 def _update(problem: HeldProblem, start: State, level: int) -> Outcome:
     """Update the state of all nodes at once, then only of those with the largest error.
 
-    All at once, states may cycle, or leave a body unconstrained that few nodes hold. Where there is
-    a descent, which always ends, it is used against cycles instead.
+    All at once, states may cycle, or leave a body unconstrained that few nodes hold.
     """
     outcome, first = Outcome(start, 0, "not tried"), start
     for worst in (False, True):
         try:
             hold = partial(problem.hold, worst=worst)
             outcome = update(hold, first, problem.qp.comm, level=level)
-            if not outcome.reason or _is_convex(problem.qp):
+            if not outcome.reason:
                 return outcome
             first = problem.best or start
         except LinearSolveFailed as error:
             reason = f"an active set could not be solved ({error})"
-            if problem.qp.friction is None and not isinstance(problem.linear, Bordered):
-                raise QPNotSolved(reason) from error  # other sets would hold no better
             outcome, first = Outcome(first, 0, reason), State.holding(problem.qp)
             problem.forget()
         level = TIGHT

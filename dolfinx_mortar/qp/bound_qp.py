@@ -57,7 +57,7 @@ class BoundQP:
     bounded: Ints  # (k,) owned local indices of unknowns with a finite bound
     friction: Friction | None = None  # on all ranks or on none
     # Whether A is symmetric, and positive definite on the unknowns without bounds: required by
-    # Cholesky and conjugate gradients, MUMPS's S, the interior point, energy descent.
+    # Cholesky and conjugate gradients, MUMPS's S, the interior point.
     definite: bool = True
     product: CongruentOperator | None = None  # A, where it is not formed but to be factorised
     near: PETSc.Mat | None = None  # definite, of which multigrid preconditions A as well
@@ -198,7 +198,6 @@ class QPSolution:
     note: str = ""
     sliding: Floats | None = None  # (m, t) directions of slipping nodes, zero at others
     linearisation: str = ""  # of friction
-    definite: bool = True  # False if A was seen not to be so on the unknowns that were free
     travel: Floats | None = None  # (m,) q, with which bounds, b and slips are those of `moved`
     resistance: Floats | None = None  # (m, m) by which the forces on them resist q
 

@@ -170,8 +170,6 @@ class Condensed:
         self._w = solve_triangular(self._L, left[self._rest], lower=True)
         b, lower, upper = (self.dense.matrix.createVecRight() for _ in range(3))
         b.array[:] = left[self._on] - self._Q.T @ self._w + self.dense.S @ self._x[held]
-        if not np.isfinite(b.array_r).all():
-            raise LinearSolveFailed("The linear solver gave NaN or infinity: check its options.")
         lower.array[:], upper.array[:] = whole.lower.array_r[held], whole.upper.array_r[held]
         law = whole.friction
         if law is not None:
@@ -203,4 +201,6 @@ class Condensed:
         if left.norm() <= self._atol:
             return x
         self._linear.apply(left, found)
+        if not np.isfinite(found.norm()):
+            raise LinearSolveFailed("the linear solver gave NaN or infinity: check its options")
         return x + found.array_r

@@ -277,7 +277,7 @@ class HeldProblem:
             self.z = solved.copy()
             self.reactions = norm(qp.comm, self.z.array_r[held])
             reached, asked = asked, self._tolerance(level)
-            if SHARE * reached <= asked:
+            if SHARE * reached <= asked or is_noise(qp, self.x, self.z):
                 break
         return reached
 

@@ -17,7 +17,6 @@ import numpy as np
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.arrays import EPS, LIMIT, QUARTER_OF_DIGITS, ROUND_OFF, Ints
 from dolfinx_mortar.qp.friction import Sliding
-from dolfinx_mortar.qp.multigrid import Unknowns
 from dolfinx_mortar.qp.operator import (
     Operator,
     count_negative,
@@ -32,6 +31,7 @@ from dolfinx_mortar.qp.preconditioner import (
     Preconditioner,
     Renewal,
     SchurComplement,
+    Unknowns,
 )
 
 log = logging.getLogger(__name__)
@@ -136,12 +136,6 @@ class LinearSolver:
     def direct(self) -> bool:
         """Tell whether the preconditioner is a factorisation."""
         return self.options.direct
-
-    @property
-    def blind(self) -> str:
-        """The factorisation of definite matrices, if it does not count negative pivots, else ""."""
-        kind, by = (self.options.of_definite(k) for k in ("pc_type", "pc_factor_mat_solver_type"))
-        return "" if not self.direct or (kind, by) == ("cholesky", "mumps") else f"{kind!r} ({by})"
 
     def factorising(self) -> LinearSolver | None:
         """Return a solver that factorises instead, and free the matrices of this one; collective.
@@ -423,8 +417,6 @@ class LinearSolver:
                 diverged = self._ksp.getConvergedReason() < 0  # an old set-up may be indefinite
                 if not self.direct and (diverged or not norm < before):
                     self.counts.breakdowns += 1
-                    if norm < before and self.setup.renewal.restarts():
-                        continue
                     if self._comm.rank == 0:
                         log.info("an old preconditioner failed and is set up anew")
                 self.factorise(held)

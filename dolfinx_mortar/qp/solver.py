@@ -104,7 +104,7 @@ def solve(
         apart = set_apart(qp, linear.options) if backend == ACTIVE_SET else None
         try:
             solution = run(apart)
-        except np.linalg.LinAlgError:  # an indefinite matrix has no Schur complement
+        except np.linalg.LinAlgError:  # indefinite, or S has too few digits
             if apart is None:
                 raise
             solution = run(None)

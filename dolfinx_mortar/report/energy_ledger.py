@@ -37,7 +37,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import any_rank, ratio
 from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats
-from dolfinx_mortar.newton_method.impulse import respond
+from dolfinx_mortar.newton_method.subproblem import respond
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import LinearSolver
 from dolfinx_mortar.solid.term import Term
