@@ -60,23 +60,6 @@ def test_slips_come_back(folder, cell, geometry):
     agree(numbers(fresh), numbers(case))
 
 
-def test_a_step_that_was_saved_before_its_commit(folder):
-    """Restored, it goes on from the commit before: slips are those of both steps together."""
-    case, fresh = (create(friction=0.3) for _ in range(2))
-    walk(case, PATH[:1])
-    case.push(0.02, -0.02)
-    dm.newton(case.problem, rtol=1e-12)
-    case.problem.save(folder / "open.h5")
-    fresh.problem.restore(folder / "open.h5")
-    for one in (case, fresh):
-        one.push(0.03, -0.02)
-        dm.newton(one.problem, rtol=1e-12)
-    agree(numbers(fresh), numbers(case))
-    direct = create(friction=0.3)
-    walk(direct, [PATH[0], (0.03, -0.02)])
-    agree(numbers(direct), numbers(case))
-
-
 def test_a_state_before_the_first_step_takes_slips_away(folder):
     """What had slipped and been dissipated since is gone, and counts no more."""
     case = create(friction=0.3)

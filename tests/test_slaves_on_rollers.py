@@ -288,21 +288,6 @@ def test_press_fit_is_pushed_out(slave):
     assert F == pytest.approx(mu * N, rel=1e-9)
 
 
-@pytest.mark.mpi
-def test_a_try_leaves_no_friction_behind_in_a_checkpoint(tmp_path):
-    """Pushed in and not committed, then out: as if it had not been pushed in, with the file too."""
-    file = COMM.bcast(tmp_path) / "tried.h5"
-    straight, tried, restored = (PressFit("lower") for _ in range(3))
-    for case in (straight, tried):
-        case.push_by(0.0)
-        case.problem.commit()
-    tried.push_by(0.1)
-    tried.problem.save(file)
-    restored.problem.restore(file)
-    (right, *others) = (case.push_by(-0.002)[0] for case in (straight, tried, restored))
-    assert right < 0.0 and others == pytest.approx([right, right], rel=1e-8)
-
-
 def push_cone(n, slave, sign, degree):
     """Return the axial force of a shaft of 3 degrees that its foot pushes .05 mm into a ring."""
 

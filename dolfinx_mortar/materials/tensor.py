@@ -4,7 +4,8 @@
 Laws always get 3x3 tensors; those of plane problems have zeros xz and yz. The stored shear is the
 tensor component (not the engineering strain), once.
 
-==== ==================="""
+==== ===================
+"""
 
 import numpy as np
 

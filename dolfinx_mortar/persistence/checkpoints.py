@@ -22,18 +22,15 @@ from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arguments import as_numbers
-from dolfinx_mortar.arrays import SAME, Bools, Floats
+from dolfinx_mortar.arrays import SAME, Floats
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.interfaces.interface import check_owned
 from dolfinx_mortar.interfaces.results import Resultants
 from dolfinx_mortar.materials.protocol import named_parameters
 from dolfinx_mortar.persistence.committed import (
     Before,
-    Committed,
     Gained,
     ProblemState,
-    Slips,
-    StepOutcome,
     SupportForces,
     Walk,
 )
@@ -44,11 +41,10 @@ from dolfinx_mortar.step_report import LoadStep
 
 NODES, POINTS, SLAVES = "nodes", "integration points", "slave nodes of interfaces[{}]"
 RESULTANTS = ("force", "moment", "master_force", "master_moment", "place")
-UNCOMMITTED = "uncommitted "  # before what a step has found that has not been committed
 
 
-def save(state: ProblemState, path: str | os.PathLike[str], outcome: StepOutcome | None) -> None:
-    """Write a checkpoint, with the outcome of a step not yet committed; `ContactProblem.save`."""
+def save(state: ProblemState, path: str | os.PathLike[str]) -> None:
+    """Write a checkpoint, see `ContactProblem.save`."""
     file = check_path(state.comm, path)
     check_owned(state.interfaces, state.supports)
     committed = state.committed
@@ -63,13 +59,10 @@ def save(state: ProblemState, path: str | os.PathLike[str], outcome: StepOutcome
             i.resultants and {name: getattr(i.resultants, name) for name in RESULTANTS}
             for i in state.interfaces
         ],
-        "gained": [
-            last and last.gained and (last.gained.travel, last.gained.duration)
-            for last in (committed, outcome)
-        ],
+        "gained": committed.gained and (committed.gained.travel, committed.gained.duration),
         "found": [interface.state(False) for interface in state.interfaces],
     }
-    values = {NODES: _at_nodes(state, outcome), POINTS: _at_points(state)}
+    values = {NODES: _at_nodes(state), POINTS: _at_points(state)}
     for k in range(len(state.interfaces)):
         values[SLAVES.format(k)] = _at_slaves(state, k)
     with raised_together(state.comm):
@@ -124,20 +117,20 @@ class Saved:
         """The levels that the last call of `load_steps` has reached."""
         return [step.time for step in self.steps[len(self.steps) - self.about["walked"] :]]
 
-    def put(self) -> StepOutcome:
-        """Make it the state of the problem; return what a commit takes over; collective.
+    def put(self) -> None:
+        """Make it the state of the problem; collective.
 
         Raises:
             Exception: on all ranks, that of `Interface.restore`; nothing is changed.
         """
         before = Before(self.state, None)
         try:
-            return self._put()
+            self._put()
         except BaseException:
             before.restore()
             raise
 
-    def _put(self) -> StepOutcome:
+    def _put(self) -> None:
         state, committed, about = self.state, self.state.committed, self.about
         nodes, points = self.tables[NODES], self.tables[POINTS]
         with raised_together(state.comm):
@@ -149,28 +142,27 @@ class Saved:
             known = name if name in points else name.replace("shown/", "committed/")
             set_owned(f, points[known])
         state.solid.forms.committed.forget()
-        slips = Slips(*np.zeros((2, *committed.slid.shape)))
         for k in range(len(state.interfaces)):
-            self._put_results(k, slips)
-        u = nodes["displacement"].flatten()
-        committed.active, committed.sliding = self._contacts("")
-        committed.displacement = nodes.get("committed", u).flatten()
+            self._put_results(k)
+        # without a column of directions, steps begin stuck
+        committed.active, committed.sliding = nodes["active"][:, 0] > 0.0, nodes.get("sliding")
+        committed.displacement = nodes.get("committed", nodes["displacement"]).flatten()
         committed.slid[:], committed.dissipated[:] = nodes["slid"].T, nodes["dissipated"].T
         supports = nodes.get("supports")
         halves = None if supports is None else np.split(supports, 2, axis=1)
         committed.supports = None if halves is None else SupportForces(*halves)
-        committed.paired, committed.gained = self._paired(), self._gained(0, "")
+        committed.paired, committed.gained = self._paired(), None
+        if about["gained"] is not None:
+            travel, duration = about["gained"]
+            committed.gained = Gained(nodes["gained"].flatten(), np.array(travel, float), duration)
         committed.begun, committed.level = about["begun"], about["level"]
         committed.walk = None if about["walk"] is None else Walk(**about["walk"])
         committed.walked, committed.brought = about["walked"], len(self.steps)
         committed.history[:] = self.steps
         state.system.faced = True
-        last = UNCOMMITTED if f"{UNCOMMITTED}active" in nodes else ""
-        gained = self._gained(1, UNCOMMITTED) if last else committed.gained
-        return StepOutcome(u, *self._contacts(last), committed.paired, slips, gained=gained)
 
-    def _put_results(self, k: int, ended: Slips) -> None:
-        """Set the results of an interface, or clear them; fill in its slips; collective."""
+    def _put_results(self, k: int) -> None:
+        """Set the results of an interface, or clear them; collective."""
         state, interface = self.state, self.state.interfaces[k]
         resultants, values = self.about["interfaces"][k], self.tables[SLAVES.format(k)]
         nodes = state.system.sides[k].nodes
@@ -187,23 +179,7 @@ class Saved:
         for name, function in interface.nodal.items():
             function.x.array.reshape(-1, values[name].shape[1])[nodes] = values[name]
             function.x.scatter_forward()
-        if interface.law is not None:
-            ended.slid[k][nodes] = values["slip"][:, 0]
-            ended.dissipated[k][nodes] = values["energy"][:, 0]
         interface.sum_up(state.comm, nodes)
-
-    def _gained(self, k: int, prefix: str) -> Gained | None:
-        """Return what a step has gained, None for nothing."""
-        if self.about["gained"][k] is None:
-            return None
-        travel, duration = self.about["gained"][k]
-        by = self.tables[NODES][f"{prefix}gained"].flatten()
-        return Gained(by, np.array(travel, float), float(duration))
-
-    def _contacts(self, prefix: str) -> tuple[Bools, Floats | None]:
-        """Return closed contacts and slip directions; without a column, steps begin stuck."""
-        nodes = self.tables[NODES]
-        return nodes[f"{prefix}active"][:, 0] > 0.0, nodes.get(f"{prefix}sliding")
 
     def _paired(self) -> Floats | None:
         """Return where the surfaces were paired, empty for X; None where that is not known."""
@@ -223,12 +199,15 @@ def _places_of(state: ProblemState) -> dict[str, Floats]:
     return {NODES: nodes, POINTS: points} | slaves
 
 
-def _at_nodes(state: ProblemState, outcome: StepOutcome | None) -> dict[str, Floats]:
+def _at_nodes(state: ProblemState) -> dict[str, Floats]:
     """Return what is kept at the owned nodes."""
     u, committed = _owned(state.u), state.committed
     found = {"displacement": u, "slid": committed.slid.T, "dissipated": committed.dissipated.T}
-    for prefix, last in (("", committed), (UNCOMMITTED, outcome)):
-        found |= {f"{prefix}{name}": v for name, v in _contacts(state, last, u).items()}
+    found["active"] = committed.active[:, None].astype(float)
+    if state.system.has_friction and committed.sliding is not None:
+        found["sliding"] = committed.sliding
+    if committed.gained is not None:
+        found["gained"] = committed.gained.by.reshape(u.shape)
     if (paired := committed.paired) is not None and len(paired):
         found["paired"] = paired.reshape(u.shape)
     if (supports := committed.supports) is not None:
@@ -236,20 +215,6 @@ def _at_nodes(state: ProblemState, outcome: StepOutcome | None) -> dict[str, Flo
     if state.system.has_friction:  # slips are measured from it
         found["committed"] = committed.displacement.reshape(u.shape)
     return found | {name: _owned(f) for name, f in state.states_of_terms.items()}
-
-
-def _contacts(
-    state: ProblemState, last: StepOutcome | Committed | None, u: Floats
-) -> dict[str, Floats]:
-    """Return closed contacts, slip directions, and what a step has gained."""
-    if last is None:
-        return {}
-    found = {"active": last.active[:, None].astype(float)}
-    if state.system.has_friction and last.sliding is not None:
-        found["sliding"] = last.sliding
-    if last.gained is not None:
-        found["gained"] = last.gained.by.reshape(u.shape)
-    return found
 
 
 def _at_points(state: ProblemState) -> dict[str, Floats]:

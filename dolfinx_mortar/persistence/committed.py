@@ -70,7 +70,7 @@ class StepOutcome:
     ended: Sequence[Any] = ()  # of the interfaces, see `Interface.state`
     level: float | None = None  # at which the step ends; None for that of the committed state
     gained: Gained | None = None  # None without a level
-    before: Before | None = None  # the last commit; None for a step of a checkpoint
+    before: Before | None = None  # the last commit
 
 
 @dataclass

@@ -550,18 +550,16 @@ class ContactProblem:
 
         Raises:
             OSError: on all ranks, if it cannot be written; the older file remains.
-            ValueError: if a problem made later uses one of the interfaces, or a step in time is not
+            ValueError: if a problem made later uses one of the interfaces, or the last step is not
                 committed.
             RuntimeError: if h5py is missing (an ImportError on rank 0).
         """
-        outcome = self._uncommitted_in_time()
-        if outcome is not None and outcome.before is not None:
+        if self.ended_here() is not None:
             raise ValueError(
-                "problem: the last step in time is not committed, so that the velocities are those "
-                "before it: call problem.commit() before save()"
+                "problem: the last step is not committed: call problem.commit() before save()"
             )
         with self.timings("checkpoint"):
-            checkpoints.save(self.state, path, self.ended_here())
+            checkpoints.save(self.state, path)
 
     def restore(self, path: str | os.PathLike[str]) -> None:
         """Restore the state of a checkpoint, written on any number of ranks; collective.
@@ -579,7 +577,8 @@ class ContactProblem:
                 problem, with the differences. Nothing is changed.
         """
         with self.timings("checkpoint"):
-            self.outcome = checkpoints.read(self.state, path).put()
+            checkpoints.read(self.state, path).put()
+            self.outcome = None
 
     def output_fields(self) -> dict[str, fem.Function]:
         """Functions for output by name; collective.

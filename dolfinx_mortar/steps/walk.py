@@ -262,7 +262,8 @@ def _continue(
         _check_settings(solves.settings(), settings, f"the checkpoint {str(file)!r}")
     if len(walk) < len(levels):  # an error now rather than after the next step
         check_folder(problem.comm, file)
-    problem.outcome = saved.put()
+    saved.put()
+    problem.outcome = None
     loading.set(problem, problem.committed.level)
     problem.solid.follow()  # results of laws depend on parameters
     if problem.comm.rank == 0:
