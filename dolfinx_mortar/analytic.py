@@ -23,9 +23,7 @@ from dolfinx_mortar.arguments import (
     FINITE,
     POISSON,
     POSITIVE,
-    Rule,
     array,
-    as_numbers,
     check,
     check_all,
 )
@@ -125,20 +123,18 @@ def effective_modulus(E1: float, nu1: float, E2: float, nu2: float) -> float:
     return float(1.0 / compliance)
 
 
-def _read_radii(radius: Any) -> float | None:
-    """Return R of one radius or two, None unless it is positive and finite."""
-    radii = as_numbers(radius)
-    if radii is None or radii.shape not in ((), (1,), (2,)):
-        return None
+def _curvature(radii: Floats) -> float:
+    """Return the sum of 1/R."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        curvature = float(np.sum(1.0 / radii))
-    return 1.0 / curvature if 0.0 < curvature < np.inf else None
+        return float(np.sum(1.0 / radii))
 
 
-ROUND = Rule(
-    "give a positive radius, or a pair of round bodies: neither is 0 or NaN, and one is positive "
-    "and smaller than the other, if that is hollow (negative)",
-    _read_radii,
+ROUND = array(
+    *((), (1,), (2,)),
+    remedy="give a positive radius, or a pair of round bodies: neither is 0 or NaN, and one is "
+    "positive and smaller than the other, if that is hollow (negative)",
+    finite=False,
+    holds=lambda radii: 0.0 < _curvature(radii) < np.inf,
 )
 
 
@@ -151,7 +147,7 @@ def effective_radius(radius: Radius) -> float:
     >>> effective_radius((8.0, 8.0)), effective_radius(8.0), effective_radius((4.0, -8.0))
     (4.0, 8.0, 8.0)
     """
-    return check("radius", radius, ROUND)
+    return 1.0 / _curvature(check("radius", radius, ROUND))
 
 
 def hertz_line(
