@@ -13,7 +13,6 @@ from msh_files import folder
 
 import dolfinx_mortar as dm
 import ufl
-from basix.ufl import quadrature_element
 from dolfinx import fem
 from dolfinx.mesh import compute_midpoints, locate_entities, meshtags
 
@@ -124,16 +123,12 @@ def test_a_field_of_cells_lies_on_the_deformed_bodies(cell, degree):
 
 
 @pytest.mark.mpi
-def test_displacements_and_functions_are_shaded():
+def test_displacements_are_shaded():
     case = pressed("quadrilateral", 2)
-    V, u = case.problem.solid.V, case.problem.u
-    u.interpolate(lambda x: np.stack([3.0 * x[0], 4.0 * x[1]]))
-    linear = fem.Function(fem.functionspace(V.mesh, ("Lagrange", 1)), name="heat")
-    linear.interpolate(lambda x: x[0] + 2.0 * x[1])
+    case.problem.u.interpolate(lambda x: np.stack([3.0 * x[0], 4.0 * x[1]]))
     wanted = {
         "displacement": lambda x, y: np.hypot(3.0 * x, 4.0 * y),
         "displacement_y": lambda x, y: 4.0 * y,
-        linear: lambda x, y: x + 2.0 * y,
     }
     for name, values in wanted.items():
         ax = dm.plotting.field(case.problem.solid, name, scale=0.0)
@@ -143,21 +138,6 @@ def test_displacements_and_functions_are_shaded():
             assert np.asarray(drawn.get_array()) == pytest.approx(values(x, y), abs=1e-9)
             corners = np.stack([x, y], axis=1)[drawn._triangulation.triangles]
             assert area(corners) == pytest.approx(300.0 + area(polygons_of_disc(ax)), rel=1e-9)
-
-
-@pytest.mark.mpi
-def test_parts_of_functions_are_drawn_as_they_are():
-    """A component of a vector, at nodes and of cells."""
-    mesh, cell_tags, _ = create_mesh("graded", 0.5)
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    solid = dm.Solid(fem.Function(V), ELASTIC, cell_tags)
-    for family, degree in (("Lagrange", 1), ("DG", 0)):
-        both = fem.Function(fem.functionspace(mesh, (family, degree, (2,))), name="both")
-        both.interpolate(lambda x: np.stack([0.0 * x[0] + 3.0, 0.0 * x[0] + 4.0]))
-        for function, value in ((both, 5.0), (both.sub(0), 3.0), (both.sub(1), 4.0)):
-            ax = dm.plotting.field(solid, function)
-            if FIRST:
-                assert np.asarray(ax.collections[0].get_array()) == pytest.approx(value)
 
 
 def polygons_of_disc(ax):
@@ -261,7 +241,6 @@ def test_wrong_arguments():
     case, (other, *_) = pressed(), two_blocks(COMM, (2, 1), (1, 1))
     problem, tags = case.problem, case.contact.facet_tags
     tie = dm.Tie(tags, slave=3, master=4)
-    stranger = fem.Function(fem.functionspace(other, ("DG", 0)), name="f")
     unpack = r"unpack what a reader returns, mesh\(\*found\)"
     moved = "choose 'displacement', 'displacement_x'"
     for call, said in (
@@ -280,7 +259,6 @@ def test_wrong_arguments():
         ),
         (lambda: dm.plotting.field(problem, "displacement_z"), moved),
         (lambda: dm.plotting.field(problem, "displacement_"), moved),
-        (lambda: dm.plotting.field(problem, stranger), "another mesh"),
         (lambda: dm.plotting.field(None, "von_mises"), "problem is None: give a ContactProblem"),
         (lambda: dm.plotting.pressure(None), "problem is None: give a ContactProblem"),
         (lambda: dm.plotting.pressure(problem, file=5), "file is 5: give the name of a picture"),
@@ -293,23 +271,6 @@ def test_wrong_arguments():
     fresh = create_case(create_mesh("graded", 0.5), ELASTIC)
     with pytest.raises(RuntimeError, match="solve a step first"):
         dm.plotting.pressure(fresh.problem)
-
-
-@pytest.mark.mpi
-def test_functions_that_have_no_values_at_nodes():
-    """Those that jump from cell to cell would be drawn with the values of the last cell."""
-    mesh, cell_tags, _ = create_mesh("graded", 0.5)
-    u = fem.Function(fem.functionspace(mesh, ("Lagrange", 1, (2,))))
-    solid = dm.Solid(u, ELASTIC, cell_tags)
-    for element, said in (
-        (("DG", 1), "discontinuous P of degree 1.*interpolate it"),
-        (("N1curl", 1), "N1E of degree 1.*interpolate it"),
-        (quadrature_element("triangle", degree=2), "quadrature of degree 2.*interpolate it"),
-        (("DG", 0, (2, 2)), r"values of shape \(2, 2\): give a scalar or a vector \(2,\)"),
-    ):
-        function = fem.Function(fem.functionspace(mesh, element), name="g")
-        with pytest.raises(ValueError, match=f"the Function 'g'.*{said}"):
-            dm.plotting.field(solid, function)
 
 
 @pytest.mark.mpi

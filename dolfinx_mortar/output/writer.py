@@ -52,9 +52,8 @@ class Writer:
     The fields are ``problem.output_fields()``: Lagrange Functions on the problem's mesh, written
     at the nodes of ``problem.solid.V`` (interpolated if their degree differs), and
     piecewise-constant Functions (DG0), written per cell. Vectors are padded to three components
-    (x, y, z); tensors of shape (2, 2) or (3, 3), and symmetric ones stored in four or six
-    components in the order of `materials.tensor`, to nine (xx, xy, xz, yx, ...); other shapes are
-    written as a flat row of components.
+    (x, y, z), symmetric tensors stored in four or six components in the order of
+    `materials.tensor` to nine (xx, xy, xz, yx, ...); other shapes are written as a flat row.
 
     Rigid tools go to a second file, out.tools.xdmf with the same times: their surfaces near the
     sides that meet them, with the number of the tool in "tool".
@@ -264,32 +263,19 @@ def _values(V: fem.FunctionSpace, function: fem.Function) -> tuple[Floats, str]:
 
 
 def _pad(values: Floats, shape: tuple[int, ...]) -> Floats:
-    """Pad vectors to three and tensors to three by three components.
+    """Pad vectors to three components and stored symmetric tensors to three by three.
 
     >>> _pad(np.array([[1.0, 2.0]]), (2,)).tolist()
     [[1.0, 2.0, 0.0]]
-    >>> _pad(np.array([[1.0, 2.0, 3.0, 4.0]]), (2, 2)).tolist()
-    [[1.0, 2.0, 0.0, 3.0, 4.0, 0.0, 0.0, 0.0, 0.0]]
     >>> _pad(np.array([[1.0, 2.0, 3.0, 4.0]]), (4,)).tolist()  # xx, yy, zz, xy
     [[1.0, 4.0, 0.0, 4.0, 2.0, 0.0, 0.0, 0.0, 3.0]]
     """
-    n, components = values.shape
     if shape == (2,):
         return np.pad(values, ((0, 0), (0, 1)))
     for names in COMPONENTS.values():
         if shape == (len(names),):
             nine = [min(a + b, b + a) for a in "xyz" for b in "xyz"]
             return values @ np.array([[float(own == name) for name in nine] for own in names])
-    if len(shape) == 2 and shape[0] == shape[1] <= 3:
-        if components < shape[0] ** 2:
-            # a symmetric element stores the rows of the lower triangle
-            row, column = np.tril_indices(shape[0])
-            full = np.zeros((n, *shape))
-            full[:, row, column] = full[:, column, row] = values
-        else:
-            full = values.reshape(n, *shape)
-        margin = (0, 3 - shape[0])
-        return np.pad(full, ((0, 0), margin, margin)).reshape(n, 9)
     return values
 
 

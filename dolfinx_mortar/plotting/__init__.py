@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 import basix
-import ufl
 from dolfinx import fem, plot
 from dolfinx import mesh as dmesh
 from dolfinx_mortar import compat
@@ -98,7 +97,7 @@ def mesh(
 
 def field(
     problem: Any,
-    name: str | fem.Function,
+    name: str,
     *,
     scale: float = 1.0,
     file: File = None,
@@ -114,30 +113,26 @@ def field(
         problem: a `ContactProblem`, or a `Solid`, which has no tools.
         name: of a scalar field of `Solid.cell_values`, such as "von_mises", "stress_yy" or
             "plastic_strain_norm", with one colour per cell; "displacement" for its length, or
-            "displacement_x"; or another Function: one value per cell (DG0), or a continuous scalar
-            or vector (of which the length is drawn).
+            "displacement_x".
         scale: by how much displacements are enlarged.
         file: as `view` and `ax` and what is returned, see `mesh`.
 
     Raises:
-        ValueError: for unknown names, tensors, Functions of another mesh or that jump from cell to
-            cell; else as `mesh` does.
+        ValueError: for unknown names and tensors; else as `mesh` does.
     """
     solid = getattr(problem, "solid", problem)
     V = getattr(solid, "V", None)
     if not isinstance(V, fem.FunctionSpace) or not hasattr(solid, "cell_values"):
         raise ValueError(f"problem is {problem!r}: give a ContactProblem or a Solid.")
     check_same_on_all_ranks(V.mesh.comm, name=name, scale=scale)
-    function, title = _function_of(solid, name)
-    at_nodes = function.function_space.ufl_element().degree > 0
-    values = _lengths(V, function, at_nodes)
+    values, at_nodes = _values_of(solid, name)
     bodies = gather_bodies(V, _moved(V, solid.u, scale), values, at_nodes)
     every = getattr(problem, "interfaces", ()) if scale == 1.0 else ()
     tools = [one.tool.outline() for one in every if one.tool is not None]
 
     def draw(drawer: Any, on: Any) -> None:
         assert bodies is not None
-        drawer.draw_field(on, bodies, title)
+        drawer.draw_field(on, bodies, name)
         if tools and len(bodies.x):
             x = bodies.x[:, : V.mesh.geometry.dim]
             low, high = x.min(axis=0), x.max(axis=0)
@@ -199,47 +194,20 @@ def _chosen(problem: Any, interfaces: Any) -> list[Any]:
     return asked
 
 
-def _function_of(solid: Any, name: str | fem.Function) -> tuple[fem.Function, str]:
-    """Return the Function to draw, and its title; collective.
-
-    Raises:
-        ValueError: if it is on another mesh, or is neither constant in cells nor continuous.
-    """
+def _values_of(solid: Any, name: str) -> tuple[Floats, bool]:
+    """Return a field at the local nodes or in the owned cells, and whether at nodes; collective."""
     V: fem.FunctionSpace = solid.V
-    d = V.mesh.geometry.dim
-    if not isinstance(name, fem.Function):
-        components = [f"displacement_{axis}" for axis in "xyz"[:d]]
-        rule = one_of("displacement", *components, *solid.fields.scalars)
-        check("name", name, rule, f"{rule.remedy}, or give a Function")
-        if name in components:
-            return solid.u.sub(components.index(name)).collapse(), name
-        return solid.u if name == "displacement" else solid.cell_values(name), name
-    space, told = name.function_space, f"name: the Function {name.name!r}"
-    element = space.ufl_element()
-    if space.mesh is not V.mesh:
-        raise ValueError(f"{told} is on another mesh than the bodies.")
-    if name.ufl_shape not in ((), (d,)):
-        raise ValueError(
-            f"{told} has values of shape {name.ufl_shape}: give a scalar or a vector ({d},)."
-        )
-    if element.family_name != "P" or (element.discontinuous and element.degree > 0):
-        raise ValueError(
-            f"{told} ({'discontinuous ' * element.discontinuous}{element.family_name} of degree "
-            f"{element.degree}) is neither Lagrange nor constant in cells: interpolate it into "
-            "such a space."
-        )
-    return (name.collapse() if space.component() else name), name.name
-
-
-def _lengths(V: fem.FunctionSpace, function: fem.Function, at_nodes: bool) -> Floats:
-    """Return a scalar, or lengths of vectors, at the local nodes of V or in the owned cells."""
-    found = ufl.sqrt(ufl.inner(function, function)) if function.ufl_shape else function
-    space = V.sub(0).collapse()[0] if at_nodes else fem.functionspace(V.mesh, ("DG", 0))
-    target = fem.Function(space)
-    target.interpolate(fem.Expression(found, compat.interpolation_points(space)))
-    target.x.scatter_forward()
-    owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
-    return target.x.array if at_nodes else target.x.array[space.dofmap.list[:owned, 0]]
+    d, topology = V.mesh.geometry.dim, V.mesh.topology
+    components = [f"displacement_{axis}" for axis in "xyz"[:d]]
+    check("name", name, one_of("displacement", *components, *solid.fields.scalars))
+    u = solid.u.x.array.reshape(-1, d)
+    if name == "displacement":
+        return np.linalg.norm(u, axis=1), True
+    if name in components:
+        return u[:, components.index(name)], True
+    found = solid.cell_values(name)
+    cells = found.function_space.dofmap.list[: topology.index_map(d).size_local, 0]
+    return found.x.array[cells], False
 
 
 def _moved(V: fem.FunctionSpace, u: fem.Function, scale: float) -> Floats:
