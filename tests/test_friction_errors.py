@@ -119,7 +119,7 @@ def test_limits_on_another_mesh(case, name, kind):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_tie_has_no_friction(case, name):
-    with rejected(name, "Tie", "Contact", error=TypeError):
+    with rejected(name, "Tie", error=TypeError):
         dm.Tie(case.contact.facet_tags, slave=3, master=4, **{name: 0.3})
 
 

@@ -98,10 +98,10 @@ def spoilt(kind, case):
     if kind == "values":
         return lambda x: np.full((2, x.shape[1]), np.nan if there else 0.0), ["NaN or infinite"]
     if kind == "complex":
-        return lambda x: 1j * x[:2], ["jump: the function returns no real numbers"]
+        return lambda x: 1j * x[:2], ["jump(x) is ", "real numbers"]
     if kind == "shape":
         wrong = lambda x: np.zeros((x.shape[1], 3) if there else (2, x.shape[1]))  # noqa: E731
-        return wrong, ["jump: the function returns", "vector for each point"]
+        return wrong, ["jump(x) is ", "a vector for each of"]
 
     def fails(x):
         if there:

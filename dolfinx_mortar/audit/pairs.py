@@ -16,7 +16,7 @@ from dolfinx_mortar import compat
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import maximum, sums_at_nodes
-from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arguments import check, is_number
 from dolfinx_mortar.arrays import Ints, Longs
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from dolfinx_mortar.audit.neighbours import are_near
@@ -167,8 +167,7 @@ def _check(mesh: Mesh, cell_tags: Any, within: Any, surface: Any) -> None:
             f"within is {within!r}: give a positive distance in the units of the mesh, or None for "
             "the diameter of a facet"
         )
-    if not isinstance(surface, str) or surface not in SURFACES:
-        raise ValueError(f"surface is {surface!r}: choose 'smooth' or 'facets'")
+    check("surface", surface, SURFACES)
     if cell_tags is None:
         return
     if not isinstance(cell_tags, MeshTags) or cell_tags.dim != mesh.topology.dim:

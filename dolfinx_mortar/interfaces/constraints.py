@@ -6,13 +6,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from numbers import Real
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arguments import is_number
+from dolfinx_mortar.arguments import NOT_NEGATIVE, Rule, check, is_number
 from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats, Ints
 from dolfinx_mortar.spaces import check_nodal
 
@@ -180,6 +180,28 @@ def join_limits(parts: Sequence[SlipLimits]) -> SlipLimits:
     return SlipLimits(*(np.concatenate(c) for c in zip(*columns, strict=True)))
 
 
+Force: TypeAlias = float | fem.Constant
+"""A number, or a scalar Constant."""
+
+
+def _read_force(value: Any) -> Force | None:
+    if isinstance(value, fem.Constant):
+        real = value.value.shape == () and value.value.dtype == np.float64
+        return value if real else None
+    return value if is_number(value) else None
+
+
+FORCE: Rule[Any] = Rule("give a finite number or a scalar Constant", _read_force)
+
+
+def present_force(name: str, given: Any) -> float:
+    """Present value; raise a ValueError for NaN or infinity."""
+    force = float(getattr(given, "value", given))
+    if not np.isfinite(force):
+        raise ValueError(f"{name} is {force}: set the Constant to a finite number")
+    return force
+
+
 Limit: TypeAlias = float | fem.Constant | fem.Function
 
 REMEDY = "give a number, a scalar fem.Constant, or a scalar Lagrange fem.Function"
@@ -270,9 +292,8 @@ def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | No
     if value is None:
         return None
     if isinstance(value, Real) and not isinstance(value, bool):
-        if not (is_number(value) and value >= 0.0):
-            raise ValueError(f"{name} is {value!r}: it has to be finite and >= 0")
-        return FrictionLaw(name, float(value)) if value > 0.0 else None
+        limit = check(name, value, NOT_NEGATIVE)
+        return FrictionLaw(name, limit) if limit > 0.0 else None
     if isinstance(value, fem.Function):
         check_nodal(name, value, (), REMEDY)
     elif not isinstance(value, fem.Constant):

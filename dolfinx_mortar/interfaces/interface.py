@@ -35,6 +35,7 @@ from dolfinx_mortar.interfaces.coupling import (
 )
 from dolfinx_mortar.interfaces.results import Results
 from dolfinx_mortar.interfaces.tool import Driven, RigidBody, Tool
+from dolfinx_mortar.mortar.curvature_correction import NodeShape, find_shape
 from dolfinx_mortar.mortar.duals import Coverage
 from dolfinx_mortar.mortar.mirrors import judge_supports
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
@@ -77,6 +78,7 @@ class Interface(Collective, Results, ABC):
         smooth: whether facets approximate smooth surfaces.
         feature_angle: degrees between facets from which on an edge is sharp.
         within: largest distance of partners, None by the facets.
+        master: tag of the other side, or None.
         rigid: rigid body that holds or meets the side, or None.
         tool: the same, if it meets the side.
     """
@@ -86,6 +88,7 @@ class Interface(Collective, Results, ABC):
     smooth: bool = False
     feature_angle: float = FEATURE_ANGLE
     within: float | None = np.inf
+    master: int | None = None
     rigid: RigidBody | None = None
     tool: Tool | None = None
 
@@ -120,14 +123,25 @@ class Interface(Collective, Results, ABC):
             fixed: (local nodes, d) prescribed directions.
             weight: factor of all integrals over the interface, None for 1.
         """
-        slave = create_surface(V, self.facet_tags, self.slave, "slave")
-        on_slave, dependent = mark(slave), dependent_nodes(slave)[: slave.owned]
-        nowhere = np.zeros_like(on_slave)
-        mirrors = np.zeros_like(fixed)
-        judged = [judge_supports(slave, fixed[slave.nodes], self.feature_angle)]
-        mirrors[slave.nodes] = judged[0][0]
-        at = V, slave, None, on_slave, nowhere, fixed, mirrors, dependent, self.unilateral
-        return Sides(*at, weight=weight, judged=judged)
+        sides = [create_surface(V, self.facet_tags, self.slave, "slave")]
+        if self.master is not None and self.master != self.slave:
+            sides.append(create_surface(V, self.facet_tags, self.master, "master"))
+        slave, master = sides[0], None if self.master is None else sides[-1]
+        mirrors, angle = np.zeros_like(fixed), self.feature_angle
+        judged: list[tuple[Bools, Floats]] = []
+        shapes: list[NodeShape] = []
+        for side in sides:
+            judged.append(judge_supports(side, fixed[side.nodes], angle))
+            own = judged[-1][0]
+            mirrors[side.nodes] |= own
+            if master and (self.unilateral or (self.smooth and not side.curved)):
+                shapes.append(find_shape(side, fixed, angle, own))
+        on_slave = mark(slave)
+        on_master = np.zeros_like(on_slave) if master is None else mark(master)
+        at = V, slave, master, on_slave, on_master, fixed, mirrors
+        rest = dependent_nodes(slave)[: slave.owned], self.unilateral
+        both = 2 // len(sides)
+        return Sides(*at, *rest, weight=weight, judged=judged, shapes=both * shapes)
 
     def pair(
         self,

@@ -11,6 +11,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.arguments import check, one_of
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.contact_tangent import ContactDerivatives
@@ -23,28 +24,18 @@ from dolfinx_mortar.interfaces.coupling import (
     couple_in,
     create_pattern,
     free_directions,
-    mark,
 )
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface
 from dolfinx_mortar.mortar.common_normals import common_normals
-from dolfinx_mortar.mortar.curvature_correction import NodeShape, find_shape, find_smooth_sides
+from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides
 from dolfinx_mortar.mortar.duals import Coverage, find_coverage, node_weights
 from dolfinx_mortar.mortar.facing_bodies import check_angle
 from dolfinx_mortar.mortar.integrals import drop_far, find_segments
-from dolfinx_mortar.mortar.mirrors import judge_supports
 from dolfinx_mortar.mortar.operators import SmoothSides, create_operators
-from dolfinx_mortar.mortar.pairing import Pairing, Weight, create_pairing
-from dolfinx_mortar.mortar.surface import create_surface, dependent_nodes
+from dolfinx_mortar.mortar.pairing import Pairing, create_pairing
 from dolfinx_mortar.tags import check_tag, label, tag_of
 
-SURFACES = ("smooth", "facets")
-
-
-def is_smooth(surface: str) -> bool:
-    """Whether a surface is "smooth"; raise a ValueError for unknown ones."""
-    if not isinstance(surface, str) or surface not in SURFACES:
-        raise ValueError(f"surface is {surface!r}: choose 'smooth' or 'facets'")
-    return surface == "smooth"
+SURFACES = one_of("smooth", "facets")
 
 
 class MortarInterface(Interface):
@@ -71,14 +62,15 @@ class MortarInterface(Interface):
         feature_angle: float = FEATURE_ANGLE,
     ) -> None:
         super().__init__(facet_tags, slave=slave)
-        self.master: int = tag_of(facet_tags, master, "master")
+        self.master = tag_of(facet_tags, master, "master")
         check_tag("master", self.master)
         if self.slave == self.master and not self.unilateral:
             raise ValueError(
                 f"slave and master are both tag {label(facet_tags, self.slave)}: give two "
                 "different tags"
             )
-        self.smooth, self.feature_angle = is_smooth(surface), check_angle(feature_angle)
+        self.smooth = check("surface", surface, SURFACES) == "smooth"
+        self.feature_angle = check_angle(feature_angle)
 
     def __repr__(self) -> str:
         said = "" if self.smooth else ", surface='facets'"
@@ -124,27 +116,6 @@ class MortarInterface(Interface):
     @abstractmethod
     def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
         """Arguments of `create_operators` for smooth surfaces."""
-
-    def find_sides(self, V: fem.FunctionSpace, fixed: Bools, weight: Weight | None = None) -> Sides:
-        """See `Interface.find_sides`; collective."""
-        slave = master = create_surface(V, self.facet_tags, self.slave, "slave")
-        if self.slave != self.master:
-            master = create_surface(V, self.facet_tags, self.master, "master")
-        dependent = dependent_nodes(slave)[: slave.owned]
-        mirrors = np.zeros_like(fixed)
-        judged: list[tuple[Bools, Floats]] = []
-        shapes: list[NodeShape] = []
-        angle = self.feature_angle
-        every = (slave,) if slave is master else (slave, master)
-        for side in every:
-            judged.append(judge_supports(side, fixed[side.nodes], angle))
-            own = judged[-1][0]
-            mirrors[side.nodes] |= own
-            if self.unilateral or (self.smooth and not side.curved):
-                shapes.append(find_shape(side, fixed, angle, own))
-        marks, can_open, both = (mark(slave), mark(master)), self.unilateral, 2 // len(every)
-        at = V, slave, master, *marks, fixed, mirrors, dependent, can_open
-        return Sides(*at, weight=weight, judged=judged, shapes=both * shapes)
 
     def pair(
         self,

@@ -19,8 +19,9 @@ from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.errors import raised_together
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.arguments import check_optional
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
-from dolfinx_mortar.interfaces.constraints import Limit, create_law
+from dolfinx_mortar.interfaces.constraints import Force, Limit, create_law
 from dolfinx_mortar.interfaces.contact import Unilateral
 from dolfinx_mortar.interfaces.contact_tangent import ToolDerivatives
 from dolfinx_mortar.interfaces.coupling import (
@@ -33,9 +34,8 @@ from dolfinx_mortar.interfaces.coupling import (
     free_directions,
 )
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
-from dolfinx_mortar.interfaces.mortar_interface import is_smooth
+from dolfinx_mortar.interfaces.mortar_interface import SURFACES
 from dolfinx_mortar.interfaces.tool import (
-    Load,
     Movable,
     SidePattern,
     Tool,
@@ -115,13 +115,14 @@ class Obstacle(Movable, Unilateral):
         slave: int | str,
         shape: Shape,
         reference: Any = None,
-        load: Mapping[str, Load] | None = None,
+        load: Mapping[str, Force] | None = None,
         surface: str | None = None,
         friction: Limit | None = None,
         tresca: Limit | None = None,
     ) -> None:
         super().__init__(facet_tags, slave=slave)
-        self.meant = None if surface is None else is_smooth(surface)  # None: by the order
+        named = check_optional("surface", surface, SURFACES)
+        self.meant = None if named is None else named == "smooth"  # None: by the order
         self.rigid = self.tool = Tool(shape, reference, facet_tags.topology.dim)
         self.load = load or {}
         self.law = create_law(friction, tresca)

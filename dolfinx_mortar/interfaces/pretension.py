@@ -10,25 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx import fem
-from dolfinx_mortar.arguments import as_numbers, is_number
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.geometry.facets import area_vectors, tributary_weights
 from dolfinx_mortar.interfaces.coupling import Sides
 from dolfinx_mortar.mortar.surface import Surface, facets_at
-from dolfinx_mortar.spaces import check_real
 
 Direction = Sequence[float] | Floats | None
 """Components of a vector of any length."""
-
-Force = float | fem.Constant | None
-"""A number, or a scalar Constant."""
 
 # Least cosine with the outward normal: below is shear, or inward if negative. Cuts at 60 degrees to
 # the axis are above.
@@ -36,33 +29,6 @@ ALONG = 0.45
 # Least mean unit normal of a side that is not around a shank: an arc of the angle 2 a has sin(a) /
 # a, below for more than 327 degrees.
 AROUND = 0.1
-
-
-def check_force(value: Any) -> Any:
-    """Checked pretension, or a ValueError; without communication."""
-    if isinstance(value, fem.Constant):
-        check_real("pretension", value)
-        if value.value.shape == ():
-            return value
-    if value is None or is_number(value):
-        return value
-    raise ValueError(
-        f"pretension is {value!r}: give a finite number or a scalar Constant, the resultant of the "
-        "bolt, or None to hold the jump"
-    )
-
-
-def check_direction(direction: Any, d: int) -> Floats:
-    """Unit vector (d,) of a direction, or a ValueError; without communication."""
-    numbers = as_numbers(direction.tolist() if isinstance(direction, np.ndarray) else direction)
-    n = np.zeros(0) if numbers is None else numbers
-    if n.shape != (d,) or not np.isfinite(n).all() or not n.any():
-        raise ValueError(
-            f"direction is {direction!r}: give {d} finite components, not all zero, along the axis "
-            "of the bolt"
-        )
-    n = n / np.abs(n).max()  # squares may over- or underflow
-    return np.asarray(n / np.linalg.norm(n))
 
 
 @dataclass(frozen=True)

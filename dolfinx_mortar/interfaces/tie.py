@@ -2,6 +2,7 @@
 """Mesh tying: u_slave - P u_master = jump, with P = D^-1 M at X."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from petsc4py import PETSc
@@ -11,23 +12,22 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.arguments import as_numbers, is_number
+from dolfinx_mortar.arguments import array, check, check_optional, number
 from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.interfaces.constraints import FORCE, Force, present_force
 from dolfinx_mortar.interfaces.coupling import CoupledSides, Sides
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
 from dolfinx_mortar.interfaces.mortar_interface import Frame, MortarInterface
 from dolfinx_mortar.interfaces.pretension import (
     Bolt,
     Direction,
-    Force,
-    check_direction,
-    check_force,
     describe_shear,
     find_axis,
     mean_normal,
 )
 from dolfinx_mortar.mortar.operators import SmoothSides
 from dolfinx_mortar.mortar.pairing import Weight
+from dolfinx_mortar.shapes.shape import check_unit
 from dolfinx_mortar.spaces import check_mesh, check_nodal, check_real
 from ufl.core.expr import Expr
 
@@ -37,6 +37,9 @@ Jump = Sequence[float] | Floats | fem.Constant | fem.Function | Callable[[Floats
 # Default reach of ties beyond the least distance, in larger facets. Sagittas are tan(a / 4) / 2 of
 # a facet, a the angle between two: together less than 0.42 up to right angles.
 WITHIN = 0.5
+
+REACH = number("the largest distance over which to tie, a length", above=0.0)
+BOLT = f"{FORCE.remedy}, the resultant of the bolt; None to hold the jump"
 
 
 class Tie(MortarInterface):
@@ -77,7 +80,6 @@ class Tie(MortarInterface):
     Raises:
         ValueError: for invalid tags, names, surface or angle, a jump or direction without d finite
             components, a pretension that is no number, and ``within`` that is not positive.
-        TypeError: for friction.
 
     Attributes:
         tightening: (d,) added to the jump everywhere: s n, set by every step with a pretension.
@@ -92,24 +94,16 @@ class Tie(MortarInterface):
         slave: int | str,
         master: int | str,
         jump: Jump = None,
-        pretension: Force = None,
+        pretension: Force | None = None,
         direction: Direction = None,
         surface: str = "smooth",
         feature_angle: float = FEATURE_ANGLE,
         within: float | None = None,
-        **others: Any,
     ) -> None:
-        for name in ("friction", "tresca"):
-            if name in others:
-                raise TypeError(
-                    f"{name} is {others[name]!r}, but a Tie has no friction, as its sides do not "
-                    f"slip: leave it out, or give Contact(.., {name}=..)"
-                )
-        if others:
-            raise TypeError(f"a Tie has no {', '.join(others)}: see its documentation")
         tags = {"slave": slave, "master": master}
         super().__init__(facet_tags, **tags, surface=surface, feature_angle=feature_angle)
-        self.within = _check_within(within)
+        everything = isinstance(within, float) and within == np.inf
+        self.within = within if everything else check_optional("within", within, REACH)
         self.jump = jump
         self.pretension, self.direction = pretension, direction
         self.tightening: Floats = np.zeros(self._components)
@@ -138,13 +132,13 @@ class Tie(MortarInterface):
         self._tightening: Floats = _check_jump(np.asarray(value), self._components)
 
     @property
-    def pretension(self) -> Force:
+    def pretension(self) -> Force | None:
         """Resultant on the slave side along the direction; None keeps the jump."""
         return self._pretension
 
     @pretension.setter
-    def pretension(self, value: Force) -> None:
-        self._pretension: Force = check_force(value)
+    def pretension(self, value: Force | None) -> None:
+        self._pretension: Force | None = check_optional("pretension", value, FORCE, BOLT)
 
     @property
     def direction(self) -> Direction:
@@ -153,7 +147,7 @@ class Tie(MortarInterface):
 
     @direction.setter
     def direction(self, value: Direction) -> None:
-        unit = None if value is None else check_direction(value, self._components)
+        unit = None if value is None else check_unit("direction", value, self._components)
         self._direction: Direction = unit
 
     def given(self) -> dict[str, Any]:
@@ -227,23 +221,14 @@ class Tie(MortarInterface):
         if self.pretension is None:
             return None
         axis = find_axis(self.normal, self.direction, str(self))
-        return Bolt(axis, self._force, self.tighten, self.tightening, str(self))
+        force = partial(present_force, f"pretension of {self}", self.pretension)
+        return Bolt(axis, force, self.tighten, self.tightening, str(self))
 
     def warnings(self, link: CoupledSides, x: PETSc.Vec) -> list[str]:
         """Warning about a pretension with a shear component; collective."""
         bolt = self.driven()
         shear = "" if bolt is None else describe_shear(self.normal, bolt.axis, str(self))
         return [*super().warnings(link, x), *([shear] if shear else [])]
-
-    def _force(self) -> float:
-        """Pretension; raise a ValueError for NaN or infinity."""
-        given: Any = self.pretension
-        force = float(getattr(given, "value", given))
-        if not np.isfinite(force):
-            raise ValueError(
-                f"pretension of {self} is {force}: set the Constant to a finite number"
-            )
-        return force
 
     def tighten(self, way: Floats) -> None:
         """Add an overlap (d,) to the tightening."""
@@ -258,26 +243,14 @@ class Tie(MortarInterface):
         self.tightening = state["tightening"]
 
 
-def _check_within(within: Any) -> float | None:
-    if within is None:
-        return None
-    everything = isinstance(within, float) and within == np.inf
-    if not ((is_number(within) and within > 0.0) or everything):
-        raise ValueError(
-            f"within is {within!r}: give the largest distance over which to tie, a length > 0, or "
-            "None for what the facets' size makes plausible"
-        )
-    return float(within)
-
-
 def _check_jump(jump: Any, d: int) -> Any:
     """Checked jump, numbers as an array; without communication."""
     if jump is None:
         return None
     example = ", ".join(["0"] * (d - 1) + ["0.1"])
     wanted = (
-        f"give {d} Cartesian components of a length, [{example}], or a Constant, a Function or a "
-        "function of points x (3, n) that has them"
+        f"give {d} Cartesian components of a finite length, [{example}], or a Constant, a Function "
+        "or a function of points x (3, n) that has them"
     )
     if isinstance(jump, fem.Constant | fem.Function):
         check_real("jump", jump)
@@ -293,14 +266,7 @@ def _check_jump(jump: Any, d: int) -> Any:
         )
     if callable(jump):
         return jump
-    values = as_numbers(jump)
-    if values is None:
-        raise ValueError(f"jump is {jump!r}: {wanted}")
-    if values.shape != (d,):
-        raise ValueError(f"jump is {jump!r}, of shape {values.shape}: {wanted}")
-    if not np.isfinite(values).all():
-        raise ValueError(f"jump is {jump!r}: it must be finite; {wanted}")
-    return values
+    return check("jump", jump, array((d,), remedy=wanted))
 
 
 def _nodal_function(jump: Any, V: fem.FunctionSpace) -> Any:
@@ -327,12 +293,6 @@ def _values_at(jump: Any, V: fem.FunctionSpace, nodes: Ints) -> Floats:
     if not len(nodes):  # no points
         return np.zeros((0, d))
     x = np.ascontiguousarray(V.tabulate_dof_coordinates()[nodes].T)
-    found = as_numbers(jump(x))
-    if found is None:
-        raise ValueError("jump: the function returns no real numbers; it must return a vector (d,)")
-    if found.shape != (d, len(nodes)):
-        raise ValueError(
-            f"jump: the function returns the shape {found.shape} for {len(nodes)} points x (3, n); "
-            f"it must return {(d, len(nodes))}, a vector for each point"
-        )
-    return found.T
+    n = len(nodes)
+    wanted = f"return {d, n} real numbers, a vector for each of {n} points x (3, n)"
+    return check("jump(x)", jump(x), array((d, n), finite=False, remedy=wanted)).T

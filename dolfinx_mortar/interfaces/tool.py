@@ -14,10 +14,11 @@ import basix.ufl
 import ufl
 from dolfinx import default_real_type, fem
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.arguments import as_numbers, is_number
+from dolfinx_mortar.arguments import array, check
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.geometry.facets import facet_normals
 from dolfinx_mortar.geometry.segments import FACING, Segments
+from dolfinx_mortar.interfaces.constraints import FORCE, Force, present_force
 from dolfinx_mortar.interfaces.coupling import Pattern
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, side_heights
 from dolfinx_mortar.mortar.passing import SeenByTool
@@ -88,9 +89,6 @@ class Pose:
         return Distance(found.value, found.gradient @ R.T, R @ found.hessian @ R.T)
 
 
-Load = float | fem.Constant
-"""A number, or a scalar Constant."""
-
 PLANE = ("x", "y", "moment")
 SPACE = ("x", "y", "z", "moment x", "moment y", "moment z")
 
@@ -122,7 +120,7 @@ class RigidBody:
         turn = np.zeros(3) if d > 2 else 0.0
         self.position = fem.Constant(domain, self.point.astype(default_real_type))
         self.rotation = fem.Constant(domain, np.asarray(turn, dtype=default_real_type))
-        self.load: Mapping[str, Load] = {}
+        self.load: Mapping[str, Force] = {}
         self.travel: Floats = np.zeros(len(motions_in(d)))
 
     def pose(self, travel: Floats | None = None) -> Pose:
@@ -144,7 +142,7 @@ class RigidBody:
             rotation = after(rotation, travel[d:])
         return Pose(position, rotation, self.point)
 
-    def check_load(self, load: Any) -> Mapping[str, Load]:
+    def check_load(self, load: Any) -> Mapping[str, Force]:
         """Checked forces by name, in the order of `motions_in`."""
         known = motions_in(len(self.point))
         if load is None:
@@ -155,12 +153,7 @@ class RigidBody:
                 f"{', '.join(map(repr, known))}"
             )
         for name, value in load.items():
-            scalar = isinstance(value, fem.Constant) and value.value.shape == ()
-            if not (is_number(value) or scalar):
-                raise ValueError(
-                    f"load[{name!r}] is {value!r}: give a finite number or a scalar Constant, and "
-                    "leave out what position and rotation prescribe"
-                )
+            check(f"load[{name!r}]", value, FORCE)
         return {name: load[name] for name in known if name in load}
 
     def loads(self) -> Floats:
@@ -174,11 +167,7 @@ class RigidBody:
                 f"load is {dict(self.load)!r}: in an axisymmetric problem a tool is driven along "
                 "the axis only, {'y': ..}, by the force on all of it"
             )
-        values = [float(getattr(value, "value", value)) for value in self.load.values()]
-        for name, value in zip(self.load, values, strict=True):
-            if not np.isfinite(value):
-                raise ValueError(f"load[{name!r}] is {value}: set the Constant to a finite number")
-        return np.array(values)
+        return np.array([present_force(f"load[{name!r}]", v) for name, v in self.load.items()])
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -266,12 +255,12 @@ class Movable:
         return self.rigid.rotation
 
     @property
-    def load(self) -> Mapping[str, Load]:
+    def load(self) -> Mapping[str, Force]:
         """Given forces and moments by name; may be set between steps."""
         return self.rigid.load
 
     @load.setter
-    def load(self, value: Mapping[str, Load] | None) -> None:
+    def load(self, value: Mapping[str, Force] | None) -> None:
         self.rigid.load = self.rigid.check_load(value)
 
     def state(self, ended: bool) -> dict[str, Floats]:
@@ -505,10 +494,7 @@ def on_the_way(before: Pose, now: Pose, turn: Floats, t: float) -> Pose:
 
 def check_point(given: Any, d: int) -> Floats:
     """Return d finite coordinates; raise a ValueError for anything else."""
-    found = as_numbers(given)
-    if found is None or found.shape != (d,) or not np.isfinite(found).all():
-        raise ValueError(f"reference is {given!r}: give {d} finite coordinates")
-    return found
+    return check("reference", given, array((d,)))
 
 
 def find_facing(side: WholeSide, pose: Pose, shape: Shape, x: Floats) -> Bools:
