@@ -17,19 +17,18 @@ from scipy.sparse.csgraph import connected_components
 
 from dolfinx import fem
 from dolfinx_mortar.arguments import is_number
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facets import (
     Facets,
     are_inside,
     facet_normals,
     facet_sizes,
     points_of,
-    unit,
 )
 from dolfinx_mortar.geometry.flat import facet_distances
 from dolfinx_mortar.geometry.segments import Segments, create_segments, find_candidates
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
-from dolfinx_mortar.mortar.pairing import THROUGH, Pairing, received_facets
+from dolfinx_mortar.mortar.pairing import THROUGH
 from dolfinx_mortar.mortar.surface import (
     create_groups,
     find_receivers,
@@ -239,24 +238,3 @@ def _components(n: int, a: Longs, b: Longs) -> tuple[int, Longs]:
     """Return the number of connected parts of a graph, and that of each vertex (n,)."""
     parts, found = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), False)
     return int(parts), np.asarray(found, dtype=np.int64)
-
-
-def facing_edges(pairing: Pairing, segments: Segments, feature_angle: float) -> Bools:
-    """Return the slave facets (m,) that convex edges or corners of the master face; collective.
-
-    At X, over more than a twentieth of the facing area, the master's normal differs from the mean
-    by more than half of the feature angle, and normals diverge.
-    """
-    on, count, w = segments.slave, len(pairing.slave.facets), segments.weight
-    received = received_facets(pairing, None)
-    n = facet_normals(received)[segments.master]
-    x = points_of(received, segments.master, segments.xi_m)
-    whole = np.maximum(np.bincount(on, w, count), TINY)
-    middle, mean = (
-        np.stack([np.bincount(on, w * part, count) for part in v.T], axis=1) / whole[:, None]
-        for v in (x, n)
-    )
-    turned = (n * unit(mean)[on]).sum(axis=1) < np.cos(np.radians(feature_angle / 2))
-    apart = ((x - middle[on]) * (n - mean[on])).sum(axis=1)
-    convex = np.bincount(on, w * apart, count) > 0.0
-    return np.asarray(convex & (np.bincount(on, w * turned, count) > 0.05 * whole))

@@ -2,17 +2,10 @@
 """Causes of failed steps: limit loads, unsupported bodies, friction."""
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats
-from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
-from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.tool import Tool
-from dolfinx_mortar.mortar.facing_bodies import facing_edges
-from dolfinx_mortar.mortar.surface import accumulate, mean_facet_length
+from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.step_report import NewtonNotConverged, Note, StepReport
 from dolfinx_mortar.supports.bodies import name_of
@@ -48,15 +41,12 @@ UNSTABLE = {
     "fail, too, the next equilibrium is far away: prescribe the displacement of another point, or "
     "follow the motion in time, dm.time_steps with dm.Inertia",
 }
-IN_CORNER = "at ({}) the body reaches into an inner corner of the tool, which has no one normal"
-ROUND_IT = (
-    "there: give each side of the body its own tag and Obstacle with one face of the tool, or "
-    "round the corner of the tool by a radius of a quarter of a facet to a whole one"
-)
-AT_FACETS = "around X = ({}) an edge or a corner of the master lies at facets of the slave side"
-EXCHANGE = (
-    "where a gap is a mean over both flanks of an edge, not even in small steps: exchange slave "
-    "and master, or refine the slave there"
+CORNERS = (
+    "Newton's method need not converge, not even in small steps, where gaps are means over both "
+    "flanks of an edge or a corner of the master: exchange slave and master, or refine the slave "
+    "there. Nor in inner corners of a tool, which have no one normal: give each side of the body "
+    "its own tag and Obstacle with one face of the tool, or round the corner of the tool by a "
+    "radius of a quarter of a facet to a whole one"
 )
 HARDEN = "or give the law hardening"
 # Blocks of MooneyRivlin (NeoHooke), K/mu = 500, between smooth plates become unstable at a height
@@ -91,6 +81,8 @@ def explain(
     seen, why = str(error), [getattr(error, "why", "")]
     if not isinstance(error, StepFailed):
         seen = f"the QP of Newton iteration {len(report.iterations) + 1}: {seen.rstrip('. ')}"
+    elif problem.system.unilateral and not why[0]:
+        why = [CORNERS]
     flowing, squeezed = _look_at(problem, at)
     if flowing:  # solvers report a singular matrix as a free body
         report.notes.append(seen)
@@ -193,53 +185,3 @@ def _flow(problem: ContactProblem) -> str:
         f"limit load? {name_of(problem.bodies, [most])} flows in "
         f"{100 * flow[most] / whole[most]:.0f} % of its volume at the last iterate"
     )
-
-
-def with_corners(problem: ContactProblem, error: StepFailed) -> StepFailed:
-    """Error with corners without a normal, a possible cause; collective."""
-    seen, why, x = list[str](), [error.why], problem.positions()
-    for link in problem.system.unilateral:
-        where, tool = "", link.interface.tool
-        if tool is not None:
-            where, what, remedy = _tool_corners(link, tool, x), IN_CORNER, ROUND_IT
-        elif link.pairing is not None and not link.sides.meet_themselves:
-            where, what, remedy = _master_corners(link, x), AT_FACETS, EXCHANGE
-        if where:
-            seen.append(f"{link.interface!r}: {what.format(where)}")
-            why.append(f"Newton's method need not converge {remedy}")
-    told = StepFailed(". ".join(["; ".join(seen), str(error)]), ". ".join(filter(None, why)))
-    return told if seen else error
-
-
-def _master_corners(link: Link, x: PETSc.Vec) -> str:
-    """Place where an edge or corner of the master presses on slave facets; collective."""
-    pairing, operators = link.mortar
-    slave, comm = link.sides.slave, link.sides.V.mesh.comm
-    near, length = np.zeros(len(slave.nodes)), mean_facet_length(slave)
-    near[: slave.owned] = link.coupling.kept[:, 0] & (np.abs(link.gaps(x)) <= length)
-    faced = facing_edges(pairing, operators.segments, link.interface.feature_angle)
-    found = faced & (accumulate(slave, near) > 0)[slave.facets].any(axis=1)
-    return _first_place(comm, slave.X[slave.facets[found]].mean(axis=1), length)
-
-
-def _tool_corners(link: Link, tool: Tool, x: PETSc.Vec) -> str:
-    """Place where nodes lie in an inner corner of the tool; collective."""
-    comm, d = link.sides.V.mesh.comm, link.sides.fixed.shape[1]
-    at = x.array_r.reshape(-1, d)[link.nodes][link.coupling.kept[:, 0]]
-    length, pose = mean_facet_length(link.sides.slave), tool.pose()
-    with raised_together(comm):
-        near = at[np.abs(pose.distance(tool.asked, at).value) <= length]
-        ridge = np.zeros(len(near), dtype=bool)
-        for way in np.eye(d):
-            beside = 0.25 * length * way
-            ahead, behind = (pose.distance(tool.asked, near + s * beside) for s in (1, -1))
-            turn = (ahead.gradient - behind.gradient) @ way
-            ridge |= turn <= -2.0 * np.sin(np.radians(0.5 * FEATURE_ANGLE))
-    return _first_place(comm, near[ridge], length)
-
-
-def _first_place(comm: MPI.Comm, places: Floats, length: float) -> str:
-    """Coordinates of the first of places (p, d) of all ranks, or ""."""
-    told = [place for part in comm.allgather(places[:1].tolist()) for place in part][:1]
-    least = HALF_OF_DIGITS * length
-    return ", ".join(f"{c if abs(c) > least else 0.0:.3g}" for place in told for c in place)

@@ -223,8 +223,6 @@ class _Step:
                 if not self.factorise(residuals):
                     raise
                 continue
-            except failures.StepFailed as error:
-                raise failures.with_corners(self.problem, error) from error
             if self.problem.comm.rank == 0:
                 log.info("%s", self.report.iterations[-1])
             if self.leads_away(residual, residuals):
@@ -238,8 +236,7 @@ class _Step:
                 finish(self.qps, self.report, new, residual, self.overlap)
                 return new
             residuals.append(residual)
-        end = failures.StepFailed(f"Newton did not converge in max_it={max_it} iterations")
-        raise failures.with_corners(self.problem, end)
+        raise failures.StepFailed(f"Newton did not converge in max_it={max_it} iterations")
 
     def renewed(self, old: Iterate) -> Iterate:
         """An iterate in the T of the present geometry; collective."""
