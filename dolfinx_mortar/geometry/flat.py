@@ -16,7 +16,7 @@ from dolfinx_mortar.geometry.facets import (
     facet_sizes,
     unit,
 )
-from dolfinx_mortar.geometry.segments import FACING, Cones, are_facing, find_meeting
+from dolfinx_mortar.geometry.segments import Cones, are_facing, find_meeting
 
 
 def distances(a: Floats, b: Floats) -> Floats:
@@ -119,8 +119,8 @@ def find_overlaps(x: Floats, off: Floats, pairs: Longs) -> tuple[Floats, Floats]
     """Return how deep (p,) pairs of lines or triangles x (m, d, d) lie in each other, and where.
 
     0 if some axis separates them. The shortest way that parts them, along the normal of one out of
-    its body or, in space, a common normal of two edges, less `off` (m,), distances of surfaces from
-    facets: of both, but not of a vertex that lies over the other facet.
+    its body or, in space, along a common normal of two edges, less `off` (m,), distances of
+    surfaces from facets: of both, but not of a vertex that lies over the other facet.
 
     Example:
         >>> line = np.array([[[1.0, 0.0], [-1.0, 0.0]], [[0.5, 3.0], [0.5, -1.0]]])
@@ -132,29 +132,23 @@ def find_overlaps(x: Floats, off: Floats, pairs: Longs) -> tuple[Floats, Floats]
     n, noise = facet_normals(Facets(LINE2 if d == 2 else TRI3, x)), HALF_OF_DIGITS * size
     some: Longs = np.arange(len(pairs))
     best: Floats = np.full(found.shape, np.inf)  # depth, place
-    normals = [(k, 0, 0) for k in (1, -1)]
-    for k, i, j in normals + [(0, *ij) for ij in np.ndindex(3, 3)] * (d == 3):
+    for k, i, j in [(1, 0, 0), (-1, 0, 0)] + [(0, *ij) for ij in np.ndindex(3, 3)] * (d == 3):
         a, b = pairs[some, :: k or 1].T
-        least, outward = noise[a] + noise[b], np.ones(len(a), dtype=bool)
-        if k:
-            v, skew = n[b], outward
-        else:
-            v = np.cross(x[a, i] - x[a, i - 1], x[b, j] - x[b, j - 1])
-            skew = np.linalg.norm(v, axis=1) > noise[a] * noise[b] / HALF_OF_DIGITS
-            along = (unit(v) * (n[b] - n[a])).sum(axis=1)
-            v, outward = unit(v) * np.where(along < 0.0, -1.0, 1.0)[:, None], np.abs(along) > FACING
-        one, other = (np.einsum("pki,pi->pk", x[facet], v) for facet in (a, b))
+        v = n[b] if k else np.cross(x[a, i] - x[a, i - 1], x[b, j] - x[b, j - 1])
+        skew = np.linalg.norm(v, axis=1) > noise[a] * noise[b] / HALF_OF_DIGITS
+        one, other = (np.einsum("pki,pi->pk", x[facet], unit(v)) for facet in (a, b))
         deep, back = other.max(axis=1) - one.min(axis=1), one.max(axis=1) - other.min(axis=1)
-        p = x[a, one.argmin(axis=1)] if k else (x[a, i] + x[a, i - 1]) / 2
-        less = off[a] + off[b]
+        p, less = (x[a, i] + x[a, i - 1]) / 2, off[a] + off[b]
         if k:  # the height of an arc at r is 4 r / L times its sagitta at most
+            p = x[a, one.argmin(axis=1)]
             r = np.linalg.norm(x[b] - p[:, None], axis=2).min(axis=1)
             arc = off[b] * np.minimum(4.0 * r / size[b], 1.0)
             less = np.where(are_inside(x[b], n[b], p), arc, less)
-        nearer = skew & outward & (deep - less < best[:, 0])
-        best = np.where(nearer[:, None], np.column_stack([deep - less, p]), best)
         # facets that touch with their ends may be parts of surfaces that cross there
-        meet = ~skew | (np.minimum(deep, back) > np.where(outward, -least, least))
+        meet = ~skew | (np.minimum(deep, back) > -noise[a] - noise[b])
+        deep = (deep if k else np.minimum(deep, back)) - less
+        nearer = skew & (deep < best[:, 0])
+        best = np.where(nearer[:, None], np.column_stack([deep, p]), best)
         some, best = some[meet], best[meet]
     found[some] = best
     return found[:, 0].clip(min=0.0), found[:, 1:]
