@@ -12,8 +12,11 @@ import numpy as np
 
 import ufl
 from dolfinx_mortar.arrays import Floats
+from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.elastic import Elastic, lame_modulus, shear_modulus
+from dolfinx_mortar.materials.logarithmic import NORMAL, as_tensors
 from dolfinx_mortar.materials.protocol import Material, Parameter, PointwiseLaw, Range, check_fields
+from dolfinx_mortar.materials.tensor import GRADIENT, INDEX
 from ufl.core.expr import Expr
 
 
@@ -183,52 +186,32 @@ class Ogden(PointwiseLaw):
     ) -> tuple[Floats, Floats, dict[str, Floats]]:
         """P (q, 3, 3), dP/dF (q, 3, 3, 3, 3) and no state.
 
-        With C = sum_a x_a N_a (x) N_a, S = sum_a s(x_a) N_a (x) N_a. The frame N turns by divided
-        differences of powers of x, exact at any distance of x_a and x_b.
+        By the principal Kirchhoff stresses T_a = d psi / d ln lambda_a and L = dT / d ln lambda.
         """
-        x, N = np.linalg.eigh(np.swapaxes(F, 1, 2) @ F)  # N[:, :, a]
-        J = np.sqrt(x.prod(axis=1))
-        U1, U2 = p.K * (J - 1), p.K  # of the volume
-        # s_a = sum_i mu_i J^(-alpha_i/3) x_a^(alpha_i/2 - 1) + (J U' - m) / x_a
-        s, quotient, m, of_m = np.zeros_like(x), np.zeros((len(x), 3, 3)), 0.0, np.zeros_like(x)
-        slopes = np.zeros((len(x), 3, 3))  # d s_a / d ln lambda_b, in a fixed frame
+        q = len(F)
+        x, logs, *tensors = np.empty((q, 3)), np.empty((q, 3)), *np.empty((3, q, 3, 3))
+        logarithms.decompose(F - np.eye(3), np.zeros((1, 3, 3)), True, x, logs, *tensors)
+        e, J = logs - logs.mean(axis=1, keepdims=True), np.exp(logs.sum(axis=1))[:, None]
+        T, L, G = p.K[:, None] * (J - 1) * J * np.ones(3), np.zeros((q, 3, 3)), np.zeros((q, 3))
+        L += (p.K[:, None] * (2 * J - 1) * J)[..., None]
+        first, second = np.array(INDEX[3:]).T
+        apart = e[:, first] - e[:, second]
         for mu, alpha in zip(p.mu, p.alpha, strict=True):
-            factor, q = mu * J ** (-alpha / 3), alpha / 2 - 1
-            power = x ** (alpha / 2)[:, None]
-            mean = power.mean(axis=1)
-            m = m + factor * mean
-            term = factor[:, None] * power / x
-            s += term
-            quotient += factor[:, None, None] * _divided(x, q)
-            slopes += np.einsum("qa,ab->qab", (alpha - 2)[:, None] * term, np.eye(3))
-            slopes -= (alpha / 3)[:, None, None] * term[:, :, None]
-            of_m += (factor * alpha)[:, None] * (power - mean[:, None]) / 3
-        rest = J * U1 - m
-        s += rest[:, None] / x
-        quotient += rest[:, None, None] * _divided(x, np.full(len(x), -1.0))
-        slopes -= 2 * np.einsum("qa,ab->qab", rest[:, None] / x, np.eye(3))
-        slopes += ((J * U1 + J**2 * U2)[:, None] - of_m)[:, None, :] / x[:, :, None]
-        # dS = sum 1/x_b ds_a/d ln lambda_b N_a N_a N_b N_b + 2 [s_a, s_b] sym
-        f = np.einsum("qij,qja->qia", F, N)  # F N_a
-        P = np.einsum("qa,qia,qja->qij", s, f, N)
-        A = np.einsum("ik,qjl->qijkl", np.eye(3), np.einsum("qa,qja,qla->qjl", s, N, N))
-        normal = slopes / x[:, None, :]
-        A += np.einsum("qab,qia,qja,qkb,qlb->qijkl", normal, f, N, f, N, optimize=True)
-        quotient[:, range(3), range(3)] = 0.0
-        A += np.einsum("qab,qia,qjb,qka,qlb->qijkl", quotient, f, N, f, N, optimize=True)
-        A += np.einsum("qab,qia,qjb,qkb,qla->qijkl", quotient, f, N, f, N, optimize=True)
-        return P, A, {}
+            power = mu[:, None] * np.exp(alpha[:, None] * e)
+            T += power - power.mean(axis=1, keepdims=True)
+            slope = alpha[:, None, None] * (np.eye(3) * power[:, None] - power[..., None] / 3)
+            L += slope - slope.mean(axis=1, keepdims=True)
+            # divided differences of T, exact at any distance
+            t = alpha[:, None] * apart
+            share = np.where(t == 0.0, 1.0, np.expm1(t) / np.where(t == 0.0, 1.0, t))
+            G += alpha[:, None] / 2 * power[:, second] * share
+        rows, columns = np.array(NORMAL).T
+        P, A = np.empty((q, 9)), np.empty((q, 45))
+        law = np.hstack([T, L[:, rows, columns], G])
+        logarithms.respond(INDEX, True, law, x, logs, *tensors, P, A)
+        return (*as_tensors(P, A, GRADIENT[3]), {})
 
 
 def _twice_shear_modulus(p: Any) -> Any:
     """sum_i mu_i alpha_i."""
     return sum(mu * alpha for mu, alpha in zip(p.mu, p.alpha, strict=True))
-
-
-def _divided(x: Floats, power: Floats) -> Floats:
-    """(x_a^n - x_b^n) / (x_a - x_b) (q, 3, 3) of x (q, 3), to round-off at any distance."""
-    t = np.log1p((x[:, None, :] - x[:, :, None]) / x[:, :, None])  # ln x_b / x_a
-    n = power[:, None, None]
-    same = t == 0.0
-    share = np.where(same, n, np.expm1(n * t) / np.where(same, 1.0, np.expm1(t)))
-    return np.asarray(x[:, :, None] ** (n - 1) * share)

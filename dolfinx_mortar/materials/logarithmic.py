@@ -192,12 +192,7 @@ class LogarithmicLaw:
         P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
         start = self.start(q, state, ungrouped(p))
         self.respond(start, H, P, A, psi)
-        stress, tangent = np.zeros((q, 3, 3)), np.zeros((q, 3, 3, 3, 3))
-        for n, entry in enumerate(self.components):
-            stress[:, *entry] = P[:, n]
-        for t, (a, b) in enumerate(_upper(k)):
-            first, second = self.components[a], self.components[b]
-            tangent[:, *first, *second] = tangent[:, *second, *first] = A[:, t]
+        stress, tangent = as_tensors(P, A, self.components)
         energy = psi if self.has_energy else None
         return PointValues(stress, tangent, self.update(start, H), energy=energy)
 
@@ -220,6 +215,19 @@ class LogarithmicLaw:
         roots = _NONE if start.roots is None else start.roots[some]
         logarithms.decompose(H, roots, start.roots is None, *parts)
         return parts
+
+
+def as_tensors(
+    P: Floats, A: Floats, components: Sequence[tuple[int, int]]
+) -> tuple[Floats, Floats]:
+    """Return P (q, 3, 3) and dP/dF (q, 3, 3, 3, 3) of components and the upper triangle."""
+    stress, tangent = np.zeros((len(P), 3, 3)), np.zeros((len(P), 3, 3, 3, 3))
+    for n, entry in enumerate(components):
+        stress[:, *entry] = P[:, n]
+    for t, (a, b) in enumerate(_upper(len(components))):
+        first, second = components[a], components[b]
+        tangent[:, *first, *second] = tangent[:, *second, *first] = A[:, t]
+    return stress, tangent
 
 
 _NONE = np.zeros((1, 3, 3))
