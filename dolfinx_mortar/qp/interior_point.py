@@ -12,9 +12,10 @@ import numpy as np
 
 from dolfinx_mortar.algebra.errors import from_callbacks
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, QUARTER_OF_DIGITS
+from dolfinx_mortar.qp import active_set
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, on_bounded, reaction
-from dolfinx_mortar.qp.held import SHARE, HeldProblem, State, update
-from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
+from dolfinx_mortar.qp.held import SHARE, State
+from dolfinx_mortar.qp.linear import LinearSolver
 
 
 @from_callbacks()
@@ -30,14 +31,15 @@ def solve(qp: BoundQP, linear: LinearSolver, *, rtol: float) -> QPSolution:
         rtol: tolerance of the KKT check that stops the iteration.
 
     Returns:
-        The solution before or after the last solve, whichever has the smaller residuals.
+        The solution of the active set method that starts there.
     """
     scaled = _Scaled(qp, linear)
     try:
         x, iterations, reason = _iterate(qp, linear, scaled, 1.0 / HALF_OF_DIGITS, rtol)
     finally:
         scaled.destroy()
-    polished = _polish(qp, linear, x, rtol)
+    start = State.create(qp, on_bounded(qp, x, reaction(qp, x)).predicted())
+    polished = active_set.solve(qp, linear, start=start, rtol=rtol, guess=x)
     note = f"TAO bqpip did not reach the tolerance itself, reason {reason}"
     return replace(
         polished,
@@ -132,18 +134,3 @@ class _Scaled:
     def destroy(self) -> None:
         """Free the scaled matrix, which is as large as A; collective."""
         self.A.destroy()
-
-
-def _polish(qp: BoundQP, linear: LinearSolver, x: PETSc.Vec, rtol: float) -> QPSolution:
-    """Solve with the active set of x, and update it as often as it changes."""
-    z = reaction(qp, x)
-    active = on_bounded(qp, x, z).predicted()
-    found = QPSolution(x, z, active, check(qp, x, z), 0, 0, 0, "")
-    problem = HeldProblem(qp, linear, x.copy(), rtol)
-    try:
-        outcome = update(problem.hold, State.create(qp, active), qp.comm)
-    except LinearSolveFailed:
-        return found
-    x, z, active = problem.x, problem.z, outcome.state.active
-    polished = QPSolution(x, z, active, check(qp, x, z), outcome.updates, 0, 0, "")
-    return polished if polished.kkt.worst < found.kkt.worst else found
