@@ -36,12 +36,10 @@ class Group:
     """Physical groups of one name, on one rank."""
 
     dim: int
-    tag: int  # the first
-    name: str  # may be empty
-    kinds: tuple[str, ...]  # of its elements, in Gmsh's words
-    types: tuple[int, ...]  # Gmsh's numbers of these kinds
-    elements: Longs  # (m,) numbers
-    nodes: tuple[Longs, ...]  # of each kind, (elements, nodes of an element)
+    tag: int  # of the first
+    name: str  # empty if it has none
+    elements: Longs  # (m,) numbers of its elements
+    nodes: dict[int, Longs]  # (elements, nodes of an element) by Gmsh's number of their kind
 
     def __str__(self) -> str:
         return f"{self.name!r}" if self.name else f"number {self.tag}"
@@ -177,22 +175,17 @@ def _read_group(model: Any, dim: int, tag: int, name: str, entities: list[int]) 
         for kind, *arrays in zip(*model.mesh.getElements(dim, entity), strict=True):
             tags, nodes = (np.asarray(a, dtype=np.int64) for a in arrays)
             found.setdefault(int(kind), []).append((tags, nodes.reshape(len(tags), -1)))
-    none = [np.empty(0, dtype=np.int64)]
-    return Group(
-        dim,
-        tag,
-        name,
-        tuple(model.mesh.getElementProperties(kind)[0] for kind in found),
-        tuple(found),
-        np.concatenate([tags for parts in found.values() for tags, _ in parts] or none),
-        tuple(np.concatenate([nodes for _, nodes in parts]) for parts in found.values()),
-    )
+    numbers = [tags for parts in found.values() for tags, _ in parts]
+    elements = np.concatenate([np.empty(0, dtype=np.int64), *numbers])
+    by_kind = {kind: np.concatenate([n for _, n in parts]) for kind, parts in found.items()}
+    return Group(dim, tag, name, elements, by_kind)
 
 
 def _create_model(gmsh: Any, groups: list[Group]) -> Any:
     """New model with one entity for each group, one kind of elements, and contiguous nodes."""
     tags, x, _ = gmsh.model.mesh.getNodes()
-    used = np.unique(np.concatenate([nodes.ravel() for g in groups for nodes in g.nodes]))
+    parts = [nodes.ravel() for g in groups for nodes in g.nodes.values()]
+    used = np.unique(np.concatenate(parts))
     order = np.argsort(tags)
     x = x.reshape(-1, 3)[order[np.searchsorted(tags[order], used)]]
     _renew(gmsh)
@@ -200,7 +193,7 @@ def _create_model(gmsh: Any, groups: list[Group]) -> Any:
     numbers = np.arange(1, len(used) + 1)
     gmsh.model.mesh.addNodes(groups[0].dim, entities[0], numbers, x.ravel())
     for g, entity in zip(groups, entities, strict=True):
-        for kind, nodes in zip(g.types, g.nodes, strict=True):
+        for kind, nodes in g.nodes.items():
             positions = np.searchsorted(used, nodes) + 1
             gmsh.model.mesh.addElementsByType(entity, kind, [], positions.ravel())
         gmsh.model.addPhysicalGroup(g.dim, [entity], g.tag)
@@ -257,25 +250,25 @@ def _check_cells(model: Any, bodies: list[Group], path: str) -> None:
                 f"{path}: {n} cells of dimension {d} are in no physical group: give each body a "
                 f"physical {('surface', 'volume')[d - 2]}."
             )
-    kinds = dict(kind for g in bodies for kind in zip(g.types, g.kinds, strict=True))
+    kinds = sorted({kind for g in bodies for kind in g.nodes})
+    names = sorted(model.mesh.getElementProperties(kind)[0] for kind in kinds)
     if len(kinds) > 1:
         raise ValueError(
-            f"{path} mixes cells, {' and '.join(sorted(kinds.values()))}: use one kind for all "
-            "bodies (in Gmsh, recombine all surfaces or none)."
+            f"{path} mixes cells, {' and '.join(names)}: use one kind for all bodies (in Gmsh, "
+            "recombine all surfaces or none)."
         )
-    ((kind, name),) = kinds.items()
-    if kind not in CELLS:
+    if kinds[0] not in CELLS:
         raise ValueError(
-            f"{path}: cells of the kind {name!r} are not supported; use {KNOWN} (in Gmsh, "
+            f"{path}: cells of the kind {names[0]!r} are not supported; use {KNOWN} (in Gmsh, "
             "Mesh.ElementOrder 1 or 2, Mesh.SecondOrderIncomplete 0)."
         )
 
 
 def _check_facets(model: Any, bodies: list[Group], sides: list[Group], path: str) -> None:
-    """Raise a ValueError unless elements of sides are facets of a body: dolfinx aborts."""
-    (kind,) = {kind for g in bodies for kind in g.types}
+    """Raise a ValueError if elements of sides are no facets of a body, of which dolfinx aborts."""
+    (kind,) = {kind for g in bodies for kind in g.nodes}
     k = CELLS[kind]
-    parts = [nodes[:, :k] for g in sides for nodes in g.nodes]
+    parts = [nodes[:, :k] for g in sides for nodes in g.nodes.values()]
     if not parts:
         return
     if bodies[0].dim == 2:
@@ -285,7 +278,7 @@ def _check_facets(model: Any, bodies: list[Group], sides: list[Group], path: str
     every = np.asarray(found, dtype=np.int64).reshape(-1, k)
     facets = every[np.isin(every, np.concatenate([part.ravel() for part in parts])).all(axis=1)]
     for g in sides:
-        off = sum(int((~_are_in(nodes[:, :k], facets)).sum()) for nodes in g.nodes)
+        off = sum(int((~_are_in(nodes[:, :k], facets)).sum()) for nodes in g.nodes.values())
         if off:
             raise ValueError(
                 f"{path}: {off} of the {len(g.elements)} elements of the physical group {g} "
@@ -309,7 +302,8 @@ def _check_plane(model: Any, bodies: list[Group], path: str) -> None:
     if bodies[0].dim == 3:
         return
     tags, x, _ = model.mesh.getNodes()
-    x = x.reshape(-1, 3)[np.isin(tags, np.unique(np.concatenate([g.nodes[0] for g in bodies])))]
+    parts = [nodes.ravel() for g in bodies for nodes in g.nodes.values()]
+    x = x.reshape(-1, 3)[np.isin(tags, np.concatenate(parts))]
     low, high = float(x[:, 2].min()), float(x[:, 2].max())
     if max(-low, high) > HALF_OF_DIGITS * np.ptp(x, axis=0).max():
         raise ValueError(
@@ -319,10 +313,9 @@ def _check_plane(model: Any, bodies: list[Group], path: str) -> None:
 
 
 def _check_apart(groups: list[Group], path: str) -> None:
-    """Raise a ValueError if an element is in two groups, or twice in one."""
-    kinds = sorted({kind for g in groups for kind in g.types})
-    for kind in kinds:
-        parts = [(g, g.nodes[g.types.index(kind)]) for g in groups if kind in g.types]
+    """Raise a ValueError if an element is in two groups, of one dimension; its tag is one."""
+    for kind in sorted({kind for g in groups for kind in g.nodes}):
+        parts = [(g, g.nodes[kind]) for g in groups if kind in g.nodes]
         owner = np.concatenate([np.full(len(n), i) for i, (_, n) in enumerate(parts)])
         nodes = np.sort(np.concatenate([n for _, n in parts]), axis=1)
         order = np.lexsort([owner, *nodes.T])
