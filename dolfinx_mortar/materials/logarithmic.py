@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Small-strain laws at finite strain: the law sees a logarithmic strain, P is its dual.
+"""Small-strain laws at finite strain: functions of a logarithmic strain, with its dual stress as P.
 
-**Multiplicative form**, for laws that are isotropic and whose memory is the plastic strain and
-scalars (`Law.isotropic`). With F = F_e F_p and C_p = F_p^T F_p, of which the state has the
-logarithmic plastic strain, E_p = 1/2 ln C_p,
+**Multiplicative form**, for isotropic laws with plastic strain and scalars as state
+(`Law.isotropic`). With F = F_e F_p, C_p = F_p^T F_p, and the logarithmic plastic strain E_p = 1/2
+ln C_p in the state,
 
     E = 1/2 ln(C_p^-1/2 F^T F C_p^-1/2),         psi = psi(E; plastic strain 0, scalars),
     C_p^-1 = C_pn^-1/2 exp(-2 dep) C_pn^-1/2,    dep the plastic strain that the law gives.
@@ -11,14 +11,14 @@ logarithmic plastic strain, E_p = 1/2 ln C_p,
 E has the principal values of 1/2 ln b_e, b_e = F C_pn^-1 F^T, d psi / dE are Kirchhoff's principal
 stresses, and the update is the exponential map: exact for any shear, isochoric where the law is.
 
-**Additive form**, for all others: E = 1/2 ln(F^T F), of which the law, with its internal variables,
-is that of small strain. It is exact where the principal directions do not turn; in simple shear by
-gamma = 1 perfect plasticity is 3 % too soft, by gamma = 2 17 %.
+**Additive form**, for all others: the law of small strain at E = 1/2 ln(F^T F). It is exact where
+the principal directions do not turn; in simple shear by gamma = 1 perfect plasticity is 3 % too
+soft, by gamma = 2 17 %.
 
 In both forms P = d psi / dF, and the tangent is symmetric and complete.
 
-Sources: J. C. Simo, Comput. Methods Appl. Mech. Engrg. 99 (1992) 61-112; C. Miehe, N. Apel,
-M. Lambrecht, Comput. Methods Appl. Mech. Engrg. 191 (2002) 5383-5425.
+Sources: J. C. Simo, Comput. Methods Appl. Mech. Engrg. 99 (1992) 61-112; C. Miehe, N. Apel, M.
+Lambrecht, Comput. Methods Appl. Mech. Engrg. 191 (2002) 5383-5425.
 """
 
 from collections.abc import Callable, Mapping, Sequence
