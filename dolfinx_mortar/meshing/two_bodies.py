@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""A disc or a ball on a block, and what makes meshes of two bodies of arrays on one rank.
+"""A disc or a ball on a block: disconnected bodies in one mesh, made on rank 0 and distributed.
 
-The bodies are disconnected parts of one mesh, made on rank 0 and distributed. Each has a model of
-gmsh of its own, so that no node is shared where they touch, and halves are mirrored.
+Each has a gmsh model of its own, so that no node is shared where they touch; halves are mirrored.
 """
 
 from collections.abc import Callable, Iterator, Mapping
