@@ -204,7 +204,7 @@ class Material(Protocol):
     def elastic_stress(strain: Expr, p: Any) -> Expr:
         """Return C : strain, the stress of a small elastic strain, in UFL.
 
-        It defines the energy norm, and stands for the stiffness in estimates.
+        It defines the energy norm, and the stiffness in estimates.
         """
         raise NotImplementedError
 
@@ -223,9 +223,8 @@ class PointwiseLaw(Material):
     """A law without a closed form: stress, tangent and new state at all points, from arrays.
 
     A frozen dataclass of parameters like any `Material`, whose `update` replaces energy, stress and
-    updated_state. It may stand beside laws in UFL in one solid. There is no energy, so Newton's
-    method takes whole steps. With JAX, whose derivatives make the tangent (Hooke's law; jax in 64
-    bits):
+    updated_state. One solid may also have laws in UFL. There is no energy, so Newton's method takes
+    whole steps. With JAX, whose derivatives make the tangent (Hooke's law; jax in 64 bits):
 
         def stress(strain, E, nu):
             G, L = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
