@@ -28,7 +28,7 @@ from dolfinx_mortar.qp.held import LOOSE, SHARE, TIGHT, HeldProblem, Outcome, So
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 from dolfinx_mortar.qp.scalars import Bordered, NoResistance, moved, no_friction
 
-# How friction was linearised: limits of the pressure of the solution, or of a solution before it
+# Linearisation of friction: for limits by the pressure of the solution, or of a previous one
 EXACT, GIVEN = "exact linearisation", "given limits"
 FEW = (
     "Where few nodes touch, as at a corner or on a coarse mesh, they may open and close in turn: "
@@ -44,8 +44,8 @@ class _Found:
     q: Floats  # (m,)
     state: State
     updates: int
-    how: str  # friction was linearised
-    resistance: Floats | None  # (m, m) against q
+    how: str  # linearisation of friction
+    resistance: Floats | None  # (m, m) of q
 
 
 @from_callbacks()
@@ -78,7 +78,7 @@ def solve(
         at, x, z, kkt = _of_whole(qp, found)
     state, directions = found.state, None
     active = state.active
-    if is_noise(at, x, z):  # of which either sign is as good as none
+    if is_noise(at, x, z):  # with signs at random
         active = np.where(active * z.array_r[qp.bounded] < 0.0, 0, active).astype(np.int8)
     if law is not None:
         directions = np.where(state.slips(law)[:, None], state.directions, 0.0)
@@ -92,7 +92,7 @@ def solve(
 
 
 def _of_whole(qp: BoundQP, found: _Found) -> tuple[BoundQP, PETSc.Vec, PETSc.Vec, KKT]:
-    """Return the QP with the scalars that are found, x, b - A x there, the check; collective."""
+    """The QP moved by its scalars, x, b - A x there, and the check; collective."""
     at = qp if qp.scalars is None else moved(qp, found.q)
     x = qp.b.duplicate()
     x.array[:] = found.x
@@ -127,7 +127,7 @@ def _find(
     """Solve by states.
 
     Raises:
-        QPNotSolved: if no way converges.
+        QPNotSolved: if no method converges.
         NoResistance: if nothing resists a scalar.
     """
     border = None if qp.scalars is None else Bordered(qp, linear)
@@ -149,7 +149,7 @@ def _find(
         if not border.rho.any() or border.is_met(q):
             return _Found(values, q, *ended, border.resistance() + np.diag(border.proximal()))
         left = border.force_of_term(q)
-        if not left.max() <= 0.5 * before:  # the load moves its tool on and on, or until it touches
+        if not left.max() <= 0.5 * before:  # the load moves its tool for ever, or until it touches
             border.share /= 16.0
         if border.share < EPS:
             raise NoResistance(left)
