@@ -19,20 +19,20 @@ from dolfinx_mortar.qp.friction import Friction, Sliders
 
 @dataclass(frozen=True)
 class Scalars:
-    """Unknowns q (m,) beside x, with which bounds and right-hand side move; see `qp.scalars`.
+    """Unknowns q (m,) beside x, which move bounds and right-hand side; see `qp.scalars`.
 
-    They are lengths, of the size of the motions e q of what moves.
+    They are lengths, of the size of the motions e q.
     """
 
-    motions: Floats  # (m, n) e: bounds and rests of slips are those of x - e.q
+    motions: Floats  # (m, n) e: bounds and rests of slips hold for x - e.q
     loads: Floats  # (m,) F
     columns: Floats  # (m, n) C = -d(b - A x)/dq
     rows: Floats  # (m, n) R
     block: Floats  # (m, m) Q
-    noise: Floats  # (m,) forces on each that count as zero
+    noise: Floats  # (m,) forces that count as zero
 
     def sizes(self, qp: BoundQP) -> Floats:
-        """Return the largest stiffness of a node against each (m,), 0 for round-off; collective."""
+        """Largest stiffness of a node against each (m,), 0 for round-off; collective."""
         parts = np.vstack([self.motions**2 * qp.stiffness, EPS * qp.stiffness])
         tops = np.array(maximum(qp.comm, *parts.max(axis=1, initial=0.0)))
         found = np.where(tops[:-1] > tops[-1], tops[:-1], 0.0)
@@ -46,24 +46,24 @@ class BoundQP:
     The Lagrange multiplier of the bounds, or reaction, is z = b - A x: z >= 0 at an active upper
     bound, z <= 0 at an active lower bound and z = 0 at a free unknown. With friction it has
     tangential components, see `qp.friction`. If friction limits depend on the pressure, or if A is
-    indefinite, there is no minimum: a solution is what satisfies these conditions, of which there
-    may be several or none.
+    indefinite, a solution satisfies these conditions without a minimum; there may be several or
+    none.
     """
 
     A: PETSc.Mat  # (n, n)
     b: PETSc.Vec  # (n,) force
-    lower: PETSc.Vec  # (n,) PETSC_NINFINITY where there is none
-    upper: PETSc.Vec  # (n,) PETSC_INFINITY where there is none
+    lower: PETSc.Vec  # (n,) PETSC_NINFINITY for none
+    upper: PETSc.Vec  # (n,) PETSC_INFINITY for none
     bounded: Ints  # (k,) owned local indices of unknowns with a finite bound
     friction: Friction | None = None  # on all ranks or on none
     # Whether A is symmetric, and positive definite on the unknowns without bounds: required by
     # Cholesky and conjugate gradients, MUMPS's S, the interior point.
     definite: bool = True
-    product: CongruentOperator | None = None  # A, where it is not formed but to be factorised
-    near: PETSc.Mat | None = None  # definite, of which multigrid preconditions A as well
-    extent: float = 0.0  # size of the coordinates whose differences the bounds are
+    product: CongruentOperator | None = None  # A, to be factorised without being formed
+    near: PETSc.Mat | None = None  # definite; multigrid of it serves A
+    extent: float = 0.0  # size of the coordinates whose differences are the bounds
     scalars: Scalars | None = None  # on all ranks or on none
-    taken: float = 0.0  # norm of what scalars have taken off b
+    taken: float = 0.0  # norm of the part of b due to scalars
 
     @cached_property
     def comm(self) -> MPI.Comm:
@@ -88,7 +88,7 @@ class BoundQP:
 
     @cached_property
     def diagonal(self) -> PETSc.Vec:
-        """The diagonal (n,) of A, which is read once (collective)."""
+        """Diagonal (n,) of A, read once (collective)."""
         return self.A.getDiagonal()
 
     @cached_property
@@ -104,7 +104,7 @@ class BoundQP:
 
     @cached_property
     def noise(self) -> float:
-        """The norm of the forces that the round-off of bounds may cause; collective at first."""
+        """Norm of the forces by the round-off of bounds; collective at first."""
         largest = self.extent * self.stiffness[self.bounded]
         return ROUND_OFF * norm(self.comm, largest)
 
@@ -115,15 +115,15 @@ class Bounded:
 
     x: Floats  # (k,)
     z: Floats  # (k,) reaction b - A x
-    lower: Floats  # (k,) -inf where there is none
-    upper: Floats  # (k,) inf where there is none
+    lower: Floats  # (k,) -inf for none
+    upper: Floats  # (k,) inf for none
     stiffness: Floats  # (k,) c = |diag(A)|, which scales distances to forces
 
     def predicted(self) -> Actives:
-        """Return the next active set of the primal-dual active-set method.
+        """Next active set of the primal-dual active-set method.
 
-        An unknown is at its upper bound if z + c (x - upper) > 0 and at its lower bound if
-        z + c (x - lower) < 0, with c = |diag(A)|.
+        An unknown is at its upper bound if z + c (x - upper) > 0 and at its lower bound if z + c
+        (x - lower) < 0, with c = |diag(A)|.
 
         >>> one = np.ones(3)
         >>> Bounded(np.array([0.5, 1.0, 2.0]), 0 * one, -one, one, one).predicted().tolist()
@@ -135,9 +135,9 @@ class Bounded:
         return active
 
     def strength(self, active: Actives, new: Actives) -> Floats:
-        """Return |z| + c |x - bound| of unknowns that differ between two sets, 0 at others.
+        """|z| + c |x - bound| of unknowns that differ between two sets, 0 at others.
 
-        Where it is at most the tolerance, they are weakly active: either state is correct.
+        Up to the tolerance they are weakly active: either state is correct.
         """
         side = np.where((active > 0) | (new > 0), self.upper, self.lower)
         side = np.where(np.isfinite(side), side, self.x)
@@ -149,8 +149,8 @@ class Bounded:
 class KKT:
     """Residuals of the optimality conditions, each relative to its own scale.
 
-    The scale of forces is |b| + |z on bounded unknowns|, that of lengths max |x|, so that no value
-    depends on the units. `force_floor` and `length_floor` are the round-off over these scales.
+    The scale of forces is |b| + |z on bounded unknowns|, that of lengths max |x|. `force_floor` and
+    `length_floor` are the round-off over these scales.
     """
 
     stationarity: float  # |z| over free unknowns
@@ -163,9 +163,9 @@ class KKT:
     friction: float = 0.0  # error of the tangential reactions in the law of friction
 
     def satisfied(self, rtol: float) -> bool:
-        """Tell whether every residual is below rtol or below its round-off floor.
+        """Whether every residual is below rtol or below its round-off floor.
 
-        The law of friction compares two reactions, each with that of its own.
+        The law of friction compares two reactions, with the round-off of both.
         """
         force, length = max(rtol, self.force_floor), max(rtol, self.length_floor)
         return bool(
@@ -177,7 +177,7 @@ class KKT:
 
     @property
     def worst(self) -> float:
-        """Return the largest of the residuals (inf if one is not a number)."""
+        """Largest of the residuals (inf if one is not a number)."""
         finite = all(np.isfinite(getattr(self, f.name)) for f in fields(self))
         residuals = self.stationarity, self.feasibility, self.sign, self.complementarity
         return max(*residuals, self.friction) if finite else float("inf")
@@ -198,15 +198,15 @@ class QPSolution:
     note: str = ""
     sliding: Floats | None = None  # (m, t) directions of slipping nodes, zero at others
     linearisation: str = ""  # of friction
-    travel: Floats | None = None  # (m,) q, with which bounds, b and slips are those of `moved`
-    resistance: Floats | None = None  # (m, m) by which the forces on them resist q
+    travel: Floats | None = None  # (m,) q of `moved`
+    resistance: Floats | None = None  # (m, m) resistance of the forces to q
 
 
 class QPNotSolved(RuntimeError):
     """A backend ended without a solution that passes the KKT check.
 
     Attributes:
-        solution: the last iterate with its KKT residuals, or None if there is none.
+        solution: the last iterate with its KKT residuals, or None.
     """
 
     def __init__(self, message: str, solution: QPSolution | None = None) -> None:
@@ -222,8 +222,8 @@ def validate(qp: BoundQP) -> None:
     """Raise an error on all ranks if the data can have no solution.
 
     Raises:
-        UnusableQP: a lower bound above its upper bound, an infinite bound of the wrong sign,
-            a number that is not finite in b or A, or indices out of range.
+        UnusableQP: a lower bound above its upper bound, an infinite bound of the wrong sign, a
+            number that is not finite in b or A, or indices out of range.
     """
     lower, upper = qp.lower.array_r, qp.upper.array_r
     diagonal = qp.diagonal.array_r
@@ -250,7 +250,7 @@ def validate(qp: BoundQP) -> None:
 
 
 def reaction(qp: BoundQP, x: PETSc.Vec) -> PETSc.Vec:
-    """Return z = b - A x; a product with x = 0, as before the first solve, is not formed."""
+    """Return z = b - A x, without a product for x = 0."""
     if x.norm(PETSc.NormType.INFINITY) == 0.0:
         return qp.b.copy()
     z = qp.b.duplicate()
@@ -260,20 +260,16 @@ def reaction(qp: BoundQP, x: PETSc.Vec) -> PETSc.Vec:
 
 
 def on_bounded(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> Bounded:
-    """Return an iterate on this rank's bounded unknowns."""
+    """An iterate on this rank's bounded unknowns."""
     own = qp.bounded
     return Bounded(x.array_r[own], z.array_r[own], *qp.bounds, qp.stiffness[own])
 
 
 def on_friction(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec, found: Bounded) -> Sliders:
-    """Return an iterate on this rank's nodes with friction.
+    """An iterate x (n,), z = b - A x (n,) on this rank's nodes with friction.
 
-    Args:
-        qp: the problem, with friction.
-        x: (n,) iterate.
-        z: (n,) b - A x.
-        found: the same on the bounded unknowns. The limit is that of z_n + c (x_n - upper), which
-            includes the force that closes a penetration; a solution has none.
+    The limit is that of z_n + c (x_n - upper) from `found`, the iterate on bounded unknowns: it
+    includes the force that closes a penetration, which is zero in a solution.
     """
     law = qp.friction
     assert law is not None
@@ -285,9 +281,9 @@ def on_friction(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec, found: Bounded) -> Slid
 
 
 def is_noise(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> bool:
-    """Tell whether the round-off of bounds may have caused all forces, z = b - A x; collective.
+    """Whether all forces z = b - A x may be the round-off of bounds; collective.
 
-    Then nothing acts, and a reaction or a gap of either sign is as good as none.
+    Then reactions and gaps have no sign.
     """
     if max(qp.b.norm(), z.norm()) > qp.noise:
         return False
@@ -300,14 +296,9 @@ def is_noise(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> bool:
 
 
 def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
-    """Measure how well x satisfies the optimality conditions, from the data alone (collective).
+    """Residuals of the optimality conditions at x (n,), from the data alone (collective).
 
-    Args:
-        x: (n,) iterate.
-        z: b - A x if known; computed otherwise.
-
-    Returns:
-        The residuals; they are zero for the exact solution.
+    z = b - A x is computed if None. The residuals of the exact solution are zero.
     """
     z = reaction(qp, x) if z is None else z
     if is_noise(qp, x, z):
@@ -325,7 +316,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
         free[qp.friction.tangential[qp.friction.some]] = False
     over, under = np.maximum(xb - upper, 0.0), np.maximum(lower - xb, 0.0)
     pull = np.where(active == 0, 0.0, np.maximum(-active * zb, 0.0))
-    # the sign of a reaction says to which bound it belongs; if that is infinite, see stationarity
+    # the sign of a reaction tells its bound; if that is infinite, see stationarity
     side = np.where(zb > 0.0, upper, lower)
     distance = np.abs(np.where(np.isfinite(side), side, xb) - xb)
     bound = np.maximum(np.where(over > 0, np.abs(upper), 0), np.where(under > 0, np.abs(lower), 0))
@@ -333,7 +324,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     nearest = np.minimum(np.abs(lower), np.abs(upper)).min(initial=np.inf)
     tops = [a.max(initial=0.0) for a in largest] + [-nearest]
     x_top, bound_top, gap_top, pull_top, nearest = maximum(qp.comm, *tops)
-    # Without forces, x and z are round-off of initial guesses at the nearest bounds.
+    # without forces, x and z are round-off of initial guesses at the nearest bounds
     moved = np.abs(x.array_r)
     if np.isfinite(nearest):
         moved[qp.bounded] = np.maximum(moved[qp.bounded], -nearest)
@@ -343,8 +334,9 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     b2, zb2, free2, off2, wrong2, zt2 = np.sqrt(squares)
     force, length = b2 + np.hypot(zb2, zt2), max(x_top, bound_top)
     off2 = off2 + qp.taken
-    # One of the two must vanish; their product would mix distant bounds with round-off in z.
-    # Forces whose squares underflow (1e-170 in a step without loads) count as zero.
+    # One of the two must vanish; their product would mix distant bounds with round-off in z. Forces
+    # whose
+    # squares underflow count as zero.
     forces = np.abs(zb) / force if force > 0.0 else np.zeros_like(zb)
     both = np.minimum(forces, distance / max(length, TINY))
     both_top = maximum(qp.comm, both.max(initial=0.0))[0]
