@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 """A QP condensed to its unknowns G with bounds or friction, with a dense matrix.
 
-With those of its inner unknowns I eliminated,
+With the inner unknowns I eliminated,
 
     S = A_GG - A_GI A_II^-1 A_IG,    g = b_G - A_GI A_II^-1 b_I,
 
-the QP of S and g is of the same kind, so that the same loop solves it; a state takes a dense
-factorisation of its free rows. MUMPS gives S on one rank, see `preconditioner.SchurComplement`.
+the QP of S and g is of the same kind, and has the same loop; a state takes a dense factorisation of
+its free rows. MUMPS gives S on one rank, see `preconditioner.SchurComplement`.
 """
 
 from __future__ import annotations
@@ -35,11 +35,9 @@ from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver, NotDefinit
 
 
 class Dense:
-    """S as a matrix of PETSc and a solver of its free rows, see `held.Solver`.
+    """S (k, k) as a matrix of PETSc and a solver of its free rows, see `held.Solver`.
 
-    Args:
-        S: (k, k).
-        diagonal: (k,) that of A, which scales distances to forces.
+    `diagonal` (k,) is that of A, which scales distances to forces.
     """
 
     exact = True
@@ -58,7 +56,7 @@ class Dense:
         y.array[:] = self.diagonal
 
     def round_off(self, x: PETSc.Vec) -> float:
-        """Return that of A x."""
+        """Round-off of A x."""
         return ROUND_OFF * float(norm(self.diagonal * x.array_r))
 
     def solve(
@@ -71,7 +69,7 @@ class Dense:
         sliding: Sliding | None = None,
         **others: object,
     ) -> PETSc.Vec:
-        """Solve for what is not held, in place; see `LinearSolver.solve`."""
+        """Solve for free unknowns, in place; see `LinearSolver.solve`."""
         values, right, result = x.array, b.array_r, b.duplicate()
         found = right - self.S @ values
         rest = found.copy()
@@ -95,13 +93,13 @@ class Dense:
         return result
 
     def _free(self, M: Floats, held: Ints) -> tuple[Floats, Longs]:
-        """Return the free part of a matrix (k, k), scaled, and which unknowns it has."""
+        """Free part of a matrix (k, k), scaled, and its unknowns."""
         free = np.setdiff1d(np.arange(len(M)), held)
         s = self.scale[free]
         return M[np.ix_(free, free)] * np.outer(s, s), free
 
     def negative(self, held: Ints) -> int:
-        """Return how many eigenvalues of the free part of S are negative."""
+        """Number of negative eigenvalues of the free part of S."""
         M, _ = self._free(self.S, held)
         if not len(M) or lapack.dpotrf(M, lower=True)[1] == 0:
             return 0
@@ -109,7 +107,7 @@ class Dense:
 
 
 def _slipping(S: Floats, sliding: Sliding) -> Floats:
-    """Return S with the rows of slipping nodes replaced by those of their law."""
+    """S with the rows of slipping nodes replaced by those of their law."""
     M, law, d = S.copy(), sliding.law, sliding.direction
     normal = S[sliding.normal]
     for a in range(d.shape[1]):
@@ -126,8 +124,8 @@ def _slipping(S: Floats, sliding: Sliding) -> Floats:
 class Condensed:
     """A QP on one rank, condensed to its unknowns with bounds or friction by MUMPS's S.
 
-    The linear solver factorises A_II, with G held. If G has more unknowns than those with bounds or
-    friction, the others are eliminated from S.
+    The linear solver factorises A_II. Unknowns of G without bounds or friction are eliminated from
+    S.
 
     Args:
         whole: the QP.
@@ -135,7 +133,7 @@ class Condensed:
         atol: norm of b - A x on inner unknowns that counts as zero.
 
     Attributes:
-        dense: the solver of the condensed linear systems.
+        dense: solver of the condensed linear systems.
 
     Raises:
         LinAlgError: if A is not positive definite with bounds and friction held.
@@ -163,7 +161,7 @@ class Condensed:
         self.dense = Dense(inner, whole.stiffness[whole.held])
 
     def about(self, x: Floats | None = None) -> BoundQP:
-        """Return the condensed QP, with what round-off has left of a solution x (n,)."""
+        """Condensed QP of the residual of a solution x (n,)."""
         whole, held = self._whole, self._whole.held
         self._x = self._with_inner(self._x if x is None else x)
         left = self._left(self._x)[self._G]
