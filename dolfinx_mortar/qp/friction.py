@@ -6,15 +6,14 @@ tangential components z_t, which resist the slip x_t - rest:
 
     |z_t| <= s,    z_t = s (x_t - rest) / |x_t - rest| where it slips,    s = mu z_n + cohesion,
 
-with z_n = 0 where the bound is open. With q = z_t + c (x_t - rest), for any c > 0, this is
-z_t = q min(1, s / |q|) (Alart and Curnier 1991), which gives the next state (stick, slip) of the
-active-set method. In a slipping state this equation is linearised; with (I - d d^T) q = 0 for
-d = q / |q| the linearisation is
+with z_n = 0 where the bound is open. With q = z_t + c (x_t - rest), for any c > 0, this is z_t = q
+min(1, s / |q|) (Alart and Curnier 1991), which gives the next state (stick, slip) of the active-set
+method. With (I - d d^T) q = 0 for d = q / |q| its linearisation in a slipping state is
 
     z_t = s d + kappa (I - d d^T) (x_t - rest),    kappa = c s / (|q| - s),
 
-where s contains the unknown z_n (Hueber, Stadler and Wohlmuth 2008): it is consistent, and
-unsymmetric for mu > 0. In the solution kappa is s / |x_t - rest|, for any c.
+where s contains the unknown z_n (Hueber, Stadler and Wohlmuth 2008): consistent, and unsymmetric
+for mu > 0. In the solution kappa is s / |x_t - rest|, for any c.
 """
 
 from __future__ import annotations
@@ -31,46 +30,46 @@ class Friction:
     """Limits of tangential reactions at this rank's m nodes, with at most t tangential unknowns."""
 
     normal: Ints  # (m,) position of the node's x_n in `BoundQP.bounded`
-    tangential: Ints  # (m, t) unknowns, -1 where there is none
-    rest: Floats  # (m, t) x_t without slip, 0 where there is none
+    tangential: Ints  # (m, t) unknowns, -1 for none
+    rest: Floats  # (m, t) x_t without slip, 0 for none
     coefficient: Floats  # (m,) mu >= 0
     cohesion: Floats  # (m,) force >= 0, the limit without pressure
 
     @property
     def some(self) -> Bools:
-        """Which entries (m, t) of `tangential` are unknowns."""
+        """Entries (m, t) of `tangential` that are unknowns."""
         return np.asarray(self.tangential >= 0)
 
     def pick(self, values: Floats) -> Floats:
-        """Return the tangential components (m, t) of a vector."""
+        """Tangential components (m, t) of a vector."""
         if values.size == 0:  # a rank without unknowns
             return np.zeros(self.tangential.shape)
         return np.where(self.some, values[self.tangential], 0.0)
 
     def means(self, diagonal: Floats) -> Floats:
-        """Return the mean (m,) of a diagonal over the tangential unknowns of each node."""
+        """Mean (m,) of a diagonal over the tangential unknowns of each node."""
         return np.asarray(self.pick(diagonal).sum(axis=1) / np.maximum(self.some.sum(axis=1), 1))
 
     def acts(self, closed: Bools) -> Bools:
-        """Return which nodes (m,) may carry tangential reactions, given which are closed (m,)."""
+        """Nodes (m,) that may carry tangential reactions, given the closed ones (m,)."""
         return np.asarray(closed | (self.cohesion > 0.0))
 
     def limit(self, pressing: Floats) -> Floats:
-        """Return s (m,) for normal reactions (m,), of which negative ones count as 0."""
+        """Return s (m,) for normal reactions (m,), negative ones counting as 0."""
         return np.asarray(self.coefficient * np.maximum(pressing, 0.0) + self.cohesion)
 
     @property
     def plane(self) -> bool:
-        """Tell whether nodes have at most one tangential unknown."""
+        """Whether nodes have at most one tangential unknown."""
         return self.tangential.shape[1] == 1
 
     @property
     def across(self) -> Bools:
-        """Which nodes (m,) have more than one tangential unknown."""
+        """Nodes (m,) with more than one tangential unknown."""
         return np.asarray(self.some.sum(axis=1) > 1)
 
     def select(self, mask: Bools) -> Friction:
-        """Return some of the nodes."""
+        """The law of some nodes."""
         return Friction(*(getattr(self, field.name)[mask] for field in fields(self)))
 
     def put(self, values: Floats, parts: Floats) -> None:
@@ -88,7 +87,7 @@ class Sliding:
     stiffness: Floats  # (m,) kappa
 
     def reaction(self, x: Floats, z: Floats) -> Floats:
-        """Return z_t (m, t) of the law."""
+        """z_t (m, t) of the law."""
         limit = self.law.coefficient * z[self.normal] + self.law.cohesion
         return self._resist(limit, self.law.pick(x) - self.law.rest)
 
@@ -104,7 +103,7 @@ class Sliding:
 
 
 def state_of(held: Ints, sliding: Sliding | None) -> bytes:
-    """Return what tells the matrices of two states apart, never empty."""
+    """Bytes that distinguish the matrices of two states, never empty."""
     found = b"state" + held.tobytes()
     if sliding is not None:
         found += sliding.normal.tobytes() + sliding.direction.tobytes()
@@ -130,9 +129,8 @@ class Sliders:
     def directions(self, before: Floats | None = None) -> tuple[Floats, Floats]:
         """Return d (m, t), zero at sticking nodes, and kappa (m,) of the next state.
 
-        A node that slipped in a direction ``before`` (m, t) and would reverse it sticks first: most
-        often it sticks in the solution, and neighbouring nodes that reversed their directions at
-        once could alternate for ever.
+        A node that would reverse its direction ``before`` (m, t) sticks first, as mostly in the
+        solution: neighbours that reverse at once could alternate for ever.
 
         >>> nodes, rest = np.array([[0], [1]]), np.zeros((2, 1))
         >>> law = Friction(np.arange(2), nodes, rest, *np.ones((2, 2)))
@@ -152,7 +150,7 @@ class Sliders:
         return d, np.where(self.law.across, kappa, 0.0)
 
     def error(self) -> Floats:
-        """Return z_t - q min(1, s / |q|) (m, t), zero where the law holds."""
+        """z_t - q min(1, s / |q|) (m, t), the residual of the law."""
         q = self.trial
         size = np.linalg.norm(q, axis=1)
         share = np.divide(self.limit, size, out=np.ones_like(size), where=size > self.limit)
