@@ -2,8 +2,7 @@
 """The active-set method: solve with a set, update it, until it is unchanged.
 
 With friction, tangential unknowns of sticking nodes are fixed, too, and at slipping nodes the
-reaction of the law takes the place of 0. Each set is a linear system, solved as accurately as
-needed.
+reaction of the law replaces 0. Each set is a linear system, solved as accurately as needed.
 """
 
 from __future__ import annotations
@@ -30,16 +29,17 @@ from dolfinx_mortar.qp.bound_qp import (
 )
 from dolfinx_mortar.qp.friction import Friction, Sliding
 
-# Levels of accuracy: the first sets follow from loose solves, the last one from a tight one.
+# Levels of accuracy: first sets by loose solves, the last one by a tight one.
 LOOSE, TIGHT = 0, 2
-# Solves are this much more accurate than the check, whose scale may decrease meanwhile. Five plane
-# problems with multigrid: the same forces, and with 1/4, 1/2, 1 conjugate gradients take 1.10, 1,
-# .90 of the iterations; near 1 they would hardly gain the digit asked for next.
+# Solves are this much more accurate than the check, whose scale may decrease meanwhile. In five
+# plane
+# problems with multigrid 1/4, 1/2, 1 take 1.10, 1, .90 of the iterations; near 1 they would hardly
+# gain the next digit.
 SHARE = 0.5
 
 
 def nearest(qp: BoundQP) -> Actives:
-    """Return the active set (k,) with every bounded unknown at its bound nearest to zero."""
+    """Active set (k,) with every bounded unknown at its bound nearest to zero."""
     lower, upper = qp.bounds
     return np.where(np.abs(upper) <= np.abs(lower), 1, -1).astype(np.int8)
 
@@ -59,9 +59,9 @@ class State:
         sliding: Floats | None = None,
         kappa: Floats | None = None,
     ) -> State:
-        """Return an initial state, in which closed nodes stick unless directions (m, t) are given.
+        """Initial state, in which closed nodes stick unless directions (m, t) are given.
 
-        Its kappa are those that are given (m,), but no larger than entries of |diag(A)|.
+        kappa (m,) is at most the entries of |diag(A)|.
         """
         law = qp.friction
         if law is None:
@@ -73,32 +73,32 @@ class State:
 
     @staticmethod
     def holding(qp: BoundQP) -> State:
-        """Return the state that constrains most: all at their nearest bounds, and sticking."""
+        """State with most constraints: all at their nearest bounds, and sticking."""
         return State.create(qp, nearest(qp))
 
     def tobytes(self) -> bytes:
-        """Return the same bytes for equal states."""
+        """Bytes, the same for equal states."""
         parts = self.active, self.directions, self.stiffness
         return b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
 
     def slips(self, law: Friction) -> Bools:
-        """Return which nodes (m,) slip against friction."""
+        """Nodes (m,) that slip against friction."""
         return np.asarray(law.acts(self.active[law.normal] > 0) & self.directions.any(axis=1))
 
     def sticks(self, law: Friction) -> Bools:
-        """Return which tangential unknowns (m, t) are fixed."""
+        """Tangential unknowns (m, t) that are fixed."""
         acts = law.acts(self.active[law.normal] > 0)
         return np.asarray((acts & ~self.directions.any(axis=1))[:, None] & law.some)
 
     def held(self, qp: BoundQP) -> Ints:
-        """Return the unknowns that are fixed, by active bounds and where nodes stick, ascending."""
+        """Fixed unknowns, by active bounds and where nodes stick, ascending."""
         found, law = qp.bounded[self.active != 0], qp.friction
         if law is not None:
             found = np.concatenate([found, law.tangential[self.sticks(law)]])
         return np.sort(found)
 
     def towards(self, new: State, active: Bools, sides: Bools) -> State:
-        """Return this state with that of bounds (k,) and nodes (m,) in the masks from another."""
+        """This state with that of bounds (k,) and nodes (m,) in the masks from another."""
         directions = np.where(sides[:, None], new.directions, self.directions)
         stiffness = np.where(sides, new.stiffness, self.stiffness)
         return State(np.where(active, new.active, self.active), directions, stiffness)
@@ -109,7 +109,7 @@ class Found:
     """Result of a solve with a given set."""
 
     predicted: Any  # the next set
-    changes: int  # unknowns on all ranks that differ and are not weakly active
+    changes: int  # unknowns on all ranks that differ, but for weakly active ones
     satisfied: bool  # accurate enough for the last solve
 
 
@@ -117,9 +117,9 @@ class Found:
 class Outcome:
     """Result of the updates."""
 
-    state: Any  # the last set of a solve
+    state: Any  # last set of a solve
     updates: int
-    reason: str  # why the updates have not converged, "" if they have
+    reason: str  # why updates have not converged, or ""
 
 
 def update(
@@ -127,8 +127,8 @@ def update(
 ) -> Outcome:
     """Update the set until it is unchanged (collective).
 
-    A set that occurs again is a cycle: inaccurate solves may cause it, so their accuracy is raised;
-    with accurate ones it would never end.
+    A repeated set is a cycle: the accuracy is raised, as inaccurate solves may cause it; then it
+    ends.
 
     Args:
         hold: solves with a set, to the accuracy of a level.
@@ -156,7 +156,7 @@ def update(
 
 
 def came_back(active: Any, seen: set[int], comm: MPI.Comm) -> bool:
-    """Tell whether this set, of all ranks, is among those seen, and add it (collective)."""
+    """Whether this set, of all ranks, was seen before; add it (collective)."""
     part = blake2b(active.tobytes(), digest_size=7, salt=str(comm.rank).encode())
     everywhere = comm.allreduce(int.from_bytes(part.digest()), op=MPI.SUM)
     known = everywhere in seen
@@ -165,12 +165,12 @@ def came_back(active: Any, seen: set[int], comm: MPI.Comm) -> bool:
 
 
 class Solver(Protocol):
-    """Solves linear systems with held unknowns; see `LinearSolver`."""
+    """Solver of linear systems with held unknowns; see `LinearSolver`."""
 
-    exact: bool  # one solve is as accurate as round-off allows
+    exact: bool  # whether one solve is accurate to round-off
 
     def round_off(self, x: PETSc.Vec) -> float:
-        """Return the round-off of A x; collective."""
+        """Round-off of A x; collective."""
 
     def solve(
         self,
@@ -182,7 +182,7 @@ class Solver(Protocol):
         z: PETSc.Vec | None = None,
         sliding: Sliding | None = None,
     ) -> PETSc.Vec:
-        """Solve for what is not held in place, return b - A x; collective."""
+        """Solve for free unknowns in place, return b - A x; collective."""
 
 
 class HeldProblem:
@@ -190,8 +190,8 @@ class HeldProblem:
 
     The relative accuracy of level l is rtol^(2^(l - 2)): the fourth root of rtol, its square root,
     rtol, and its square where the check still fails because the increment is small relative to the
-    reactions. It is relative to the reactions at the bounds for loose levels, as only these decide
-    on the next set, and to all forces for the tight one.
+    reactions. For loose levels it is relative to the reactions at the bounds, which decide on the
+    next set, for the tight one to all forces.
 
     Args:
         x: (n,) in: initial guess; out: the last solution.
@@ -206,12 +206,12 @@ class HeldProblem:
         self.z = reaction(qp, x)
         self.guessed = self.z.norm()
         self.reactions: float | None = None  # at the bounds; unknown before the first solve
-        self.best: State | None = None  # with the least error so far, a force
+        self.best: State | None = None  # with the least error, a force
         self.error = np.inf
         self.level = LOOSE  # of the last solve
 
     def forget(self) -> None:
-        """Start again from x = 0, after a solve that has failed."""
+        """Start again from x = 0, after a failed solve."""
         self.x.set(0.0)
         self.z = self.qp.b.copy()
 
@@ -221,7 +221,7 @@ class HeldProblem:
         Args:
             state: active set and directions of slip.
             level: accuracy.
-            worst: only the unknowns with the largest error change their state.
+            worst: update only the unknowns with the largest error.
 
         Raises:
             LinearSolveFailed: if the state leaves a body unconstrained.
@@ -282,7 +282,7 @@ class HeldProblem:
         return reached
 
     def _sliding(self, law: Friction, state: State) -> Sliding | None:
-        """Return the linearised law of slipping nodes, None if no rank has any; collective."""
+        """Linearised law of slipping nodes, None if no rank has any; collective."""
         slips = state.slips(law)
         if not any_rank(self.qp.comm, slips.any())[0]:
             return None
@@ -294,12 +294,12 @@ class HeldProblem:
         return float(max(self.rtol ** (2.0 ** (level - TIGHT)), ROUND_OFF))
 
     def _is_accurate(self, level: int) -> bool:
-        """Tell whether the check is satisfied, or cannot be satisfied any better."""
+        """Whether the check is satisfied, or cannot be satisfied any better."""
         finest = self.linear.exact or self._accuracy(level) <= ROUND_OFF
         return finest or check(self.qp, self.x, self.z).satisfied(self.rtol)
 
     def _tolerance(self, level: int) -> float:
-        """Return the largest residual at a level."""
+        """Largest residual at a level."""
         assert self.reactions is not None
         force = max(self.qp.b.norm(), self.reactions)
         if level >= TIGHT:
