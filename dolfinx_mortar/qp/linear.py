@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Linear systems with held unknowns, and the reuse of factorisations among them."""
+"""Linear systems with held unknowns, and the reuse of factorisations."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ log = logging.getLogger(__name__)
 # of hexahedra take 4.1 GiB and 25 s (117 thousand 2.1 GiB and 10 s; MUMPS, one rank).
 MOST_FACTORISED = 200_000
 
-# Its third factorisation beside a live one ends in a segmentation fault (PETSc 3.22, two ranks:
-# a definite matrix, one that is not, and a definite one of another pattern).
+# Its third factorisation beside a live one crashes (PETSc 3.22, two ranks: a definite matrix, an
+# indefinite one, and a definite one of another pattern).
 ALONE = "superlu_dist"
 
 
 class LinearSolveFailed(RuntimeError):
-    """A linear system could not be solved; the message says why and what to do."""
+    """A linear system could not be solved; the message has cause and remedy."""
 
 
 class NotDefinite(LinearSolveFailed):
@@ -64,7 +64,7 @@ class MatrixSetup:
     renewal: Renewal
     max_iterations: int  # of one run of an iteration
     dx: PETSc.Vec  # (n,) the last correction
-    shared: bool = False  # whether the preconditioner is that of the definite matrix
+    shared: bool = False  # whether the preconditioner is that of a definite matrix
 
     def destroy(self) -> None:
         """Free the matrices and the factorisation; collective."""
@@ -78,21 +78,19 @@ class MatrixSetup:
 class LinearSolver:
     """Solve A_ff x_f = b_f - A_fc x_c for changing sets c of held unknowns and changing A.
 
-    The numeric factorisation for an earlier set or an earlier A preconditions conjugate gradients;
-    it is renewed as soon as the observed convergence predicts that this is cheaper (`Renewal`).
+    The numeric factorisation for an earlier set or A preconditions conjugate gradients, until the
+    observed convergence predicts that a new one is cheaper (`Renewal`).
 
     Args:
         comm: communicator of the matrices.
-        prefix: prefix of all PETSc options of this solver.
+        prefix: of all PETSc options of this solver.
         options: PETSc options without prefix over the defaults (CG with MUMPS Cholesky, or GMRES
-            with LU for matrices that are not definite); the user's options database takes
-            precedence.
+            with LU for indefinite matrices); the user's options database takes precedence.
         multigrid: whether multigrid is the default preconditioner.
         unknowns: those of multigrid; by default those of the matrix.
 
     Attributes:
-        options: the PETSc options.
-        unknowns: as above.
+        options, unknowns: as above.
         counts: costs so far.
         description: name of the last method in use, for reports.
 
@@ -129,19 +127,18 @@ class LinearSolver:
 
     @property
     def schur(self) -> SchurComplement | None:
-        """The complement in the factorisation of the present matrix, if it has one."""
+        """Complement in the factorisation of the present matrix, if any."""
         return None if self._setup is None else self._setup.preconditioner.schur
 
     @property
     def direct(self) -> bool:
-        """Tell whether the preconditioner is a factorisation."""
+        """Whether the preconditioner is a factorisation."""
         return self.options.direct
 
     def factorising(self) -> LinearSolver | None:
-        """Return a solver that factorises instead, and free the matrices of this one; collective.
+        """A solver that factorises instead, after freeing this one's matrices; collective.
 
-        Returns:
-            None if the solver is direct, if the user has chosen it, or if the matrix is too large.
+        None if the solver is direct or chosen by the user, or if the matrix is too large.
         """
         if self.direct or self.options.chosen or not 0 < self._order <= MOST_FACTORISED:
             return None
@@ -151,7 +148,7 @@ class LinearSolver:
 
     @property
     def remedy(self) -> str:
-        """What a user may do if an iteration gives no solution; empty for a factorisation."""
+        """Remedy where an iteration gives no solution; empty for a factorisation."""
         if self.direct:
             return ""
         return (
@@ -170,15 +167,14 @@ class LinearSolver:
     ) -> None:
         """Set the matrix of the next solves (collective).
 
-        If it is the same object, its factorisation remains as preconditioner. A definite matrix
-        and one that is not are kept side by side, as steps use one after the other, but not with
-        SuperLU_DIST.
+        The factorisation of the same object remains as preconditioner. A definite matrix and an
+        indefinite one are kept side by side, as steps alternate, but not with SuperLU_DIST.
 
         Args:
             A: (n, n) matrix.
             definite: whether it is symmetric and positive definite, see `BoundQP`.
-            apart: unknowns with S, see `preconditioner.set_apart`, which `apply` holds; None for a
-                solver with any held.
+            apart: unknowns with S, see `preconditioner.set_apart`, which `apply` holds; None for
+                any.
             product: A, if it is one whose K is to be factorised.
             near: (n, n) definite matrix whose preconditioner serves A, too; None for its own.
         """
@@ -192,7 +188,7 @@ class LinearSolver:
             if A.handle == before.A.handle and self.setup.preconditioner.serves(apart):
                 self._describe()
                 return
-        self._drop(definite)  # so that no matrix is set if an option raises an error
+        self._drop(definite)  # no matrix is set if an option raises an error
         if self.direct and self.options["pc_factor_mat_solver_type"] == ALONE:
             self._drop(not definite)
         ksp = PETSc.KSP().create(self._comm)
@@ -206,7 +202,7 @@ class LinearSolver:
             operator = Operator(A, direct=copied, definite=definite)
             preconditioner = Preconditioner(operator, ksp, self.options, self.unknowns, schur)
         if ksp.getType() == "gmres":
-            ksp.setPCSide(PETSc.PC.Side.RIGHT)  # so that its residuals are the true ones
+            ksp.setPCSide(PETSc.PC.Side.RIGHT)  # its residuals are the true ones
         elif ksp.getType() != "cg":
             ksp.setNormType(PETSc.KSP.NormType.DEFAULT)
         ksp.setOperators(operator.matrix)
@@ -220,7 +216,7 @@ class LinearSolver:
         self.counts.symbolic += 1
 
     def _set_beside(self, A: PETSc.Mat, near: PETSc.Mat) -> None:
-        """Set a matrix that is not definite, with the preconditioner of one that is; collective."""
+        """Set an indefinite matrix, with the preconditioner of a definite one; collective."""
         self.set_matrix(near)
         self._kind, base, beside = False, self._setups[True], self._setups.get(False)
         if beside is not None and beside.operator.A.handle == A.handle:
@@ -234,7 +230,7 @@ class LinearSolver:
         self._setups[False] = MatrixSetup(*parts, A.createVecRight(), shared=True)
 
     def _iteration(self, operator: Operator, pc: PETSc.PC) -> PETSc.KSP:
-        """Return GMRES for a matrix that is not symmetric; it applies another solver's PC."""
+        """GMRES for an unsymmetric matrix, with another solver's PC."""
         ksp = PETSc.KSP().create(self._comm)
         ksp.setType(PETSc.KSP.Type.GMRES)
         ksp.setPCSide(PETSc.PC.Side.RIGHT)
@@ -253,11 +249,11 @@ class LinearSolver:
             self._drop(kind)
 
     def abandon(self) -> None:
-        """Use no matrix of before, as an error may have left it locked; without communication."""
+        """Drop all matrices, which an error may have left locked; without communication."""
         self._setups = {}  # freed when PETSc collects its garbage
 
     def _drop(self, kind: bool) -> None:
-        """Free one of them, and what has its preconditioner; collective."""
+        """Free one of them, and those with its preconditioner; collective."""
         beside = self._setups.get(False)
         if kind and beside is not None and beside.shared:
             self._drop(False)
@@ -265,15 +261,15 @@ class LinearSolver:
             self._setups.pop(kind).destroy()
 
     def forget(self, *, keep_definite: bool = False) -> None:
-        """Renew the numeric factorisations at the next solves, perhaps not that of a definite A."""
+        """Renew the numeric factorisations at the next solves, but for a definite A if asked."""
         for definite, setup in self._setups.items():
             if not (definite and keep_definite):
                 setup.preconditioner.held = None
 
     def negative_pivots(self) -> int:
-        """Return how many pivots of the last factorisation are negative; collective.
+        """Number of negative pivots of the last factorisation, 0 if unknown; collective.
 
-        0 if the method cannot tell. Of multigrid, the factorisation is that of the coarsest level.
+        Of multigrid, the factorisation is that of the coarsest level.
         """
         if self._setup is None or self._setup.preconditioner.held is None:
             return 0
@@ -295,14 +291,14 @@ class LinearSolver:
         return self.setup.operator
 
     def round_off(self, x: PETSc.Vec) -> float:
-        """Return the round-off of A x, see `Operator.round_off`; collective."""
+        """Round-off of A x, see `Operator.round_off`; collective."""
         return self._operator.round_off(x)
 
     def factorise(self, held: Ints) -> None:
         """Factorise A with these unknowns held, unless that is the present one (collective).
 
         Raises:
-            LinearSolveFailed: for a singular matrix or one that does not fit into memory.
+            LinearSolveFailed: for a singular matrix, or too little memory.
         """
         self._operator.hold(held)
         if self.setup.preconditioner.is_of(held):
@@ -318,10 +314,9 @@ class LinearSolver:
             )
 
     def is_indefinite(self) -> bool:
-        """Tell whether the present matrix, taken for definite, is not; collective.
+        """Whether the present matrix, assumed definite, is not; collective.
 
-        By the eigenvalues of its free part. What an earlier factorisation or the iterations of a
-        solve have seen leaves that open. False where the present matrix is another, or none.
+        By the eigenvalues of its free part. False if the present matrix is another, or none.
 
         Raises:
             LinearSolveFailed: as `factorise`, for a singular matrix.
@@ -362,13 +357,13 @@ class LinearSolver:
         z: PETSc.Vec | None = None,
         sliding: Sliding | None = None,
     ) -> PETSc.Vec:
-        """Solve for the unknowns that are not held, in place (collective).
+        """Solve for the free unknowns, in place (collective).
 
         Args:
             b: (n,) right-hand side.
             x: (n,) in: values of the held unknowns and a guess for the others; out: solution.
             held: owned local indices of held unknowns, ascending.
-            atol: largest 2-norm of b - A x over unknowns not held.
+            atol: largest 2-norm of b - A x over free unknowns.
             z: (n,) b - A x of the given x, if known.
             sliding: law of the slipping nodes, whose reactions replace 0 on the right; on all ranks
                 or on none.
@@ -377,8 +372,8 @@ class LinearSolver:
             (n,) b - A x, also at held unknowns; the next call reuses the vector.
 
         Raises:
-            LinearSolveFailed: if the true residual remains above both atol and round-off, or if
-                the solution is so large that the matrix must be singular.
+            LinearSolveFailed: if the true residual remains above both atol and round-off, or if the
+                solution is so large that the matrix must be singular.
         """
         operator = self._operator
         operator.free.sliding = sliding
@@ -392,10 +387,7 @@ class LinearSolver:
         return operator.z
 
     def _iterate(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, atol: float, norm: float) -> float:
-        """Correct x until the norm of its residual is below the tolerance or round-off; return it.
-
-        It ends as well if a new factorisation does not reduce it.
-        """
+        """Correct x until its residual is small, or stays; return its norm."""
         for _ in range(LIMIT):
             different = self.setup.preconditioner.differences(held)
             if different is None or self.setup.renewal.is_far(different):
@@ -424,19 +416,19 @@ class LinearSolver:
 
     @property
     def _ksp(self) -> PETSc.KSP:
-        """The solver without or with slipping nodes."""
+        """Solver with or without slipping nodes."""
         sliding = self._operator.free.sliding is not None
         return self.setup.sliding_ksp if sliding else self.setup.ksp
 
     def _sweep(self, b: PETSc.Vec, x: PETSc.Vec, atol: float, norm: float) -> None:
-        """Solve for the correction dx that takes the residual from a norm to the tolerance."""
+        """Solve for the correction dx that reduces the residual to the tolerance."""
         begin = perf_counter()
         setup, held = self.setup, self._operator.held
         assert held is not None
         setup.preconditioner.follow(held)
         stale = not setup.preconditioner.is_of(held)
         floor, limit = self._operator.round_off(x) * (EPS / ROUND_OFF), setup.max_iterations
-        if stale and self.direct:  # many, which a new one would have saved
+        if stale and self.direct:  # a new one would have saved many
             limit = min(limit, 2 * setup.renewal.after)
         ksp, reduction = self._ksp, max(EPS, max(atol, floor) / norm)
         ksp.setTolerances(rtol=reduction, atol=0.0, divtol=1.0 / EPS, max_it=limit)
@@ -450,8 +442,8 @@ class LinearSolver:
     ) -> None:
         """Raise if x is no solution, by the first and last residual norm and their tolerance.
 
-        Nor is it one if its round-off is near the forces: a well-posed stiffness matrix leaves more
-        digits than QUARTER_OF_DIGITS, a singular one none.
+        Nor is it one if its round-off is near the forces: well-posed stiffness matrices leave more
+        digits than QUARTER_OF_DIGITS.
         """
         first, norm, atol = norms
         round_off = self._operator.round_off(x)
