@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: MIT
 """The matrix of a linear system with fixed unknowns and slipping nodes, and its residuals.
 
-Whether it has negative eigenvalues is told by the data of a linear solver.
-A factorisation by MUMPS for symmetric matrices counts them (Sylvester's law of inertia). Other
-factorisations do not, so that one more is made. Conjugate gradients meet a negative curvature: of a
-random vector b every eigenvector has a part of about |b| / sqrt(n), which the residual keeps until
-the iteration has resolved its eigenvalue, whatever the symmetries of loads are. For that the
-preconditioner has to be positive: the factorisation of multigrid's coarsest level, P^T A P,
-inverts a negative eigenvalue and hides it, and is asked itself.
+A factorisation by MUMPS for symmetric matrices counts negative eigenvalues (Sylvester's law of
+inertia); for others one more is made. Conjugate gradients meet a negative curvature: of a random
+vector b every eigenvector has a part of about |b| / sqrt(n), which the residual keeps until the
+iteration has resolved its eigenvalue, whatever the symmetries of loads. The preconditioner has to
+be positive: the factorisation of multigrid's coarsest level would hide a negative eigenvalue, so
+that its pivots are counted.
 """
 
 from mpi4py import MPI
@@ -19,18 +18,17 @@ from dolfinx_mortar.algebra.congruence import decouple
 from dolfinx_mortar.arrays import ROUND_OFF, Ints
 from dolfinx_mortar.qp.friction import Sliding
 
-# Of |b| / sqrt(n): what is left of the part along an eigenvector that has been resolved. With a
-# chance of 0.8 % the part is smaller from the start (a normal variable below 0.01). Of 480 runs (4
-# matrices, 3 preconditioners, 4 lowest eigenvalues) 1e-4 to 0.1 meet all, in the same iterations,
-# 0.3 misses 1 %, 1 5 %, 3 21 %. Where there is none to meet, 0.1 saves a tenth of the iterations.
+# Of |b| / sqrt(n): remainder of the part along a resolved eigenvector. With a chance of 0.8 % the
+# part is smaller from the start (a normal variable below 0.01). Of 480 runs 1e-4 to 0.1 meet all
+# negative eigenvalues, 0.3 misses 1 %, 1 5 %, 3 21 %; 0.1 saves a tenth of the iterations.
 RESOLVED = 0.01
 
 
 class FreePart:
-    """Context of a PETSc Mat of type python: A on unknowns that are not held, without a copy of A.
+    """Context of a PETSc Mat of type python: A on free unknowns, without a copy of A.
 
     For vectors that vanish at held unknowns. With slipping nodes it is the derivative of
-    `Operator.r`, which is not symmetric.
+    `Operator.r`, which is unsymmetric.
     """
 
     def __init__(self, A: PETSc.Mat) -> None:
@@ -54,8 +52,8 @@ class FreePart:
 class Operator:
     """A with held unknowns.
 
-    A factorisation needs a copy of A whose rows and columns are zeroed on the same pattern, so that
-    its symbolic factorisation remains valid; an iteration applies A itself.
+    A factorisation takes a copy of A with zeroed rows and columns on the same pattern, so that its
+    symbolic factorisation remains valid; an iteration applies A itself.
 
     Args:
         direct: whether it is to be factorised with some unknowns held.
@@ -65,9 +63,9 @@ class Operator:
         A: the matrix.
         definite: as above.
         free: A on free unknowns, and the law of slipping nodes, on all ranks or on none.
-        matrix: the one of the linear system without slipping nodes.
+        matrix: that of the linear system without slipping nodes.
         factorised: the same as a matrix, A itself unless ``direct``.
-        sliding_matrix: the one with the rows of slipping nodes replaced by those of their law.
+        sliding_matrix: with the law in the rows of slipping nodes.
         held: owned local indices of held unknowns, ascending; None before the first.
         z: b - A x of the last residual.
         r: the same with zeros at held unknowns, and the error in the law at slipping nodes.
@@ -78,7 +76,7 @@ class Operator:
         self.held: Ints | None = None
         self.z, self.r = A.createVecRight(), A.createVecRight()
         self._diagonal = A.getDiagonal()
-        self._state = -1  # of A when unknowns were held last
+        self._state = -1  # of A at the last hold
         self.free = FreePart(A)
         self.sliding_matrix = PETSc.Mat().createPython(A.getSizes(), self.free, A.comm)
         self.matrix = A.duplicate(copy=True) if direct else self.sliding_matrix
@@ -109,7 +107,7 @@ class Operator:
     def residual(
         self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, z: PETSc.Vec | None = None
     ) -> PETSc.Vec:
-        """Return `r`, from z = b - A x if that is known; the next call reuses the vector."""
+        """`r`, from z = b - A x if known; the next call reuses the vector."""
         if z is None:
             self.A.mult(x, self.z)
             self.z.aypx(-1.0, b)
@@ -123,7 +121,7 @@ class Operator:
         return self.r
 
     def round_off(self, x: PETSc.Vec) -> float:
-        """Return the round-off of A x, the smallest residual that can be expected."""
+        """Round-off of A x, the smallest residual that can be expected."""
         scaled = x.duplicate()
         scaled.pointwiseMult(self._diagonal, x)
         return float(ROUND_OFF * scaled.norm())
@@ -135,23 +133,19 @@ class Operator:
 
 
 def counts_pivots(pc: PETSc.PC) -> bool:
-    """Tell whether a factorisation counts its negative pivots."""
+    """Whether a factorisation counts its negative pivots."""
     return bool(pc.getType() == "cholesky" and pc.getFactorSolverType() == "mumps")
 
 
 def negative_pivots(pc: PETSc.PC) -> int:
-    """Return how many pivots of a symmetric factorisation by MUMPS are negative, INFOG(12).
-
-    0 of other methods.
-    """
+    """Number of negative pivots of a symmetric factorisation by MUMPS, INFOG(12), or 0."""
     return int(pc.getFactorMatrix().getMumpsInfog(12)) if counts_pivots(pc) else 0
 
 
 def count_negative(A: PETSc.Mat) -> int:
-    """Return the number of negative eigenvalues of a symmetric matrix, factorising it; collective.
+    """Number of negative eigenvalues of a symmetric matrix, factorising it; collective.
 
-    A singular matrix counts as one that has one. The same on all ranks, which may see other reasons
-    of a failure.
+    1 for a singular matrix. The same on all ranks, which may see other reasons of a failure.
     """
     pc = PETSc.PC().create(A.comm)
     try:
@@ -166,12 +160,7 @@ def count_negative(A: PETSc.Mat) -> int:
 
 
 def meets_negative_curvature(operator: Operator, pc: PETSc.PC, max_it: int) -> bool:
-    """Tell whether conjugate gradients for a random vector meet x.A x <= 0; collective.
-
-    Args:
-        operator: A and the unknowns that are held.
-        pc: a positive definite preconditioner.
-    """
+    """Whether conjugate gradients for a random vector meet x.A x <= 0; collective."""
     comm = operator.A.comm.tompi4py()
     x, b = operator.A.createVecs()
     b.array[:] = np.random.default_rng(comm.rank).standard_normal(b.local_size)
