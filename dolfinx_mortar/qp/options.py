@@ -15,16 +15,15 @@ from dolfinx_mortar.algebra.csr import call
 from dolfinx_mortar.algebra.parallel import any_rank
 
 DEFAULTS = {"ksp_type": "cg", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
-# Instead of them for matrices that are not symmetric, or not positive definite.
+# for matrices that are unsymmetric or indefinite
 GENERAL = {"ksp_type": "gmres", "pc_type": "lu"}
 # In three dimensions, where a factorisation takes too much time and memory. The threshold drops
-# entries that are zero up to round-off. Three smoothing steps instead of two: 28 to 50 % fewer
-# iterations, the same time on hexahedra and 10 to 25 % less on graded tetrahedra (12k to 146k
-# unknowns, with and without friction and plasticity); four gain no more. Chebyshev's interval ends
-# at 1.2 times the estimated largest eigenvalue, PETSc's default is 1.1: eigenvalues of later
-# tangents, which have other diagonals, may lie beyond, where the smoother makes the preconditioner
-# indefinite (plastic step, geometry frozen, 48 thousand unknowns: three breakdowns and a second
-# set-up). Elastic steps have the same iterations with both, plastic ones 0 to 4 % more.
+# entries that are round-off. Three smoothing steps instead of two: 28 to 50 % fewer iterations, 0
+# to
+# 25 % less time; four gain no more. Chebyshev's interval ends at 1.2 times the estimated largest
+# eigenvalue, PETSc's default is 1.1: eigenvalues of later tangents may lie beyond, where the
+# smoother
+# makes the preconditioner indefinite (three breakdowns in a plastic step).
 MULTIGRID = {
     "pc_type": "gamg",
     "pc_gamg_threshold": 0.005,
@@ -33,15 +32,15 @@ MULTIGRID = {
     "ksp_max_it": 500,
 }
 DIRECT = ("cholesky", "lu")
-# First letters of options that choose or limit a method; others only show what it does.
+# First letters of options that choose or limit a method; others only show its work.
 OF_METHODS = ("pc_", "mg_", "ksp_type", "ksp_max_it")
-# PETSc reads them, but our own convergence test ends the iteration.
+# PETSc reads them, but our convergence test ends the iteration.
 OVERRULED = {"ksp_rtol", "ksp_atol", "ksp_divtol"}
 VALUES = (str, int, float, bool, np.number, type(None))
 
 
 def was_read(name: str) -> bool:
-    """Tell whether PETSc has asked for an option (with its prefix) since it was set."""
+    """Whether PETSc has asked for an option (with its prefix) since it was set."""
     found = ctypes.c_int(0)
     call("PetscOptionsUsed", None, name.encode(), ctypes.byref(found))
     return bool(found.value)
@@ -53,7 +52,7 @@ class SolverOptions:
     Attributes:
         prefix: the prefix.
         given: the user's options without prefix.
-        grown: options that were enlarged, such as workspaces.
+        grown: enlarged options, such as workspaces.
         definite: whether the defaults are those of symmetric positive definite matrices.
     """
 
@@ -73,7 +72,7 @@ class SolverOptions:
         return self._used(key, self.values)
 
     def of_definite(self, key: str) -> str:
-        """Return the value that PETSc uses for definite matrices, whatever the present one is."""
+        """Value that PETSc uses for definite matrices, also if the present one is not."""
         return self._used(key, self._values(True))
 
     def _used(self, key: str, values: dict[str, Any]) -> str:
@@ -93,18 +92,18 @@ class SolverOptions:
 
     @property
     def direct(self) -> bool:
-        """Tell whether the preconditioner is a factorisation."""
+        """Whether the preconditioner is a factorisation."""
         return self["pc_type"] in DIRECT
 
     @property
     def chosen(self) -> bool:
-        """Tell whether the user has chosen the method, here or in PETSc's options database."""
+        """Whether the user has chosen the method, here or in PETSc's options database."""
         names = {*self.given, *PETSc.Options(self.prefix).getAll()}
         return any(name.startswith(OF_METHODS) for name in names)
 
     @contextmanager
     def database(self, prefix: str) -> Iterator[None]:
-        """Put the options into PETSc's database for a block, such as a creation or a set-up."""
+        """Put the options into PETSc's database for a block, such as a set-up."""
         opts = PETSc.Options()
         values = self.values
         hidden = {k for k in values if opts.hasName(f"{prefix}{k}")}
@@ -120,20 +119,17 @@ class SolverOptions:
                 opts.delValue(f"{prefix}{key}")
 
     def unread(self) -> list[str]:
-        """Return the user's options that PETSc has not read so far."""
+        """The user's options that PETSc has not read so far."""
         return sorted(self._unread)
 
 
 def check_options(comm: MPI.Comm, prefix: str, options: Mapping[str, Any] | None) -> None:
     """Check options by a small matrix on each rank (collective).
 
-    Args:
-        prefix: prefix of the options.
-        options: options without prefix, over the defaults.
-
     Raises:
-        ValueError: on all ranks, if the prefix is no text, if options are no mapping of names
-            to numbers and strings, or if PETSc has no such method or cannot read a value.
+        ValueError: on all ranks, if the prefix is no text, if options (without prefix) are no
+            mapping of names to numbers and strings, or if PETSc has no such method or cannot read a
+            value.
     """
     if not isinstance(comm, MPI.Comm):
         raise ValueError(f"comm is {comm!r}: give an MPI communicator, such as MPI.COMM_WORLD")
@@ -154,7 +150,7 @@ def check_options(comm: MPI.Comm, prefix: str, options: Mapping[str, Any] | None
 
 
 def _wrong_type(options: Mapping[str, Any] | None) -> str:
-    """Say what is wrong with the types, if anything."""
+    """Error in the types, if any."""
     if options is None:
         return ""
     if not isinstance(options, Mapping):
