@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The present factorisation or multigrid set-up, its matrix, and when it is renewed.
+"""The present factorisation or multigrid set-up, its matrix, and its renewal.
 
-It is renewed as soon as that is cheaper than to continue with it. The decisions depend on
-residuals, not on clocks, so that they are the same on all ranks.
+It is renewed as soon as that is cheaper. The decisions depend on residuals, not on clocks, so that
+they are the same on all ranks.
 """
 
 import ctypes
@@ -23,12 +23,12 @@ from dolfinx_mortar.qp.operator import Operator, count_negative
 from dolfinx_mortar.qp.options import SolverOptions
 
 # Iterations above those of a new one that are worth a renewal. A numeric factorisation in 2D costs
-# 5 to 7 solves with it (5k, 50k and 200k unknowns, MUMPS). A set-up of multigrid in 3D costs 25 to
-# 50 iterations (GAMG, 30k to 181k unknowns). It is renewed after twice 40 more than it would have
-# cost when it was new: that was for an elastic tangent as a rule, and new levels of a flowing
-# body take twice its iterations (6 digits, 8k to 160k unknowns: 17 to 24 for 9 to 10). With 40,
-# second set-ups saved 2 to 13 of 75 to 114 iterations of a plastic step (41k to 160k unknowns),
-# which took 1.1 to 1.25 times as long.
+# 5
+# to 7 solves (5k to 200k unknowns, MUMPS), a set-up of multigrid in 3D 25 to 50 iterations (GAMG,
+# 30k
+# to 181k unknowns). Renewal after twice 40: with 40, second set-ups saved 2 to 13 of 75 to 114
+# iterations of a plastic step (41k to 160k unknowns), which took 1.1 to 1.25 times as long, as new
+# levels of a flowing body take twice the iterations.
 RENEWAL_COST = {"direct": 6, "iterative": 80}
 # INFOG(1) of MUMPS: workspace too small; ICNTL(14) is the percentage above its estimate.
 WORKSPACE_ERRORS = (-8, -9)
@@ -45,7 +45,7 @@ class LinearCounts:
     factorisations: int = 0  # numeric factorisations or preconditioner set-ups
     iterations: int = 0  # applications of the factorisation or preconditioner
     solves: int = 0
-    breakdowns: int = 0  # old set-ups with which an iteration failed
+    breakdowns: int = 0  # old set-ups with a failed iteration
     seconds_factor: float = 0.0
     seconds_solve: float = 0.0
 
@@ -60,14 +60,14 @@ class Renewal:
 
     def __init__(self, after: int, *, direct: bool) -> None:
         self.after, self.direct = after, direct
-        self.fresh_rate = 0.0  # log of the reduction per iteration when it was new
-        self.excess = 0.0  # iterations above those of a new one, since it was new
+        self.fresh_rate = 0.0  # log of the reduction per iteration when new
+        self.excess = 0.0  # iterations above those of a new one
 
     def is_far(self, different: int) -> bool:
-        """Tell whether to renew without a try, for so many unknowns that are newly held or free.
+        """Whether to renew without a try, for so many unknowns newly held or free.
 
-        Each is a change of rank one, and costs a factorisation up to one iteration. Multigrid
-        follows on its finest level, and is judged by what its iterations have cost.
+        Each is a change of rank one, up to one iteration with a factorisation. Multigrid follows on
+        its finest level.
         """
         return (different if self.direct else self.excess) > self.after
 
@@ -97,7 +97,7 @@ class Unknowns(Protocol):
         """Return v for the present geometry; collective."""
 
     def motions(self, change: Change) -> list[PETSc.Vec]:
-        """Return the near null space in these v, zero where they are decoupled; collective."""
+        """Near null space in these v, zero where they are decoupled; collective."""
 
 
 class OwnUnknowns:
@@ -112,19 +112,19 @@ class OwnUnknowns:
         return Change(None, self.operator.matrix)
 
     def motions(self, change: Change) -> list[PETSc.Vec]:
-        """Return none: that of constants."""
+        """None: that of constants."""
         return []
 
 
 def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
-    """Return an orthonormal basis of the vectors, which are overwritten; collective."""
+    """Orthonormal basis of the vectors, which are overwritten; collective."""
     basis: list[PETSc.Vec] = []
     for vector in vectors:
         whole = vector.norm()
         for _ in range(2):  # twice is enough
             for other in basis:
                 vector.axpy(-other.dot(vector), other)
-        if vector.norm() > HALF_OF_DIGITS * whole:  # what is left has half of its digits
+        if vector.norm() > HALF_OF_DIGITS * whole:  # the rest has half of its digits
             vector.normalize()
             basis.append(vector)
     return basis
@@ -150,7 +150,7 @@ class Multigrid:
     """
 
     def __init__(self, A: PETSc.Mat, prefix: str) -> None:
-        """Create the inner PC; its options are read at every set-up."""
+        """Create the inner PC, whose options are read at every set-up."""
         self.inner = PETSc.PC().create(A.comm)
         self.inner.setOptionsPrefix(prefix)
         self.inner.setFromOptions()
@@ -162,7 +162,7 @@ class Multigrid:
 
     @property
     def follows(self) -> bool:
-        """Tell whether the finest level uses the present matrix."""
+        """Whether the finest level uses the present matrix."""
         return bool(self.inner.getType() == PETSc.PC.Type.GAMG)
 
     def clear(self) -> None:
@@ -178,8 +178,8 @@ class Multigrid:
         Args:
             change: v, with the matrix B of the QP in them.
             motions: near null space, which is overwritten.
-            held: unknowns that it holds.
-            definite: whether it is.
+            held: unknowns that B holds.
+            definite: whether B is.
         """
         self.B, self.E, self.held = change.matrix.copy(), change.E, held
         free_unused(self.B.comm.tompi4py())
@@ -205,29 +205,25 @@ class Multigrid:
         self.inner.setReusePreconditioner(True)  # the finest matrix changes, coarse levels stay
 
     def _forget_factors(self) -> None:
-        """Free what products P^T B P would need to be formed again, B among it; collective."""
+        """Free B and the data of products P^T B P; collective."""
         for level in range(self.inner.getMGLevels() - 1):
             product = self.inner.getMGSmoother(level).getOperators()[0]
             call("MatProductClear", ctypes.c_void_p(product.handle))
 
     @property
     def _coarsest(self) -> PETSc.Mat:
-        """The matrix that a factorisation inverts, P^T B P, or B where there is one level."""
+        """Factorised matrix, P^T B P, or B if there is one level."""
         return self.inner.getMGSmoother(0).getOperators()[1]
 
     @property
     def _needs_diagonal(self) -> bool:
-        """Tell whether cycles read no more of B than its diagonal.
-
-        They apply the matrix of the change; only other smoothers than Jacobi, and a single level,
-        read more of B.
-        """
+        """Whether cycles read only the diagonal of B: with Jacobi smoothers and several levels."""
         levels = self.inner.getMGLevels()
         smoother = self.inner.getMGSmoother(levels - 1)
         return bool(levels > 1 and smoother.getPC().getType() == PETSc.PC.Type.JACOBI)
 
     def _release(self, finest: PETSc.Mat) -> None:
-        """Keep of B what cycles read; collective."""
+        """Keep the part of B that cycles read; collective."""
         if self._needs_diagonal:
             assert self.B is not None, "not set up"
             self.B = PETSc.Mat().createDiagonal(self.B.getDiagonal())
@@ -235,13 +231,13 @@ class Multigrid:
                 user.setOperators(finest, self.B)
 
     def follow(self, change: Change, held: Ints) -> None:
-        """Set the unknowns that are held now, and v; collective.
+        """Set the present held unknowns and v; collective.
 
         The matrix of the change is the object of the set-up with other values.
         """
         assert self.B is not None, "not set up"
         self.E, self.held = change.E, held
-        self.B.setDiagonal(change.matrix.getDiagonal())  # all that the smoother reads of B
+        self.B.setDiagonal(change.matrix.getDiagonal())  # the part of B that the smoother reads
 
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """Set z = M^-1 r (called by PETSc)."""
@@ -258,10 +254,10 @@ class Multigrid:
 
 
 def set_apart(qp: BoundQP, options: SolverOptions) -> Ints | None:
-    """Return the unknowns that a factorisation may leave for last; None for an ordinary one.
+    """Unknowns that a factorisation may leave for last; None for an ordinary one.
 
-    These are those with bounds or friction, and those of C if A is a product, ascending, on one
-    rank, if S has few entries, and if PETSc's library shows the function.
+    Those with bounds or friction, and those of C if A is a product, ascending, on one rank, if S
+    has few entries, and PETSc's library exports the function.
     """
     if not qp.definite or qp.scalars is not None:
         return None
@@ -271,7 +267,7 @@ def set_apart(qp: BoundQP, options: SolverOptions) -> Ints | None:
 
 
 def interface_unknowns(K: PETSc.Mat, C: PETSc.Mat | None, options: SolverOptions) -> Ints | None:
-    """Return the unknowns of C, if (I + C)^T K (I + C) need not be formed; see `set_apart`."""
+    """Unknowns of C, if (I + C)^T K (I + C) need not be formed; see `set_apart`."""
     if C is None or C.comm.size > 1:
         return None
     start, columns = C.getRowIJ()
@@ -281,7 +277,7 @@ def interface_unknowns(K: PETSc.Mat, C: PETSc.Mat | None, options: SolverOptions
 
 
 def _few(A: PETSc.Mat, unknowns: Ints, options: SolverOptions) -> Ints | None:
-    """Return these unknowns if they may be left for last: S has at most twice the entries of A."""
+    """These unknowns if S has at most twice the entries of A."""
     used = options.of_definite("pc_type"), options.of_definite("pc_factor_mat_solver_type")
     if used != ("cholesky", "mumps") or not has("MatFactorSetSchurIS") or A.getType() != "seqaij":
         return None
@@ -292,11 +288,10 @@ def _few(A: PETSc.Mat, unknowns: Ints, options: SolverOptions) -> Ints | None:
 class SchurComplement:
     """S = A_GG - A_GI A_II^-1 A_IG, of a factorisation by MUMPS that leaves G for last.
 
-    Which of G are held concerns S alone, so that one factorisation serves all active sets. If
-    A = T^T K T with T = I + C, and C in G x G, it is K that is factorised, and T^T S T is that of
-    A: then one serves all geometries, too, and A is never formed (39 thousand unknowns in four
-    elastic steps: 1 factorisation for 20, in .4 of the time). PETSc has this on one rank only, and
-    petsc4py 3.22 does not wrap it.
+    Held unknowns in G concern S alone, so that one factorisation serves all active sets. If A = T^T
+    K T with T = I + C, and C in G x G, K is factorised, and T^T S T is that of A: one factorisation
+    serves all geometries, too, and A is never formed. PETSc has this on one rank only, and petsc4py
+    3.22 does not wrap it.
 
     Args:
         unknowns: G (k,), ascending.
@@ -311,18 +306,18 @@ class SchurComplement:
     def __init__(self, unknowns: Ints, product: CongruentOperator | None = None) -> None:
         self.unknowns, self.product, self.prepared = unknowns, product, False
         self.S: Floats = np.zeros((0, 0))
-        self._decoupled: Ints = np.empty(0, dtype=np.int32)  # in K when it was copied
+        self._decoupled: Ints = np.empty(0, dtype=np.int32)  # of the copied K
         self._K: PETSc.Mat | None = None
 
     def state(self, A: PETSc.Mat) -> int:
-        """Return a number that changes with the values of what is factorised; -1 if that is old."""
+        """Number that changes with the values of the factorised matrix; -1 if that is old."""
         if self.product is None:
             return int(A.stateGet())
         same = self._K is None or np.array_equal(self._decoupled, self._elsewhere())
         return int(self.product.K.stateGet()) if same else -1
 
     def matrix(self, A: PETSc.Mat) -> PETSc.Mat:
-        """Return the matrix to be factorised."""
+        """Matrix to be factorised."""
         if self.product is None:
             return A
         if self._K is None:
@@ -336,7 +331,7 @@ class SchurComplement:
         return self._K
 
     def _elsewhere(self) -> Ints:
-        """Return what is decoupled in K, too."""
+        """Unknowns decoupled in K, too."""
         assert self.product is not None
         return np.setdiff1d(self.product.decoupled, self.unknowns)
 
@@ -390,7 +385,7 @@ class Preconditioner:
         self.schur = schur
         self.comm = ksp.comm.tompi4py()
         self.unknowns = OwnUnknowns(operator.A) if unknowns is None else unknowns
-        self.held: Ints | None = None  # when it was set up
+        self.held: Ints | None = None  # at its set-up
         self._state = -1  # of A at that time
         # state of A, and held unknowns, of multigrid's finest level
         self._followed: tuple[int, Ints] = (-1, np.empty(0, dtype=np.int32))
@@ -410,22 +405,22 @@ class Preconditioner:
         return f"{name} ({self.pc.getFactorSolverType()})" if self.options.direct else name
 
     def serves(self, apart: Ints | None) -> bool:
-        """Tell whether it serves where only these unknowns are held; None for any."""
+        """Whether it serves where only these unknowns are held; None for any."""
         if self.schur is None or apart is None:
             return self.schur is None and apart is None
         return np.array_equal(apart, self.schur.unknowns)
 
     def is_of(self, held: Ints) -> bool:
-        """Tell whether it is that of the present A with these unknowns held (collective)."""
+        """Whether it is that of the present A with these unknowns held (collective)."""
         same = self.held is not None and (self.schur is not None or np.array_equal(self.held, held))
         return self._state == self._present() and self.comm.allreduce(same, op=MPI.LAND)
 
     def _present(self) -> int:
-        """Return the state of what is factorised, or of which the levels are made."""
+        """State of the matrix that is factorised, or from which levels are made."""
         return self.operator.state if self.schur is None else self.schur.state(self.operator.A)
 
     def differences(self, held: Ints) -> int | None:
-        """Return in how many held unknowns it differs (collective); None if it is not set up."""
+        """Number of held unknowns in which it differs (collective); None if it is not set up."""
         if self.held is None:
             return None
         return int(self.comm.allreduce(np.setxor1d(self.held, held).size))
@@ -433,7 +428,7 @@ class Preconditioner:
     def clear(self) -> None:
         """Free the factorisation or the levels, and release the matrices; collective.
 
-        PETSc keeps them in a PC with other references, also when the KSP is destroyed.
+        PETSc keeps them in a PC with other references.
         """
         self.ksp.getPC().reset()
         if self.schur is not None:
@@ -444,7 +439,7 @@ class Preconditioner:
     def renew(self, held: Ints, counts: LinearCounts) -> str:
         """Set up again; return cause and remedy of a failure, else "" (collective)."""
         if self.multigrid is not None:
-            self.multigrid.clear()  # two at a time would need twice the memory
+            self.multigrid.clear()  # two at a time need twice the memory
         free_unused(self.comm)
         if self.multigrid is None:
             self._factorise(counts)
@@ -511,7 +506,7 @@ class Preconditioner:
 
 
 def mumps_error(pc: PETSc.PC) -> int | None:
-    """Return INFOG(1) of a factorisation by MUMPS, None for other methods."""
+    """INFOG(1) of a factorisation by MUMPS, None for other methods."""
     direct = pc.getType() in ("cholesky", "lu")
     if not direct or pc.getFactorSolverType() != "mumps":
         return None
@@ -519,7 +514,7 @@ def mumps_error(pc: PETSc.PC) -> int | None:
 
 
 def describe_failure(pc: PETSc.PC) -> str:
-    """Return the codes of a failure and what to do."""
+    """Codes of a failure and the remedy."""
     code = mumps_error(pc)
     reason = f"(PETSc reason {pc.getFailedReason()}"
     reason += ")" if code is None else f", MUMPS INFOG(1) = {code})"
