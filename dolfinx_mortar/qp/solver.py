@@ -29,17 +29,17 @@ ACTIVE_SET, INTERIOR_POINT = "active-set", "interior-point"
 
 
 def available() -> list[str]:
-    """Return the names of the backends."""
+    """Names of the backends."""
     return [ACTIVE_SET, INTERIOR_POINT]
 
 
 def check_name(backend: str) -> None:
-    """Raise ValueError if there is no backend of this name."""
+    """Raise a ValueError if there is no backend of this name."""
     arguments.check("qp", backend, arguments.one_of(*available()))
 
 
 def _check_scope(backend: str, qp: BoundQP) -> None:
-    """Raise ValueError for a QP that a backend is not for."""
+    """Raise a ValueError for a QP that a backend cannot solve."""
     named = {"friction": qp.friction, "tools or sides that forces drive": qp.scalars}
     for name, given in named.items():
         if given is not None and backend != ACTIVE_SET:
@@ -69,20 +69,20 @@ def solve(
     Args:
         backend: "active-set", or for a definite matrix without friction "interior-point".
         linear: linear solver, whose factorisation is reused; by default a new one with MUMPS.
-        start_active: (k,) initial active set on ``qp.bounded``: +1 upper, -1 lower, 0 free. By
-            default every unknown at its bound nearest to zero, which constrains every body.
+        start_active: (k,) initial active set on ``qp.bounded``: +1 upper, -1 lower, 0 free; by
+            default all at their bounds nearest to zero, which constrains every body.
         start_sliding: (m, t) initial directions of slip on ``qp.friction``, zero at sticking nodes;
             by default everywhere.
-        start_kappa: (m,) forces over slips there, by which nodes resist a change of their direction
-            to begin with; by default, and at most, the diagonal of the matrix.
-        guess: (n,) with which the active set's first linear solve begins; 0 by default.
+        start_kappa: (m,) initial kappa of `qp.friction`; by default, and at most, the diagonal of
+            the matrix.
+        guess: (n,) for the active set's first linear solve; 0 by default.
         rtol: tolerance of the KKT check, relative; round-off is the limit.
 
     Returns:
         The solution, which has passed the check.
 
     Raises:
-        ValueError: for an unknown backend, one that is not for this problem, or data that have no
+        ValueError: for an unknown backend, a problem that it cannot solve, or data without
             solution.
         QPNotSolved: if the backend fails, or if its solution, then an attribute of the error, fails
             the check.
@@ -136,7 +136,7 @@ def _run(
     guess: PETSc.Vec | None,
     apart: Ints | None,
 ) -> QPSolution:
-    """Solve by a backend; the unknowns that a factorisation leaves for last, None for none."""
+    """Solve by a backend, with the unknowns that a factorisation leaves for last, None for none."""
     if apart is None and qp.product is not None:  # another method needs the matrix itself
         qp = replace(qp, A=qp.A.duplicate(copy=True), product=None)
     linear.set_matrix(
@@ -152,7 +152,7 @@ def _run(
 
 
 def _cause(error: Exception, linear: LinearSolver) -> str:
-    """Return the cause of a failure and what to do."""
+    """Cause of a failure and remedy."""
     if isinstance(error, PETSc.Error):
         return (
             f" in PETSc: {error}. Check the options of the linear solver, {linear.options.values}"
@@ -175,7 +175,7 @@ def _nothing_to_do(qp: BoundQP, backend: str) -> QPSolution | None:
 
 
 def _possible(qp: BoundQP, active: Actives) -> Actives:
-    """Return the set without unknowns at infinite bounds."""
+    """The set without unknowns at infinite bounds."""
     lower, upper = qp.bounds
     active = np.where((active > 0) & np.isinf(upper), 0, active)
     return np.where((active < 0) & np.isinf(lower), 0, active).astype(np.int8)
