@@ -2,8 +2,8 @@
 """Functions of one cell each: constants, or constants and the coordinates at X.
 
 On cells of second order the means of volumes and pressures are projections onto N = (1, x - x_c),
-x_c the middle of the cell, in the coordinates at X: then their rate stays, and pressures are
-stable.
+x_c the middle of the cell, in the coordinates at X: this keeps the rate of convergence, and stable
+pressures.
 
 Source: D. Boffi, L. Gastaldi, Int. J. Numer. Methods Fluids 39 (2002) 1001-1011.
 """
@@ -27,13 +27,13 @@ from ufl.core.expr import Expr
 
 
 class CellFunctions:
-    """The functions N_k of each cell, m of them, and what is a sum of them.
+    """The functions N_k of each cell, m of them, and their sums.
 
     Attributes:
         space: of coefficients (m,), those of a cell in one block.
         basis: N in UFL.
         volumes: (owned cells,) int 1.
-        inverse: (owned cells, m, m) that of int N_k N_l.
+        inverse: (owned cells, m, m) of int N_k N_l.
     """
 
     def __init__(self, domain: mesh.Mesh, weight: Expr, dx: ufl.Measure, *, affine: bool) -> None:
@@ -63,31 +63,31 @@ class CellFunctions:
         return ufl.dot(coefficients, self.basis)
 
     def first(self, density: Expr) -> Expr:
-        """Return what makes `vectors` hold the integrals of a density, then zeros."""
+        """Form of `vectors` with the integrals of a density, then zeros."""
         return density * self._tests[0][0]
 
     def tested(self, density: Expr) -> Expr:
-        """Return what makes `vectors` hold the integrals of a density times N_k."""
+        """Form of `vectors` with the integrals of a density times N_k."""
         return density * ufl.dot(self._tests[0], self.basis)
 
     def paired(self, density: Expr) -> Expr:
-        """Return what makes `matrices` hold the integrals of a density times N_k N_l."""
+        """Form of `matrices` with the integrals of a density times N_k N_l."""
         return density * ufl.inner(ufl.outer(self.basis, self.basis), self._tests[1])
 
     def vectors(self, form: fem.Form) -> Floats:
-        """Return integrals (owned cells, m); collective."""
+        """Integrals (owned cells, m); collective."""
         return assemble(form, self._vectors[0]).reshape(-1, self.size).copy()
 
     def matrices(self, form: fem.Form) -> Floats:
-        """Return integrals (owned cells, m, m); collective."""
+        """Integrals (owned cells, m, m); collective."""
         return assemble(form, self._vectors[1]).reshape(-1, self.size, self.size).copy()
 
     def coefficients(self, integrals: Floats) -> Floats:
-        """Return those (owned cells, m) of the projection of what has these integrals with N_k."""
+        """Coefficients (owned cells, m) of the projection with these integrals with N_k."""
         return np.asarray(np.einsum("ckl,cl->ck", self.inverse, integrals))
 
     def values(self, f: fem.Function) -> Floats:
-        """Return a view of the coefficients (owned cells, m)."""
+        """View of the coefficients (owned cells, m)."""
         return np.asarray(f.x.array[: self.inverse[:, 0].size].reshape(-1, self.size))
 
 
@@ -111,7 +111,7 @@ class RowsOfCells:
     """A matrix B whose rows are m functions of each cell, and B^T W B with its blocks W."""
 
     def __init__(self, form: Any, m: int) -> None:
-        """Make the matrix of a fem.Form, without entries; collective."""
+        """Create the matrix of a fem.Form, without entries; collective."""
         self._form, self._m = form, m
         self._B = fem_petsc.create_matrix(form)
         self._products: tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat] | None = None
@@ -143,7 +143,7 @@ class RowsOfCells:
         if "baij" not in K.getType():
             K.axpy(1.0, product, subset)
             return
-        if self._sums is None:  # blocks have the whole pattern, a product only what is there
+        if self._sums is None:  # blocks have the whole pattern, a product only its entries
             total = as_aij(K).duplicate(copy=False)
             self._sums = total, total.convert(K.getType(), out=PETSc.Mat())
         total, in_blocks = self._sums
