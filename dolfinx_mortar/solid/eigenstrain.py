@@ -36,10 +36,10 @@ WANTED = (
 
 
 class Eigenstrain(Followed):
-    """Eigenstrain at the integration points of a mesh, zero where none is given.
+    """Eigenstrain at the integration points of a mesh, zero by default.
 
     Attributes:
-        function: what is the same in all directions as a scalar, else the components
+        function: a scalar, if it is the same in all directions, else the components
             (xx, yy, zz, xy) in 2D and (xx, yy, zz, xy, yz, xz) in 3D.
     """
 
@@ -55,8 +55,8 @@ class Eigenstrain(Followed):
         shape = (len(COMPONENTS[d]),) if full else ()
         function = point_function(domain, degree, shape, "eigenstrain")
         sources: list[Source] = []
-        # of each part that is a tensor, what has to be zero: the components of its skew part, then,
-        # in the plane, yz and xz
+        # components of each tensor part that have to be zero: of its skew part, then, in the plane,
+        # yz and xz
         self._vanishing: list[fem.Expression | None] = []
         for name, value, cells in parts:
             tensor = ufl.sym(value) if value.ufl_shape else value * ufl.Identity(3)
@@ -78,7 +78,7 @@ class Eigenstrain(Followed):
 
     @staticmethod
     def tensor_of(function: fem.Function) -> Expr:
-        """Return the 3x3 tensor of a Function such as `function`."""
+        """3x3 tensor of a Function such as `function`."""
         return from_components(function) if function.ufl_shape else function * ufl.Identity(3)
 
     def judge(self) -> None:
@@ -87,7 +87,7 @@ class Eigenstrain(Followed):
             self._judge(source, vanishing)
 
     def _judge(self, source: Source, vanishing: fem.Expression | None) -> None:
-        """Raise a ValueError on all ranks if values in the cells of a source make no sense."""
+        """Raise a ValueError on all ranks for invalid values in cells of a source; collective."""
         V = self.function.function_space
         owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
         cells, name = source.cells[source.cells < owned], source.parts[0].name
@@ -131,7 +131,7 @@ def create_eigenstrain(
 def _parts(
     domain: mesh.Mesh, given: Any, cell_tags: mesh.MeshTags | None
 ) -> list[tuple[str, Any, Ints]]:
-    """Return name, value and local cells of every part of the argument; collective."""
+    """Name, value and local cells of every part of the argument; collective."""
     imap = domain.topology.index_map(domain.topology.dim)
     if not isinstance(given, Mapping):
         return [("eigenstrain", given, np.arange(imap.size_local + imap.num_ghosts, dtype="i4"))]
