@@ -39,7 +39,7 @@ what they are. Assembly on hexahedra, tetrahedra, quadrilaterals: .60, .91, .94 
 
 
 def in_any_order() -> dict[str, list[str]]:
-    """Return the compiler's options for tangents: those that are set, and `REASSOCIATE`."""
+    """Compiler options for tangents: those that are set, and `REASSOCIATE`."""
     return {"cffi_extra_compile_args": [*get_options()["cffi_extra_compile_args"], *REASSOCIATE]}
 
 
@@ -52,10 +52,10 @@ def unrolled(cell: str) -> list[str]:
 
 
 class Forms:
-    """What is compiled for a solid, with the two vectors that forms read or fill.
+    """Compiled forms of a solid, with the two vectors that they read or fill.
 
     The weak form F(u; v) = int sigma(eps) : d eps/du [v], its derivative, the potential, and the
-    two norms that scale residuals. With a reduced volume they leave out the volumetric part.
+    two norms that scale residuals. A reduced volumetric part is not among them.
 
     Attributes:
         residual: int sigma : d eps/du [v].
@@ -65,8 +65,8 @@ class Forms:
         energy: Psi, if all laws have a potential.
         direction: argument of `elastic_norm`.
         force: the residual with its ghosts.
-        dilatation: what tangent, elastic_norm and energy leave out.
-        committed: what the stress of the committed state rests on.
+        dilatation: the reduced part of tangent, elastic_norm and energy.
+        committed: data of the stress of the committed state.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Forms:
         dilatation: MeanDilatation | MeanVolume | None,
         eigenstrain: Eigenstrain | None,
     ) -> None:
-        """Compile all forms that a Newton step needs; collective."""
+        """Compile all forms of a Newton step; collective."""
         self._u, self._integral, self.dilatation = u, integral, dilatation
         self.committed = CommittedData(u, responses, integral, eigenstrain)
         V, regions, kinematics = u.function_space, integral.regions, integral.kinematics
@@ -114,7 +114,7 @@ class Forms:
 
     @cached_property
     def _elastic(self) -> tuple[MatrixForm, fem.Constant]:
-        """The second derivative of `elastic_norm` times a factor, and the factor; few need it."""
+        """Second derivative of `elastic_norm` times a factor, and it; compiled at first use."""
         V, kinematics = self._u.function_space, self._integral.kinematics
         factor = fem.Constant(V.mesh, default_scalar_type(1.0))
         of_v, of_w = (
@@ -126,7 +126,7 @@ class Forms:
 
     @cached_property
     def moduli(self) -> float:
-        """The integral over this rank's cells of |C : (e_x e_y + e_y e_x)|, an energy."""
+        """Integral over this rank's cells of |C : (e_x e_y + e_y e_x)|, an energy."""
         shear = ufl.as_tensor([[0, 1, 0], [1, 0, 0], [0, 0, 0]])
         integral = dataclasses.replace(self._integral, degree=1)
         moduli = [elastic_response(r.law, shear, r.symbols) for r in integral.regions]
@@ -145,7 +145,7 @@ class CommittedData:
         integral: Integral,
         eigenstrain: Eigenstrain | None,
     ) -> None:
-        """Begin at X, without eigenstrain, with the parameters as they are."""
+        """Begin at X, without eigenstrain, with the present parameters."""
         self._u, self._responses, self._integral = u, responses, integral
         self._eigenstrain = eigenstrain
         self.strained = [u] if eigenstrain is None else [u, eigenstrain.function]
@@ -156,7 +156,7 @@ class CommittedData:
             values[:] = 0.0
 
     def keep(self) -> None:
-        """Take the present values for those of the committed state."""
+        """Copy the present values as those of the committed state."""
         self._kept = [f.x.array.copy() for f in self._functions]
 
     def forget(self) -> None:
@@ -164,13 +164,13 @@ class CommittedData:
         self._kept = None
 
     def complete(self) -> list[Floats]:
-        """Return the values, the present ones if none are known."""
+        """The values, the present ones if unknown."""
         if self._kept is None:
             self._kept = [f.x.array.copy() for f in self._functions]
         return self._kept
 
     def differ(self) -> bool:
-        """Tell whether present values on this rank are others."""
+        """Whether present values on this rank differ."""
         now = [f.x.array for f in self._functions]
         return not all(map(np.array_equal, now, self.complete()))
 
@@ -188,7 +188,7 @@ class CommittedData:
 
     @contextmanager
     def put(self) -> Iterator[None]:
-        """Set the Functions back for the time being."""
+        """Restore the committed values within a block."""
         now = [f.x.array.copy() for f in self._functions]
         try:
             for f, values in zip(self._functions, self.complete(), strict=True):
@@ -222,13 +222,13 @@ def create_responses(
 
 
 def _unturned(kinematics: Kinematics, u: fem.Function, v: Expr) -> Expr:
-    """Return the strain that v causes at u, of which turns of the deformed body have none."""
+    """Strain of v at u, zero for rotations of the deformed body."""
     along = kinematics.virtual(u, v)
     return ufl.sym(ufl.transpose(kinematics.measure(u)) * along) if kinematics.finite else along
 
 
 def _from_energy(law: Law) -> bool:
-    """Tell whether UFL makes the tangent of a law from its energy at F, and so a symmetric one."""
+    """Whether UFL derives the tangent of a law from its energy at F, so that it is symmetric."""
     derived = law.update is None and law.stress is None and law.tangent is None
     return derived and law.strain == "finite"
 
@@ -254,7 +254,7 @@ def moduli_first(response: Response, entries: Sequence[tuple[int, int]]) -> Resp
 def _tangent(
     u: fem.Function, responses: Sequence[Response], kinematics: Kinematics, integral: Integral
 ) -> ufl.Form:
-    """Return int d eps[v] : C : d eps[w] + sigma : d^2 eps[v, w], the consistent tangent."""
+    """The consistent tangent int d eps[v] : C : d eps[w] + sigma : d^2 eps[v, w]."""
     V = u.function_space
     v, w = ufl.TestFunction(V), ufl.TrialFunction(V)
     virtual, along = kinematics.virtual(u, v), kinematics.virtual(u, w)
@@ -279,7 +279,7 @@ def _gradient_gram(V: fem.FunctionSpace) -> Floats:
 
 
 def _element_force(stress: Any, gram: Floats) -> Any:
-    """Return the density of sum_a |f_ea|^2 over a cell, f_ea = sigma . grad N_a |cell|."""
+    """Density of sum_a |f_ea|^2 over a cell, f_ea = sigma . grad N_a |cell|."""
     domain = ufl.domain.extract_unique_domain(stress)
     d = gram.shape[0]
     s = ufl.as_tensor([[stress[i, j] for j in range(d)] for i in range(d)])
