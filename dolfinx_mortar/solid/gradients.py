@@ -33,7 +33,7 @@ from ufl.core.expr import Expr
 
 
 def check_finite(strain: Any, eigenstrain: Any) -> None:
-    """Raise a ValueError for an unknown strain, and what a finite one does not go with."""
+    """Raise a ValueError for an unknown strain, and for arguments that exclude a finite one."""
     check("strain", strain, one_of("small", "finite"))
     if strain == "finite" and eigenstrain is not None:
         raise ValueError(
@@ -65,21 +65,21 @@ class Volumes:
         self._comm = domain.comm
 
     def inverted(self) -> bool:
-        """Tell whether J at u is no positive number at any point; collective."""
+        """Whether J at u is not positive at any point; collective."""
         return bool(any_rank(self._comm, not (self._now() > 0.0).all())[0])
 
     def smallest(self) -> float:
-        """Return the smallest J at u, NaN if one is undefined; collective."""
+        """Smallest J at u, NaN if one is undefined; collective."""
         values = self._now()
         return float(self._comm.allreduce(float(values.min(initial=np.inf)), op=MPI.MIN))
 
     def describe_inverted(self) -> str:
-        """Say where a cell is turned inside out at u, "" if nowhere; collective."""
+        """Text on a cell turned inside out at u, "" for none; collective."""
         words = "are turned inside out", "J = det F"
         return describe_lowest(self.J.function_space.mesh, self._now(), 0.0, *words)
 
     def _now(self) -> np.ndarray:
-        """Return J at u (owned cells, points)."""
+        """J at u (owned cells, points)."""
         return self.source.evaluate(self.source.cells[: self._owned])[..., 0]
 
 
@@ -104,7 +104,7 @@ def describe_lowest(domain: Mesh, values: Floats, limit: float, cells_do: str, n
 
 
 def as_cauchy(response: Response, gradient: Expr) -> Response:
-    """Return a response whose stress is Cauchy's, P F^T / det F, for what is shown."""
+    """Response with Cauchy's stress, P F^T / det F, for output."""
     cauchy = response.stress * ufl.transpose(gradient) / ufl.det(gradient)
     return dataclasses.replace(response, stress=cauchy)
 
@@ -120,11 +120,11 @@ class Gradients:
     Tensors have their stored components (n, 4 or 6).
     """
 
-    strain: Floats  # what the kinematics measure
+    strain: Floats  # measure of the kinematics
     rotation: Floats  # (n, 1 or 3), axial vector of the skew part of grad u, radians; about z in 2D
     left_out: Floats  # H^T H / 2 of a small strain, zero for others
-    turned: Floats  # W^T W / 2, the part of it that the skew part W alone makes
-    seen: Floats  # the strain less the eigenstrain: what the laws see
+    turned: Floats  # W^T W / 2, its part by the skew part W alone
+    seen: Floats  # strain less the eigenstrain, as in the laws
 
 
 class PointGradients:
@@ -159,10 +159,7 @@ class PointGradients:
         self._compiled = fem.Expression(ufl.as_vector(entries), points)
 
     def evaluate(self, cells: Ints | None = None) -> Gradients:
-        """Return strain and rotation at u, whose ghosts are up to date; without communication.
-
-        In some cells, or in all that this rank owns.
-        """
+        """Strain and rotation at u, by default in owned cells; without communication."""
         domain = self._space.mesh
         if cells is None:
             owned = domain.topology.index_map(domain.topology.dim).size_local
