@@ -29,23 +29,25 @@ class Kinematics:
     measure: Callable[[Expr], Expr]  # displacement -> strain, 3x3
     # coordinates -> volume per integrated area or volume, such as 1; of UFL and of NumPy (d, q)
     weight: Callable[[Any], Any]
-    # (n, d) -> name: (n, d), without strain and affine; about any other centre, and for other units
-    # of length, they have to be sums of each other
+    # (n, d) -> name: (n, d), without strain and affine; those about another centre, and in other
+    # units
+    # of length, have to be their sums
     rigid_motions: Callable[[Floats], dict[str, Floats]]
-    dimension: int | None = None  # of the meshes that it is for, None for any
-    # the coordinate that is a distance from an axis: never negative, and where it is zero, the
-    # displacement in its direction has to be prescribed
+    dimension: int | None = None  # of its meshes, None for any
+    # distance from an axis: never negative; where it is zero, the displacement in its direction has
+    # to
+    # be prescribed
     radius: int | None = None
-    # whether the laws find the strain out of the plane themselves, by no stress there
+    # whether the laws solve for the strain out of the plane, without stress there
     plane_stress: bool = False
-    # as `rigid_motions`: what strains a small piece little, for multigrid; None for just these
+    # like `rigid_motions`: small strains of small pieces, for multigrid; None for just these
     nearly_rigid: Callable[[Floats], dict[str, Floats]] | None = None
-    # displacement -> deformation gradient F, 3x3; None if bodies cannot have a finite strain
+    # displacement -> deformation gradient F, 3x3; None without finite strain
     gradient: Callable[[Expr], Expr] | None = None
-    finite: bool = False  # whether the measure is F, not a strain, see `of_finite_strain`
+    finite: bool = False  # whether the measure is F, see `of_finite_strain`
 
     def of_finite_strain(self) -> "Kinematics":
-        """Return these kinematics with F as measure, of which P is the work-conjugate stress.
+        """These kinematics with the measure F, whose work-conjugate stress is P.
 
         Raises:
             ValueError: if there is no deformation gradient.
@@ -60,28 +62,28 @@ class Kinematics:
         return dataclasses.replace(self, name=name, measure=self.gradient, finite=True)
 
     def strain(self, u: Expr) -> Expr:
-        """Return the strain at u: that of the measure, Green and Lagrange's where it is F."""
+        """Strain at u: the measure, or Green and Lagrange's of F."""
         measured = self.measure(u)
         if not self.finite:
             return measured
         return (ufl.transpose(measured) * measured - ufl.Identity(3)) / 2
 
     def virtual(self, u: Expr, v: Expr) -> Expr:
-        """Return the strain that v causes at u, linear in v: d measure(u)/du [v]."""
+        """Strain of v at u, linear in v: d measure(u)/du [v]."""
         return ufl.derivative(self.measure(u), u, v)
 
     def linear_in(self, u: Expr) -> bool:
-        """Tell whether the strain is linear in u: the virtual strain does not depend on it."""
+        """Whether the strain is linear in u: the virtual strain does not depend on it."""
         virtual = self.virtual(u, ufl.TestFunction(u.function_space))
         return u not in extract_coefficients(expand_derivatives(virtual))
 
     @property
     def unweighted(self) -> bool:
-        """Whether the weight is known to be 1, so that integrals need not ask for it."""
+        """Whether the weight is known to be 1."""
         return self.weight is _unit
 
     def weights_at(self, points: Floats) -> Floats:
-        """Return the weight (q,) at points (q, d); 0 where it is the round-off of an axis.
+        """Weight (q,) at points (q, d); 0 where it is the round-off of an axis.
 
         Raises:
             ValueError: if the weight does not work with NumPy arrays, or is negative or NaN.
@@ -105,18 +107,18 @@ class Kinematics:
 
 
 def _plane(u: Expr, hoop: Any = 0) -> Expr:
-    """Return H of a displacement in the plane, 3x3, with a stretch out of it less 1."""
+    """H of a displacement in the plane, 3x3, with a stretch out of it less 1."""
     g = ufl.grad(u)
     return ufl.as_tensor([[g[0, 0], g[0, 1], 0], [g[1, 0], g[1, 1], 0], [0, 0, hoop]])
 
 
 def _ring(u: Expr) -> Expr:
-    """Return H of a ring by the displacement (u_r, u_z), in the order r, z, theta."""
+    """H of a ring by the displacement (u_r, u_z), in the order r, z, theta."""
     return _plane(u, u[0] / ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u))[0])
 
 
 def _of_gradient(name: str, H: Callable[[Expr], Expr], dimension: int, **others: Any) -> Kinematics:
-    """Return kinematics by the displacement gradient H, 3x3, with the defaults of plane strain."""
+    """Kinematics by the displacement gradient H, 3x3, with the defaults of plane strain."""
     others = {"weight": _unit, "rigid_motions": translations_and_rotations} | others
     return Kinematics(
         name,
@@ -133,19 +135,19 @@ def _circumference(x: Any) -> Any:
 
 
 def _along_the_axis(x: Floats) -> dict[str, Floats]:
-    """Return the only motion of a ring without strain."""
+    """Motion of a ring without strain."""
     return {"translation along the axis": np.tile([0.0, 1.0], (len(x), 1))}
 
 
 def _unit(x: Any) -> int:
-    """Return the weight 1: forces are those of a body, in the plane of one of thickness one."""
+    """Weight 1: forces are those of a body, in the plane of one of thickness one."""
     return 1
 
 
 def translations_and_rotations(x: Floats) -> dict[str, Floats]:
-    """Return the 3 (in the plane) or 6 (in space) motions without strain, at points x, (n, d).
+    """The 3 (in the plane) or 6 (in space) motions without strain, at points x, (n, d).
 
-    Rotations are about axes through the origin, by the right hand, of one radian per unit.
+    Rotations are about axes through the origin, right-handed, of one radian per unit.
 
     >>> motions = translations_and_rotations(np.array([[2.0, 1.0]]))
     >>> list(motions)
@@ -171,7 +173,7 @@ axisymmetric = _of_gradient(
     weight=_circumference,
     rigid_motions=_along_the_axis,
     radius=0,
-    # u_r / r is small beside the gradients; without these, iterations grow with the mesh
+    # u_r / r is small compared with the gradients; without these, iterations grow with the mesh
     nearly_rigid=translations_and_rotations,
 )
 spatial = _of_gradient("spatial", ufl.grad, 3)
@@ -183,12 +185,12 @@ KINEMATICS = {
 
 
 def kinematics_of_dimension(d: int) -> Kinematics:
-    """Return plane strain for d = 2 and the spatial kinematics for d = 3."""
+    """Plane strain for d = 2 and the spatial kinematics for d = 3."""
     return plane_strain if d == 2 else spatial
 
 
 def choose_kinematics(given: Any, d: int) -> Kinematics:
-    """Return the kinematics that a user means, None being those of the dimension d.
+    """Kinematics by name or as given, those of the dimension d for None.
 
     Raises:
         ValueError: for an unknown name, or kinematics of another dimension.
@@ -204,7 +206,7 @@ def choose_kinematics(given: Any, d: int) -> Kinematics:
 
 
 def on_axis(kinematics: Kinematics, mesh: Mesh, x: Floats) -> Bools:
-    """Return which points (n, d) lie on the axis, if there is one; collective."""
+    """Mask (n,) of points (n, d) on the axis, if there is one; collective."""
     if kinematics.radius is None:
         return np.zeros(len(x), dtype=bool)
     size = float(maximum(mesh.comm, np.abs(mesh.geometry.x).max(initial=0.0))[0])
