@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Regions: which law, with which parameters and internal variables, holds in which cells."""
+"""Regions: the law, parameters and internal variables of cells."""
 
 import re
 from collections import Counter
@@ -65,9 +65,9 @@ class ParameterTable(Followed):
         cells: Sequence[Ints],
         degree: int,
     ) -> None:
-        """Create the parameters of materials of one law, with the numbers in; collective.
+        """Create the parameters of materials of one law, with their numbers; collective.
 
-        What may change is filled in by `follow`.
+        `follow` sets those that may change.
 
         Args:
             u: displacement, on which no parameter may depend.
@@ -78,8 +78,7 @@ class ParameterTable(Followed):
 
         Raises:
             ValueError: on all ranks, if a parameter depends on u, belongs to another mesh or is
-            known at
-                other points than those of the solid.
+                known at other points than those of the solid.
         """
         self._law, self._cells = law, np.sort(np.concatenate(cells))
         self._names = names = list(named_parameters(materials[0]))
@@ -95,7 +94,7 @@ class ParameterTable(Followed):
         ]
         for _, i, value in moving:
             check_source(u, f"{law.name}: {names[i]}", value)
-        width = max(len(names), 1)  # a law may have no parameter at all
+        width = max(len(names), 1)  # a law may have no parameter
         if all(is_cellwise_constant(value) for _, _, value in moving):
             space = fem.functionspace(u.function_space.mesh, ("DG", 0, (width,)))
             function = fem.Function(space)
@@ -113,22 +112,22 @@ class ParameterTable(Followed):
         self.symbols = grouped({name: function[i] for i, name in enumerate(names)})
 
     def values(self, cells: Ints, points: int) -> SimpleNamespace:
-        """Return the parameters by name at so many points of each cell, (cells * points,) each."""
+        """Parameters by name at so many points of each cell, (cells * points,) each."""
         return grouped(self._by_name(self._table(cells, points)))
 
     def _table(self, cells: Ints, points: int) -> Floats:
-        """Return the parameters (cells * points, parameters) at so many points of each cell."""
+        """Parameters (cells * points, parameters) at so many points of each cell."""
         dofs = self.function.function_space.dofmap.list[cells]
         table = self.function.x.array.reshape(-1, max(len(self._names), 1))[dofs]
         table = np.broadcast_to(table, (len(cells), points, table.shape[2]))
         return np.asarray(table.reshape(len(cells) * points, table.shape[2]))
 
     def _by_name(self, table: Floats) -> dict[str, Floats]:
-        """Return the columns of a table (q, parameters) by name."""
+        """Columns of a table (q, parameters) by name."""
         return {name: table[:, i] for i, name in enumerate(self._names)}
 
     def judge(self) -> None:
-        """Raise ValueError on all ranks if something is out of range; collective."""
+        """Raise a ValueError on all ranks if a parameter is out of range; collective."""
         V = self.function.function_space
         domain, points = V.mesh, V.dofmap.list.shape[1]
         size = domain.topology.index_map(domain.topology.dim).size_local
@@ -153,7 +152,7 @@ class ParameterTable(Followed):
 
 
 def _extent(comm: MPI.Comm, values: Mapping[str, Floats], rule: str) -> str:
-    """Return the extent of the parameters that a rule names, in words; collective."""
+    """Extent of the parameters that a rule names, in words; collective."""
     parts = []
     for name in sorted(set(values) & set(re.findall(r"\w+", rule))):
         low = np.nanmin(values[name], initial=np.inf)
@@ -171,7 +170,7 @@ class Region:
     law: Law
     cells: np.ndarray  # int32 (m,), local cells, ghosts included
     parameters: ParameterTable
-    parts: tuple[tuple[Any, Ints], ...] = ()  # the materials, each with its own of these cells
+    parts: tuple[tuple[Any, Ints], ...] = ()  # materials, each with its part of these cells
 
     @property
     def mesh(self) -> mesh.Mesh:
@@ -184,7 +183,7 @@ class Region:
         return self.parameters.symbols
 
     def tensors(self, state: Mapping[str, fem.Function]) -> dict[str, Expr]:
-        """Return the internal variables of the law as UFL, () or (3, 3) by name."""
+        """Internal variables of the law as UFL, () or (3, 3) by name."""
         return {
             name: from_components(state[name]) if shape else state[name]
             for name, shape in self.law.state.items()
@@ -238,12 +237,13 @@ def create_regions(
                 f"materials: {law.name} is a law of the deformation gradient: choose "
                 "Solid(.., strain='finite')"
             )
-    # Those of one class, state, form at finite strain and way to plane stress are one region.
-    # Sorted by name so that the same laws make the same forms in any order of the dictionary.
+    # Those of one class, state, form at finite strain and form of plane stress are one region.
+    # Sorted by
+    # name so that the same laws make the same forms in any order of the dictionary.
     alike: dict[Any, list[int]] = {}
     for i, (material, law) in enumerate(given):
         form = kinematics.finite and law.isotropic  # see `materials.logarithmic`
-        names = tuple(named_parameters(material))  # of tuples some have more
+        names = tuple(named_parameters(material))  # some tuples have more
         way = form, law.normal_strain is None, names
         alike.setdefault((type(material), way, *law.state), []).append(i)
     regions = []
@@ -330,7 +330,7 @@ def _material_of_cells(
 def by_cells(
     domain: mesh.Mesh, cell_tags: Any, given: Mapping[Any, T], name: str, *, cover: bool = False
 ) -> tuple[dict[int, T], Longs]:
-    """Return the entries of an argument by tag, and the tags of the local cells; collective.
+    """Entries of an argument by tag, and the tags of the local cells; collective.
 
     Args:
         domain: the mesh.
@@ -369,7 +369,7 @@ def tags_of_cells(domain: mesh.Mesh, cell_tags: mesh.MeshTags) -> Longs:
     with raised_together(domain.comm):
         check_entities("cell_tags", cell_tags)
     imap = domain.topology.index_map(domain.topology.dim)
-    # Through a DG0 Function, so that ghost cells get their owner's tag.
+    # by a DG0 Function, so that ghost cells get their owner's tag
     marker = fem.Function(fem.functionspace(domain, ("DG", 0)))
     dofs = marker.function_space.dofmap.list[:, 0]
     marker.x.array[:] = float(UNTAGGED)
@@ -379,7 +379,7 @@ def tags_of_cells(domain: mesh.Mesh, cell_tags: mesh.MeshTags) -> Longs:
 
 
 def measure(domain: mesh.Mesh, degree: int) -> ufl.Measure:
-    """Return the measure of all cells, by the quadrature of a solid."""
+    """Measure of all cells, with the quadrature of a solid."""
     metadata = {"quadrature_degree": degree, "quadrature_scheme": "default"}
     return ufl.Measure("dx", domain, metadata=metadata)
 
@@ -394,22 +394,22 @@ class Integral:
 
     @property
     def weight(self) -> Expr:
-        """The volume per integrated area or volume."""
+        """Volume per integrated area or volume."""
         x = ufl.SpatialCoordinate(self.regions[0].mesh)
         return ufl.as_ufl(self.kinematics.weight(x))
 
     def __call__(self, densities: Iterable[Expr]) -> ufl.Form:
-        """Return the sum of the integrals."""
+        """Sum of the integrals."""
         weight, pairs = self.weight, zip(densities, self._measures(), strict=True)
         return reduce(add, (weight * density * dx for density, dx in pairs))
 
     def _measures(self) -> list[ufl.Measure]:
-        """Return the measure of the cells of each region."""
+        """Measure of the cells of each region."""
         regions, domain = self.regions, self.regions[0].mesh
         dx = measure(domain, self.degree)
         if len(regions) == 1:
             return [dx]
         owned = domain.topology.index_map(domain.topology.dim).size_local
-        # Numbers of the laws, not the user's tags: tags must not enter the compiled code.
+        # numbers of the laws, not the user's tags, which must not enter the compiled code
         dx = dx(subdomain_data=[(i, r.cells[r.cells < owned]) for i, r in enumerate(regions)])
         return [dx(i) for i in range(len(regions))]
