@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: MIT
-r"""Reduced integration of the volumetric part: one volume change for each cell, its mean.
+"""Reduced integration of the volumetric part: one volume change for each cell, its mean.
 
 Where a body keeps its volume, tr eps = 0, or J = det F = 1, at every point is too many conditions:
-cells of first order lock. So the part of the energy that depends on the volume alone is taken in
-the mean over each cell. Energy, forces and tangent belong together, on cells of any shape.
+cells of first order lock. So the volumetric part of the energy is taken in the mean over each cell.
 
 **Small strain**, psi(eps) = psi(dev eps) + K/2 tr(eps)^2: the laws get the deviator, and
 
     psi_vol = K/2 V t^2,    t = (B u - b) / V,    B_a = int tr eps(phi_a),  b = int tr eps_0,
 
 V the volume of the cell, with the weight of the kinematics. The forces are B^T p with the mean
-stress p = K t, which is shown; the tangent is the constant B^T (K / V) B.
+stress p = K t of the output; the tangent is the constant B^T (K / V) B.
 
 **Finite strain**, psi(F) = psi_0(F) + U(J):
 
@@ -27,11 +26,10 @@ Triangles and tetrahedra of second order have constants: N would lock. (The smal
 of B with constants is .53 on triangles; on tetrahedra it falls with h, so that pressures alternate,
 as those of hexahedra of first order do.)
 
-Where U'' is far above the other moduli, Newton's method on u alone takes many short steps: after
-one that changes shears by e, j is wrong by e^2, and p by U'' e^2. With p as an unknown, a step
-leaves it at p + U''(j) B du / V. Forces are those of U'(j(u)) all the same; only p d2J/du2 of the
-next tangent has that p, and the energy along a step its volumes (`VolumeStep`). At the solution
-both are the same.
+Where U'' is far above the other moduli, Newton's method on u alone takes many short steps: after a
+change of shears by e, j is wrong by e^2, and p by U'' e^2. With p as an unknown, a step leaves it
+at p + U''(j) B du / V: the next tangent has p d2J/du2 with that p, and the energy along a step its
+volumes (`VolumeStep`); forces are those of U'(j(u)). At the solution both are the same.
 
 Sources: Simo, Taylor, Pister, Comput. Methods Appl. Mech. Engrg. 51 (1985) 177-208; T. Sussman,
 K.-J. Bathe, Comput. Struct. 26 (1987) 357-409 (9/3); D. Magisano, L. Leonetti, G. Garcea, Comput.
@@ -74,7 +72,7 @@ TRACED = (plane_strain, axisymmetric, spatial)
 def create_dilatation(
     u: fem.Function, given: Any, integral: Integral, eigenstrain: Eigenstrain | None
 ) -> MeanDilatation | MeanVolume | None:
-    """Return what takes the volumetric part in the mean, None for "full"; collective.
+    """Volumetric part in the mean, None for "full"; collective.
 
     Raises:
         ValueError: for another choice than "full" and "reduced", and where nothing can be reduced.
@@ -91,7 +89,7 @@ def create_dilatation(
 def check_reducible(
     V: fem.FunctionSpace, regions: Sequence[Region], kinematics: Kinematics, degree: int
 ) -> None:
-    """Raise a ValueError where there is no volumetric part that could be reduced."""
+    """Raise a ValueError without a volumetric part that could be reduced."""
     cell, p = V.mesh.topology.cell_name(), V.element.basix_element.degree
     laws = [r.law for r in regions]
     whole = ", ".join(k.name for k in laws if k.strain == "finite" and not k.volumetric)
@@ -148,7 +146,7 @@ class MeanDilatation:
         self._tangent: tuple[Floats, PETSc.Mat] | None = None
 
     def complete(self, region: Region, response: Response) -> Response:
-        """Return the response to a deviator with p, and a tangent that sees no trace."""
+        """Response to a deviator, with p, and a tangent without trace."""
         return dataclasses.replace(
             response,
             stress=response.stress + self.mean_stress * ufl.Identity(3),
@@ -156,7 +154,7 @@ class MeanDilatation:
         )
 
     def follow(self) -> None:
-        """Take over the displacement and the parameters of the laws; collective."""
+        """Update to the displacement and the parameters of the laws; collective."""
         self._bulk = assemble(self._modulus, self._vector) / self._volumes
         change = self._B.times(self._u)[:, 0]
         if self._free is not None:
@@ -165,11 +163,11 @@ class MeanDilatation:
         self.mean_stress.x.scatter_forward()
 
     def energy(self, along: Any = None) -> float:
-        """Return sum_c K/2 V t^2 over the owned cells, as `follow` found t."""
+        """Return sum_c K/2 V t^2 over the owned cells, t as of `follow`."""
         return float((self.densities() * self._volumes).sum())
 
     def densities(self) -> Floats:
-        """Return K/2 t^2 of the owned cells, per volume, as `follow` found t."""
+        """Return K/2 t^2 of the owned cells, per volume, t as of `follow`."""
         p = self.mean_stress.x.array[: len(self._bulk)]
         return np.asarray(p**2 / (2 * self._bulk))
 
@@ -192,7 +190,7 @@ class MeanDilatation:
 
 
 def bulk_modulus_of(region: Region) -> Expr:
-    """Return the bulk modulus of a law in UFL, K = tr(C : I) / 9."""
+    """Bulk modulus of a law in UFL, K = tr(C : I) / 9."""
     return ufl.tr(elastic_response(region.law, ufl.Identity(3), region.symbols)) / 9
 
 
@@ -205,14 +203,14 @@ class VolumeStep:
     energy: Floats  # (owned cells,) int U(j)
     slope: Floats  # (owned cells, m) int U'(j) N_k
     stiffness: Floats  # (owned cells, m, m) int U''(j) N_k N_l
-    inverse: Floats  # (owned cells, m, m) that of int N_k N_l
+    inverse: Floats  # (owned cells, m, m) inverse of int N_k N_l
 
     def slope_at(self, t: float) -> Floats:
-        """Return the integrals (owned cells, m) of p + t U'' dj times N_k."""
+        """Integrals (owned cells, m) of p + t U'' dj times N_k."""
         return self.slope + t * np.einsum("ckl,cl->ck", self.stiffness, self.change)
 
     def pressure_at(self, t: float) -> Floats:
-        """Return the coefficients (owned cells, m) of p + t U'' dj."""
+        """Coefficients (owned cells, m) of p + t U'' dj."""
         return np.asarray(np.einsum("ckl,cl->ck", self.inverse, self.slope_at(t)))
 
     def energy_at(self, t: float, ratio: Floats) -> Floats:
@@ -239,7 +237,7 @@ class MeanVolume:
         self.cells = cells = CellFunctions(V.mesh, integral.weight, dx, affine=affine)
         self.mean_stress, self._ratio = (fem.Function(cells.space) for _ in range(2))
         self._ratio.x.array[:: cells.size] = 1.0
-        self._at = fem.Constant(V.mesh, default_scalar_type(1.0))  # stands for J in derivatives
+        self._at = fem.Constant(V.mesh, default_scalar_type(1.0))  # J in derivatives
         self._gradient = integral.kinematics.measure(u)
         J = ufl.det(self._gradient)
         change = ufl.derivative(J, u, ufl.TrialFunction(V))
@@ -256,7 +254,7 @@ class MeanVolume:
         self._B = RowsOfCells(B, cells.size)
 
     def _slope(self, region: Region, order: int, J: Expr) -> Expr:
-        """Return a derivative of U at J."""
+        """A derivative of U at J."""
         at = Variable(self._at, Label(-4))
         value = volumetric_energy(region, at)
         for _ in range(order):
@@ -264,7 +262,7 @@ class MeanVolume:
         return ufl.replace(without_variables(expand_derivatives(value)), {self._at: J})
 
     def complete(self, region: Region, response: Response) -> Response:
-        """Return a response with p in place of U'(J), and without U(J) in the energy."""
+        """Response with p in place of U'(J), and without U(J) in the energy."""
         F, p = self._gradient, self.cells.field(self.mean_stress)
 
         def stress(gradient: Expr) -> Expr:
@@ -282,17 +280,17 @@ class MeanVolume:
         return dataclasses.replace(response, stress=total, energy=energy, change=change)
 
     def follow(self) -> None:
-        """Take over the displacement and the parameters of the laws; collective."""
+        """Update to the displacement and the parameters of the laws; collective."""
         cells = self.cells
         set_owned(self._ratio, cells.coefficients(cells.vectors(self._volume_form)))
         self.set_pressure(cells.coefficients(cells.vectors(self._energy_forms[1])))
 
     def set_pressure(self, pressure: Floats) -> None:
-        """Let p have coefficients (owned cells, m), until the next `follow`; collective."""
+        """Set the coefficients (owned cells, m) of p, until the next `follow`; collective."""
         set_owned(self.mean_stress, pressure)
 
     def energy(self, along: tuple[VolumeStep, float] | None = None) -> float:
-        """Return sum_c int U(j) over the owned cells, as `follow` found j.
+        """Return sum_c int U(j) over the owned cells, j as of `follow`.
 
         Along a step, at the length t, `VolumeStep.energy_at`.
         """
@@ -306,11 +304,11 @@ class MeanVolume:
         return self.cells.vectors(self._energy_forms[0])[:, 0]
 
     def densities(self) -> Floats:
-        """Return the mean of U(j) over each owned cell, per volume at X, j as of `follow`."""
+        """Mean of U(j) over each owned cell, per volume at X, j as of `follow`."""
         return self._energies() / self.cells.volumes
 
     def step_along(self, v: fem.Function) -> VolumeStep:
-        """Return what changes along a step v from the present u; collective."""
+        """Volumes and pressures along a step v from the present u; collective."""
         self.follow()
         self._B.assemble()
         cells = self.cells
@@ -338,7 +336,7 @@ class MeanVolume:
 
 
 def volumetric_energy(region: Region, J: Expr) -> Expr:
-    """Return U(J): that of a law of F, of a law that splits K/2 (ln J)^2."""
+    """U(J) of a law of F, K/2 (ln J)^2 of a law that splits."""
     if region.law.strain == "finite":
         assert region.law.volumetric is not None
         return region.law.volumetric(J, region.symbols)
