@@ -28,11 +28,11 @@ from ufl.core.expr import Expr
 
 
 class PointValuesOfRegion(ABC):
-    """What is found at the points of a region before anything is assembled.
+    """Values at the points of a region, found before assembly.
 
     Attributes:
         region: the law and its cells.
-        response: of the law, in terms of what is found.
+        response: of the law, in terms of these values.
         normal: in plane stress the strain, or the stretch less 1, out of the plane; zero in other
             regions.
     """
@@ -48,7 +48,7 @@ class PointValuesOfRegion(ABC):
         inputs: Sequence[fem.Function],
         degree: int,
     ) -> None:
-        """Create what is filled; the strain, or F, depends on the inputs; collective."""
+        """Create the Functions to be filled by functions of the inputs; collective."""
         self.region = region
         self._mesh = region.mesh
         self._committed = {name: state[name] for name in region.law.state}
@@ -62,10 +62,10 @@ class PointValuesOfRegion(ABC):
 
     @abstractmethod
     def _evaluate(self) -> None:
-        """Fill the Functions; where that raises, they are as before."""
+        """Fill the Functions; an error leaves them as before."""
 
     def fill(self) -> None:
-        """Evaluate the law, unless nothing has changed; without communication.
+        """Evaluate the law if an input has changed; without communication.
 
         Raises:
             ValueError: if the law fails.
@@ -76,14 +76,14 @@ class PointValuesOfRegion(ABC):
             self._seen = self._copies(now)
 
     def _copies(self, now: list[Floats]) -> list[Floats]:
-        """Return copies of the inputs that have been evaluated."""
+        """Copies of the evaluated inputs."""
         return [values.copy() for values in now]
 
     def settle(self) -> None:  # noqa: B027 - most have evaluated everything by then
-        """Evaluate what is needed only at the end of a step; without communication."""
+        """Evaluate the values that only the end of a step needs; without communication."""
 
     def _state(self) -> dict[str, Floats]:
-        """Return the committed internal variables at the points, (q,) or (q, 3, 3)."""
+        """Committed internal variables at the points, (q,) or (q, 3, 3)."""
         found = {}
         for name, f in self._committed.items():
             values = f.x.array.reshape(-1, f.function_space.dofmap.bs)[self._rows(f)]
@@ -91,7 +91,7 @@ class PointValuesOfRegion(ABC):
         return found
 
     def _rows(self, f: fem.Function) -> Ints:
-        """Return the points of the region, rows of the values of a Function at points."""
+        """Points of the region, rows of the values of a Function at points."""
         return np.asarray(f.function_space.dofmap.list[self.region.cells].ravel())
 
     def _set(self, f: fem.Function, values: Floats) -> None:
@@ -101,7 +101,7 @@ class PointValuesOfRegion(ABC):
         f.x.array.reshape(-1, size)[self._rows(f)] = values
 
     def _evaluated(self, expression: fem.Expression, cells: Ints) -> Floats:
-        """Return the values of an expression in cells, point by point."""
+        """Values of an expression in cells, point by point."""
         return np.asarray(expression.eval(self._mesh, cells))
 
 
@@ -170,16 +170,16 @@ class PointwiseFields(PointValuesOfRegion):
         self.response = Response(stress, self._energy, new, self._change)
 
     def _create_law(self) -> tuple[bool, bool]:
-        """Return whether the law is one of F, and whether it has a potential."""
+        """Whether the law is one of F, and whether it has a potential."""
         finite = self.region.law.strain == "finite"
         return finite, finite and self.region.law.energy is not None
 
     def _wanted(self, strain: Expr) -> Expr:
-        """Return what is evaluated at the points before the law is called."""
+        """Expressions to be evaluated at the points before the law."""
         return ufl.as_vector([strain[entry] for entry in self._entries])
 
     def _tensor(self, entries: Sequence[Expr]) -> Expr:
-        """Return the 3x3 tensor of stored entries."""
+        """3x3 tensor of stored entries."""
         rows: list[list[Expr]] = [[ufl.as_ufl(0.0)] * 3 for _ in range(3)]
         for (i, j), entry in zip(self._entries, entries, strict=True):
             rows[i][j] = entry
@@ -188,7 +188,7 @@ class PointwiseFields(PointValuesOfRegion):
         return ufl.as_tensor(rows)
 
     def _change(self, direction: Expr) -> Expr:
-        """Return the tangent times a direction, 3x3."""
+        """The tangent times a direction, 3x3."""
         number = {pair: k for k, pair in enumerate(_pairs(len(self._entries)))}
         sums = []
         for a in range(len(self._entries)):
@@ -224,7 +224,7 @@ class PointwiseFields(PointValuesOfRegion):
                 self._set(f, values)
 
     def _judge(self, bad: Bools, strain: Floats, what: str) -> None:
-        """Raise ValueError if something is wrong at some points, naming the first."""
+        """Raise a ValueError if something is wrong at some points, naming the first."""
         wrong = np.flatnonzero(bad)
         if wrong.size:
             points = self._stress.function_space.dofmap.list.shape[1]
@@ -249,7 +249,7 @@ class LogarithmicFields(PointwiseFields):
     """
 
     def _create_law(self) -> tuple[bool, bool]:
-        """Compile the law once for all ranks, or take what is in the cache; collective."""
+        """Compile the law once for all ranks, or load it from the cache; collective."""
 
         def compiled(vector: Expr) -> Kernel:
             found, module, _ = jit.ffcx_jit(self._mesh.comm, (vector, ANYWHERE))
@@ -263,7 +263,7 @@ class LogarithmicFields(PointwiseFields):
         return True, self._law.has_energy
 
     def _wanted(self, strain: Expr) -> Expr:
-        """Return F - I, row by row: F is affine in u. Strains may be far below round-off of 1."""
+        """Return F - I, row by row, affine in u: strains may be far below round-off of 1."""
         u = self._inputs[0]
         H = ufl.derivative(strain, u, u)
         return ufl.as_vector([H[i, j] for i in range(3) for j in range(3)])
@@ -275,7 +275,7 @@ class LogarithmicFields(PointwiseFields):
         start = self._start_of_step()
         if self.normal is not None:
             self._law.find_normal(start, H)
-        self._seen = []  # a law that fails leaves what it gave
+        self._seen = []  # a failing law leaves its values
         functions = [self._stress, self._tangent]
         functions += [] if self._energy is None else [self._energy]
         P, A, *psi = targets = [self._table(f) for f in functions]
@@ -294,14 +294,14 @@ class LogarithmicFields(PointwiseFields):
         self._gradients = H
 
     def _table(self, f: fem.Function) -> Floats:
-        """Return space for values (q, components) of a Function, a view if points are in order."""
+        """Space for values (q, components) of a Function, a view if points are in order."""
         rows, table = self._rows(f), f.x.array.reshape(-1, f.function_space.dofmap.bs)
         if len(rows) and np.array_equal(rows, np.arange(rows[0], rows[0] + len(rows))):
             return np.asarray(table[rows[0] : rows[0] + len(rows)])
         return np.empty((len(rows), table.shape[1]))
 
     def _copies(self, now: list[Floats]) -> list[Floats]:
-        """Return copies of the inputs; the last ones are those of the start of the step."""
+        """Copies of the inputs; the last ones are those of the start of the step."""
         assert self._start is not None
         kept = self._start[0]
         return [*(values.copy() for values in now[: len(now) - len(kept)]), *kept]
@@ -313,13 +313,13 @@ class LogarithmicFields(PointwiseFields):
             self._set(f, new[name])
 
     def stress_lost(self) -> Floats:
-        """Return the stress lost (q,), see `LogarithmicLaw`; none of a law without memory."""
+        """Stress lost (q,), see `LogarithmicLaw`; none of a law without memory."""
         if not self.region.law.state:
             return np.zeros(0)
         return self._law.stress_lost(self._start_of_step(), self._gradients)
 
     def _start_of_step(self) -> Start:
-        """Return what the points know at the start of the step."""
+        """Data of the points at the start of the step."""
         functions = [*self._committed.values(), self.region.parameters.function]
         now = [f.x.array for f in functions]
         if self._start is None or not all(map(np.array_equal, now, self._start[0])):
@@ -374,7 +374,7 @@ def fill_point_values(
 
 
 def normal_strain(found: Mapping[Law, PointValuesOfRegion]) -> Expr:
-    """Return the strain out of the plane that has been found at the points, 0 without any."""
+    """Strain out of the plane at the points, 0 without any."""
     parts = [values.normal for values in found.values() if values.normal is not None]
     return sum(parts[1:], parts[0]) if parts else ufl.as_ufl(0.0)
 
@@ -382,7 +382,7 @@ def normal_strain(found: Mapping[Law, PointValuesOfRegion]) -> Expr:
 def largest_stress_lost(
     comm: MPI.Comm, found: Mapping[Law, PointValuesOfRegion]
 ) -> tuple[float, str]:
-    """Return the largest share of `LogarithmicFields.stress_lost`, and which law's; collective."""
+    """Largest `LogarithmicFields.stress_lost`, and its law; collective."""
     parts = [values for values in found.values() if isinstance(values, LogarithmicFields)]
     local = [float(values.stress_lost().max(initial=0.0)) for values in parts]
     if not parts:
@@ -393,21 +393,21 @@ def largest_stress_lost(
 
 
 def _pairs(size: int) -> list[tuple[int, int]]:
-    """Return rows and columns of the upper triangle, row by row."""
+    """Rows and columns of the upper triangle, row by row."""
     return [(i, j) for i in range(size) for j in range(i, size)]
 
 
 def packed(tangent: Floats, entries: Sequence[tuple[int, int]]) -> Floats:
     """Return the upper triangle of the symmetric part of tangents (q, 3, 3, 3, 3), row by row."""
     a, b = np.array(_pairs(len(entries))).T
-    at = np.array(entries) @ [3, 1]  # the number of an entry among nine
+    at = np.array(entries) @ [3, 1]  # number of an entry among nine
     terms = np.stack([9 * at[a] + at[b], 9 * at[b] + at[a]], axis=1)
     return np.asarray(_means(np.ascontiguousarray(tangent).reshape(len(tangent), 81), terms))
 
 
 @numba.njit(cache=True)
 def _means(values, terms):  # type: ignore[no-untyped-def]
-    """Return means (q, t) of columns terms (t, 2) of values (q, n), faster than NumPy."""
+    """Means (q, t) of columns terms (t, 2) of values (q, n), faster than NumPy."""
     means = np.empty((len(values), len(terms)))
     for q in range(len(values)):
         for t in range(len(terms)):
