@@ -42,13 +42,13 @@ from dolfinx_mortar.solid.state import PointState
 from dolfinx_mortar.solid.term import Term, assemble
 from dolfinx_mortar.spaces import check_real, check_space
 
-# Written first, and if a law has them; then all internal variables and the output of the laws.
+# Written first, if a law has them; then all internal variables and the output of the laws.
 OUTPUT_FIELDS = (
     *("stress", "von_mises", "plastic_strain", "plastic_strain_norm"),
     *("back_stress_norm", "hardening"),
 )
 
-# Degree of the highest rule on simplices that Basix has in a table (Xiao and Gimbutas).
+# Degree of the highest rule on simplices in Basix's table (Xiao and Gimbutas).
 HIGHEST_RULE = 30
 
 
@@ -58,15 +58,15 @@ class Solid(Term):
     Attributes:
         u: displacement; its ghosts must be up to date in every call.
         kinematics: strain measure, weight and rigid motions; plane strain in 2D.
-        volumetric: how the volumetric part is integrated, "full" or "reduced".
+        volumetric: integration of the volumetric part, "full" or "reduced".
         regions: the cells of each law, with its parameters.
-        eigenstrain: the strain that the laws do not see, at the integration points, or None.
+        eigenstrain: at the integration points, or None; laws see the strain less it.
         stress: quadrature Function, stored as tensors of `state` are; Cauchy's at finite strain.
-        fields: what `evaluate` found, committed or not, at the integration points.
+        fields: results of `evaluate`, committed or not, at the integration points.
         gradients: strain and rotation at u, at the integration points.
         volumes: J = det F at the integration points, None at small strain.
         points: state and results at the integration points.
-        forms: what is compiled.
+        forms: compiled forms.
     """
 
     def __init__(
@@ -85,43 +85,38 @@ class Solid(Term):
         """Create the bodies and compile their forms (collective).
 
         Args:
-            u: displacement, a vector Lagrange Function of degree 1 or 2. materials: one law for all
-            cells, or a law per cell tag, or its name. cell_tags: tags of the cells, see `Tags` for
-            names; needed with a law per tag. quadrature_degree: None means 2(p - 1), at least 1, on
-            simplices and 2p on quadrilaterals and
-                hexahedra, p the degree of u.
+            u: displacement, a vector Lagrange Function of degree 1 or 2.
+            materials: one law for all cells, or a law per cell tag, or its name.
+            cell_tags: tags of the cells, see `Tags` for names; needed with a law per tag.
+            quadrature_degree: None means 2(p - 1), at least 1, on simplices and 2p on
+                quadrilaterals and hexahedra, p the degree of u.
             kinematics: "plane_strain" (the default in 2D), "plane_stress" (thin plates, forces per
                 thickness), "axisymmetric" (x[0] is the radius r, x[1] the axis z; strains, stresses
                 and loads are in the order r, z, theta, forces, energies and volumes those of the
                 whole ring), "spatial" (the only choice in 3D), or a `Kinematics`.
             eigenstrain: strain without stress (thermal, of a fit, initial), which is subtracted
-            from the
-                strain before laws are evaluated: a scalar (the same in all three directions) or a
-                3x3 tensor, as a number, an array, a Constant, a Function or UFL of these and of the
-                coordinates; or a dictionary of such by cell tag or name, zero at other tags. What
-                it depends on may change between steps, in ``on_time`` of `load_steps`.
+                from the strain before laws are evaluated: a scalar (the same in all three
+                directions) or a 3x3 tensor, as a number, an array, a Constant, a Function or UFL of
+                these and of the coordinates; or a dictionary of such by cell tag or name, zero at
+                other tags. Its data may change between steps, in ``on_time`` of `load_steps`.
             volumetric: "full", or "reduced" (mean dilatation) for quadrilaterals and hexahedra,
-            which
-                then do not lock where their volume hardly changes, see `mean_volume`. For laws that
-                split into a deviator and a trace, see `Material`. At finite strain for cells of
-                degree 2 of all shapes, too.
+                which then do not lock where their volume hardly changes, see `mean_volume`. For
+                laws that split into a deviator and a trace, see `Material`. At finite strain for
+                cells of degree 2 of all shapes.
             strain: "small", or "finite" for large rotations and strains of more than a few percent:
-            laws
-                are functions of the deformation gradient F = I + grad u, and the internal virtual
-                work is int P : dF[v] dX. Without eigenstrain.
+                laws are functions of the deformation gradient F = I + grad u, and the internal
+                virtual work is int P : dF[v] dX. Without eigenstrain.
             energies: whether stored and dissipated energies are evaluated at the end of each step,
-            for
-                `energies`, and as the fields "stored_energy" and "dissipated_energy". All laws need
-                a potential.
+                for `energies`, and as the fields "stored_energy" and "dissipated_energy". All laws
+                need a potential.
 
         Raises:
             ValueError: on all ranks, naming an argument that is wrong or differs between ranks; for
-            a mesh
-                beyond the axis; for a law that lacks a part, raises, or returns something of the
-                wrong name or shape, with law and part.
+                a mesh beyond the axis; for a law that lacks a part, raises, or returns something of
+                the wrong name or shape, with law and part.
         """
         check("u", u, instance(fem.Function, "give the displacement, a dolfinx.fem.Function"))
-        # before anything that ranks do together
+        # before anything collective
         self.given = {"materials": materials, "eigenstrain": eigenstrain}
         check_same_on_all_ranks(
             u.function_space.mesh.comm,
@@ -152,12 +147,12 @@ class Solid(Term):
         self._compile(integral, cell_tags)
 
     def _compile(self, integral: Integral, cell_tags: MeshTags | None) -> None:
-        """Compile the forms, and what is evaluated at points; collective."""
+        """Compile the forms, and the evaluation at points; collective."""
         u, degree, finite = self.u, integral.degree, self.kinematics.finite
         dilatation = create_dilatation(u, self.volumetric, integral, self.eigenstrain)
         measured, points = self.kinematics.measure(u), self.points
         seen = measured if self.eigenstrain is None else measured - self.eigenstrain.tensor
-        if isinstance(dilatation, MeanDilatation):  # laws, pointwise ones too, see the deviator
+        if isinstance(dilatation, MeanDilatation):  # laws, pointwise ones too, get the deviator
             seen = ufl.dev(seen)
         inputs = [u] if self.eigenstrain is None else [u, self.eigenstrain.function]
         how = self.regions, seen, self.state
@@ -215,12 +210,12 @@ class Solid(Term):
 
     @property
     def strain(self) -> str:
-        """How strains are measured, "small" or "finite"."""
+        """Measure of strains, "small" or "finite"."""
         return "finite" if self.kinematics.finite else "small"
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
-        """Whether all laws and the strain are linear: a constant tangent while parameters are."""
+        """Whether all laws and the strain are linear: constant parameters, constant tangent."""
         return self.gradients.small and all(region.law.linear for region in self.regions)
 
     # -- one Newton iteration -------------------------------------------------------------------
@@ -228,20 +223,18 @@ class Solid(Term):
     def create_matrix(self, kind: str = "aij") -> PETSc.Mat:
         """Create the matrix of the tangent: V's layout, pattern of the mesh, no entries.
 
-        Args:
-            kind: "aij", or "baij" for blocks of nodes.
+        `kind`: "aij", or "baij" for blocks of nodes.
         """
         K = fem_petsc.create_matrix(self.forms.tangent.form, kind)
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         return K
 
     def energy(self, along: tuple[VolumeStep, float] | None = None) -> float | Floats | None:
-        """Return this rank's share of the incremental potential Psi(u); collective.
+        """This rank's share of the incremental potential Psi(u); collective.
 
         Along a step of `volume_step`, at the length t, with the volumes of its linearisation. None
-        if a law gives a stress but no potential; infinite where det F <= 0 at any point. At finite
-        strain with two more addends, whose sum is zero and whose size is the round-off of energies
-        of F.
+        if a law has no potential; infinite where det F <= 0 at any point. At finite strain with two
+        more addends of sum zero, whose size is the round-off of energies of F.
         """
         if self.forms.energy is None:
             return None
@@ -256,7 +249,7 @@ class Solid(Term):
         return np.array([share, self.forms.moduli, -self.forms.moduli])
 
     def potential(self) -> float | None:
-        """Return Psi(u) of all ranks, None without; collective."""
+        """Psi(u) of all ranks, or None; collective."""
         share, comm = self.energy(), self.mesh.comm
         none = comm.allreduce(share is None)
         return None if none or share is None else float(comm.allreduce(float(np.sum(share))))
@@ -269,7 +262,7 @@ class Solid(Term):
     def add_tangent(self, K: PETSc.Mat, pressure: Floats | None = None) -> None:
         """Add the consistent tangent dF/du at u, symmetric, without boundary conditions.
 
-        With a pressure (owned cells,) that where mean stresses are unknowns, see `mean_volume`.
+        With a pressure (owned cells,) where mean stresses are unknowns, see `mean_volume`.
         """
         self.follow()
         dilatation = self.forms.dilatation
@@ -292,17 +285,17 @@ class Solid(Term):
         self.add_tangent(K)
 
     def elastic_norm(self, v: fem.Function) -> float:
-        """Return the energy norm sqrt(int eps(v) : C : eps(v)) of a Function of V."""
+        """Energy norm sqrt(int eps(v) : C : eps(v)) of a Function of V."""
         self.follow()
         self.forms.direction.x.array[:] = v.x.array
         share, dilatation = fem.assemble_scalar(self.forms.elastic_norm), self.forms.dilatation
         return _root(self, share if dilatation is None else share + dilatation.norm_squared(v))
 
     def element_force_norm(self) -> float:
-        """Return the norm of the unassembled element forces at u, sqrt(sum_e sum_a |f_ea|^2).
+        """Norm of the unassembled element forces at u, sqrt(sum_e sum_a |f_ea|^2).
 
         The scale of round-off in F(u); it does not vanish with residual stresses. Exact for degree
-        1 on simplices; else the gradients at the midpoint are used, without the stress along rings.
+        1 on simplices; else by the gradients at the midpoint, without the stress along rings.
         """
         self.follow()
         return _root(self, fem.assemble_scalar(self.forms.element_force))
@@ -312,13 +305,12 @@ class Solid(Term):
     def evaluate(self) -> None:
         """Evaluate stress and internal variables at u and the committed state; collective.
 
-        `stress`, `fields` and all that rests on them show these results of the step from now on.
-        The committed state stays as it is.
+        `stress` and `fields` show these results of the step from now on; the committed state is
+        unchanged.
 
         Raises:
             ValueError: on all ranks, if a law gives NaN or infinity on any; the message names it.
-            All that
-                is shown, and what `commit` would take, is then as before.
+                All results are then as before.
         """
         self.follow()
         self.points.evaluate(self.follow)
@@ -334,23 +326,20 @@ class Solid(Term):
         self.forms.committed.complete()
 
     def commit(self) -> None:
-        """Make the internal variables of the last `evaluate` the committed ones.
-
-        Results do not change.
-        """
+        """Commit the internal variables of the last `evaluate`."""
         self.points.commit()
         self.forms.committed.keep()
 
     def energies(self) -> dict[int | str, Energies]:
-        """Return the energy stored in each body, and dissipated since the start; collective.
+        """Energy stored in each body, and dissipated since the start; collective.
 
             solid.energies()["block"].dissipated
 
-        Bodies are the cells of a tag, under its name if it has one; without ``cell_tags`` there is
-        one, 0. As `evaluate` found them at the end of the last step; of the whole ring, or per
-        thickness. Elastic energy and that of hardening are stored, plastic work less the latter is
-        dissipated; what friction dissipates is in `Contact.dissipation`. Their sum is the work of
-        supports and loads, up to the error of load steps, which is that of the trapezoidal rule.
+        At the end of the last step, for each tag of cells, by its name if it has one, or for 0
+        without ``cell_tags``; of the whole ring, or per thickness. Elastic energy and that of
+        hardening are stored, the rest of the plastic work is dissipated; for friction see
+        `Contact.dissipation`. Their sum is the work of supports and loads, up to the error of the
+        trapezoidal rule over load steps.
 
         Raises:
             ValueError: unless the solid was made with ``energies=True``.
@@ -362,7 +351,7 @@ class Solid(Term):
         return self.points.densities.by_body(self.fields)
 
     def max(self, name: str) -> float:
-        """Return the largest value of a scalar field over all integration points (collective).
+        """Largest value of a scalar field over all integration points (collective).
 
         Args:
             name: see `PointFields.values`, for example "von_mises" or "plastic_strain_norm".
@@ -373,15 +362,15 @@ class Solid(Term):
         return self.fields.max(name)
 
     def cell_values(self, name: str) -> fem.Function:
-        """Return the cell averages of a field as a DG0 Function (refilled at every call)."""
+        """Cell averages of a field as a DG0 Function (refilled at every call)."""
         return self.fields.cell_values(name)
 
     def output_fields(self) -> dict[str, fem.Function]:
-        """Return the cell averages worth writing, by name, in the user's units (collective).
+        """Cell averages for output, by name, in the user's units (collective).
 
-        Stress, internal variables and the laws' own output, all of the last `evaluate`.
+        Stress, internal variables and the laws' own output, of the last `evaluate`.
         ``plastic_strain_norm`` and ``back_stress_norm`` are Frobenius norms, ``hardening`` is the
-        vector norm of the stored back stress components that the literature plots.
+        vector norm of the stored back stress components that some papers plot.
         """
         first = [name for name in OUTPUT_FIELDS if name in self.fields.names]
         return {
@@ -389,23 +378,23 @@ class Solid(Term):
         }
 
     def plastic_area(self) -> float:
-        """Return the area (volume of spatial bodies and rings) whose plastic strain is not zero.
+        """Area (volume of spatial bodies and rings) whose plastic strain is not zero.
 
-        A law whose `output` has a field ``plastic``, one or zero, says itself where it is.
+        A law's `output` may define it by a field ``plastic``, one or zero.
         """
         return self.fields.integral("plastic") if "plastic" in self.fields.names else 0.0
 
 
 def _root(solid: Solid, share: float) -> float:
-    """Return the root of a sum over all ranks."""
+    """Root of a sum over all ranks."""
     return math.sqrt(max(solid.mesh.comm.allreduce(share, op=MPI.SUM), 0.0))
 
 
 def flows_at_start(solid: Solid) -> bool:
-    """Tell whether what has changed since the last commit makes bodies flow; collective.
+    """Whether changes since the last commit may make bodies flow; collective.
 
     Then a step begins with `add_first_forces` and `add_first_tangent`. False at finite strain,
-    where a tangent that is singular is shifted.
+    where a singular tangent is shifted.
     """
     if not solid.gradients.small or not solid.state:
         return False
@@ -425,8 +414,8 @@ def add_first_forces(solid: Solid, F: PETSc.Vec) -> None:
 
         F_n + int C_n : (eps(u - u_n) - (e - e_n)) : eps(v),    C_n the tangent of that state.
 
-    Beyond yield, where an eigenstrain e, parameters or a start lead, the stress is capped: it does
-    not tell how far the bodies have to move.
+    Beyond yield by an eigenstrain e, parameters or a start, the stress is capped: it does not tell
+    how far the bodies have to move.
     """
     solid.follow()
     committed, dilatation = solid.forms.committed, solid.forms.dilatation
@@ -450,13 +439,13 @@ def add_first_tangent(solid: Solid, K: PETSc.Mat) -> None:
 
 
 def volume_step(solid: Solid, du: fem.Function) -> VolumeStep | None:
-    """Return volumes and pressures along a step, None unless they are means of J; collective."""
+    """Volumes and pressures along a step, None unless they are means of J; collective."""
     dilatation = solid.forms.dilatation
     return dilatation.step_along(du) if isinstance(dilatation, MeanVolume) else None
 
 
 def _degree(V: fem.FunctionSpace, given: int | None) -> int:
-    """Return the quadrature degree: by default 2(p - 1) >= 1 on simplices, else 2p."""
+    """Quadrature degree: by default 2(p - 1) >= 1 on simplices, else 2p."""
     if given is not None:
         rule = integer(0, HIGHEST_RULE)
         return check("quadrature_degree", given, rule, f"{rule.remedy}, or None")
