@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Functions at points of the bodies, and the expressions that fill them.
 
-Parameters and eigenstrain may change between steps: they are followed.
+Parameters and eigenstrain may change between steps, and are evaluated again.
 """
 
 from abc import ABC, abstractmethod
@@ -29,20 +29,20 @@ from ufl.core.expr import Expr
 class Part:
     """A value, and the components of a Function that it fills."""
 
-    name: str  # of what the user gave, for messages
+    name: str  # of the user's argument, for messages
     function: fem.Function
-    value: Expr  # a scalar or a vector of components
+    value: Expr  # scalar or vector of components
     components: slice = slice(None)  # of the Function
 
     @property
     def table(self) -> Floats:
-        """The values (points, components) of the Function, which may be set."""
+        """Values (points, components) of the Function, writable."""
         rows = self.function.x.array.reshape(-1, self.function.function_space.dofmap.bs)
         return rows[:, self.components]
 
     @property
     def entries(self) -> list[Expr]:
-        """The components of the value."""
+        """Number of components of the value."""
         value = self.value
         return [value[i] for i in range(*value.ufl_shape)] if value.ufl_shape else [value]
 
@@ -54,7 +54,7 @@ class Source:
     parts: Sequence[Part]  # all at the same points
     cells: Ints  # local cells, ghosts included
     expression: fem.Expression
-    inputs: tuple[Any, ...]  # the Constants and Functions that it depends on
+    inputs: tuple[Any, ...]  # its Constants and Functions
 
     @property
     def _space(self) -> fem.FunctionSpace:
@@ -62,11 +62,11 @@ class Source:
 
     @property
     def dofs(self) -> Ints:
-        """The points (cells, points) of the cells, rows of the tables of values."""
+        """Points (cells, points) of the cells, rows of the tables of values."""
         return np.asarray(self._space.dofmap.list[self.cells])
 
     def evaluate(self, cells: Ints) -> Floats:
-        """Return the values (cells, points, components) in some cells; without communication."""
+        """Values (cells, points, components) in some cells; without communication."""
         values = np.asarray(self.expression.eval(self._space.mesh, cells))
         points = self._space.dofmap.list.shape[1]
         # dolfinx 0.9 has points and components on one axis, 0.11 on two
@@ -81,12 +81,12 @@ class Source:
             table[dofs] = of_part
 
     def undefined(self) -> list[int]:
-        """Return at how many points of the cells the Function of each part is NaN or infinite."""
+        """Number of points of the cells at which the Function of each part is NaN or infinite."""
         at = [part.table[self.dofs] for part in self.parts]
         return [int(np.sum(~np.isfinite(values).all(axis=-1))) for values in at]
 
     def numbers(self) -> list[Floats]:
-        """Return the numbers that it depends on."""
+        """Numbers that it depends on."""
         return [
             np.asarray(f.value) if isinstance(f, fem.Constant) else f.x.array for f in self.inputs
         ]
@@ -131,13 +131,13 @@ def create_field(domain: mesh.Mesh, degree: int, shape: tuple[int, ...], name: s
 
 
 def middle_of(domain: mesh.Mesh, cell: int) -> str:
-    """Return the midpoint of a local cell in words."""
+    """Midpoint of a local cell in words."""
     x = mesh.compute_midpoints(domain, domain.topology.dim, np.array([cell], dtype=np.int32))[0]
     return "(" + ", ".join(f"{v:.4g}" for v in x[: domain.geometry.dim]) + ")"
 
 
 def check_source(u: fem.Function, name: str, value: Expr) -> None:
-    """Raise a ValueError if a value is not real, depends on u, or lives on another mesh."""
+    """Raise a ValueError if a value is not real, depends on u, or is on another mesh."""
     check_real(name, *extract_coefficients(value), *extract_constants(value))
     if u in extract_coefficients(value):
         raise ValueError(
@@ -149,7 +149,7 @@ def check_source(u: fem.Function, name: str, value: Expr) -> None:
 
 
 class Followed(ABC):
-    """Values at points, evaluated anew when something that they depend on has changed.
+    """Values at points, evaluated again when their data have changed.
 
     Attributes:
         function: the values.
@@ -163,15 +163,15 @@ class Followed(ABC):
         self._seen: list[Floats] | None = None
 
     def outdated(self) -> bool:
-        """Tell whether something on this rank has changed since it was last followed."""
+        """Whether data on this rank have changed since the last evaluation."""
         now = [numbers for source in self._sources for numbers in source.numbers()]
         return self._seen is None or not all(map(np.array_equal, now, self._seen))
 
     def follow(self) -> None:
-        """Evaluate everything anew; collective.
+        """Evaluate everything; collective.
 
         Raises:
-            ValueError: on all ranks, if a value makes no sense; all are then as before.
+            ValueError: on all ranks, for invalid values; all are then as before.
         """
         before = self.function.x.array.copy()
         for source in self._sources:
@@ -185,10 +185,10 @@ class Followed(ABC):
 
     @abstractmethod
     def judge(self) -> None:
-        """Raise a ValueError on all ranks if values make no sense; collective."""
+        """Raise a ValueError on all ranks for invalid values; collective."""
 
     def forget(self) -> None:
-        """Take the values for outdated, whatever has changed."""
+        """Mark the values as outdated."""
         self._seen = None
 
 
@@ -204,7 +204,7 @@ def follow_changed(comm: MPI.Comm, followed: Sequence[Followed]) -> None:
 
 
 def fill_all(comm: MPI.Comm, evaluations: Sequence[Source]) -> None:
-    """Evaluate all expressions; if that raises, the Functions are as before; collective.
+    """Evaluate all expressions; an error leaves the Functions as before; collective.
 
     Raises:
         ValueError: on all ranks, if a law gives NaN or infinity on any, naming the law.
