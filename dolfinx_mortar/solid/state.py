@@ -15,15 +15,15 @@ from dolfinx_mortar.solid.sources import Followed, Source, create_field, fill_al
 
 
 class PointState:
-    """Internal variables, committed and found last, stress, and what they rest on.
+    """Internal variables, committed and of the last `evaluate`, stress, and their data.
 
     Attributes:
         committed: internal variables by name, from which a step starts.
-        staged: those that `evaluate` has found.
+        staged: those of the last `evaluate`.
         stress: filled by `evaluate`.
-        shown: what `evaluate` fills beside these, by name.
+        shown: other Functions that `evaluate` fills, by name.
         followed: the parameters of the laws and the eigenstrain.
-        found: what is found before each assembly, by law.
+        found: values found before each assembly, by law.
         evaluations: of stress and new internal variables.
         densities: energies, if they are asked for.
     """
@@ -53,14 +53,14 @@ class PointState:
         return any(one.varying for one in self.followed)
 
     def follow(self, dilatation: Callable[[], None] | None) -> None:
-        """Update what has changed, then the mean dilatation, then the laws; collective."""
+        """Update changed data, then the mean dilatation, then the laws; collective."""
         follow_changed(self._comm, self.followed)
         if dilatation is not None:
             dilatation()
         fill_point_values(self._comm, self.found)
 
     def evaluate(self, follow: Callable[[], None]) -> None:
-        """Evaluate stress and internal variables; if that raises, all are as before; collective."""
+        """Evaluate stress and internal variables; an error leaves all as before; collective."""
         fill_point_values(self._comm, self.found, at_end=True)
         if self.densities is None:
             fill_all(self._comm, self.evaluations)
@@ -74,7 +74,7 @@ class PointState:
             raise
 
     def commit(self) -> None:
-        """Make the internal variables of the last `evaluate` the committed ones."""
+        """Commit the internal variables of the last `evaluate`."""
         for name, staged in self.staged.items():
             self.committed[name].x.array[:] = staged.x.array
 
@@ -84,14 +84,14 @@ class PointState:
         return [(f, f.x.array.copy()) for f in functions]
 
     def put_back(self, kept: list[tuple[fem.Function, Floats]]) -> None:
-        """Restore the results that `keep` has returned; without communication."""
+        """Restore the results of `keep`; without communication."""
         for f, values in kept:
             f.x.array[:] = values
         for followed in self.followed:
             followed.forget()
 
     def lasting_fields(self) -> dict[str, fem.Function]:
-        """Return the fields that are kept from step to step, by name."""
+        """Fields that are kept from step to step, by name."""
         committed = {f"committed/{name}": f for name, f in self.committed.items()}
         shown = {f"shown/{name}": f for name, f in self.staged.items()}
         return {"stress": self.stress} | committed | self.shown | shown
