@@ -18,25 +18,24 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints
 
 
 class Term(ABC):
-    """Energy Pi(u), a part of what a step minimises: the base of bodies, loads and your own terms.
+    """Energy Pi(u), a part of the minimised energy: the base of bodies, loads and your own terms.
 
     Pass instances of yours in ``ContactProblem(..., terms=[...])``. The problem adds up
 
         Pi(u),   F_i = dPi/du_i,   K_ij = d2Pi/du_i du_j
 
-    of all its terms; `WeakForm` does this for UFL. Write here what UFL does not reach: forces
-    between far points, tables, other programs. Of what is collective, a method may only do what all
-    ranks reach: an error is raised on all of them after the call. Your class has to define
-    `add_forces` and `add_tangent`.
+    of all its terms; `WeakForm` does this for UFL. A class of your own is for forces between far
+    points, tables, other programs; it has to define `add_forces` and `add_tangent`. In a method,
+    collective calls must be reached by all ranks: an error of one rank is raised on all after the
+    call.
 
     Attributes:
         linear: whether K is constant in a step, so that it need not be assembled at every iterate.
         has_tangent: whether K is not zero.
         couplings: global dofs (k,) that K couples beyond the pattern of the mesh, an array for each
             dense block of k x k entries, the same on all ranks or each on one of them.
-        state: Functions on ``solid.V`` or its scalar space, by name, that `commit` sets: what the
-        next
-            step starts from, and what a checkpoint holds.
+        state: Functions on ``solid.V`` or its scalar space, by name, that `commit` sets: the start
+            of the next step, and part of a checkpoint.
     """
 
     linear: bool = False
@@ -45,16 +44,16 @@ class Term(ABC):
 
     @property
     def state(self) -> Mapping[str, fem.Function]:
-        """Functions that go on from step to step, by name."""
+        """Functions that are kept from step to step, by name."""
         return {}
 
     @property
     def identity(self) -> Mapping[str, Any]:
-        """What a state belongs to, by name, of what JSON can hold: a checkpoint is refused else."""
+        """Data, as JSON, that a checkpoint's state depends on: it is refused for others."""
         return {}
 
     def energy(self) -> float | Floats | None:
-        """Return this rank's share of Pi(u), or its addends; None if there is no potential.
+        """This rank's share of Pi(u), or its addends; None without a potential.
 
         Then there is no line search: Newton's steps are whole.
         """
@@ -66,31 +65,31 @@ class Term(ABC):
 
     @abstractmethod
     def add_tangent(self, K: PETSc.Mat) -> None:
-        """Add K_ij, symmetric, with ``K.setValues(.., addv=True)``, on the pattern that K has."""
+        """Add K_ij, symmetric, with ``K.setValues(.., addv=True)``, within the pattern of K."""
 
     def skew(self) -> PETSc.Mat | None:
-        """Return the antisymmetric part of dF/du, if there is one; collective.
+        """Antisymmetric part of dF/du, or None; collective.
 
-        `add_tangent` leaves it out. Tangents of moving surfaces, not symmetric either, take it.
+        Not part of `add_tangent`; unsymmetric tangents of moving surfaces take it.
         """
         return None
 
     def meet(self, contact: Bools, body: Ints) -> None:
-        """Learn where the bodies may meet others, when a problem is made; collective.
+        """Receive the places of contacts, when a problem is made; collective.
 
         Args:
-            contact: (owned nodes,) which nodes belong to sides that can open.
+            contact: (owned nodes,) nodes of sides that can open.
             body: (owned nodes,) numbers of the connected bodies.
         """
 
     def stride(self) -> float:
-        """Return how far a node may move in the step that has begun, by what the term knows."""
+        """How far a node may move in the present step, as far as the term knows."""
         return 0.0
 
     def varies(self, K: PETSc.Mat) -> bool:
-        """Tell whether the tangent may be another than `add_tangent` has last added to a matrix.
+        """Whether the tangent may differ from the last `add_tangent` to K, at the start of a step.
 
-        Asked at the start of a step, of terms that are linear.
+        Asked of linear terms.
         """
         return True
 
@@ -103,22 +102,22 @@ class Term(ABC):
         """
 
     def commit(self) -> None:
-        """Make the converged step the state from which the next one starts.
+        """Make the converged step the start of the next one.
 
-        An error undoes the step, of all terms: what ``state`` holds is put back.
+        An error undoes the step, of all terms: ``state`` is restored.
         """
 
     def roll_back(self) -> None:
-        """Forget a step that has failed; the committed state stands as it is."""
+        """Forget a failed step; the committed state remains."""
 
 
 R = TypeVar("R")
 
 
 def ask_term(comm: MPI.Comm, name: str, term: Term, call: Callable[[], R]) -> R:
-    """Ask a term; what fails in one of a user's on one rank is raised on all, with its name.
+    """Ask a term; an error of a user's on one rank is raised on all, with its name; collective.
 
-    Collective; those of this package pay nothing.
+    Terms of this package are asked directly.
     """
     if is_ours(term):
         return call()
@@ -142,12 +141,12 @@ def assemble(form: fem.Form, vector: la.Vector) -> Floats:
 class MatrixForm:
     """A bilinear form whose matrix is the same each time, to the last bit.
 
-    PETSc adds up what other ranks send in the order in which it comes; on more than two ranks
+    PETSc adds up the messages of other ranks in the order of arrival; on more than two ranks
     dolfinx does it in the order of the ranks, in a matrix of its own. On one rank that takes half
-    the time of assembly in AIJ, with the same bits.
+    the time of assembly in AIJ.
 
     Attributes:
-        form: the form, compiled; Any because dolfinx annotates one overload only.
+        form: compiled; Any because dolfinx annotates one overload only.
     """
 
     def __init__(self, form: Any) -> None:
