@@ -335,8 +335,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     force, length = b2 + np.hypot(zb2, zt2), max(x_top, bound_top)
     off2 = off2 + qp.taken
     # One of the two must vanish; their product would mix distant bounds with round-off in z. Forces
-    # whose
-    # squares underflow count as zero.
+    # whose squares underflow count as zero.
     forces = np.abs(zb) / force if force > 0.0 else np.zeros_like(zb)
     both = np.minimum(forces, distance / max(length, TINY))
     both_top = maximum(qp.comm, both.max(initial=0.0))[0]
