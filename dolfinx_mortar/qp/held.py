@@ -32,9 +32,8 @@ from dolfinx_mortar.qp.friction import Friction, Sliding
 # Levels of accuracy: first sets by loose solves, the last one by a tight one.
 LOOSE, TIGHT = 0, 2
 # Solves are this much more accurate than the check, whose scale may decrease meanwhile. In five
-# plane
-# problems with multigrid 1/4, 1/2, 1 take 1.10, 1, .90 of the iterations; near 1 they would hardly
-# gain the next digit.
+# plane problems with multigrid 1/4, 1/2, 1 take 1.10, 1, .90 of the iterations; near 1 they would
+# hardly gain the next digit.
 SHARE = 0.5
 
 
