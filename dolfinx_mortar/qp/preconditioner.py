@@ -23,10 +23,8 @@ from dolfinx_mortar.qp.operator import Operator, count_negative
 from dolfinx_mortar.qp.options import SolverOptions
 
 # Iterations above those of a new one that are worth a renewal. A numeric factorisation in 2D costs
-# 5
-# to 7 solves (5k to 200k unknowns, MUMPS), a set-up of multigrid in 3D 25 to 50 iterations (GAMG,
-# 30k
-# to 181k unknowns). Renewal after twice 40: with 40, second set-ups saved 2 to 13 of 75 to 114
+# 5 to 7 solves (5k to 200k unknowns, MUMPS), a set-up of multigrid in 3D 25 to 50 iterations (GAMG,
+# 30k to 181k unknowns). Renewal after twice 40: with 40, second set-ups saved 2 to 13 of 75 to 114
 # iterations of a plastic step (41k to 160k unknowns), which took 1.1 to 1.25 times as long, as new
 # levels of a flowing body take twice the iterations.
 RENEWAL_COST = {"direct": 6, "iterative": 80}
@@ -133,20 +131,20 @@ def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
 class Multigrid:
     """Context of a PETSc PC of type python: M^-1 in unknowns v that may differ from x.
 
-    An unknown at its bound drops out. At an open contact the relative motion of the sides is
-    unsuitable: coarse functions couple the two bodies (in 2D 75 and 113 iterations on two meshes
-    instead of 17 and 23, in 3D 43 instead of 18). So a matrix B in other unknowns v may be used,
+    Unknowns at bounds drop out. At open contacts the relative motion of the sides is unsuitable:
+    coarse functions couple the two bodies (3D: 43 iterations instead of 18). So a matrix B in other
+    unknowns v may be used,
 
         x = (I - E) v,      M^-1 = (I - E) B^-1 (I - E)^T on unknowns that are not held now,
 
     where B belongs to an earlier set of held unknowns, geometry and tangent. With GAMG the finest
-    level uses the present matrix, and only the coarse levels are those of B: then changes of the
-    set cost few iterations. With other PCs for B^-1 each unknown that has changed its state since
-    costs about one, and those that are free now are preconditioned by the mean of the diagonal.
+    level uses the present matrix, and only the coarse levels are those of B: changes of the set
+    cost few iterations. With other PCs for B^-1 each changed unknown costs about one, and those
+    that are free now are preconditioned by the mean of the diagonal.
 
     Args:
         A: (n, n) matrix of the QP.
-        prefix: prefix of the options of the PC for B^-1.
+        prefix: of the options of the PC for B^-1.
     """
 
     def __init__(self, A: PETSc.Mat, prefix: str) -> None:
@@ -257,7 +255,7 @@ def set_apart(qp: BoundQP, options: SolverOptions) -> Ints | None:
     """Unknowns that a factorisation may leave for last; None for an ordinary one.
 
     Those with bounds or friction, and those of C if A is a product, ascending, on one rank, if S
-    has few entries, and PETSc's library exports the function.
+    has few entries and PETSc's library exports the function.
     """
     if not qp.definite or qp.scalars is not None:
         return None
@@ -288,17 +286,16 @@ def _few(A: PETSc.Mat, unknowns: Ints, options: SolverOptions) -> Ints | None:
 class SchurComplement:
     """S = A_GG - A_GI A_II^-1 A_IG, of a factorisation by MUMPS that leaves G for last.
 
-    Held unknowns in G concern S alone, so that one factorisation serves all active sets. If A = T^T
-    K T with T = I + C, and C in G x G, K is factorised, and T^T S T is that of A: one factorisation
-    serves all geometries, too, and A is never formed. PETSc has this on one rank only, and petsc4py
-    3.22 does not wrap it.
+    Held unknowns in G concern S alone: one factorisation serves all active sets. If A = T^T K T
+    with T = I + C, and C in G x G, K is factorised, and T^T S T is that of A: it serves all
+    geometries, too, and A is never formed. PETSc has this on one rank only, and petsc4py 3.22 does
+    not wrap it.
 
     Args:
         unknowns: G (k,), ascending.
         product: the matrix, if K is factorised in its place.
 
     Attributes:
-        unknowns, product: as above.
         prepared: whether the PC knows of it.
         S: (k, k), of the last factorisation; solves hold G.
     """
