@@ -116,7 +116,7 @@ class Eigenstrain(Followed):
 def create_eigenstrain(
     u: fem.Function, given: Any, cell_tags: mesh.MeshTags | None, degree: int
 ) -> Eigenstrain | None:
-    """Return the eigenstrain that a user gives, None for none; collective."""
+    """Eigenstrain that a user gives, None for none; collective."""
     if given is None:
         return None
     domain, parts = u.function_space.mesh, []
@@ -143,7 +143,7 @@ def _parts(
 
 
 def _as_expression(u: fem.Function, name: str, value: Any) -> Expr:
-    """Return a scalar or a 3x3 tensor in UFL."""
+    """Scalar or a 3x3 tensor in UFL."""
     domain = u.function_space.mesh
     if isinstance(value, Number | np.ndarray | list | tuple):
         value = fem.Constant(domain, check(name, value, array(finite=False, remedy=WANTED)))
