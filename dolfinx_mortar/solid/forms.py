@@ -44,7 +44,7 @@ def in_any_order() -> dict[str, list[str]]:
 
 
 def unrolled(cell: str) -> list[str]:
-    """Return the options for other forms: -O3 on cells of products, with the same bits."""
+    """Options for other forms: -O3 on cells of products, with the same bits."""
     given = get_options()["cffi_extra_compile_args"]
     if cell not in ("quadrilateral", "hexahedron") or "-O2" not in given:
         return list(given)
@@ -205,7 +205,7 @@ def create_responses(
     state: Mapping[str, fem.Function],
     found: Mapping[Law, PointValuesOfRegion],
 ) -> list[Response]:
-    """Return the response of the law of each region to a 3x3 strain, as UFL; collective.
+    """Response of the law of each region to a 3x3 strain, as UFL; collective.
 
     Raises:
         ValueError: on all ranks, if a law raises or returns something wrong on any.
@@ -234,7 +234,7 @@ def _from_energy(law: Law) -> bool:
 
 
 def moduli_first(response: Response, entries: Sequence[tuple[int, int]]) -> Response:
-    """Return a response whose change is a symmetric dP/dF, formed once, times the direction."""
+    """Response whose change is a symmetric dP/dF, formed once, times the direction."""
 
     def change(direction: Expr) -> Expr:
         columns = []
