@@ -84,9 +84,9 @@ class Volumes:
 
 
 def describe_lowest(domain: Mesh, values: Floats, limit: float, cells_do: str, name: str) -> str:
-    """Say how many cells have values (owned cells, points) not above a limit; collective.
+    """Number of cells with values (owned cells, points) not above a limit, in words; collective.
 
-    Empty if none; NaN is not above any limit. In the words what `cells_do` and the values' `name`.
+    Empty if none; NaN is not above any limit. In the words `cells_do` and the values' `name`.
     """
     bad = ~(values > limit).all(axis=1)
     where = ""
@@ -171,7 +171,7 @@ class PointGradients:
         return Gradients(strain, rotation, rest[0], rest[1], rest[2] if rest[2:] else strain)
 
     def describe_shortened(self, limit: float) -> str:
-        """Say where a finite strain shortens lengths to less than a limit, or ""; collective."""
+        """Text on a finite strain that shortens lengths to less than a limit, or ""; collective."""
         strain = np.nan_to_num(self.evaluate().strain, posinf=0.0, neginf=0.0)
         C = np.eye(3) + 2 * tensor_of(strain)
         stretches = np.sqrt(np.maximum(np.linalg.eigvalsh(C)[:, 0], 0.0))
