@@ -20,7 +20,7 @@ from ufl.core.expr import Expr
 
 @dataclass(frozen=True)
 class Kinematics:
-    """How a displacement strains a body, and over which volume.
+    """Strain of a displacement, and volume of the integrals.
 
     The virtual strain is the derivative d measure(u)/du [v], taken by UFL.
     """
@@ -30,13 +30,11 @@ class Kinematics:
     # coordinates -> volume per integrated area or volume, such as 1; of UFL and of NumPy (d, q)
     weight: Callable[[Any], Any]
     # (n, d) -> name: (n, d), without strain and affine; those about another centre, and in other
-    # units
-    # of length, have to be their sums
+    # units of length, have to be their sums
     rigid_motions: Callable[[Floats], dict[str, Floats]]
     dimension: int | None = None  # of its meshes, None for any
     # distance from an axis: never negative; where it is zero, the displacement in its direction has
-    # to
-    # be prescribed
+    # to be prescribed
     radius: int | None = None
     # whether the laws solve for the strain out of the plane, without stress there
     plane_stress: bool = False
