@@ -190,7 +190,7 @@ class Region:
         }
 
     def output(self, state: Mapping[str, Floats], cells: Ints, points: int) -> dict[str, Floats]:
-        """Return the law's own fields, (q,) or (q, components), q points cell by cell.
+        """Law's own fields, (q,) or (q, components), q points cell by cell.
 
         Raises:
             ValueError: if the law raises or returns something wrong; the message names it.
@@ -238,8 +238,7 @@ def create_regions(
                 "Solid(.., strain='finite')"
             )
     # Those of one class, state, form at finite strain and form of plane stress are one region.
-    # Sorted by
-    # name so that the same laws make the same forms in any order of the dictionary.
+    # Sorted by name so that the same laws make the same forms in any order of the dictionary.
     alike: dict[Any, list[int]] = {}
     for i, (material, law) in enumerate(given):
         form = kinematics.finite and law.isotropic  # see `materials.logarithmic`
@@ -312,7 +311,7 @@ def _material_of_cells(
     cell_tags: mesh.MeshTags | None,
     plane_stress: bool,
 ) -> tuple[list[tuple[Any, Law]], np.ndarray]:
-    """Return materials with their laws, and which of them each local cell has; collective."""
+    """Materials with their laws, and the material of each local cell; collective."""
     imap = domain.topology.index_map(domain.topology.dim)
     count = imap.size_local + imap.num_ghosts
     if not isinstance(materials, Mapping):
@@ -364,7 +363,7 @@ def by_cells(
 
 
 def tags_of_cells(domain: mesh.Mesh, cell_tags: mesh.MeshTags) -> Longs:
-    """Return the tags of the local cells, ghosts included, UNTAGGED without one; collective."""
+    """Tags of the local cells, ghosts included, UNTAGGED without one; collective."""
     check("cell_tags", cell_tags, tags_of(domain, domain.topology.dim))
     with raised_together(domain.comm):
         check_entities("cell_tags", cell_tags)
