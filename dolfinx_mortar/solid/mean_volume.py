@@ -214,7 +214,7 @@ class VolumeStep:
         return np.asarray(np.einsum("ckl,cl->ck", self.inverse, self.slope_at(t)))
 
     def energy_at(self, t: float, ratio: Floats) -> Floats:
-        """Return the energy of each cell at another j, linear in what the linearisation misses."""
+        """Energy of each cell at another j, linear in its difference from the linearisation."""
         way, slope = t * self.change, self.slope_at(t)
         along = ((self.slope + slope) / 2 * way).sum(axis=1)
         missed = (slope * (ratio - self.ratio - way)).sum(axis=1)
