@@ -340,7 +340,7 @@ def create_point_values(
     *,
     finite: bool = False,
 ) -> dict[Law, PointValuesOfRegion]:
-    """Return what is found at points before each assembly, by law; collective.
+    """Values found at points before each assembly, by law; collective.
 
     The strain is F where strains are finite.
     """
@@ -398,7 +398,7 @@ def _pairs(size: int) -> list[tuple[int, int]]:
 
 
 def packed(tangent: Floats, entries: Sequence[tuple[int, int]]) -> Floats:
-    """Return the upper triangle of the symmetric part of tangents (q, 3, 3, 3, 3), row by row."""
+    """Upper triangle of the symmetric part of tangents (q, 3, 3, 3, 3), row by row."""
     a, b = np.array(_pairs(len(entries))).T
     at = np.array(entries) @ [3, 1]  # number of an entry among nine
     terms = np.stack([9 * at[a] + at[b], 9 * at[b] + at[a]], axis=1)
