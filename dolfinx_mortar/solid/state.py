@@ -79,7 +79,7 @@ class PointState:
             self.committed[name].x.array[:] = staged.x.array
 
     def keep(self) -> list[tuple[fem.Function, Floats]]:
-        """Return copies of results, state, and the parameters that they rest on, for `put_back`."""
+        """Copies of results, state, and their parameters, for `put_back`."""
         functions = [*self.lasting_fields().values(), *(one.function for one in self.followed)]
         return [(f, f.x.array.copy()) for f in functions]
 
@@ -97,7 +97,7 @@ class PointState:
         return {"stress": self.stress} | committed | self.shown | shown
 
     def flowing(self) -> Bools:
-        """Return at which points (owned cells, points) `evaluate` has changed the state."""
+        """Points (owned cells, points) at which `evaluate` has changed the state."""
         space = self.stress.function_space
         cells = space.mesh.topology.index_map(space.mesh.topology.dim).size_local
         changed = np.zeros((cells, space.dofmap.list.shape[1]), dtype=bool)
