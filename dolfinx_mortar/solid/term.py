@@ -126,7 +126,7 @@ def ask_term(comm: MPI.Comm, name: str, term: Term, call: Callable[[], R]) -> R:
 
 
 def create_vector(V: fem.FunctionSpace) -> la.Vector:
-    """Return a vector of V, with ghosts."""
+    """Vector of V, with ghosts."""
     return la.vector(V.dofmap.index_map, V.dofmap.index_map_bs)
 
 
