@@ -143,7 +143,7 @@ def _parts(
 
 
 def _as_expression(u: fem.Function, name: str, value: Any) -> Expr:
-    """Scalar or a 3x3 tensor in UFL."""
+    """A scalar or a 3x3 tensor in UFL."""
     domain = u.function_space.mesh
     if isinstance(value, Number | np.ndarray | list | tuple):
         value = fem.Constant(domain, check(name, value, array(finite=False, remedy=WANTED)))
