@@ -190,7 +190,7 @@ class Region:
         }
 
     def output(self, state: Mapping[str, Floats], cells: Ints, points: int) -> dict[str, Floats]:
-        """Law's own fields, (q,) or (q, components), q points cell by cell.
+        """The law's own fields, (q,) or (q, components), q points cell by cell.
 
         Raises:
             ValueError: if the law raises or returns something wrong; the message names it.
