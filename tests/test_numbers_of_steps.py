@@ -62,6 +62,7 @@ OTHERS = {
     "newton_method.subproblem",  # in test_finite_in_space, too
     "steps.newton",
     "report.energy_ledger",  # in test_dynamics
+    "persistence.tables",  # in those of checkpoints
 }
 
 
