@@ -82,6 +82,19 @@ class PointFields:
         aliases = [name for name, target in ALIASES.items() if target in norms]
         return tuple(dict.fromkeys((*self.bases, *norms, "von_mises", *aliases)))
 
+    @property
+    def scalars(self) -> list[str]:
+        """All names of scalars, norms and components of tensors, too, that pictures can show."""
+        size = (len(self._components),)
+        missing = {name: size if tensor else () for name, tensor in PLASTIC_FIELDS.items()}
+        shapes = missing | self.bases
+        parts = ("norm", "vector_norm", *self._components)
+        of_tensors = [
+            f"{n}_{part}" for n, shape in shapes.items() if shape == size for part in parts
+        ]
+        stored = [name for name, shape in shapes.items() if not shape]
+        return list(dict.fromkeys(["von_mises", *stored, *ALIASES, *of_tensors]))
+
     def values(self, name: str) -> np.ndarray:
         """Return a field on the owned cells: (cells, points) or (cells, points, components).
 
