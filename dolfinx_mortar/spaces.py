@@ -7,8 +7,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 import dolfinx
 from dolfinx_mortar import compat
@@ -177,8 +176,8 @@ def connected_parts(V: dolfinx.fem.FunctionSpace) -> tuple[int, Ints]:
     n_owned, n_local = layout.size_local, layout.size_local + layout.num_ghosts
     cells = V.dofmap.list
     first, last = cells[:, :-1].ravel(), cells[:, 1:].ravel()
-    graph = coo_array((np.ones(len(first)), (first, last)), shape=(n_local, n_local))
-    parts, local = connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_array((np.ones(len(first)), (first, last)), shape=(n_local, n_local))
+    parts, local = scipy.sparse.csgraph.connected_components(graph, directed=False)
 
     # a ghost of one part may be owned by another
     offset = comm.exscan(parts) or 0
@@ -188,8 +187,8 @@ def connected_parts(V: dolfinx.fem.FunctionSpace) -> tuple[int, Ints]:
     touching = np.column_stack([local + offset, vector.array]).astype(np.int64)
     links = np.concatenate(comm.allgather(np.unique(touching, axis=0)))
     total = comm.allreduce(parts, op=MPI.SUM)
-    joined = coo_array((np.ones(len(links)), links.T), shape=(total, total))
-    _, body_of = connected_components(joined, directed=False)
+    joined = scipy.sparse.coo_array((np.ones(len(links)), links.T), shape=(total, total))
+    _, body_of = scipy.sparse.csgraph.connected_components(joined, directed=False)
     label = body_of[local + offset]
     used = np.unique(np.concatenate(comm.allgather(np.unique(label[:n_owned]))))
     return len(used), np.searchsorted(used, label).astype(np.int32)

@@ -287,7 +287,16 @@ def test_the_library_starts_without_companions_and_what_draws():
         "assert {'analytic', 'meshing', 'plotting'} < {*dir(dm)} and dm.analytic.hertz_line"
     )
     companions = [f"dolfinx_mortar.{name}" for name in ("analytic", "meshing", "plotting")]
-    foreign = ["matplotlib", "pyvista", "vtk", "gmsh", "meshio", "h5py"]
+    foreign = [
+        "matplotlib",
+        "pyvista",
+        "vtk",
+        "gmsh",
+        "meshio",
+        "h5py",
+        "scipy.sparse",
+        "scipy.spatial",
+    ]
     run = [sys.executable, "-c", code, *companions, *foreign]
     assert subprocess.run(run, capture_output=True, text=True, check=True).stdout.strip() == "[]"
 

@@ -14,7 +14,7 @@ from petsc4py import PETSc
 
 import numba
 import numpy as np
-from scipy.sparse import csr_array
+import scipy
 
 from dolfinx_mortar.arrays import Floats, Ints
 
@@ -43,10 +43,10 @@ def csr_of(A: PETSc.Mat) -> tuple[Ints, Ints, Floats]:
         return start, columns, values.copy()
 
 
-def owned_rows(A: PETSc.Mat) -> csr_array:
+def owned_rows(A: PETSc.Mat) -> scipy.sparse.csr_array:
     """Copy of the owned rows, with global columns."""
     start, columns, values = csr_of(A)
-    return csr_array((values, columns, start), shape=(len(start) - 1, A.getSize()[1]))
+    return scipy.sparse.csr_array((values, columns, start), shape=(len(start) - 1, A.getSize()[1]))
 
 
 def set_csr(A: PETSc.Mat, start: Ints, columns: Ints, values: Floats) -> None:

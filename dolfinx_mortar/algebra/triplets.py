@@ -10,7 +10,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import Protocol
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -18,12 +18,10 @@ from petsc4py import PETSc
 import numba
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse
+import scipy
 
 from dolfinx_mortar.algebra.csr import call, csr_of
 from dolfinx_mortar.arrays import Floats, Ints, Longs
-
-Matrix: TypeAlias = sparse.csr_array
 
 
 class Layout(Protocol):
@@ -190,9 +188,9 @@ class BlockEntries:
     columns: Longs
 
     def __init__(
-        self, pattern: Matrix, block: tuple[int, int], rows: Longs, columns: Longs
+        self, pattern: scipy.sparse.csr_array, block: tuple[int, int], rows: Longs, columns: Longs
     ) -> None:
-        pattern = Matrix(pattern).sorted_indices()
+        pattern = scipy.sparse.csr_array(pattern).sorted_indices()
         self._start, self._nodes = pattern.indptr, pattern.indices
         self._shape = len(self._nodes), *block
         node = np.repeat(np.arange(pattern.shape[0]), np.diff(self._start))

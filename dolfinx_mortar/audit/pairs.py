@@ -8,7 +8,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from dolfinx import fem
 from dolfinx.mesh import Mesh, MeshTags, meshtags
@@ -287,8 +287,8 @@ def _common_nodes(V: fem.FunctionSpace, sets: Sequence[Ints]) -> Longs:
     for local in sets:
         nodes = layout.local_to_global(np.unique(local).astype(np.int32)).astype(np.int64)
         found = sums_at_nodes(comm, layout, nodes, np.ones((len(nodes), 1)))[:, 0] > 0.0
-        on.append(sparse.csr_array(found.astype(np.int64)[None]))
-    rows = sparse.vstack(on)  # one long row per set
+        on.append(scipy.sparse.csr_array(found.astype(np.int64)[None]))
+    rows = scipy.sparse.vstack(on)  # one long row per set
     return np.asarray(comm.allreduce((rows @ rows.T).toarray(), op=MPI.SUM))
 
 

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Floats, Longs
 
@@ -65,7 +64,9 @@ def _links(given: Candidates) -> Longs:
 
 
 def _related(given: Candidates) -> Iterator[Longs]:
-    label = connected_components(coo_array(_links(given)), directed=False)[1]
+    label = scipy.sparse.csgraph.connected_components(
+        scipy.sparse.coo_array(_links(given)), directed=False
+    )[1]
     for one in range(label.max(initial=-1) + 1):
         yield np.flatnonzero(label == one)
 
@@ -78,7 +79,7 @@ def _search(given: Candidates) -> Longs:
     if 2**count <= count**3:  # up to nine: all choices
         turns = np.array(list(product((0, 1), repeat=count)), dtype=np.int64)
         return min((finer ^ turn for turn in turns), key=lambda slave: assess(given, slave).cost)
-    slave, links = finer, csr_array(_links(given))
+    slave, links = finer, scipy.sparse.csr_array(_links(given))
     reached = links @ links
     near = [np.sort(row) for row in np.split(reached.indices, reached.indptr[1:-1])]
     for _ in range(count):
@@ -133,7 +134,9 @@ def assess(given: Candidates, slave: Longs) -> Roles:
 
 
 def _close_cycles(needed: Longs) -> dict[tuple[int, int], int]:
-    label = connected_components(coo_array(needed), directed=True, connection="strong")[1]
+    label = scipy.sparse.csgraph.connected_components(
+        scipy.sparse.coo_array(needed), directed=True, connection="strong"
+    )[1]
     needs: dict[int, set[int]] = {}
     removed: dict[tuple[int, int], int] = {}
     for k in np.flatnonzero(np.bincount(label)[label] > 1):

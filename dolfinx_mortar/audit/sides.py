@@ -7,7 +7,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
@@ -147,7 +147,7 @@ def _count_facing_away(pairing: Pairing) -> int:
     x_m = pairing.master_X[pairing.master_facets]
     if len(x_s) == 0 or len(x_m) == 0:
         return 0
-    distance, nearest = cKDTree(x_m.mean(axis=1)).query(x_s.mean(axis=1))
+    distance, nearest = scipy.spatial.cKDTree(x_m.mean(axis=1)).query(x_s.mean(axis=1))
     n_s = facet_normals(Facets(pairing.slave.element, x_s))
     n_m = facet_normals(Facets(pairing.master.element, x_m))
     opposed = np.einsum("mi,mi->m", n_s, n_m[nearest])

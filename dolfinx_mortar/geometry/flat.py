@@ -4,7 +4,7 @@
 from itertools import chain
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats, Longs
 from dolfinx_mortar.geometry.elements import LINE2, TRI3
@@ -176,7 +176,7 @@ def near_pairs(x: Floats, group: Longs, apart: Bools) -> Longs:
             continue
         unit = half[larger].max(axis=0) + half[smaller].max(axis=0)
         unit = np.maximum(unit, HALF_OF_DIGITS * np.maximum(unit.max(), TINY))
-        tree = cKDTree(centre[larger] / unit)
+        tree = scipy.spatial.cKDTree(centre[larger] / unit)
         reach = 1.0 + HALF_OF_DIGITS  # beyond round-off
         near = tree.query_ball_point(centre[smaller] / unit, reach, p=np.inf)
         counts = [len(b) for b in near]
@@ -221,7 +221,7 @@ def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
     middle = (x[0] + x[1]).mean(axis=1) / 2
     reach = np.linalg.norm(np.stack(x) - middle[:, None], axis=3).max()
     way = np.linalg.norm(p[1] - p[0], axis=1)
-    near = cKDTree(middle).query_ball_point(
+    near = scipy.spatial.cKDTree(middle).query_ball_point(
         (p[0] + p[1]) / 2, way / 2 + reach * (1 + HALF_OF_DIGITS)
     )
     a = np.repeat(np.arange(len(near)), [len(b) for b in near])

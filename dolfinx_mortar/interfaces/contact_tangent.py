@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from petsc4py import PETSc
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.csr import owned_rows
@@ -88,7 +88,7 @@ class SlipRows:
         added += np.einsum("nti,ni->nt", self.turning, turned)
         return np.where(self.partners.known[:, None], added, 0.0)
 
-    def rows(self, t: int) -> sparse.csr_array:
+    def rows(self, t: int) -> scipy.sparse.csr_array:
         """Rows (n, unknowns) of tangent t of the owned slave nodes."""
         nodes, d, tangents = self.link.nodes, self.d, self.along[:, t]
         index_map, n = self.link.sides.V.dofmap.index_map, len(self.link.nodes)
@@ -99,12 +99,14 @@ class SlipRows:
         value = np.concatenate([np.ones(n), -P.data])
         shape = n, self.columns
         parts = [
-            sparse.coo_array((value * tangents[row, i], (row, d * column + i)), shape)
+            scipy.sparse.coo_array((value * tangents[row, i], (row, d * column + i)), shape)
             for i in range(d)
         ]
         N = owned_rows(self.normals)
-        turned = (sparse.diags_array(self.turning[:, t, i]) @ N[d * nodes + i] for i in range(d))
-        return sparse.csr_array(sum([*turned, *parts[1:]], parts[0]))
+        turned = (
+            scipy.sparse.diags_array(self.turning[:, t, i]) @ N[d * nodes + i] for i in range(d)
+        )
+        return scipy.sparse.csr_array(sum([*turned, *parts[1:]], parts[0]))
 
 
 class LinkDerivatives(ABC):
@@ -151,7 +153,7 @@ class ContactDerivatives(LinkDerivatives):
         master = pairing.master_facets[pairs[:, 1]]
         on_slave = incidence_of(slave)
         shape = len(slave.facets), len(pairing.master_nodes)
-        on_both = sparse.hstack([on_slave, incidence(pairs[:, 0], master, shape)]).tocsr()
+        on_both = scipy.sparse.hstack([on_slave, incidence(pairs[:, 0], master, shape)]).tocsr()
         nodes = V.dofmap.index_map.local_to_global(slave.nodes).astype(np.int64)
         both = np.concatenate([nodes, pairing.master_nodes])
         by_x = (d * both[:, None] + np.arange(d)).ravel()
@@ -239,8 +241,8 @@ class _Normals:
         M = BlockEntries(coupled, (d, d), rows, others)
         self._facing = SumWithProducts(*of, x, (y, N), (M, self._of_master.zero()))
         none, one = (
-            BlockEntries(sparse.csr_array(pattern), (d, d), rows, rows)
-            for pattern in (sparse.csr_array((n, n)), sparse.eye_array(n))
+            BlockEntries(scipy.sparse.csr_array(pattern), (d, d), rows, rows)
+            for pattern in (scipy.sparse.csr_array((n, n)), scipy.sparse.eye_array(n))
         )
         self._sum = SumWithProducts(*of, none, (one, N), (one, self._facing.zero()))
 
@@ -299,14 +301,14 @@ def _neighbours(slave: Surface, marked: Bools) -> Bools:
     return np.asarray(accumulate(slave, found)[:, 0] > 0.0)
 
 
-def incidence(facets: Ints, nodes: Ints, shape: tuple[int, int]) -> sparse.csr_array:
+def incidence(facets: Ints, nodes: Ints, shape: tuple[int, int]) -> scipy.sparse.csr_array:
     """Incidence of facets (p,) and their nodes (p, k)."""
     rows = np.repeat(facets, nodes.shape[1])
     ones = np.ones(len(rows), dtype=bool)  # sums of small integers may overflow to 0
-    return sparse.coo_array((ones, (rows, nodes.ravel())), shape=shape).tocsr()
+    return scipy.sparse.coo_array((ones, (rows, nodes.ravel())), shape=shape).tocsr()
 
 
-def incidence_of(side: Surface) -> sparse.csr_array:
+def incidence_of(side: Surface) -> scipy.sparse.csr_array:
     """Incidence of all facets of a side and its nodes."""
     facets: Ints = np.arange(len(side.facets), dtype=np.int32)
     return incidence(facets, side.facets, (len(facets), len(side.nodes)))
@@ -353,7 +355,7 @@ class ToolDerivatives(LinkDerivatives):
         dofs = (d * nodes[:, None] + np.arange(d)).ravel()
         pattern = among.T @ among
         of = V.mesh.comm, layout_of(V)
-        alone = sparse.eye_array(n, format="csr")
+        alone = scipy.sparse.eye_array(n, format="csr")
         self.F = BlockSums(*of, BlockEntries(pattern, (d, d), dofs, dofs))
         self.G = BlockSums(*of, BlockEntries(pattern, (1, d), d * nodes, dofs))
         self.N = BlockSums(*of, BlockEntries(alone, (d, d), dofs, dofs))

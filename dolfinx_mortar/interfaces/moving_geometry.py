@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from petsc4py import PETSc
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.congruence import (
@@ -167,7 +167,7 @@ def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None
     scale.array[d * nodes[on]] = -1.0 / coupling.weight[on, 0]
     weighted.diagonalScale(scale)
     rows, moved = across.copy(), coupling.P[:, :1, None] * across[row]
-    rows[:, 0], moved[:, 0] = _lumped(link, sparse.csr_array(owned_rows(weighted)[d * nodes]))
+    rows[:, 0], moved[:, 0] = _lumped(link, scipy.sparse.csr_array(owned_rows(weighted)[d * nodes]))
     if slips is not None:
         slid, q = rows.copy(), moved.copy()
         for t in range(1, d):
@@ -185,7 +185,7 @@ def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None
     return replace(link, coupling=replace(coupling, R=frames, blocks=blocks))
 
 
-def _lumped(link: Link, rows: sparse.csr_array) -> tuple[Floats, Floats]:
+def _lumped(link: Link, rows: scipy.sparse.csr_array) -> tuple[Floats, Floats]:
     """Own parts (n, d) of rows, with other parts lumped on them, and minus parts (e, d)."""
     coupling, pattern = link.coupling, link.pattern
     used = np.arange(len(pattern.row)) >= pattern.split

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 import basix.ufl
 import ufl
@@ -73,7 +73,7 @@ class Pose:
         if len(self.position) == 2:
             c, s = np.cos(self.rotation[0]), np.sin(self.rotation[0])
             return np.array([[c, -s], [s, c]])
-        return np.asarray(Rotation.from_rotvec(self.rotation).as_matrix())
+        return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(self.rotation).as_matrix())
 
     def to_tool(self, x: Floats) -> Floats:
         """Initial positions (n, d) of the tool's points at x (n, d)."""
@@ -458,7 +458,9 @@ def turn_between(before: Pose, now: Pose) -> Floats:
     """Rotation, an angle (1,) or a vector (3,), between two poses, with whole turns."""
     change = now.rotation - before.rotation
     if len(change) > 1 and np.cross(before.rotation, now.rotation).any():
-        return _vector_near(Rotation.from_matrix(now.R @ before.R.T), change)
+        return _vector_near(
+            scipy.spatial.transform.Rotation.from_matrix(now.R @ before.R.T), change
+        )
     return change
 
 
@@ -466,11 +468,13 @@ def after(rotation: Floats, step: Floats) -> Floats:
     """Rotation (1,) or (3,) followed by ``step``, with whole turns."""
     if len(rotation) == 1:
         return rotation + step
-    turned = Rotation.from_rotvec(step) * Rotation.from_rotvec(rotation)
+    turned = scipy.spatial.transform.Rotation.from_rotvec(
+        step
+    ) * scipy.spatial.transform.Rotation.from_rotvec(rotation)
     return _vector_near(turned, rotation + step)
 
 
-def _vector_near(turned: Rotation, guess: Floats) -> Floats:
+def _vector_near(turned: scipy.spatial.transform.Rotation, guess: Floats) -> Floats:
     found = np.asarray(turned.as_rotvec())
     angle = float(np.linalg.norm(found))
     axis = found / angle if angle > HALF_OF_DIGITS else unit_vectors(guess[None])[1][0]

@@ -12,8 +12,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from dolfinx import fem
 from dolfinx_mortar.arguments import is_number
@@ -236,5 +235,7 @@ def _meeting(keys: Longs, normals: Floats, limit: float) -> tuple[Longs, Longs, 
 
 def _components(n: int, a: Longs, b: Longs) -> tuple[int, Longs]:
     """Return the number of connected parts of a graph, and that of each vertex (n,)."""
-    parts, found = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), False)
+    parts, found = scipy.sparse.csgraph.connected_components(
+        scipy.sparse.coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), False
+    )
     return int(parts), np.asarray(found, dtype=np.int64)

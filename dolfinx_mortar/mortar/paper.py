@@ -14,7 +14,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import csr_array, kron
+import scipy
 
 import dolfinx
 from dolfinx_mortar.agreement import check_same_on_all_ranks
@@ -49,7 +49,9 @@ def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETS
     d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
     start, columns, values = csr_of(A)
     shape = (index_map.size_local, index_map.size_global)
-    expanded = kron(csr_array((values, columns, start), shape=shape)[rows], np.eye(d), "csr")
+    expanded = scipy.sparse.kron(
+        scipy.sparse.csr_array((values, columns, start), shape=shape)[rows], np.eye(d), "csr"
+    )
     indices = (v.astype(PETSc.IntType) for v in (expanded.indptr, expanded.indices))
     sizes = ((d * len(rows), None), (d * index_map.size_local, d * index_map.size_global))
     return PETSc.Mat().createAIJ(sizes, csr=(*indices, expanded.data), comm=V.mesh.comm)

@@ -20,7 +20,7 @@ from itertools import pairwise
 from mpi4py import MPI
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.errors import raised_together
@@ -303,7 +303,7 @@ class RigidMotion:
         """Return the rotation vector (3,) in radians; in 2D along the third axis."""
         R, d = np.eye(3), len(self.c)
         R[:d, :d] = self.R
-        return np.asarray(Rotation.from_matrix(R).as_rotvec())
+        return np.asarray(scipy.spatial.transform.Rotation.from_matrix(R).as_rotvec())
 
     def angle(self) -> float:
         """Return the angle of the rotation in degrees."""
@@ -318,7 +318,7 @@ class RigidMotion:
             [[1.0, 1.0], [1.0, -0.414]]
         """
         d = len(self.c)
-        R = Rotation.from_rotvec(t * self.rotation()).as_matrix()[:d, :d]
+        R = scipy.spatial.transform.Rotation.from_rotvec(t * self.rotation()).as_matrix()[:d, :d]
         turns = np.eye(d) - self.R
         fixed = np.linalg.pinv(turns) @ self.c  # on the axis
         along = self.c - turns @ fixed

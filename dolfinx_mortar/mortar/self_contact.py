@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
-from scipy.sparse import csr_array, triu
+import scipy
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
@@ -127,8 +127,10 @@ def _neighbours(keys: Longs, least: int) -> Longs:
     n, k = keys.shape
     nodes, column = np.unique(keys, return_inverse=True)
     shape = (n, len(nodes))
-    on = csr_array((np.ones(keys.size), (np.repeat(np.arange(n), k), column.ravel())), shape=shape)
-    common = triu(on @ on.T, 1).tocoo()
+    on = scipy.sparse.csr_array(
+        (np.ones(keys.size), (np.repeat(np.arange(n), k), column.ravel())), shape=shape
+    )
+    common = scipy.sparse.triu(on @ on.T, 1).tocoo()
     edge = common.data >= least
     return np.stack([common.row[edge], common.col[edge]]).astype(np.int64)
 

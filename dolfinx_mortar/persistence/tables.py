@@ -31,7 +31,7 @@ from typing import IO, Any
 from mpi4py import MPI
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from dolfinx import fem, la, mesh
 from dolfinx_mortar.algebra.errors import raised_together
@@ -262,7 +262,7 @@ def _read_table(
 ) -> tuple[dict[str, Floats], Longs]:
     """Return the values at own places (n, k), and how many rows were found for each."""
     (n, k), widths = own.shape, about["columns"]
-    tree = cKDTree(own) if n else None
+    tree = scipy.spatial.cKDTree(own) if n else None
     values, hits = np.zeros((n, sum(widths.values()))), np.zeros(n, dtype=np.int64)
     low, high = own.min(axis=0, initial=np.inf), own.max(axis=0, initial=-np.inf)
     last = 0

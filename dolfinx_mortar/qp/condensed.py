@@ -16,8 +16,8 @@ from dataclasses import replace
 from petsc4py import PETSc
 
 import numpy as np
+import scipy
 from numpy.linalg import norm
-from scipy.linalg import cholesky, lapack, solve_triangular
 
 from dolfinx_mortar.algebra.congruence import ContextOf
 from dolfinx_mortar.algebra.csr import owned_rows
@@ -80,10 +80,10 @@ class Dense:
         first = float(norm(rest))
         if first > self.round_off(x):
             M, free = self._free(self.S if sliding is None else _slipping(self.S, sliding), held)
-            lu, pivots, failed = lapack.dgetrf(M, overwrite_a=True)
+            lu, pivots, failed = scipy.linalg.lapack.dgetrf(M, overwrite_a=True)
             if failed or not np.abs(np.diag(lu)).min(initial=1.0) > 64 * len(M) * EPS:
                 raise NotDefinite("nothing holds a body: a state leaves the matrix singular")
-            step, _ = lapack.dgetrs(lu, pivots, rest[free] * self.scale[free])
+            step, _ = scipy.linalg.lapack.dgetrs(lu, pivots, rest[free] * self.scale[free])
             values[free] += step * self.scale[free]
             found = right - self.S @ values
             force = max(first, *(float(norm(v)) for v in (right, found)))
@@ -101,7 +101,7 @@ class Dense:
     def negative(self, held: Ints) -> int:
         """Number of negative eigenvalues of the free part of S."""
         M, _ = self._free(self.S, held)
-        if not len(M) or lapack.dpotrf(M, lower=True)[1] == 0:
+        if not len(M) or scipy.linalg.lapack.dpotrf(M, lower=True)[1] == 0:
             return 0
         return int((np.linalg.eigvalsh((M + M.T) / 2) < -ROUND_OFF * len(M)).sum())
 
@@ -155,8 +155,8 @@ class Condensed:
         on = np.isin(self._G, whole.held)
         rest = ~on & ~np.isin(self._G, out)
         self._on, self._rest = np.flatnonzero(on), np.flatnonzero(rest)
-        self._L = cholesky(S[np.ix_(rest, rest)], lower=True)
-        self._Q = solve_triangular(self._L, S[np.ix_(rest, on)], lower=True)
+        self._L = scipy.linalg.cholesky(S[np.ix_(rest, rest)], lower=True)
+        self._Q = scipy.linalg.solve_triangular(self._L, S[np.ix_(rest, on)], lower=True)
         inner = S[np.ix_(on, on)] - self._Q.T @ self._Q
         self.dense = Dense(inner, whole.stiffness[whole.held])
 
@@ -165,7 +165,7 @@ class Condensed:
         whole, held = self._whole, self._whole.held
         self._x = self._with_inner(self._x if x is None else x)
         left = self._left(self._x)[self._G]
-        self._w = solve_triangular(self._L, left[self._rest], lower=True)
+        self._w = scipy.linalg.solve_triangular(self._L, left[self._rest], lower=True)
         b, lower, upper = (self.dense.matrix.createVecRight() for _ in range(3))
         b.array[:] = left[self._on] - self._Q.T @ self._w + self.dense.S @ self._x[held]
         lower.array[:], upper.array[:] = whole.lower.array_r[held], whole.upper.array_r[held]
@@ -181,7 +181,9 @@ class Condensed:
         """Return x (n,) for that of the condensed QP (k,)."""
         held, x = self._whole.held, self._x.copy()
         right = self._w - self._Q @ (own - x[held])
-        x[self._G[self._rest]] += solve_triangular(self._L, right, lower=True, trans="T")
+        x[self._G[self._rest]] += scipy.linalg.solve_triangular(
+            self._L, right, lower=True, trans="T"
+        )
         x[held] = own
         return self._with_inner(x)
 

@@ -10,8 +10,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm, ratio
@@ -293,8 +292,8 @@ def _pairs(facets: Longs, on: Bools) -> Longs:
 def _patches(table: Floats, pairs: Longs) -> list[Floats]:
     table = table[np.argsort(table[:, 0])]
     ends = np.searchsorted(table[:, 0], pairs)
-    graph = coo_array((np.ones(len(ends)), ends.T), shape=(len(table), len(table)))
-    count, label = connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_array((np.ones(len(ends)), ends.T), shape=(len(table), len(table)))
+    count, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
     return [table[label == k, 1:] for k in range(count)]
 
 

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from dolfinx_mortar.arguments import FLAG, array, check
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
@@ -120,7 +120,7 @@ class Polyline(Curved):
         """See `Shape`."""
         x, near = self.points, HALF_OF_DIGITS * np.abs(self.points).max()
         if d == 2 and revolved and x[:, 0].min() <= near:
-            image = cKDTree(x).query(x * [-1.0, 1.0])[0].max()
+            image = scipy.spatial.cKDTree(x).query(x * [-1.0, 1.0])[0].max()
             if image > near or x[:, 0].max() <= near:
                 return (
                     f"{self!r} is not symmetric about the axis r = 0, which it meets: give the "

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components
+import scipy
 
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.shapes.shape import refuse
@@ -65,8 +64,8 @@ class Triangulation:
             same = self.triangles[other] == self.triangles[mine, corner][:, None]
             pairs.append((3 * mine + corner, 3 * other + np.argmax(same, axis=1)))
         rows, columns = (np.concatenate(part) for part in zip(*pairs, strict=True))
-        graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(3 * m, 3 * m))
-        _, group = connected_components(graph, directed=False)
+        graph = scipy.sparse.coo_array((np.ones(len(rows)), (rows, columns)), shape=(3 * m, 3 * m))
+        _, group = scipy.sparse.csgraph.connected_components(graph, directed=False)
         one, other_arm = self._arms()
         weights = (_length(one) * _length(other_arm)) ** 2
         found = self._summed(group, np.cross(one, other_arm) / weights[..., None])
@@ -163,11 +162,11 @@ def _find_turned(one: Longs, other: Longs, against: Longs, m: int) -> Bools:
     flips = {
         (int(pairs[k, 0]), int(pairs[k, 1])): bool(differs[first[k]]) for k in range(len(pairs))
     }
-    graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(m, m)).tocsr()
-    parts, part = connected_components(graph, directed=False)
+    graph = scipy.sparse.coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(m, m)).tocsr()
+    parts, part = scipy.sparse.csgraph.connected_components(graph, directed=False)
     for k in range(parts):
         mine = np.flatnonzero(part == k)
-        reached, before = breadth_first_order(graph, mine[0], directed=False)
+        reached, before = scipy.sparse.csgraph.breadth_first_order(graph, mine[0], directed=False)
         for at in reached[1:]:
             a, b = int(before[at]), int(at)
             turned[b] = turned[a] ^ flips[(a, b) if (a, b) in flips else (b, a)]

@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from dolfinx import fem, la
 from dolfinx_mortar.algebra.parallel import maximum
@@ -153,7 +153,7 @@ def with_ties(bodies: Bodies, sides: Sequence[tuple[Bools, Bools]]) -> Bodies:
     for k, (slave, master) in enumerate(sides):
         touched[k, bodies.label[slave[:n] | master[:n]]] = 1.0
     touched = bodies.V.mesh.comm.allreduce(touched, op=MPI.SUM)
-    _, group = connected_components(touched.T @ touched, directed=False)
+    _, group = scipy.sparse.csgraph.connected_components(touched.T @ touched, directed=False)
     return dataclasses.replace(bodies, group=np.asarray(group, dtype=np.int32))
 
 
@@ -272,7 +272,9 @@ def _take_out(null: Floats, rest: Floats, motions: dict[str, Floats]) -> tuple[F
 def _groups(null: Floats, body: npt.NDArray[np.int_]) -> list[list[int]]:
     """Sets of bodies that only move together (modes, k)."""
     linked = np.abs(null @ null.T) > QUARTER_OF_DIGITS
-    _, label = connected_components(linked | (body[:, None] == body), directed=False)
+    _, label = scipy.sparse.csgraph.connected_components(
+        linked | (body[:, None] == body), directed=False
+    )
     return [np.unique(body[label == k]).tolist() for k in np.unique(label)]
 
 
