@@ -32,9 +32,8 @@ from dolfinx_mortar.geometry.parts import count as parts
 from dolfinx_mortar.geometry.parts import parts_of
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
-from dolfinx_mortar.mortar.curvature_correction import side_heights
 from dolfinx_mortar.mortar.passing import depth_of_point
-from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_sagittas
+from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, nodal_sagittas
 from dolfinx_mortar.mortar.whole_side import whole_facets
 from dolfinx_mortar.newton_method.residuals import DIGIT
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -128,17 +127,12 @@ def _in_tool(link: Link, tool: Tool, u: fem.Function) -> Overlap | None:
     side, pose, x = link.pattern.side, tool.pose(), coordinates(link.sides.slave, u)
     facing = find_facing(side, pose, tool.asked, x)
     segments, points = whole_facets(side, x, facing)
-    own, nodal = link.pattern.own, link.pattern.nodal
-    pattern = replace(link.pattern, nodal=False, own=None if nodal else own)
+    own = None if link.pattern.nodal else link.pattern.own
+    pattern = replace(link.pattern, nodal=False, own=own)
     gaps, _ = point_gaps(pattern, pose, tool.asked, u, segments, points)
     nodes = x[side.slave.facets]
     sizes, middles = facet_sizes(nodes), nodes.mean(axis=1)[facing]
     facets = facets_at(side.slave, x)
-    less = np.zeros(len(sizes))
-    if nodal and own is not None:
-        at = np.tile(facets.element.points.mean(axis=0), (len(sizes), 1))
-        every = np.arange(len(sizes), dtype=np.int32)
-        less[:] = np.minimum(side_heights(side.slave, own, u, every, at), 0.0)
     corners, n = nodes[:, list(facets.element.vertices)], facet_normals(facets)
     point = np.broadcast_to(pose.to_space(tool.asked.point[None]), (len(n), x.shape[1]))
     above = ((point - corners.mean(axis=1)) * n).sum(axis=1)
@@ -146,10 +140,17 @@ def _in_tool(link: Link, tool: Tool, u: fem.Function) -> Overlap | None:
     met = (above >= -sizes) & (below > 0.0) & are_inside(corners, n, point)
     depth = -np.concatenate([gaps, pose.distance(tool.asked, middles).value, -below[met]])
     which = np.concatenate([segments.slave, np.flatnonzero(facing), np.flatnonzero(met)])
-    depth = depth + less[which]
+    off = _deviations(side.slave, u, link.interface.feature_angle)[side.slave.facets].max(axis=1)
+    depth = depth - off[which]
     columns = depth / sizes[which], depth, np.concatenate([points, middles, point[met]])
     found = _deepest(link.sides.V.mesh.comm, np.zeros(len(depth), np.int64), *columns)
     return Overlap(*found[0]) if found else None
+
+
+def _deviations(surface: Surface, u: fem.Function, feature_angle: float) -> Floats:
+    """Largest deviations (n,) of a surface from its facets; collective."""
+    # sagittas at nodes are means, perhaps half of the largest
+    return 2.0 * nodal_sagittas(surface, coordinates(surface, u), feature_angle)
 
 
 def _deepest(comm: MPI.Comm, group: Longs, *columns: Any) -> dict[int, Any]:
@@ -259,10 +260,8 @@ def _create_skin(problem: ContactProblem, meets_itself: Bools) -> _Skin:
         for j, surface in enumerate(interface.surfaces):
             sides[:, j, k] = np.isin(boundary.entities, surface.entities)
             own = surface.nodes[: surface.owned]
-            edge = problem.system.interfaces[k].feature_angle
-            sagittas = nodal_sagittas(surface, coordinates(surface, problem.u), edge)
-            # means, perhaps half of the largest
-            at[own, 0] = np.maximum(at[own, 0], 2.0 * sagittas[: surface.owned])
+            off = _deviations(surface, problem.u, problem.system.interfaces[k].feature_angle)
+            at[own, 0] = np.maximum(at[own, 0], off[: surface.owned])
             at[own, 1 + j * len(interfaces) + k] = 1.0
     for k in np.flatnonzero(meets_itself):
         pairing = problem.system.links[k].pairing
