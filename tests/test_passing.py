@@ -15,8 +15,8 @@ from dolfinx_mortar.geometry.flat import find_passing
 from dolfinx_mortar.interfaces import tool as tool_poses
 from dolfinx_mortar.mortar import passing
 from dolfinx_mortar.mortar.passing import RigidMotion
-from dolfinx_mortar.newton_method import failures, tunnelling
-from dolfinx_mortar.newton_method.tunnelling import describe_passing
+from dolfinx_mortar.newton_method import failures
+from dolfinx_mortar.newton_method.failures import describe_passing
 from tests.close_fits import rings
 from tests.hertz_case import create_mesh
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, UPPER, skins, two_blocks
@@ -250,7 +250,7 @@ def test_small_motions_do_not_look_at_facets(monkeypatch):
     """What moves by less than half of the thinner body, and what both do, costs no search."""
     pushed = Pushed()
     looked = []
-    monkeypatch.setattr(tunnelling, "find_passed", lambda *_: looked.append(1) or None)
+    monkeypatch.setattr(failures, "find_passed", lambda *_: looked.append(1) or None)
     pushed.move(0.0, -0.45)  # half of the strip is 0.5
     dm.newton(pushed.problem)
     pushed.problem.u.interpolate(lambda x: np.full_like(x[:2], 40.0))

@@ -22,7 +22,7 @@ from dolfinx_mortar.mortar.self_contact import REACH, _divide, distances_in_reac
 from dolfinx_mortar.mortar.surface import (
     create_surface,
 )
-from dolfinx_mortar.newton_method.tunnelling import describe_passing
+from dolfinx_mortar.newton_method.failures import describe_passing
 from dolfinx_mortar.report.penetration import find_overlaps, notes_on_crossings
 from tests.block_piles import create_blocks
 from tests.folds import (

@@ -19,16 +19,15 @@ from dolfinx_mortar.algebra.parallel import maximum, sums_at_nodes
 from dolfinx_mortar.arguments import check, is_number
 from dolfinx_mortar.arrays import Ints, Longs
 from dolfinx_mortar.audit.mesh_audit import check_mesh
-from dolfinx_mortar.audit.neighbours import are_near
 from dolfinx_mortar.audit.roles import Candidates, choose_roles
 from dolfinx_mortar.interfaces.constraints import Limit, create_law
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
 from dolfinx_mortar.interfaces.mortar_interface import SURFACES
 from dolfinx_mortar.mortar.facing_bodies import (
-    Faces,
     Facing,
     Skin,
+    are_near,
     check_angle,
     find_faces,
     find_facing,
@@ -210,7 +209,7 @@ class _Side:
 class _Found:
     names: Sequence[str]
     entities: Longs
-    faces: Faces
+    faces: Longs  # (m,) of each exterior facet
     sides: dict[tuple[int, int], _Side]
     joined: dict[tuple[str, str], int]
     common: Longs  # (sides, sides) shared nodes that face partners
@@ -246,7 +245,7 @@ def _find(
     facets, cells, entities = boundary.facets, boundary.cells, boundary.entities
     body = body_of_cell[cells].astype(np.int64)
     faces = find_faces(V, facets, boundary.nodes, body, feature_angle)
-    label = np.column_stack([body, faces.of_facets])
+    label = np.column_stack([body, faces])
     facing = find_facing(comm, Skin(facets, part_of_cell[cells], label))
     sides = _sides(comm, facing[are_near(facing, within)])
     if not sides:
@@ -362,7 +361,7 @@ def _raise_none(
 def _create(V: fem.FunctionSpace, found: _Found, options: dict[str, Any]) -> Pairs:
     groups = _groups(found)
     tag_of_face = {face: tag for tag, (_, faces) in enumerate(groups, start=1) for face in faces}
-    tags: Longs = np.array([tag_of_face.get(int(f), 0) for f in found.faces.of_facets], np.int64)
+    tags: Longs = np.array([tag_of_face.get(int(f), 0) for f in found.faces], np.int64)
     on, mesh = np.flatnonzero(tags), V.mesh
     entities = found.entities[on].astype(np.int32)
     order = np.argsort(entities)

@@ -100,7 +100,7 @@ class InterfaceSystem:
     Attributes:
         present: configuration in use.
         searches: number of pairings.
-        middles: mid-surface points of both sides of each contact, see `newton_method.tunnelling`.
+        middles: mid-surface points of both sides of each contact, see `newton_method.failures`.
         faced: whether the sides have faced each other, and may turn away.
         facet_length: largest mean slave facet, 1 without interfaces.
     """

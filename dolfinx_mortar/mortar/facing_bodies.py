@@ -24,7 +24,7 @@ from dolfinx_mortar.geometry.facets import (
     facet_sizes,
     points_of,
 )
-from dolfinx_mortar.geometry.flat import facet_distances
+from dolfinx_mortar.geometry.flat import bounds, facet_distances
 from dolfinx_mortar.geometry.segments import Segments, create_segments, find_candidates
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.mortar.pairing import THROUGH
@@ -153,6 +153,23 @@ def _receive(
     return Facets(asking.element, x), part, label, depth
 
 
+def are_near(facing: Facing, within: float | None) -> Bools:
+    """Mask (p,) of pairs of facets `within` a distance, default the diameter of the larger."""
+    reach = facing.size.max(axis=1, initial=0.0) if within is None else within
+    return np.asarray(facing.distance <= reach)
+
+
+def boxes_of(comm: MPI.Comm, x: Floats, body: Longs, count: int) -> Floats:
+    """Boxes (count, 2, d) of bodies from facets x (m, k, d) of bodies (m,); collective."""
+    boxes = np.full((count, 2, x.shape[2]), np.inf)
+    low, high = bounds(x)
+    np.minimum.at(boxes[:, 0], body, low)
+    np.minimum.at(boxes[:, 1], body, -high)
+    comm.Allreduce(MPI.IN_PLACE, boxes, op=MPI.MIN)
+    boxes[:, 1] *= -1.0
+    return boxes
+
+
 def check_angle(feature_angle: Any) -> float:
     """Return the least angle of an edge between facets, in degrees.
 
@@ -166,21 +183,14 @@ def check_angle(feature_angle: Any) -> float:
     return float(feature_angle)
 
 
-@dataclass(frozen=True, eq=False)
-class Faces:
-    """Smooth faces between the edges of bodies."""
-
-    of_facets: Longs  # (m,) face of each facet of this rank; numbers of all ranks
-    beside: frozenset[tuple[int, int]]  # pairs of faces with a common edge, both ways
-
-
 def find_faces(
     V: fem.FunctionSpace, facets: Facets, nodes: Ints, body: Longs, feature_angle: float
-) -> Faces:
-    """Divide exterior facets of this rank, with local nodes (m, k), into faces; collective.
+) -> Longs:
+    """Return the smooth face (m,) of each exterior facet of this rank; collective.
 
-    Facets of one body with a common edge (in 2D: vertex) are of one face where their normals differ
-    by less than the feature angle, in degrees.
+    Numbers are those of all ranks; nodes (m, k) are local. Facets of one body with a common edge
+    (in 2D: vertex) are of one face where their normals differ by less than the feature angle, in
+    degrees.
     """
     comm = V.mesh.comm
     edges = _edges(V, facets, nodes)
@@ -200,11 +210,7 @@ def find_faces(
     a, b, joined = _meeting(everywhere[0], everywhere[1], limit)
     ends = everywhere[2]
     _, face = _components(comm.allreduce(parts, op=MPI.SUM), ends[a[joined]], ends[b[joined]])
-    sharp = own[owner[np.stack([first[~smooth], second[~smooth]], axis=1)]]
-    sharp = np.concatenate([sharp, np.stack([ends[a[~joined]], ends[b[~joined]]], axis=1)])
-    pairs = np.concatenate(comm.allgather(np.unique(face[sharp], axis=0)))
-    both = np.concatenate([pairs, pairs[:, ::-1]])
-    return Faces(face[own], frozenset((int(one), int(other)) for one, other in both))
+    return face[own]
 
 
 def _edges(V: fem.FunctionSpace, facets: Facets, nodes: Ints) -> Longs:

@@ -12,7 +12,6 @@ import numpy as np
 from dolfinx import fem, la
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
-from dolfinx_mortar.audit.neighbours import boxes_of
 from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -32,6 +31,7 @@ from dolfinx_mortar.geometry.parts import count as parts
 from dolfinx_mortar.geometry.parts import parts_of
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
+from dolfinx_mortar.mortar.facing_bodies import boxes_of
 from dolfinx_mortar.mortar.passing import depth_of_point
 from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, nodal_sagittas
 from dolfinx_mortar.mortar.whole_side import whole_facets

@@ -55,7 +55,6 @@ from dolfinx_mortar.newton_method.residuals import (
     measure,
 )
 from dolfinx_mortar.newton_method.subproblem import STABLE, Iterate, Solution, Subproblem
-from dolfinx_mortar.newton_method.tunnelling import describe_passing
 from dolfinx_mortar.persistence.committed import Before, Gained
 from dolfinx_mortar.problem.checks import check_controls, check_problem
 from dolfinx_mortar.problem.predictors import predict
@@ -436,6 +435,6 @@ class _Step:
     def check_passing(self) -> None:
         """Raise if bodies have passed through each other."""
         with self.problem.timings("mortar"):
-            passed = describe_passing(self.problem)
+            passed = failures.describe_passing(self.problem)
         if passed:
             raise failures.failed(self.problem, self.report, passed)
