@@ -22,7 +22,6 @@ from dolfinx import fem, mesh
 from dolfinx_mortar.tags import names_of
 from ufl.algorithms.analysis import extract_constants
 from ufl.core.expr import Expr
-from ufl.domain import extract_unique_domain
 
 SHOWN = 60  # characters shown
 
@@ -108,7 +107,7 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
     if isinstance(value, fem.Function):
         text = f"Function, {value.ufl_element()}"
     elif isinstance(value, Expr | ufl.Form):
-        text = f"{type(value).__name__} {_signature(value)}"
+        text = f"Form {value.signature()}" if isinstance(value, ufl.Form) else "Expression"
         inside = {f": Constant {k}": c for k, c in enumerate(extract_constants(value), start=1)}
     elif isinstance(value, fem.DirichletBC):
         space: Any = getattr(value.function_space, "_cpp_object", value.function_space)
@@ -163,13 +162,3 @@ def _plain(value: Any) -> str | None:
         return None
     texts = [_plain(entry) for entry in value]
     return None if None in texts else f"[{', '.join(map(str, texts))}]"
-
-
-def _signature(value: Expr | ufl.Form) -> str:
-    """Signature of a form or expression, without the values of Constants and Functions."""
-    if isinstance(value, Expr):
-        domain = extract_unique_domain(value)
-        if domain is None:
-            return str(value)
-        value = ufl.inner(value, value) * ufl.dx(domain)
-    return str(value.signature())
