@@ -201,7 +201,8 @@ class _Skin:
         one, other = pairs.T
         alike = self.body[one] == self.body[other]
         a, b = pairs[alike].T
-        common = (self.x[a][:, :, None] == self.x[b][:, None]).all(axis=3).any(axis=(1, 2))
+        apart = np.abs(self.x[a][:, :, None] - self.x[b][:, None]).max(axis=3).min(axis=(1, 2))
+        common = apart <= HALF_OF_DIGITS * self.size[a]  # of ranks by round-off
         alike[alike] = common | ~(surface[a] & surface[b]).any(axis=1)
         one, other = (pairs := pairs[~alike]).T
         n = facet_normals(Facets(LINE2 if self.x.shape[2] == 2 else TRI3, self.x))
