@@ -132,7 +132,7 @@ def find_overlaps(x: Floats, off: Floats, pairs: Longs) -> tuple[Floats, Floats]
     n, noise = facet_normals(Facets(LINE2 if d == 2 else TRI3, x)), HALF_OF_DIGITS * size
     some: Longs = np.arange(len(pairs))
     best: Floats = np.full(found.shape, np.inf)  # depth, place
-    for k, i, j in [(1, 0, 0), (-1, 0, 0)] + [(0, *ij) for ij in np.ndindex(3, 3)] * (d == 3):
+    for k, i, j in [(1, 0, 0), (-1, 0, 0)] + [(0, *ij) for ij in np.ndindex(3, 3)] * (d > 2):
         a, b = pairs[some, :: k or 1].T
         v = n[b] if k else np.cross(x[a, i] - x[a, i - 1], x[b, j] - x[b, j - 1])
         skew = np.linalg.norm(v, axis=1) > noise[a] * noise[b] / HALF_OF_DIGITS
