@@ -329,8 +329,6 @@ def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> StepFailed:
     elif sums[0] < -DISTINCT * sums[1]:
         slides = ", or give friction if it slides" if lin.qp.friction is None else ""
         remedy = f"the force on a tool has to press it on the body; change its sign{slides}"
-    elif sums[0] > DISTINCT * sums[1]:
-        remedy = "the other motions of the step take the tool off the side; take smaller steps"
     elif lin.qp.friction is None:
         remedy = f"along {name} the side carries nothing without friction; give friction"
     else:

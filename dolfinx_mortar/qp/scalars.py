@@ -22,13 +22,12 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar.algebra.congruence import ContextOf
-from dolfinx_mortar.algebra.parallel import maximum, norm
+from dolfinx_mortar.algebra.parallel import norm
 from dolfinx_mortar.arrays import (
     HALF_OF_DIGITS,
     LIMIT,
     QUARTER_OF_DIGITS,
     ROUND_OFF,
-    SAME,
     TINY,
     Floats,
     Ints,
@@ -101,9 +100,8 @@ class Bordered:
         b.array[:] = self.join(inner.b.array_r, self._loads())
         lower.array[:] = self.join(inner.lower.array_r, -none)
         upper.array[:] = self.join(inner.upper.array_r, none)
-        definite = inner.definite and self._is_symmetric()
         bounds = lower, upper, inner.bounded, law
-        self.qp = BoundQP(A, b, *bounds, definite=definite, extent=inner.extent)
+        self.qp = BoundQP(A, b, *bounds, definite=inner.definite, extent=inner.extent)
 
     @property
     def scalars(self) -> Scalars:
@@ -133,14 +131,6 @@ class Bordered:
 
     def _sum(self, values: Floats) -> Floats:
         return np.asarray(self.comm.allreduce(values, op=MPI.SUM))
-
-    def _is_symmetric(self) -> bool:
-        """Tell whether the matrix of (w, q) is, but for round-off; collective."""
-        given = self.scalars
-        off = np.abs(given.rows - given.columns).max(initial=0.0)
-        tops = maximum(self.comm, off, np.abs(given.rows).max(initial=0.0))
-        block = np.abs(given.block - given.block.T).max() <= SAME * np.abs(given.block).max()
-        return bool(block and tops[0] <= SAME * tops[1])
 
     def _loads(self) -> Floats:
         """Return the right-hand side of the rows of q; collective."""
