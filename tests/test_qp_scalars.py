@@ -21,8 +21,8 @@ from dolfinx_mortar.qp import (
     solve,
     solver,
 )
+from dolfinx_mortar.qp.bound_qp import Sliding
 from dolfinx_mortar.qp.condensed import Dense
-from dolfinx_mortar.qp.friction import Sliding
 from dolfinx_mortar.qp.operator import FreePart
 from dolfinx_mortar.qp.scalars import Bordered
 

@@ -9,12 +9,10 @@ slips of nodes,
 and with the reactions z(q) they solve F_a + e_a.z(q) = 0: they are scalars of the QP, see
 `qp.scalars`.
 
-Nodes of rigid sides and of cuts of bolts follow, w = w_0 + e.q, and are eliminated: q changes the
-right-hand side, and z = r^ - K^ y there. The arms of moments turn with the side, e = e_0 + De q;
-the term De q.z_0, with the reactions z_0 of the iterate, keeps Newton's method quadratic. A step t
-q rotates the side as a rigid body: its nodes move on arcs, not to u_0 + t e.q, and need no further
-prescribed increment. The energy less the work of the loads decreases along this path, so it can
-limit the step.
+Nodes of a rigid side follow it, w = w_0 + e.q, as those of a bolt's cut do, and are eliminated:
+q changes the right-hand side, and z = r^ - K^ y there. The arms of moments turn with the side,
+e = e_0 + De q, with the reactions z_0 of the iterate in De q.z_0. A step t q rotates the side as a
+rigid body: its nodes move on arcs, not to u_0 + t e.q.
 """
 
 from __future__ import annotations

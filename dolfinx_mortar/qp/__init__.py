@@ -8,13 +8,14 @@ Uses PETSc matrices, vectors and options; imports nothing of meshes, forms or co
 from dolfinx_mortar.qp.bound_qp import (
     KKT,
     BoundQP,
+    Friction,
     QPNotSolved,
     QPSolution,
     Scalars,
+    Sliders,
     UnusableQP,
     check,
 )
-from dolfinx_mortar.qp.friction import Friction, Sliders
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 from dolfinx_mortar.qp.options import MULTIGRID, check_options
 from dolfinx_mortar.qp.preconditioner import Change, Unknowns

@@ -29,9 +29,8 @@ from dolfinx_mortar.arrays import (
     Ints,
     Longs,
 )
-from dolfinx_mortar.qp.bound_qp import BoundQP, reaction
-from dolfinx_mortar.qp.friction import Sliding
-from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver, NotDefinite
+from dolfinx_mortar.qp.bound_qp import BoundQP, Sliding, reaction
+from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 
 
 class Dense:
@@ -82,13 +81,13 @@ class Dense:
             M, free = self._free(self.S if sliding is None else _slipping(self.S, sliding), held)
             lu, pivots, failed = scipy.linalg.lapack.dgetrf(M, overwrite_a=True)
             if failed or not np.abs(np.diag(lu)).min(initial=1.0) > 64 * len(M) * EPS:
-                raise NotDefinite("nothing holds a body: a state leaves the matrix singular")
+                raise LinearSolveFailed("nothing holds a body: a state leaves the matrix singular")
             step, _ = scipy.linalg.lapack.dgetrs(lu, pivots, rest[free] * self.scale[free])
             values[free] += step * self.scale[free]
             found = right - self.S @ values
             force = max(first, *(float(norm(v)) for v in (right, found)))
             if self.round_off(x) > QUARTER_OF_DIGITS * force > 0.0:
-                raise NotDefinite("hardly anything holds a body: round-off is near the forces")
+                raise LinearSolveFailed("hardly anything holds a body: round-off is near forces")
         result.array[:] = found
         return result
 

@@ -21,19 +21,19 @@ from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm
 from dolfinx_mortar.arrays import LIMIT, ROUND_OFF, Actives, Bools, Floats, Ints
 from dolfinx_mortar.qp.bound_qp import (
     BoundQP,
+    Friction,
+    Sliding,
     check,
     is_noise,
     on_bounded,
     on_friction,
     reaction,
 )
-from dolfinx_mortar.qp.friction import Friction, Sliding
 
 # Levels of accuracy: first sets by loose solves, the last one by a tight one.
 LOOSE, TIGHT = 0, 2
-# Solves are this much more accurate than the check, whose scale may decrease meanwhile. In five
-# plane problems with multigrid 1/4, 1/2, 1 take 1.10, 1, .90 of the iterations; near 1 they would
-# hardly gain the next digit.
+# Solves are this much more accurate than the check, whose scale may decrease meanwhile: with 1/4,
+# 1/2, 1 five plane problems take 1.10, 1, .90 of the iterations; near 1 they hardly gain a digit.
 SHARE = 0.5
 
 
@@ -49,7 +49,7 @@ class State:
 
     active: Actives  # (k,) on `BoundQP.bounded`
     directions: Floats  # (m, t) of slip, zero at sticking nodes
-    stiffness: Floats  # (m,) kappa of `qp.friction`
+    stiffness: Floats  # (m,) kappa of `qp.bound_qp`
 
     @staticmethod
     def create(

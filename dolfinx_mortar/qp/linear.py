@@ -16,7 +16,7 @@ import numpy as np
 
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.arrays import EPS, LIMIT, QUARTER_OF_DIGITS, ROUND_OFF, Ints
-from dolfinx_mortar.qp.friction import Sliding
+from dolfinx_mortar.qp.bound_qp import Sliding
 from dolfinx_mortar.qp.operator import (
     Operator,
     count_negative,
@@ -37,7 +37,7 @@ from dolfinx_mortar.qp.preconditioner import (
 log = logging.getLogger(__name__)
 
 # Largest order of a matrix in 3D whose factorisation may replace multigrid: 219 thousand unknowns
-# of hexahedra take 4.1 GiB and 25 s (117 thousand 2.1 GiB and 10 s; MUMPS, one rank).
+# of hexahedra take 4.1 GiB and 25 s (MUMPS, one rank).
 MOST_FACTORISED = 200_000
 
 # Its third factorisation beside a live one crashes (PETSc 3.22, two ranks: a definite matrix, an
@@ -47,10 +47,6 @@ ALONE = "superlu_dist"
 
 class LinearSolveFailed(RuntimeError):
     """A linear system could not be solved; the message has cause and remedy."""
-
-
-class NotDefinite(LinearSolveFailed):
-    """A matrix that is not positive definite on the free unknowns: singular, or indefinite."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +114,7 @@ class LinearSolver:
         self._setups: dict[bool, MatrixSetup] = {}  # by whether the matrix is definite
         self._kind = True  # of the present matrix
         self._order = 0  # of the last matrix, 0 before any
-        self.beyond = 0  # negative eigenvalues of the last condensed matrix, see `dense`
+        self.beyond = 0  # negative eigenvalues of the last condensed matrix, see `condensed`
 
     @property
     def _setup(self) -> MatrixSetup | None:

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: MIT
 """The matrix of a linear system with fixed unknowns and slipping nodes, and its residuals.
 
-A factorisation by MUMPS for symmetric matrices counts negative eigenvalues (Sylvester's law of
-inertia); for others one more is made. Conjugate gradients meet a negative curvature: of a random
-vector b every eigenvector has a part of about |b| / sqrt(n), which the residual keeps until the
-iteration has resolved its eigenvalue, whatever the symmetries of loads. The preconditioner has to
-be positive: the factorisation of multigrid's coarsest level would hide a negative eigenvalue, so
-that its pivots are counted.
+Negative eigenvalues are counted by a factorisation of MUMPS (Sylvester's law of inertia). With
+multigrid, conjugate gradients meet a negative curvature: of a random vector b every eigenvector has
+a part of about |b| / sqrt(n), which the residual keeps until its eigenvalue is resolved. The
+factorisation of the coarsest level, P^T A P, would hide one, and is asked itself.
 """
 
 from mpi4py import MPI
@@ -16,11 +14,10 @@ import numpy as np
 
 from dolfinx_mortar.algebra.congruence import decouple
 from dolfinx_mortar.arrays import ROUND_OFF, Ints
-from dolfinx_mortar.qp.friction import Sliding
+from dolfinx_mortar.qp.bound_qp import Sliding
 
-# Of |b| / sqrt(n): remainder of the part along a resolved eigenvector. With a chance of 0.8 % the
-# part is smaller from the start (a normal variable below 0.01). Of 480 runs 1e-4 to 0.1 meet all
-# negative eigenvalues, 0.3 misses 1 %, 1 5 %, 3 21 %; 0.1 saves a tenth of the iterations.
+# Of |b| / sqrt(n): what is left of the part along an eigenvector that is resolved. Of 480 runs 1e-4
+# to 0.1 meet all, 0.3 misses 1 %, 1 5 %, 3 21 %.
 RESOLVED = 0.01
 
 

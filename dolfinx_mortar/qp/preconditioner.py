@@ -23,10 +23,10 @@ from dolfinx_mortar.qp.operator import Operator, count_negative
 from dolfinx_mortar.qp.options import SolverOptions
 
 # Iterations above those of a new one that are worth a renewal. A numeric factorisation in 2D costs
-# 5 to 7 solves (5k to 200k unknowns, MUMPS), a set-up of multigrid in 3D 25 to 50 iterations (GAMG,
-# 30k to 181k unknowns). Renewal after twice 40: with 40, second set-ups saved 2 to 13 of 75 to 114
-# iterations of a plastic step (41k to 160k unknowns), which took 1.1 to 1.25 times as long, as new
-# levels of a flowing body take twice the iterations.
+# 5 to 7 solves with it (5k to 200k unknowns), a set-up of multigrid in 3D 25 to 50 iterations (30k
+# to 181k). Levels of an elastic tangent are renewed after twice 40 more than they would have cost
+# when new, as those of a flowing body take twice their iterations; with 40 plastic steps took 1.1
+# to 1.25 times as long.
 RENEWAL_COST = {"direct": 6, "iterative": 80}
 # INFOG(1) of MUMPS: workspace too small; ICNTL(14) is the percentage above its estimate.
 WORKSPACE_ERRORS = (-8, -9)

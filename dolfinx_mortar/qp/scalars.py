@@ -32,8 +32,7 @@ from dolfinx_mortar.arrays import (
     Floats,
     Ints,
 )
-from dolfinx_mortar.qp.bound_qp import BoundQP, Scalars
-from dolfinx_mortar.qp.friction import Friction, Sliding, state_of
+from dolfinx_mortar.qp.bound_qp import BoundQP, Friction, Scalars, Sliding, state_of
 from dolfinx_mortar.qp.held import Solver
 
 

@@ -69,8 +69,8 @@ def solve(
     Args:
         backend: "active-set", or for a definite matrix without friction "interior-point".
         linear: linear solver, whose factorisation is reused; by default a new one with MUMPS.
-        start_active: (k,) initial active set on ``qp.bounded``: +1 upper, -1 lower, 0 free; by
-            default all at their bounds nearest to zero, which constrains every body.
+        start_active: (k,) initial active set on ``qp.bounded``: +1 upper, -1 lower, 0 free. By
+            default every unknown at its bound nearest to zero, which constrains every body.
         start_sliding: (m, t) initial directions of slip on ``qp.friction``, zero at sticking nodes;
             by default everywhere.
         start_kappa: (m,) initial kappa of `qp.friction`; by default, and at most, the diagonal of
