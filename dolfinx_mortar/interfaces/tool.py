@@ -288,18 +288,9 @@ class Asked(Shape):
     """
 
     def __init__(self, shape: Shape) -> None:
-        self.shape = shape
+        self.shape, self.point = shape, shape.point
         self.alone = True
         self._error: Exception | None = None
-
-    @property
-    def point(self) -> Floats:
-        """Point of the shape."""
-        return self.shape.point
-
-    def given(self) -> Mapping[str, Any]:
-        """Arguments by name."""
-        return self.shape.given()
 
     def distance(self, x: Floats) -> Distance:
         """See `Shape`."""

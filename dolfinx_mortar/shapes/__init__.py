@@ -3,10 +3,8 @@
 
 from dolfinx_mortar.shapes.combined import Complement, Intersection, Union, berkovich
 from dolfinx_mortar.shapes.given_distance import SignedDistance
-from dolfinx_mortar.shapes.half_space import Plane
-from dolfinx_mortar.shapes.pointed import Cone, Wedge
 from dolfinx_mortar.shapes.polyline import Polyline
-from dolfinx_mortar.shapes.round_shapes import Cylinder, Sphere, Torus
+from dolfinx_mortar.shapes.primitives import Cone, Cylinder, Plane, Sphere, Torus, Wedge
 from dolfinx_mortar.shapes.shape import Distance, Shape
 from dolfinx_mortar.shapes.triangles import Triangles
 

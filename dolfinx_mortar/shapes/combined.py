@@ -8,7 +8,7 @@ import numpy as np
 
 from dolfinx_mortar.arguments import array, check, instance, number
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, Floats
-from dolfinx_mortar.shapes.half_space import Plane
+from dolfinx_mortar.shapes.primitives import Plane
 from dolfinx_mortar.shapes.shape import Distance, Shape, check_unit
 
 
@@ -25,11 +25,7 @@ class _Combined(Shape):
             raise ValueError(
                 f"{type(self).__name__} has shapes of {sizes} coordinates: all need the same"
             )
-        self.shapes = shapes
-
-    @property
-    def point(self) -> Floats:
-        return self.shapes[0].point
+        self.shapes, self.point = shapes, shapes[0].point
 
     def given(self) -> Mapping[str, Any]:
         return {f"shape{k}": shape for k, shape in enumerate(self.shapes, start=1)}
@@ -109,15 +105,7 @@ class Complement(Shape):
 
     def __init__(self, shape: Shape) -> None:
         self.shape = check("Complement: shape", shape, instance(Shape, "give one"))
-
-    @property
-    def point(self) -> Floats:
-        """See `Shape`."""
-        return self.shape.point
-
-    def given(self) -> Mapping[str, Any]:
-        """See `Shape`."""
-        return {"shape": self.shape}
+        self.point = self.shape.point
 
     def misfit(self, d: int, revolved: bool) -> str:
         """See `Shape`."""

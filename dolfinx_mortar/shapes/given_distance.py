@@ -62,13 +62,13 @@ class SignedDistance(Shape):
         hessian: Function | None = None,
         length: Any = None,
     ) -> None:
-        self._point = check("point", point, POINT)
+        self.point = check("point", point, POINT)
         self.phi, self.gradient, self.hessian = phi, gradient, hessian
         self._kernel: Kernel | None = None
         if isinstance(phi, Expr):
             if any(given is not None for given in (gradient, hessian, length)):
                 raise ValueError("phi is in UFL: leave out gradient, hessian and length")
-            self._kernel, self.length = _compile(phi, len(self._point)), None
+            self._kernel, self.length = _compile(phi, len(self.point)), None
             return
         for name, function in (("phi", phi), ("gradient", gradient), ("hessian", hessian)):
             if not callable(function) and (name == "phi" or function is not None):
@@ -83,14 +83,9 @@ class SignedDistance(Shape):
             )
         self.length = check_optional("length", length, LENGTH)
 
-    @property
-    def point(self) -> Floats:
-        """As given."""
-        return self._point
-
     def given(self) -> Mapping[str, Any]:
         """See `Shape`."""
-        return {"point": self._point, "length": self.length}
+        return {"point": self.point, "length": self.length}
 
     def distance(self, x: Floats) -> Distance:
         """See `Shape`."""

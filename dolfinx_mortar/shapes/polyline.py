@@ -50,9 +50,9 @@ class Polyline(Curved):
         wanted = f"give finite coordinates (n, 2) of {least} points or more"
         rule = array((None, 2), holds=lambda x: len(x) >= least, remedy=wanted)
         self.points = x = check("points", points, rule)
-        self._point = (x.min(axis=0) + x.max(axis=0)) / 2
+        self.point = (x.min(axis=0) + x.max(axis=0)) / 2
         if point is not None:
-            self._point = check("point", point, array((2,)))
+            self.point = check("point", point, array((2,)))
         self._p = x if closed else x[:-1]
         self._q = np.roll(x, -1, axis=0)[: len(self._p)]
         lengths, along = unit_vectors(self._q - self._p)
@@ -94,11 +94,6 @@ class Polyline(Curved):
         self._bend(corners, bends[:, None], ends[:, :1], around)
 
     @property
-    def point(self) -> Floats:
-        """As given, or the middle of the points' box."""
-        return self._point
-
-    @property
     def surface(self) -> tuple[Floats, Longs]:
         """Ends and middles of the edges (n, 2), and two lines (m, 2) for each."""
         p, q, n = self._p, self._q, np.arange(len(self._p))
@@ -110,7 +105,7 @@ class Polyline(Curved):
     def given(self) -> Mapping[str, Any]:
         """See `Shape`; with a digest of the points."""
         digest = hashlib.sha256(self.points.tobytes()).hexdigest()
-        names = {"point": self._point, "crease": self.crease, "closed": self.closed}
+        names = {"point": self.point, "crease": self.crease, "closed": self.closed}
         return {"points": digest, **names}
 
     def __repr__(self) -> str:

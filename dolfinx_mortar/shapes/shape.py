@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,10 @@ class Distance:
     value: Floats  # (n,) positive outside
     gradient: Floats  # (n, d) unit normals, out of the tool
     hessian: Floats  # (n, d, d) curvatures, 1 / length
+
+    def less(self, radius: float) -> Distance:
+        """Distance from the surface offset outwards by a radius."""
+        return replace(self, value=self.value - radius)
 
     def __neg__(self) -> Distance:
         """Distance with inside and outside exchanged."""
@@ -64,12 +69,12 @@ class Shape(ABC):
     grad phi is the outward unit normal at the nearest point, the Hessian of phi the curvature, 1 /
     (R + phi) for a sphere. Coordinates are those of the mesh for the tool in its initial position;
     in axisymmetry (r, z), of the section. Errors name the wrong argument.
+
+    Attributes:
+        point: reference point (d,), the centre or the tip.
     """
 
-    @property
-    @abstractmethod
-    def point(self) -> Floats:
-        """Reference point (d,): the centre, or the tip."""
+    point: Floats
 
     @abstractmethod
     def distance(self, x: Floats) -> Distance:
@@ -79,9 +84,9 @@ class Shape(ABC):
         """Values phi (n,) alone at points x (n, d)."""
         return self.distance(x).value
 
-    @abstractmethod
     def given(self) -> Mapping[str, Any]:
-        """Arguments by name."""
+        """Arguments by name; default the attributes of these names."""
+        return {name: getattr(self, name) for name in signature(type(self)).parameters}
 
     @property
     def surface(self) -> tuple[Floats, Longs] | None:

@@ -56,9 +56,9 @@ class Triangles(Curved):
         self.crease, self.rim = check("crease", crease, CREASE), check("rim", rim, FLAG)
         file = isinstance(surface, str | os.PathLike)
         self.file = os.fspath(surface) if file else None
-        self._point: Floats = np.zeros(3)
+        self.point: Floats = np.zeros(3)
         if point is not None:
-            self._point = check("point", point, array((3,)))
+            self.point = check("point", point, array((3,)))
         self._unread: ValueError | None = None
         try:
             points, triangles = read_stl(surface) if file else _check_arrays(surface)
@@ -70,7 +70,7 @@ class Triangles(Curved):
         self._triangulation = create_triangulation(points, triangles, rim=self.rim)
         x = self.triangulation.corners
         if point is None:
-            self._point = (x.min(axis=(0, 1)) + x.max(axis=(0, 1))) / 2
+            self.point = (x.min(axis=(0, 1)) + x.max(axis=(0, 1))) / 2
         normals, smooth = self.triangulation.smooth_normals(self.crease)
         a = _bulges(x, normals) * smooth[..., None] * (self.crease > 0.0)
         shape = self.triangulation
@@ -89,18 +89,13 @@ class Triangles(Curved):
         return super().misfit(d, revolved) if self._unread is None else str(self._unread)
 
     @property
-    def point(self) -> Floats:
-        """As given, or the middle of the box."""
-        return self._point
-
-    @property
     def surface(self) -> tuple[Floats, Longs]:
         """See `Shape`."""
         return self.triangulation.points, self.triangulation.triangles
 
     def given(self) -> Mapping[str, Any]:
         """See `Shape`; with a digest of the triangles."""
-        names = {"point": self._point, "crease": self.crease, "rim": self.rim}
+        names = {"point": self.point, "crease": self.crease, "rim": self.rim}
         if self._unread is not None:
             return {"surface": f"not read, {self._unread}", **names}
         shape = self.triangulation

@@ -131,11 +131,12 @@ def _find_neighbours(x: Floats, triangles: Longs, rim: bool) -> Longs:
     one, other = order[starts[both]], order[starts[both] + 1]
     beyond = np.full(len(ends), -1, dtype=np.int64)
     beyond[one], beyond[other] = other // 3, one // 3
-    against = np.flatnonzero(ends[one, 0] == ends[other, 0])
+    against = ends[one, 0] == ends[other, 0]
+    turned = np.bincount(np.append(one[against], other[against]) // 3, minlength=len(x))
     refuse(
         "surface has",
         x.mean(axis=1),
-        _find_turned(one, other, against, len(x)),
+        np.asarray(turned > (turned > 1).any()),  # of most, if any, edges
         "triangles that are turned against their neighbours",
         "order the corners of all counterclockwise as seen from outside of the tool",
     )
@@ -149,30 +150,6 @@ def _find_neighbours(x: Floats, triangles: Longs, rim: bool) -> Longs:
             "close it; or give rim=True for a surface that ends beside the body",
         )
     return found
-
-
-def _find_turned(one: Longs, other: Longs, against: Longs, m: int) -> Bools:
-    """Mask (m,) of triangles against most connected ones, by common edges (k,)."""
-    turned = np.zeros(m, dtype=bool)
-    if not len(against):
-        return turned
-    differs = np.zeros(len(one), dtype=bool)
-    differs[against] = True
-    pairs, first = np.unique(np.stack([one // 3, other // 3], axis=1), axis=0, return_index=True)
-    flips = {
-        (int(pairs[k, 0]), int(pairs[k, 1])): bool(differs[first[k]]) for k in range(len(pairs))
-    }
-    graph = scipy.sparse.coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(m, m)).tocsr()
-    parts, part = scipy.sparse.csgraph.connected_components(graph, directed=False)
-    for k in range(parts):
-        mine = np.flatnonzero(part == k)
-        reached, before = scipy.sparse.csgraph.breadth_first_order(graph, mine[0], directed=False)
-        for at in reached[1:]:
-            a, b = int(before[at]), int(at)
-            turned[b] = turned[a] ^ flips[(a, b) if (a, b) in flips else (b, a)]
-        if 2 * turned[mine].sum() > len(mine):
-            turned[mine] = ~turned[mine]
-    return turned
 
 
 def _length(vectors: npt.NDArray[np.floating[Any]]) -> Floats:

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: MIT
+"""Planes, spheres, cylinders, tori, cones and wedges."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from dolfinx_mortar.arguments import check, number
+from dolfinx_mortar.arrays import SAME, Floats
+from dolfinx_mortar.shapes.shape import (
+    LENGTH,
+    POINT,
+    Distance,
+    Shape,
+    check_unit,
+    of_axis,
+    of_centre,
+    of_section,
+)
+
+
+def _off_axis(point: Floats, radius: float, axis: Floats | None = None) -> bool:
+    """Whether a point, or a direction, is off the axis r = 0."""
+    size = radius + float(np.abs(point).max())
+    return bool(abs(point[0]) > SAME * size or (axis is not None and abs(axis[0]) > SAME))
+
+
+class Plane(Shape):
+    """phi = n.(x - p).
+
+    Args:
+        point: p, d coordinates.
+        normal: n, of any length, out of the tool, towards the body.
+    """
+
+    def __init__(self, point: Any, normal: Any) -> None:
+        self.point = check("point", point, POINT)
+        self.normal = check_unit("normal", normal, len(self.point))
+
+    def misfit(self, d: int, revolved: bool) -> str:
+        """See `Shape`."""
+        if revolved and abs(self.normal[0]) > SAME:
+            return f"{self!r} is not across the axis, so no plane of revolution: give a Cone"
+        return super().misfit(d, revolved)
+
+    def distance(self, x: Floats) -> Distance:
+        """See `Shape`."""
+        n, d = x.shape
+        gradient = np.tile(self.normal, (n, 1))
+        return Distance((x - self.point) @ self.normal, gradient, np.zeros((n, d, d)))
+
+
+class _Round(Shape):
+    """Shape with centre and radius."""
+
+    def __init__(self, centre: Any, radius: Any) -> None:
+        self.centre = self.point = check("centre", centre, POINT)
+        self.radius = check("radius", radius, LENGTH)
+
+
+class Sphere(_Round):
+    """phi = |x - c| - R: a ball in space, or about the axis of an axisymmetric problem.
+
+    Args:
+        centre: c, d coordinates.
+        radius: R.
+    """
+
+    def misfit(self, d: int, revolved: bool) -> str:
+        """See `Shape`."""
+        if d == 2 and not revolved:
+            return f"{self!r} is no plane figure: give a Cylinder"
+        if revolved and _off_axis(self.centre, self.radius):
+            return f"{self!r} is not centred on the axis, where it would be a Torus: give that"
+        return super().misfit(d, revolved)
+
+    def distance(self, x: Floats) -> Distance:
+        """See `Shape`."""
+        return of_centre(x - self.centre).less(self.radius)
+
+
+class Cylinder(_Round):
+    """phi = |x - c| - R about an axis; in the plane a disc.
+
+    Args:
+        centre: c, d coordinates of a point of the axis.
+        radius: R.
+        axis: d components; None in plane problems.
+    """
+
+    def __init__(self, centre: Any, radius: Any, axis: Any = None) -> None:
+        super().__init__(centre, radius)
+        self.axis = None if axis is None else check_unit("axis", axis, len(self.centre))
+        if self.axis is None and len(self.centre) == 3:
+            raise ValueError("axis is None: give the direction of the cylinder's axis in space")
+
+    def misfit(self, d: int, revolved: bool) -> str:
+        """See `Shape`."""
+        if d == 2 and not revolved and self.axis is not None:
+            return f"{self!r} has an axis, which in plane problems is across the plane: give none"
+        if revolved:
+            if self.axis is None:
+                return f"{self!r} is no shape of revolution: give a Sphere or a Torus"
+            if _off_axis(self.centre, self.radius, self.axis):
+                return f"{self!r} is not about the axis: give axis=(0, 1) and a centre (0, z)"
+        return super().misfit(d, revolved)
+
+    def distance(self, x: Floats) -> Distance:
+        """See `Shape`."""
+        offset = x - self.centre
+        found = of_centre(offset) if self.axis is None else of_axis(offset, self.axis)
+        return found.less(self.radius)
+
+
+class Torus(_Round):
+    """phi = |(|x - c| across the axis - R, x - c along it)| - r: a ring of round section.
+
+    Args:
+        centre: c, d coordinates.
+        radius: R, of the circle through the sections' centres.
+        tube: r, of the sections; r > R closes the hole, and phi is exact outside.
+        axis: d components; default (0, 1) in axisymmetry.
+    """
+
+    def __init__(self, centre: Any, radius: Any, tube: Any, axis: Any = None) -> None:
+        super().__init__(centre, radius)
+        self.tube = check("tube", tube, LENGTH)
+        if axis is None and len(self.centre) == 2:
+            axis = (0.0, 1.0)
+        self.axis = check_unit("axis", axis, len(self.centre))
+
+    def misfit(self, d: int, revolved: bool) -> str:
+        """See `Shape`."""
+        if d == 2 and not revolved:
+            return f"{self!r} is no plane figure: give Cylinders, and their Union"
+        if revolved and _off_axis(self.centre, self.radius, self.axis):
+            return f"{self!r} is not about the axis: give axis=(0, 1) and a centre (0, z)"
+        return super().misfit(d, revolved)
+
+    def distance(self, x: Floats) -> Distance:
+        """See `Shape`."""
+        n, d = x.shape
+        offset = x - self.centre
+        across = of_axis(offset, self.axis)
+        along = Distance(offset @ self.axis, np.tile(self.axis, (n, 1)), np.zeros((n, d, d)))
+        section = np.stack([across.value - self.radius, along.value], axis=1)
+        return of_section(across, along, of_centre(section)).less(self.tube)
+
+
+class _Pointed(Shape):
+    """A sharp section offset outwards by the tip radius, see `Cone`."""
+
+    def __init__(self, tip: Any, half_angle: Any, axis: Any, radius: Any) -> None:
+        self.tip = self.point = check("tip", tip, POINT)
+        flank = number("the degrees between axis and flank,", above=0.0, below=90.0)
+        self.half_angle = check("half_angle", half_angle, flank)
+        self.axis = check_unit("axis", axis, len(self.tip))
+        self.radius = check("radius", radius, number("a finite length", least=0.0))
+
+    def _section(self, x: Floats, across: Distance, tip: Distance) -> Distance:
+        """Distances of points x (n, d), given those ``across`` the axis and from the ``tip``."""
+        height, angle = (x - self._centre) @ self.axis, np.radians(self.half_angle)
+        s, c = np.sin(angle), np.cos(angle)
+        flank = Distance(
+            c * across.value - s * height, c * across.gradient - s * self.axis, c * across.hessian
+        )
+        lost = across.value <= SAME * (np.abs(height) + self.radius)
+        flank = replace(flank, gradient=np.where(lost[:, None], -self.axis, flank.gradient))
+        found = flank.where(s * across.value + c * height > 0.0, tip)
+        sharp = found.value == 0.0
+        gradient = np.where((sharp & lost)[:, None], -self.axis, found.gradient)
+        return replace(found, gradient=gradient).less(self.radius)
+
+    @property
+    def _centre(self) -> Floats:
+        return np.asarray(self.tip + self.radius * self.axis)
+
+
+class Cone(_Pointed):
+    """A cone in space, or about the axis of an axisymmetric problem.
+
+    With the distance rho from the axis, the height h over the centre of the tip and the half angle
+    a, phi = rho cos a - h sin a - R at the flank, sqrt(rho^2 + h^2) - R at the tip.
+
+    Args:
+        tip: d coordinates of its lowest point.
+        half_angle: degrees between axis and flank; 70.3 is equivalent to Berkovich's pyramid.
+        axis: d components, from the tip into the tool.
+        radius: R of the tip, 0 if sharp.
+    """
+
+    def __init__(self, tip: Any, half_angle: Any, axis: Any, radius: Any = 0.0) -> None:
+        super().__init__(tip, half_angle, axis, radius)
+
+    def misfit(self, d: int, revolved: bool) -> str:
+        """See `Shape`."""
+        if d == 2 and not revolved:
+            return f"{self!r} is no plane figure: give a Wedge"
+        if revolved and _off_axis(self.tip, self.radius, self.axis):
+            return f"{self!r} is not about the axis: give axis=(0, 1) or (0, -1), a tip (0, z)"
+        return super().misfit(d, revolved)
+
+    def distance(self, x: Floats) -> Distance:
+        """See `Shape`."""
+        offset = x - self._centre
+        return self._section(x, of_axis(offset, self.axis), of_centre(offset))
+
+
+class Wedge(_Pointed):
+    """A wedge in the plane, or in space along an edge, with the section of a `Cone`.
+
+    In axisymmetry it is the rim of a ring, as of a punch or die.
+
+    Args:
+        tip: d coordinates of a point of its edge.
+        half_angle: degrees between axis and flanks.
+        axis: d components, from the tip into the tool.
+        radius: of the tip, 0 if sharp.
+        edge: direction of the edge in space, normal to the axis; None in the plane.
+    """
+
+    def __init__(
+        self, tip: Any, half_angle: Any, axis: Any, radius: Any = 0.0, edge: Any = None
+    ) -> None:
+        super().__init__(tip, half_angle, axis, radius)
+        d = len(self.tip)
+        if (edge is None) != (d == 2):
+            wanted = "none in plane problems" if d == 2 else "the direction of the edge in space"
+            raise ValueError(f"edge is {edge!r}: give {wanted}")
+        self.edge = None if edge is None else check_unit("edge", edge, d)
+        if self.edge is not None and abs(self.edge @ self.axis) > np.sqrt(SAME):
+            raise ValueError(f"edge is {edge!r}: it has to be across the axis {axis!r}")
+
+    def distance(self, x: Floats) -> Distance:
+        """See `Shape`."""
+        offset, d = x - self._centre, x.shape[1]
+        if self.edge is None:
+            return self._section(x, of_axis(offset, self.axis), of_centre(offset))
+        side = np.cross(self.edge, self.axis)
+        sign = np.where(offset @ side < 0.0, -1.0, 1.0)
+        flat = np.zeros((len(x), d, d))
+        across = Distance(np.abs(offset @ side), sign[:, None] * side, flat)
+        return self._section(x, across, of_axis(offset, self.edge))
