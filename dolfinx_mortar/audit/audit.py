@@ -122,8 +122,9 @@ def _held_motions(
 ) -> list[Motion]:
     held: list[Motion] = [lambda v: v.array_r[supports.owned.ravel()], springs]
     for link in system.links:
-        bolt = _bolt(link)
-        held.append(link.held_motion if bolt is None else _held_but(link, bolt.axis))
+        if not link.unilateral:
+            bolt = _bolt(link)
+            held.append(link.constrained_motion if bolt is None else _held_but(link, bolt.axis))
     return held
 
 

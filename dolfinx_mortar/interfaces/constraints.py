@@ -222,39 +222,6 @@ class FrictionLaw:
         """Whether the limit is proportional to the pressure; else it acts at open nodes, too."""
         return self.name == "friction"
 
-    def slip_limits(
-        self, nodes: Ints, directions: Bools, frames: Floats, slip: Floats, D: Floats, limit: Floats
-    ) -> SlipLimits:
-        """Limits of tangential reactions.
-
-        Args:
-            nodes: (n,) owned slave nodes.
-            directions: (n, d) constrained directions of the frames, the normal first.
-            frames: (n, d, d) with the directions as rows.
-            slip: (n, d) relative motion since the last commit, in the frames.
-            D: (n, c) weights.
-            limit: (owned nodes,) mu or s.
-        """
-        on = directions[:, 0]
-        some, d = directions[on, 1:], directions.shape[1]
-        normal = (d * nodes[on]).astype(np.int32)
-        tangential = np.where(some, normal[:, None] + np.arange(1, d), -1).astype(np.int32)
-        values, weight, none = limit[nodes[on]], D[on, 0], np.zeros((len(normal), d))
-        return SlipLimits(
-            nodes=nodes[on],
-            normal=normal,
-            tangential=tangential,
-            axes=frames[on, 1:],
-            slip=np.where(some, slip[on, 1:], 0.0),
-            coefficient=values if self.by_pressure else np.zeros_like(values),
-            cohesion=np.zeros_like(values) if self.by_pressure else values * weight,
-            weight=weight,
-            beside=none,
-            before=none,
-            room=np.ones_like(values),
-            opening=none,
-        )
-
     def values(self, scalar: fem.FunctionSpace) -> Floats:
         """Values at the owned nodes of a scalar space; collective.
 

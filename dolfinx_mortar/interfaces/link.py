@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -12,9 +12,10 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem, la
-from dolfinx_mortar.algebra.parallel import maximum, ratio
+from dolfinx_mortar.algebra.parallel import any_rank, maximum, ratio
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Actives, Bools, Floats, Ints
-from dolfinx_mortar.interfaces.coupling import CoupledSides, with_ghosts
+from dolfinx_mortar.interfaces.constraints import ROOM, SlipLimits
+from dolfinx_mortar.interfaces.coupling import CoupledSides, relative_motions, with_ghosts
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.results import Resultants
 from dolfinx_mortar.interfaces.slip_partners import Partners, ToolPartners, partners_on_master
@@ -45,11 +46,6 @@ class Link(CoupledSides):
         return None if frozen or self.pairing is None else partners_on_master(self, x)
 
     @property
-    def equal(self) -> Bools:
-        """Constrained directions (n, d) with equalities."""
-        return self.constrained & (not self.unilateral)
-
-    @property
     def prescribed(self) -> Bools:
         """Slave nodes (n,) that face the master, but whose multiplier Dirichlet data prevent."""
         kept, coverage = self.coupling.kept.any(axis=1), self.coupling.coverage
@@ -63,9 +59,45 @@ class Link(CoupledSides):
         marks[: slave.owned] = self.prescribed
         return np.asarray((accumulate(slave, marks) > 0)[slave.facets].all(axis=1))
 
-    def held_motion(self, v: PETSc.Vec) -> Floats:
-        """Components constrained by equalities; collective."""
-        return np.asarray(self.relative(v)[self.equal])
+    def slip_limits(
+        self, limit: Floats, moved: PETSc.Vec, partner: Partners | None, sliding: Floats | None
+    ) -> SlipLimits:
+        """Limits of friction, see `InterfaceSystem.slip_limits`; collective."""
+        law, comm = self.interface.law, self.sides.V.mesh.comm
+        assert law is not None
+        slip = self.relative(moved) if partner is None else partner.slip(self, moved)
+        on = self.constrained[:, 0]
+        nodes, some, d = self.nodes[on], self.constrained[on, 1:], slip.shape[1]
+        normal = (d * nodes).astype(np.int32)
+        tangential = np.where(some, normal[:, None] + np.arange(1, d), -1).astype(np.int32)
+        values, weight = limit[nodes], self.coupling.weight[on, 0]
+        zero, none = np.zeros_like(values), np.zeros((len(nodes), d))
+        found = SlipLimits(
+            nodes=nodes,
+            normal=normal,
+            tangential=tangential,
+            axes=self.coupling.rows[on, 1:],
+            slip=np.where(some, slip[on, 1:], 0.0),
+            coefficient=values if law.by_pressure else zero,
+            cohesion=zero if law.by_pressure else values * weight,
+            weight=weight,
+            beside=none,
+            before=none,
+            room=np.ones_like(values),
+            opening=self.coupling.R[on, :, 0],
+        )
+        held: Bools = np.asarray(self.sides.fixed[nodes].any(axis=1))
+        if not any_rank(comm, held.any())[0]:
+            return found
+        motion = relative_motions(self, moved)[0]
+        if partner is not None:
+            motion = np.where(partner.known[:, None], partner.motion(self, moved), motion)
+        before = none if sliding is None else sliding[nodes]
+        parts, n = np.stack([motion[on], before]), self.coupling.normals[on]
+        parts -= (parts * n).sum(axis=2)[:, :, None] * n
+        beside, before = ((v - found.vectors(found.along(v))) * held[:, None] for v in parts)
+        room = np.full(len(nodes), ROOM * mean_facet_length(self.sides.slave))
+        return replace(found, beside=beside, before=before, room=room)
 
     def acting(self, closed: Bools) -> Bools:
         """Mask (n,) of slave nodes at which the interface acts.

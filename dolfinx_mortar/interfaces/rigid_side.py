@@ -16,12 +16,13 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
+from dolfinx_mortar.arguments import array, check
 from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import tributary_weights
 from dolfinx_mortar.interfaces.constraints import Force
 from dolfinx_mortar.interfaces.coupling import Coupling, Pattern, Sides
 from dolfinx_mortar.interfaces.interface import Interface, full_coverage
-from dolfinx_mortar.interfaces.tool import Movable, Pose, RigidBody, check_point, spun
+from dolfinx_mortar.interfaces.tool import Movable, Pose, RigidBody, spun
 from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals, sum_at_nodes
 
@@ -116,7 +117,8 @@ class RigidSide(Movable, Interface):
         load: Mapping[str, Force] | None = None,
     ) -> None:
         super().__init__(facet_tags, slave=side)
-        self.rigid = Plate(check_point(reference, facet_tags.topology.dim))
+        d = facet_tags.topology.dim
+        self.rigid = Plate(check("reference", reference, array((d,))))
         self.load = load or {}
 
     def __repr__(self) -> str:

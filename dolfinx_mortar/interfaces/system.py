@@ -21,7 +21,6 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.claims import Claims, are_outdated, notes_on_splits, resolve_claims
 from dolfinx_mortar.interfaces.constraints import (
-    ROOM,
     Constraints,
     SlipLimits,
     join,
@@ -31,7 +30,6 @@ from dolfinx_mortar.interfaces.coupling import (
     Coupling,
     Pattern,
     Sides,
-    relative_motions,
     with_ghosts,
 )
 from dolfinx_mortar.interfaces.interface import (
@@ -430,37 +428,9 @@ class InterfaceSystem:
         """
         parts = []
         for link, limit, partner in zip(self.links, limits, partners, strict=True):
-            if limit is not None and (law := link.interface.law) is not None:
-                slip = link.relative(moved) if partner is None else partner.slip(link, moved)
-                at = link.nodes, link.constrained, link.coupling.rows, slip, link.coupling.weight
-                found = law.slip_limits(*at, limit)
-                parts.append(self._with_known_slips(link, found, moved, partner, sliding))
+            if limit is not None:
+                parts.append(link.slip_limits(limit, moved, partner, sliding))
         return join_limits(parts) if parts else None
-
-    def _with_known_slips(
-        self,
-        link: Link,
-        limits: SlipLimits,
-        moved: PETSc.Vec,
-        partner: Partners | None,
-        sliding: Floats | None,
-    ) -> SlipLimits:
-        place = np.zeros(self.n, dtype=np.int32)
-        place[link.nodes] = np.arange(len(link.nodes))
-        at = place[limits.nodes]
-        held: Bools = np.asarray(link.sides.fixed[limits.nodes].any(axis=1))
-        if not any_rank(self.V.mesh.comm, held.any())[0]:
-            return limits
-        motion = relative_motions(link, moved)[0]
-        if partner is not None:
-            motion = np.where(partner.known[:, None], partner.motion(link, moved), motion)
-        before = np.zeros_like(motion) if sliding is None else sliding[link.nodes]
-        parts, n = np.stack([motion[at], before[at]]), link.coupling.normals[at]
-        parts -= (parts * n).sum(axis=2)[:, :, None] * n
-        beside, before = ((v - limits.vectors(limits.along(v))) * held[:, None] for v in parts)
-        room = np.full(len(at), ROOM * mean_facet_length(link.sides.slave))
-        opening = link.coupling.R[at, :, 0]
-        return replace(limits, beside=beside, before=before, room=room, opening=opening)
 
     def exert(self, forces: Floats) -> Floats:
         """Nodal forces, on both sides, of forces (owned nodes, d) at slave nodes; collective."""

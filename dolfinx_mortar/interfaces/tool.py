@@ -14,7 +14,7 @@ import basix.ufl
 import ufl
 from dolfinx import default_real_type, fem
 from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.arguments import array, check
+from dolfinx_mortar.arguments import array, check, check_optional
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.geometry.facets import facet_normals
 from dolfinx_mortar.geometry.segments import FACING, Segments
@@ -346,7 +346,8 @@ class Tool(RigidBody):
             raise ValueError(
                 f"shape is {shape!r}, of {len(shape.point)} coordinates, but the mesh has {d}"
             )
-        super().__init__(shape.point.copy() if reference is None else check_point(reference, d))
+        given = check_optional("reference", reference, array((d,)))
+        super().__init__(shape.point.copy() if given is None else given)
         self.shape, self.asked = shape, Asked(shape)
         self.began, self.probes = self.pose(), np.zeros((0, d))
 
@@ -485,11 +486,6 @@ def on_the_way(before: Pose, now: Pose, turn: Floats, t: float) -> Pose:
         return now if t else before
     position = (1.0 - t) * before.position + t * now.position
     return Pose(position, after(before.rotation, t * turn), before.point)
-
-
-def check_point(given: Any, d: int) -> Floats:
-    """Return d finite coordinates; raise a ValueError for anything else."""
-    return check("reference", given, array((d,)))
 
 
 def find_facing(side: WholeSide, pose: Pose, shape: Shape, x: Floats) -> Bools:

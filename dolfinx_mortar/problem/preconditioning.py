@@ -55,6 +55,7 @@ def eliminated_dofs(system: InterfaceSystem, supports: Dirichlet) -> Ints:
     node, component = np.nonzero(supports.owned)
     parts = [d * node + system.slots()[node, component]]
     for link in system.links:
-        k, axis = np.nonzero(link.equal)
-        parts.append(d * link.nodes[k] + axis)
+        if not link.unilateral:
+            k, axis = np.nonzero(link.constrained)
+            parts.append(d * link.nodes[k] + axis)
     return np.unique(np.concatenate(parts)).astype(np.int32)
