@@ -132,17 +132,20 @@ class SlipLimits:
     @property
     def shares(self) -> Floats:
         """Shares (m, d) of the limit in prescribed directions, as vectors."""
-        q = self.before + self.beside / self.room[:, None]
-        return np.asarray(q / np.maximum(self._size(q), 1.0)[:, None])
+        q, size = self._asked()
+        return np.asarray(q / np.maximum(size, 1.0)[:, None])
 
     @property
     def slides(self) -> Bools:
         """Mask (m,) of nodes whose prescribed slip takes the rest of the limit."""
-        q = self.before + self.beside / self.room[:, None]
-        return np.asarray(q.any(axis=1) & (self._size(q) >= 1.0))
+        q, size = self._asked()
+        return np.asarray(q.any(axis=1) & (size >= 1.0))
 
-    def _size(self, q: Floats) -> Floats:
-        return np.hypot(*(np.linalg.norm(v, axis=1) for v in (q, self.slip / self.room[:, None])))
+    def _asked(self) -> tuple[Floats, Floats]:
+        """Vectors q (m, d), and the sizes (m,) of q + s_t / a."""
+        a = self.room[:, None]
+        q = self.before + self.beside / a
+        return q, np.hypot(np.linalg.norm(q, axis=1), np.linalg.norm(self.slip / a, axis=1))
 
     @property
     def left(self) -> tuple[Floats, Floats]:

@@ -402,7 +402,7 @@ class Tool(RigidBody):
     def seen(self) -> SeenByTool:
         """Motion since the last commit as seen from the tool."""
         began, now, shape = self.began, self.pose(), self.shape
-        turn = fewer_turns(self.turn())
+        turn = self.turn()
         return SeenByTool(
             lambda t, x: on_the_way(began, now, turn, t).to_tool(x), turn, shape.values, shape.point
         )
@@ -472,12 +472,6 @@ def _vector_near(turned: scipy.spatial.transform.Rotation, guess: Floats) -> Flo
     axis = found / angle if angle > HALF_OF_DIGITS else unit_vectors(guess[None])[1][0]
     turns = np.round((guess @ axis - angle) / (2.0 * np.pi))
     return found if turns == 0.0 else np.asarray(found + 2.0 * np.pi * turns * axis)
-
-
-def fewer_turns(turn: Floats) -> Floats:
-    """Rotation with at most one whole turn, which passes all orientations."""
-    angle, once = float(np.linalg.norm(turn)), 2.0 * np.pi
-    return turn if angle < 2.0 * once else turn * ((once + angle % once) / angle)
 
 
 def on_the_way(before: Pose, now: Pose, turn: Floats, t: float) -> Pose:
