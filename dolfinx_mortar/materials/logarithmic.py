@@ -243,6 +243,17 @@ def _chunks(q: int) -> list[slice]:
     return [slice(i, min(i + CHUNK, q)) for i in range(0, q, CHUNK)]
 
 
+def _answers(
+    law: Law, size: int
+) -> tuple[Sequence[tuple[int, int]], list[tuple[int, int, int, int]]]:
+    """Return which entries of T and L `logarithms` takes, of an isotropic law principal ones."""
+    pairs = INDEX[:size]
+    if not law.isotropic:
+        return pairs, [(*pairs[a], *pairs[b]) for a, b in _upper(size)]
+    ways = [(i, i, j, j) for i, j in NORMAL] + [(i, j, i, j) for i, j in pairs[3:]]
+    return INDEX[:3], ways
+
+
 class _InUFL:
     """A law in UFL, compiled as a function of numbers."""
 
@@ -257,10 +268,16 @@ class _InUFL:
             if not (law.isotropic and name == PLASTIC)
         }
         response = self._response()
-        answers = self._principal(response) if law.isotropic else self._components(response)
+        index, ways = _answers(law, size)
+        changes = {pair: response.change(_unit(*pair)) for pair in INDEX[:size]}
+        answers = [response.stress[pair] for pair in index]
+        answers += [changes[k, m][i, j] for i, j, k, m in ways]
         if response.energy is not None:
             answers.append(response.energy)
-        new = [part for name in law.state for part in self._new(name, response)]
+        new = []
+        for name, shape in law.state.items():
+            value = response.updated[name]
+            new += list(to_components(value, self._width)) if shape else [value]
         self._moduli = jit(ufl.as_vector(answers))
         self._state = jit(ufl.as_vector(new)) if new else None
 
@@ -318,27 +335,6 @@ class _InUFL:
         strain = ufl.as_tensor([[e[i] if i == j else 0 for j in range(3)] for i in range(3)])
         return respond(self._law, strain, state, p)
 
-    def _principal(self, response: Response) -> list[Expr]:
-        """T and L of normal strains, and the shear moduli."""
-        changes = [response.change(_unit(i, i)) for i in range(3)]
-        normal = [changes[j][i, i] for i, j in NORMAL]
-        shears = [response.change(_unit(i, j))[i, j] for i, j in INDEX[3 : self._size]]
-        return [*(response.stress[i, i] for i in range(3)), *normal, *shears]
-
-    def _components(self, response: Response) -> list[Expr]:
-        """Stored components of T, and the upper triangle of L."""
-        index = INDEX[: self._size]
-        changes = [response.change(_unit(i, j)) for i, j in index]
-        upper = [changes[b][index[a]] for a in range(len(index)) for b in range(a, len(index))]
-        return [*(response.stress[i, j] for i, j in index), *upper]
-
-    def _new(self, name: str, response: Response) -> list[Expr]:
-        """Entries of an internal variable at the end of the step."""
-        new = response.updated[name]
-        if not self._law.state[name]:
-            return [new]
-        return list(to_components(new, self._width))
-
 
 class _OfArrays:
     """A law of arrays, with the methods of `_InUFL`."""
@@ -355,12 +351,8 @@ class _OfArrays:
     def moduli(self, start: Start, some: slice, logs: Floats, N: Floats) -> Floats:
         """T and L, see `logarithms`."""
         found = self._values(start, some, logs, N)
-        T, L, pairs = found.stress, found.tangent, INDEX[: self._size]
-        if self._law.isotropic:
-            index, ways = INDEX[:3], [(i, i, j, j) for i, j in NORMAL]
-            ways += [(i, j, i, j) for i, j in pairs[3:]]
-        else:
-            index, ways = pairs, [(*pairs[a], *pairs[b]) for a, b in _upper(len(pairs))]
+        T, L = found.stress, found.tangent
+        index, ways = _answers(self._law, self._size)
         columns = [T[:, i, j] for i, j in index]
         columns += [(L[:, i, j, k, m] + L[:, k, m, i, j]) / 2 for i, j, k, m in ways]
         return np.stack(columns, axis=1)

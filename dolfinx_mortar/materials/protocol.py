@@ -71,7 +71,7 @@ def check_fields(law: Any) -> None:
     kind = type(law)
     given = {name: (getattr(law, name), *limits) for name, limits in kind.ranges.items()}
     check_parameters(kind.__name__, **given)
-    values = {field.name: getattr(law, field.name) for field in dataclasses.fields(law)}
+    values = named_parameters(law)
     if all(isinstance(value, Real) for value in values.values()):
         rules = getattr(kind, "conditions", None)
         for rule, holds in conditions(kind.__name__, rules, values).items():

@@ -100,8 +100,7 @@ class PointFields:
 
         Args:
             name: a stored field ("stress", "plastic_strain", or a law's own internal variable or
-            output
-                such as "back_stress"), "plastic" (one where there is plastic strain, zero
+                output such as "back_stress"), "plastic" (one where there is plastic strain, zero
                 elsewhere), "von_mises", a tensor's name followed by "_norm" (Frobenius),
                 "_vector_norm" (stored components, shear once) or a component ("stress_yy"), or
                 "hardening", the vector norm of the back stress. What only plasticity has is zero in
@@ -169,10 +168,7 @@ class PointFields:
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """Integration weights with the Jacobian, (cells, points); their sum is the volume.
-
-        The volume is that of the kinematics, weight included.
-        """
+        """Integration weights (cells, points) of the kinematics; their sum is the volume."""
         form, places = self._weights
         return np.asarray(fem.assemble_vector(form).array[places[: self._owned]])
 
