@@ -100,15 +100,14 @@ def check(
     """Compare stress, energy, tangent and state of a law at random strains and states.
 
     At small strains, on random paths from the virgin state whose steps grow over five decades up to
-    `size`. At finite strain, at deformation gradients from small ones to stretches of .3 to 3 and
-    J from .3 to 3, some with coincident stretches, from the virgin state and a changed one.
+    `size`; at finite strain, at stretches and J of .3 to 3, from the virgin and a changed state.
 
     * There must be no stress at the start.
     * d energy / d strain must be the stress, where there is an energy, and d stress / d strain the
       tangent; differences of sixth order must give them to 1e-5, at finite strain to 1e-7.
     * At finite strain energy and stress must turn with F.
     * With `linear`, the tangent must be the same everywhere.
-    * The tangent should be positive, or the potential of the step is not convex (told, no error).
+    * The tangent should be positive, or the potential is not convex (told, no error).
     * At small strains the internal variables at the end of the step, committed, must give the same
       stress at the same strain, and stay as they are.
     * With `isotropic`, the elastic strain alone, turned, must give the turned stress, the same

@@ -164,7 +164,7 @@ class Material(Protocol):
     this strain in closed form saves most of the time by `normal_strain(strain, state, p)`, None, or
     a property that gives None, where there is no such form. It is inherited as `tangent` is.
 
-    A law may inherit from this class, which has no state and no output, or just have its methods.
+    A law may inherit from this class, or just have its methods.
 
     **Finite strain.** A law with ``strain = "finite"`` gets the deformation gradient F (3x3, not
     symmetric, det F > 0) in place of the strain: `energy(F, state, p)` is psi per volume at X,

@@ -22,9 +22,8 @@ S = int U''(j) N N^T
 
     psi_vol = int U(j),  j = N^T M^-1 int N J,  p = N^T M^-1 int N U'(j),  B^T M^-1 S M^-1 B.
 
-Triangles and tetrahedra of second order have constants: N would lock. (The smallest singular value
-of B with constants is .53 on triangles; on tetrahedra it falls with h, so that pressures alternate,
-as those of hexahedra of first order do.)
+Triangles and tetrahedra of second order have constants: N would lock. Pressures of tetrahedra, and
+of hexahedra of first order, alternate.
 
 Where U'' is far above the other moduli, Newton's method on u alone takes many short steps: after a
 change of shears by e, j is wrong by e^2, and p by U'' e^2. With p as an unknown, a step leaves it
