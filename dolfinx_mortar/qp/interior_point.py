@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Interior point: PETSc TAO's bqpip for the scaled QP, as the paper uses quadprog.
 
-It is stopped by the check of optimality.
+The check of optimality stops it.
 """
 
 from dataclasses import replace
@@ -22,16 +22,16 @@ from dolfinx_mortar.qp.linear import LinearSolver
 def solve(qp: BoundQP, linear: LinearSolver, *, rtol: float) -> QPSolution:
     """Solve a bound-constrained QP, then once more with the active set found (collective).
 
-    The unknowns are scaled to a unit diagonal and a unit force, because TAO has absolute constants.
-    Unknowns without bounds get distant ones.
+    TAO has absolute constants, so unknowns are scaled to a unit diagonal and a unit force. Unknowns
+    without bounds get distant ones.
 
     Args:
         qp: the problem, symmetric and positive definite, without friction.
-        linear: its options are those of the linear solver in TAO; it makes the last solve.
+        linear: for the last solve; TAO's linear solver has its options.
         rtol: tolerance of the KKT check that stops the iteration.
 
     Returns:
-        The solution of the active set method that starts there.
+        The solution of the active-set method that starts there.
     """
     scaled = _Scaled(qp, linear)
     try:
@@ -55,7 +55,7 @@ def _iterate(
 ) -> tuple[PETSc.Vec, int, int]:
     """Run TAO within |y| <= box; return x, the iterations and TAO's reason to stop."""
     prefix = f"{linear.options.prefix}tao_"
-    exact = replace(qp, extent=0.0)  # forces below the noise of bounds cost iterations, no decision
+    exact = replace(qp, extent=0.0)  # forces below the noise of bounds decide nothing
     tao = PETSc.TAO().create(qp.A.comm)
     tao.setOptionsPrefix(prefix)
     tao.setType(PETSc.TAO.Type.BQPIP)
@@ -88,8 +88,8 @@ def _iterate(
 class _Scaled:
     """The QP in y = x / (s l), s = diag(A)^(-1/2), with a length l such that y is about 1.
 
-    The length is that of the solution with all bounded unknowns held at the admissible value
-    nearest to 0. No bound is infinite, because TAO averages the complementarity over all bounds.
+    The length is that of the solution with all bounded unknowns at the admissible value nearest to
+    0. No bound is infinite, as TAO averages the complementarity over all bounds.
     """
 
     def __init__(self, qp: BoundQP, linear: LinearSolver) -> None:
@@ -115,7 +115,7 @@ class _Scaled:
         self.b.scale(1.0 / self.length)
 
     def bounds(self, box: float) -> tuple[PETSc.Vec, PETSc.Vec]:
-        """Return the bounds of y, -box and box where there are none."""
+        """Bounds of y, -box and box for none."""
         own = self.qp.bounded
         sides = self.b.duplicate(), self.b.duplicate()
         for side, values, far in zip(sides, self.qp.bounds, (-box, box), strict=True):
@@ -125,12 +125,12 @@ class _Scaled:
         return sides
 
     def unscale(self, y: PETSc.Vec) -> PETSc.Vec:
-        """Return x."""
+        """The solution x."""
         x = y.duplicate()
         x.pointwiseMult(y, self.s)
         x.scale(self.length)
         return x
 
     def destroy(self) -> None:
-        """Free the scaled matrix, which is as large as A; collective."""
+        """Free the scaled matrix, as large as A; collective."""
         self.A.destroy()
