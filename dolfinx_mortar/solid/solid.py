@@ -101,8 +101,8 @@ class Solid(Term):
                 other tags. Its data may change between steps, in ``on_time`` of `load_steps`.
             volumetric: "full", or "reduced" (mean dilatation) for quadrilaterals and hexahedra,
                 which then do not lock where their volume hardly changes, see `mean_volume`. For
-                laws that split into a deviator and a trace, see `Material`. At finite strain for
-                cells of degree 2 of all shapes.
+                laws that split into a deviator and a trace, see `Material`. At finite strain also
+                for other cells of degree 2.
             strain: "small", or "finite" for large rotations and strains of more than a few percent:
                 laws are functions of the deformation gradient F = I + grad u, and the internal
                 virtual work is int P : dF[v] dX. Without eigenstrain.
