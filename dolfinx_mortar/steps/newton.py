@@ -1,17 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Semi-smooth Newton: a bound-constrained QP at every iterate (paper, section 3).
 
-One iteration, at u with contacts (active set, multipliers) and a geometry:
-
-    1  solve min 1/2 dy.K^ dy - r^.dy, lower <= dy <= upper, as accurately as the residual requires
-    2  u <- u + t T dy, t by line search; the reactions of the QP are the new multipliers
-    3  rebuild normals, segments, D, M and T at u, unless the geometry is constant
-    4  residuals of forces and contact at u, in that geometry, with these multipliers
-    5  converged if all are within their tolerances
-
-Updates of the geometry are a fixed-point iteration. At finite strain, and where it is slow, the
-exact tangent includes the motion of the surfaces, and Newton's method is quadratic. An iteration
-with the exact tangent that raises the residual is undone, and repeated without it.
+An iteration solves the QP, shortens its step by a line search, updates multipliers and geometry,
+and measures residuals there (ARCHITECTURE.md, A Newton step). Updates of the geometry are a
+fixed-point iteration. At finite strain, and where it is slow, the exact tangent includes the motion
+of the surfaces, and Newton's method is quadratic. An iteration with the exact tangent that raises
+the residual is undone, and repeated without it.
 """
 
 from __future__ import annotations
