@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Terms in UFL: dead loads, and weak forms of the displacement.
 
-One step minimises J(v) = Psi(v) + sum Pi(v) - f.v. Dead forces f are the linear form ``loads``. A
-`WeakForm` depends on the displacement (springs, elastic foundations, conservative pressure, a
-viscous damper); UFL derives its forces and tangent.
-
-Both are multiplied by the weight of the kinematics: t in inner(t, v) * ds is a traction, and forces
-in axisymmetry are those of the whole ring.
+One step minimises J(v) = Psi(v) + sum Pi(v) - f.v, f the dead loads and Pi a `WeakForm` (springs,
+elastic foundations, conservative pressure, a viscous damper). Both are multiplied by the weight of
+the kinematics: t in inner(t, v) * ds is a traction, and forces in axisymmetry are those of the
+whole ring.
 """
 
 from collections.abc import Mapping
