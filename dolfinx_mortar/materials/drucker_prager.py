@@ -92,8 +92,6 @@ class DruckerPrager(Material):
         * "plane strain": collapse in plane strain with associated flow (the inscribed cone).
 
         Args:
-            E: Young's modulus.
-            nu: Poisson's ratio.
             cohesion: shear stress at failure without normal stress.
             friction_angle: in degrees, between 0 and 90.
             match: see above.
