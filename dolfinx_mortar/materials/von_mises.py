@@ -159,8 +159,6 @@ class VonMises(Material):
         """Create the law from a tension test.
 
         Args:
-            E: Young's modulus.
-            nu: Poisson's ratio.
             yield_stress: uniaxial; Y = sqrt(2/3) yield_stress.
             plastic_modulus: d sigma / d (plastic strain) in tension; a + H = 2/3 plastic_modulus. A
                 test's tangent modulus E_t gives plastic_modulus = E E_t / (E - E_t).
@@ -345,8 +343,6 @@ class VonMisesVoce(Material):
             s(p) = yield_stress + modulus p + saturation (1 - exp(-rate p))
 
         Args:
-            E: Young's modulus.
-            nu: Poisson's ratio.
             yield_stress: at p = 0.
             hardening: saturation, rate (per plastic strain), and optionally modulus (0).
 
