@@ -131,6 +131,12 @@ class LinearSolver:
         """Whether the preconditioner is a factorisation."""
         return self.options.direct
 
+    @property
+    def blind(self) -> str:
+        """Factorisation of definite matrices if it counts no negative pivots, else ""."""
+        kind, by = (self.options.of_definite(k) for k in ("pc_type", "pc_factor_mat_solver_type"))
+        return "" if not self.direct or (kind, by) == ("cholesky", "mumps") else f"{kind!r} ({by})"
+
     def factorising(self) -> LinearSolver | None:
         """A solver that factorises instead, after freeing this one's matrices; collective.
 
