@@ -19,12 +19,12 @@ import dolfinx_mortar
 
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
-    "files": 216,
-    "tokens of code": 345_447,
-    "words of prose": 108_757,
-    "words of strings": 14_269,
+    "files": 172,
+    "tokens of code": 319_499,
+    "words of prose": 73_524,
+    "words of strings": 13_501,
 }
-SIMPLEST_STEP = {"files": 84, "functions": 767, "lines": 8_392}
+SIMPLEST_STEP = {"files": 83, "functions": 745, "lines": 7_813}
 LAYOUT = (
     *(tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
     *(tokenize.COMMENT, tokenize.ENDMARKER),
