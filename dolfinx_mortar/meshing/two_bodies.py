@@ -175,16 +175,17 @@ def sphere(
         cell: "hexahedron" or "tetrahedron" (which needs gmsh).
         h: Element size at the first contact point [mm]; a pair gives (block, ball) separately. The
             ball's hexahedra are one more along the edge of the core, so that they do not match.
-        radius: Of the ball, like ``gap`` as for `hertz`.
+        radius: Of the ball [mm].
         block: Width, length and thickness of the whole block [mm].
-        gap: See ``radius``.
+        gap: Initial gap [mm], negative for an overlap.
         core: Distance from the contact point within which the size is ``h`` [mm], by default an
             eighth of the radius; beyond, sizes grow in proportion to the distance.
         half: Whether to mesh the half y >= 0 of both instead, for loads along x; the part x < 0 is
             the mirror image of the quarter, and nothing is "symmetry_x" then.
 
     Raises:
-        Exception: as `hertz` does.
+        ValueError: on all ranks, for an argument out of range, or not the same on all ranks.
+        RuntimeError: on all ranks, if gmsh is missing or fails.
     """
     given = dict(locals())
     with raised_together(comm):
