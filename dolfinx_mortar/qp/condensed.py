@@ -124,7 +124,7 @@ class Condensed:
     """A QP on one rank, condensed to its unknowns with bounds or friction by MUMPS's S.
 
     The linear solver factorises A_II. Unknowns of G without bounds or friction are eliminated from
-    S.
+    S. With bounds and friction held, an indefinite A is a LinAlgError.
 
     Args:
         whole: the QP.
@@ -133,9 +133,6 @@ class Condensed:
 
     Attributes:
         dense: solver of the condensed linear systems.
-
-    Raises:
-        LinAlgError: if A is not positive definite with bounds and friction held.
     """
 
     def __init__(self, whole: BoundQP, linear: LinearSolver, atol: float) -> None:
