@@ -21,7 +21,7 @@ PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
     "files": 172,
     "tokens of code": 319_499,
-    "words of prose": 73_545,
+    "words of prose": 73_546,
     "words of strings": 13_501,
 }
 SIMPLEST_STEP = {"files": 83, "functions": 745, "lines": 7_813}
