@@ -20,8 +20,8 @@ import dolfinx_mortar
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
     "files": 172,
-    "tokens of code": 319_499,
-    "words of prose": 73_546,
+    "tokens of code": 319_860,
+    "words of prose": 73_568,
     "words of strings": 13_501,
 }
 SIMPLEST_STEP = {"files": 83, "functions": 745, "lines": 7_813}

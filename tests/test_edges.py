@@ -16,6 +16,7 @@ from dolfinx_mortar.report.penetration import find_overlaps, notes_on_overlaps
 from tests.ball_case import create_problem
 from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER, skins, two_blocks
 from tests.meshes_3d import rotation, two_boxes
+from tests.moving_bodies import Blocks
 from tests.pressed_blocks import ELASTIC, PressedBlocks
 
 COMM = MPI.COMM_WORLD
@@ -148,6 +149,20 @@ def lost(contact, problem):
     notes = notes_on_overlaps(problem, find_overlaps(problem))
     found = (re.search(form, note).groups() for note in notes)
     return [([float(c) for c in x.split(",")], float(d), int(s)) for d, x, s in found]
+
+
+def test_an_overlap_where_supports_hold_the_slave_is_said_to_be_that():
+    """A block that is held whole, as the slave: it has no multiplier, and stops nothing."""
+    case = Blocks((6, 2), (4, 4), gap=-0.05)
+    notes = []
+    for slave, master in (SIDES, SIDES[::-1]):
+        contact = dm.Contact(case.facets, slave=slave, master=master)
+        problem = dm.ContactProblem(case.solid, [contact], bcs=case.bcs, terms=[case.inertia])
+        problem.audit()
+        notes.append(notes_on_overlaps(problem, find_overlaps(problem)))
+    (held,), free = notes
+    assert "Dirichlet data prescribe" in held.why and "let the other side" in held.why
+    assert "0.05 deep" in held and not free  # those of free nodes the step removes
 
 
 @SLAVES

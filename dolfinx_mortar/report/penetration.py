@@ -19,6 +19,7 @@ from dolfinx_mortar.geometry.facets import (
     area_vectors,
     facet_normals,
     facet_sizes,
+    points_of,
 )
 from dolfinx_mortar.geometry.flat import (
     bounds,
@@ -32,6 +33,7 @@ from dolfinx_mortar.geometry.parts import parts_of
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
 from dolfinx_mortar.mortar.facing_bodies import boxes_of
+from dolfinx_mortar.mortar.pairing import received_facets
 from dolfinx_mortar.mortar.passing import depth_of_point
 from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, nodal_sagittas
 from dolfinx_mortar.mortar.whole_side import whole_facets
@@ -91,6 +93,8 @@ def notes_on_overlaps(
         some, limit = found.get(k), SUNK
         if tool := link.interface.tool:
             some = _in_tool(link, tool, problem.u)
+        elif link.pairing and (bare := _on_prescribed_facets(link, problem.u)):
+            some = bare if some is None or bare.share > some.share else some
         elif closed is not None and not any_rank(problem.comm, closed[link.nodes].any())[0]:
             # only a closed node excuses more overlap than the step's tolerance, with a digit for
             # points beside nodes
@@ -98,6 +102,28 @@ def notes_on_overlaps(
         if some is not None and some.share > limit:
             notes.append(_note(f"{link.interface}: the sides", some, MEAN))
     return notes
+
+
+def _on_prescribed_facets(link: Link, u: fem.Function) -> Overlap | None:
+    """Deepest point of slave facets without multipliers, by Dirichlet data; collective.
+
+    Flush flanks do not cross there, and nothing stops the master.
+    """
+    comm, bare = link.sides.V.mesh.comm, link.prescribed_facets()
+    if not any_rank(comm, bare.any())[0]:
+        return None
+    pairing, segments = link.mortar[0], link.mortar[1].segments
+    own, master = pairing.slave, received_facets(pairing, u)
+    slave, some = facets_at(own, coordinates(own, u)), bare[segments.slave]
+    s, m = segments.slave[some], segments.master[some]
+    x, y = points_of(slave, s, segments.xi_s[some]), points_of(master, m, segments.xi_m[some])
+    depth = ((y - x) * facet_normals(master)[m]).sum(axis=1)
+    depth -= _deviations(own, u, link.interface.feature_angle)[own.facets].max(axis=1)[s]
+    seen = (depth > 0.0) & (depth < pairing.deepest[segments.pair[some]])
+    share = depth / np.minimum(facet_sizes(slave.x)[s], facet_sizes(master.x)[m])
+    columns = share[seen], depth[seen], x[seen]
+    found = _deepest(comm, np.zeros(seen.sum(), np.int64), *columns)
+    return Overlap(*found[0]) if found else None
 
 
 def notes_on_crossings(problem: ContactProblem, found: Mapping[int, Overlap]) -> list[str]:
