@@ -24,7 +24,7 @@ CEILINGS = {
     "words of prose": 73_568,
     "words of strings": 13_501,
 }
-SIMPLEST_STEP = {"files": 83, "functions": 745, "lines": 7_813}
+SIMPLEST_STEP = {"files": 83, "functions": 746, "lines": 7_835}
 LAYOUT = (
     *(tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
     *(tokenize.COMMENT, tokenize.ENDMARKER),
