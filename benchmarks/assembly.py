@@ -21,7 +21,7 @@ import numpy as np
 import dolfinx
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.pointwise_laws import Compiled
+from tests.cases.pointwise_laws import Compiled
 
 E, NU, Y, A = 206_900.0, 0.29, 367.0, 10_000.0
 PLAIN = dm.VonMises(E, NU, Y, A)

@@ -20,7 +20,7 @@ import numpy as np
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.meshes_3d import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_boxes
+from tests.cases.meshes_3d import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_boxes
 
 COMM = MPI.COMM_WORLD
 LAYERS = 3

@@ -23,7 +23,7 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.output.xdmf import File
 from dolfinx_mortar.persistence import tables
-from tests.meshes import BOTTOM, TOP, two_blocks
+from tests.cases.meshes import BOTTOM, TOP, two_blocks
 
 STEEL = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
 LEVELS = [0.25, 0.5, 1.0, 0.75]  # the last one unloads

@@ -24,10 +24,10 @@ from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.operators import integrate_motions
 from dolfinx_mortar.mortar.pairing import create_pairing
 from dolfinx_mortar.mortar.surface import create_surface
-from tests.meshes import two_blocks
-from tests.meshes_3d import two_boxes
-from tests.mortar_case import node_matrices
-from tests.surfaces import assemble, grid, joined, ring
+from tests.cases.meshes import two_blocks
+from tests.cases.meshes_3d import two_boxes
+from tests.cases.mortar import node_matrices
+from tests.cases.surfaces import assemble, grid, joined, ring
 from tests.test_mortar import bend
 from tests.test_mortar_3d import curved
 

@@ -10,9 +10,9 @@ import numpy as np
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests import friction_case
-from tests.hertz_case import create_case
-from tests.meshes import BOTTOM, TOP, two_blocks
+from tests.cases import friction as friction_case
+from tests.cases.hertz import create_case
+from tests.cases.meshes import BOTTOM, TOP, two_blocks
 
 STEEL = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
 

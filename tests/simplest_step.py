@@ -13,7 +13,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 import dolfinx_mortar as dm
-from tests.hertz_case import create_case
+from tests.cases.hertz import create_case
 
 PACKAGE = str(Path(dm.__file__).parent)
 

@@ -15,8 +15,8 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
-from tests.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
+from tests.cases.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected
 
 pytestmark = pytest.mark.mpi
 LAST = COMM.size - 1

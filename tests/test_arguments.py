@@ -8,8 +8,8 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.problem import checks
-from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
-from tests.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected
+from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
+from tests.cases.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected
 
 STEPS = {"times": [0.5, 1.0], "start": None, "max_cuts": 6, "cuts": "halve"}
 LAST = COMM.size - 1

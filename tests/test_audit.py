@@ -14,8 +14,8 @@ import ufl
 from dolfinx import default_scalar_type, fem, mesh
 from dolfinx.mesh import compute_midpoints, exterior_facet_indices, meshtags
 from dolfinx_mortar.meshing.two_bodies import distribute
-from tests.block_piles import ABOVE, BELOW, EAST, PILE, WEST, create_blocks
-from tests.close_fits import create_ring
+from tests.cases.block_piles import ABOVE, BELOW, EAST, PILE, WEST, create_blocks
+from tests.cases.close_fits import create_ring
 
 COMM = MPI.COMM_WORLD
 PAIR = [(0.0, 1.0, -1.0, 0.0, 4, 3), (0.0, 1.0, 0.0, 1.0, 3, 3)]

@@ -9,9 +9,8 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
-from tests.choice import crosswise, quick
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP_OF_LOWER
-from tests.rings import (
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP_OF_LOWER
+from tests.cases.rings import (
     SIDES,
     Lame,
     ball_on_flat,
@@ -22,6 +21,7 @@ from tests.rings import (
     shrink_fit_pressure,
     tubes,
 )
+from tests.choice import crosswise, quick
 
 COMM = MPI.COMM_WORLD
 E, NU, P = 1000.0, 0.3, 10.0

@@ -12,9 +12,9 @@ from dolfinx import fem
 from dolfinx_mortar.mortar import duals
 from dolfinx_mortar.mortar.duals import LEAST_WEIGHT
 from dolfinx_mortar.mortar.integrals import find_segments
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
+from tests.cases.rings import SIDES, held_axis, largest
 from tests.choice import crosswise
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
-from tests.rings import SIDES, held_axis, largest
 
 COMM = MPI.COMM_WORLD
 E, NU, P = 1000.0, 0.3, 10.0

@@ -11,9 +11,9 @@ import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.solid.kinematics import KINEMATICS, spatial
 from dolfinx_mortar.supports.bodies import find_bodies, rigid_motions
+from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_blocks
+from tests.cases.rings import Lame, held_axis
 from tests.choice import quick
-from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_blocks
-from tests.rings import Lame, held_axis
 
 pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD

@@ -10,7 +10,7 @@ from dolfinx_mortar.interfaces.coupling import create_frames
 from dolfinx_mortar.mortar.duals import default_keep, node_weights
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.newton_method.linearisation import find_balance
-from tests.block_piles import (
+from tests.cases.block_piles import (
     ABOVE,
     BELOW,
     COMM,
@@ -24,8 +24,8 @@ from tests.block_piles import (
     to_dense,
     to_global,
 )
-from tests.meshes_3d import two_boxes
-from tests.mortar_case import node_matrices
+from tests.cases.meshes_3d import two_boxes
+from tests.cases.mortar import node_matrices
 
 ROUND_OFF = 1e-12
 

@@ -8,8 +8,8 @@ import pytest
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.triplets import BlockMatrix
-from tests.meshes import two_blocks
-from tests.meshes_3d import two_boxes
+from tests.cases.meshes import two_blocks
+from tests.cases.meshes_3d import two_boxes
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi

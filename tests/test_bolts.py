@@ -9,11 +9,11 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar.interfaces import pretension
 from dolfinx_mortar.problem import step_data
-from tests.bolted_joint import Joint
-from tests.glued_bar import CELLS, COMM, CONFINED, NU, Bar, E, largest
-from tests.meshes import BOTTOM, LEFT, TOP
-from tests.pressed_blocks import failing, rejected
-from tests.tightened_bar import Watched, clamped, loaded, outwards, tighten
+from tests.cases.bolted_joint import Joint
+from tests.cases.glued_bar import CELLS, COMM, CONFINED, NU, Bar, E, largest
+from tests.cases.meshes import BOTTOM, LEFT, TOP
+from tests.cases.pressed_blocks import failing, rejected
+from tests.cases.tightened_bar import Watched, clamped, loaded, outwards, tighten
 
 SOUGHT = 1e-6  # relative accuracy of the force
 

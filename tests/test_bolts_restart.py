@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from tests.bolted_joint import Joint
-from tests.tightened_bar import tighten
+from tests.cases.bolted_joint import Joint
+from tests.cases.tightened_bar import tighten
 
 COMM = MPI.COMM_WORLD
 F0, LEVELS = 6.0, [3.0, 6.0, 12.0]

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from tests.block_piles import ABOVE, BELOW, COMM, Blocks
-from tests.pressed_blocks import rejected
-from tests.tightened_bar import tighten
+from tests.cases.block_piles import ABOVE, BELOW, COMM, Blocks
+from tests.cases.pressed_blocks import rejected
+from tests.cases.tightened_bar import tighten
 
 E = 1000.0
 SOUGHT = 1e-6

@@ -15,10 +15,10 @@ import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
 from dolfinx_mortar.mortar import cell_segments
-from tests import meshes, meshes_3d
+from tests.cases import meshes, meshes_3d
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LOWER, TOP, TOP_OF_LOWER, UPPER
+from tests.cases.pressed_blocks import rejected
 from tests.choice import crosswise
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LOWER, TOP, TOP_OF_LOWER, UPPER
-from tests.pressed_blocks import rejected
 
 COMM = MPI.COMM_WORLD
 EXACT = 1e-12

@@ -18,11 +18,11 @@ from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
 from dolfinx_mortar.newton_method.residuals import Scales, measure
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.report.certificate import create_certificate, operator_errors, set_results
-from tests.ball_case import STEEL, create_problem
-from tests.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
-from tests.close_fits import create_shrink_fit
-from tests.hertz_case import ELASTIC, create_case
-from tests.meshes_3d import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, rotation, two_boxes
+from tests.cases.ball import STEEL, create_problem
+from tests.cases.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
+from tests.cases.close_fits import create_shrink_fit
+from tests.cases.hertz import ELASTIC, create_case
+from tests.cases.meshes_3d import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, rotation, two_boxes
 
 COMM = MPI.COMM_WORLD
 

@@ -14,10 +14,10 @@ import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.steps import walk as stepping
+from tests.cases.pressed_blocks import rejected
 from tests.checkpoint_program import LEVELS, Press
 from tests.checkpoint_runs import agree, numbers_at_once
 from tests.choice import quick
-from tests.pressed_blocks import rejected
 
 COMM = MPI.COMM_WORLD
 
@@ -341,7 +341,7 @@ def test_a_state_without_results_takes_them_away(folder):
 
 def test_ties_and_spatial_bodies(folder):
     """What is tied has multipliers in all directions; hexahedra have several points."""
-    from tests.meshes_3d import two_boxes
+    from tests.cases.meshes_3d import two_boxes
 
     pairs = []
     for _ in range(2):

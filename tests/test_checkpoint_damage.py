@@ -16,8 +16,8 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx_mortar.persistence import tables
 from dolfinx_mortar.persistence.tables import HEAD, read_about, read_tables, write
+from tests.cases.pressed_blocks import rejected
 from tests.checkpoint_program import LEVELS, Press
-from tests.pressed_blocks import rejected
 
 COMM = MPI.COMM_WORLD
 PLACES = np.random.default_rng(0).uniform(0.0, 1.0, (20, 4))

@@ -21,9 +21,9 @@ from dolfinx_mortar.persistence import tables
 from dolfinx_mortar.persistence.checkpoints import describe, differences, material_numbers
 from dolfinx_mortar.persistence.tables import HEAD
 from dolfinx_mortar.shapes import Cylinder
-from tests import tool_case
+from tests.cases import tool as tool_case
+from tests.cases.pressed_blocks import rejected
 from tests.checkpoint_program import STEEL, Press
-from tests.pressed_blocks import rejected
 
 COMM = MPI.COMM_WORLD
 LAST = COMM.size - 1

@@ -9,8 +9,8 @@ import pytest
 import basix.ufl
 from dolfinx import fem
 from dolfinx_mortar.persistence.tables import find_places, read_about, read_tables, write
-from tests.meshes import two_blocks
-from tests.solid_case import CELLS, create_domain
+from tests.cases.meshes import two_blocks
+from tests.cases.solid import CELLS, create_domain
 
 COMM = MPI.COMM_WORLD
 

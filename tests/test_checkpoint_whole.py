@@ -12,8 +12,8 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.persistence.tables import seal
-from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
-from tests.pressed_blocks import PressedBlocks, rejected
+from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
+from tests.cases.pressed_blocks import PressedBlocks, rejected
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi

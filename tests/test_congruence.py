@@ -14,7 +14,7 @@ from dolfinx_mortar.algebra.congruence import Congruence, CongruentOperator, as_
 from dolfinx_mortar.algebra.csr import add_blocks, csr_of, set_csr
 from dolfinx_mortar.algebra.parallel import free_unused
 from dolfinx_mortar.algebra.triplets import BlockMatrix
-from tests.meshes import two_blocks
+from tests.cases.meshes import two_blocks
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi

@@ -13,7 +13,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
-from tests.meshes import BOTTOM, LEFT, TOP, two_blocks
+from tests.cases.meshes import BOTTOM, LEFT, TOP, two_blocks
 
 E = 1000.0
 EXACT = 1e-10

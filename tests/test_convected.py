@@ -9,7 +9,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.problem import predictors
-from tests.finite_sliding import indentation, walk
+from tests.cases.finite_sliding import indentation, walk
 
 COMM = MPI.COMM_WORLD
 CELLS = {

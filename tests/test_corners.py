@@ -10,11 +10,11 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar import compat
-from tests.meshes import BOTTOM as BOTTOM_TAG
-from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, UPPER, skins, two_blocks
-from tests.meshes import TOP as TOP_TAG
-from tests.meshes_3d import rotation, two_boxes
-from tests.pressed_blocks import COMM, failing, rejected
+from tests.cases.meshes import BOTTOM as BOTTOM_TAG
+from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, UPPER, skins, two_blocks
+from tests.cases.meshes import TOP as TOP_TAG
+from tests.cases.meshes_3d import rotation, two_boxes
+from tests.cases.pressed_blocks import COMM, failing, rejected
 
 pytestmark = pytest.mark.mpi
 

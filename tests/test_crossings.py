@@ -14,11 +14,11 @@ from dolfinx_mortar.geometry.flat import find_overlaps as overlaps_of_facets
 from dolfinx_mortar.geometry.flat import near_pairs
 from dolfinx_mortar.mortar.surface import create_surface, facets_at, nodal_sagittas
 from dolfinx_mortar.report.penetration import SUNK, Overlap, find_overlaps
-from tests import lug_case
-from tests.box_piles import THREE, create_boxes
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, UPPER, two_blocks
-from tests.meshes_3d import two_boxes
-from tests.msh_files import msh_file
+from tests.cases import lug as lug_case
+from tests.cases.box_piles import THREE, create_boxes
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, UPPER, two_blocks
+from tests.cases.meshes_3d import two_boxes
+from tests.cases.msh_files import msh_file
 
 COMM = MPI.COMM_WORLD
 LAW = dm.Elastic(1000.0, 0.3)

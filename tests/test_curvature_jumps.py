@@ -12,7 +12,7 @@ from dolfinx_mortar.geometry.curvature import edge_sagittas, edges
 from dolfinx_mortar.mortar import curvature_correction as smooth
 from dolfinx_mortar.mortar.curvature_correction import smooth_normals
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
-from tests.close_fits import nested
+from tests.cases.close_fits import nested
 
 COMM = MPI.COMM_WORLD
 FIT = 0.01

@@ -11,7 +11,7 @@ from demos.ball_joint.ball_in_socket import ball_in_socket
 from demos.shrink_fit.tubes import tubes
 from demos.tied_cylinder.ring_section import ring_section
 from dolfinx import fem
-from tests.integrals import integral
+from tests.cases.integrals import integral
 
 COMM = MPI.COMM_WORLD
 RADII, LENGTH = np.array([1.0, 1.5, 2.5]), 3.0

@@ -16,10 +16,10 @@ from dolfinx_mortar.newton_method.subproblem import Subproblem
 from dolfinx_mortar.problem import predictors
 from dolfinx_mortar.qp import scalars
 from dolfinx_mortar.steps import newton
+from tests.cases.meshes import two_blocks
+from tests.cases.pressed_blocks import rejected
+from tests.cases.tool import BASE, DEPTH, ELASTIC, Block, E, R
 from tests.choice import quick
-from tests.meshes import two_blocks
-from tests.pressed_blocks import rejected
-from tests.tool_case import BASE, DEPTH, ELASTIC, Block, E, R
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from material_point import MaterialPoint
-from rate_equations import IDENTITY, Rates, deviator
 
 import dolfinx_mortar as dm
+from tests.cases.material_point import MaterialPoint
+from tests.cases.rate_equations import IDENTITY, Rates, deviator
 
 LAW = dm.DruckerPrager(E=1000.0, nu=0.25, Y=1.0, beta=0.6)
 POINT = MaterialPoint(LAW)

@@ -11,7 +11,7 @@ from dolfinx_mortar.geometry.facets import Facets, tributary_weights
 from dolfinx_mortar.mortar import tangent
 from dolfinx_mortar.mortar.duals import ALPHA, absorbed, absorbing, create_duals
 from dolfinx_mortar.mortar.integrals import covered_weights, sums_of_values
-from tests.polylines import assemble
+from tests.cases.polylines import assemble
 from tests.test_segments import flat, split
 
 EXACT = 1e-12

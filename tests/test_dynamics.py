@@ -15,10 +15,10 @@ from dolfinx_mortar.arrays import QUARTER_OF_DIGITS
 from dolfinx_mortar.report import energy_ledger
 from dolfinx_mortar.steps.time_steps import TimeSolves
 from dolfinx_mortar.terms import mass
+from tests.cases.meshes import BOTTOM_OF_UPPER, LOWER, TOP, TOP_OF_LOWER, UPPER
+from tests.cases.moving_bodies import Bar, Blocks
+from tests.cases.pressed_blocks import PressedBlocks, rejected
 from tests.choice import quick
-from tests.meshes import BOTTOM_OF_UPPER, LOWER, TOP, TOP_OF_LOWER, UPPER
-from tests.moving_bodies import Bar, Blocks
-from tests.pressed_blocks import PressedBlocks, rejected
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi

@@ -13,11 +13,11 @@ from dolfinx import fem
 from dolfinx_mortar.geometry.facets import unit
 from dolfinx_mortar.mortar.common_normals import _mean
 from dolfinx_mortar.report.penetration import find_overlaps, notes_on_overlaps
-from tests.ball_case import create_problem
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER, skins, two_blocks
-from tests.meshes_3d import rotation, two_boxes
-from tests.moving_bodies import Blocks
-from tests.pressed_blocks import ELASTIC, PressedBlocks
+from tests.cases.ball import create_problem
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER, skins, two_blocks
+from tests.cases.meshes_3d import rotation, two_boxes
+from tests.cases.moving_bodies import Blocks
+from tests.cases.pressed_blocks import ELASTIC, PressedBlocks
 
 COMM = MPI.COMM_WORLD
 SIDES = TOP_OF_LOWER, BOTTOM_OF_UPPER

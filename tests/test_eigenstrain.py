@@ -9,11 +9,11 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
+from tests.cases.meshes import BOTTOM_OF_UPPER, LOWER, TOP_OF_LOWER, UPPER
+from tests.cases.pointwise_laws import Radial
+from tests.cases.pressed_blocks import rejected
+from tests.cases.rings import held_ends, shrink_fit_pressure, tubes
 from tests.choice import quick
-from tests.meshes import BOTTOM_OF_UPPER, LOWER, TOP_OF_LOWER, UPPER
-from tests.pointwise_laws import Radial
-from tests.pressed_blocks import rejected
-from tests.rings import held_ends, shrink_fit_pressure, tubes
 
 pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD

@@ -11,8 +11,8 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar.supports.bodies import find_bodies
 from dolfinx_mortar.terms.weak_forms import check_form
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, RIGHT, TOP, TOP_OF_LOWER, two_blocks
-from tests.meshes_3d import two_boxes
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, RIGHT, TOP, TOP_OF_LOWER, two_blocks
+from tests.cases.meshes_3d import two_boxes
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi

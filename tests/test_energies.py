@@ -11,11 +11,11 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem, mesh
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
+from tests.cases.pressed_blocks import rejected
+from tests.cases.solid import COMM, create_displacement, create_domain, set_wave, total
+from tests.cases.user_laws import Forces
 from tests.choice import quick
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
-from tests.pressed_blocks import rejected
-from tests.solid_case import COMM, create_displacement, create_domain, set_wave, total
-from tests.user_laws import Forces
 
 pytestmark = pytest.mark.mpi
 E, NU, Y = 1000.0, 0.3, 5.0

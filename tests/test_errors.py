@@ -9,8 +9,8 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem, mesh
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER
-from tests.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected, some_rank
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER
+from tests.cases.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected, some_rank
 
 
 @pytest.fixture

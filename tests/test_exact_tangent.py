@@ -17,9 +17,9 @@ from dolfinx_mortar.newton_method.linearisation import Corrections, Linearisatio
 from dolfinx_mortar.newton_method.residuals import Residuals
 from dolfinx_mortar.newton_method.subproblem import Subproblem
 from dolfinx_mortar.qp import BoundQP
+from tests.cases.finite_sliding import indentation, walk
+from tests.cases.hertz import ELASTIC, create_case, create_mesh
 from tests.choice import quick
-from tests.finite_sliding import indentation, walk
-from tests.hertz_case import ELASTIC, create_case, create_mesh
 
 COMM = MPI.COMM_SELF
 

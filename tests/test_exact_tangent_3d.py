@@ -11,8 +11,8 @@ from dolfinx import fem
 from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.newton_method.subproblem import Subproblem
-from tests import meshes_3d
-from tests.ball_case import STEEL, create_mesh
+from tests.cases import meshes_3d
+from tests.cases.ball import STEEL, create_mesh
 from tests.choice import crosswise
 
 FACTORISED = {"pc_type": "cholesky"}

@@ -17,8 +17,8 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.steps import step_end
 from dolfinx_mortar.steps import walk as stepping
-from tests.meshes import BOTTOM, TOP
-from tests.pressed_blocks import PressedBlocks, failing, rejected
+from tests.cases.meshes import BOTTOM, TOP
+from tests.cases.pressed_blocks import PressedBlocks, failing, rejected
 
 
 @pytest.fixture

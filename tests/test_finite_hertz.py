@@ -17,7 +17,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem
-from tests.user_laws import SaintVenantKirchhoff
+from tests.cases.user_laws import SaintVenantKirchhoff
 
 pytestmark = pytest.mark.slow
 E, NU, DEPTHS = 206_900.0, 0.29, (0.05, 0.1)

@@ -7,12 +7,12 @@ from scipy.optimize import brentq
 
 import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem, mesh
-from tests import meshes, meshes_3d
-from tests.ball_case import create_problem
+from tests.cases import meshes, meshes_3d
+from tests.cases.ball import create_problem
+from tests.cases.pressed_blocks import failing
+from tests.cases.rings import largest
+from tests.cases.solid import COMM, create_displacement
 from tests.choice import crosswise, quick
-from tests.pressed_blocks import failing
-from tests.rings import largest
-from tests.solid_case import COMM, create_displacement
 
 pytestmark = pytest.mark.mpi
 E, NU = 1000.0, 0.3

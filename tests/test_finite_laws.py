@@ -18,9 +18,9 @@ from dolfinx_mortar.materials.response import respond
 from dolfinx_mortar.materials.tensor import GRADIENT
 from dolfinx_mortar.solid import forms
 from dolfinx_mortar.solid.forms import moduli_first
-from tests.pressed_blocks import rejected
-from tests.solid_case import create_displacement, create_domain
-from tests.user_laws import Unturned
+from tests.cases.pressed_blocks import rejected
+from tests.cases.solid import create_displacement, create_domain
+from tests.cases.user_laws import Unturned
 
 NEO_HOOKE = dm.NeoHooke(200.0, 0.3)
 MOONEY = dm.MooneyRivlin(0.293, 0.177, 14.0)

@@ -8,8 +8,8 @@ from scipy.integrate import quad, solve_bvp
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem, mesh
-from tests.pressed_blocks import COMM, failing, rejected
-from tests.solid_case import create_displacement, create_domain, set_wave
+from tests.cases.pressed_blocks import COMM, failing, rejected
+from tests.cases.solid import create_displacement, create_domain, set_wave
 
 INNER, OUTER = 1.0, 2.0
 

@@ -6,9 +6,9 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
-from tests import meshes
-from tests.pressed_blocks import COMM, rejected
-from tests.solid_case import create_displacement, create_domain, residual, set_wave
+from tests.cases import meshes
+from tests.cases.pressed_blocks import COMM, rejected
+from tests.cases.solid import create_displacement, create_domain, residual, set_wave
 from tests.test_finite_in_space import compressed, sliding, zero
 from tests.test_finite_laws import OGDEN
 

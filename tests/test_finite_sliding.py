@@ -16,7 +16,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.interfaces import mortar_interface
-from tests.finite_sliding import COMM, averaged, indentation, soft_block, turning_hub, walk
+from tests.cases.finite_sliding import COMM, averaged, indentation, soft_block, turning_hub, walk
 
 
 def iterations(steps):

@@ -10,9 +10,9 @@ from scipy.optimize import brentq
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem, mesh
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
-from tests.pressed_blocks import COMM, rejected
-from tests.solid_case import create_displacement, create_domain, residual, set_wave
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
+from tests.cases.pressed_blocks import COMM, rejected
+from tests.cases.solid import create_displacement, create_domain, residual, set_wave
 from tests.test_finite_laws import OGDEN, Arrays
 
 E, NU = 1000.0, 0.3

@@ -9,8 +9,8 @@ import pytest
 import dolfinx
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.block_piles import ABOVE, BELOW, create_blocks
-from tests.folds import RUBBER, closed_ring, create_hairpin, create_ring
+from tests.cases.block_piles import ABOVE, BELOW, create_blocks
+from tests.cases.folds import RUBBER, closed_ring, create_hairpin, create_ring
 
 COMM = MPI.COMM_WORLD
 BAR = 1e-6

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from tests.cases.friction import COMM, create
 from tests.choice import crosswise
-from tests.friction_case import COMM, create
 
 EXACT = 1e-10
 MU = 0.3

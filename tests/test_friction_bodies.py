@@ -8,8 +8,8 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.block_piles import ABOVE, BELOW, COMM, EAST, WEST, Blocks
-from tests.pressed_blocks import failing
+from tests.cases.block_piles import ABOVE, BELOW, COMM, EAST, WEST, Blocks
+from tests.cases.pressed_blocks import failing
 
 EXACT = 1e-10
 STACK = [

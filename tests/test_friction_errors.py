@@ -12,9 +12,9 @@ from dolfinx import fem
 from dolfinx.mesh import CellType, create_unit_square
 from dolfinx_mortar.interfaces import constraints
 from dolfinx_mortar.interfaces.constraints import FrictionLaw
-from tests.friction_case import COMM, create
-from tests.meshes import two_blocks
-from tests.pressed_blocks import rejected, some_rank
+from tests.cases.friction import COMM, create
+from tests.cases.meshes import two_blocks
+from tests.cases.pressed_blocks import rejected, some_rank
 
 NAMES = ["friction", "tresca"]
 

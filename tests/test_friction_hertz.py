@@ -6,8 +6,8 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.interfaces import mortar_interface
-from tests.finite_sliding import averaged
-from tests.hertz_case import ELASTIC, create_case, create_mesh
+from tests.cases.finite_sliding import averaged
+from tests.cases.hertz import ELASTIC, create_case, create_mesh
 
 MU, DEPTH = 0.2, 0.05
 # Another active-set code with the same D and M: sideways -> tangential force [N/mm], the largest

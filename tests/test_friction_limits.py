@@ -8,7 +8,7 @@ import dolfinx_mortar as dm
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.qp import active_set
 from dolfinx_mortar.qp.held import HeldProblem, Outcome
-from tests.friction_case import create
+from tests.cases.friction import create
 
 PATH = [(0.0, -0.02), (0.006, -0.02), (0.03, -0.02)]
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from tests.cases.friction import ELASTIC, create
+from tests.cases.hertz import PLASTIC as FLOWING
+from tests.cases.hertz import create_case, create_mesh
 from tests.choice import crosswise
-from tests.friction_case import ELASTIC, create
-from tests.hertz_case import PLASTIC as FLOWING
-from tests.hertz_case import create_case, create_mesh
 
 PLASTIC = dm.VonMises.from_uniaxial(1000.0, 0.3, 12.0, 100.0)
 IDEAL = dm.VonMises.from_uniaxial(1000.0, 0.3, 12.0, 0.0)

@@ -8,8 +8,8 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.block_piles import ABOVE, BELOW, COMM, Blocks
-from tests.friction_case import create
+from tests.cases.block_piles import ABOVE, BELOW, COMM, Blocks
+from tests.cases.friction import create
 
 PRESSURE, MU = 2.0, (0.5, 0.25, 0.4)
 TOWER = [

@@ -9,11 +9,11 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
-from tests import meshes, meshes_3d
-from tests.block_piles import ABOVE, BELOW, EAST, WEST, Blocks
+from tests.cases import meshes, meshes_3d
+from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, Blocks
+from tests.cases.friction import COMM, ELASTIC
+from tests.cases.pressed_blocks import failing
 from tests.choice import crosswise
-from tests.friction_case import COMM, ELASTIC
-from tests.pressed_blocks import failing
 
 EXACT = 1e-10
 MU, P = 0.3, 2.0

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from dolfinx import fem
+from tests.cases.friction import COMM, create
 from tests.choice import crosswise
-from tests.friction_case import COMM, create
 
 EXACT = 1e-10
 MU, PRESS = 0.3, 0.01

@@ -15,7 +15,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.hertz_case import ELASTIC, SIDES, create_mesh
+from tests.cases.hertz import ELASTIC, SIDES, create_mesh
 
 RADIUS, DEPTH, MU = 20.0, 0.04, 0.8
 SIZE = 0.12  # mm, of elements: five on a half-width

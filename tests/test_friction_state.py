@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from tests.cases.friction import create
 from tests.choice import crosswise
-from tests.friction_case import create
 
 COMM = MPI.COMM_WORLD
 SAME = 1e-10

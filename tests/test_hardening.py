@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from material_point import MaterialPoint
-from rate_equations import Rates, deviator
 from scipy.special import wrightomega
 
 import dolfinx_mortar as dm
@@ -22,6 +20,8 @@ from dolfinx_mortar.kernels import compile_vectors, constants
 from dolfinx_mortar.materials.law_check import law_at_point
 from dolfinx_mortar.materials.protocol import create_law
 from dolfinx_mortar.materials.von_mises import VonMises, VonMisesVoce, increment, wright_omega
+from tests.cases.material_point import MaterialPoint
+from tests.cases.rate_equations import Rates, deviator
 from tests.choice import quick
 
 E, NU, Y = 206_900.0, 0.29, 450 * math.sqrt(2 / 3)

@@ -7,7 +7,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
-from tests.pressed_blocks import COMM
+from tests.cases.pressed_blocks import COMM
 
 pytestmark = pytest.mark.mpi
 

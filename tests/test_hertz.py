@@ -10,8 +10,8 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.materials.tensor import von_mises
+from tests.cases.hertz import ELASTIC, PLASTIC, create_case, create_mesh
 from tests.choice import crosswise, quick
-from tests.hertz_case import ELASTIC, PLASTIC, create_case, create_mesh
 
 DEPTH = 0.05  # mm
 # geometry: force [N/mm], fitted half-width [mm], fitted peak pressure [MPa]

@@ -12,10 +12,10 @@ from dolfinx import fem
 from dolfinx import mesh as dolfinx_mesh
 from dolfinx_mortar.newton_method import subproblem
 from dolfinx_mortar.report import energy_ledger
+from tests.cases.meshes import LOWER, UPPER
+from tests.cases.meshes_3d import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_boxes
+from tests.cases.moving_bodies import Blocks, Rod
 from tests.choice import quick
-from tests.meshes import LOWER, UPPER
-from tests.meshes_3d import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_boxes
-from tests.moving_bodies import Blocks, Rod
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi

@@ -7,10 +7,10 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from tests.block_piles import ABOVE, BELOW, create_blocks
+from tests.cases.block_piles import ABOVE, BELOW, create_blocks
+from tests.cases.glued_bar import CELLS, COMM, CONFINED, NU, Bar, E, largest
+from tests.cases.meshes import BOTTOM, TOP
 from tests.choice import crosswise
-from tests.glued_bar import CELLS, COMM, CONFINED, NU, Bar, E, largest
-from tests.meshes import BOTTOM, TOP
 from tests.test_smooth_tie import to_arc, to_sphere
 
 EXACT = 1e-9

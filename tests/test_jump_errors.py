@@ -7,9 +7,9 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from tests.glued_bar import COMM, Bar, largest
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP_OF_LOWER
-from tests.pressed_blocks import rejected, some_rank
+from tests.cases.glued_bar import COMM, Bar, largest
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP_OF_LOWER
+from tests.cases.pressed_blocks import rejected, some_rank
 
 pytestmark = pytest.mark.mpi
 

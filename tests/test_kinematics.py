@@ -21,10 +21,10 @@ from dolfinx_mortar.solid.kinematics import (
 )
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.supports.bodies import find_bodies, free_motions, rigid_motions
+from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_blocks
+from tests.cases.pointwise_laws import Radial
+from tests.cases.pressed_blocks import PressedBlocks
 from tests.choice import quick
-from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_blocks
-from tests.pointwise_laws import Radial
-from tests.pressed_blocks import PressedBlocks
 
 pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD

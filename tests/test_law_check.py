@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import dolfinx_mortar as dm
 import ufl
-from tests.pointwise_laws import Radial
+from tests.cases.pointwise_laws import Radial
 from tests.test_finite_laws import Arrays
 from tests.test_user_laws import Isotropic, variant
 

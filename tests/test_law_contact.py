@@ -8,17 +8,17 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.choice import quick
-from tests.meshes import LOWER, UPPER
-from tests.pointwise_laws import Compiled
-from tests.pressed_blocks import PressedBlocks
-from tests.solid_case import (
+from tests.cases.meshes import LOWER, UPPER
+from tests.cases.pointwise_laws import Compiled
+from tests.cases.pressed_blocks import PressedBlocks
+from tests.cases.solid import (
     create_displacement,
     create_domain,
     create_tags,
     residual,
     set_wave,
 )
+from tests.choice import quick
 
 E, NU = 1000.0, 0.3
 G = E / (2 * (1 + NU))

@@ -9,7 +9,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import plate
 import pytest
 
 import dolfinx_mortar as dm
@@ -17,6 +16,7 @@ from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.materials import VonMises
 from dolfinx_mortar.materials.tensor import frobenius_norm
 from dolfinx_mortar.solid.solid import Solid
+from tests.cases import plate
 
 REFERENCE = json.loads(
     (Path(__file__).parent / "reference" / "vm_kinematic_hardening_2d.json").read_text()

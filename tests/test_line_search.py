@@ -17,9 +17,9 @@ from dolfinx_mortar.newton_method.linearisation import (
 )
 from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.terms.sum import Terms
-from tests.block_piles import ABOVE, BELOW, PILE, Blocks
-from tests.hertz_case import ELASTIC, PLASTIC, create_case
-from tests.pressed_blocks import rejected
+from tests.cases.block_piles import ABOVE, BELOW, PILE, Blocks
+from tests.cases.hertz import ELASTIC, PLASTIC, create_case
+from tests.cases.pressed_blocks import rejected
 from tests.sweep.problems import create
 
 COMM = MPI.COMM_WORLD

@@ -12,8 +12,8 @@ from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.newton_method import linearisation
 from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
-from tests.meshes import BOTTOM, TOP
-from tests.pressed_blocks import PressedBlocks
+from tests.cases.meshes import BOTTOM, TOP
+from tests.cases.pressed_blocks import PressedBlocks
 
 pytestmark = pytest.mark.mpi
 SOLVERS = {"direct": {}, "iterative": {"pc_type": "gamg"}}

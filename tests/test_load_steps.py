@@ -12,9 +12,9 @@ from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.step_report import StepReport
 from dolfinx_mortar.steps import walk as walking
 from dolfinx_mortar.steps.newton import solve_step
-from tests.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
-from tests.hertz_case import create_case
-from tests.pressed_blocks import failing, rejected
+from tests.cases.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
+from tests.cases.hertz import create_case
+from tests.cases.pressed_blocks import failing, rejected
 
 COMM = MPI.COMM_WORLD
 

@@ -9,11 +9,11 @@ code to 1e-9 (test_law_reference); it has no converged values.
 from mpi4py import MPI
 
 import numpy as np
-import plate
 import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
+from tests.cases import plate
 from tests.test_law_reference import LAW, TRACTION, create_driver
 
 LIMIT = 88.71  # N mm per mm

@@ -14,9 +14,9 @@ import ufl
 from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
 from dolfinx_mortar.materials.protocol import create_law
+from tests.cases.pointwise_laws import Compiled, OneSided
+from tests.cases.user_laws import Cubic
 from tests.choice import quick
-from tests.pointwise_laws import Compiled, OneSided
-from tests.user_laws import Cubic
 
 E, NU, SIGMA_Y = 200e3, 0.3, 200.0
 Y = np.sqrt(2 / 3) * SIGMA_Y

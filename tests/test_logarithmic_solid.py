@@ -8,9 +8,9 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
-from tests.meshes import BOTTOM, TOP, two_blocks
-from tests.pointwise_laws import Compiled
-from tests.solid_case import (
+from tests.cases.meshes import BOTTOM, TOP, two_blocks
+from tests.cases.pointwise_laws import Compiled
+from tests.cases.solid import (
     COMM,
     create_displacement,
     create_domain,
@@ -19,7 +19,7 @@ from tests.solid_case import (
     total,
     wave,
 )
-from tests.user_laws import Forces
+from tests.cases.user_laws import Forces
 
 pytestmark = pytest.mark.mpi
 E, NU, SIGMA_Y = 200e3, 0.3, 200.0

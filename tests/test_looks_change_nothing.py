@@ -15,7 +15,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.block_piles import ABOVE, BELOW, COMM, Blocks
+from tests.cases.block_piles import ABOVE, BELOW, COMM, Blocks
 from tests.choice import quick
 
 pytestmark = pytest.mark.mpi

@@ -16,8 +16,8 @@ from dolfinx_mortar.mortar.duals import _best_nodes
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
 from dolfinx_mortar.mortar.surface import create_surface
-from tests.meshes import TOP_OF_LOWER, UPPER, two_blocks
-from tests.meshes_3d import BOTTOM_OF_UPPER, two_boxes
+from tests.cases.meshes import TOP_OF_LOWER, UPPER, two_blocks
+from tests.cases.meshes_3d import BOTTOM_OF_UPPER, two_boxes
 from tests.test_mortar import PARTITIONS, moving, operators
 
 COMM = MPI.COMM_WORLD

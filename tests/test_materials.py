@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from material_point import MaterialPoint
 from scipy.integrate import solve_ivp
 
 import basix.ufl
 import ufl
 from dolfinx_mortar.materials import Elastic, VonMises
 from dolfinx_mortar.materials.response import without_variables
+from tests.cases.material_point import MaterialPoint
 from ufl.algorithms import strip_variables
 from ufl.algorithms.analysis import extract_type
 from ufl.classes import Variable

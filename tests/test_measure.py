@@ -17,10 +17,10 @@ from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
 from dolfinx_mortar.newton_method.residuals import Scales, gap_round_off, measure
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.report.certificate import create_certificate, set_results
-from tests.friction_case import create as create_pushed
-from tests.hertz_case import ELASTIC, create_case
-from tests.meshes import BOTTOM, TOP
-from tests.pressed_blocks import PressedBlocks
+from tests.cases.friction import create as create_pushed
+from tests.cases.hertz import ELASTIC, create_case
+from tests.cases.meshes import BOTTOM, TOP
+from tests.cases.pressed_blocks import PressedBlocks
 
 COMM = MPI.COMM_WORLD
 RTOL, MU = 1e-6, 0.2

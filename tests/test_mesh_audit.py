@@ -10,9 +10,9 @@ from dolfinx import mesh
 from dolfinx_mortar import compat
 from dolfinx_mortar.audit import mesh_audit
 from dolfinx_mortar.audit.mesh_audit import check_mesh
-from tests.meshes import two_blocks
-from tests.meshes_3d import rotation, two_boxes
-from tests.pressed_blocks import COMM, PressedBlocks, rejected
+from tests.cases.meshes import two_blocks
+from tests.cases.meshes_3d import rotation, two_boxes
+from tests.cases.pressed_blocks import COMM, PressedBlocks, rejected
 
 KINDS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 PLANE = ["triangle", "quadrilateral"]

@@ -11,7 +11,7 @@ import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar import meshing
 from dolfinx_mortar.meshing import two_bodies
-from tests.integrals import integral
+from tests.cases.integrals import integral
 
 COMM = MPI.COMM_WORLD
 CELLS = ["triangle", "quadrilateral"]

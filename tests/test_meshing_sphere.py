@@ -12,7 +12,7 @@ from dolfinx import fem
 from dolfinx.mesh import entities_to_geometry
 from dolfinx_mortar import compat, meshing
 from dolfinx_mortar.meshing import two_bodies
-from tests.integrals import integral
+from tests.cases.integrals import integral
 
 COMM = MPI.COMM_WORLD
 CELLS = ["hexahedron", "tetrahedron"]

@@ -14,9 +14,16 @@ from dolfinx_mortar.mortar.operators import create_operators
 from dolfinx_mortar.mortar.pairing import outside_margin
 from dolfinx_mortar.mortar.paper import assemble_mortar
 from dolfinx_mortar.mortar.surface import create_surface
-from tests.meshes import two_blocks
-from tests.mortar_case import node_matrices, operators, owned_coordinates, pair_up, space, vector_of
-from tests.pressed_blocks import PressedBlocks
+from tests.cases.meshes import two_blocks
+from tests.cases.mortar import (
+    node_matrices,
+    operators,
+    owned_coordinates,
+    pair_up,
+    space,
+    vector_of,
+)
+from tests.cases.pressed_blocks import PressedBlocks
 
 COMM = MPI.COMM_WORLD
 PARTITIONS = ["graph", "shared_facet", "stripes", "bodies", "empty"]

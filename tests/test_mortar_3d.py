@@ -21,7 +21,7 @@ from dolfinx_mortar.mortar.surface import accumulate, create_surface, facets_at,
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.report import certificate
 from dolfinx_mortar.steps import step_end
-from tests.meshes_3d import (
+from tests.cases.meshes_3d import (
     BACK,
     BOTTOM,
     BOTTOM_OF_UPPER,

@@ -6,13 +6,13 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from msh_files import boxes, disc, folder, msh_file, squares
 
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.compat import cell_degree
-from tests.integrals import integral
+from tests.cases.integrals import integral
+from tests.cases.msh_files import boxes, disc, folder, msh_file, squares
 
 COMM = MPI.COMM_WORLD
 pytest.importorskip("gmsh")

@@ -13,7 +13,7 @@ import dolfinx_mortar as dm
 from dolfinx_mortar.algebra.congruence import Congruence
 from dolfinx_mortar.qp import MULTIGRID
 from dolfinx_mortar.qp.preconditioner import Multigrid
-from tests.ball_case import create_problem
+from tests.cases.ball import create_problem
 from tests.sweep.problems import create
 
 COMM = MPI.COMM_WORLD

@@ -11,9 +11,9 @@ import pytest
 from dolfinx_mortar import meshing, newton
 from dolfinx_mortar.interfaces import link as links
 from dolfinx_mortar.interfaces.mortar_interface import MortarInterface
-from tests.bolted_joint import Joint
+from tests.cases.bolted_joint import Joint
+from tests.cases.hertz import ELASTIC, create_case, create_mesh
 from tests.choice import quick
-from tests.hertz_case import ELASTIC, create_case, create_mesh
 
 COMM = MPI.COMM_WORLD
 

@@ -18,12 +18,12 @@ from dolfinx_mortar.newton_method.linearisation import (
     linearise,
 )
 from dolfinx_mortar.newton_method.residuals import Scales, measure
-from tests.ball_case import create_problem
-from tests.block_piles import ABOVE, BELOW, EAST, PILE, WEST, Blocks
+from tests.cases.ball import create_problem
+from tests.cases.block_piles import ABOVE, BELOW, EAST, PILE, WEST, Blocks
+from tests.cases.hertz import ELASTIC, PLASTIC, create_case
+from tests.cases.meshes import BOTTOM, TOP
+from tests.cases.pressed_blocks import PressedBlocks
 from tests.choice import crosswise, quick
-from tests.hertz_case import ELASTIC, PLASTIC, create_case
-from tests.meshes import BOTTOM, TOP
-from tests.pressed_blocks import PressedBlocks
 
 COMM = MPI.COMM_WORLD
 

@@ -28,7 +28,7 @@ from dolfinx_mortar.materials.protocol import create_law
 from dolfinx_mortar.materials.response import values_at_points
 from dolfinx_mortar.materials.von_mises import wright_omega
 from dolfinx_mortar.solid.kinematics import axisymmetric, on_axis
-from tests.pointwise_laws import UNIT, Radial
+from tests.cases.pointwise_laws import UNIT, Radial
 from tests.test_law_check import Slips, von_mises, von_mises_stress
 from tests.test_numbers_of_steps import numbers_in
 from tests.test_user_laws import Isotropic

@@ -17,10 +17,10 @@ from dolfinx import fem
 from dolfinx_mortar.interfaces.link import predict_active
 from dolfinx_mortar.newton_method.linearisation import find_balance
 from tests import test_audit, test_finite_in_space, test_line_search, test_multigrid
-from tests.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
-from tests.hertz_case import ELASTIC, PLASTIC, create_case
-from tests.meshes import TOP
-from tests.pressed_blocks import PressedBlocks
+from tests.cases.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
+from tests.cases.hertz import ELASTIC, PLASTIC, create_case
+from tests.cases.meshes import TOP
+from tests.cases.pressed_blocks import PressedBlocks
 from tests.sweep.problems import create
 
 COMM = MPI.COMM_WORLD

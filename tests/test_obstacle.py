@@ -15,11 +15,11 @@ import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.interfaces import obstacle as obstacle_module
 from dolfinx_mortar.interfaces.tool import after
-from tests.ball_case import STEEL as STEEL_3D
-from tests.ball_case import create_mesh, create_problem
-from tests.pressed_blocks import PressedBlocks, rejected
-from tests.tool_case import DEPTH, ELASTIC, NU, TOP, Block, E, R, fit
-from tests.triangles_case import ball
+from tests.cases.ball import STEEL as STEEL_3D
+from tests.cases.ball import create_mesh, create_problem
+from tests.cases.pressed_blocks import PressedBlocks, rejected
+from tests.cases.tool import DEPTH, ELASTIC, NU, TOP, Block, E, R, fit
+from tests.cases.triangles import ball
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from material_point import MaterialPoint
 from scipy.spatial.transform import Rotation
 
 import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem
-from tests.solid_case import create_displacement, create_domain, total
+from tests.cases.material_point import MaterialPoint
+from tests.cases.solid import create_displacement, create_domain, total
 
 WOOD = {
     **{"E1": 12_000.0, "E2": 900.0, "E3": 500.0},

@@ -14,8 +14,8 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx_mortar.output.xdmf import Step, insert
 from tests import checkpoint_program
+from tests.cases.pressed_blocks import rejected
 from tests.checkpoint_program import LEVELS
-from tests.pressed_blocks import rejected
 
 meshio = pytest.importorskip("meshio")
 pytest.importorskip("h5py")

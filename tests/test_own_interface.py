@@ -15,8 +15,8 @@ from dolfinx_mortar.interfaces.coupling import Coupling, normal_frames
 from dolfinx_mortar.interfaces.interface import Interface, full_coverage
 from dolfinx_mortar.interfaces.mortar_interface import MortarInterface
 from dolfinx_mortar.mortar.surface import facets_at, sum_at_nodes
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
-from tests.pressed_blocks import PressedBlocks, rejected
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
+from tests.cases.pressed_blocks import PressedBlocks, rejected
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi

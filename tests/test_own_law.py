@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from tests.cases.material_point import MaterialPoint
 from tests.choice import crosswise, quick
-from tests.material_point import MaterialPoint
 
 ROOT = Path(__file__).parent.parent
 PROGRAM = ROOT / "demos" / "own_law" / "own_law.py"

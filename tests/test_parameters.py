@@ -15,10 +15,9 @@ import dolfinx_mortar as dm
 import ffcx.codegeneration.jit
 import ufl
 from dolfinx import default_scalar_type, fem
-from tests.choice import quick
-from tests.meshes import BOTTOM
-from tests.pressed_blocks import PressedBlocks
-from tests.solid_case import (
+from tests.cases.meshes import BOTTOM
+from tests.cases.pressed_blocks import PressedBlocks
+from tests.cases.solid import (
     STEEL,
     create_displacement,
     create_domain,
@@ -27,7 +26,8 @@ from tests.solid_case import (
     set_wave,
     total,
 )
-from tests.user_laws import OfHooke
+from tests.cases.user_laws import OfHooke
+from tests.choice import quick
 
 pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD

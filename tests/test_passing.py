@@ -17,11 +17,11 @@ from dolfinx_mortar.mortar import passing
 from dolfinx_mortar.mortar.passing import RigidMotion
 from dolfinx_mortar.newton_method import failures
 from dolfinx_mortar.newton_method.failures import describe_passing
-from tests.close_fits import rings
-from tests.hertz_case import create_mesh
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, UPPER, skins, two_blocks
-from tests.meshes_3d import rotation, two_boxes
-from tests.triangles_case import box
+from tests.cases.close_fits import rings
+from tests.cases.hertz import create_mesh
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, UPPER, skins, two_blocks
+from tests.cases.meshes_3d import rotation, two_boxes
+from tests.cases.triangles import box
 
 COMM = MPI.COMM_WORLD
 LAW = dm.Elastic(1000.0, 0.3)

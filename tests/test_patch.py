@@ -12,8 +12,8 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.algebra.parallel import maximum
+from tests.cases.meshes import two_blocks
 from tests.choice import crosswise
-from tests.meshes import two_blocks
 
 E, NU, P = 1000.0, 0.4, 10.0
 EXACT = 1e-10

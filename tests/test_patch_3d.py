@@ -16,8 +16,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.mortar.surface import accumulate, create_surface
-from tests.choice import crosswise, quick
-from tests.meshes_3d import (
+from tests.cases.meshes_3d import (
     BOTTOM,
     BOTTOM_OF_UPPER,
     FRONT,
@@ -27,6 +26,7 @@ from tests.meshes_3d import (
     rotation,
     two_boxes,
 )
+from tests.choice import crosswise, quick
 
 COMM = MPI.COMM_WORLD
 

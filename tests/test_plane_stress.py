@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from material_point import MaterialPoint
 from scipy.optimize import brentq
 
 import dolfinx_mortar as dm
@@ -17,12 +16,13 @@ from dolfinx_mortar.materials import plane_stress
 from dolfinx_mortar.materials.protocol import create_law
 from dolfinx_mortar.materials.von_mises import LEAST_RATIO, flow_in_plane_stress
 from dolfinx_mortar.solid import pointwise
+from tests.cases.material_point import MaterialPoint
+from tests.cases.pointwise_laws import Radial
+from tests.cases.pressed_blocks import PressedBlocks, rejected
+from tests.cases.solid import create_displacement, create_domain
+from tests.cases.user_laws import Slack
 from tests.choice import quick
-from tests.pointwise_laws import Radial
-from tests.pressed_blocks import PressedBlocks, rejected
-from tests.solid_case import create_displacement, create_domain
 from tests.test_user_laws import Isotropic
-from tests.user_laws import Slack
 
 E, NU, Y = 206_900.0, 0.29, 367.0
 HARDENING = {

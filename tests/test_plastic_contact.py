@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from tests.cases.hertz import create_case, create_mesh
 from tests.choice import crosswise
-from tests.hertz_case import create_case, create_mesh
 
 ONE_STEP = {"force": 4485.5, "peak": 1913.0, "strain": 0.03848}
 TEN_STEPS = {"force": 4619.0, "peak": 1698.0, "strain": 0.0381}

@@ -7,14 +7,14 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from hertz_case import ELASTIC, create_case, create_mesh
-from meshes import BOTTOM, TOP, two_blocks
-from msh_files import folder
 
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import compute_midpoints, locate_entities, meshtags
+from tests.cases.hertz import ELASTIC, create_case, create_mesh
+from tests.cases.meshes import BOTTOM, TOP, two_blocks
+from tests.cases.msh_files import folder
 
 COMM = MPI.COMM_WORLD
 FIRST = COMM.rank == 0

@@ -11,12 +11,12 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from msh_files import boxes, msh_file
 
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.plotting import gather_bodies
 from tests import jobs
+from tests.cases.msh_files import boxes, msh_file
 
 COMM = MPI.COMM_WORLD
 FIRST = COMM.rank == 0

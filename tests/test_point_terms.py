@@ -6,8 +6,8 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem, mesh
-from tests.meshes import two_blocks
-from tests.pressed_blocks import COMM, rejected
+from tests.cases.meshes import two_blocks
+from tests.cases.pressed_blocks import COMM, rejected
 
 SIZE = np.array([2.0, 1.0, 1.5])
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]

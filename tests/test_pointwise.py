@@ -16,10 +16,9 @@ import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.materials.tensor import INDEX
 from dolfinx_mortar.solid.pointwise import packed
-from tests.choice import crosswise
-from tests.pointwise_laws import UNIT, VOLUME, Compiled, OneSided, Radial
-from tests.pressed_blocks import PressedBlocks
-from tests.solid_case import (
+from tests.cases.pointwise_laws import UNIT, VOLUME, Compiled, OneSided, Radial
+from tests.cases.pressed_blocks import PressedBlocks
+from tests.cases.solid import (
     COMM,
     STEEL,
     create_displacement,
@@ -29,6 +28,7 @@ from tests.solid_case import (
     set_wave,
     total,
 )
+from tests.choice import crosswise
 
 NUMBERS = (STEEL.E, STEEL.nu, STEEL.Y, STEEL.a)
 

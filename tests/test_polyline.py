@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 import dolfinx_mortar as dm
 from dolfinx_mortar import shapes
-from tests.pressed_blocks import rejected
-from tests.tool_case import DEPTH, Block, R
+from tests.cases.pressed_blocks import rejected
+from tests.cases.tool import DEPTH, Block, R
 
 COMM = MPI.COMM_WORLD
 DISC = shapes.Cylinder([0.1, 0.2], 1.0)

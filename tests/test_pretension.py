@@ -14,19 +14,19 @@ from dolfinx_mortar.newton_method.contacts import go_on
 from dolfinx_mortar.newton_method.driven_tools import find_drives, miss
 from dolfinx_mortar.newton_method.linearisation import find_balance
 from dolfinx_mortar.newton_method.residuals import Residuals
-from tests.block_piles import (
+from tests.cases.block_piles import (
     ABOVE,
     BELOW,
     BRIDGE,
     COMM,
     Blocks,
 )
-from tests.bolted_joint import Joint
-from tests.glued_bar import CELLS, CONFINED, NU, Bar, E, largest
-from tests.meshes import BOTTOM, TOP
-from tests.pressed_blocks import rejected
+from tests.cases.bolted_joint import Joint
+from tests.cases.glued_bar import CELLS, CONFINED, NU, Bar, E, largest
+from tests.cases.meshes import BOTTOM, TOP
+from tests.cases.pressed_blocks import rejected
+from tests.cases.tightened_bar import clamped, loaded, outwards, tighten
 from tests.test_results import cracked
-from tests.tightened_bar import clamped, loaded, outwards, tighten
 
 TIGHT = {"rtol": 1e-11}
 

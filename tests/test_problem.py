@@ -15,8 +15,8 @@ import ufl
 from dolfinx import default_scalar_type, fem, la
 from dolfinx_mortar.newton_method.linearisation import find_balance, to_displacement, to_reduced
 from dolfinx_mortar.supports.bodies import find_bodies
-from tests.ball_case import create_problem as create_ball
-from tests.block_piles import (
+from tests.cases.ball import create_problem as create_ball
+from tests.cases.block_piles import (
     ABOVE,
     BELOW,
     BRIDGE,
@@ -29,8 +29,8 @@ from tests.block_piles import (
     chain,
     dense_transformation,
 )
-from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_blocks
-from tests.pressed_blocks import PressedBlocks
+from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_blocks
+from tests.cases.pressed_blocks import PressedBlocks
 
 ROUND_OFF = 1e-12
 

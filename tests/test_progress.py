@@ -8,10 +8,10 @@ import sys
 from mpi4py import MPI
 
 import pytest
-from hertz_case import ELASTIC, create_case, create_mesh
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.steps.walk import lines
+from tests.cases.hertz import ELASTIC, create_case, create_mesh
 
 COMM = MPI.COMM_WORLD
 TOLD = "step 1\nstep 2\n"

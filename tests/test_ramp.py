@@ -10,10 +10,10 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.steps.ramp import check_range, difference, read_ramps
+from tests.cases.hertz import create_case
+from tests.cases.pressed_blocks import PressedBlocks, rejected
 from tests.checkpoint_program import LEVELS, Press
 from tests.checkpoint_runs import agree
-from tests.hertz_case import create_case
-from tests.pressed_blocks import PressedBlocks, rejected
 
 COMM = MPI.COMM_WORLD
 ROWS = [(0.0, (0.0, 0.0)), (0.6, (0.001, -0.005)), (1.0, (0.002, -0.008))]

@@ -9,9 +9,9 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem, mesh
-from tests.block_piles import ABOVE, BELOW, BRIDGE, COMM, EAST, PILE, STEEL, WEST, Blocks
-from tests.pressed_blocks import PressedBlocks, rejected
-from tests.tightened_bar import tighten
+from tests.cases.block_piles import ABOVE, BELOW, BRIDGE, COMM, EAST, PILE, STEEL, WEST, Blocks
+from tests.cases.pressed_blocks import PressedBlocks, rejected
+from tests.cases.tightened_bar import tighten
 
 TIGHT = 1e-11
 

@@ -9,7 +9,7 @@ import pytest
 from dolfinx import fem, mesh
 from dolfinx_mortar.materials import Elastic, VonMises
 from dolfinx_mortar.solid.solid import Solid
-from tests.solid_case import (
+from tests.cases.solid import (
     STEEL,
     create_displacement,
     create_domain,

@@ -12,13 +12,13 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.report.resolution import _measure, _patches, oscillation
-from tests.ball_case import create_problem
+from tests.cases.ball import create_problem
+from tests.cases.close_fits import create_pin, create_shrink_fit
+from tests.cases.finite_sliding import indentation
+from tests.cases.hertz import ELASTIC, create_case, create_mesh
+from tests.cases.meshes import BOTTOM_OF_UPPER, LEFT, LOWER, TOP_OF_LOWER, UPPER
+from tests.cases.pressed_blocks import PressedBlocks
 from tests.choice import quick
-from tests.close_fits import create_pin, create_shrink_fit
-from tests.finite_sliding import indentation
-from tests.hertz_case import ELASTIC, create_case, create_mesh
-from tests.meshes import BOTTOM_OF_UPPER, LEFT, LOWER, TOP_OF_LOWER, UPPER
-from tests.pressed_blocks import PressedBlocks
 
 COMM = MPI.COMM_WORLD
 

@@ -9,8 +9,8 @@ import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem
 from dolfinx.mesh import create_mesh
 from dolfinx_mortar.algebra.parallel import ratio
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP_OF_LOWER, _block
-from tests.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP_OF_LOWER, _block
+from tests.cases.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected
 from tests.test_stack import BESIDE, P, at, beside, press, tag_facets
 
 RESULTANTS = ("force", "moment", "master_force", "master_moment", "multiplier")

@@ -9,8 +9,8 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.interfaces.rigid_side import Plate
-from tests.meshes import BOTTOM, TOP
-from tests.pressed_blocks import PressedBlocks, rejected
+from tests.cases.meshes import BOTTOM, TOP
+from tests.cases.pressed_blocks import PressedBlocks, rejected
 
 COMM = MPI.COMM_WORLD
 FIXED, END = 1, 2

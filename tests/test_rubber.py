@@ -18,9 +18,9 @@ import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem, mesh
 from dolfinx_mortar.solid.mean_volume import VolumeStep
 from dolfinx_mortar.solid.solid import volume_step
+from tests.cases.rubber_cylinder import RUBBER, create_cylinder
+from tests.cases.solid import create_domain, set_wave, total
 from tests.choice import quick
-from tests.rubber_cylinder import RUBBER, create_cylinder
-from tests.solid_case import create_domain, set_wave, total
 
 HALFWAY, WHOLE = (241.0, 267.0), (1350.0, 1435.0)
 CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]

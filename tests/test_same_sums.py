@@ -16,7 +16,7 @@ from dolfinx_mortar.algebra.csr import add_blocks
 from dolfinx_mortar.algebra.parallel import sums_at_nodes
 from dolfinx_mortar.algebra.triplets import Triplets
 from dolfinx_mortar.solid import term
-from tests.block_piles import COMM, STEEL, Blocks
+from tests.cases.block_piles import COMM, STEEL, Blocks
 
 pytestmark = pytest.mark.mpi
 TIMES = 30  # one rank is late in each; every second sum of matrices differed when PETSc made them

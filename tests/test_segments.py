@@ -10,7 +10,7 @@ from dolfinx_mortar.geometry import line, segments
 from dolfinx_mortar.geometry.elements import LINE2, LINE3
 from dolfinx_mortar.geometry.facets import Facets, normals_at_nodes
 from dolfinx_mortar.geometry.segments import create_cones
-from tests.polylines import assemble, chain, nodal_normals
+from tests.cases.polylines import assemble, chain, nodal_normals
 
 EXACT = 1e-12
 

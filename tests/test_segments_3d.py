@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from dolfinx_mortar.geometry import facets, plane, segments
 from dolfinx_mortar.geometry.elements import QUAD4
-from tests.meshes_3d import rotation
-from tests.surfaces import Side, assemble, grid, joined, ring, triangles
+from tests.cases.meshes_3d import rotation
+from tests.cases.surfaces import Side, assemble, grid, joined, ring, triangles
 
 EXACT = 1e-12
 TURN = rotation((0.3, -1.0, 0.7), 1.1)

@@ -24,8 +24,8 @@ from dolfinx_mortar.mortar.surface import (
 )
 from dolfinx_mortar.newton_method.failures import describe_passing
 from dolfinx_mortar.report.penetration import find_overlaps, notes_on_crossings
-from tests.block_piles import create_blocks
-from tests.folds import (
+from tests.cases.block_piles import create_blocks
+from tests.cases.folds import (
     RUBBER,
     SKIN,
     closed_ring,

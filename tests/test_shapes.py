@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 import ufl
 from basix.ufl import element
 from dolfinx_mortar import shapes
-from tests.pressed_blocks import rejected
+from tests.cases.pressed_blocks import rejected
 
 TURNED = np.array([0.36, 0.48, 0.8])
 ACROSS = np.array([0.8, -0.6, 0.0])

@@ -14,9 +14,9 @@ from dolfinx_mortar.geometry.segments import create_segments
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing, received_facets
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER, skins, two_blocks
-from tests.meshes_3d import rotation, two_boxes
-from tests.pressed_blocks import ELASTIC, PressedBlocks
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER, skins, two_blocks
+from tests.cases.meshes_3d import rotation, two_boxes
+from tests.cases.pressed_blocks import ELASTIC, PressedBlocks
 
 COMM = MPI.COMM_WORLD
 SIDES = TOP_OF_LOWER, BOTTOM_OF_UPPER

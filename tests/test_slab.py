@@ -14,8 +14,8 @@ from dolfinx import fem
 from dolfinx_mortar import compat
 from dolfinx_mortar.geometry import segments
 from dolfinx_mortar.geometry.facets import facet_normals
+from tests.cases.hertz import ELASTIC, PLASTIC, create_mesh
 from tests.choice import quick
-from tests.hertz_case import ELASTIC, PLASTIC, create_mesh
 
 pytestmark = pytest.mark.serial
 THICKNESS, GAP = 0.3, 1e-3  # no two nodes of a section in one place

@@ -14,12 +14,12 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from tests import meshes, meshes_3d
+from tests.cases import meshes, meshes_3d
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, LOWER, RIGHT, TOP, TOP_OF_LOWER, UPPER
+from tests.cases.meshes_3d import BACK, FRONT
+from tests.cases.pressed_blocks import failing
+from tests.cases.rings import SIDES, largest, tubes
 from tests.choice import crosswise
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, LOWER, RIGHT, TOP, TOP_OF_LOWER, UPPER
-from tests.meshes_3d import BACK, FRONT
-from tests.pressed_blocks import failing
-from tests.rings import SIDES, largest, tubes
 
 COMM = MPI.COMM_WORLD
 E, NU, P = 1000.0, 0.3, 2.0

@@ -16,10 +16,10 @@ from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.report.small_strain import LARGEST_SHARE, find_left_out
 from dolfinx_mortar.solid.kinematics import plane_strain
-from tests.hertz_case import PLASTIC, create_case, create_mesh
-from tests.meshes import BOTTOM, LOWER, TOP, UPPER
-from tests.pressed_blocks import PressedBlocks
-from tests.solid_case import create_displacement, create_domain
+from tests.cases.hertz import PLASTIC, create_case, create_mesh
+from tests.cases.meshes import BOTTOM, LOWER, TOP, UPPER
+from tests.cases.pressed_blocks import PressedBlocks
+from tests.cases.solid import create_displacement, create_domain
 
 pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD

@@ -24,9 +24,9 @@ from dolfinx_mortar.meshing.two_bodies import distribute
 from dolfinx_mortar.mortar.curvature_correction import _count_edges, smooth_normals
 from dolfinx_mortar.mortar.mirrors import find_mirrors
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
-from tests.close_fits import create_ring
-from tests.meshes import two_blocks
-from tests.meshes_3d import two_boxes
+from tests.cases.close_fits import create_ring
+from tests.cases.meshes import two_blocks
+from tests.cases.meshes_3d import two_boxes
 
 COMM = MPI.COMM_WORLD
 RADIUS = 8.0

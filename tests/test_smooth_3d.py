@@ -14,7 +14,7 @@ from dolfinx import fem, mesh
 from dolfinx_mortar.mortar import curvature_correction as smooth
 from dolfinx_mortar.mortar.mirrors import find_mirrors
 from dolfinx_mortar.mortar.surface import create_surface
-from tests import lug_case
+from tests.cases import lug as lug_case
 from tests.choice import crosswise
 
 CELLS = ["tetrahedron", "hexahedron"]

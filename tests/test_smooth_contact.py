@@ -8,10 +8,10 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
+from tests.cases.close_fits import OVERLAP, create_pin, create_shrink_fit
+from tests.cases.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
+from tests.cases.pressed_blocks import PressedBlocks, rejected
 from tests.choice import crosswise
-from tests.close_fits import OVERLAP, create_pin, create_shrink_fit
-from tests.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
-from tests.pressed_blocks import PressedBlocks, rejected
 from tests.test_smooth_tie import largest, sides, to_arc, to_sphere
 
 COMM = MPI.COMM_WORLD

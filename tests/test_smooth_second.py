@@ -9,10 +9,10 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.mortar.surface import create_surface, thickness_stretches
+from tests.cases.close_fits import create_shrink_fit
+from tests.cases.hertz import create_case
+from tests.cases.meshes import TOP_OF_LOWER
 from tests.choice import quick
-from tests.close_fits import create_shrink_fit
-from tests.hertz_case import create_case
-from tests.meshes import TOP_OF_LOWER
 from tests.test_smooth_tie import CELLS, largest, sides, to_arc, to_sphere
 
 COMM = MPI.COMM_WORLD

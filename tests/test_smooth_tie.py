@@ -12,11 +12,11 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.audit.sides import warnings_on_straight_facets
 from dolfinx_mortar.mortar import operators
+from tests.cases.close_fits import hold, rings
+from tests.cases.meshes import two_blocks
+from tests.cases.meshes_3d import two_boxes
+from tests.cases.shells import INNER, OUTER, lame_pressure, octants
 from tests.choice import crosswise
-from tests.close_fits import hold, rings
-from tests.meshes import two_blocks
-from tests.meshes_3d import two_boxes
-from tests.shells import INNER, OUTER, lame_pressure, octants
 
 COMM = MPI.COMM_WORLD
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]

@@ -21,7 +21,7 @@ from dolfinx_mortar.materials.tensor import from_components
 from dolfinx_mortar.solid import forms
 from dolfinx_mortar.solid.kinematics import kinematics_of_dimension
 from dolfinx_mortar.solid.solid import Solid
-from tests.solid_case import (
+from tests.cases.solid import (
     CELLS,
     STEEL,
     create_displacement,

@@ -16,7 +16,7 @@ from dolfinx import fem, la
 from dolfinx_mortar.materials import Elastic
 from dolfinx_mortar.materials.tensor import frobenius_norm, from_components
 from dolfinx_mortar.solid.solid import Solid
-from tests.solid_case import (
+from tests.cases.solid import (
     CELLS,
     COMM,
     STEEL,

@@ -13,7 +13,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.ball_case import STEEL, create_problem
+from tests.cases.ball import STEEL, create_problem
 
 COMM = MPI.COMM_WORLD
 DEPTH, RADIUS = 0.05, 8.0

@@ -12,7 +12,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import create_mesh, exterior_facet_indices, locate_entities_boundary, meshtags
 from dolfinx_mortar.algebra.parallel import maximum
-from tests.meshes import _block
+from tests.cases.meshes import _block
 
 E, NU, P = 1000.0, 0.3, 10.0
 EXACT = 1e-10

@@ -16,11 +16,11 @@ from dolfinx_mortar.mortar.curvature_correction import (
     missed_heights,
 )
 from dolfinx_mortar.report import resolution
-from tests.close_fits import create_pin, create_shrink_fit, hold, lame_pressure, rings
-from tests.hertz_case import ELASTIC, create_case
-from tests.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
-from tests.pressed_blocks import PressedBlocks
-from tests.shells import MASTER, SLAVE, octants
+from tests.cases.close_fits import create_pin, create_shrink_fit, hold, lame_pressure, rings
+from tests.cases.hertz import ELASTIC, create_case
+from tests.cases.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
+from tests.cases.pressed_blocks import PressedBlocks
+from tests.cases.shells import MASTER, SLAVE, octants
 from tests.test_smooth_contact import PEAK
 
 COMM = MPI.COMM_WORLD

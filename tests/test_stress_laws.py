@@ -10,9 +10,9 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
+from tests.cases.meshes import BOTTOM, TOP
+from tests.cases.pressed_blocks import COMM, PressedBlocks
 from tests.choice import quick
-from tests.meshes import BOTTOM, TOP
-from tests.pressed_blocks import COMM, PressedBlocks
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.step_report import Iteration, StepReport
-from tests.pressed_blocks import PressedBlocks
+from tests.cases.pressed_blocks import PressedBlocks
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from dolfinx_mortar.mortar.surface import (
     facets_at,
     nodal_normals,
 )
-from tests.meshes import two_blocks
+from tests.cases.meshes import two_blocks
 from tests.test_results import TIP, cracked
 
 COMM = MPI.COMM_WORLD

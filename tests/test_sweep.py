@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from tests.cases.hertz import create_case
 from tests.choice import quick
-from tests.hertz_case import create_case
 from tests.sweep.__main__ import main, seeds, table
 from tests.sweep.draws import KINDS
 from tests.sweep.draws import draw as draw_of_sweep

@@ -4,13 +4,13 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from meshes import two_blocks
 
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx import mesh as dmesh
-from tests.integrals import integral
+from tests.cases.integrals import integral
+from tests.cases.meshes import two_blocks
 
 COMM = MPI.COMM_WORLD
 SIDES = {"ball": 4, "plate": 3, "plates": 99}

@@ -11,11 +11,11 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.mortar import integrals
-from tests import meshes, meshes_3d
-from tests.differences import Differences, accurate
-from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
-from tests.tool_case import AXIS, TOP, Block
-from tests.triangles_case import ball
+from tests.cases import meshes, meshes_3d
+from tests.cases.differences import Differences, accurate
+from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
+from tests.cases.tool import AXIS, TOP, Block
+from tests.cases.triangles import ball
 
 COMM = MPI.COMM_WORLD
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Taylor's bar, see `tests.taylor_bar`, as a body of revolution and as a quarter in space.
+"""Taylor's bar, see `tests.cases.taylor_bar`, as a body of revolution and as a quarter in space.
 
 Codes that do not lock agree on a radius of 7.19 to 7.27 mm (extrapolated 7.226) and a length of
 21.35 to 21.50 mm at the end, and on a radius of 5.45 mm at 12 us. Hexahedra of first order with
@@ -17,8 +17,18 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar import compat
 from dolfinx_mortar.materials.tensor import tensor_of
-from tests import taylor_bar
-from tests.taylor_bar import HARDENING, RADIUS, SIGMA_Y, E, crash, cylinder, fly, quarter, solid_of
+from tests.cases import taylor_bar
+from tests.cases.taylor_bar import (
+    HARDENING,
+    RADIUS,
+    SIGMA_Y,
+    E,
+    crash,
+    cylinder,
+    fly,
+    quarter,
+    solid_of,
+)
 
 COMM = MPI.COMM_WORLD
 

@@ -12,9 +12,9 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.interfaces import tie as of_ties
 from dolfinx_mortar.persistence.checkpoints import describe, differences
-from tests.block_piles import ABOVE, BELOW, create_blocks
-from tests.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_blocks
-from tests.meshes_3d import two_boxes
+from tests.cases.block_piles import ABOVE, BELOW, create_blocks
+from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_blocks
+from tests.cases.meshes_3d import two_boxes
 
 COMM = MPI.COMM_WORLD
 NEAREST = 0.01

@@ -8,8 +8,8 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.algebra.errors import raised_together
-from tests.pointwise_laws import Radial
-from tests.pressed_blocks import PressedBlocks
+from tests.cases.pointwise_laws import Radial
+from tests.cases.pressed_blocks import PressedBlocks
 
 COMM = MPI.COMM_WORLD
 

@@ -11,8 +11,8 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.shapes.zero_level import find_zero_level
-from tests.tool_case import TOP, Block
-from tests.triangles_case import ball
+from tests.cases.tool import TOP, Block
+from tests.cases.triangles import ball
 
 meshio = pytest.importorskip("meshio")
 h5py = pytest.importorskip("h5py")

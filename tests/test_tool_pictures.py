@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from tests.cases.tool import Block
+from tests.cases.triangles import ball
 from tests.test_triangles import Slab
-from tests.tool_case import Block
-from tests.triangles_case import ball
 
 FIRST = MPI.COMM_WORLD.rank == 0
 pyplot = pytest.importorskip("matplotlib.pyplot")

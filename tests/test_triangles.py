@@ -12,8 +12,8 @@ import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar import shapes
 from dolfinx_mortar.shapes.curved import EDGE, FACE, POINT, create_tree, find_nearest
-from tests.pressed_blocks import rejected
-from tests.triangles_case import ball, box, write_binary, write_text
+from tests.cases.pressed_blocks import rejected
+from tests.cases.triangles import ball, box, write_binary, write_text
 
 COMM = MPI.COMM_WORLD
 BALL = shapes.Sphere([0.1, 0.2, 0.3], 1.0)

@@ -12,9 +12,9 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
-from tests.pressed_blocks import COMM
-from tests.tightened_bar import tighten
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
+from tests.cases.pressed_blocks import COMM
+from tests.cases.tightened_bar import tighten
 
 pytestmark = pytest.mark.mpi
 

@@ -10,8 +10,8 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
+from tests.cases.meshes import two_blocks
 from tests.choice import crosswise, quick
-from tests.meshes import two_blocks
 
 E, NU = 1000.0, 0.3
 MARGIN = 0.15  # of the observed orders

@@ -9,8 +9,8 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
+from tests.cases.meshes_3d import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_boxes
 from tests.choice import quick
-from tests.meshes_3d import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_boxes
 
 COMM = MPI.COMM_WORLD
 E, NU = 1000.0, 0.3

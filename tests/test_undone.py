@@ -17,9 +17,10 @@ from dolfinx_mortar.qp.condensed import Dense
 from dolfinx_mortar.qp.operator import FreePart
 from dolfinx_mortar.report.energy_ledger import EnergyLedger
 from dolfinx_mortar.steps import step_end, walk
-from tests import friction_case, tool_case
-from tests.pressed_blocks import PressedBlocks
-from tests.user_laws import Softening
+from tests.cases import friction as friction_case
+from tests.cases import tool as tool_case
+from tests.cases.pressed_blocks import PressedBlocks
+from tests.cases.user_laws import Softening
 
 pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD

@@ -13,9 +13,9 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.solid.kinematics import plane_strain
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER, two_blocks
+from tests.cases.rings import Lame
 from tests.choice import quick
-from tests.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER, two_blocks
-from tests.rings import Lame
 
 pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD

@@ -12,8 +12,8 @@ from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing
 from dolfinx_mortar.mortar.paper import assemble_mortar
 from dolfinx_mortar.mortar.surface import create_surface
-from tests.meshes import two_blocks
-from tests.mortar_case import operators, owned_coordinates, space, vector_of
+from tests.cases.meshes import two_blocks
+from tests.cases.mortar import operators, owned_coordinates, space, vector_of
 
 COMM = MPI.COMM_WORLD
 EXACT = 1e-12

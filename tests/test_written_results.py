@@ -11,8 +11,8 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
-from tests.meshes import two_blocks
-from tests.pressed_blocks import COMM
+from tests.cases.meshes import two_blocks
+from tests.cases.pressed_blocks import COMM
 
 meshio = pytest.importorskip("meshio")
 pytest.importorskip("h5py")

@@ -101,7 +101,7 @@ def hertz_point() -> Iterator[Row]:
 def ball_on_flat() -> Iterator[Row]:
     """Force and peak."""
     from tests import test_axisymmetric_contact as t
-    from tests.rings import ball_on_flat, pressed_ball
+    from tests.cases.rings import ball_on_flat, pressed_ball
 
     problem, contact = pressed_ball(
         ball_on_flat(t.RADIUS, (20, 24)), dm.Elastic(t.E, t.NU), t.RADIUS**2, rigid=True
@@ -116,7 +116,7 @@ def ball_on_flat() -> Iterator[Row]:
 @case("Shrink fit of two rings, plane strain, 192 and 144 facets", "Lame")
 def shrink_fit() -> Iterator[Row]:
     """Pressure between the rings."""
-    from tests.close_fits import create_shrink_fit
+    from tests.cases.close_fits import create_shrink_fit
 
     found = create_shrink_fit((192, 144), False)
     dm.newton(found.problem)
@@ -127,7 +127,7 @@ def shrink_fit() -> Iterator[Row]:
 @case("Shrink fit of two tubes, axisymmetric", "Lame")
 def shrink_fit_of_tubes() -> Iterator[Row]:
     """Radial force over the whole ring."""
-    from tests.rings import shrink_fit_pressure
+    from tests.cases.rings import shrink_fit_pressure
     from tests.test_axisymmetric_contact import NU, TUBE, E, fitted_tubes
 
     problem, contact = fitted_tubes(8, "upper", overlap=1e-6)
@@ -151,7 +151,7 @@ def tied_rings() -> Iterator[Row]:
 )
 def pin() -> Iterator[Row]:
     """Peak of the pressure."""
-    from tests.close_fits import create_pin
+    from tests.cases.close_fits import create_pin
     from tests.test_smooth_contact import PEAK
 
     for swap, name in ((False, "first"), (True, "second")):

@@ -14,8 +14,8 @@ import numpy.typing as npt
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
-from tests.block_piles import ABOVE, BELOW, WEST, Blocks
-from tests.meshes_3d import two_boxes
+from tests.cases.block_piles import ABOVE, BELOW, WEST, Blocks
+from tests.cases.meshes_3d import two_boxes
 from tests.sweep.draws import Draw, draw
 
 COMM = MPI.COMM_WORLD

@@ -12,7 +12,7 @@ import numpy as np
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from tests import meshes, meshes_3d
+from tests.cases import meshes, meshes_3d
 
 COMM = MPI.COMM_WORLD
 ELASTIC = dm.Elastic(E=1000.0, nu=0.3)

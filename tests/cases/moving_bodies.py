@@ -8,7 +8,7 @@ import numpy as np
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
-from tests.meshes import BOTTOM_OF_UPPER, LOWER, TOP_OF_LOWER, UPPER, two_blocks
+from tests.cases.meshes import BOTTOM_OF_UPPER, LOWER, TOP_OF_LOWER, UPPER, two_blocks
 
 COMM = MPI.COMM_WORLD
 

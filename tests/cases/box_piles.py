@@ -6,7 +6,7 @@ import numpy as np
 
 import basix.ufl
 import dolfinx
-from tests.meshes_3d import box_cells, box_points
+from tests.cases.meshes_3d import box_cells, box_points
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float], tuple[int, int, int]]
 

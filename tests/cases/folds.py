@@ -12,7 +12,7 @@ import basix.ufl
 import dolfinx
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.meshes import _partitioner
+from tests.cases.meshes import _partitioner
 
 SKIN = 1
 RUBBER = dm.NeoHooke(1.0, 0.3)

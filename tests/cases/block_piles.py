@@ -12,7 +12,7 @@ import dolfinx
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
-from tests.meshes import _block, _partitioner, _tag
+from tests.cases.meshes import _block, _partitioner, _tag
 
 BELOW, EAST, ABOVE, WEST = 1, 2, 3, 4
 """Sides; the facet tag of a side of block k (from 1 on) is 10 k + side."""

@@ -8,7 +8,7 @@ import numpy as np
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from tests.block_piles import ABOVE, BELOW, EAST, WEST, create_blocks
+from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, create_blocks
 
 COMM = MPI.COMM_WORLD
 E = 1000.0

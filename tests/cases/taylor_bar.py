@@ -12,8 +12,8 @@ import numpy as np
 import basix.ufl
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
-from tests.meshes_3d import box_cells
-from tests.moving_bodies import component
+from tests.cases.meshes_3d import box_cells
+from tests.cases.moving_bodies import component
 
 COMM = MPI.COMM_WORLD
 LENGTH, RADIUS, SPEED = 32.4, 3.2, 227e3

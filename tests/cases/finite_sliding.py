@@ -16,7 +16,7 @@ import ufl
 from dolfinx import default_scalar_type, fem, mesh
 from dolfinx_mortar.meshing.two_bodies import distribute
 from dolfinx_mortar.mortar import common_normals
-from tests.close_fits import create_ring, nested
+from tests.cases.close_fits import create_ring, nested
 
 COMM = MPI.COMM_WORLD
 BLOCK, TOOL = 1, 2

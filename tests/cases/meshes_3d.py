@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 import basix.ufl
 import dolfinx
-from tests.meshes import LOWER, UPPER, _partitioner, _pieces, _tag
+from tests.cases.meshes import LOWER, UPPER, _partitioner, _pieces, _tag
 
 BOTTOM, TOP, TOP_OF_LOWER, BOTTOM_OF_UPPER, LEFT, RIGHT, FRONT, BACK = range(1, 9)
 
@@ -108,7 +108,7 @@ def two_boxes(
         jitter: Random shift of the nodes, in parts of the spacing; the faces stay flat.
         seed: Seed of the shift.
         transform: Map of the (n, 3) points, applied after the rotation.
-        partition: As for `tests.meshes.two_blocks`.
+        partition: As for `tests.cases.meshes.two_blocks`.
         order: Degree of the cells; `transform` bends those of degree 2.
 
     Returns:

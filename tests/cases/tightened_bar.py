@@ -5,8 +5,8 @@ import numpy as np
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.glued_bar import Bar
-from tests.meshes import BOTTOM, TOP
+from tests.cases.glued_bar import Bar
+from tests.cases.meshes import BOTTOM, TOP
 
 
 def clamped(cell="quadrilateral", **options):

@@ -8,8 +8,8 @@ import numpy as np
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
-from tests.meshes import BOTTOM_OF_UPPER, LEFT, RIGHT, TOP_OF_LOWER, UPPER, two_blocks
-from tests.meshes_3d import BACK, FRONT, two_boxes
+from tests.cases.meshes import BOTTOM_OF_UPPER, LEFT, RIGHT, TOP_OF_LOWER, UPPER, two_blocks
+from tests.cases.meshes_3d import BACK, FRONT, two_boxes
 
 COMM = MPI.COMM_WORLD
 E, NU = 1000.0, 0.3

@@ -10,7 +10,7 @@ import numpy as np
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.parallel import maximum
-from tests.meshes import (
+from tests.cases.meshes import (
     BOTTOM,
     BOTTOM_OF_UPPER,
     LEFT,

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Problems, meshes and laws that several tests take."""
