@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.triplets import BlockMatrix
+from dolfinx_mortar.algebra.csr import BlockMatrix
 from tests.cases.meshes import two_blocks
 from tests.cases.meshes_3d import two_boxes
 

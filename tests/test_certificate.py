@@ -13,9 +13,8 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import ROUND_OFF
 from dolfinx_mortar.interfaces.link import nodal_gaps
-from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.newton_method.contacts import Contacts, Scales, measure
 from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
-from dolfinx_mortar.newton_method.residuals import Scales, measure
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.report.certificate import create_certificate, operator_errors, set_results
 from tests.cases.ball import STEEL, create_problem

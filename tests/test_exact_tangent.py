@@ -11,10 +11,10 @@ import pytest
 
 import dolfinx_mortar as dm
 import dolfinx_mortar.steps.newton as newton_module
-from dolfinx_mortar.algebra import congruence, triplets
+from dolfinx_mortar.algebra import congruence, csr
 from dolfinx_mortar.interfaces.constraints import Constraints
+from dolfinx_mortar.newton_method.contacts import Residuals
 from dolfinx_mortar.newton_method.linearisation import Corrections, Linearisation
-from dolfinx_mortar.newton_method.residuals import Residuals
 from dolfinx_mortar.newton_method.subproblem import Subproblem
 from dolfinx_mortar.qp import BoundQP
 from tests.cases.finite_sliding import indentation, walk
@@ -137,7 +137,7 @@ def test_nothing_is_allocated_anew_within_a_step_nor_in_the_next(monkeypatch):
     """Patterns and the symbolic factorisations of both tangents are made once a search."""
     case = indentation(n=((24, 5), (16, 2)), radius=1.0, length=6.0, height=2.0)
     made = []
-    for kind in (triplets.Triplets, congruence.ProductOfBases, congruence.Congruence):
+    for kind in (csr.Triplets, congruence.ProductOfBases, congruence.Congruence):
         init = kind.__init__
 
         def noted(self, *args, init=init, **options):

@@ -8,7 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.algebra import congruence, triplets
+from dolfinx_mortar.algebra import congruence, csr
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.newton_method.subproblem import Subproblem
 from tests.cases import meshes_3d
@@ -141,7 +141,7 @@ def test_nothing_is_allocated_anew_in_the_next_step(monkeypatch):
     case, made = Sliding(), []
     case.step(0.0)
     assert any(i.exact_tangent for i in case.step(0.6).iterations)
-    for kind in (triplets.Triplets, congruence.ProductOfBases, congruence.Congruence):
+    for kind in (csr.Triplets, congruence.ProductOfBases, congruence.Congruence):
         monkeypatch.setattr(kind, "__init__", lambda self, *args: made.append(type(self)))
     before = case.problem.linear.counts.symbolic
     assert sum(i.exact_tangent for i in case.step(0.65).iterations) > 1

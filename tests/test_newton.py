@@ -11,13 +11,12 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.newton_method.contacts import Contacts, Scales, measure
 from dolfinx_mortar.newton_method.linearisation import (
     count_changes,
     find_balance,
     linearise,
 )
-from dolfinx_mortar.newton_method.residuals import Scales, measure
 from tests.cases.ball import create_problem
 from tests.cases.block_piles import ABOVE, BELOW, EAST, PILE, WEST, Blocks
 from tests.cases.hertz import ELASTIC, PLASTIC, create_case

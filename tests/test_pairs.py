@@ -12,7 +12,7 @@ import basix.ufl
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.audit import pairs as pairs_module
-from dolfinx_mortar.audit.roles import assess, choose_roles
+from dolfinx_mortar.audit.sides import assess, choose_roles
 from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, create_blocks
 from tests.cases.meshes_3d import rotation, two_boxes
 from tests.cases.msh_files import msh_file

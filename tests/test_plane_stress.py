@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 import dolfinx_mortar as dm
 import ufl
 from dolfinx_mortar.kernels import compile_vectors, constants
-from dolfinx_mortar.materials import plane_stress
+from dolfinx_mortar.materials import response
 from dolfinx_mortar.materials.protocol import create_law
 from dolfinx_mortar.materials.von_mises import LEAST_RATIO, flow_in_plane_stress
 from dolfinx_mortar.solid import pointwise
@@ -150,7 +150,7 @@ def test_points_that_do_not_flow_take_one_evaluation(rng, monkeypatch):
             asked.append(len(rows))
             return equation(rows, z)
 
-        return plane_stress.solve(law, counts, *arguments, **options)
+        return response.solve_normal_strain(law, counts, *arguments, **options)
 
     monkeypatch.setattr(pointwise, "solve", counted)
     flat, strain = point("other", 2), 5e-3 * in_plane(rng)
@@ -273,7 +273,7 @@ class SlackArrays(dm.materials.PointwiseLaw):
 def test_a_law_that_always_pulls_is_an_error_on_all_ranks(law):
     """No strain out of the plane leaves no stress: that is noticed, not a number."""
     solid = dm.Solid(create_displacement(create_domain("triangle")), law, kinematics="plane_stress")
-    after = f"after {plane_stress.LIMIT} iter"
+    after = f"after {response.LIMIT} iter"
     for ask in (solid.evaluate, solid.element_force_norm):
         with rejected(type(law).__name__, "no strain out of the plane was found", after):
             ask()

@@ -10,10 +10,9 @@ from dolfinx import fem
 from dolfinx_mortar import qp
 from dolfinx_mortar.arrays import EPS
 from dolfinx_mortar.interfaces import pretension as module
-from dolfinx_mortar.newton_method.contacts import go_on
+from dolfinx_mortar.newton_method.contacts import Residuals, go_on
 from dolfinx_mortar.newton_method.driven_tools import find_drives, miss
 from dolfinx_mortar.newton_method.linearisation import find_balance
-from dolfinx_mortar.newton_method.residuals import Residuals
 from tests.cases.block_piles import (
     ABOVE,
     BELOW,

@@ -1,22 +1,29 @@
 # SPDX-License-Identifier: MIT
-"""Entries of AIJ matrices in the format CSR, read and written as whole arrays by PETSc's library.
+"""Sparse matrices: entries in the format CSR, and sums of triplets on fixed patterns.
 
 petsc4py's `getValuesCSR` and `setValuesCSR` call PETSc once for each row, a hundred times slower.
+Triplets (row, column, value) and dense blocks are summed over all ranks: PETSc sorts them and plans
+the exchange of off-rank rows once (MatSetPreallocationCOO, which petsc4py 3.22 does not wrap). Sums
+do not depend on the order of messages.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Protocol
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numba
 import numpy as np
+import numpy.typing as npt
 import scipy
 
-from dolfinx_mortar.arrays import Floats, Ints
+from dolfinx_mortar.arrays import Floats, Ints, Longs
 
 # the libraries that petsc4py is linked with
 _lib = ctypes.CDLL(PETSc.__file__)
@@ -114,3 +121,244 @@ def _stored(A: PETSc.Mat, access: str, count: int) -> Iterator[Floats]:
         yield np.ctypeslib.as_array(first, shape=(count,))
     finally:
         call(f"MatSeqAIJRestoreArray{access}", matrix, ctypes.byref(first))
+
+
+class Layout(Protocol):
+    """Distribution of nodes among ranks, as dolfinx's IndexMap."""
+
+    @property
+    def size_local(self) -> int:
+        """Number of owned nodes."""
+
+    @property
+    def size_global(self) -> int:
+        """Number of all nodes."""
+
+
+class Triplets:
+    """Sums at the entries of a square matrix whose rows are divided among ranks (collective).
+
+    Args:
+        layout: distribution of rows and columns.
+        d: rows and columns for each node of the layout.
+        rows: (t,) global row of each triplet, of any rank.
+        columns: (t,) global columns.
+
+    Attributes:
+        rows: (e,) owned row of each entry of this rank, local number; ascending.
+        columns: (e,) global columns, ascending within a row.
+    """
+
+    rows: Ints
+    columns: Longs
+
+    def __init__(
+        self,
+        comm: MPI.Intracomm,
+        layout: Layout,
+        rows: npt.ArrayLike,
+        columns: npt.ArrayLike,
+        *,
+        d: int = 1,
+    ) -> None:
+        i, j = (np.array(v, dtype=PETSc.IntType).ravel() for v in (rows, columns))  # PETSc sorts
+        assert i.size == j.size
+        for indices in (i, j):  # PETSc would write past the end
+            inside = (indices >= 0) & (indices < d * layout.size_global)
+            assert inside.all()
+        self._sums = PETSc.Mat().create(comm)
+        self._sums.setSizes([(d * layout.size_local, d * layout.size_global)] * 2)
+        self._sums.setType(PETSc.Mat.Type.AIJ)
+        pointers = (ctypes.c_void_p(v.ctypes.data) for v in (i, j))
+        count = ctypes.c_ssize_t(i.size)
+        call("MatSetPreallocationCOO", ctypes.c_void_p(self._sums.handle), count, *pointers)
+        self.sum(np.zeros(i.size))
+        self._start, found, _ = csr_of(self._sums)
+        own = np.arange(d * layout.size_local, dtype=np.int32)
+        self.rows, self.columns = np.repeat(own, np.diff(self._start)), found.astype(np.int64)
+
+    def fill(self, values: npt.ArrayLike) -> PETSc.Mat:
+        """Matrix of the sums of the values (t,), the same one in every call; collective."""
+        v = np.ascontiguousarray(values, dtype=PETSc.ScalarType).ravel()
+        pointer, mode = ctypes.c_void_p(v.ctypes.data), ctypes.c_int(PETSc.InsertMode.INSERT_VALUES)
+        call("MatSetValuesCOO", ctypes.c_void_p(self._sums.handle), pointer, mode)
+        return self._sums
+
+    def zero(self) -> PETSc.Mat:
+        """Matrix of `fill` with any values, for the analysis of its pattern."""
+        return self._sums
+
+    def sum(self, values: npt.ArrayLike) -> Floats:
+        """Sums (e,) of the values (t,) of the triplets; collective."""
+        return csr_of(self.fill(values))[2]
+
+    def matrix(self, values: Floats) -> PETSc.Mat:
+        """New matrix with the values (e,) at the entries; collective."""
+        csr = self._start, self.columns.astype(PETSc.IntType), values
+        return PETSc.Mat().createAIJ(self._sums.getSizes(), csr=csr, comm=self._sums.comm)
+
+
+class BlockMatrix:
+    """Matrix of d x d blocks between nodes, on a fixed pattern (collective).
+
+    Args:
+        layout: distribution of the nodes.
+        d: rows and columns of a block.
+        rows: (p,) owned node of each block, local number.
+        columns: (p,) global nodes; repeated blocks are added.
+
+    Attributes:
+        matrix: the PETSc matrix of the last blocks; zero at first.
+    """
+
+    def __init__(
+        self,
+        comm: MPI.Intracomm,
+        layout: Layout,
+        d: int,
+        rows: npt.ArrayLike,
+        columns: npt.ArrayLike,
+    ) -> None:
+        self._filled: Floats | None = None
+        first = comm.exscan(layout.size_local) or 0
+        i = d * (np.asarray(rows, dtype=np.int64) + first)[:, None, None] + np.arange(d)[:, None]
+        j = d * np.asarray(columns, dtype=np.int64)[:, None, None] + np.arange(d)
+        self._sums = Triplets(comm, layout, *np.broadcast_arrays(i, j), d=d)
+        self.matrix = self._sums.zero()
+
+    def of(self, blocks: Floats) -> PETSc.Mat:
+        """Matrix of the blocks (p, d, d), refilled unless they are the same array; collective.
+
+        Do not change the array in place.
+        """
+        if self._filled is not blocks:
+            self.fill(blocks)
+        return self.matrix
+
+    def fill(self, blocks: Floats) -> None:
+        """Set the matrix to the blocks (p, d, d); collective."""
+        self._filled = blocks
+        self._sums.fill(blocks)
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Dense matrices (p,) between a rows and b columns of nodes, with i x h entries each."""
+
+    rows: Ints  # (p, a) nodes
+    columns: Ints  # (p, b) nodes
+    values: Floats  # (p, a, i, b, h)
+
+
+@numba.njit(cache=True)
+def _add(start, columns, rows, others, values, total):  # type: ignore[no-untyped-def]
+    """Add values (p, a, i, b, h) to a total (e, i, h) at the entries of a pattern."""
+    for p in range(rows.shape[0]):
+        for a in range(rows.shape[1]):
+            first, last = start[rows[p, a]], start[rows[p, a] + 1]
+            for b in range(others.shape[1]):
+                low, high = first, last
+                while high - low > 1:
+                    middle = (low + high) // 2
+                    if columns[middle] <= others[p, b]:
+                        low = middle
+                    else:
+                        high = middle
+                for i in range(values.shape[2]):
+                    for h in range(values.shape[4]):
+                        total[low, i, h] += values[p, a, i, b, h]
+
+
+class BlockEntries:
+    """Sums of blocks at the entries of a pattern of this rank's nodes.
+
+    Args:
+        pattern: (m, n) possible blocks.
+        block: rows and columns of each.
+        rows: (block rows * m,) global rows.
+        columns: (block columns * n,) global columns.
+
+    Attributes:
+        rows: (e,) global rows of all entries, also of other ranks.
+        columns: (e,) their global columns.
+    """
+
+    rows: Longs
+    columns: Longs
+
+    def __init__(
+        self, pattern: scipy.sparse.csr_array, block: tuple[int, int], rows: Longs, columns: Longs
+    ) -> None:
+        pattern = scipy.sparse.csr_array(pattern).sorted_indices()
+        self._start, self._nodes = pattern.indptr, pattern.indices
+        self._shape = len(self._nodes), *block
+        node = np.repeat(np.arange(pattern.shape[0]), np.diff(self._start))
+        i = block[0] * node[:, None, None] + np.arange(block[0])[:, None]
+        j = block[1] * self._nodes[:, None, None] + np.arange(block[1])
+        found = (np.broadcast_to(v, self._shape).ravel() for v in (rows[i], columns[j]))
+        self.rows, self.columns = found
+
+    def sum(self, parts: Sequence[Blocks]) -> Floats:
+        """Sums (e,) of parts within the pattern."""
+        total = np.zeros(self._shape)
+        for part in parts:
+            at = part.rows, part.columns, part.values
+            _add(self._start, self._nodes, *(np.ascontiguousarray(v) for v in at), total)
+        return total.ravel()
+
+
+class BlockSums:
+    """Matrix of the sums over all ranks of blocks at the entries of a pattern."""
+
+    def __init__(self, comm: MPI.Intracomm, layout: Layout, entries: BlockEntries) -> None:
+        """Analyse the pattern; collective."""
+        self._entries = entries
+        self._sums = Triplets(comm, layout, entries.rows, entries.columns)
+
+    def zero(self) -> PETSc.Mat:
+        """Matrix with zeros; collective."""
+        return self._sums.zero()
+
+    def fill(self, parts: Sequence[Blocks]) -> PETSc.Mat:
+        """Sum of parts within the pattern; collective."""
+        return self._sums.fill(self._entries.sum(parts))
+
+
+class SumWithProducts:
+    """A + sum_i B_i N_i over all ranks, on a fixed pattern."""
+
+    def __init__(
+        self,
+        comm: MPI.Intracomm,
+        layout: Layout,
+        A: BlockEntries,
+        *products: tuple[BlockEntries, PETSc.Mat],
+    ) -> None:
+        """Analyse the patterns of A and of each B and N; collective."""
+        self._A, rows, columns = A, [A.rows], [A.columns]
+        self._products: list[tuple[BlockSums, PETSc.Mat]] = []
+        for B, N in products:
+            sums = BlockSums(comm, layout, B)
+            product = sums.zero().matMult(N)
+            start, found, _ = csr_of(product)
+            first, last = product.getOwnershipRange()
+            rows.append(np.repeat(np.arange(first, last), np.diff(start)))
+            columns.append(found.astype(np.int64))
+            self._products.append((sums, product))
+        self._total = Triplets(comm, layout, np.concatenate(rows), np.concatenate(columns))
+
+    def zero(self) -> PETSc.Mat:
+        """Matrix of `fill` with any values, for the analysis of its pattern."""
+        return self._total.zero()
+
+    def fill(
+        self,
+        A: Sequence[Blocks],
+        *products: tuple[Sequence[Blocks], PETSc.Mat],
+    ) -> PETSc.Mat:
+        """The sum, the same matrix in every call; collective."""
+        values = [self._A.sum(A)]
+        for (sums, product), (B, N) in zip(self._products, products, strict=True):
+            sums.fill(B).matMult(N, result=product)
+            values.append(csr_of(product)[2])
+        return self._total.fill(np.concatenate(values))

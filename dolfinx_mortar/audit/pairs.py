@@ -14,12 +14,11 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh, MeshTags, meshtags
 from dolfinx_mortar import compat
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import maximum, sums_at_nodes
+from dolfinx_mortar.algebra.parallel import maximum, raised_together, sums_at_nodes
 from dolfinx_mortar.arguments import check, is_number
 from dolfinx_mortar.arrays import Ints, Longs
 from dolfinx_mortar.audit.mesh_audit import check_mesh
-from dolfinx_mortar.audit.roles import Candidates, choose_roles
+from dolfinx_mortar.audit.sides import Candidates, choose_roles
 from dolfinx_mortar.interfaces.constraints import Limit, create_law
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE

@@ -17,13 +17,13 @@ import numpy as np
 import scipy
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.csr import owned_rows
-from dolfinx_mortar.algebra.triplets import (
+from dolfinx_mortar.algebra.csr import (
     BlockEntries,
     Blocks,
     BlockSums,
     SumWithProducts,
     Triplets,
+    owned_rows,
 )
 from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import scaled_normals
@@ -35,6 +35,7 @@ from dolfinx_mortar.mortar.common_normals import carried, in_planes
 from dolfinx_mortar.mortar.curvature_correction import side_slopes
 from dolfinx_mortar.mortar.duals import find_duals
 from dolfinx_mortar.mortar.integrals import some_points
+from dolfinx_mortar.mortar.operators import WholeSide, rule_of, whole_facets
 from dolfinx_mortar.mortar.pairing import receive
 from dolfinx_mortar.mortar.surface import (
     Surface,
@@ -45,13 +46,12 @@ from dolfinx_mortar.mortar.surface import (
     normal_derivatives,
 )
 from dolfinx_mortar.mortar.tangent import Derivatives, Tractions, differentiate, differentiate_whole
-from dolfinx_mortar.mortar.whole_side import WholeSide, rule_of, whole_facets
 from dolfinx_mortar.shapes.shape import unit_vectors
 
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Layout of the unknowns of a vector space, see `algebra.triplets.Layout`."""
+    """Layout of the unknowns of a vector space, see `algebra.csr.Layout`."""
 
     size_local: int
     size_global: int

@@ -25,8 +25,8 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem, la
+from dolfinx_mortar.algebra.csr import BlockMatrix
 from dolfinx_mortar.algebra.parallel import sums_at_nodes
-from dolfinx_mortar.algebra.triplets import BlockMatrix
 from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.constraints import check_shapes

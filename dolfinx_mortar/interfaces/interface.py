@@ -15,7 +15,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.algebra.errors import is_defined_here, named, raised_together
+from dolfinx_mortar.algebra.parallel import is_defined_here, named, raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import (
     Constraints,

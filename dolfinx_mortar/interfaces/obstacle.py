@@ -17,8 +17,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import any_rank, maximum, raised_together
 from dolfinx_mortar.arguments import check_optional
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
 from dolfinx_mortar.interfaces.constraints import Force, Limit, create_law
@@ -44,16 +43,12 @@ from dolfinx_mortar.interfaces.tool import (
 )
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_side
 from dolfinx_mortar.mortar.duals import Coverage
+from dolfinx_mortar.mortar.operators import create_whole_side, integrate_side, means
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import (
     accumulate,
     coordinates,
     mean_facet_length,
-)
-from dolfinx_mortar.mortar.whole_side import (
-    create_whole_side,
-    integrate_side,
-    means,
 )
 from dolfinx_mortar.shapes import Distance, Shape
 

@@ -26,8 +26,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.triplets import Triplets
+from dolfinx_mortar.algebra.csr import Triplets
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats
 from dolfinx_mortar.interfaces.coupling import CoupledSides, node_motions
 from dolfinx_mortar.interfaces.tool import Pose, Tool, spun, turn_between

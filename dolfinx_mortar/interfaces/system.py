@@ -15,8 +15,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.errors import is_ours
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import any_rank, is_ours, maximum
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.claims import Claims, are_outdated, notes_on_splits, resolve_claims

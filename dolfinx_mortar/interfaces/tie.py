@@ -11,7 +11,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import array, check, check_optional, number
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import FORCE, Force, present_force

@@ -13,7 +13,7 @@ import scipy
 import basix.ufl
 import ufl
 from dolfinx import default_real_type, fem
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import array, check, check_optional
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.geometry.facets import facet_normals
@@ -21,9 +21,9 @@ from dolfinx_mortar.geometry.segments import FACING, Segments
 from dolfinx_mortar.interfaces.constraints import FORCE, Force, present_force
 from dolfinx_mortar.interfaces.coupling import Pattern
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, side_heights
+from dolfinx_mortar.mortar.operators import WholeSide
 from dolfinx_mortar.mortar.passing import SeenByTool
 from dolfinx_mortar.mortar.surface import coordinates, facets_at
-from dolfinx_mortar.mortar.whole_side import WholeSide
 from dolfinx_mortar.shapes import Distance, Shape
 from dolfinx_mortar.shapes.shape import check_finite, check_returned, unit_vectors
 from dolfinx_mortar.shapes.zero_level import find_zero_level

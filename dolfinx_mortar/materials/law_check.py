@@ -13,12 +13,12 @@ from dolfinx_mortar import arguments
 from dolfinx_mortar.arrays import EPS, Floats, Ints
 from dolfinx_mortar.kernels import compile_vectors, constants
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
-from dolfinx_mortar.materials.plane_stress import solve
 from dolfinx_mortar.materials.protocol import PLASTIC, Law, create_law, grouped, named_parameters
 from dolfinx_mortar.materials.response import (
     PointValues,
     elastic_response,
     respond,
+    solve_normal_strain,
     values_at_points,
 )
 from dolfinx_mortar.materials.tensor import INDEX, mean_of_shears
@@ -288,7 +288,7 @@ def _of_ufl(law: Law, given: Mapping[str, float]) -> Callable[[Floats, State], P
         if equation is not None and response.normal_strain is not None:
             numbers[18] = equation(numbers)[0]
         elif equation is not None:
-            numbers[18] = solve(law.name, at, (1, 1))[0, 0]
+            numbers[18] = solve_normal_strain(law.name, at, (1, 1))[0, 0]
         stress, (energy,), *new = (kernel(numbers) for kernel in kernels)
         columns = []
         for unit in np.eye(9):

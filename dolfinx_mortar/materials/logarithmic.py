@@ -32,9 +32,14 @@ import ufl
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.kernels import Kernel, compile_kernel, constants, tabulate
 from dolfinx_mortar.materials import logarithms
-from dolfinx_mortar.materials.plane_stress import solve
 from dolfinx_mortar.materials.protocol import PLASTIC, Law, grouped, ungrouped
-from dolfinx_mortar.materials.response import PointValues, Response, respond, values_at_points
+from dolfinx_mortar.materials.response import (
+    PointValues,
+    Response,
+    respond,
+    solve_normal_strain,
+    values_at_points,
+)
 from dolfinx_mortar.materials.tensor import (
     GRADIENT,
     INDEX,
@@ -159,7 +164,7 @@ class LogarithmicLaw:
             stiffest, norm = np.abs(A).max(axis=1, initial=0.0), np.linalg.norm(P, axis=1)
             return np.stack([P[:, c], A[:, last], stiffest, norm], axis=1)[:, None]
 
-        H[:, 2, 2] = solve(self.law.name, equation, (len(H), 1), finite=True)[:, 0]
+        H[:, 2, 2] = solve_normal_strain(self.law.name, equation, (len(H), 1), finite=True)[:, 0]
 
     def condense(self, P: Floats, A: Floats) -> None:
         """Convert stress and tangent of `respond` to plane stress, in place."""

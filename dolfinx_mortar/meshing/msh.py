@@ -15,7 +15,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_mortar import compat
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import check, instance
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Longs
 from dolfinx_mortar.disk import check_path

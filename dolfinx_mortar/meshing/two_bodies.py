@@ -19,7 +19,7 @@ import basix.ufl
 import ufl
 from dolfinx import mesh as dmesh
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import POSITIVE, array, check, number, one_of
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.tags import Tags

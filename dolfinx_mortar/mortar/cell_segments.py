@@ -15,7 +15,7 @@ import numpy as np
 
 import dolfinx
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facets import surface_gradients
 from dolfinx_mortar.mortar.integrals import find_segments

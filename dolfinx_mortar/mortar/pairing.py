@@ -18,8 +18,8 @@ import numpy as np
 
 import dolfinx
 from dolfinx.common import timed
+from dolfinx_mortar.algebra.csr import Triplets
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.algebra.triplets import Triplets
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facets import Facets, facet_normals
 from dolfinx_mortar.geometry.segments import (

@@ -15,8 +15,7 @@ import numpy.typing as npt
 import basix
 import dolfinx
 from dolfinx_mortar import compat
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
 from dolfinx_mortar.geometry.facets import (

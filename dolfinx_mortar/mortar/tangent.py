@@ -16,7 +16,7 @@ import numpy as np
 
 import dolfinx
 from dolfinx.common import timed
-from dolfinx_mortar.algebra.triplets import Blocks
+from dolfinx_mortar.algebra.csr import Blocks
 from dolfinx_mortar.arrays import CHUNK, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry import area, line
 from dolfinx_mortar.geometry.curvature import common_sagittas, first_order, height_table, node_pairs

@@ -40,7 +40,7 @@ from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.tool import Driven
-from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.newton_method.contacts import Contacts, Residuals
 from dolfinx_mortar.newton_method.failures import StepFailed
 from dolfinx_mortar.newton_method.linearisation import (
     Balance,
@@ -48,7 +48,6 @@ from dolfinx_mortar.newton_method.linearisation import (
     to_displacement,
     to_reduced,
 )
-from dolfinx_mortar.newton_method.residuals import Residuals
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution, Scalars, moved
 

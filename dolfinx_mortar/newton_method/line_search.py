@@ -18,10 +18,10 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import EPS, QUARTER_OF_DIGITS, Floats
+from dolfinx_mortar.newton_method.contacts import gap_round_off, round_off
 from dolfinx_mortar.newton_method.driven_tools import Settled
 from dolfinx_mortar.newton_method.failures import StepFailed
 from dolfinx_mortar.newton_method.linearisation import Linearisation, to_displacement
-from dolfinx_mortar.newton_method.residuals import gap_round_off, round_off
 from dolfinx_mortar.newton_method.subproblem import Iterate, Solution
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution

@@ -21,7 +21,14 @@ from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Floats
 from dolfinx_mortar.interfaces.constraints import equalities, join
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.newton_method import driven_tools
-from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.newton_method.contacts import (
+    DIGIT,
+    Contacts,
+    Residuals,
+    Scales,
+    next_tolerance,
+    tightest,
+)
 from dolfinx_mortar.newton_method.linearisation import (
     Balance,
     Corrections,
@@ -31,13 +38,6 @@ from dolfinx_mortar.newton_method.linearisation import (
     support_slots,
     to_displacement,
     to_reduced,
-)
-from dolfinx_mortar.newton_method.residuals import (
-    DIGIT,
-    Residuals,
-    Scales,
-    next_tolerance,
-    tightest,
 )
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.problem.step_data import StepData

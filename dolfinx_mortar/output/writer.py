@@ -20,7 +20,7 @@ import numpy as np
 
 from dolfinx import fem, plot
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import FLAG, NUMBER, check
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.disk import check_path

@@ -17,7 +17,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import default_scalar_type
-from dolfinx_mortar.algebra.errors import raise_together, raised_together
+from dolfinx_mortar.algebra.parallel import raise_together, raised_together
 from dolfinx_mortar.arguments import check, instance
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.disk import (

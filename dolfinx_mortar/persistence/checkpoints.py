@@ -19,8 +19,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar import compat
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import any_rank, maximum, raised_together
 from dolfinx_mortar.arguments import as_numbers
 from dolfinx_mortar.arrays import SAME, Floats
 from dolfinx_mortar.disk import check_path

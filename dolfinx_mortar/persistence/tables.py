@@ -34,7 +34,7 @@ import numpy as np
 import scipy
 
 from dolfinx import fem, la, mesh
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arrays import SAME, Floats, Longs
 from dolfinx_mortar.disk import (
     CHECKPOINT,

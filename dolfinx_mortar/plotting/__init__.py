@@ -27,7 +27,7 @@ from dolfinx import fem, plot
 from dolfinx import mesh as dmesh
 from dolfinx_mortar import compat
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import check, check_optional, instance, one_of
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import FACETS_OF

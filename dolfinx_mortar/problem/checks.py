@@ -13,8 +13,7 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar import qp as backends
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.arguments import (
     NUMBER,
     check,

@@ -22,8 +22,13 @@ from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks, find_constants
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.algebra.csr import owned_rows
-from dolfinx_mortar.algebra.errors import from_callbacks, raise_together, raised_together
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import (
+    any_rank,
+    from_callbacks,
+    maximum,
+    raise_together,
+    raised_together,
+)
 from dolfinx_mortar.arrays import ROUND_OFF, TINY, Bools, Floats
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_free_motions
 from dolfinx_mortar.audit.mesh_audit import check_mesh

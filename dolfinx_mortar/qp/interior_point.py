@@ -10,7 +10,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.errors import from_callbacks
+from dolfinx_mortar.algebra.parallel import from_callbacks
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, QUARTER_OF_DIGITS
 from dolfinx_mortar.qp import active_set
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, on_bounded, reaction

@@ -13,9 +13,8 @@ from dolfinx_mortar.geometry.facets import unit
 from dolfinx_mortar.interfaces.constraints import SlipLimits
 from dolfinx_mortar.interfaces.coupling import along_and_across, relative_motions
 from dolfinx_mortar.interfaces.link import Link, nodal_gaps, set_results_of, set_sliding
-from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.newton_method.contacts import Contacts, Residuals
 from dolfinx_mortar.newton_method.linearisation import Balance, growth
-from dolfinx_mortar.newton_method.residuals import Residuals
 from dolfinx_mortar.persistence.committed import Slips
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import Sliders

@@ -16,9 +16,8 @@ from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Floats
 from dolfinx_mortar.interfaces.coupling import slipped
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.surface import coordinates, nodal_normals
-from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.newton_method.contacts import Contacts, gap_round_off
 from dolfinx_mortar.newton_method.linearisation import Balance
-from dolfinx_mortar.newton_method.residuals import gap_round_off
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.penetration import Overlap, notes_on_crossings, notes_on_overlaps
 from dolfinx_mortar.report.resolution import note_on_facets, notes_on_resolution

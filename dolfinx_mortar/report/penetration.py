@@ -33,11 +33,11 @@ from dolfinx_mortar.geometry.parts import parts_of
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
 from dolfinx_mortar.mortar.facing_bodies import boxes_of
+from dolfinx_mortar.mortar.operators import whole_facets
 from dolfinx_mortar.mortar.pairing import received_facets
 from dolfinx_mortar.mortar.passing import depth_of_point
 from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, nodal_sagittas
-from dolfinx_mortar.mortar.whole_side import whole_facets
-from dolfinx_mortar.newton_method.residuals import DIGIT
+from dolfinx_mortar.newton_method.contacts import DIGIT
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.step_report import Note
 

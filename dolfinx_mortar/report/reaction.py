@@ -16,7 +16,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import array, check
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.compat import on_same_mesh

@@ -26,7 +26,7 @@ from dolfinx_mortar.mortar.curvature_correction import (
     point_heights,
 )
 from dolfinx_mortar.mortar.duals import weighted_duals
-from dolfinx_mortar.mortar.operators import mean_values
+from dolfinx_mortar.mortar.operators import mean_values, whole_facets
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
     accumulate,
@@ -35,7 +35,6 @@ from dolfinx_mortar.mortar.surface import (
     mean_facet_length,
     sum_at_nodes,
 )
-from dolfinx_mortar.mortar.whole_side import whole_facets
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.step_report import Note
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import check, instance
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.problem.checks import check_problem

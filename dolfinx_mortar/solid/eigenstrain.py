@@ -11,8 +11,7 @@ import numpy as np
 
 import ufl
 from dolfinx import fem, mesh
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arguments import array, check
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Ints
 from dolfinx_mortar.materials.tensor import COMPONENTS, from_components, to_components

@@ -16,7 +16,7 @@ import numpy as np
 
 import ufl
 from dolfinx import fem, mesh
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import check
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.materials import Material

@@ -13,14 +13,17 @@ import numpy as np
 import ufl
 from dolfinx import fem, jit
 from dolfinx_mortar import compat
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.kernels import ANYWHERE, Kernel, kernel_of
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw, Start
-from dolfinx_mortar.materials.plane_stress import solve
 from dolfinx_mortar.materials.protocol import Law, ungrouped
-from dolfinx_mortar.materials.response import Response, respond, values_at_points
+from dolfinx_mortar.materials.response import (
+    Response,
+    respond,
+    solve_normal_strain,
+    values_at_points,
+)
 from dolfinx_mortar.materials.tensor import COMPONENTS, GRADIENT, INDEX, stored, tensor_of
 from dolfinx_mortar.solid.laws import Region
 from dolfinx_mortar.solid.sources import create_field, middle_of, point_function
@@ -142,7 +145,9 @@ class NormalStrain(PointValuesOfRegion):
         if self._start is not None:
             start = self._evaluated(self._start, cells).reshape(dofs.shape)
         try:
-            values[dofs] = solve(law.name, equation, dofs.shape, finite=finite, start=start)
+            values[dofs] = solve_normal_strain(
+                law.name, equation, dofs.shape, finite=finite, start=start
+            )
         except ValueError:
             values[:] = before
             raise

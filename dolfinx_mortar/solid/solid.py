@@ -19,12 +19,11 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx.mesh import CellType, Mesh, MeshTags
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.arguments import FLAG, check, instance, integer
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials import Material
-from dolfinx_mortar.materials.plane_stress import with_normal_stretch
+from dolfinx_mortar.materials.response import with_normal_stretch
 from dolfinx_mortar.solid.eigenstrain import create_eigenstrain
 from dolfinx_mortar.solid.forms import Forms, create_responses
 from dolfinx_mortar.solid.gradients import PointGradients, Volumes, as_cauchy, check_finite
@@ -36,9 +35,15 @@ from dolfinx_mortar.solid.mean_volume import (
     VolumeStep,
     create_dilatation,
 )
-from dolfinx_mortar.solid.points import DISSIPATED, STORED, Energies, EnergyDensities, PointFields
+from dolfinx_mortar.solid.points import (
+    DISSIPATED,
+    STORED,
+    Energies,
+    EnergyDensities,
+    PointFields,
+    PointState,
+)
 from dolfinx_mortar.solid.pointwise import create_point_values, normal_strain
-from dolfinx_mortar.solid.state import PointState
 from dolfinx_mortar.solid.term import Term, assemble
 from dolfinx_mortar.spaces import check_real, check_space
 

@@ -13,7 +13,7 @@ import numpy as np
 from dolfinx import fem, la
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.algebra.csr import add_blocks
-from dolfinx_mortar.algebra.errors import is_ours, named, raised_together
+from dolfinx_mortar.algebra.parallel import is_ours, named, raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 
 

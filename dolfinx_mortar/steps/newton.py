@@ -19,18 +19,23 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar import qp as backends
-from dolfinx_mortar.algebra.errors import from_callbacks
-from dolfinx_mortar.algebra.parallel import free_unused, maximum, ratio
+from dolfinx_mortar.algebra.parallel import free_unused, from_callbacks, maximum, ratio
 from dolfinx_mortar.arguments import NUMBER, check_optional
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import predict_active
 from dolfinx_mortar.newton_method import driven_tools, failures
 from dolfinx_mortar.newton_method.contacts import (
+    DIGIT,
     Contacts,
+    Residuals,
+    Scales,
     contact_forces,
     found_by,
+    gap_round_off,
     go_on,
+    largest_force,
+    measure,
 )
 from dolfinx_mortar.newton_method.line_search import take_step
 from dolfinx_mortar.newton_method.linearisation import (
@@ -39,14 +44,6 @@ from dolfinx_mortar.newton_method.linearisation import (
     count_changes,
     find_balance,
     find_extent,
-)
-from dolfinx_mortar.newton_method.residuals import (
-    DIGIT,
-    Residuals,
-    Scales,
-    gap_round_off,
-    largest_force,
-    measure,
 )
 from dolfinx_mortar.newton_method.subproblem import STABLE, Iterate, Solution, Subproblem
 from dolfinx_mortar.persistence.committed import Before, Gained

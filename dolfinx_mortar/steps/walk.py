@@ -22,8 +22,7 @@ from typing import Any, ClassVar
 
 from mpi4py import MPI
 
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arguments import FLAG, check_optional, instance
 from dolfinx_mortar.arrays import SAME
 from dolfinx_mortar.interfaces.link import nodal_gaps

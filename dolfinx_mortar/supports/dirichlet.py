@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfinx import fem, la
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import any_rank, maximum, raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 

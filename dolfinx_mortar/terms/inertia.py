@@ -29,8 +29,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.arguments import NOT_NEGATIVE, POSITIVE, array, check, instance
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.solid.laws import by_cells

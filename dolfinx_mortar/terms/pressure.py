@@ -12,8 +12,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.mesh import Mesh, MeshTags
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arguments import FLAG, Rule, check, is_number
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Bools
 from dolfinx_mortar.solid.cell_functions import CellFunctions

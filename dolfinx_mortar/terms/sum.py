@@ -14,8 +14,13 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import is_defined_here, is_ours, raised_together
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import (
+    any_rank,
+    is_defined_here,
+    is_ours,
+    maximum,
+    raised_together,
+)
 from dolfinx_mortar.arguments import array, check, instance, number
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.solid.mean_volume import VolumeStep
