@@ -30,8 +30,7 @@ from dolfinx_mortar.materials import (
     VonMises,
     VonMisesVoce,
 )
-from dolfinx_mortar.mortar.cell_segments import Segments, segments
-from dolfinx_mortar.mortar.paper import Mortar, assemble_mortar
+from dolfinx_mortar.mortar.assembly import Mortar, Segments, assemble_mortar, segments
 from dolfinx_mortar.output import Writer
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPNotSolved
@@ -45,8 +44,7 @@ from dolfinx_mortar.steps.newton import newton
 from dolfinx_mortar.steps.time_steps import time_steps
 from dolfinx_mortar.tags import Tags
 from dolfinx_mortar.terms.inertia import Damping, Inertia
-from dolfinx_mortar.terms.point_terms import PointForce, PointSpring
-from dolfinx_mortar.terms.pressure import Pressure
+from dolfinx_mortar.terms.loads import PointForce, PointSpring, Pressure
 from dolfinx_mortar.terms.weak_forms import WeakForm
 
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ import pytest
 
 import dolfinx
 import dolfinx_mortar as dm
+from dolfinx_mortar.mortar.assembly import assemble_mortar
 from dolfinx_mortar.mortar.duals import default_keep, node_weights
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.operators import create_operators
 from dolfinx_mortar.mortar.pairing import outside_margin
-from dolfinx_mortar.mortar.paper import assemble_mortar
 from dolfinx_mortar.mortar.surface import create_surface
 from tests.cases.meshes import two_blocks
 from tests.cases.mortar import (

@@ -13,10 +13,10 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.geometry.facets import facet_normals
 from dolfinx_mortar.mortar import duals
+from dolfinx_mortar.mortar.assembly import assemble_mortar
 from dolfinx_mortar.mortar.duals import default_keep, node_weights
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing
-from dolfinx_mortar.mortar.paper import assemble_mortar
 from dolfinx_mortar.mortar.surface import accumulate, create_surface, facets_at, nodal_normals
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.report import certificate

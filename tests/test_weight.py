@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import dolfinx
+from dolfinx_mortar.mortar.assembly import assemble_mortar
 from dolfinx_mortar.mortar.duals import node_weights
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing
-from dolfinx_mortar.mortar.paper import assemble_mortar
 from dolfinx_mortar.mortar.surface import create_surface
 from tests.cases.meshes import two_blocks
 from tests.cases.mortar import operators, owned_coordinates, space, vector_of

@@ -31,19 +31,17 @@ from dolfinx_mortar.geometry.moments import (
     sums,
     turns,
 )
-from dolfinx_mortar.geometry.parts import (
+from dolfinx_mortar.geometry.plane import (
+    VERTICES,
     count,
+    create_planes,
     first_order,
+    height_at,
+    inverse,
     on_facets,
     on_reference,
     pairs_of_parts,
     parts_of,
-)
-from dolfinx_mortar.geometry.plane import (
-    VERTICES,
-    create_planes,
-    height_at,
-    inverse,
     project,
     slopes,
 )

@@ -24,7 +24,7 @@ from dolfinx_mortar.geometry.facets import (
     facet_sizes,
     tributary_weights,
 )
-from dolfinx_mortar.geometry.parts import count, parts_of
+from dolfinx_mortar.geometry.plane import count, parts_of
 from dolfinx_mortar.geometry.tolerances import KERNEL
 
 FACING = 0.2

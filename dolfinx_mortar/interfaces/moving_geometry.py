@@ -30,8 +30,7 @@ from dolfinx_mortar.algebra.congruence import (
 )
 from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
-from dolfinx_mortar.interfaces.basis import Transformation
-from dolfinx_mortar.interfaces.claims import Claims
+from dolfinx_mortar.interfaces.basis import Claims, Transformation
 from dolfinx_mortar.interfaces.contact_tangent import SlipRows
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.slip_partners import Partners

@@ -17,8 +17,13 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, is_ours, maximum
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.interfaces.basis import Transformation
-from dolfinx_mortar.interfaces.claims import Claims, are_outdated, notes_on_splits, resolve_claims
+from dolfinx_mortar.interfaces.basis import (
+    Claims,
+    Transformation,
+    are_outdated,
+    notes_on_splits,
+    resolve_claims,
+)
 from dolfinx_mortar.interfaces.constraints import (
     Constraints,
     SlipLimits,

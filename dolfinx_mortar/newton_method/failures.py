@@ -21,7 +21,7 @@ from dolfinx_mortar.mortar.surface import cells_of
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.step_report import NewtonNotConverged, Note, StepReport
 from dolfinx_mortar.supports.bodies import name_of
-from dolfinx_mortar.terms.pressure import Pressure
+from dolfinx_mortar.terms.loads import Pressure
 
 # Softness u.K u / u.K_e u at a limit load: up to 3e-5 (von Mises) or 6e-3 (Drucker-Prager) in
 # failed steps without hardening; with modulus H about H / E, .05 and more for metals.

@@ -28,8 +28,8 @@ from dolfinx_mortar.geometry.flat import (
     near_pairs,
 )
 from dolfinx_mortar.geometry.flat import find_overlaps as overlaps_of_facets
-from dolfinx_mortar.geometry.parts import count as parts
-from dolfinx_mortar.geometry.parts import parts_of
+from dolfinx_mortar.geometry.plane import count as parts
+from dolfinx_mortar.geometry.plane import parts_of
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
 from dolfinx_mortar.mortar.facing_bodies import boxes_of

@@ -26,7 +26,7 @@ from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.solid.mean_volume import VolumeStep
 from dolfinx_mortar.solid.solid import Solid, add_first_forces, add_first_tangent
 from dolfinx_mortar.solid.term import Term, ask_term
-from dolfinx_mortar.terms.point_terms import PointTerm
+from dolfinx_mortar.terms.loads import PointTerm
 from dolfinx_mortar.terms.weak_forms import DeadLoads
 
 R = TypeVar("R")
