@@ -19,7 +19,7 @@ import dolfinx_mortar
 
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
-    "files": 158,
+    "files": 159,
     "tokens of code": 319_860,
     "words of prose": 73_568,
     "words of strings": 13_501,
