@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Sparse matrices: entries in the format CSR, and sums of triplets on fixed patterns.
+"""Entries in the format CSR, and sums of triplets and dense blocks over all ranks.
 
-petsc4py's `getValuesCSR` and `setValuesCSR` call PETSc once for each row, a hundred times slower.
-Triplets (row, column, value) and dense blocks are summed over all ranks: PETSc sorts them and plans
-the exchange of off-rank rows once (MatSetPreallocationCOO, which petsc4py 3.22 does not wrap). Sums
-do not depend on the order of messages.
+petsc4py's `getValuesCSR` and `setValuesCSR` call PETSc for each row, a hundred times slower.
+Triplets use MatSetPreallocationCOO, which petsc4py 3.22 does not wrap; sums do not depend on the
+order of messages.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ def call(name: str, *arguments: object) -> None:
 
 
 def csr_of(A: PETSc.Mat) -> tuple[Ints, Ints, Floats]:
-    """Copies of the entries of owned rows: their starts, global columns, and values."""
+    """Copies of the entries of owned rows: first entry of each row, global columns, values."""
     if A.getType() != "seqaij":
         return A.getValuesCSR()
     start, columns = A.getRowIJ()
@@ -51,19 +50,15 @@ def csr_of(A: PETSc.Mat) -> tuple[Ints, Ints, Floats]:
 
 
 def owned_rows(A: PETSc.Mat) -> scipy.sparse.csr_array:
-    """Copy of the owned rows, with global columns."""
+    """Owned rows with global columns, copied."""
     start, columns, values = csr_of(A)
     return scipy.sparse.csr_array((values, columns, start), shape=(len(start) - 1, A.getSize()[1]))
 
 
 def set_csr(A: PETSc.Mat, start: Ints, columns: Ints, values: Floats) -> None:
-    """Set all values (e,) of owned rows, within the pattern of the matrix; collective.
+    """Set all values (e,) of owned rows of an assembled matrix, on its pattern; collective.
 
-    Args:
-        A: assembled.
-        start: (rows + 1,) first entry of each row.
-        columns: (e,) global columns of all entries, ascending in each row.
-        values: (e,)
+    Columns (e,) are global and ascend in each row; start is (rows + 1,).
     """
     if A.getType() != "seqaij":
         A.setValuesCSR(start, columns, values)
@@ -74,13 +69,9 @@ def set_csr(A: PETSc.Mat, start: Ints, columns: Ints, values: Floats) -> None:
 
 
 def add_blocks(A: PETSc.Mat, start: Ints, columns: Ints, blocks: Floats) -> None:
-    """Add blocks (e, d, c) to a matrix on one rank; PETSc would search for each entry's place.
+    """Add blocks (e, d, c) to an assembled matrix on one rank.
 
-    Args:
-        A: assembled.
-        start: (rows of blocks + 1,) first block of each row.
-        columns: (e,) columns of blocks, ascending in each row.
-        blocks: their entries.
+    Columns (e,) of blocks ascend in each row; start is (block rows + 1,).
 
     Raises:
         ValueError: if the pattern of A lacks an entry; A is then partly filled.
@@ -93,7 +84,7 @@ def add_blocks(A: PETSc.Mat, start: Ints, columns: Ints, blocks: Floats) -> None
 
 @numba.njit(cache=True)
 def _add_blocks(rows, places, values, start, columns, blocks):  # type: ignore[no-untyped-def]
-    """Add to the values of a matrix with ascending columns; whether all had a place."""
+    """Whether the pattern, with ascending columns, had all entries."""
     d, c = blocks.shape[1:]
     for r in range(len(start) - 1):
         for i in range(d):
@@ -111,7 +102,7 @@ def _add_blocks(rows, places, values, start, columns, blocks):  # type: ignore[n
 
 @contextmanager
 def _stored(A: PETSc.Mat, access: str, count: int) -> Iterator[Floats]:
-    """Lend the values of a matrix on one rank, for "Read", "Write", or "" for both."""
+    """Values of a matrix on one rank; access is "Read", "Write", or "" for both."""
     if not count:
         yield np.zeros(0)
         return
@@ -124,7 +115,7 @@ def _stored(A: PETSc.Mat, access: str, count: int) -> Iterator[Floats]:
 
 
 class Layout(Protocol):
-    """Distribution of nodes among ranks, as dolfinx's IndexMap."""
+    """Distribution of nodes over ranks, as dolfinx's IndexMap."""
 
     @property
     def size_local(self) -> int:
@@ -136,16 +127,16 @@ class Layout(Protocol):
 
 
 class Triplets:
-    """Sums at the entries of a square matrix whose rows are divided among ranks (collective).
+    """Sums of triplets at the entries of a square matrix; collective.
 
     Args:
         layout: distribution of rows and columns.
-        d: rows and columns for each node of the layout.
+        d: rows and columns per node of the layout.
         rows: (t,) global row of each triplet, of any rank.
         columns: (t,) global columns.
 
     Attributes:
-        rows: (e,) owned row of each entry of this rank, local number; ascending.
+        rows: (e,) owned local row of each entry; ascending.
         columns: (e,) global columns, ascending within a row.
     """
 
@@ -178,37 +169,37 @@ class Triplets:
         self.rows, self.columns = np.repeat(own, np.diff(self._start)), found.astype(np.int64)
 
     def fill(self, values: npt.ArrayLike) -> PETSc.Mat:
-        """Matrix of the sums of the values (t,), the same one in every call; collective."""
+        """Matrix of the sums of the values (t,), the same object in every call; collective."""
         v = np.ascontiguousarray(values, dtype=PETSc.ScalarType).ravel()
         pointer, mode = ctypes.c_void_p(v.ctypes.data), ctypes.c_int(PETSc.InsertMode.INSERT_VALUES)
         call("MatSetValuesCOO", ctypes.c_void_p(self._sums.handle), pointer, mode)
         return self._sums
 
     def zero(self) -> PETSc.Mat:
-        """Matrix of `fill` with any values, for the analysis of its pattern."""
+        """Matrix for the analysis of the pattern; its values are arbitrary."""
         return self._sums
 
     def sum(self, values: npt.ArrayLike) -> Floats:
-        """Sums (e,) of the values (t,) of the triplets; collective."""
+        """Sums (e,) of the values (t,); collective."""
         return csr_of(self.fill(values))[2]
 
     def matrix(self, values: Floats) -> PETSc.Mat:
-        """New matrix with the values (e,) at the entries; collective."""
+        """New matrix with the values (e,); collective."""
         csr = self._start, self.columns.astype(PETSc.IntType), values
         return PETSc.Mat().createAIJ(self._sums.getSizes(), csr=csr, comm=self._sums.comm)
 
 
 class BlockMatrix:
-    """Matrix of d x d blocks between nodes, on a fixed pattern (collective).
+    """Matrix of d x d blocks on a fixed pattern; collective.
 
     Args:
         layout: distribution of the nodes.
-        d: rows and columns of a block.
-        rows: (p,) owned node of each block, local number.
+        d: size of a block.
+        rows: (p,) owned local node of each block.
         columns: (p,) global nodes; repeated blocks are added.
 
     Attributes:
-        matrix: the PETSc matrix of the last blocks; zero at first.
+        matrix: of the last blocks; zero at first.
     """
 
     def __init__(
@@ -227,7 +218,7 @@ class BlockMatrix:
         self.matrix = self._sums.zero()
 
     def of(self, blocks: Floats) -> PETSc.Mat:
-        """Matrix of the blocks (p, d, d), refilled unless they are the same array; collective.
+        """Matrix of the blocks (p, d, d), refilled if they are another array; collective.
 
         Do not change the array in place.
         """
@@ -243,7 +234,7 @@ class BlockMatrix:
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Dense matrices (p,) between a rows and b columns of nodes, with i x h entries each."""
+    """Dense matrices (p,) between a row nodes and b column nodes, with i x h entries per pair."""
 
     rows: Ints  # (p, a) nodes
     columns: Ints  # (p, b) nodes
@@ -252,7 +243,6 @@ class Blocks:
 
 @numba.njit(cache=True)
 def _add(start, columns, rows, others, values, total):  # type: ignore[no-untyped-def]
-    """Add values (p, a, i, b, h) to a total (e, i, h) at the entries of a pattern."""
     for p in range(rows.shape[0]):
         for a in range(rows.shape[1]):
             first, last = start[rows[p, a]], start[rows[p, a] + 1]
@@ -274,13 +264,13 @@ class BlockEntries:
 
     Args:
         pattern: (m, n) possible blocks.
-        block: rows and columns of each.
+        block: rows and columns of a block.
         rows: (block rows * m,) global rows.
         columns: (block columns * n,) global columns.
 
     Attributes:
-        rows: (e,) global rows of all entries, also of other ranks.
-        columns: (e,) their global columns.
+        rows: (e,) global rows, of any rank.
+        columns: (e,) global columns.
     """
 
     rows: Longs
@@ -308,7 +298,7 @@ class BlockEntries:
 
 
 class BlockSums:
-    """Matrix of the sums over all ranks of blocks at the entries of a pattern."""
+    """Matrix of the sums of blocks over all ranks, on a fixed pattern."""
 
     def __init__(self, comm: MPI.Intracomm, layout: Layout, entries: BlockEntries) -> None:
         """Analyse the pattern; collective."""
@@ -316,11 +306,11 @@ class BlockSums:
         self._sums = Triplets(comm, layout, entries.rows, entries.columns)
 
     def zero(self) -> PETSc.Mat:
-        """Matrix with zeros; collective."""
+        """Zero matrix; collective."""
         return self._sums.zero()
 
     def fill(self, parts: Sequence[Blocks]) -> PETSc.Mat:
-        """Sum of parts within the pattern; collective."""
+        """Sum of the parts; collective."""
         return self._sums.fill(self._entries.sum(parts))
 
 
@@ -334,7 +324,7 @@ class SumWithProducts:
         A: BlockEntries,
         *products: tuple[BlockEntries, PETSc.Mat],
     ) -> None:
-        """Analyse the patterns of A and of each B and N; collective."""
+        """Analyse the patterns; collective."""
         self._A, rows, columns = A, [A.rows], [A.columns]
         self._products: list[tuple[BlockSums, PETSc.Mat]] = []
         for B, N in products:
@@ -348,7 +338,7 @@ class SumWithProducts:
         self._total = Triplets(comm, layout, np.concatenate(rows), np.concatenate(columns))
 
     def zero(self) -> PETSc.Mat:
-        """Matrix of `fill` with any values, for the analysis of its pattern."""
+        """Matrix for the analysis of the pattern; its values are arbitrary."""
         return self._total.zero()
 
     def fill(
@@ -356,7 +346,7 @@ class SumWithProducts:
         A: Sequence[Blocks],
         *products: tuple[Sequence[Blocks], PETSc.Mat],
     ) -> PETSc.Mat:
-        """The sum, the same matrix in every call; collective."""
+        """The sum, the same object in every call; collective."""
         values = [self._A.sum(A)]
         for (sums, product), (B, N) in zip(self._products, products, strict=True):
             sums.fill(B).matMult(N, result=product)

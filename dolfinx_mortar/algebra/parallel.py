@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Reductions over the ranks, and errors of some ranks raised on all, so that none waits forever.
-
-Mpi4py's lower-case ``allreduce`` has no MAX of arrays.
-"""
+"""Reductions over the ranks, and errors of some ranks raised on all, so that none waits."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -57,7 +54,7 @@ def any_rank(comm: MPI.Comm, *flags: bool | np.bool_) -> Bools:
 def sums_at_nodes(comm: MPI.Comm, layout: Layout, nodes: Longs, values: Floats) -> Floats:
     """Sums (owned nodes, c) of values (e, c) at global nodes (e,) of any rank; collective.
 
-    Unlike those of Vec.setValues they do not depend on the order of messages.
+    The order of summation does not depend on that of messages.
     """
     sums = np.zeros((values.shape[1], layout.size_local))
     if comm.size == 1:  # in the same order
@@ -77,7 +74,7 @@ def sums_at_nodes(comm: MPI.Comm, layout: Layout, nodes: Longs, values: Floats) 
 
 
 def values_at(comm: PETSc.Comm, values: Floats, rows: Longs | Ints) -> Floats:
-    """Rows (r, k), by global numbers of any rank, of owned rows (n, k); collective."""
+    """Rows (r, k), by their global numbers, of owned rows (n, k); collective."""
     if comm.size == 1:
         return np.asarray(values[rows])
     k = values.shape[1]
@@ -90,10 +87,7 @@ def values_at(comm: PETSc.Comm, values: Floats, rows: Longs | Ints) -> Floats:
 
 
 def free_unused(comm: MPI.Comm) -> None:
-    """Free PETSc objects without references; collective.
-
-    On several ranks petsc4py only lists them, as ranks collect garbage at different times.
-    """
+    """Free PETSc objects without references, which petsc4py only lists on ranks; collective."""
     PETSc.garbage_cleanup(comm)
 
 
@@ -101,8 +95,8 @@ def free_unused(comm: MPI.Comm) -> None:
 def raised_together(comm: MPI.Comm) -> Iterator[None]:
     """Run a block without collective calls; an error of some ranks is raised on all; collective.
 
-    Failed ranks raise their own error; others raise an OSError, ValueError, KeyboardInterrupt,
-    SystemExit or RuntimeError with its text and rank.
+    Other ranks raise an OSError, ValueError, KeyboardInterrupt, SystemExit or RuntimeError with the
+    text and rank of the first.
 
     >>> with raised_together(MPI.COMM_SELF):
     ...     raise ValueError("E is -1")
@@ -139,7 +133,7 @@ def named(name: str) -> Iterator[None]:
 
 @contextmanager
 def from_callbacks() -> Iterator[None]:
-    """Run a block, raising the errors of Python code called by PETSc unchanged, also Ctrl-C.
+    """Run a block, raising unchanged the errors of Python code called by PETSc, also Ctrl-C.
 
     PETSc leaves vectors locked after such an error: solvers have to be created anew.
     """
@@ -155,7 +149,7 @@ def from_callbacks() -> Iterator[None]:
 
 
 def is_ours(thing: object) -> bool:
-    """Whether the class of an object is of this package: it fails on all ranks or on none."""
+    """Whether an object's class is of this package: its errors occur on all ranks or none."""
     return is_defined_here(type(thing))
 
 
@@ -165,7 +159,7 @@ def is_defined_here(made: Callable[..., Any]) -> bool:
 
 
 def raise_together(comm: MPI.Comm, own: BaseException | None) -> None:
-    """Raise the error of this rank (None without one), or of another one; collective."""
+    """Raise the error of this rank, or else of another rank; collective."""
     found = comm.allgather(None if own is None else _kind_and_text(own))
     if own is not None:
         raise own
@@ -189,5 +183,4 @@ def _kind_and_text(error: BaseException) -> tuple[int, str | int]:
 
 
 def _text(error: BaseException) -> str:
-    """Message of an error with its notes."""
     return "; ".join([str(error), *getattr(error, "__notes__", [])])
