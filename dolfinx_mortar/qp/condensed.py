@@ -5,8 +5,8 @@ With the inner unknowns I eliminated,
 
     S = A_GG - A_GI A_II^-1 A_IG,    g = b_G - A_GI A_II^-1 b_I,
 
-the QP of S and g is of the same kind, and has the same loop; a state takes a dense factorisation of
-its free rows. MUMPS gives S on one rank, see `preconditioner.SchurComplement`.
+the QP of S and g is of the same kind. MUMPS gives S on one rank, see
+`preconditioner.SchurComplement`.
 """
 
 from __future__ import annotations
@@ -34,10 +34,7 @@ from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 
 
 class Dense:
-    """S (k, k) as a matrix of PETSc and a solver of its free rows, see `held.Solver`.
-
-    `diagonal` (k,) is that of A, which scales distances to forces.
-    """
+    """S (k, k) as a PETSc matrix and a `held.Solver`; `diagonal` (k,) is that of A."""
 
     exact = True
 
@@ -47,7 +44,7 @@ class Dense:
         self.matrix = PETSc.Mat().createPython(S.shape, ContextOf(self), PETSc.COMM_SELF)
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with x."""
+        """Set y = S x."""
         y.array[:] = self.S @ x.array_r
 
     def getDiagonal(self, mat: PETSc.Mat, y: PETSc.Vec) -> None:
@@ -121,10 +118,10 @@ def _slipping(S: Floats, sliding: Sliding) -> Floats:
 
 
 class Condensed:
-    """A QP on one rank, condensed to its unknowns with bounds or friction by MUMPS's S.
+    """A QP on one rank, condensed by MUMPS to its unknowns with bounds or friction.
 
-    The linear solver factorises A_II. Unknowns of G without bounds or friction are eliminated from
-    S. With bounds and friction held, an indefinite A is a LinAlgError.
+    Unknowns of G without bounds or friction are eliminated from S. If A is indefinite with bounds
+    and friction held, a LinAlgError is raised.
 
     Args:
         whole: the QP.
@@ -157,7 +154,7 @@ class Condensed:
         self.dense = Dense(inner, whole.stiffness[whole.held])
 
     def about(self, x: Floats | None = None) -> BoundQP:
-        """Condensed QP of the residual of a solution x (n,)."""
+        """Condensed QP of the residual at x (n,)."""
         whole, held = self._whole, self._whole.held
         self._x = self._with_inner(self._x if x is None else x)
         left = self._left(self._x)[self._G]
@@ -174,7 +171,7 @@ class Condensed:
         return replace(whole, A=self.dense.matrix, product=None, near=None, **parts)
 
     def expand(self, own: Floats) -> Floats:
-        """Return x (n,) for that of the condensed QP (k,)."""
+        """Return x (n,) for the solution (k,) of the condensed QP."""
         held, x = self._whole.held, self._x.copy()
         right = self._w - self._Q @ (own - x[held])
         x[self._G[self._rest]] += scipy.linalg.solve_triangular(
@@ -190,7 +187,7 @@ class Condensed:
         return np.asarray(reaction(self._whole, at).array_r)
 
     def _with_inner(self, x: Floats) -> Floats:
-        """Return x (n,) with the solution x_I for its x_G."""
+        """Return x (n,) with x_I solved for its x_G."""
         left, found = self._whole.b.duplicate(), self._whole.b.duplicate()
         left.array[:] = self._left(x)
         left.array[self._G] = 0.0

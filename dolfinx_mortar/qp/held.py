@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The active-set method: solve with a set, update it, until it is unchanged.
 
-With friction, tangential unknowns of sticking nodes are fixed, too, and at slipping nodes the
-reaction of the law replaces 0. Each set is a linear system, solved as accurately as needed.
+With friction the set has the states of nodes, too: tangential unknowns of sticking nodes are fixed,
+slipping nodes have the law's reaction.
 """
 
 from __future__ import annotations
@@ -30,10 +30,8 @@ from dolfinx_mortar.qp.bound_qp import (
     reaction,
 )
 
-# Levels of accuracy: first sets by loose solves, the last one by a tight one.
 LOOSE, TIGHT = 0, 2
-# Solves are this much more accurate than the check, whose scale may decrease meanwhile: with 1/4,
-# 1/2, 1 five plane problems take 1.10, 1, .90 of the iterations; near 1 they hardly gain a digit.
+# Tolerance of solves relative to that of the check, whose scale may decrease meanwhile.
 SHARE = 0.5
 
 
@@ -72,16 +70,16 @@ class State:
 
     @staticmethod
     def holding(qp: BoundQP) -> State:
-        """State with most constraints: all at their nearest bounds, and sticking."""
+        """State with all unknowns at their nearest bounds, and all nodes sticking."""
         return State.create(qp, nearest(qp))
 
     def tobytes(self) -> bytes:
-        """Bytes, the same for equal states."""
+        """The same for equal states."""
         parts = self.active, self.directions, self.stiffness
         return b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
 
     def slips(self, law: Friction) -> Bools:
-        """Nodes (m,) that slip against friction."""
+        """Nodes (m,) that slip with friction."""
         return np.asarray(law.acts(self.active[law.normal] > 0) & self.directions.any(axis=1))
 
     def sticks(self, law: Friction) -> Bools:
@@ -90,14 +88,14 @@ class State:
         return np.asarray((acts & ~self.directions.any(axis=1))[:, None] & law.some)
 
     def held(self, qp: BoundQP) -> Ints:
-        """Fixed unknowns, by active bounds and where nodes stick, ascending."""
+        """Unknowns that are fixed by active bounds or stick, ascending."""
         found, law = qp.bounded[self.active != 0], qp.friction
         if law is not None:
             found = np.concatenate([found, law.tangential[self.sticks(law)]])
         return np.sort(found)
 
     def towards(self, new: State, active: Bools, sides: Bools) -> State:
-        """This state with that of bounds (k,) and nodes (m,) in the masks from another."""
+        """This state, with that of another at the bounds (k,) and nodes (m,) in the masks."""
         directions = np.where(sides[:, None], new.directions, self.directions)
         stiffness = np.where(sides, new.stiffness, self.stiffness)
         return State(np.where(active, new.active, self.active), directions, stiffness)
@@ -108,7 +106,7 @@ class Found:
     """Result of a solve with a given set."""
 
     predicted: Any  # the next set
-    changes: int  # unknowns on all ranks that differ, but for weakly active ones
+    changes: int  # unknowns on all ranks that differ, without weakly active ones
     satisfied: bool  # accurate enough for the last solve
 
 
@@ -126,13 +124,12 @@ def update(
 ) -> Outcome:
     """Update the set until it is unchanged (collective).
 
-    A repeated set is a cycle: the accuracy is raised, as inaccurate solves may cause it; then it
-    ends.
+    A repeated set is a cycle: then the accuracy is raised, and at the highest level the updates
+    end.
 
     Args:
         hold: solves with a set, to the accuracy of a level.
         state: this rank's part of the first set.
-        comm: communicator of the ranks that share the set.
         level: accuracy of the first solve.
     """
     seen: set[int] = set()
@@ -155,7 +152,7 @@ def update(
 
 
 def came_back(active: Any, seen: set[int], comm: MPI.Comm) -> bool:
-    """Whether this set, of all ranks, was seen before; add it (collective)."""
+    """Whether this set was seen before, on all ranks; add it (collective)."""
     part = blake2b(active.tobytes(), digest_size=7, salt=str(comm.rank).encode())
     everywhere = comm.allreduce(int.from_bytes(part.digest()), op=MPI.SUM)
     known = everywhere in seen
@@ -164,7 +161,7 @@ def came_back(active: Any, seen: set[int], comm: MPI.Comm) -> bool:
 
 
 class Solver(Protocol):
-    """Solver of linear systems with held unknowns; see `LinearSolver`."""
+    """Solver of linear systems with fixed unknowns; see `LinearSolver`."""
 
     exact: bool  # whether one solve is accurate to round-off
 
@@ -187,14 +184,12 @@ class Solver(Protocol):
 class HeldProblem:
     """The QP with a given active set, for `update`.
 
-    The relative accuracy of level l is rtol^(2^(l - 2)): the fourth root of rtol, its square root,
-    rtol, and its square where the check still fails because the increment is small relative to the
-    reactions. For loose levels it is relative to the reactions at the bounds, which decide on the
-    next set, for the tight one to all forces.
+    The relative tolerance of level l is rtol^(2^(l - 2)), and rtol^2 where the check still fails
+    because the increment is small relative to the reactions. Loose levels refer to the reactions at
+    the bounds, which decide on the next set, the tight one to all forces.
 
     Args:
-        x: (n,) in: initial guess; out: the last solution.
-        rtol: as above.
+        x: (n,) initial guess, and the last solution.
         most: largest residual of the tight level.
     """
 
@@ -217,10 +212,7 @@ class HeldProblem:
     def hold(self, state: State, level: int, worst: bool = False) -> Found:
         """Solve in a state; x and z are the solution (collective).
 
-        Args:
-            state: active set and directions of slip.
-            level: accuracy.
-            worst: update only the unknowns with the largest error.
+        With `worst`, only the unknowns with the largest error are updated.
 
         Raises:
             LinearSolveFailed: if the state leaves a body unconstrained.
@@ -293,12 +285,11 @@ class HeldProblem:
         return float(max(self.rtol ** (2.0 ** (level - TIGHT)), ROUND_OFF))
 
     def _is_accurate(self, level: int) -> bool:
-        """Whether the check is satisfied, or cannot be satisfied any better."""
+        """Whether the check is satisfied, or more accuracy is impossible."""
         finest = self.linear.exact or self._accuracy(level) <= ROUND_OFF
         return finest or check(self.qp, self.x, self.z).satisfied(self.rtol)
 
     def _tolerance(self, level: int) -> float:
-        """Largest residual at a level."""
         assert self.reactions is not None
         force = max(self.qp.b.norm(), self.reactions)
         if level >= TIGHT:

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Interior point: PETSc TAO's bqpip for the scaled QP, as the paper uses quadprog.
-
-The check of optimality stops it.
-"""
+"""Interior point: PETSc TAO's bqpip for the scaled QP, in the place of the paper's quadprog."""
 
 from dataclasses import replace
 
@@ -22,16 +19,10 @@ from dolfinx_mortar.qp.linear import LinearSolver
 def solve(qp: BoundQP, linear: LinearSolver, *, rtol: float) -> QPSolution:
     """Solve a bound-constrained QP, then once more with the active set found (collective).
 
-    TAO has absolute constants, so unknowns are scaled to a unit diagonal and a unit force. Unknowns
-    without bounds get distant ones.
-
     Args:
-        qp: the problem, symmetric and positive definite, without friction.
+        qp: symmetric and positive definite, without friction.
         linear: for the last solve; TAO's linear solver has its options.
         rtol: tolerance of the KKT check that stops the iteration.
-
-    Returns:
-        The solution of the active-set method that starts there.
     """
     scaled = _Scaled(qp, linear)
     try:
@@ -86,10 +77,9 @@ def _iterate(
 
 
 class _Scaled:
-    """The QP in y = x / (s l), s = diag(A)^(-1/2), with a length l such that y is about 1.
+    """The QP in y = x / (s l), s = diag(A)^(-1/2), with y of size 1: TAO has absolute constants.
 
-    The length is that of the solution with all bounded unknowns at the admissible value nearest to
-    0. No bound is infinite, as TAO averages the complementarity over all bounds.
+    Unknowns without bounds get distant ones, as TAO averages the complementarity over all bounds.
     """
 
     def __init__(self, qp: BoundQP, linear: LinearSolver) -> None:
@@ -125,12 +115,12 @@ class _Scaled:
         return sides
 
     def unscale(self, y: PETSc.Vec) -> PETSc.Vec:
-        """The solution x."""
+        """Return x."""
         x = y.duplicate()
         x.pointwiseMult(y, self.s)
         x.scale(self.length)
         return x
 
     def destroy(self) -> None:
-        """Free the scaled matrix, as large as A; collective."""
+        """Free the scaled matrix; collective."""
         self.A.destroy()

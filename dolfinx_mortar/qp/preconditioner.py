@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The present factorisation or multigrid set-up, its matrix, and its renewal.
+"""The present factorisation or multigrid set-up, and its renewal as soon as that is cheaper.
 
-It is renewed as soon as that is cheaper. The decisions depend on residuals, not on clocks, so that
-they are the same on all ranks.
+The decisions depend on residuals, not on clocks, so that they are the same on all ranks.
 """
 
 import ctypes
@@ -22,16 +21,14 @@ from dolfinx_mortar.qp.bound_qp import BoundQP
 from dolfinx_mortar.qp.operator import Operator, count_negative
 from dolfinx_mortar.qp.options import SolverOptions
 
-# Iterations above those of a new one that are worth a renewal. A numeric factorisation in 2D costs
-# 5 to 7 solves with it (5k to 200k unknowns), a set-up of multigrid in 3D 25 to 50 iterations (30k
-# to 181k). Levels of an elastic tangent are renewed after twice 40 more than they would have cost
-# when new, as those of a flowing body take twice their iterations; with 40 plastic steps took 1.1
-# to 1.25 times as long.
+# Iterations above those of a new one that are worth a renewal: a factorisation in 2D costs 5 to 7
+# solves, a set-up of multigrid in 3D 25 to 50 iterations; levels of a plastic tangent would need
+# twice theirs when new.
 RENEWAL_COST = {"direct": 6, "iterative": 80}
 # INFOG(1) of MUMPS: workspace too small; ICNTL(14) is the percentage above its estimate.
 WORKSPACE_ERRORS = (-8, -9)
 WORKSPACE = "mat_mumps_icntl_14"
-# INFOG(1): could not allocate, or not within its limit; and PETSc's PC_FACTOR_OUTMEMORY.
+# INFOG(1): no memory, or not within its limit; and PETSc's PC_FACTOR_OUTMEMORY.
 MEMORY_ERRORS, OUT_OF_MEMORY = (-7, -13, -18, -19, -20), 3
 
 
@@ -43,7 +40,7 @@ class LinearCounts:
     factorisations: int = 0  # numeric factorisations or preconditioner set-ups
     iterations: int = 0  # applications of the factorisation or preconditioner
     solves: int = 0
-    breakdowns: int = 0  # old set-ups with a failed iteration
+    breakdowns: int = 0  # failures of an iteration with an old set-up
     seconds_factor: float = 0.0
     seconds_solve: float = 0.0
 
@@ -62,10 +59,10 @@ class Renewal:
         self.excess = 0.0  # iterations above those of a new one
 
     def is_far(self, different: int) -> bool:
-        """Whether to renew without a try, for so many unknowns newly held or free.
+        """Whether to renew at once, for so many unknowns newly fixed or free.
 
-        Each is a change of rank one, up to one iteration with a factorisation. Multigrid follows on
-        its finest level.
+        Each is a change of rank one, up to one iteration with a factorisation; the finest level of
+        multigrid has the present matrix.
         """
         return (different if self.direct else self.excess) > self.after
 
@@ -82,17 +79,17 @@ class Renewal:
 
 @dataclass(frozen=True)
 class Change:
-    """The unknowns v of multigrid for one set of held unknowns."""
+    """The unknowns v of multigrid for one set of fixed unknowns."""
 
     E: PETSc.Mat | None  # (n, n) x = (I - E) v; None for E = 0
-    matrix: PETSc.Mat  # (n, n) of the QP in v, held unknowns decoupled; maybe of type python
+    matrix: PETSc.Mat  # (n, n) of the QP in v, fixed unknowns decoupled; maybe of type python
 
 
 class Unknowns(Protocol):
-    """Unknowns v for each set of held unknowns of the QP."""
+    """Unknowns v of multigrid for each set of fixed unknowns of the QP."""
 
     def change(self, held: Ints) -> Change:
-        """Return v for the present geometry; collective."""
+        """The unknowns v for the present geometry; collective."""
 
     def motions(self, change: Change) -> list[PETSc.Vec]:
         """Near null space in these v, zero where they are decoupled; collective."""
@@ -105,12 +102,12 @@ class OwnUnknowns:
         self.operator = CongruentOperator(A)
 
     def change(self, held: Ints) -> Change:
-        """Return v = x; collective."""
+        """Unknowns v = x; collective."""
         self.operator.follow(None, held)
         return Change(None, self.operator.matrix)
 
     def motions(self, change: Change) -> list[PETSc.Vec]:
-        """None: that of constants."""
+        """None: PETSc takes constants."""
         return []
 
 
@@ -119,10 +116,10 @@ def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
     basis: list[PETSc.Vec] = []
     for vector in vectors:
         whole = vector.norm()
-        for _ in range(2):  # twice is enough
+        for _ in range(2):
             for other in basis:
                 vector.axpy(-other.dot(vector), other)
-        if vector.norm() > HALF_OF_DIGITS * whole:  # the rest has half of its digits
+        if vector.norm() > HALF_OF_DIGITS * whole:  # so that the rest has half of its digits
             vector.normalize()
             basis.append(vector)
     return basis
@@ -131,16 +128,14 @@ def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
 class Multigrid:
     """Context of a PETSc PC of type python: M^-1 in unknowns v that may differ from x.
 
-    Unknowns at bounds drop out. At open contacts the relative motion of the sides is unsuitable:
-    coarse functions couple the two bodies (3D: 43 iterations instead of 18). So a matrix B in other
-    unknowns v may be used,
+    At open contacts the relative motion of the sides is no suitable unknown, as coarse functions
+    would couple the two bodies. So a matrix B in other unknowns v may be used,
 
-        x = (I - E) v,      M^-1 = (I - E) B^-1 (I - E)^T on unknowns that are not held now,
+        x = (I - E) v,      M^-1 = (I - E) B^-1 (I - E)^T on free unknowns,
 
-    where B belongs to an earlier set of held unknowns, geometry and tangent. With GAMG the finest
-    level uses the present matrix, and only the coarse levels are those of B: changes of the set
-    cost few iterations. With other PCs for B^-1 each changed unknown costs about one, and those
-    that are free now are preconditioned by the mean of the diagonal.
+    where B belongs to an earlier set, geometry and tangent. With GAMG the finest level uses the
+    present matrix, so that changes of the set cost few iterations; with other PCs each changed
+    unknown costs about one, and unknowns fixed in B but free now have the mean diagonal.
 
     Args:
         A: (n, n) matrix of the QP.
@@ -154,8 +149,8 @@ class Multigrid:
         self.inner.setFromOptions()
         self.B: PETSc.Mat | None = None
         self.E: PETSc.Mat | None = None
-        self.held: Ints = np.empty(0, dtype=np.int32)  # now
-        self.negative = 0  # eigenvalues of the coarsest level's matrix
+        self.held: Ints = np.empty(0, dtype=np.int32)  # in the present matrix
+        self.negative = 0  # negative eigenvalues on the coarsest level
         self._r, self._v = A.createVecRight(), A.createVecRight()
 
     @property
@@ -176,7 +171,7 @@ class Multigrid:
         Args:
             change: v, with the matrix B of the QP in them.
             motions: near null space, which is overwritten.
-            held: unknowns that B holds.
+            held: unknowns that are fixed in B.
             definite: whether B is.
         """
         self.B, self.E, self.held = change.matrix.copy(), change.E, held
@@ -193,14 +188,14 @@ class Multigrid:
         else:
             self.inner.setOperators(self.B)
         self.inner.setReusePreconditioner(False)
-        self.inner.setFailedReason(PETSc.PC.FailedReason.NOERROR)  # PETSc keeps that of a set-up
+        self.inner.setFailedReason(PETSc.PC.FailedReason.NOERROR)  # PETSc keeps an earlier one
         self.inner.setUp()
         self.negative = 0
         if self.follows:
             self._forget_factors()
             self.negative = count_negative(self._coarsest) if definite else 0
             self._release(change.matrix)
-        self.inner.setReusePreconditioner(True)  # the finest matrix changes, coarse levels stay
+        self.inner.setReusePreconditioner(True)
 
     def _forget_factors(self) -> None:
         """Free B and the data of products P^T B P; collective."""
@@ -215,7 +210,7 @@ class Multigrid:
 
     @property
     def _needs_diagonal(self) -> bool:
-        """Whether cycles read only the diagonal of B: with Jacobi smoothers and several levels."""
+        """Whether cycles read only the diagonal of B: Jacobi smoothers, several levels."""
         levels = self.inner.getMGLevels()
         smoother = self.inner.getMGSmoother(levels - 1)
         return bool(levels > 1 and smoother.getPC().getType() == PETSc.PC.Type.JACOBI)
@@ -229,13 +224,13 @@ class Multigrid:
                 user.setOperators(finest, self.B)
 
     def follow(self, change: Change, held: Ints) -> None:
-        """Set the present held unknowns and v; collective.
+        """Set the present fixed unknowns and v; collective.
 
         The matrix of the change is the object of the set-up with other values.
         """
         assert self.B is not None, "not set up"
         self.E, self.held = change.E, held
-        self.B.setDiagonal(change.matrix.getDiagonal())  # the part of B that the smoother reads
+        self.B.setDiagonal(change.matrix.getDiagonal())
 
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """Set z = M^-1 r (called by PETSc)."""
@@ -252,10 +247,10 @@ class Multigrid:
 
 
 def set_apart(qp: BoundQP, options: SolverOptions) -> Ints | None:
-    """Unknowns that a factorisation may leave for last; None for an ordinary one.
+    """Unknowns G that a factorisation may leave for last; None for an ordinary one.
 
-    Those with bounds or friction, and those of C if A is a product, ascending, on one rank, if S
-    has few entries and PETSc's library exports the function.
+    With bounds or friction, or of C if A is a product, ascending; on one rank, if S has few entries
+    and PETSc's library exports the function.
     """
     if not qp.definite or qp.scalars is not None:
         return None
@@ -286,18 +281,17 @@ def _few(A: PETSc.Mat, unknowns: Ints, options: SolverOptions) -> Ints | None:
 class SchurComplement:
     """S = A_GG - A_GI A_II^-1 A_IG, of a factorisation by MUMPS that leaves G for last.
 
-    Held unknowns in G concern S alone: one factorisation serves all active sets. If A = T^T K T
-    with T = I + C, and C in G x G, K is factorised, and T^T S T is that of A: it serves all
-    geometries, too, and A is never formed. PETSc has this on one rank only, and petsc4py 3.22 does
-    not wrap it.
+    Fixed unknowns in G concern S alone: one factorisation serves all active sets. If A = T^T K T
+    with T = I + C, and C in G x G, K is factorised, and T^T S T serves all geometries. One rank
+    only; petsc4py 3.22 does not wrap it.
 
     Args:
         unknowns: G (k,), ascending.
         product: the matrix, if K is factorised in its place.
 
     Attributes:
-        prepared: whether the PC knows of it.
-        S: (k, k), of the last factorisation; solves hold G.
+        prepared: whether the PC has been given G.
+        S: (k, k), of the last factorisation; solves fix G.
     """
 
     def __init__(self, unknowns: Ints, product: CongruentOperator | None = None) -> None:
@@ -307,7 +301,7 @@ class SchurComplement:
         self._K: PETSc.Mat | None = None
 
     def state(self, A: PETSc.Mat) -> int:
-        """Number that changes with the values of the factorised matrix; -1 if that is old."""
+        """Changes with the values of the factorised matrix; -1 if that is old."""
         if self.product is None:
             return int(A.stateGet())
         same = self._K is None or np.array_equal(self._decoupled, self._elsewhere())
@@ -328,12 +322,12 @@ class SchurComplement:
         return self._K
 
     def _elsewhere(self) -> Ints:
-        """Unknowns decoupled in K, too."""
+        """Decoupled unknowns outside of G."""
         assert self.product is not None
         return np.setdiff1d(self.product.decoupled, self.unknowns)
 
     def prepare(self, pc: PETSc.PC) -> None:
-        """Leave the unknowns for last in the first factorisation of a PC."""
+        """Leave G for last in the first factorisation of a PC."""
         if self.prepared:
             return
         self.prepared = True
@@ -343,7 +337,7 @@ class SchurComplement:
         call("MatFactorSetSchurIS", factor, ctypes.c_void_p(last.handle))
 
     def read(self, pc: PETSc.PC) -> None:
-        """Take S from a new factorisation; zeros for its inverse hold G in solves."""
+        """Take S from a new factorisation; zeros for its inverse fix G in solves."""
         factor, S = ctypes.c_void_p(pc.getFactorMatrix().handle), ctypes.c_void_p()
         first, inverted = ctypes.POINTER(ctypes.c_double)(), 2  # MAT_FACTOR_SCHUR_INVERTED
         call("MatFactorGetSchurComplement", factor, ctypes.byref(S), None)
@@ -361,13 +355,13 @@ class SchurComplement:
 
 
 class Preconditioner:
-    """M^-1 for an operator with an earlier matrix and earlier held unknowns.
+    """Factorisation or multigrid of an earlier matrix and set, as preconditioner of an operator.
 
     Args:
         ksp: its solver, whose PC is set.
         options: PETSc options of both.
-        unknowns: those of multigrid; by default those of the operator.
-        schur: of a factorisation that serves any set of its unknowns held; None for others.
+        unknowns: of multigrid; by default those of the operator.
+        schur: of a factorisation that serves any set of its unknowns fixed; None for others.
     """
 
     def __init__(
@@ -384,7 +378,7 @@ class Preconditioner:
         self.unknowns = OwnUnknowns(operator.A) if unknowns is None else unknowns
         self.held: Ints | None = None  # at its set-up
         self._state = -1  # of A at that time
-        # state of A, and held unknowns, of multigrid's finest level
+        # state of A, and fixed unknowns, on multigrid's finest level
         self._followed: tuple[int, Ints] = (-1, np.empty(0, dtype=np.int32))
         self.multigrid: Multigrid | None = None
         self.pc = ksp.getPC()
@@ -402,13 +396,13 @@ class Preconditioner:
         return f"{name} ({self.pc.getFactorSolverType()})" if self.options.direct else name
 
     def serves(self, apart: Ints | None) -> bool:
-        """Whether it serves where only these unknowns are held; None for any."""
+        """Whether it serves where only these unknowns are fixed; None for any."""
         if self.schur is None or apart is None:
             return self.schur is None and apart is None
         return np.array_equal(apart, self.schur.unknowns)
 
     def is_of(self, held: Ints) -> bool:
-        """Whether it is that of the present A with these unknowns held (collective)."""
+        """Whether it is that of the present A with these unknowns fixed (collective)."""
         same = self.held is not None and (self.schur is not None or np.array_equal(self.held, held))
         return self._state == self._present() and self.comm.allreduce(same, op=MPI.LAND)
 
@@ -417,16 +411,13 @@ class Preconditioner:
         return self.operator.state if self.schur is None else self.schur.state(self.operator.A)
 
     def differences(self, held: Ints) -> int | None:
-        """Number of held unknowns in which it differs (collective); None if it is not set up."""
+        """Number of fixed unknowns in which it differs (collective); None if it is not set up."""
         if self.held is None:
             return None
         return int(self.comm.allreduce(np.setxor1d(self.held, held).size))
 
     def clear(self) -> None:
-        """Free the factorisation or the levels, and release the matrices; collective.
-
-        PETSc keeps them in a PC with other references.
-        """
+        """Free the factorisation or the levels, also of PCs with other references; collective."""
         self.ksp.getPC().reset()
         if self.schur is not None:
             self.schur.destroy()
@@ -459,7 +450,7 @@ class Preconditioner:
         return why
 
     def follow(self, held: Ints) -> None:
-        """Set the held unknowns and the matrix of multigrid; collective."""
+        """Set the fixed unknowns and the matrix of multigrid; collective."""
         if self.multigrid is None:
             return
         if not self.multigrid.follows:
@@ -490,7 +481,7 @@ class Preconditioner:
             self.options.grown[WORKSPACE] = twice
             if self.options[WORKSPACE] != str(twice):
                 break  # the user's options database takes precedence
-            self._reset()  # a failed factor cannot be used again
+            self._reset()
             self.ksp.setOperators(self.operator.matrix, factorised)
             counts.symbolic += 1
         self.pc.setReusePreconditioner(True)
