@@ -1,11 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""What users assemble on an interface: segments with the functions of both sides; D, M and N.
+"""Segments with the functions of both sides, and the paper's D, M and N, for users.
 
-A point sum_k N_k(xi) of a facet is sum_k N_k(xi) X_k in the reference cell, X_k being the facet's
-nodes. Master cells are sent to the ranks with their facets.
-
-D, M and N (eqs. 16 to 20 of the paper) consist of the entries of the solver's `operators`, times
-the identity. The solver has the normals of `common_normals`, here only with `feature_angle`.
+D, M and N (eqs. 16 to 20) have the entries of the solver's `operators`, times the identity.
 """
 
 from __future__ import annotations
@@ -67,15 +63,13 @@ class Segments:
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """The cells behind m facets, one for each."""
-
-    number: Longs  # (m,) global
+    number: Longs
     places: Ints  # (m, k) the facet's nodes among its nodes
     x: Floats  # (m, c, d) its nodes
-    dofs: Longs  # (m, k) or (m, k, d) of V, global
+    dofs: Longs
 
     def sent(self, comm: MPI.Comm, receivers: Bools) -> _Cells:
-        """Return the cells sent to this rank, by receivers (m, ranks); collective."""
+        """The cells of master facets sent to this rank, by receivers (m, ranks); collective."""
         own = self.number, self.places, self.x, self.dofs
         parts = comm.alltoall([tuple(v[to] for v in own) for to in receivers.T])
         return _Cells(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
@@ -84,7 +78,7 @@ class _Cells:
 def _find_cells(
     V: dolfinx.fem.FunctionSpace, side: Surface, u: dolfinx.fem.Function | None, name: str
 ) -> _Cells:
-    """Return the cells behind facets at X + u; collective."""
+    """Cells behind facets at X + u; collective."""
     W, d, cells = side.V, side.X.shape[1], cells_of(side)
     nodes = W.dofmap.list[cells]
     of_facets = side.nodes[side.facets]
@@ -111,12 +105,11 @@ def _find_cells(
 
 
 def _place(x: Floats) -> str:
-    """Return the text for the centre of nodes x (k, d)."""
     return ", ".join(f"{v:.4g}" for v in x.mean(axis=0))
 
 
 def _tabulate(V: dolfinx.fem.FunctionSpace, xi: Floats) -> Floats:
-    """Return values and derivatives (1 + d, q, k) of V at xi (q, d) in a cell."""
+    """Values and derivatives (1 + d, q, k) of V at xi (q, d) in a cell."""
     one_more = np.vstack([xi, np.zeros(xi.shape[1])])  # basix 0.9 aborts without a point
     return np.asarray(V.element.basix_element.tabulate(1, one_more)[:, :-1, :, 0])
 
@@ -124,7 +117,7 @@ def _tabulate(V: dolfinx.fem.FunctionSpace, xi: Floats) -> Floats:
 def _evaluate(
     V: dolfinx.fem.FunctionSpace, side: Surface, cells: _Cells, which: Ints, on_facet: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return xi (n, d), x (n, d), values (n, k) and gradients (n, k, d) of V at points."""
+    """Points xi (n, d), x (n, d), values (n, k) and gradients (n, k, d) of V at points of facets."""
     W, N = side.V, side.element.shape_functions(on_facet)
     nodes = np.asarray(W.element.basix_element.points)[cells.places[which]]
     xi = np.einsum("nk,nki->ni", N, nodes)
@@ -145,10 +138,10 @@ def segments(
 ) -> Segments:
     """Return the points for integrals over an interface of non-matching meshes (collective).
 
-    The slave side is divided at the edges of master facets, so that functions of both sides are
-    smooth in each part: with the weights w_q and the functions N_i of the slave and N_l of the
-    master, int N_i N_l = sum_q w_q N_i N_l over the covered part. Exact for products of two
-    functions of V where flat triangles, parallelograms or parallel lines face each other.
+    The slave side is divided at the edges of master facets: with the weights w_q and the functions
+    N_i of the slave and N_l of the master, int N_i N_l = sum_q w_q N_i N_l over the covered part.
+    Exact for products of two functions of V where flat triangles, parallelograms or parallel lines
+    face each other.
 
     Args:
         V: scalar or vector Lagrange space of degree 1 or 2 on the mesh of all bodies.
@@ -158,7 +151,7 @@ def segments(
             normals, areas and gradients are at X + u; None for X.
 
     Returns:
-        The points of the slave facets of this rank, at any distance from the master; none where no
+        The points of this rank's slave facets, at any distance from the master; none where no
         master facet faces them, or only one behind a body.
 
     Raises:
@@ -223,7 +216,7 @@ class Mortar:
 
 
 def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETSc.Mat:
-    """Return owned rows of a node matrix, every entry times the d x d identity (eqs. 19, 20)."""
+    """Owned rows of a node matrix, every entry times the d x d identity (eqs. 19, 20)."""
     d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
     start, columns, values = csr_of(A)
     shape = (index_map.size_local, index_map.size_global)
@@ -236,7 +229,7 @@ def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETS
 
 
 def _create_normal_matrix(comm: MPI.Intracomm, normals: Floats) -> PETSc.Mat:
-    """Return N (d * m, m) of eq. 17, block diagonal of the normals (m of this rank, d)."""
+    """N (d * m, m) of eq. 17, block diagonal of the normals (m of this rank, d)."""
     m, d = normals.shape
     first = comm.exscan(m) or 0
     columns = (first + np.repeat(np.arange(m), d)).astype(PETSc.IntType)
@@ -257,9 +250,9 @@ def assemble_mortar(
 ) -> Mortar:
     """Assemble the paper's matrices D, M and N and the weighted gap (collective).
 
-    Frictionless contact is B_I v <= c_I (eq. 16) for the displacement v with B_I = N^T (D - M) (eq.
-    17) and c_I = -N^T (D - M) X (eq. 18); the weighted gap is c_I - B_I u. Sides are tied by (D -
-    M) v = 0, also those of a scalar field.
+    Frictionless contact is B_I v <= c_I (eq. 16) with B_I = N^T (D - M) (eq. 17) and c_I = -N^T (D
+    - M) X (eq. 18); the weighted gap is c_I - B_I u. Sides are tied by (D - M) v = 0, also those of
+    a scalar field.
 
     Args:
         V: vector or scalar Lagrange space of degree 1 or 2 on the mesh of all bodies.
@@ -269,8 +262,8 @@ def assemble_mortar(
             segments, normals and gap are at X + u.
         weight: factor of all integrals at points X of the slave side, (q, d) -> (q,), such as 2 pi
             r; None for 1.
-        feature_angle: least angle of an edge in degrees, for the normals of `Contact`; None for
-            averaged normals.
+        feature_angle: least angle of an edge in degrees, for the normals of both sides as in
+            `Contact`; None for averaged slave normals.
 
     Raises:
         ValueError: On all ranks, for tags, spaces and displacements that do not fit.

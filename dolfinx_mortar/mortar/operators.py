@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Mortar operators D and M of a pair of surfaces, and P = D^-1 M.
+"""Mortar operators over the covered part of the slave side, and P = D^-1 M.
 
-    D_jl = int Phi_j N_l^s,      M_jl = int Phi_j N_l^m      over the covered part of the slave side
+    D_jl = int Phi_j N_l^s,      M_jl = int Phi_j N_l^m
 
-(eqs. 19 and 20 of the paper). D is diagonal over the nodes with a multiplier, but for mid-side
-nodes that depend on vertices. A slave side without a master has D and mean values over the whole
-facets that face the tool, mean_j f = int Phi_j f / D_jj, of the nodes with a multiplier.
+(eqs. 19 and 20). D is diagonal over the nodes with a multiplier, except at mid-side nodes that
+depend on vertices. Below a tool there are D and means int Phi_j f / D_jj over whole facets.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,18 +39,18 @@ SmoothSides = tuple[SmoothSide, SmoothSide]
 class MortarOperators:
     """D, M and P in one configuration, for c choices of the nodes with a multiplier.
 
-    One choice per direction of the multipliers, as Dirichlet data allow. Nodes are the n owned
-    slave nodes; entries follow the patterns of the pairing.
+    One choice per direction of the multipliers, as Dirichlet data allow, at the n owned slave
+    nodes; entries follow the patterns of the pairing.
     """
 
     segments: Segments
     normals: Floats  # (n, d) outward, unit
     kept: Bools  # (n, c) nodes with a multiplier
-    D: Floats  # (e, c) entries of D; 0 in rows of other nodes
-    M: Floats  # (f, c) entries of M
+    D: Floats  # (e, c) entries; 0 in rows without multiplier
+    M: Floats  # (f, c) entries
     weight: Floats  # (n, c) D_jj, 0 where not kept
     P: Floats  # (g, c) D_jj^-1 (M - D_other), D_other off-diagonal
-    heights: Floats  # (n,) of smooth surfaces, to be subtracted from gaps
+    heights: Floats  # (n,) of smooth surfaces, subtracted from gaps
     coverage: Coverage
     motions: Floats | None = None  # (f, d, d) D_jj^-1 int Phi_j A_l, see `point_motions`
 
@@ -70,13 +69,13 @@ def create_operators(
 
     Args:
         normals: outward unit normals (n, d) of the local slave nodes.
-        allowed: (n, c) local slave nodes that may carry a multiplier.
+        allowed: (n, c) local slave nodes that may have a multiplier.
         heights_of: smooth surfaces at X for heights.
         motions_of: smooth surfaces at X for offsets in P.
     """
     comm, own = pairing.slave.V.mesh.comm, slice(None, pairing.slave.owned)
     weights = node_weights(pairing, segments)
-    # choices that keep the same nodes share one integration
+    # equal choices share one integration
     differ = any_rank(comm, *(allowed != allowed[:, :1]).any(axis=0))
     choices = [c if differ[c] else 0 for c in range(allowed.shape[1])]
     Phi: dict[int, Floats] = {}
@@ -125,15 +124,10 @@ def integrate_matrices(
     keep: Bools,
     Phi: Floats | None = None,
 ) -> tuple[Floats, Floats]:
-    """Return the entries of D (eq. 19) and M (eq. 20) on the patterns of the pairing (collective).
+    """Entries of D (e,) and M (f,) on the patterns of the pairing (collective).
 
-    Args:
-        keep: (n,) slave nodes with a multiplier, equal on all ranks.
-        Phi: of `weighted_duals`, if known.
-
-    Returns:
-        Entries (e,) of D and (f,) of M. Rows of removed nodes vanish; their columns in D do not.
-        Over the kept nodes D is exactly diagonal, but for mid-side nodes that depend on vertices.
+    `keep` (n,) is equal on all ranks, `Phi` that of `weighted_duals`. Rows without multiplier
+    vanish, their columns in D do not.
     """
     N_m = pairing.master.element.shape_functions(segments.xi_m)
     kept = keep[pairing.slave.facets]
@@ -147,7 +141,7 @@ def integrate_matrices(
 
 
 def in_D(element: FacetElement) -> Bools:
-    """Return (k, k) entries of D between kept nodes of a facet."""
+    """Entries (k, k) of D between kept nodes of a facet."""
     found = np.eye(element.nodes, dtype=bool)
     for middle, *ends in element.shares:
         found[middle, ends] = True
@@ -161,9 +155,9 @@ def integrate_motions(
     Phi: Sequence[Floats],
     motions: Callable[[slice], Floats],
 ) -> Floats:
-    """Return int Phi_j A_l (f, d, d) at the entries of M (collective).
+    """Int Phi_j A_l (f, d, d) at the entries of M (collective).
 
-    Phi (q, k) of `weighted_duals` for each row of A_l; for motions see `point_motions`.
+    Phi (q, k) of `weighted_duals` for each row of A_l, see `point_motions`.
     """
     d, k, m = len(Phi), pairing.slave.element.nodes, pairing.master.element.nodes
     blocks = np.zeros((d, len(pairing.pairs), k, m * d))
@@ -181,9 +175,9 @@ def integrate_motions(
 def mean_values(
     pairing: Integrated, segments: Segments, Phi: Floats, weight: Floats, at_points: Floats
 ) -> Floats:
-    """Return int Phi_j f / D_jj (n,) at the owned slave nodes, or 0 (collective).
+    """Int Phi_j f / D_jj (n,) at the owned slave nodes, or 0, for f (q,) (collective).
 
-    Phi of `weighted_duals`, weight D_jj (n,), f (q,).
+    Phi of `weighted_duals`, weight D_jj (n,).
     """
     total = integrate_values(pairing, segments, Phi, at_points)[: pairing.slave.owned]
     return np.asarray(total * inverse(weight))
@@ -194,13 +188,13 @@ class WholeSide:
     """A slave side and the pattern of D between its nodes."""
 
     slave: Surface
-    D: Triplets  # between nodes of V, of all facets
-    row: Ints  # (e,) owned slave node of each entry of D off its diagonal
+    D: Triplets  # of all facets
+    row: Ints  # (e,) owned slave node of each entry off the diagonal
     column: Longs  # (e,) its global node
-    off_diagonal: Ints  # (e,) its position among D's entries
-    diagonal: tuple[Ints, Ints]  # positions of D_jj among D's entries, and nodes j
+    off_diagonal: Ints  # (e,) its position in D
+    diagonal: tuple[Ints, Ints]  # positions of D_jj in D, and nodes j
     facet_length: float  # mean, at X
-    weight: Weight | None = None  # of all integrals, at X; None for 1
+    weight: Weight | None = None  # of all integrals, at X
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,14 +223,14 @@ def create_whole_side(slave: Surface, weight: Weight | None) -> WholeSide:
 
 
 def rule_of(element: FacetElement) -> tuple[Floats, Floats]:
-    """Return points (q, d-1) and weights (q,), sum 1, exact for products of functions."""
+    """Points (q, d-1) and weights (q,), sum 1, exact for products of functions."""
     if len(element.rule[1]) >= element.nodes:
         return element.rule
     return triangle_rule(4)
 
 
 def whole_facets(side: WholeSide, x: Floats, facing: Bools) -> tuple[Segments, Floats]:
-    """Return facing facets (m,) at x (n, d) as segments, and their points (q, d)."""
+    """Facing facets (m,) at x (n, d) as segments, and their points (q, d)."""
     slave = side.slave
     facets, element = facets_at(slave, x), slave.element
     xi, weights = rule_of(element)
@@ -263,7 +257,7 @@ def whole_facets(side: WholeSide, x: Floats, facing: Bools) -> tuple[Segments, F
 def integrate_side(side: WholeSide, x: Floats, facing: Bools, allowed: Bools) -> SideOperators:
     """Integrate D over the facing facets (m,) of this rank, at x (n, d); collective.
 
-    Only `allowed` local nodes (n,) may carry a multiplier.
+    Only `allowed` local nodes (n,) may have a multiplier.
     """
     slave, own = side.slave, slice(None, side.slave.owned)
     segments, points = whole_facets(side, x, facing)
@@ -289,7 +283,7 @@ def integrate_side(side: WholeSide, x: Floats, facing: Bools, allowed: Bools) ->
 
 
 def means(side: WholeSide, found: SideOperators, at_points: Floats) -> Floats:
-    """Return int Phi_j f / D_jj (n, c) at the owned nodes for f (q, c), or 0; collective."""
+    """Int Phi_j f / D_jj (n, c) at the owned nodes for f (q, c), or 0; collective."""
     weight = found.weight[:, 0]
     at = side, found.segments, found.Phi, weight
     return np.stack([mean_values(*at, f) for f in at_points.T], axis=1)

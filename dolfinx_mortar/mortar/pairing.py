@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Candidate pairs of slave and master facets over all ranks, reused while the bodies slide.
 
-Each slave facet is integrated by its owner; master facets that it may meet are copied to that rank.
+Each slave facet is integrated by its owner, which receives the master facets it may face.
 """
 
 from __future__ import annotations
@@ -65,30 +65,30 @@ class Pairing:
     pairs: Ints  # (p, 2) own slave facet, received master facet; ordered
     master_nodes: Longs  # (nm,) global nodes of received facets
     master_facets: Ints  # (mm, k) indices into these
-    master_X: Floats  # (nm, d) their reference coordinates
-    deepest: Floats  # (p,) largest depth of a partner, or inf
-    sent: Bools  # (own master facets, ranks) that have received them
+    master_X: Floats  # (nm, d)
+    deepest: Floats  # (p,) largest depth of a master facet, or inf
+    sent: Bools  # (own master facets, ranks)
     groups: list[Ints]  # groups of neighbouring slave facets
     scatter: PETSc.Scatter  # from a vector of V to displacements of master_nodes
     source: PETSc.Vec  # a vector of V: source of the scatter
-    received: PETSc.Vec  # (d * nm) on this rank: its target
+    received: PETSc.Vec  # (d * nm) on this rank: target
     D: Triplets  # int Phi_j N_l^s of all slave facets with candidates
     M: Triplets  # int Phi_j N_l^m of all candidate pairs
     row: Ints  # (e,) owned slave node of each entry of P
     column: Longs  # (e,) its global node
-    off_diagonal: Ints  # positions among D's entries of those of P
-    diagonal: tuple[Ints, Ints]  # positions of D_jj among D's entries, and nodes j
+    off_diagonal: Ints  # positions in D of those of P
+    diagonal: tuple[Ints, Ints]  # positions of D_jj in D, and nodes j
     weight: Weight | None = None  # of all integrals over the slave side; None for 1
     roles: Roles | None = None  # of a surface in self-contact
 
     @cached_property
     def order(self) -> Longs:
-        """The received master facets (mm,), sorted in space at X."""
+        """Received master facets (mm,), sorted in space at X."""
         return sort_in_space(self.master_X[self.master_facets].mean(axis=1))
 
 
 def _slave_facets(slave: Surface, u: dolfinx.fem.Function | None) -> tuple[Facets, Floats]:
-    """Return facets and directions of projection (m, k or 1, d) (collective)."""
+    """Facets and directions of projection (m, k or 1, d) (collective)."""
     x = coordinates(slave, u)
     facets = facets_at(slave, x)
     return facets, projection_directions(facets, nodal_normals(slave, x)[slave.facets])
@@ -110,7 +110,7 @@ def _send_facets(
 
 
 def _deepest(surface: Surface, u: dolfinx.fem.Function | None, itself: bool) -> Floats:
-    """Return the largest depth (m,) of partners behind facets."""
+    """Largest depth (m,) of master facets behind facets."""
     if u is None or not itself:
         return THROUGH * surface.thickness
     stretch = thickness_stretches(surface, u)[surface.facets].min(axis=1, initial=np.inf)
@@ -120,7 +120,7 @@ def _deepest(surface: Surface, u: dolfinx.fem.Function | None, itself: bool) -> 
 def _create_scatter(
     V: dolfinx.fem.FunctionSpace, nodes: Longs
 ) -> tuple[PETSc.Scatter, PETSc.Vec, PETSc.Vec]:
-    """Create the scatter of V at global nodes to this rank (collective)."""
+    """Scatter of V at global nodes to this rank (collective)."""
     d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
     size = (d * index_map.size_local, d * index_map.size_global)
     source = PETSc.Vec().createMPI(size, comm=V.mesh.comm)
@@ -132,7 +132,7 @@ def _create_scatter(
 def _create_triplets(
     slave: Surface, pairs: Ints, nodes: Longs, facets: Ints
 ) -> tuple[Triplets, Triplets]:
-    """Fix the patterns of D and M (collective)."""
+    """Patterns of D and M (collective)."""
     index_map = slave.V.dofmap.index_map
     rows = index_map.local_to_global(slave.nodes)[slave.facets]
     paired, found = np.unique(pairs[:, 0]), []
@@ -147,7 +147,7 @@ def _create_triplets(
 
 
 def pattern_of_P(slave: Surface, D: Triplets, *M: Triplets) -> dict[str, Any]:
-    """Return rows and columns of P, and the places of P and D_jj in D."""
+    """Rows and columns of P, and the places of P and D_jj in D."""
     index_map = slave.V.dofmap.index_map
     nodes = slave.nodes[: slave.owned]
     position = np.full(index_map.size_local, -1, dtype=np.int32)
@@ -218,17 +218,17 @@ def create_pairing(
 ) -> Pairing:
     """Find the candidate pairs at X + u and fix the patterns of D and M for them (collective).
 
-    Pairs of moving surfaces allow a relative sliding by half an edge or more, see `outside_margin`.
-    With one surface as both sides, its slave facets are chosen at each search.
+    Pairs of moving surfaces allow a sliding by half an edge or more, see `outside_margin`. With one
+    surface as both sides, its slave facets are chosen at each search.
 
     Args:
-        again: a later search: sides that have turned away have no pairs, and raise no error.
+        again: a later search, in which no pairs are no error.
         weight: factor of all integrals over the slave side; None for 1.
         earlier: of the same surfaces; its patterns are reused if the pairs are the same.
 
     Raises:
         ValueError: On all ranks, if the sides share facets, belong to another space, u is not
-            finite there, or no slave facet faces a master facet at the first search.
+            finite there, or at the first search no slave facet faces a master facet.
     """
     _check_surfaces(V, slave, master, u)
     _check_finite(u, slave, master)
@@ -280,7 +280,7 @@ def create_pairing(
 
 
 def _has_pairs(pairing: Pairing, pairs: Ints, nodes: Longs, facets: Ints) -> bool:
-    """Tell whether a pairing has just these candidates on this rank."""
+    """Whether a pairing has just these candidates on this rank."""
     same = np.array_equal(pairing.pairs, pairs) and np.array_equal(pairing.master_nodes, nodes)
     return same and np.array_equal(pairing.master_facets, facets)
 
@@ -302,7 +302,7 @@ def _master_coordinates(
 
 
 def receive(pairing: Pairing, values: Floats) -> Floats:
-    """Return owners' values (n, d) at the received master nodes (nm, d); collective."""
+    """Owners' values (n, d) at the received master nodes (nm, d); collective."""
     master, d = pairing.master, values.shape[1]
     own = slice(None, master.owned)
     pairing.source.array_w.reshape(-1, d)[master.nodes[own]] = values[own]
@@ -311,7 +311,7 @@ def receive(pairing: Pairing, values: Floats) -> Floats:
 
 
 def received_facets(pairing: Pairing, u: dolfinx.fem.Function | None) -> Facets:
-    """Return the received master facets at X + u (collective)."""
+    """Received master facets at X + u (collective)."""
     vectors = pairing.scatter, pairing.source, pairing.received
     x = _master_coordinates(pairing.master_X, *vectors, u)
     return Facets(pairing.master.element, x[pairing.master_facets])
@@ -319,10 +319,10 @@ def received_facets(pairing: Pairing, u: dolfinx.fem.Function | None) -> Facets:
 
 @timed("~Mortar: margin")
 def outside_margin(pairing: Pairing, u: dolfinx.fem.Function | None) -> bool:
-    """Tell whether a segment at X + u can belong to a pair that is not a candidate (collective).
+    """Whether a segment at X + u can belong to a pair that is not a candidate (collective).
 
-    A search without margin must not find a new pair: the answer depends on the relative motion
-    only, and False is certain. True where u is not finite: the next search raises the error.
+    By the relative motion only; False is certain. True where u is not finite: the next search
+    raises the error.
     """
     comm = pairing.slave.V.mesh.comm
     slave, n_s = _slave_facets(pairing.slave, u)
