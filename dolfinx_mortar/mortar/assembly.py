@@ -117,7 +117,7 @@ def _tabulate(V: dolfinx.fem.FunctionSpace, xi: Floats) -> Floats:
 def _evaluate(
     V: dolfinx.fem.FunctionSpace, side: Surface, cells: _Cells, which: Ints, on_facet: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Points xi (n, d), x (n, d), values (n, k) and gradients (n, k, d) of V at points of facets."""
+    """Points xi, x (n, d), values (n, k) and gradients (n, k, d) of V at points of facets."""
     W, N = side.V, side.element.shape_functions(on_facet)
     nodes = np.asarray(W.element.basix_element.points)[cells.places[which]]
     xi = np.einsum("nk,nki->ni", N, nodes)

@@ -273,8 +273,7 @@ def find_coverage(
 
 
 def _find_weightless(pairing: Integrated, segments: Segments) -> tuple[Bools, Floats]:
-    """Slave nodes (n,) without weight, as on an axis in second order, and their facets' coverage.
-    """
+    """Slave nodes (n,) without weight, as on an axis, and the coverage of their facets."""
     slave = pairing.slave
     if slave.element.degree == 1:  # positive functions
         return np.zeros(len(slave.nodes), dtype=bool), np.zeros(len(slave.nodes))

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Self-contact: facets of a surface that can touch, and which of two is the slave.
 
-At each search the facets near others are divided into slaves and masters. A node of both kinds
-carries no multiplier, since T expresses slave nodes by master nodes. Arguments: own facets (ms,),
-received `copies` (mm,), global `nodes` (ms, k) and (mm, k) of both, their coordinates `X`, `pairs`
-(p, 2) of facing ones, and `deepest`, how far behind a facet a partner may lie.
+A node of both kinds has no multiplier, since T expresses slave nodes by master nodes. Arguments:
+own facets (ms,), received `copies` (mm,), global `nodes` (ms, k) and (mm, k) of both, their
+coordinates `X`, `pairs` (p, 2) that face each other, and `deepest`, how far behind a facet its
+master may lie.
 """
 
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class Roles:
     slave: Bools  # (ms,) own facets
     copies: Bools  # (mm,) received ones that are slaves
     nodes: tuple[Longs, Longs]  # (ms, k), (mm, k) global nodes
-    deepest: tuple[Floats, Floats]  # (ms,), (mm,) largest depth of a partner
+    deepest: tuple[Floats, Floats]  # (ms,), (mm,)
     seen: Longs  # (q,) near pairs: own facet * mm + received one, ascending
     distance: Floats  # (q,) of these
 
@@ -38,9 +38,9 @@ class Roles:
 def distances_in_reach(
     facets: Facets, copies: Facets, pairs: Ints, nodes: tuple[Longs, Longs], deepest: Floats
 ) -> Floats:
-    """Return the distances (p,) of pairs, in diameters of the larger facet; inf if not near.
+    """Distances (p,) of pairs, in diameters of the larger facet; inf if not near.
 
-    Facets with a common node are not near, nor are those deeper behind a facet than `deepest` (p,).
+    Facets with a common node, or deeper behind a facet than `deepest` (p,), are not near.
     """
     found = np.full(len(pairs), np.inf)
     f, g = pairs.T
@@ -64,12 +64,11 @@ def choose_roles(
     nodes: tuple[Longs, Longs],
     X: tuple[Floats, Floats],
 ) -> tuple[Bools, Bools]:
-    """Return which own (ms,) and which received facets (mm,) are slaves; collective.
+    """Which own (ms,) and which received facets (mm,) are slaves; collective.
 
     Pair by pair, the nearest first by distances (p,) in diameters: facets that face each other have
     opposite roles; neighbours, a diameter apart, the same; then the finer one at X, by powers of
-    two, is the slave. Undecided parts begin with a slave in the order of coordinates, so that roles
-    do not change with every near facet. All ranks decide the same.
+    two, is the slave. Undecided parts begin with a slave in the order of coordinates, on all ranks.
     """
     rows = np.sort(nodes[0], axis=1), np.sort(nodes[1], axis=1)
     f, g = pairs.T
@@ -85,18 +84,17 @@ def choose_roles(
 
 
 def _are_among(rows: Longs, keys: Longs) -> Bools:
-    """Tell (m,) which rows (m, k) are among others (n, k)."""
+    """Which rows (m, k) are among others (n, k)."""
     _, number = np.unique(np.concatenate([keys, rows]), axis=0, return_inverse=True)
     number = number.ravel()
     return np.asarray(np.isin(number[len(keys) :], number[: len(keys)]))
 
 
 def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Bools:
-    """Return which facets (n,), with nodes `keys` (n, k), are slaves, by pairs a, b (p,)."""
+    """Which facets (n,), with nodes `keys` (n, k), are slaves, by pairs a, b (p,)."""
     n = len(keys)
     if n == 0:
         return np.zeros(0, dtype=bool)
-    # independent of the ranks
     size = facet_sizes(X)
     grain = HALF_OF_DIGITS * size.max()
     place = np.column_stack([np.sort(X, axis=1).mean(axis=1), X.max(axis=1) - X.min(axis=1)])
@@ -109,7 +107,6 @@ def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Boo
     unequal = powers != 0.0
     finer = np.stack([a[unequal], np.full(int(unequal.sum()), slaves)])
     first, second = np.concatenate([np.stack([a, b]), beside, finer], axis=1)
-    # neighbours are a diameter apart
     apart = np.concatenate([distance, np.ones(beside.shape[1]), 1.0 + distance[unequal]])
     different = np.concatenate(
         [np.ones(len(a)), np.zeros(beside.shape[1]), powers[unequal] > 0.0]
@@ -123,7 +120,7 @@ def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Boo
 
 
 def _neighbours(keys: Longs, least: int) -> Longs:
-    """Return the pairs (2, p) of facets with `least` common nodes."""
+    """Pairs (2, p) of facets with `least` common nodes."""
     n, k = keys.shape
     nodes, column = np.unique(keys, return_inverse=True)
     shape = (n, len(nodes))
@@ -144,7 +141,7 @@ def divide(
     X: tuple[Floats, Floats],
     deepest: tuple[Floats, Floats],
 ) -> tuple[Ints, Roles]:
-    """Return the candidates (p, 2) from slaves to masters, and the roles; collective."""
+    """Candidates (p, 2) from slaves to masters, and the roles; collective."""
     limit = np.minimum(deepest[0][pairs[:, 0]], deepest[1][pairs[:, 1]])
     distance = distances_in_reach(facets, copies, pairs, nodes, limit)
     near = np.flatnonzero(distance < np.inf)
@@ -156,9 +153,9 @@ def divide(
 
 
 def has_changed(roles: Roles, facets: Facets, copies: Facets, pairs: Ints) -> bool:
-    """Tell whether facets of this rank are near others that were not divided from them.
+    """Whether facets of this rank are near others of the same role.
 
-    Within half of the reach; equal roles once the distance is half of that at the division.
+    Within half of the reach, if their distance is half of that when the roles were chosen.
     """
     limit = np.minimum(roles.deepest[0][pairs[:, 0]], roles.deepest[1][pairs[:, 1]])
     nodes = roles.nodes
@@ -174,7 +171,7 @@ def has_changed(roles: Roles, facets: Facets, copies: Facets, pairs: Ints) -> bo
         known = roles.seen[place] == keys
         then = roles.distance[place]
     own, other = roles.slave[pairs[:, 0]], roles.copies[pairs[:, 1]]
-    settled = ~own & other  # the rank of the slave tests it
+    settled = ~own & other  # the slave's rank tests it
     settled |= own & ~other & known
     settled |= (own == other) & known & (distance > then / 2)
     return bool((~settled).any())
@@ -185,10 +182,10 @@ class _Parts:
 
     def __init__(self, n: int) -> None:
         self.above = list(range(n))
-        self.odd = [False] * n  # whether the role differs from that above
+        self.odd = [False] * n  # role relative to the parent
 
     def find(self, k: int) -> tuple[int, bool]:
-        """Return the root of a facet, and whether its role differs."""
+        """Root of a facet, and whether its role differs."""
         way, odd = [], False
         while self.above[k] != k:
             way.append(k)
