@@ -2,10 +2,10 @@
 """Parts of slave facets in space, their auxiliary planes, convex polygons in these (kernels).
 
 A part is a facet of first order, or one of four between the nodes of a facet of second order.
-Facets of all types are x = sum_ab c_ab xi^a eta^b with a, b <= 2: one kernel, with a third of the
-operations of shape functions. In a plane the slave facet has radius 1. Polygons are anticlockwise,
-with `n` vertices in an array; vertices nearer to a line than ROUND_OFF lie on it. Numba's cache of
-a caller in another file does not notice changes here: touch that file, too.
+Facets of all types are x = sum_ab c_ab xi^a eta^b with a, b <= 2, cheaper than shape functions. In
+a plane the slave facet has radius 1. Polygons are anticlockwise, with `n` vertices in an array;
+vertices nearer to a line than ROUND_OFF lie on it. Numba's cache of a caller in another file does
+not notice changes here: touch that file, too.
 """
 
 import numba
@@ -18,12 +18,12 @@ from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND,
 
 
 def count(element: FacetElement) -> int:
-    """Return the number s of parts of a facet."""
+    """Number s of parts of a facet."""
     return len(element.sub_facets)
 
 
 def parts_of(facets: Facets) -> Facets:
-    """Return the parts (m * s,) of facets (m,), ordered by facet."""
+    """Parts (m * s,) of facets (m,), ordered by facet."""
     element = facets.element
     if element.part is None:
         return facets
@@ -32,7 +32,7 @@ def parts_of(facets: Facets) -> Facets:
 
 
 def first_order(facets: Facets) -> Facets | None:
-    """Return equal facets of first order, None unless all are straight and flat."""
+    """Equal facets of first order, None unless all are straight and flat."""
     element, x = facets.element, facets.x
     if element.part is None:
         return facets
@@ -48,7 +48,7 @@ def first_order(facets: Facets) -> Facets | None:
 
 
 def pairs_of_parts(pairs: Ints, slave: FacetElement, master: FacetElement) -> tuple[Ints, Ints]:
-    """Return the pairs of parts (p', 2), ordered by slave, and the pair (p',) of each.
+    """Pairs of parts (p', 2), ordered by slave, and the pair (p',) of each.
 
     >>> from dolfinx_mortar.geometry.elements import TRI3
     >>> pairs, of = pairs_of_parts(np.array([[0, 3], [0, 5]], dtype=np.int32), TRI3, TRI3)
@@ -82,13 +82,13 @@ def all_pairs(pairs, a, b):  # type: ignore[no-untyped-def]
 
 
 def on_reference(element: FacetElement) -> Floats:
-    """Return the coefficients (s, 3, 9) of the parts of the reference facet."""
+    """Coefficients (s, 3, 9) of the parts of the reference facet."""
     x = element.points[np.array(element.sub_facets)]  # (s, k', d-1)
     return coefficients(Facets(element.part or element, np.pad(x, ((0, 0), (0, 0), (0, 1)))))
 
 
 def coefficients(facets: Facets) -> Floats:
-    """Return the coefficients c (m, 3, 9) of facets: of x_i at 3 a + b.
+    """Coefficients c (m, 3, 9) of facets: of x_i at 3 a + b.
 
     Example:
         >>> from dolfinx_mortar.geometry.elements import TRI3
@@ -104,7 +104,7 @@ def coefficients(facets: Facets) -> Floats:
 
 @numba.njit(**KERNEL)
 def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
-    """Return component i of a point of facet m and of its tangents."""
+    """Component i of a point of facet m and of its tangents."""
     c1, c2, c4, c5, c7, c8 = c[m, i, 1], c[m, i, 2], c[m, i, 4], c[m, i, 5], c[m, i, 7], c[m, i, 8]
     mid, high = c[m, i, 3] + s * (c4 + s * c5), c[m, i, 6] + s * (c7 + s * c8)
     along = (c1 + 2 * s * c2) + r * ((c4 + 2 * s * c5) + r * (c7 + 2 * s * c8))
@@ -113,7 +113,7 @@ def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _point(c, m, r, s):  # type: ignore[no-untyped-def]
-    """Return a point of facet m, and the area per reference area."""
+    """Point of facet m, and the area per reference area."""
     x0, a0, b0 = _component(c, m, FIRST, r, s)
     x1, a1, b1 = _component(c, m, SECOND, r, s)
     x2, a2, b2 = _component(c, m, THIRD, r, s)
@@ -123,7 +123,7 @@ def _point(c, m, r, s):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _on_facet(c, r, s):  # type: ignore[no-untyped-def]
-    """Return the coordinates on the facet of a point of part c (3, 9)."""
+    """Coordinates on the facet of a point of part c (3, 9)."""
     return c[0, 0] + s * c[0, 1] + r * c[0, 3], c[1, 0] + s * c[1, 1] + r * c[1, 3]
 
 
@@ -139,7 +139,7 @@ def along(c, m, axes, P):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
-    """Return (r, s) where a projected facet P (1, 2, 9) has the point (x, y), or NaN, by Newton."""
+    """Where (r, s) a projected facet P (1, 2, 9) has the point (x, y), or NaN, by Newton."""
     for _ in range(LIMIT):
         y0, a0, b0 = _component(P, FIRST, FIRST, r, s)
         y1, a1, b1 = _component(P, FIRST, SECOND, r, s)
@@ -185,7 +185,7 @@ def on_facets(
     xi_m: Floats,
     weight: Floats,
 ) -> tuple[Floats, Floats, Floats]:
-    """Return xi_s, xi_m (q, 2) and weights (q,) of points on the facets' true surfaces.
+    """Coordinates xi_s, xi_m (q, 2) and weights (q,) of points on the facets' true surfaces.
 
     xi_m is NaN where the line through a point misses the master.
 
@@ -242,7 +242,7 @@ def halve(P, n, Q):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def measure(P, n):  # type: ignore[no-untyped-def]
-    """Return area and centroid of P, or the mean of its vertices if the area is 0."""
+    """Area and centroid of P, or the mean of its vertices if the area is 0."""
     area, x, y, mx, my = 0.0, 0.0, 0.0, P[0, 0], P[0, 1]
     for i in range(1, n):
         mx, my = mx + P[i, 0], my + P[i, 1]
@@ -261,7 +261,7 @@ def measure(P, n):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def is_thin(P, n):  # type: ignore[no-untyped-def]
-    """Tell whether P is as narrow as the errors of some cuts, or no polygon."""
+    """Whether P is as narrow as the errors of some cuts, or no polygon."""
     if n < 3:
         return True
     square = 0.0
@@ -273,7 +273,7 @@ def is_thin(P, n):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def orientation(P, n):  # type: ignore[no-untyped-def]
-    """Return 1 or -1 for an anticlockwise or clockwise convex polygon, 0 for any other.
+    """Sign 1 or -1 of an anticlockwise or clockwise convex polygon, 0 for any other.
 
     Corners with less than HALF_OF_DIGITS of the sum of areas are straight.
     """
@@ -307,7 +307,7 @@ def intersect(P, n, Q, m, sign, out, spare):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def is_beside(P, n, Q, m, sign, distance):  # type: ignore[no-untyped-def]
-    """Tell whether an edge of P has all of Q beyond a distance."""
+    """Whether an edge of P has all of Q beyond a distance."""
     for i in range(n):
         j = i + 1 if i + 1 < n else 0
         dx, dy = sign * (P[j, 0] - P[i, 0]), sign * (P[j, 1] - P[i, 1])
@@ -345,7 +345,7 @@ def subtract(P, n, Q, m, sign, pieces, sizes, count, spare):  # type: ignore[no-
 
 
 def create_planes(x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return centres (m, 3), axes (m, 3, 3) and radii (m,) of the auxiliary planes of facets x.
+    """Centres (m, 3), axes (m, 3, 3) and radii (m,) of the auxiliary planes of facets x.
 
     Rows of the axes are two tangents and the normal, over the radius.
     """
@@ -369,14 +369,14 @@ def project(x, centre, axes, P):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def bilinear_map(P, i):  # type: ignore[no-untyped-def]
-    """Return m, a, b, c of component i of a bilinear map m + xi a + eta b + xi eta c."""
+    """Coefficients m, a, b, c of component i of a bilinear map m + xi a + eta b + xi eta c."""
     p, q, r, s = P[0, i], P[1, i], P[2, i], P[3, i]
     return (p + q + r + s) / 4, (q + r - p - s) / 4, (r + s - p - q) / 4, (p + r - q - s) / 4
 
 
 @numba.njit(**KERNEL)
 def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
-    """Return xi, eta and the Jacobian's size where the projected facet P meets (x, y).
+    """Coordinates xi, eta and the Jacobian's size where the projected facet P meets (x, y).
 
     With p = m - (x, y), p + xi a + eta (b + xi c) = 0 times b + xi c is C + B xi + A xi^2 = 0,
     whose derivative is the Jacobian: at the root inside it has the sign of a x b.
@@ -409,7 +409,7 @@ def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def height_at(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
-    """Return the height of the facet's point (xi, eta)."""
+    """Height of the facet's point (xi, eta)."""
     if not bilinear:
         return (1 - xi - eta) * P[0, 2] + xi * P[1, 2] + eta * P[2, 2]
     m, a, b, c = bilinear_map(P, THIRD)
@@ -418,7 +418,7 @@ def height_at(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
-    """Return the two slopes s of a facet against the plane at (xi, eta), minus those of its normal.
+    """Both slopes s of a facet against the plane at (xi, eta), minus those of its normal.
 
     Its area is sqrt(1 + s_0^2 + s_1^2) of the projection.
     """
@@ -435,7 +435,7 @@ def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _are_near(x_s, x_m, pairs, centre, axes, radius, margin):  # type: ignore[no-untyped-def]
-    """Tell (p,) whether the projections are closer than the margins."""
+    """Whether (p,) the projections are closer than the margins."""
     near = np.ones(len(pairs), dtype=np.bool_)
     k, n = x_s.shape[1], x_m.shape[1]
     S, M = np.empty((k, 3)), np.empty((n, 3))
@@ -455,7 +455,7 @@ def _are_near(x_s, x_m, pairs, centre, axes, radius, margin):  # type: ignore[no
 
 
 def are_near(slave: Facets, master: Facets, pairs: Ints, margin: Floats) -> Bools:
-    """Tell (p,) which ordered pairs, projected on the slave's plane, are within a margin (ms,)."""
+    """Which ordered pairs (p,), projected on the slave's plane, are within a margin (ms,)."""
     a, b = parts_of(slave), parts_of(master)
     of_parts, of = pairs_of_parts(pairs, slave.element, master.element)
     margins = np.repeat(margin, count(slave.element))

@@ -2,10 +2,8 @@
 """Segments: parts of slave facets projected on one master facet, with their quadrature points.
 
 A slave facet is projected along the interpolated averaged nodal normals in 2D (`line`), along its
-mean normal in 3D (`area`).
-
-Candidate pairs are found at any distance, in O(n log n): unbounded double cones around the
-projections are tested against a hierarchy of balls around the master facets.
+mean normal in 3D (`area`). Candidate pairs are found at any distance, in O(n log n): double cones
+around the projections are tested against a hierarchy of balls around the master facets.
 """
 
 from dataclasses import dataclass
@@ -45,17 +43,15 @@ class Cones:
     """
 
     centre: Floats  # (m, d)
-    axis: Floats  # (m, d) unit vectors
+    axis: Floats  # (m, d) unit
     radius: Floats  # (m,)
     slope: Floats  # (m,)
 
 
 def create_cones(x_s: Floats, n_s: Floats, margin: Floats) -> Cones:
-    """Bound the projections of slave facets, plus a lateral margin (m,).
+    """Bound the projections of facets, or groups, with nodes x_s and unit normals n_s (m, k, d).
 
-    Args:
-        x_s: (m, k, d) nodes, of facets or of groups of them.
-        n_s: (m, k, d) unit nodal normals.
+    With a lateral margin (m,).
     """
     centre, radius = bounding_balls(x_s)
     axis = n_s.mean(axis=1)
@@ -69,7 +65,7 @@ def create_cones(x_s: Floats, n_s: Floats, margin: Floats) -> Cones:
 
 @numba.njit(**KERNEL)
 def _meets(c, axis, radius, slope, p, rho):  # type: ignore[no-untyped-def]
-    """Tell whether a cone can meet the ball at p."""
+    """Whether a cone can meet the ball at p."""
     axial = 0.0
     square = 0.0
     for i in range(c.size):
@@ -81,7 +77,7 @@ def _meets(c, axis, radius, slope, p, rho):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-untyped-def]
-    """Return all pairs (cone, ball of the first level) that can meet.
+    """All pairs (cone, ball of the first level) that can meet.
 
     Level l has balls start[l] to start[l + 1]; ball i encloses i b to (i + 1) b - 1 of the level
     below, b = 2^d.
@@ -119,10 +115,9 @@ def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-
 
 
 def sort_in_space(x: Floats) -> Longs:
-    """Return an order of points x (n, d) with compact aligned blocks of 2^j points, j >= d.
+    """Order of points x (n, d) with compact aligned blocks of 2^j points, j >= d, by halving.
 
-    By halving; orders of scipy's cKDTree or Morton's curve make the search two to four times as
-    long.
+    Cones meet fewer balls than in the order of a k-d tree or Morton's curve.
     """
     order = np.arange(len(x))
     half = smallest = 2 ** x.shape[1]
@@ -143,7 +138,6 @@ def sort_in_space(x: Floats) -> Longs:
 
 @numba.njit(**KERNEL)
 def _enclose(ball, rho, start):  # type: ignore[no-untyped-def]
-    """Fill the balls of higher levels."""
     branches, d = 2 ** ball.shape[1], ball.shape[1]
     for level in range(1, len(start) - 1):
         for k in range(start[level], start[level + 1]):
@@ -160,9 +154,9 @@ def _enclose(ball, rho, start):  # type: ignore[no-untyped-def]
 
 
 def find_meeting(cones: Cones, centre: Floats, radius: Floats, order: Longs | None = None) -> Ints:
-    """Return the pairs (p, 2) of cones and balls that can meet, ordered by cone, then ball.
+    """Pairs (p, 2) of cones and balls that can meet, ordered by cone, then ball.
 
-    The order of the balls in space affects speed only; made here by default.
+    The order of the balls, made here by default, affects speed only.
     """
     n = len(radius)
     if len(cones.radius) == 0 or n == 0:
@@ -190,7 +184,7 @@ class Segments:
     pair: Ints  # (q,) index into the candidate pairs
     slave: Ints  # (q,) slave facet, ascending
     master: Ints
-    xi_s: Floats  # (q, d-1) reference coordinates
+    xi_s: Floats  # (q, d-1)
     xi_m: Floats  # (q, d-1) of the projected point
     weight: Floats  # (q,) positive
     facet_weights: Floats  # (ms, k) integral of N_j over each whole slave facet
@@ -204,21 +198,21 @@ class Segments:
 
     @property
     def covered(self) -> Ints:
-        """Slave facets (c,), ascending, that are covered in part."""
+        """Slave facets (c,), ascending, with points."""
         first = np.ones(len(self.slave), dtype=bool)
         np.not_equal(self.slave[1:], self.slave[:-1], out=first[1:])
         return self.slave[first]
 
 
 def projection_directions(slave: Facets, n_s: Floats) -> Floats:
-    """Return the directions of projection (m, k, d) in 2D, which are n_s, or (m, 1, d) in 3D."""
+    """Directions of projection (m, k, d) in 2D, n_s, or (m, 1, d) in 3D."""
     if slave.x.shape[2] == 2:
         return n_s
     return facet_normals(slave)[:, None]
 
 
 def bounding_directions(slave: Facets, n_s: Floats) -> Floats:
-    """Return unit vectors (m, k or 1, d) whose cone contains all projections along n_s."""
+    """Unit vectors (m, k or 1, d) whose cone contains all projections along n_s."""
     if slave.x.shape[2] > 2:
         n = facet_normals(parts_of(slave))
         return n.reshape(len(slave.x), count(slave.element), 3)
@@ -231,15 +225,12 @@ def bounding_directions(slave: Facets, n_s: Floats) -> Floats:
 
 
 def sliding_margins(x_s: Floats) -> Floats:
-    """Return the sliding (m,) for which candidates of slave facets x_s (m, k, d) suffice.
-
-    One facet in 2D, half an edge in 3D.
-    """
+    """Sliding (m,) for which candidates of slave facets x_s (m, k, d) suffice."""
     return _SLIDING[x_s.shape[2]] * facet_sizes(x_s)
 
 
 def are_facing(n_s: Floats, n_m: Floats) -> Bools:
-    """Tell (p,) whether facets with directions n_s (p, k, d) face those with n_m (p, d)."""
+    """Whether (p,) facets with directions n_s (p, k, d) face those with n_m (p, d)."""
     return np.einsum("pki,pi->pk", n_s, n_m).max(axis=1, initial=-1.0) < -FACING
 
 
@@ -248,8 +239,8 @@ def find_candidates(
 ) -> Ints:
     """Find the pairs (p, 2) of facets that can share a segment, ordered, at any distance.
 
-    Without margins (ms,) still a superset of the pairs with segments. Unit averaged normals n_s
-    (ms, k, d).
+    A superset of the pairs with segments, also without margins (ms,). n_s (ms, k, d) are averaged
+    unit normals.
     """
     cones = create_cones(slave.x, bounding_directions(slave, n_s), margin)
     pairs = find_meeting(cones, *bounding_balls(master.x), order)

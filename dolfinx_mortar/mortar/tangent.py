@@ -129,8 +129,7 @@ def _sums(
 def differentiate_whole(
     facets: Facets, xi: Floats, weights: Floats, phi: Floats, by_x: Floats, duals: Duals, c: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Derivatives dF (f, k, d, k, d), dg (f, k, k, d), and D (f, k, k) on whole facets below a
-    tool.
+    """Derivatives dF (f, k, d, k, d), dg (f, k, k, d), and D (f, k, k) on facets below a tool.
 
     Args:
         weights: (f, q) on the reference facet, with all factors.
