@@ -297,8 +297,8 @@ def arcs_of_chords(facets: Facets, sagitta: Floats) -> Floats:
 def heights_of_arcs(arcs: Floats, h: Floats) -> Floats:
     """Heights (q,) over chords, exact on circles: h^2 k + 2 h cos b = 2 h_0.
 
-    h_0 (q,) of `heights` is too inexact for pressures in second order. For arcs (q, 2) see `arcs_of_chords`; k = 0
-    gives h_0.
+    h_0 (q,) of `heights` is too inexact for pressures in second order. For arcs (q, 2) see
+    `arcs_of_chords`; k = 0 gives h_0.
 
     >>> from dolfinx_mortar.geometry.elements import LINE3
     >>> facet = Facets(LINE3, np.array([[[0.6, 0.8], [-0.6, 0.8], [0.0, 0.8]]]))

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Change of basis u = T y of a problem, in which every constraint is a bound.
 
-T contains P = D^-1 M: row j of B_I T = N^T (D - M) T is D_jj times a unit vector (theory.md,
-Constraints become bounds). T = (I - Q)^-1 W, W = blockdiag(R_j), is W + Q without references to
-slave nodes, in a stack of bodies the product of the interfaces' matrices in topological order.
-Sides of six-node triangles have two matrices, first that of the mid-side nodes. A slave node that
-several interfaces claim has multipliers of one of them in each direction.
+Row j of B_I T = N^T (D - M) T is D_jj times a unit vector (theory.md, Constraints become bounds). T
+= (I - Q)^-1 W, W = blockdiag(R_j), is W + Q without references to slave nodes, in a stack of bodies
+the product of the interfaces' matrices in topological order. Sides of six-node triangles have two
+matrices, first that of the mid-side nodes. A slave node of several interfaces has multipliers of
+only one.
 """
 
 from collections.abc import Sequence
@@ -41,16 +41,16 @@ class Claims:
     """Owners of slave nodes, and order of the interfaces."""
 
     owner: Ints  # (owned nodes,) interface
-    banned: list[Bools]  # of each interface (local nodes,): slave nodes of others
+    banned: list[Bools]  # of each (local nodes,): slave nodes of others
     dependencies: frozenset[
         tuple[int, int]
-    ]  # (i, k): i depends on slave nodes of k, T_i is left of T_k
+    ]  # i depends on slave nodes of k: T_i is left of T_k
     order: list[int]  # of the transformations
     notes: list[str]
 
 
 def referenced(sides: Sides, pattern: Pattern) -> Bools:
-    """Mask of owned nodes on which candidate pairs depend; collective."""
+    """Owned nodes on which candidate pairs depend; collective."""
     columns, layout = pattern.column[pattern.split :], sides.V.dofmap.index_map
     counts = sums_at_nodes(sides.V.mesh.comm, layout, columns, np.ones((len(columns), 1)))
     return np.asarray(counts[:, 0] > 0)
@@ -69,7 +69,7 @@ def choose_owners(sides: Sequence[Sides], coverage: Sequence[Coverage]) -> Ints:
 
 
 def find_referenced(sides: Sides, pattern: Pattern, banned: Bools, coverage: Coverage) -> Bools:
-    """Mask of owned master nodes and removed slave nodes to which P may refer; collective."""
+    """Owned master nodes and removed slave nodes to which P may refer; collective."""
     leant_on = referenced(sides, pattern)
     leant_on[sides.nodes[coverage.reached & banned[sides.nodes]]] = True
     return leant_on
@@ -99,7 +99,7 @@ def _common(
     coverage: Sequence[Coverage],
     owner: Ints,
 ) -> Bools:
-    """Masks (n,) of owned nodes on one face with the owner, covered by both masters; collective."""
+    """Owned nodes (n,) on one face with the owner, covered by both masters; collective."""
     d, own = sides[0].V.mesh.geometry.dim, np.arange(len(owner))
     whole = np.zeros((len(sides), len(owner)), dtype=bool)
     of_sides = np.zeros((*whole.shape, d))
@@ -112,7 +112,7 @@ def _common(
 
 
 def _lost(sides: Sides, coverage: Coverage, banned: Bools, common: Bools) -> Bools:
-    """Mask (n,) of removed owned nodes that lose contact, not at ``common`` ends; collective."""
+    """Removed owned nodes (n,) that lose contact, not at ``common`` ends; collective."""
     slave = sides.slave
     taken = np.asarray(with_ghosts(sides.V, banned)[slave.nodes][slave.facets].all(axis=1))
     alone = np.repeat(taken[:, None, None], slave.facets.shape[1], axis=1)
@@ -131,7 +131,7 @@ def resolve_claims(
 ) -> Claims:
     """Assign every slave node to one interface and order the interfaces; collective.
 
-    The later interface loses claims that would close a cycle.
+    The later interface loses nodes that would close a cycle.
     """
     comm, n = sides[0].V.mesh.comm, sides[0].n_owned
     owner = choose_owners(sides, coverage)
@@ -221,7 +221,7 @@ def notes_on_splits(
     coverage: Sequence[Coverage],
     displacements: Sequence[fem.Function | None],
 ) -> list[str]:
-    """Notes on facets at two slave sides that face another interface's master; collective."""
+    """Notes on facets of two slave sides that face another interface's master; collective."""
     comm, n = sides[0].V.mesh.comm, sides[0].n_owned
     numbers = [k for k, side in enumerate(sides) if side.master not in (None, side.slave)]
     shares = np.full((len(sides), n), np.nan)
@@ -244,7 +244,7 @@ def notes_on_splits(
 
 
 def _between(side: Sides, other: Sides, u: fem.Function | None) -> Floats:
-    """Part (m,) of facets beside the other slave side that only its master covers; collective."""
+    """Part (m,) of facets next to the other slave side that only its master covers; collective."""
     facets = side.slave.nodes[side.slave.facets]
     beside, shared = other.on_slave[facets], other.on_master[facets].all(axis=1).any()
     if other.master is None or side.master is None or any_rank(side.V.mesh.comm, shared)[0]:
@@ -305,18 +305,17 @@ class Transformation:
 
     @property
     def change(self) -> PETSc.Mat:
-        """C of T = I + C, a copy; collective."""
+        """Copy of C, T = I + C; collective."""
         C = _product([factor.C for factor in self.factors])
         return C.copy() if len(self.factors) == 1 else C
 
-    # -- multigrid basis v, y = (I - E) v: at open nodes v_n = n_j.u_j, uncoupled from the master;
-    # for chains v = y
+    # -- multigrid basis v, y = (I - E) v: at open nodes v_n = n_j.u_j, uncoupled from the master; v
+    # = y for chains
 
     def uncouple(self, held: Ints) -> tuple[PETSc.Mat, PETSc.Mat | None]:
-        """Return C of u = (I + C) v, without stored zeros, and E or None; collective.
+        """C of u = (I + C) v, without stored zeros, and E or None; collective.
 
-        Args:
-            held: owned fixed unknowns of y.
+        `held` are owned fixed unknowns of y.
         """
         if self.chained:
             return self.change, None
@@ -324,7 +323,7 @@ class Transformation:
         C, E = _product(Cs), Es[0]
         for other in Es[1:]:
             E.axpy(1.0, other, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-        if len(Es) > 1:  # v of vertices with mid-side nodes is not their u
+        if len(Es) > 1:  # vertices with mid-side nodes: v is not their u
             E.axpy(1.0, E.matMult(C), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         return C, E
 
@@ -350,7 +349,7 @@ class Transformation:
         return bool(self._congruences)
 
     def transform(self, K: PETSc.Mat) -> PETSc.Mat:
-        """Return T^T K T, refilled in place; collective."""
+        """T^T K T, refilled in place; collective."""
         fresh = not self.formed
         for k, factor in enumerate(self.factors):
             if fresh:
@@ -402,7 +401,7 @@ class _Factor:
         self._blocks.fill(np.concatenate(values))
 
     def uncouple(self, links: Sequence[Link], held: Ints) -> tuple[PETSc.Mat, PETSc.Mat]:
-        """Return C of constraints at held unknowns, without stored zeros, and E; collective."""
+        """C of constraints at fixed unknowns, without stored zeros, and E; collective."""
         V, d = self.V, self.V.dofmap.index_map_bs
         first, n = V.dofmap.index_map.local_range[0], V.dofmap.index_map.size_local
         is_held = np.zeros(d * n, dtype=bool)

@@ -31,12 +31,12 @@ class Constraints:
 
     @property
     def equal(self) -> Bools:
-        """Mask (k,) of equalities."""
+        """Equalities (k,)."""
         return np.asarray(self.lower == self.upper)
 
     @property
     def scale(self) -> float:
-        """Largest value of an equality; on this rank."""
+        """Largest value of an equality on this rank."""
         return float(np.abs(self.upper[self.equal]).max(initial=0.0))
 
     def select(self, mask: Bools) -> Constraints:
@@ -83,7 +83,7 @@ def equalities(dofs: Ints, values: Floats, weight: Floats | None = None) -> Cons
 
 
 def upper_bounds(nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
-    """Return w_n <= gap; arguments as in `Interface.constraints`."""
+    """Bounds w_n <= gap; arguments as in `Interface.constraints`."""
     on = directions[:, 0]
     gap = -slip[on, 0]
     dofs = (directions.shape[1] * nodes[on]).astype(np.int32)
@@ -97,9 +97,8 @@ def join(parts: Sequence[Constraints]) -> Constraints:
     return Constraints(dofs.astype(np.int32), lower, upper, weight)
 
 
-# Elastic slip of friction at nodes with prescribed slip, in facets. The stiffness mu p / ROOM over
-# the facet must be below E for friction of the last iterate to converge (pressures of E / 200, mu =
-# .3: contraction .1, with .01 .35).
+# Elastic slip at nodes with prescribed slip, in facets: the stiffness mu p / ROOM over the facet
+# must be below E for the friction of the last iterate to converge.
 ROOM = 0.05
 
 
@@ -119,13 +118,13 @@ class SlipLimits:
     nodes: Ints  # (m,) owned
     normal: Ints  # (m,) bounded unknown w_n of y
     tangential: Ints  # (m, d - 1) unknowns of y, -1 where prescribed
-    axes: Floats  # (m, d - 1, d) their directions
+    axes: Floats  # (m, d - 1, d) directions of these
     slip: Floats  # (m, d - 1) since the last commit
     coefficient: Floats  # (m,) mu
     cohesion: Floats  # (m,) force, D_jj times traction
     weight: Floats  # (m,) D_jj
-    beside: Floats  # (m, d) slip in prescribed directions, as vector
-    before: Floats  # (m, d) share at the last commit, as vector
+    beside: Floats  # (m, d) slip vector in prescribed directions
+    before: Floats  # (m, d) share at the last commit
     room: Floats  # (m,) a
     opening: Floats  # (m, d) motion of the node by unit w_n
 
@@ -137,7 +136,7 @@ class SlipLimits:
 
     @property
     def slides(self) -> Bools:
-        """Mask (m,) of nodes whose prescribed slip takes the rest of the limit."""
+        """Nodes (m,) whose prescribed slip takes the whole limit."""
         q, size = self._asked()
         return np.asarray(q.any(axis=1) & (size >= 1.0))
 
@@ -165,7 +164,7 @@ class SlipLimits:
 
     @property
     def some(self) -> Bools:
-        """Mask (m, d - 1) of tangential unknowns."""
+        """Tangential unknowns (m, d - 1)."""
         return np.asarray(self.tangential >= 0)
 
     def along(self, vectors: Floats) -> Floats:
@@ -233,7 +232,7 @@ class FrictionLaw:
         """
         comm, n = scalar.mesh.comm, scalar.dofmap.index_map.size_local
         if isinstance(self.value, fem.Function):
-            self.value.x.scatter_forward()  # values may come from ghosts
+            self.value.x.scatter_forward()  # ghosts may be set
             at_nodes = fem.Function(scalar)
             at_nodes.interpolate(self.value)
             values = np.asarray(at_nodes.x.array[:n], dtype=np.float64)
@@ -252,7 +251,7 @@ class FrictionLaw:
 
 
 def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | None:
-    """Law, None for neither argument and the number 0; a ValueError for both or invalid ones."""
+    """The law, None for neither argument and the number 0; ValueError for both or invalid ones."""
     if friction is not None and tresca is not None:
         raise ValueError(
             f"friction is {friction!r} and tresca is {tresca!r}: give one of the two, a "

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Derivatives of forces, weighted gaps and slips of one contact by the displacement.
 
-The system is in `moving_geometry`, the product rule in `mortar.tangent`. On a tool tractions
-lambda_j n_j + tau_j turn with dn_j = -(I - n n^T) Hess phi dx_j, and phi is that of `point_gaps`.
-Changes of heights of second order by normal strain are left out.
+The system is in `moving_geometry`, the product rule in `mortar.tangent`. Below a tool tractions
+turn with dn_j = -(I - n n^T) Hess phi dx_j, and phi is that of `point_gaps`. Changes of heights of
+second order by normal strain are left out.
 """
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ class Unknowns:
 class SlipRows:
     """Rows of the slips of a contact, s.(du_j - P du) + m.dt, m being the present motion.
 
-    The tangents t turn with the normal. s = t, but on tools, where m depends on the normal: + t.dm.
+    The tangents t turn with the normal. s = t, except on tools, where m depends on the normal: +
+    t.dm.
     """
 
     link: CoupledSides
@@ -120,14 +121,10 @@ class LinkDerivatives(ABC):
     def differentiate(
         self, link: CoupledSides, u: fem.Function, multipliers: Floats, tangential: Floats | None
     ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
-        """Derivatives of forces and gaps, and a mask (n,) of known rows of the latter; collective.
+        """Derivatives d(B^T lambda)/du, dG_j in rows w_n, and which (n,) are known; collective.
 
-        d(B^T lambda)/du, and dG_j in the rows w_n; the next call refills the matrices.
-
-        Args:
-            link: the interface at X + u.
-            multipliers: lambda_j (owned nodes,).
-            tangential: tangential tractions (owned nodes, d), None without friction.
+        The next call refills the matrices. Multipliers are lambda_j (owned nodes,), tangential
+        tractions (owned nodes, d), None without friction.
         """
 
     @abstractmethod
@@ -227,7 +224,7 @@ class _Normals:
     """
 
     def __init__(self, link: CoupledSides, x: BlockEntries, y: BlockEntries, N: PETSc.Mat) -> None:
-        """Create the patterns; x, y: sum_l dM_jl n_l by coordinates, by normals N; collective."""
+        """Patterns; x, y: sum_l dM_jl n_l by coordinates, by normals N; collective."""
         V, pattern, n = link.sides.V, link.pattern, len(link.nodes)
         assert link.sides.master is not None
         d, of = V.dofmap.index_map_bs, (V.mesh.comm, layout_of(V))
@@ -295,7 +292,7 @@ def _in_space(link: CoupledSides) -> bool:
 
 
 def _neighbours(slave: Surface, marked: Bools) -> Bools:
-    """Mask (n,) of slave nodes of facets with a marked node; collective."""
+    """Slave nodes (n,) of facets with a marked node; collective."""
     found = np.zeros((len(slave.nodes), 1))
     found[slave.facets[marked[slave.facets].any(axis=1)]] = 1.0
     return np.asarray(accumulate(slave, found)[:, 0] > 0.0)
@@ -323,7 +320,7 @@ def layout_of(V: fem.FunctionSpace) -> Unknowns:
 def tractions_of(
     link: CoupledSides, multipliers: Floats, tangential: Floats | None
 ) -> tuple[Tractions, Bools]:
-    """Normals, tractions, and the mask of kept local slave nodes; collective.
+    """Normals, tractions, and local slave nodes with a multiplier; collective.
 
     Arguments as in `LinkDerivatives.differentiate`.
     """
@@ -343,7 +340,7 @@ def tractions_of(
 
 
 class ToolDerivatives(LinkDerivatives):
-    """Derivatives for all facets of a side."""
+    """Derivatives for all facets of a side below a tool."""
 
     def __init__(self, link: CoupledSides, side: WholeSide, tool: Tool) -> None:
         """Create the patterns; collective."""
@@ -361,7 +358,7 @@ class ToolDerivatives(LinkDerivatives):
         self.N = BlockSums(*of, BlockEntries(alone, (d, d), dofs, dofs))
 
     def serves(self, link: CoupledSides) -> bool:
-        """Return True: the pattern is that of the side."""
+        """True: the pattern is that of the side."""
         return True
 
     def differentiate(

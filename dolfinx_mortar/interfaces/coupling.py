@@ -48,17 +48,17 @@ class Sides:
     on_slave: Bools  # (local nodes,)
     on_master: Bools  # (local nodes,)
     fixed: Bools  # (local nodes, d) directions with Dirichlet data
-    mirrors: Bools  # (local nodes, d) planes of symmetry: `find_mirrors`
+    mirrors: Bools  # (local nodes, d) components across planes of symmetry
     dependent: Bools  # (n,) owned slave nodes that depend on others
     unilateral: bool
     weight: Weight | None = None  # of all integrals; None for 1
-    spreads: Spreads | None = None  # of two-sided contacts
+    spreads: Spreads | None = None  # of contacts between two sides
     judged: Sequence[tuple[Bools, Floats]] = ()  # of both sides: `judge_supports`
-    shapes: Sequence[NodeShape] = ()  # of both sides: `find_shape`; empty unless used
+    shapes: Sequence[NodeShape] = ()  # of both sides, if used: `find_shape`
 
     @property
     def meet_themselves(self) -> bool:
-        """Self-contact, divided at each search."""
+        """Whether both are one surface, divided at each search."""
         return self.master is self.slave
 
     @property
@@ -86,9 +86,9 @@ class Sides:
 class Pattern:
     """Sparsity of the coupling of slave nodes; fixed between two searches."""
 
-    row: Ints  # (e,) index into the owned slave nodes
+    row: Ints  # (e,) of the owned slave nodes
     column: Longs  # (e,) global node
-    split: int  # entries before it are of D_other, the others of M
+    split: int  # entries before it are of D_other, others of M
     blocks: BlockMatrix  # for Q
     scalars: BlockMatrix  # for P
     smooth: tuple[SmoothSide, SmoothSide] | None = None  # in place of facets
@@ -100,21 +100,21 @@ class Coupling:
     """One interface in one configuration, at its owned slave nodes."""
 
     blocks: Floats  # (e, d, d) entries of Q, read-only
-    P: Floats  # (e, c) D^-1 (M - D_other), for c choices of direction
+    P: Floats  # (e, c) for c choices of direction
     R: Floats  # (n, d, d) frames as columns
     slot: Ints  # (n, d) column of R of a prescribed axis, else -1
     directions: Bools  # (n, d) constrained directions
     kept: Bools  # (n, c) nodes with a multiplier
-    weight: Floats  # (n, c) D_jj, 0 where not kept
-    normals: Floats  # (n, d) outward; 0 if wholly prescribed
-    heights: Floats  # (n,) reduction of the gap n.(P x - x_j), see `gaps`
+    weight: Floats  # (n, c) D_jj, 0 without multiplier
+    normals: Floats  # (n, d) outward; 0 if all directions are prescribed
+    heights: Floats  # (n,) reduction of the gap n.(P x - x_j)
     coverage: Coverage
     operators: MortarOperators | None = None
-    common: CommonNormals | None = None  # of two-sided contacts
+    common: CommonNormals | None = None  # of contacts between two sides
 
     @cached_property
     def rows(self) -> Floats:
-        """R^-1 (n, d, d): rows are the directions of motions and forces."""
+        """Rows of R^-1 (n, d, d), the directions of motions and forces."""
         return np.asarray(np.linalg.inv(self.R))
 
 
@@ -152,7 +152,7 @@ def create_pattern(
     smooth: tuple[SmoothSide, SmoothSide] | None = None,
     nearby: tuple[SmoothSide, SmoothSide] | None = None,
 ) -> Pattern:
-    """Create a pattern with its matrices; collective."""
+    """Pattern with its matrices; collective."""
     V, rows = sides.V, sides.nodes[row]
     scalars = BlockMatrix(V.mesh.comm, V.dofmap.index_map, 1, rows, column)
     return Pattern(row, column, split, create_blocks(V, rows, column), scalars, smooth, nearby)
@@ -167,7 +167,7 @@ def with_ghosts(V: fem.FunctionSpace, owned: Bools) -> Bools:
 
 
 def mark(surface: Surface) -> Bools:
-    """Mask (local nodes,) of nodes on a surface; collective."""
+    """Nodes (local nodes,) on a surface; collective."""
     owned = np.zeros(surface.V.dofmap.index_map.size_local, dtype=bool)
     owned[surface.nodes[: surface.owned]] = True
     return with_ghosts(surface.V, owned)
@@ -259,7 +259,7 @@ class CoupledSides:
 def relative_motions(coupled: CoupledSides, v: PETSc.Vec) -> Floats:
     """Return D^-1 (D - M) v (c, n, d) at the slave nodes for c choices of direction; collective.
 
-    Zero at nodes without a multiplier in that choice.
+    Zero at nodes without multiplier.
     """
     P, coupling = coupled.pattern.scalars, coupled.coupling
     result = np.zeros((coupling.P.shape[1], *coupling.normals.shape))
@@ -300,9 +300,9 @@ class Frame:
     """Directions at the owned slave nodes, and which are constrained."""
 
     R: Floats  # (n, d, d) frames as columns
-    slot: Ints  # (n, d) column of R of a prescribed axis, else -1
+    slot: Ints  # (n, d) column of a prescribed axis, else -1
     directions: Bools  # (n, d) constrained columns
-    normals: Floats  # (n, d) 0 without a multiplier
+    normals: Floats  # (n, d) 0 without multiplier
 
 
 def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
@@ -314,15 +314,15 @@ def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
 
     Returns:
         R (n, d, d) with the frame vectors as columns, and slot (n, d): the column of R of a
-            prescribed axis, else -1.
+        prescribed axis, else -1.
 
     >>> R, slot = create_frames(np.array([[0.0, -1.0]]), np.array([[True, False]]))
     >>> R[0].tolist(), slot[0].tolist()
     ([[0.0, 1.0], [-1.0, 0.0]], [1, -1])
     """
     n, d = normals.shape
-    # Without the free axis closest to n, [n, axes] is regular. Others keep their order, lest
-    # tangents swap under small rotations, for which reused multigrid levels are poor.
+    # Without the free axis closest to n, [n, axes] is regular. Others keep their order: tangents
+    # that swap under small rotations would spoil reused multigrid levels.
     order = np.argsort(np.abs(normals) - 2.0 * fixed, axis=1, kind="stable")[:, : d - 1]
     order = np.sort(order, axis=1)
     columns = np.concatenate([normals[:, None, :], np.eye(d)[order]], axis=1)
@@ -337,8 +337,8 @@ def normal_frames(normals: Floats, kept: Bools, fixed: Bools) -> tuple[Floats, I
     """Frames whose normal is constrained at nodes with multipliers; Cartesian elsewhere.
 
     Args:
-        normals: (n, d) unit normals, not wholly prescribed at kept nodes.
-        kept: (n,) nodes that carry a multiplier.
+        normals: (n, d) unit, not wholly prescribed at kept nodes.
+        kept: (n,) nodes with a multiplier.
         fixed: (n, d) prescribed Cartesian directions.
 
     Returns:

@@ -42,8 +42,7 @@ from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.surface import check_tags, create_surface, dependent_nodes
 from dolfinx_mortar.tags import check_tag, label, tag_of
 
-# Default angle between normals at a sharp edge: round sides have at least nine facets per circle
-# (40 degrees), chamfers 45 degrees.
+# Default least angle of an edge: circles of at least nine facets are smooth, chamfers not.
 FEATURE_ANGLE = 40.0
 
 
@@ -76,8 +75,8 @@ class Interface(Collective, Results, ABC):
         unilateral: whether it can open: one-sided bounds.
         stays: whether it is always coupled at X.
         smooth: whether facets approximate smooth surfaces.
-        feature_angle: degrees between facets from which on an edge is sharp.
-        within: largest distance of partners, None by the facets.
+        feature_angle: least angle of an edge in degrees.
+        within: largest distance of facets that are paired, None for a multiple of their size.
         master: tag of the other side, or None.
         rigid: rigid body that holds or meets the side, or None.
         tool: the same, if it meets the side.
@@ -103,7 +102,7 @@ class Interface(Collective, Results, ABC):
         return f"{type(self).__name__}(slave={label(self.facet_tags, self.slave)})"
 
     def given(self) -> dict[str, Any]:
-        """Arguments that must agree among ranks, by name; see `agreement`."""
+        """Arguments that must agree among ranks, by name."""
         return {"facet_tags": self.facet_tags, "slave": self.slave}
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
@@ -155,7 +154,7 @@ class Interface(Collective, Results, ABC):
 
         Args:
             u: displacement, None for X.
-            again: whether sides may have turned away, an error at first.
+            again: a later search, in which no pairs are no error.
             earlier: of an earlier search, returned for the same pairs.
         """
         if earlier is not None:
@@ -182,7 +181,7 @@ class Interface(Collective, Results, ABC):
 
         Args:
             pairing: candidate pairs.
-            banned: (local nodes,) slave nodes that may not carry a multiplier.
+            banned: (local nodes,) slave nodes without multiplier.
             u: displacement, None for X.
         """
 
@@ -208,7 +207,7 @@ class Interface(Collective, Results, ABC):
         return equalities(dofs, -slip[node, axis], weight)
 
     def derivatives(self, link: CoupledSides) -> LinkDerivatives | None:
-        """Derivatives of forces and gaps for the pattern of a link, None for none; collective."""
+        """Derivatives of forces and gaps for the pattern of a link, or None; collective."""
         return None
 
     def driven(self) -> Driven | None:
@@ -216,10 +215,7 @@ class Interface(Collective, Results, ABC):
         return None
 
     def warnings(self, link: CoupledSides, x: PETSc.Vec) -> list[str]:
-        """Warnings for the audit, the same on all ranks; collective.
-
-        Args:
-            x: (n,) present positions.
+        """Warnings for the audit at positions x (n,), the same on all ranks; collective.
 
         Raises:
             ValueError: on all ranks, for unsolvable cases.
@@ -229,8 +225,7 @@ class Interface(Collective, Results, ABC):
     def state(self, ended: bool) -> dict[str, Floats]:
         """Copies of the state except results, finite arrays of fixed names and lengths; collective.
 
-        Args:
-            ended: whether for the start of the next step.
+        `ended`: at the start of the next step.
         """
         return {}
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""An interface in one configuration: constraints, acting nodes, results."""
+"""An interface in one configuration: constraints, active nodes, results."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ class Link(CoupledSides):
 
     @property
     def prescribed(self) -> Bools:
-        """Slave nodes (n,) that face the master, but whose multiplier Dirichlet data prevent."""
+        """Slave nodes (n,) that face the master, without multiplier because of Dirichlet data."""
         kept, coverage = self.coupling.kept.any(axis=1), self.coupling.coverage
         left_out = coverage.faces & ~kept & ~coverage.weightless
         return np.asarray(left_out & self.sides.fixed[self.nodes].any(axis=1))
 
     def prescribed_facets(self) -> Bools:
-        """Mask (m,) of slave facets with such nodes only; collective."""
+        """Slave facets (m,) with such nodes only; collective."""
         slave = self.sides.slave
         marks = np.zeros(len(slave.nodes))
         marks[: slave.owned] = self.prescribed
@@ -100,18 +100,14 @@ class Link(CoupledSides):
         return replace(found, beside=beside, before=before, room=room)
 
     def acting(self, closed: Bools) -> Bools:
-        """Mask (n,) of slave nodes at which the interface acts.
-
-        Args:
-            closed: (owned nodes,) closed nodes.
-        """
+        """Slave nodes (n,) at which the interface acts, given closed nodes (owned nodes,)."""
         some = self.constrained.any(axis=1)
         if self.unilateral:
             return np.asarray(closed[self.nodes] & some)
         return np.asarray(self.coupling.kept.any(axis=1))
 
     def apart(self) -> Floats | None:
-        """Prescribed distance of tied sides (n, d), None for none; collective."""
+        """Prescribed distance of tied sides (n, d), or None; collective."""
         sides = self.sides
         found = None if self.unilateral else self.interface.apart(sides.V, self.nodes)
         if found is None:
@@ -151,7 +147,7 @@ def set_results_of(
 
     Args:
         reaction: (n, d) D_jj lambda_j in the frames, 0 in unconstrained directions.
-        known: (n, d) friction in prescribed directions, as vectors.
+        known: (n, d) friction vectors in prescribed directions.
         gap: (n,) nodal gaps, of ties the opening by a jump.
         active: (n,)
         x: (owned nodes, d) coordinates of the forces.
@@ -173,7 +169,7 @@ def set_results_of(
     found.pressure.x.array[:] = np.nan_to_num(found.pressure.x.array)
     _fill(found.gap, link, gap, kept)
     _fill(found.active, link, active.astype(np.float64), kept)
-    # nodes without weight, on the axis, are active with a neighbour
+    # nodes on the axis, without weight, are active with a neighbour
     around = link.coupling.coverage.weightless & (found.active.x.array[link.nodes] > 0.0)
     found.active.x.array[:] = 0.0
     found.active.x.array[link.nodes] = active | around

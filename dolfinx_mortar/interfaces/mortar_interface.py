@@ -46,7 +46,7 @@ class MortarInterface(Interface):
         slave: tag or name (see `Tags`) of the nonmortar side, with multipliers and integration.
         master: tag or name of the mortar side.
         surface: "facets", or "smooth" for smooth surfaces through the nodes.
-        feature_angle: degrees between facets from which on an edge is sharp.
+        feature_angle: least angle of an edge between facets in degrees.
 
     Raises:
         ValueError: for invalid arguments.
@@ -88,7 +88,7 @@ class MortarInterface(Interface):
         }
 
     def reach(self, sizes: Floats, nearest: float) -> Floats:
-        """Largest distance (q,) of partners, if ``within`` is finite.
+        """Largest distances (q,) of paired points, if ``within`` is finite.
 
         Args:
             sizes: (q,) diameter of the larger facet.
@@ -98,7 +98,7 @@ class MortarInterface(Interface):
 
     @abstractmethod
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
-        """Mask (n, c) of nodes that may carry a multiplier, for c choices of direction.
+        """Nodes (n, c) that may have a multiplier, for c choices of direction.
 
         Args:
             left: (n,) length of the unit normals without prescribed directions.

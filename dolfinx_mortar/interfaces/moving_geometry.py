@@ -5,7 +5,7 @@
 
 with weighted gaps G. Test functions are those of T; du = T_g y with y_n = -dG_j.du / D_jj makes
 gaps bounds: K^ = T^T (K + H) T_g. In rows of T_g the parts of neighbouring slave nodes are lumped
-on node j; the neglected part, a few per cent, corrects the bounds once du is known.
+on node j; the neglected part corrects the bounds once du is known.
 With friction y_t is the change of the slip t.m, t.(du_j - P du) + m.dt, with the partners' P
 (`slip_partners`) and the motion m; dt = -r (t.dn), r the first column of R.
 """
@@ -155,8 +155,8 @@ class MovingGeometry:
 def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None) -> Link:
     """Scale rows dG_j to w_n, and return the link of T_g; collective.
 
-    Lest T_g be singular, rows of T replace unknown gap rows, those with a small own part along n_j,
-    and dependent slip rows.
+    Rows of T replace gap rows that are unknown or have a small part along n_j, and dependent slip
+    rows: T_g would be singular.
     """
     coupling, nodes, row = link.coupling, link.nodes, link.pattern.row
     kept, R, across = coupling.kept[:, 0], coupling.R, coupling.rows
@@ -172,7 +172,7 @@ def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None
         for t in range(1, d):
             slid[:, t], q[:, t] = _lumped(link, slips.rows(t - 1))
         slid[:, 1:] = np.where(coupling.directions[:, 1:, None], slid[:, 1:], across[:, 1:])
-        # lumped partners beyond the pattern may leave a singular block
+        # lumped partners outside of the sparsity pattern may make a block singular
         regular = np.linalg.det(slid) * np.linalg.det(R) > 0.5
         faced = (slips.partners.known & regular)[:, None, None]
         rows, moved = np.where(faced, slid, rows), np.where(faced[row], q, moved)
@@ -185,7 +185,7 @@ def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None
 
 
 def _lumped(link: Link, rows: scipy.sparse.csr_array) -> tuple[Floats, Floats]:
-    """Own parts (n, d) of rows, with other parts lumped on them, and minus parts (e, d)."""
+    """Rows' parts (n, d) at their nodes, others lumped on them, and minus the others (e, d)."""
     coupling, pattern = link.coupling, link.pattern
     used = np.arange(len(pattern.row)) >= pattern.split
     used |= coupling.P[:, 0] != 0.0

@@ -54,8 +54,7 @@ from dolfinx_mortar.shapes import Distance, Shape
 
 # Largest | |grad phi| - 1 | within a facet of the surface, the error of forces and gaps.
 NO_DISTANCE = 0.1
-# A tool is near within so many facets: next to a touching node the gap is below two for surfaces
-# inclined by less than 63 degrees.
+# Reach of a tool in facets: next to a touching node the gap is below it up to 63 degrees.
 FACETS = 2.0
 
 
@@ -191,7 +190,7 @@ class Obstacle(Movable, Unilateral):
     def measure_coverage(
         self, sides: Sides, pairing: Pairing | None, u: fem.Function | None
     ) -> Coverage:
-        """Return which slave nodes are close to the tool at X + u; collective."""
+        """Slave nodes close to the tool at X + u; collective."""
         slave, own = sides.slave, slice(None, sides.slave.owned)
         length = mean_facet_length(slave)
         with raised_together(sides.V.mesh.comm):
@@ -231,7 +230,7 @@ class Obstacle(Movable, Unilateral):
         frame = self.frame(into[own], found.kept, sides.fixed[sides.nodes])
         gaps, _ = point_gaps(pattern, pose, self.tool.asked, u, found.segments, found.x)
         at = means(side, found, np.column_stack([found.x, gaps]))
-        # makes the gap n.(P x - x_j) - h_j the mean of phi
+        # the gap n.(P x - x_j) - h_j is the mean of phi
         heights = -(frame.normals * at[:, :-1]).sum(axis=1) - at[:, -1]
         kept = found.kept
         return couple_in(

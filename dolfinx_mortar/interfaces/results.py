@@ -33,10 +33,10 @@ class Resultants:
     moment: Floats  # (3,) about the origin
     master_force: Floats  # (d,) on the master side
     master_moment: Floats  # (3,)
-    multiplier: Floats  # (n,) or (n, d) lambda_j = reaction_j / D_jj at owned slave nodes
+    multiplier: Floats  # (n,) or (n, d) at owned slave nodes
     nodes: Ints  # (n,) their local numbers
     carries: Bools  # (n,) with a multiplier
-    place: Floats  # (3,) position of a tool or rigid side, else 0
+    place: Floats  # (3,) position of a tool or rigid side
 
 
 class Results:

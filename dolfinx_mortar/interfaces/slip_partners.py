@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Slip in a step, relative to the master points (partners) at the last commit.
 
-With the present P slips would change with every geometry update (15 instead of 10 Newton iterations
-of a Hertz step). The tangential distance of a node and its partner must not slip in rigid
-rotations: in the plane it turns with the normal; in space, where it may spin, the slave side
-carries it.
+The present P would change slips with every geometry update. The tangential distance of a node and
+its partner must not slip in rigid rotations: in the plane it turns with the normal; in space, where
+it may spin, the slave side carries it.
 On a moving rigid tool slips are along arcs of its surface. The nearest point of the tool at the
 last commit moves with it to y, its normal (into the tool) to n_0; the nearest point is now z, with
 the normal n. With d = z - y, c = n_0.n, h = |n_0 + n|, the angle b between n_0 and n, f = (b/2) /
@@ -41,8 +40,8 @@ class Partners:
     P: PETSc.Mat  # (nodes, nodes) between nodes, scalar
     known: Bools  # (n,) slave nodes that face the master
     normals: Floats  # (n, d) unit normals at the start
-    apart: Floats  # (n,) n.(x_j - P x) at the last commit
-    along: Floats  # (n, d) tangential part of x_j - P x there, in the plane
+    apart: Floats  # (n,) n.(x_j - P x)
+    along: Floats  # (n, d) tangential part of x_j - P x, in the plane
 
     def completed(self, link: CoupledSides, other: Partners) -> Partners:
         """These, with the others at nodes without a partner; collective."""
@@ -96,7 +95,7 @@ def _distances(link: CoupledSides, P: PETSc.Mat, x: PETSc.Vec) -> tuple[Floats, 
 
 
 def _carried(link: CoupledSides, x: PETSc.Vec, along: Floats) -> PETSc.Mat:
-    """Slave matrix W (nodes, nodes), W x = ``along`` (n, d) but for normal parts; collective."""
+    """Slave matrix W (nodes, nodes), W x = ``along`` (n, d) up to normal parts; collective."""
     slave, index_map = link.sides.slave, link.sides.V.dofmap.index_map
     d, kept = along.shape[1], link.coupling.kept[:, :1]
     columns = np.zeros((len(slave.nodes), 3 * d))
@@ -113,7 +112,7 @@ class ToolPartners(Partners):
     """Partners on a tool: P = 0, the motion is relative to the tool."""
 
     at: Floats  # (n, d) positions at the last commit, X if frozen
-    place: Floats  # (n, d) nearest points of the tool, in its initial position
+    place: Floats  # (n, d) nearest points, in the tool's initial position
     into: Floats  # (n, d) normals there, into the tool
     tool: Tool
     began: Pose
@@ -159,7 +158,7 @@ class ToolPartners(Partners):
         return np.asarray(arcs.motion - arcs.lift[:, None] * arcs.end)
 
     def derivatives(self, link: CoupledSides, moved: PETSc.Vec) -> tuple[Floats, Floats]:
-        """Derivatives (n, d, d) of the motion by x_j and by n, but for parts along n."""
+        """Derivatives (n, d, d) of the motion by x_j and by n, up to parts along n."""
         x = self.at + moved.array_r.reshape(-1, self.at.shape[1])[link.nodes]
         arcs, found = self._arcs(link, x), self.tool.pose().distance(self.tool.asked, x)
         g = found.gradient
@@ -181,7 +180,7 @@ class _Arcs:
     """Arcs of a surface from their chords and the normals at their ends."""
 
     def __init__(self, chord: Floats, start: Floats, end: Floats) -> None:
-        """Take the chords d and unit normals n_0 and n (n, d)."""
+        """Chords d and unit normals n_0 and n (n, d)."""
         self.chord, self.start, self.end = chord, start, end
         both, apart = end + start, end - start
         h, w = np.linalg.norm(both, axis=1), np.linalg.norm(apart, axis=1)

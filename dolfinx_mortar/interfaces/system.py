@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""All interfaces of a problem: pairs of facets, claims on slave nodes, couplings, and one T."""
+"""All interfaces of a problem: pairs of facets, owners of slave nodes, couplings, and one T."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ from dolfinx_mortar.spaces import with_values
 
 @dataclass(frozen=True)
 class Configuration:
-    """All interfaces at given positions, for given positions of the pairing."""
+    """All interfaces at given positions, paired at given positions."""
 
     links: Sequence[Link] = ()
     claims: Claims | None = None
@@ -87,7 +87,7 @@ class Reused:
     at_X: Mapping[int, Coupling] = field(default_factory=dict)
     paired_at: Floats | None = None
     transformation: Transformation | None = None
-    held: Sequence[Any] = ()  # dependencies of its pattern, see `_pattern_of`
+    held: Sequence[Any] = ()  # of its pattern, see `_pattern_of`
     moving: MovingGeometry | None = None
 
 
@@ -187,7 +187,7 @@ class InterfaceSystem:
 
     @property
     def can_open(self) -> Bools:
-        """Marks (local nodes,) of nodes of contacts."""
+        """Nodes (local nodes,) of contacts."""
         layout = self.V.dofmap.index_map
         marks = np.zeros(layout.size_local + layout.num_ghosts, dtype=bool)
         for side in self.sides:
@@ -196,9 +196,9 @@ class InterfaceSystem:
         return marks
 
     def tools_at(self, u: fem.Function) -> list[tuple[Outline, Floats]]:
-        """Outlines of the rigid tools, each with a box in its frame; collective.
+        """Outlines of the rigid tools, each with a box (2, d) in its frame; collective.
 
-        The box (2, d) encloses the side at X + u on all ranks.
+        The box encloses the side at X + u on all ranks.
         """
         tools = []
         for interface, sides in zip(self.interfaces, self.sides, strict=True):
@@ -292,12 +292,10 @@ class InterfaceSystem:
         return replace(link, coupling=self._couple(k, parts, u))
 
     def begin(self, u: fem.Function | None, known: Floats | None) -> Configuration:
-        """First configuration of a step at X + u, without T; collective.
+        """First configuration of a step at X + u (X for None), without T; collective.
 
-        Args:
-            u: displacement, None for X.
-            known: (n,) displacement of the last committed pairing, kept while it fits, empty for X;
-                None pairs the surfaces at X + u.
+        `known` (n,) is the displacement of the last committed pairing, kept while it fits, empty
+        for X; None pairs the surfaces at X + u.
         """
         if known is None or not self.interfaces:
             return self.at(u)
@@ -330,7 +328,7 @@ class InterfaceSystem:
     def enter(self, found: Configuration) -> bool:
         """Make a configuration the present one; return whether T is a new one; collective."""
         links, claims, held = found.links, found.claims, _pattern_of(found.links)
-        if claims is None:  # without interfaces
+        if claims is None:  # no interfaces
             self.present = found
             return False
         reused, T = self._reused, self._reused.transformation
@@ -359,7 +357,7 @@ class InterfaceSystem:
         present, reused = self.present, self._reused
         try:
             yield
-        finally:  # perhaps on this rank: no communication
+        finally:  # perhaps on this rank only: no communication
             if present.transformation is not None:
                 self.present, self._reused = present, reused
         if present.transformation is not None:
@@ -445,7 +443,7 @@ class InterfaceSystem:
         return total
 
     def slots(self) -> Ints:
-        """Return (owned nodes, d): the unknown of each node that is a Cartesian component."""
+        """Unknown (owned nodes, d) of each node that is a Cartesian component."""
         d = self.V.dofmap.index_map_bs
         slot: Ints = np.tile(np.arange(d, dtype=np.int32), (self.n, 1))
         for link in self.links:

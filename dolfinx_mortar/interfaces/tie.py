@@ -34,8 +34,8 @@ from ufl.core.expr import Expr
 Jump = Sequence[float] | Floats | fem.Constant | fem.Function | Callable[[Floats], Floats] | None
 """A vector in Cartesian components, the same everywhere or one at each point."""
 
-# Default reach of ties beyond the least distance, in larger facets. Sagittas are tan(a / 4) / 2 of
-# a facet, a the angle between two: together less than 0.42 up to right angles.
+# Default reach of ties beyond the least distance, in larger facets: sagittas of both sides are
+# less, up to right angles between facets.
 WITHIN = 0.5
 
 REACH = number("the largest distance over which to tie, a length", above=0.0)
@@ -71,7 +71,7 @@ class Tie(MortarInterface):
         surface: "facets" ties points of facets, u_s = P u_m as in the paper; "smooth" the smooth
             surfaces through their nodes: where facets are apart by r, u_s = P u_m + (motion of r),
             see `dolfinx_mortar.mortar.curvature_correction.point_motions`.
-        feature_angle: degrees between facets from which on an edge is sharp; for smooth surfaces.
+        feature_angle: least angle of an edge between facets in degrees, for smooth surfaces.
         within: largest distance between tied facets at X, a length; default the least distance
             between the sides plus half of the larger of two facets (the audit warns where that may
             be wrong).
@@ -175,31 +175,31 @@ class Tie(MortarInterface):
         check_mesh("jump", self.jump, V)
 
     def reach(self, sizes: Floats, nearest: float) -> Floats:
-        """Largest distance (q,) between partners of facet size ``sizes``."""
+        """Largest distances (q,) of paired points by facet sizes (q,)."""
         if self.within is not None:
             return np.full(len(sizes), self.within)
         return nearest + WITHIN * sizes
 
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
-        """Return (n, d): directions without Dirichlet data."""
+        """Directions (n, d) without Dirichlet data."""
         return ~fixed
 
     def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
-        """Return Cartesian frames constrained in the kept directions."""
+        """Cartesian frames constrained in the kept directions."""
         n, d = normals.shape
         slot = np.where(fixed, np.arange(d, dtype=np.int32), -1).astype(np.int32)
         return Frame(np.broadcast_to(np.eye(d), (n, d, d)), slot, kept, normals)
 
     def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
-        """Return P_jl I."""
+        """Blocks P_jl I."""
         return np.asarray(P[:, :, None] * np.eye(P.shape[1]))
 
     def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
-        """Arguments for the motions of offset vectors."""
+        """Motions of offset vectors."""
         return {"motions_of": smooth}
 
     def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
-        """Jump plus tightening (n, d) at slave nodes; None for none; collective.
+        """Jump plus tightening (n, d) at slave nodes, or None; collective.
 
         Raises:
             ValueError: on all ranks, for a jump on another mesh, or not a vector at each node.

@@ -63,9 +63,9 @@ class Driven(Protocol):
 class Pose:
     """Pose of a tool: x = position + R (xi - point) of a point xi in its initial position."""
 
-    position: Floats  # (d,) of the tool's point
+    position: Floats  # (d,)
     rotation: Floats  # (1,) or (3,) rotation vector
-    point: Floats  # (d,) its initial position
+    point: Floats  # (d,) initial position
 
     @property
     def R(self) -> Floats:
@@ -204,7 +204,7 @@ class RigidBody:
         return self.along(x - self.pose().position)
 
     def curve(self, X: Floats, amounts: Floats) -> Floats:
-        """See `Driven`; 0."""
+        """Zero, see `Driven`."""
         return np.zeros_like(X)
 
     def along(self, arm: Floats) -> Floats:
@@ -400,7 +400,7 @@ class Tool(RigidBody):
         return turn_between(self.began, self.pose())
 
     def seen(self) -> SeenByTool:
-        """Motion since the last commit as seen from the tool."""
+        """Motion since the last commit relative to the tool."""
         began, now, shape = self.began, self.pose(), self.shape
         turn = self.turn()
         return SeenByTool(
@@ -483,7 +483,7 @@ def on_the_way(before: Pose, now: Pose, turn: Floats, t: float) -> Pose:
 
 
 def find_facing(side: WholeSide, pose: Pose, shape: Shape, x: Floats) -> Bools:
-    """Mask (m,) of facets that face the tool within 78 degrees, for nodes at x (n, d)."""
+    """Facets (m,) that face the tool within 78 degrees, for nodes at x (n, d)."""
     facets = facets_at(side.slave, x)
     tool = pose.distance(shape, facets.x.mean(axis=1)).gradient
     return np.asarray(-(facet_normals(facets) * tool).sum(axis=1) > FACING)
@@ -496,7 +496,7 @@ class SidePattern(Pattern):
     side: WholeSide | None = None
     own: SmoothSide | None = None  # for facets of second order
     nodal: bool = False  # distances at nodes, for first order
-    faceted: Bools | None = None  # (owned nodes,) facets are exact
+    faceted: Bools | None = None  # (owned nodes,)
 
 
 def point_gaps(
