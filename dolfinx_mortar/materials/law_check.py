@@ -24,17 +24,17 @@ from dolfinx_mortar.materials.response import (
 from dolfinx_mortar.materials.tensor import INDEX, mean_of_shears
 from ufl.core.expr import Expr
 
-PATHS = 8  # random ones of small strains
-SIZES = tuple(np.geomspace(1e-5, 1.0, 6))  # of strains, over five decades
-# Largest errors. Laws of this package have 1e-9 at most at small strains; what iterates to 1e-6
-# passes. At finite strain plastic laws have 7e-8, near kinks, E / Y up to 1000 (six seeds).
+PATHS = 8  # random paths of small strains
+SIZES = tuple(np.geomspace(1e-5, 1.0, 6))  # factors of the strains
+# Largest errors: at small strains a law that iterates to 1e-6 passes; at finite strain plastic laws
+# have 7e-8 near kinks.
 RTOL = 1e-5
 FINITE_RTOL = 1e-7
-# Of finite differences, relative to the strain or the smallest stretch. The long one survives
-# formulas that cancel, the short one stays inside the yield surface up to E / Y = 1e6.
+# Lengths of differences, relative to the strain or smallest stretch: the longest survives
+# cancellation, the shortest stays inside the yield surface up to E / Y = 1e6.
 LENGTHS = tuple(EPS**power for power in (1 / 5, 1 / 3, 0.45))
 WEIGHTS = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}  # central differences of sixth order
-STRETCHES = (  # before they are scaled to a volume
+STRETCHES = (  # scaled to a volume before use
     *((1.0, 1.0, 1.0), (1.0, 1.0, 2.0), (0.5, 1.0, 1.0), (1.0, 1.0 + 1e-9, 1.5)),
     *((1.0, 1.0 + 1e-5, 1.0 - 1e-5), (1.0, 1.001, 0.7), (0.5, 1.1, 2.2), (0.4, 0.9, 3.0)),
 )
@@ -45,19 +45,19 @@ State = Mapping[str, Floats]
 
 @dataclass(frozen=True)
 class LawReport:
-    """What `check` found; errors are relative to the elastic stress or moduli."""
+    """Result of `check`; errors are relative to the elastic stress or moduli."""
 
     law: str
-    samples: int  # pairs of strain and state, without those on a kink
+    samples: int  # pairs of strain and state, kinks excluded
     changed: int  # samples in which an internal variable changed
     energy_error: float  # stress against differences of the energy; NaN without an energy
     tangent_error: float  # tangent against differences of the stress
-    state_error: float  # stress at the end of a step against that at the start of the next
-    skew: float  # largest unsymmetric part of the tangent
-    lowest: float  # smallest eigenvalue of the tangent, relative to the largest one anywhere
+    state_error: float  # stress after the commit against stress at the end of the step
+    skew: float  # largest antisymmetric part of the tangent
+    lowest: float  # smallest eigenvalue of the tangent, relative to the largest of all samples
     # psi and P at Q F against psi and Q P at F, Q a rotation; NaN for a small strain
     objectivity_error: float = float("nan")
-    # turned, without plastic strain, against what it was; NaN for laws that are not `isotropic`
+    # response to rotated strains without plastic strain; NaN for laws that are not `isotropic`
     isotropy_error: float = float("nan")
 
     def __str__(self) -> str:
@@ -99,36 +99,37 @@ def check(
 ) -> LawReport:
     """Compare stress, energy, tangent and state of a law at random strains and states.
 
-    At small strains, on random paths from the virgin state whose steps grow over five decades up to
-    `size`; at finite strain, at stretches and J of .3 to 3, from the virgin and a changed state.
+    At small strains, on random paths from the virgin state with steps that grow over five decades
+    up to `size`; at finite strain, at stretches and J from .3 to 3, from the virgin and a changed
+    state.
 
-    * There must be no stress at the start.
+    * The virgin state must be free of stress.
     * d energy / d strain must be the stress, where there is an energy, and d stress / d strain the
-      tangent; differences of sixth order must give them to 1e-5, at finite strain to 1e-7.
-    * At finite strain energy and stress must turn with F.
+      tangent, by differences of sixth order to 1e-5, at finite strain to 1e-7.
+    * At finite strain energy and stress must rotate with F.
     * With `linear`, the tangent must be the same everywhere.
-    * The tangent should be positive, or the potential is not convex (told, no error).
-    * At small strains the internal variables at the end of the step, committed, must give the same
-      stress at the same strain, and stay as they are.
-    * With `isotropic`, the elastic strain alone, turned, must give the turned stress, the same
-      scalars and the turned increment of the plastic strain.
+    * The tangent should be positive, or the potential is not convex (reported, no error).
+    * At small strains the internal variables at the end of the step, once committed, must give the
+      same stress at the same strain, and remain unchanged.
+    * With `isotropic`, the rotated elastic strain must give the rotated stress, the same scalars
+      and the rotated increment of the plastic strain.
 
     Args:
         law: a material such as ``VonMises(...)``, with parameters of a real problem.
         size: Frobenius norm of the largest small strain.
         seed: of the random strains.
-        rate_independent: False leaves out what a commit must keep, for laws that go on with time.
-        plane_stress: judge what the law does in plane stress.
-        strain: "finite" judges what the law does in ``Solid(.., strain="finite")``; the default is
-            the strain that the law is made for.
-        initial_stress: True for a law that is meant to have a stress before anything has moved.
+        rate_independent: False omits the check after a commit, for laws that depend on time.
+        plane_stress: check the law in plane stress.
+        strain: "finite" checks the law as in ``Solid(.., strain="finite")``; by default the strain
+            of the law itself.
+        initial_stress: True for a law with stress in the virgin state.
 
     Returns:
-        The largest errors found; ``print`` it.
+        The largest errors; ``print`` it.
 
     Raises:
-        ValueError: naming a wrong argument; where the law does not fit, with strain, state and
-            both values.
+        ValueError: naming a wrong argument; where the law does not fit, with strain, state and both
+            values.
     """
     parts = create_law("law", law, plane_stress=plane_stress)
     arguments.check("size", size, arguments.number("the norm of a strain,", above=0.0))
@@ -154,7 +155,7 @@ def check(
 
 
 def _gradients(rng: np.random.Generator, size: float) -> Iterator[Floats]:
-    """Yield deformation gradients: small ones, and large ones with coincident stretches."""
+    """Yield small and large deformation gradients, also with coincident stretches."""
     for share in SIZES:
         yield np.eye(3) + share * size * rng.uniform(-1.0, 1.0, (3, 3))
     for J in VOLUMES:
@@ -164,7 +165,6 @@ def _gradients(rng: np.random.Generator, size: float) -> Iterator[Floats]:
 
 
 def _rotation(rng: np.random.Generator) -> Floats:
-    """Return a random rotation (3, 3)."""
     Q, _ = np.linalg.qr(rng.standard_normal((3, 3)))
     return np.asarray(Q * np.linalg.det(Q))
 
@@ -177,11 +177,11 @@ def _unit(rng: np.random.Generator, *, symmetric: bool = True) -> Floats:
 
 
 class Point(NamedTuple):
-    """What a law gives at one strain, or F, and state."""
+    """Response of a law at one strain (or F) and state."""
 
     energy: float  # NaN without one
     stress: Floats  # (3, 3), P at F
-    tangent: Floats  # (3, 3, 3, 3), its derivative
+    tangent: Floats  # (3, 3, 3, 3)
     state: dict[str, Floats]  # at the end of the step, () or (3, 3)
 
 
@@ -190,7 +190,7 @@ class LawAtPoint:
     """A law as a function of numbers."""
 
     law: Law
-    finite: bool  # whether it is one of F, else of a small strain
+    finite: bool  # whether the strain is F
     has_energy: bool
     elastic: Callable[[Floats], Floats]  # small strain (3, 3) -> C : strain (3, 3)
     evaluate: Callable[[Floats, State], Point]
@@ -201,7 +201,7 @@ class LawAtPoint:
         return FINITE_RTOL if self.finite else RTOL
 
     def __call__(self, strain: Floats, state: State) -> Point:
-        """Evaluate the law at a strain or F (3, 3) and a committed state; all must be finite."""
+        """Evaluate the law at a strain or F (3, 3) and a committed state, all finite."""
         point = self.evaluate(strain, state)
         values = [*point[1:3], *point.state.values()]
         values += [np.array(point.energy)] if self.has_energy else []
@@ -215,16 +215,16 @@ class LawAtPoint:
         return point
 
     def where(self, strain: Floats, state: State, **others: Floats) -> str:
-        """Return a place in words."""
+        """Describe strain and state for a message."""
         values = {"F" if self.finite else "strain": strain, **state, **others}
         return ", ".join(f"{name} = {_written(value)}" for name, value in values.items())
 
 
 def law_at_point(material: Any, law: Law, strain: str | None = None) -> LawAtPoint:
-    """Return a law as a function of numbers, at the strain that it is made for or a finite one.
+    """Return a law as a function of numbers, of its own strain or a finite one.
 
     Raises:
-        ValueError: for parameters that depend on place; for plane stress at finite strain.
+        ValueError: for parameters that vary in space; for plane stress at finite strain.
     """
     finite = (strain or law.strain) == "finite"
     if law.plane_stress and finite:
@@ -249,7 +249,7 @@ def law_at_point(material: Any, law: Law, strain: str | None = None) -> LawAtPoi
 
 
 def _numbers_of(material: Any) -> dict[str, float]:
-    """Return the parameters of a material as numbers; a ValueError if one depends on place."""
+    """Return the parameters as numbers; a ValueError if one varies in space."""
     numbers = {}
     for name, value in named_parameters(material).items():
         if isinstance(value, Expr) and not isinstance(value, ufl.Constant):
@@ -262,13 +262,13 @@ def _numbers_of(material: Any) -> dict[str, float]:
 
 
 def _of_ufl(law: Law, given: Mapping[str, float]) -> Callable[[Floats, State], Point]:
-    """Return a law in UFL as a function of one strain, or F, and state."""
+    """Evaluate a law in UFL at one strain, or F, and state."""
     e, D, z, *rest, p = _symbols(given, (3, 3), (3, 3), (), *law.state.values())
     response = respond(
         law, e, dict(zip(law.state, rest, strict=True)), p, z if law.condensed else None
     )
     psi = ufl.as_ufl(0.0) if response.energy is None else response.energy
-    # One by one: UFL compares equal parts of what is compiled together, tree by tree.
+    # one by one: UFL compares the subexpressions of a compiled unit tree by tree
     parts = [_entries(response.change(D)), _entries(response.stress), _entries(psi)]
     parts += [_entries(response.updated[name]) for name in law.state]
     if law.condensed:
@@ -306,7 +306,7 @@ def _of_ufl(law: Law, given: Mapping[str, float]) -> Callable[[Floats, State], P
 def _of_arrays(
     given: Mapping[str, float], values: Callable[..., PointValues]
 ) -> Callable[[Floats, State], Point]:
-    """Return a law of arrays as a function of one strain, or F, and state."""
+    """Evaluate a law of arrays at one strain, or F, and state."""
     p = grouped({name: np.array([value]) for name, value in given.items()})
 
     def evaluate(strain: Floats, state: State) -> Point:
@@ -320,7 +320,7 @@ def _of_arrays(
 
 
 def _symbols(given: Mapping[str, float], *shapes: tuple[int, ...]) -> list[Any]:
-    """Return `constants` in turn as scalars and tensors, then the parameters."""
+    """Return `constants` as scalars and tensors, then the parameters."""
     sizes = [int(np.prod(shape)) for shape in shapes]
     numbers = iter(list(constants(sum(sizes) + len(given))))
     found: list[Any] = []
@@ -337,18 +337,18 @@ def _entries(value: Expr) -> Expr:
 
 
 class _Errors(NamedTuple):
-    """What was found at one sample; NaN for what does not apply."""
+    """Errors at one sample; NaN where a check does not apply."""
 
     changed: bool  # whether an internal variable changed
-    on_kink: bool  # where differences tell nothing
+    on_kink: bool  # where differences mean nothing
     energy: float
     tangent: float
     skew: float
-    kept: float = 0.0  # of the stress that the new state gives
+    kept: float = 0.0  # stress after the commit
     objectivity: float = np.nan
     isotropy: float = np.nan
     lowest: float = 0.0  # smallest eigenvalue of the tangent
-    highest: float = 1.0  # largest one, without its sign
+    highest: float = 1.0  # largest absolute eigenvalue
 
 
 class _Judge:
@@ -364,7 +364,7 @@ class _Judge:
         self._start = point(np.eye(3) * point.finite, self.virgin)
 
     def check_start(self) -> None:
-        """Raise ValueError if there is a stress before anything has moved."""
+        """Raise ValueError for stress in the virgin state."""
         stress = self._start.stress
         if np.abs(stress).max() > self.point.rtol * self._stiffness:
             raise ValueError(
@@ -375,7 +375,7 @@ class _Judge:
             )
 
     def __call__(self, strain: Floats, state: State) -> State:
-        """Judge the law at a strain, or F; return the state at the end of the step."""
+        """Check the law at a strain, or F; return the state at the end of the step."""
         point, law, here = self.point, self.point.law, self.point(strain, state)
         if point.finite:
             scale = modulus = max(self._stiffness, float(np.abs(here.tangent).max()))
@@ -402,7 +402,7 @@ class _Judge:
             tangent=tangent,
             skew=float(np.abs(here.tangent - here.tangent.transpose(2, 3, 0, 1)).max()) / modulus,
         )
-        if point.finite and state is self.virgin:  # tensors that a law remembers may turn with it
+        if point.finite and state is self.virgin:  # tensors in the state may have to rotate, too
             errors = errors._replace(objectivity=sample.compare_turned(_rotation(self.rng)))
         elif not point.finite:
             kept = sample.compare_kept() if self._rate_independent else 0.0
@@ -448,7 +448,7 @@ class _Sample:
     strain: Floats  # (3, 3)
     state: State
     here: Point
-    scale: float  # a stress: errors are relative to it
+    scale: float  # stress to which errors are relative
 
     def demand(
         self, what: str, given: Any, wanted: Any, other: str, scale: float, **places: Floats
@@ -466,10 +466,7 @@ class _Sample:
         return float(errors[worst] / scale) if scale > 0.0 else 0.0
 
     def compare_differences(self, D: Floats, length: float, modulus: float) -> tuple[float, float]:
-        """Return the errors of stress : D and tangent : D against differences along D.
-
-        That of the tangent is NaN where no two lengths of differences agree, as on a kink.
-        """
+        """Return the errors of stress and tangent against differences along D; NaN on a kink."""
         slopes, changes = [], []
         change: Floats
         for share in LENGTHS:
@@ -511,7 +508,7 @@ class _Sample:
         return max(error, self.demand("psi(Q F)", *energies, why, self.scale, Q=Q))
 
     def compare_kept(self) -> float:
-        """Return the error of the stress after the new state has become the committed one."""
+        """Return the error of the stress after a commit of the new state."""
         after = self.point(self.strain, self.here.state)
         told = "after a commit at the same strain it is"
         for name, value in self.here.state.items():
@@ -520,7 +517,7 @@ class _Sample:
         return self.demand("the stress", self.here.stress, after.stress, told, self.scale)
 
     def compare_isotropy(self, Q: Floats) -> float:
-        """Return the error of the response to the elastic strain alone, turned by Q."""
+        """Return the error of the response to the elastic strain rotated by Q."""
         plastic = self.state.get(PLASTIC, np.zeros((3, 3)))
         state = {name: 0.0 * plastic if name == PLASTIC else v for name, v in self.state.items()}
         after = self.point(Q @ (self.strain - plastic) @ Q.T, state)
@@ -534,8 +531,8 @@ class _Sample:
 
 
 def _extreme_moduli(tangent: Floats) -> tuple[float, float]:
-    """Return the smallest eigenvalue of the symmetric part of a tangent, and the largest size."""
-    roots = np.sqrt([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # products are those of the tensors
+    """Return the smallest eigenvalue of the symmetric part, and the largest size."""
+    roots = np.sqrt([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # Mandel's notation
     rows, columns = zip(*INDEX, strict=True)
     matrix = roots[:, None] * tangent[rows, columns][:, rows, columns] * roots
     values = np.linalg.eigvalsh((matrix + matrix.T) / 2)
@@ -543,5 +540,4 @@ def _extreme_moduli(tangent: Floats) -> tuple[float, float]:
 
 
 def _written(values: Any) -> str:
-    """Return an array in one line."""
     return np.array2string(np.asarray(values), precision=8).replace("\n", "")

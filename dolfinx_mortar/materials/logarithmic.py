@@ -1,21 +1,17 @@
 # SPDX-License-Identifier: MIT
 """Small-strain laws at finite strain: functions of a logarithmic strain, with its dual stress as P.
 
-**Multiplicative form**, for isotropic laws with plastic strain and scalars as state
-(`Law.isotropic`). With F = F_e F_p, C_p = F_p^T F_p, and the logarithmic plastic strain E_p = 1/2
-ln C_p in the state,
+Derivation and sources: theory.md, Small-strain laws at finite strain. **Multiplicative form**, for
+isotropic laws with plastic strain and scalars as state (`Law.isotropic`): with F = F_e F_p, C_p =
+F_p^T F_p, and the logarithmic plastic strain E_p = 1/2 ln C_p in the state,
 
     E = 1/2 ln(C_p^-1/2 F^T F C_p^-1/2),         psi = psi(E; plastic strain 0, scalars),
     C_p^-1 = C_pn^-1/2 exp(-2 dep) C_pn^-1/2,    dep the plastic strain that the law gives.
 
-E has the principal values of 1/2 ln b_e, b_e = F C_pn^-1 F^T, d psi / dE are Kirchhoff's principal
-stresses, and the update is the exponential map: exact for any shear, isochoric where the law is.
-
-**Additive form**, for all others: the law of small strain at E = 1/2 ln(F^T F). It is exact where
-the principal directions do not turn; in simple shear by gamma = 1 perfect plasticity is 3 % too
-soft, by gamma = 2 17 %.
-
-In both forms P = d psi / dF, and the tangent is symmetric and complete.
+dep the plastic strain of the law. The exponential map is exact for any shear, and isochoric where
+the law is. **Additive form**, for all others: the law of small strain at E = 1/2 ln(F^T F), exact
+where the principal directions do not rotate; in simple shear by 1 perfect plasticity is 3 % too
+soft, by 2 17 %.
 
 Sources: J. C. Simo, Comput. Methods Appl. Mech. Engrg. 99 (1992) 61-112; C. Miehe, N. Apel, M.
 Lambrecht, Comput. Methods Appl. Mech. Engrg. 191 (2002) 5383-5425.
@@ -50,13 +46,13 @@ from dolfinx_mortar.materials.tensor import (
 )
 from ufl.core.expr import Expr
 
-CHUNK = 512  # points that are treated together, for the cache
+CHUNK = 512  # points per chunk, for the cache
 NORMAL = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # ab of L_aabb
 
 
 @dataclass(frozen=True)
 class Start:
-    """Data of q points at the start of a step, for each evaluation."""
+    """Data of q points at the start of a step."""
 
     state: Mapping[str, Floats]  # committed, (q,) or (q, 3, 3)
     parameters: Mapping[str, Floats]  # (q,) of a law of arrays
@@ -78,7 +74,6 @@ class LogarithmicLaw:
     """A small-strain law as a function of H = F - I at points, see the module.
 
     Attributes:
-        law: its parts.
         multiplicative: the form; else additive.
         has_energy: whether there is a potential.
         components: row and column of the k entries of P that may differ from zero.
@@ -95,10 +90,9 @@ class LogarithmicLaw:
         """Compile a law in UFL.
 
         Args:
-            law: its parts.
             parameters: their names.
             dimension: 2 if H is in the plane but for H_zz.
-            jit: options of the compiler.
+            jit: compiler of an expression.
 
         Raises:
             ValueError: if the law raises, or returns something of the wrong shape or name.
@@ -113,7 +107,7 @@ class LogarithmicLaw:
         self._tensors = np.empty((3, CHUNK, 3, 3))
 
     def start(self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Start:
-        """Data that are constant in a step, of the committed state and the parameters.
+        """Data of the committed state and the parameters, constant in a step.
 
         Args:
             q: number of points.
@@ -124,7 +118,7 @@ class LogarithmicLaw:
         if self.multiplicative and PLASTIC in self.law.state:
             roots = np.empty_like(state[PLASTIC])
             logarithms.roots(state[PLASTIC], roots)
-        numbers = self._inner.numbers(q, state, parameters)  # with those of a law in UFL
+        numbers = self._inner.numbers(q, state, parameters)
         return Start(state, parameters if self.law.update else {}, roots, numbers)
 
     def respond(self, start: Start, H: Floats, P: Floats, A: Floats, psi: Floats) -> None:
@@ -149,7 +143,7 @@ class LogarithmicLaw:
         """Set H_zz of q points such that P_zz = 0, NaN where the law is undefined.
 
         Raises:
-            ValueError: where it is not found.
+            ValueError: without a root.
         """
         k = len(self.components)
         c = self.components.index((2, 2))
@@ -202,10 +196,9 @@ class LogarithmicLaw:
         return PointValues(stress, tangent, self.update(start, H), energy=energy)
 
     def stress_lost(self, start: Start, H: Floats) -> Floats:
-        """Return 1 - |dev tau| / |dev T|, tau Kirchhoff's stress and T that of the law, (q,).
+        """Return 1 - |dev tau| / |dev T| (q,), tau Kirchhoff's stress and T that of the law.
 
-        Zero in the multiplicative form, and in the additive one wherever T has the principal
-        directions of E; where a point flows it is the error of the yield stress.
+        Zero in the multiplicative form; in the additive form the error of the yield stress.
         """
         share = np.zeros(len(H))
         for some in () if self.multiplicative else _chunks(len(H)):
@@ -215,7 +208,7 @@ class LogarithmicLaw:
         return share
 
     def _decompose(self, start: Start, H: Floats, some: slice) -> list[Floats]:
-        """x, logs, N, y, m, see `logarithms`, at some points."""
+        """x, logs, N, y, m of `logarithms`."""
         parts = [part[: len(H)] for part in (*self._vectors, *self._tensors)]
         roots = _NONE if start.roots is None else start.roots[some]
         logarithms.decompose(H, roots, start.roots is None, *parts)
@@ -239,19 +232,17 @@ _NONE = np.zeros((1, 3, 3))
 
 
 def _upper(k: int) -> list[tuple[int, int]]:
-    """Rows and columns of the upper triangle, row by row."""
     return [(a, b) for a in range(k) for b in range(a, k)]
 
 
 def _chunks(q: int) -> list[slice]:
-    """Slices of points that are treated together."""
     return [slice(i, min(i + CHUNK, q)) for i in range(0, q, CHUNK)]
 
 
 def _answers(
     law: Law, size: int
 ) -> tuple[Sequence[tuple[int, int]], list[tuple[int, int, int, int]]]:
-    """Return which entries of T and L `logarithms` takes, of an isotropic law principal ones."""
+    """Entries of T and L that `logarithms` takes: of an isotropic law principal ones."""
     pairs = INDEX[:size]
     if not law.isotropic:
         return pairs, [(*pairs[a], *pairs[b]) for a, b in _upper(size)]
@@ -322,7 +313,6 @@ class _InUFL:
         return numbers
 
     def _response(self) -> Response:
-        """Response of the law to symbols."""
         sizes = [self._size if shape else 1 for shape in self._memory.values()]
         count = self._width + sum(sizes) + len(self._names)
         numbers = constants(count)
@@ -350,7 +340,6 @@ class _OfArrays:
     def numbers(
         self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]
     ) -> Floats:
-        """Nothing: the law gets the arrays themselves."""
         return np.empty((0, 0))
 
     def moduli(self, start: Start, some: slice, logs: Floats, N: Floats) -> Floats:
@@ -363,14 +352,13 @@ class _OfArrays:
         return np.stack(columns, axis=1)
 
     def update(self, start: Start, some: slice, logs: Floats, N: Floats) -> dict[str, Floats]:
-        """New internal variables; plastic strains in the eigenvectors (q, 3)."""
+        """As `_InUFL.update`."""
         new = self._values(start, some, logs, N).state
         if self._law.isotropic and PLASTIC in new:
             new[PLASTIC] = np.ascontiguousarray(new[PLASTIC][:, range(3), range(3)])
         return new
 
     def _values(self, start: Start, some: slice, logs: Floats, N: Floats) -> PointValues:
-        """Values of the law."""
         state = {name: values[some] for name, values in start.state.items()}
         p = grouped({name: values[some] for name, values in start.parameters.items()})
         strain = np.zeros((len(logs), 3, 3))

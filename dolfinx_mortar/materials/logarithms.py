@@ -1,25 +1,23 @@
 # SPDX-License-Identifier: MIT
 """Logarithmic strains at points, and the transformation of their stresses and moduli to P.
 
-With F = I + H, a symmetric G = I + g and C = (F G)^T F G, whose eigenvalues are 1 + x_a and whose
-eigenvectors are N_a,
+With F = I + H, a symmetric G = I + g and C = (F G)^T F G with eigenvalues 1 + x_a and eigenvectors
+N_a,
 
     E = 1/2 ln C = sum_a 1/2 ln(1 + x_a) N_a (x) N_a.
 
-For a potential psi(E) with T = d psi / d E and L = dT / dE, and y_a = F G N_a, m_a = G N_a,
+With T = d psi / d E, L = dT / dE, y_a = F G N_a and m_a = G N_a,
 
     P = d psi / d F = sum_ab S_ab y_a (x) m_b,         S_ab = 2 f_ab T_ab,
     dP_iJ / dF_kM   = sum M_ab,cd Z_ab,iJ Z_cd,kM + delta_ik sum_ab S_ab m_a,J m_b,M,
 
-where Z_ab = y_a (x) m_b + y_b (x) m_a is the derivative of C_ab, and M that of S_ab / 2 by C_cd:
-from the first and second divided differences f_ab, f_abc of 1/2 ln at the eigenvalues,
+where Z_ab = y_a (x) m_b + y_b (x) m_a is the derivative of C_ab, and M that of S_ab / 2 by C_cd,
+with the divided differences f_ab, f_abc of 1/2 ln at the eigenvalues (power series for close ones):
 
     M_ab,cd = f_ab L_ab,cd f_cd + terms of f_abc T.
 
-Close eigenvalues take the power series of the divided differences. Of an isotropic psi(E), T is
-diagonal in the eigenvectors, and L couples normal strains, each shear being coupled with itself.
-
-Components are stored as tensors are (`tensor.INDEX`): in the plane four pairs ab and the five
+For an isotropic psi(E), T is diagonal in the eigenvectors; L couples normal strains, and each shear
+with itself. Components are stored as in `tensor.INDEX`: in the plane four pairs ab and five
 components xx, xy, yx, yy, zz of F and P, in space six and nine.
 
 Source: C. Miehe, M. Lambrecht, Commun. Numer. Meth. Engng 17 (2001) 337-353.
@@ -34,7 +32,7 @@ from dolfinx_mortar.materials.tensor import INDEX
 PAIRS = INDEX
 SETTINGS = {"cache": True, "error_model": "numpy"}
 
-# Below these relative differences of eigenvalues power series are exact to round-off; above them
+# Relative difference of eigenvalues: power series are exact to round-off below it; above,
 # differences lose at most two digits.
 NEAR = 0.08
 
@@ -48,7 +46,7 @@ def diagonalise(A, N):  # type: ignore[no-untyped-def]
     for i in range(3):
         for j in range(3):
             N[i, j] = 1.0 if i == j else 0.0
-    for _ in range(LIMIT):  # five are enough without NaN
+    for _ in range(LIMIT):  # five suffice
         turned = False
         for p, q, r in ((0, 1, 2), (0, 2, 1), (1, 2, 0)):
             off = A[p, q]
@@ -89,7 +87,7 @@ def compose(N, values, A):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def compose_stored(N, values, size, components):  # type: ignore[no-untyped-def]
-    """Fill the first columns of components (q, ..) with stored ones of sum_a values_a N_a N_a."""
+    """Fill columns of components (q, ..) with the stored ones of sum_a values_a N_a N_a."""
     for q in range(len(N)):
         for p in range(size):
             i, j = PAIRS[p]
@@ -145,7 +143,7 @@ def second_difference(x, y, z, f_xy, f_yz, f_zx):  # type: ignore[no-untyped-def
     m = 1 + (x + y + z) / 3
     a, b, c = (1 + x - m) / m, (1 + y - m) / m, (1 + z - m) / m
     if max(abs(a), abs(b), abs(c)) < NEAR:
-        # complete homogeneous polynomials of a, b, c, whose sum is zero
+        # complete homogeneous polynomials of a, b, c with sum zero
         second, third = a * b + b * c + c * a, a * b * c
         h0, h1, h2 = 0.0, 0.0, 1.0
         total, sign = 0.0, -1.0
@@ -165,7 +163,7 @@ def second_difference(x, y, z, f_xy, f_yz, f_zx):  # type: ignore[no-untyped-def
 def decompose(H, g, shared, x, logs, N, y, m):  # type: ignore[no-untyped-def]
     """Fill x and logs (q, 3), and the columns N, y, m (q, 3, 3), for H and g (q, 3, 3).
 
-    A g that is `shared` is (1, 3, 3). Where det F is not positive, all is NaN.
+    A `shared` g is (1, 3, 3). Where det F is not positive, all is NaN.
     """
     G, C, D = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     for q in range(len(H)):
@@ -230,7 +228,7 @@ def _isotropic_moduli(pairs, law, x, logs, S, M):  # type: ignore[no-untyped-def
 
 @numba.njit(**SETTINGS)
 def _moduli(pairs, law, x, logs, N, S, M, f, h, T, R, L):  # type: ignore[no-untyped-def]
-    """Fill S (3, 3) and M (s, s) by T and the upper triangle of L; the others are space."""
+    """Fill S (3, 3) and M (s, s) from T and the upper triangle of L; the others are work space."""
     s = len(pairs)
     _differences(s, x, logs, f, h)
     _turn(s, N, R)
@@ -377,7 +375,7 @@ def congruent_columns(m, S, B):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def _fill_tangent(pairs, B, Z, W, A):  # type: ignore[no-untyped-def]
-    """Set A to the upper triangle of Z^T W and of the part of the stress, B."""
+    """Set A to the upper triangle of Z^T W plus B, the stress part."""
     s = len(pairs)
     k = s + 1 if s == 4 else s + 3
     t = 0
@@ -394,7 +392,6 @@ def _fill_tangent(pairs, B, Z, W, A):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def _entry(n, s):  # type: ignore[no-untyped-def]
-    """Row and column of a component of P, see `tensor.GRADIENT`."""
     if s == 6:
         return n // 3, n % 3
     return (n // 2, n % 2) if n < 4 else (2, 2)
@@ -416,8 +413,7 @@ def roots(strain, g):  # type: ignore[no-untyped-def]
 def flow(strain, increment, g, N, new):  # type: ignore[no-untyped-def]
     """Fill new (q, 3, 3) with -1/2 ln(G exp(-2 D) G), G = I + g = exp(-strain).
 
-    D has the eigenvectors N and the eigenvalues increment (q, 3); where it is zero, nothing
-    changes.
+    D has the eigenvectors N and the eigenvalues increment (q, 3).
     """
     A, D, G = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     V, values = np.empty((3, 3)), np.empty(3)

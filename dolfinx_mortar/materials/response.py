@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
 """The response of a law to a strain, with checks of the values that its methods return.
 
-Plane stress by local condensation: the strain z out of the plane is an unknown of each point. With
-the strain e in the plane, a law gives sigma(e, z) with the moduli C. Then
+Plane stress by condensation at each point: with the strain e in the plane and z out of it, a law
+gives sigma(e, z) with the moduli C,
 
     sigma_zz(e, z) = 0,         psi(e) = psi(e, z),
     d sigma / d e = C - C : zz (x) zz : C / C_zzzz.
 
 At finite strain e is F in the plane, sigma is P and z the stretch out of the plane less 1. For a
-linear law z = -sigma_zz(e, 0) / C_zzzz, in the compiled code; for all others Newton's method finds
-z before anything is assembled.
+linear law z = -sigma_zz(e, 0) / C_zzzz, in the compiled code; else Newton's method solves for z
+before assembly.
 """
 
 import dataclasses
@@ -36,18 +36,18 @@ NORMAL = ufl.as_tensor([[0.0, 0, 0], [0, 0, 0], [0, 0, 1.0]])
 
 
 def with_normal_strain(strain: Expr, z: Any) -> Expr:
-    """The strain in the plane of a 3x3 tensor, symmetrised, with z out of it."""
+    """The symmetrised in-plane part of a 3x3 tensor, with zz = z."""
     shear = (strain[0, 1] + strain[1, 0]) / 2
     return ufl.as_tensor([[strain[0, 0], shear, 0], [shear, strain[1, 1], 0], [0, 0, z]])
 
 
 def with_normal_stretch(F: Expr, z: Any) -> Expr:
-    """F in the plane of a 3x3 tensor with the stretch 1 + z out of it."""
+    """The in-plane part of F, with F_zz = 1 + z."""
     return _with_normal(F, 1.0 + z)
 
 
 def _with_normal(tensor: Expr, normal: Any) -> Expr:
-    """The part in the plane of a 3x3 tensor, which need not be symmetric, with a zz."""
+    """The in-plane part of a 3x3 tensor, with zz = normal."""
     (a, b), (c, d) = ((tensor[i, 0], tensor[i, 1]) for i in range(2))
     return ufl.as_tensor([[a, b, 0], [c, d, 0], [0, 0, normal]])
 
@@ -83,11 +83,10 @@ def solve_normal_strain(
 ) -> Floats:
     """Return z with sigma_zz(z) = 0, NaN where the law is undefined.
 
-    Newton's method from z = 0 or a start that depends on strain and state alone. Where the
-    potential is convex, sigma_zz grows with z: iterates outside of the interval between pressure
-    and tension bisect it. Where C_zzzz is not positive, steps are those of the elastic modulus, and
-    double. At finite strain no step goes further than half of the way to z = -1, and stresses have
-    the round-off of moduli.
+    Newton's method from z = 0 or a start that depends on strain and state alone. For a convex
+    potential sigma_zz grows with z: iterates outside the bracket between pressure and tension
+    bisect it. Where C_zzzz is not positive, steps are twice those of the elastic modulus. At finite
+    strain no step goes further than half of the way to z = -1.
 
     Args:
         law: its name.
@@ -97,7 +96,7 @@ def solve_normal_strain(
         start: of z.
 
     Raises:
-        ValueError: if there are points at which no z is found; the message names the law.
+        ValueError: naming the law, if Newton's method fails at a point.
     """
     floor = ROUND_OFF if finite else 0.0
     z = np.zeros(shape) if start is None else np.where(np.isfinite(start), start, 0.0)
@@ -106,7 +105,7 @@ def solve_normal_strain(
     rows: Ints = np.arange(shape[0], dtype=np.int32)
     for iteration in range(LIMIT):
         values = equation(rows, z[rows])
-        # Newton's method doubles the digits: before the last iteration half of them are right.
+        # Newton's method doubles the digits: half of them suffice before the last iteration
         rows = rows[: _advance(z, low, high, rows, values, HALF_OF_DIGITS, floor, 0.5**iteration)]
         if not rows.size:
             return z
@@ -120,7 +119,7 @@ def solve_normal_strain(
 
 @numba.njit(cache=True, error_model="numpy")
 def _advance(z, low, high, rows, values, share, floor, softer):  # type: ignore[no-untyped-def]
-    """Make one iteration in some rows; return the number of unfinished ones, moved to the front."""
+    """Iterate z in some rows; return the number of unfinished ones, moved to the front."""
     left = 0
     for k in range(len(rows)):
         row, done = rows[k], True
@@ -139,7 +138,7 @@ def _advance(z, low, high, rows, values, share, floor, softer):  # type: ignore[
                 else:
                     high[row, q] = z[row, q]
                 new, narrow = _kept_between(low[row, q], high[row, q], new, z[row, q] + step)
-                # a law undefined from the start, as for a strain that is NaN, is done
+                # a law that is undefined from the start counts as finished
                 done = done and (narrow or (softer == 1.0 and np.isnan(stress)))
             z[row, q] = new
         if not done:
@@ -150,7 +149,7 @@ def _advance(z, low, high, rows, values, share, floor, softer):  # type: ignore[
 
 @numba.njit(cache=True, error_model="numpy")
 def _kept_between(low, high, new, instead):  # type: ignore[no-untyped-def]
-    """Return an iterate in an interval, or its middle, and whether numbers cannot divide it."""
+    """Return an iterate within its bracket or the middle, and whether the bracket is exhausted."""
     if low < new < high:
         return new, False
     middle = (low + high) / 2
@@ -169,8 +168,8 @@ class Response:
     change: Callable[[Expr], Expr]  # direction, 3x3 -> d stress / d strain : direction
     # sigma_zz, C_zzzz, the elastic C_zzzz and |sigma| in plane stress, see `solve_normal_strain`
     equation: tuple[Expr, Expr, Expr, Expr] | None = None
-    normal_strain: Expr | None = None  # replaces the equation: its root, if in closed form
-    start: Expr | None = None  # root of the equation if nothing flows
+    normal_strain: Expr | None = None  # root of the equation in closed form, if known
+    start: Expr | None = None  # elastic root of the equation
 
 
 def respond(
@@ -178,8 +177,8 @@ def respond(
 ) -> Response:
     """Stress, energy and new internal variables of a law in UFL.
 
-    The stress of a law without one is the derivative of its energy. In plane stress the strain out
-    of the plane leaves no stress: z, if `law.condensed`; at finite strain F has the stretch 1 + z.
+    In plane stress z is the strain out of the plane, if `law.condensed`; at finite strain F_zz = 1
+    + z.
 
     Raises:
         ValueError: if a method of the law raises, or returns something of the wrong shape or name.
@@ -218,30 +217,27 @@ def _stress(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
 
 
 def _change(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any, direction: Expr) -> Expr:
-    """Return d stress / d strain : direction, as the law states it or by UFL."""
+    """Return d stress / d strain : direction, from the law or by UFL."""
     if law.tangent is not None:
         return _call(law, "tangent", (3, 3), strain, state, p, direction)
     step = Variable(ufl.as_ufl(0.0), Label(-2))
     change = ufl.diff(_stress(law, strain + step * direction, state, p), step)
-    return without_variables(expand_derivatives(change))  # without terms that step = 0 removes
+    return without_variables(expand_derivatives(change))  # removes terms that step = 0 cancels
 
 
 def without_variables(expression: Expr) -> Expr:
     """An expression with the operands of its Variables.
 
-    UFL's `strip_variables` visits repeated parts each time, which takes half of the time to create
-    a `Solid` with plastic flow.
+    Much faster than UFL's `strip_variables`, which visits shared subexpressions repeatedly.
     """
     return map_expr_dag(_VariableStripper(), expression)
 
 
 class _VariableStripper(MultiFunction):
-    """Rules of `without_variables`."""
-
     expr = MultiFunction.reuse_if_untouched
 
     def variable(self, o: Variable, expression: Expr, label: Label) -> Expr:
-        """Operand of the Variable."""
+        """Return the operand."""
         return expression
 
 
@@ -256,7 +252,7 @@ def _equation(
 
 
 def _elastic_root(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-    """Elastic strain out of the plane that leaves no stress there."""
+    """Elastic strain out of the plane with sigma_zz = 0."""
     elastic = with_normal_strain(strain, 0.0)
     if law.state.get(PLASTIC) == (3, 3):
         elastic = elastic - state[PLASTIC]
@@ -274,7 +270,7 @@ def elastic_response(law: Law, strain: Expr, p: Any) -> Expr:
 
 
 def _updated_state(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-    """New internal variables, one for each that is declared."""
+    """New internal variables by declared name."""
     if law.updated_state is None:
         return {}
     new = _guarded(law, "updated_state", strain, state, p)
@@ -292,12 +288,11 @@ def _check_state(law: Law, where: str, new: Any) -> None:
 
 
 def _call(law: Law, method: str, shape: tuple[int, ...], *arguments: Any) -> Any:
-    """Return what a method of a law gives, as UFL, or an array, of the right shape."""
+    """Result of a method of a law, as UFL or an array of the right shape."""
     return _shaped(f"{law.name}.{method}", _guarded(law, method, *arguments), shape)
 
 
 def _guarded(law: Law, method: str, *arguments: Any) -> Any:
-    """Call a method of a law; its errors name it."""
     try:
         return getattr(law, method)(*arguments)
     except Exception as error:
@@ -314,8 +309,8 @@ _ARGUMENTS = {"elastic_stress": "(strain, p)", "tangent": "(strain, state, p, di
 
 
 def _shaped(what: str, value: Any, shape: tuple[int, ...]) -> Any:
-    """Return a value as UFL, or, of a law of arrays, as an array; a ValueError if it is neither."""
-    arrays = len(shape) % 2 == 1  # points are the first axis
+    """Return a value as UFL, or as an array for a law of arrays; else a ValueError."""
+    arrays = len(shape) % 2 == 1  # the first axis is the points
     found: Any
     try:
         found = np.asarray(value, dtype=np.float64) if arrays else ufl.as_ufl(value)
@@ -347,7 +342,7 @@ class PointValues:
         parts += [] if self.energy is None else [self.energy]
         found = np.zeros(len(self.stress), dtype=bool)
         for part in parts:
-            if not np.isfinite(part.sum()):  # much faster than each
+            if not np.isfinite(part.sum()):  # faster than a test of each
                 found |= ~np.isfinite(part.reshape(len(part), -1)).all(axis=1)
         return found
 
@@ -361,7 +356,7 @@ def values_at_points(
     parameters (q,).
 
     Raises:
-        ValueError: if it raises, or returns something of another form, name or shape.
+        ValueError: if it raises, or returns a wrong form, name or shape.
     """
     z, finite = None, law.strain == "finite"
     if law.plane_stress:
@@ -375,7 +370,7 @@ def values_at_points(
 
 
 def _flat(strain: Floats, normal: Floats) -> Floats:
-    """The part in the plane of tensors (q, 3, 3), with zz entries (q,)."""
+    """The in-plane part of tensors (q, 3, 3), with zz entries (q,)."""
     whole = np.zeros_like(strain)
     whole[:, :2, :2], whole[:, 2, 2] = strain[:, :2, :2], normal
     return whole
@@ -384,7 +379,7 @@ def _flat(strain: Floats, normal: Floats) -> Floats:
 def _normal_at_points(
     law: Law, strain: Floats, state: Mapping[str, Floats], p: SimpleNamespace
 ) -> Floats:
-    """Strain, or stretch less 1, (q,) out of the plane that leaves no stress."""
+    """Strain, or stretch less 1, (q,) out of the plane with sigma_zz = 0."""
     finite, parameters = law.strain == "finite", ungrouped(p)
 
     def equation(points: Ints, z: Floats) -> Floats:
@@ -400,7 +395,7 @@ def _normal_at_points(
 
 
 def _condensed(found: PointValues, z: Floats) -> PointValues:
-    """Values with stress and tangent of plane stress."""
+    """Values with stress and tangent condensed to plane stress."""
     stress, C = found.stress.copy(), found.tangent
     stress[:, 2], stress[:, :, 2] = 0.0, 0.0
     with np.errstate(all="ignore"):
@@ -432,7 +427,7 @@ def _updated(
 
 
 def _remedy(error: Exception) -> str:
-    """Remedy for an error of a user's function, "" if unknown; numba caches by module name."""
+    """Remedy for an error of a user's function, or ""; numba caches by module name."""
     if not isinstance(error, ModuleNotFoundError):
         return ""
     return (

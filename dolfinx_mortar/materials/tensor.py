@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Symmetric 3x3 tensors and their stored components.
 
-Laws always get 3x3 tensors; those of plane problems have zeros xz and yz. The stored shear is the
-tensor component (not the engineering strain), once.
+Tensors of plane problems have zeros xz and yz. The stored shear is the tensor component (not the
+engineering strain), once.
 
 ==== ===================
 """
@@ -14,7 +14,7 @@ from dolfinx_mortar.arrays import Floats
 from ufl.core.expr import Expr
 
 COMPONENTS = {2: ("xx", "yy", "zz", "xy"), 3: ("xx", "yy", "zz", "xy", "yz", "xz")}
-# Row and column of each entry of F or P that may be non-zero, in the stored order.
+# Row and column of the entries of F or P that may be non-zero, in the stored order.
 GRADIENT = {
     2: ((0, 0), (0, 1), (1, 0), (1, 1), (2, 2)),
     3: tuple((i, j) for i in range(3) for j in range(3)),
@@ -95,7 +95,7 @@ def stored(tensors: Floats, size: int = 6) -> Floats:
 
 
 def mean_of_shears(tangent: Floats) -> Floats:
-    """Return derivatives (q, 3, 3, 3, 3) by nine entries with the means of kl and lk."""
+    """Average derivatives (q, 3, 3, 3, 3) over kl and lk."""
     mean = tangent.copy()
     for k, m in INDEX[3:]:
         mean[..., k, m] = mean[..., m, k] = (tangent[..., k, m] + tangent[..., m, k]) / 2

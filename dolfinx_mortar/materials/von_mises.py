@@ -25,12 +25,11 @@ from dolfinx_mortar.materials.protocol import (
 )
 from ufl.core.expr import Expr
 
-# Committed plastic points lie on the yield surface up to round-off of 2 mu eps; without this band
-# some would flow again. Wide enough for 1e5 yield strains.
+# Dead band of the yield condition: committed plastic points lie on the surface up to round-off of 2
+# mu eps (up to 1e5 yield strains).
 YIELD_TOLERANCE = 1e-10
 LEAST_RATIO = -0.9
 """Poisson's ratio down to which `flow_in_plane_stress` is exact: below, its root has two scales."""
-# Name of the internal variable beside the plastic strain
 ACCUMULATED = "accumulated_plastic_strain"
 
 
@@ -44,7 +43,7 @@ def shifted_stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Exp
 def _tangent(law: Any, strain: Expr, state: Mapping[str, Expr], p: Any, direction: Expr) -> Expr:
     """Return d sigma / d eps : direction of sigma = C (eps - ep_n) - 2 mu g n, n = xi / |xi|.
 
-    With t = g / |xi| and the slope s = dg / d|xi|, both 0 where nothing flows, that is
+    With t = g / |xi| and s = dg / d|xi|, both 0 in elastic states,
 
         C : direction - 4 mu^2 (t dev(direction) + (s - t) (n : direction) n).
     """
@@ -56,7 +55,7 @@ def _tangent(law: Any, strain: Expr, state: Mapping[str, Expr], p: Any, directio
 
 
 def _updated_state(law: Any, strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-    """Return the plastic strain and, if it is there, k at the end of the step."""
+    """Return the plastic strain and, with isotropic hardening, k at the end of the step."""
     xi, norm, g, _ = law._flow(strain, state, p)
     new = {PLASTIC: state[PLASTIC] + g / norm * xi}
     return new | ({ACCUMULATED: state[ACCUMULATED] + g} if ACCUMULATED in state else {})
@@ -65,8 +64,8 @@ def _updated_state(law: Any, strain: Expr, state: Mapping[str, Expr], p: Any) ->
 def flow_in_plane_stress(p: Expr, q: Expr, r: Expr) -> Expr:
     """Return the root t > 0 of p^2 / (1 + r t)^2 + q^2 / (1 + t)^2 = 1, 0 if p^2 + q^2 <= 1.
 
-    With N^2 the left side, 1/N is a concave function of t. Three steps of Halley's method from a
-    lower bound leave round-off of N for p and q from 0 to 1e6, .0175 <= r <= 1.
+    With N^2 the left side, 1/N is concave in t. Three steps of Halley's method from a lower bound
+    reach the round-off of N for p, q in [0, 1e6], .0175 <= r <= 1.
     """
     first = ufl.sqrt(p**2 + q**2)
     both, from_p = first - 1, (p - 1) / r
@@ -90,21 +89,21 @@ class VonMises(Material):
         xi = 2 mu dev(eps) - (2 mu + a) ep_n          (deviatoric stress minus back stress a ep_n)
 
     and the accumulated plastic strain k_n = int |dep|, a point yields when |xi| > Y + H k_n in the
-    Frobenius norm, and then (return mapping along the radius)
+    Frobenius norm, and then (radial return)
 
         dgam  = (|xi| - Y - H k_n)_+ / (2 mu + a + H),   n = xi / |xi|,   k = k_n + dgam
         sigma = C (eps - ep_n) - 2 mu dgam n,   ep = ep_n + dgam n,   back stress = a ep.
 
-    This is the gradient of an incremental potential,
+    The incremental potential is
 
         psi = 1/2 (eps - ep_n):C:(eps - ep_n) + a/2 |ep_n|^2 + H/2 k_n^2
               - (|xi| - Y - H k_n)_+^2 / (2 (2 mu + a + H)).
 
-    In tension, plastic strain p = sqrt(2/3) k, the stress at first loading is
-    sqrt(3/2) Y + 3/2 (a + H) p. Only with H is there an internal variable
-    ``accumulated_plastic_strain``, k; times sqrt(2/3) it is the equivalent plastic strain.
+    In tension, with plastic strain p = sqrt(2/3) k, the stress at first loading is sqrt(3/2) Y +
+    3/2 (a + H) p. Only with H is there an internal variable ``accumulated_plastic_strain``, k;
+    sqrt(2/3) k is the equivalent plastic strain.
 
-    Source: M. Cermak, S. Sysala, J. Valdman, Appl. Math. Comput. 355 (2019) 595-614, for the law.
+    Source: M. Cermak, S. Sysala, J. Valdman, Appl. Math. Comput. 355 (2019) 595-614.
 
     Raises:
         ValueError: naming a parameter that is out of its range.
@@ -137,12 +136,12 @@ class VonMises(Material):
 
     @property
     def isotropic(self) -> bool:
-        """Whether there is no back stress."""
+        """Whether there is no kinematic hardening."""
         return isinstance(self.a, Real) and self.a == 0
 
     @property
     def normal_strain(self) -> Callable[..., Expr] | None:
-        """The strain out of the plane in plane stress, for a nu that is a number above -0.9."""
+        """The strain out of the plane in plane stress, for a constant nu above -0.9."""
         exact = isinstance(self.nu, Real) and float(self.nu) >= LEAST_RATIO
         return self._normal_strain if exact else None
 
@@ -162,12 +161,11 @@ class VonMises(Material):
             yield_stress: uniaxial; Y = sqrt(2/3) yield_stress.
             plastic_modulus: d sigma / d (plastic strain) in tension; a + H = 2/3 plastic_modulus. A
                 test's tangent modulus E_t gives plastic_modulus = E E_t / (E - E_t).
-            isotropic: share of the hardening that widens the yield surface, from 0 to 1; the rest
-                moves it. Only a reversal tells: the bar then yields 2 (yield_stress + isotropic
-                (stress - yield_stress)) lower.
+            isotropic: share of isotropic hardening, from 0 to 1; the rest is kinematic. On reversal
+                the bar yields 2 (yield_stress + isotropic (stress - yield_stress)) lower.
 
         Raises:
-            ValueError: for the same ranges, naming these arguments.
+            ValueError: naming an argument that is out of its range.
         """
         check_parameters(
             "VonMises.from_uniaxial",
@@ -176,7 +174,7 @@ class VonMises(Material):
             isotropic=(isotropic, 0.0, math.nextafter(1.0, 2.0), True),
         )
         modulus = 2 / 3 * plastic_modulus
-        # 0 * modulus is no number in UFL: there would be an unused k
+        # 0 * modulus is not a number in UFL: there would be an unused k
         a, H = ((1 - isotropic) * modulus, isotropic * modulus) if isotropic else (modulus, 0.0)
         return cls(E, nu, math.sqrt(2 / 3) * yield_stress, a, H)
 
@@ -187,7 +185,7 @@ class VonMises(Material):
 
     @staticmethod
     def _flow(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr, Expr, Expr]:
-        """Return xi, |xi|, dgam and its slope d dgam / d|xi|, with the dead band at zero."""
+        """Return xi, |xi|, dgam and d dgam / d|xi|, with the dead band."""
         xi, norm = shifted_stress(strain, state, p)
         k, H = VonMises._memory(state, p)
         radius, slope = p.Y + H * k, 1 / (2 * shear_modulus(p) + p.a + H)
@@ -197,7 +195,7 @@ class VonMises(Material):
 
     @staticmethod
     def energy(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return the incremental potential psi."""
+        """Return psi."""
         ep, (k, H) = state[PLASTIC], VonMises._memory(state, p)
         _, _, g, _ = VonMises._flow(strain, state, p)
         stored = p.a / 2 * ufl.inner(ep, ep) + H / 2 * k**2
@@ -209,9 +207,9 @@ class VonMises(Material):
 
     @staticmethod
     def _normal_strain(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return the strain zz that leaves no stress zz.
+        """Return the strain zz with sigma_zz = 0.
 
-        In the plane stress minus back stress has the sum S = xx + yy, the difference D = xx - yy
+        In the plane, stress minus back stress has the sum S = xx + yy, the difference D = xx - yy
         and the shear T; |xi|^2 = S^2 / 6 + D^2 / 2 + 2 T^2. With phi = dgam / (Y + H k_n) and the
         trial values on the right,
 
@@ -242,7 +240,7 @@ class VonMises(Material):
         return {"back_stress": p.a[:, None] * state["plastic_strain"]}
 
 
-# Below, exp(3 y) is round-off, and three terms of the series of omega in exp(y) are exact.
+# Below it exp(3 y) is round-off, and three terms of the series of omega are exact.
 SERIES_BELOW = float(np.log(np.cbrt(EPS)))
 
 
@@ -251,7 +249,7 @@ def wright_omega(y: Any) -> Expr:
     z, t, high = ufl.exp(ufl.min_value(y, 0.0)), y - 1, ufl.max_value(y, 1.0)
     w = ufl.conditional(
         ufl.lt(y, 4.0),
-        1 + t / 2 + t**2 / 16,  # Taylor's polynomial where w = 1
+        1 + t / 2 + t**2 / 16,  # Taylor polynomial at w = 1
         high * (1 - 5.4 / (high + 16.0)),  # to 1 %
     )
     w = ufl.conditional(ufl.lt(y, -0.5), z / (1 + z), w)  # to 7 %
@@ -263,13 +261,12 @@ def wright_omega(y: Any) -> Expr:
 def increment(excess: Any, rest: Any, M: Any, b: Any, log_ratio: Any) -> tuple[Expr, Expr]:
     """Root g of M g + rest (1 - exp(-b g)) = excess, and its slope dg / d excess.
 
-    A step of Chebyshev's method, of third order, corrects omega to the round-off of excess and
-    rest.
+    One step of Chebyshev's method, of third order, corrects omega to round-off.
 
     Args:
         excess: positive.
-        rest: largest part of the exponential, positive.
-        M: slope of the line, positive.
+        rest: remaining saturation, positive.
+        M: slope of the linear term, positive.
         b: rate of the exponential, positive.
         log_ratio: ln(b rest / M).
     """
@@ -294,17 +291,16 @@ class VonMisesVoce(Material):
         R(k) = Y + H k + Q (1 - exp(-b k)),      k = int |dep|.
 
     The increment g of k in a step is the root of |xi| = (2 mu + a) g + R(k_n + g), in closed form
-    by Wright's omega function. Stress and consistent tangent are those of the radial return
-    mapping,
+    by Wright's omega function. Radial return mapping gives stress and consistent tangent,
 
         sigma = C (eps - ep_n) - 2 mu g n,       dg / d|xi| = 1 / (2 mu + a + R'(k_n + g));
 
-    the potential of the step is
+    and the incremental potential is
 
         psi = 1/2 (eps - ep_n):C:(eps - ep_n) + a/2 |ep_n|^2
               - |xi| g + (2 mu + a)/2 g^2 + Y g + I(k_n + g),     I' = R - Y.
 
-    Source: E. Voce, J. Inst. Metals 74 (1948) 537-562, for the saturation.
+    Source: E. Voce, J. Inst. Metals 74 (1948) 537-562.
 
     Raises:
         ValueError: naming a parameter that is out of its range.
@@ -347,7 +343,7 @@ class VonMisesVoce(Material):
             hardening: saturation, rate (per plastic strain), and optionally modulus (0).
 
         Raises:
-            ValueError: for values out of range, naming these arguments.
+            ValueError: naming an argument that is out of its range.
         """
         known = {"modulus": 0.0} | hardening
         if set(known) != {"saturation", "rate", "modulus"}:
@@ -370,20 +366,20 @@ class VonMisesVoce(Material):
 
     @staticmethod
     def _flow(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr, Expr, Expr]:
-        """Return xi, |xi|, the increment g of k and its slope dg / d|xi|."""
+        """Return xi, |xi|, the increment g of k and dg / d|xi|."""
         xi, norm = shifted_stress(strain, state, p)
         k = state[ACCUMULATED]
-        rest = p.Q * ufl.exp(-p.b * k)  # possible further growth of the radius
+        rest = p.Q * ufl.exp(-p.b * k)  # remaining saturation
         radius = p.Y + p.H * k + p.Q - rest
         M = 2 * shear_modulus(p) + p.a + p.H
-        # ln(b rest / M), of which one part is the same at all points of a cell
+        # ln(b rest / M), split so that one part is the same at all points of a cell
         found = increment(norm - radius, rest, M, p.b, ufl.ln(p.b * p.Q / M) - p.b * k)
         yields = ufl.gt(norm - radius, YIELD_TOLERANCE * radius)
         return xi, norm, *(ufl.conditional(yields, value, 0.0) for value in found)
 
     @staticmethod
     def energy(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return the incremental potential psi."""
+        """Return psi."""
         ep, k = state[PLASTIC], state[ACCUMULATED]
         _, norm, g, _ = VonMisesVoce._flow(strain, state, p)
         new = k + g
