@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Functions of one cell each: constants, or constants and the coordinates at X.
+"""Functions of one cell each: constants, or N = (1, x - x_c) at X, x_c the middle of the cell.
 
-On cells of second order the means of volumes and pressures are projections onto N = (1, x - x_c),
-x_c the middle of the cell, in the coordinates at X: this keeps the rate of convergence, and stable
-pressures.
+On cells of second order the affine functions keep the rate of convergence, and stable pressures.
 
 Source: D. Boffi, L. Gastaldi, Int. J. Numer. Methods Fluids 39 (2002) 1001-1011.
 """
@@ -27,13 +25,13 @@ from ufl.core.expr import Expr
 
 
 class CellFunctions:
-    """The functions N_k of each cell, m of them, and their sums.
+    """The m functions N_k of each cell.
 
     Attributes:
-        space: of coefficients (m,), those of a cell in one block.
+        space: of coefficients (m,), one block per cell.
         basis: N in UFL.
         volumes: (owned cells,) int 1.
-        inverse: (owned cells, m, m) of int N_k N_l.
+        inverse: (owned cells, m, m), inverse of int N_k N_l.
     """
 
     def __init__(self, domain: mesh.Mesh, weight: Expr, dx: ufl.Measure, *, affine: bool) -> None:
@@ -83,7 +81,7 @@ class CellFunctions:
         return assemble(form, self._vectors[1]).reshape(-1, self.size, self.size).copy()
 
     def coefficients(self, integrals: Floats) -> Floats:
-        """Coefficients (owned cells, m) of the projection with these integrals with N_k."""
+        """Coefficients (owned cells, m) of the projection with given integrals with N_k."""
         return np.asarray(np.einsum("ckl,cl->ck", self.inverse, integrals))
 
     def values(self, f: fem.Function) -> Floats:
@@ -92,7 +90,7 @@ class CellFunctions:
 
 
 def _create_basis(space: fem.FunctionSpace) -> Expr:
-    """Return (1, (x - x_c) / h), with the size h of the cell, for round-off in any unit."""
+    """Return (1, (x - x_c) / h), h the size of the cell: the same round-off in any unit."""
     domain, m = space.mesh, space.dofmap.bs
     if m == 1:
         return ufl.as_vector([1.0])
@@ -108,10 +106,10 @@ def _create_basis(space: fem.FunctionSpace) -> Expr:
 
 
 class RowsOfCells:
-    """A matrix B whose rows are m functions of each cell, and B^T W B with its blocks W."""
+    """A matrix B with m rows per cell, and B^T W B with blocks W."""
 
     def __init__(self, form: Any, m: int) -> None:
-        """Create the matrix of a fem.Form, without entries; collective."""
+        """Create the matrix without entries; collective."""
         self._form, self._m = form, m
         self._B = fem_petsc.create_matrix(form)
         self._products: tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat] | None = None
@@ -130,7 +128,7 @@ class RowsOfCells:
     def add_square(self, weights: Floats, K: PETSc.Mat) -> None:
         """Add B^T W B, W (owned cells, m, m), to a matrix of the mesh; collective."""
         indptr, columns, values = csr_of(self._B)
-        rows = len(weights), self._m  # those of a cell have the same columns
+        rows = len(weights), self._m  # rows of a cell have the same columns
         blocks = values.reshape(*rows, len(values) // max(rows[0] * rows[1], 1))
         if self._products is None:
             weighted, transpose = self._B.duplicate(copy=True), self._B.transpose(PETSc.Mat())

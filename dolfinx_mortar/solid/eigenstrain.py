@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Eigenstrain, the strain that a body would have without stress: thermal, of a fit, initial."""
+"""Eigenstrain, the strain of a body without stress: thermal, misfit, initial."""
 
 from collections.abc import Mapping, Sequence
 from numbers import Number
@@ -38,24 +38,20 @@ class Eigenstrain(Followed):
     """Eigenstrain at the integration points of a mesh, zero by default.
 
     Attributes:
-        function: a scalar, if it is the same in all directions, else the components
-            (xx, yy, zz, xy) in 2D and (xx, yy, zz, xy, yz, xz) in 3D.
+        function: a scalar, if isotropic, else the components (xx, yy, zz, xy) in 2D and (xx, yy,
+            zz, xy, yz, xz) in 3D.
     """
 
     def __init__(
         self, u: fem.Function, parts: Sequence[tuple[str, Expr, Ints]], degree: int
     ) -> None:
-        """Compile the parts, each with name, scalar or 3x3 tensor and cells; collective.
-
-        `follow` fills the function.
-        """
+        """Compile the parts, each with name, scalar or 3x3 tensor and cells; collective."""
         domain = u.function_space.mesh
         d, full = domain.geometry.dim, any(value.ufl_shape for _, value, _ in parts)
         shape = (len(COMPONENTS[d]),) if full else ()
         function = point_function(domain, degree, shape, "eigenstrain")
         sources: list[Source] = []
-        # components of each tensor part that have to be zero: of its skew part, then, in the plane,
-        # yz and xz
+        # components that must vanish: of the skew part, in the plane also yz and xz
         self._vanishing: list[fem.Expression | None] = []
         for name, value, cells in parts:
             tensor = ufl.sym(value) if value.ufl_shape else value * ufl.Identity(3)
@@ -86,7 +82,6 @@ class Eigenstrain(Followed):
             self._judge(source, vanishing)
 
     def _judge(self, source: Source, vanishing: fem.Expression | None) -> None:
-        """Raise a ValueError on all ranks for invalid values in cells of a source; collective."""
         V = self.function.function_space
         owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
         cells, name = source.cells[source.cells < owned], source.parts[0].name
@@ -115,7 +110,7 @@ class Eigenstrain(Followed):
 def create_eigenstrain(
     u: fem.Function, given: Any, cell_tags: mesh.MeshTags | None, degree: int
 ) -> Eigenstrain | None:
-    """Eigenstrain that a user gives, None for none; collective."""
+    """Eigenstrain given by a user, or None; collective."""
     if given is None:
         return None
     domain, parts = u.function_space.mesh, []
@@ -142,7 +137,6 @@ def _parts(
 
 
 def _as_expression(u: fem.Function, name: str, value: Any) -> Expr:
-    """A scalar or a 3x3 tensor in UFL."""
     domain = u.function_space.mesh
     if isinstance(value, Number | np.ndarray | list | tuple):
         value = fem.Constant(domain, check(name, value, array(finite=False, remedy=WANTED)))

@@ -39,12 +39,12 @@ what they are. Assembly on hexahedra, tetrahedra, quadrilaterals: .60, .91, .94 
 
 
 def in_any_order() -> dict[str, list[str]]:
-    """Compiler options for tangents: those that are set, and `REASSOCIATE`."""
+    """Compiler options for tangents: the user's, and `REASSOCIATE`."""
     return {"cffi_extra_compile_args": [*get_options()["cffi_extra_compile_args"], *REASSOCIATE]}
 
 
 def unrolled(cell: str) -> list[str]:
-    """Options for other forms: -O3 on cells of products, with the same bits."""
+    """Compiler options for other forms: -O3 on tensor-product cells, with the same bits."""
     given = get_options()["cffi_extra_compile_args"]
     if cell not in ("quadrilateral", "hexahedron") or "-O2" not in given:
         return list(given)
@@ -54,8 +54,7 @@ def unrolled(cell: str) -> list[str]:
 class Forms:
     """Compiled forms of a solid, with the two vectors that they read or fill.
 
-    The weak form F(u; v) = int sigma(eps) : d eps/du [v], its derivative, the potential, and the
-    two norms that scale residuals. A reduced volumetric part is not among them.
+    A reduced volumetric part is not among them.
 
     Attributes:
         residual: int sigma : d eps/du [v].
@@ -106,7 +105,7 @@ class Forms:
         self.tangent = MatrixForm(fem.form(tangent, jit_options=in_any_order()))
 
     def add_elastic(self, K: PETSc.Mat, factor: float) -> None:
-        """Add a multiple of the stiffness of `elastic_norm`, which is positive; collective."""
+        """Add a multiple of the positive stiffness of `elastic_norm`; collective."""
         form, share = self._elastic
         share.value = factor
         form.add_to(K)
@@ -114,7 +113,7 @@ class Forms:
 
     @cached_property
     def _elastic(self) -> tuple[MatrixForm, fem.Constant]:
-        """Second derivative of `elastic_norm` times a factor, and it; compiled at first use."""
+        """Second derivative of `elastic_norm` with its factor; compiled at first use."""
         V, kinematics = self._u.function_space, self._integral.kinematics
         factor = fem.Constant(V.mesh, default_scalar_type(1.0))
         of_v, of_w = (
@@ -136,7 +135,7 @@ class Forms:
 
 
 class CommittedData:
-    """Displacement, eigenstrain and parameters of the committed state, see `add_first_forces`."""
+    """Displacement, eigenstrain and parameters of the committed state, for `add_first_forces`."""
 
     def __init__(
         self,
@@ -145,7 +144,7 @@ class CommittedData:
         integral: Integral,
         eigenstrain: Eigenstrain | None,
     ) -> None:
-        """Begin at X, without eigenstrain, with the present parameters."""
+        """Start from X, without eigenstrain, with the present parameters."""
         self._u, self._responses, self._integral = u, responses, integral
         self._eigenstrain = eigenstrain
         self.strained = [u] if eigenstrain is None else [u, eigenstrain.function]
@@ -156,7 +155,7 @@ class CommittedData:
             values[:] = 0.0
 
     def keep(self) -> None:
-        """Copy the present values as those of the committed state."""
+        """Copy the present values to the committed ones."""
         self._kept = [f.x.array.copy() for f in self._functions]
 
     def forget(self) -> None:
@@ -164,7 +163,7 @@ class CommittedData:
         self._kept = None
 
     def complete(self) -> list[Floats]:
-        """The values, the present ones if unknown."""
+        """The committed values, or the present ones if unknown."""
         if self._kept is None:
             self._kept = [f.x.array.copy() for f in self._functions]
         return self._kept
@@ -176,7 +175,7 @@ class CommittedData:
 
     @cached_property
     def change(self) -> tuple[fem.Form, list[fem.Function]]:
-        """The form int C : (eps(w) - e) : eps(v), C the tangent, of a small strain; w and e."""
+        """The form int C : (eps(w) - e) : eps(v) at small strain, C the tangent, and w, e."""
         V, kinematics = self._u.function_space, self._integral.kinematics
         changes, v = [fem.Function(V)], ufl.TestFunction(V)
         strain, virtual = (kinematics.virtual(self._u, along) for along in (changes[0], v))
@@ -205,7 +204,7 @@ def create_responses(
     state: Mapping[str, fem.Function],
     found: Mapping[Law, PointValuesOfRegion],
 ) -> list[Response]:
-    """Response of the law of each region to a 3x3 strain, as UFL; collective.
+    """Response of the law of each region to a 3x3 strain, in UFL; collective.
 
     Raises:
         ValueError: on all ranks, if a law raises or returns something wrong on any.
@@ -228,7 +227,7 @@ def _unturned(kinematics: Kinematics, u: fem.Function, v: Expr) -> Expr:
 
 
 def _from_energy(law: Law) -> bool:
-    """Whether UFL derives the tangent of a law from its energy at F, so that it is symmetric."""
+    """Whether UFL derives a (symmetric) tangent from the energy of a law of F."""
     derived = law.update is None and law.stress is None and law.tangent is None
     return derived and law.strain == "finite"
 

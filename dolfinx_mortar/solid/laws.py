@@ -51,7 +51,7 @@ UNTAGGED = int(np.iinfo(np.int32).min)
 
 
 class ParameterTable(Followed):
-    """All parameters of a law, one value per cell, or per integration point if one needs that.
+    """All parameters of a law, one value per cell, or per integration point where one varies in it.
 
     Attributes:
         symbols: the parameters by name, as UFL.
@@ -67,18 +67,17 @@ class ParameterTable(Followed):
     ) -> None:
         """Create the parameters of materials of one law, with their numbers; collective.
 
-        `follow` sets those that may change.
+        `follow` evaluates varying ones.
 
         Args:
             u: displacement, on which no parameter may depend.
             law: of all materials, which are of one class.
-            materials: with the parameters.
-            cells: local cells of each, ghosts included.
+            cells: local cells of each material, ghosts included.
             degree: of the quadrature of the solid.
 
         Raises:
-            ValueError: on all ranks, if a parameter depends on u, belongs to another mesh or is
-                known at other points than those of the solid.
+            ValueError: on all ranks, if a parameter depends on u, belongs to another mesh or to
+                other points than those of the solid.
         """
         self._law, self._cells = law, np.sort(np.concatenate(cells))
         self._names = names = list(named_parameters(materials[0]))
@@ -116,14 +115,12 @@ class ParameterTable(Followed):
         return grouped(self._by_name(self._table(cells, points)))
 
     def _table(self, cells: Ints, points: int) -> Floats:
-        """Parameters (cells * points, parameters) at so many points of each cell."""
         dofs = self.function.function_space.dofmap.list[cells]
         table = self.function.x.array.reshape(-1, max(len(self._names), 1))[dofs]
         table = np.broadcast_to(table, (len(cells), points, table.shape[2]))
         return np.asarray(table.reshape(len(cells) * points, table.shape[2]))
 
     def _by_name(self, table: Floats) -> dict[str, Floats]:
-        """Columns of a table (q, parameters) by name."""
         return {name: table[:, i] for i, name in enumerate(self._names)}
 
     def judge(self) -> None:
@@ -135,7 +132,7 @@ class ParameterTable(Followed):
         values = self._by_name(self._table(owned, points))
         wrong: dict[str, Bools] = {}
         with raised_together(domain.comm):
-            if len(owned):  # rules of users need not handle empty arrays
+            if len(owned):  # users' rules may fail on empty arrays
                 law = self._law
                 wrong = wrong_values(law.name, law.ranges, law.conditions, values)
         rules = sorted(set().union(*domain.comm.allgather(set(wrong))))
@@ -152,7 +149,7 @@ class ParameterTable(Followed):
 
 
 def _extent(comm: MPI.Comm, values: Mapping[str, Floats], rule: str) -> str:
-    """Extent of the parameters that a rule names, in words; collective."""
+    """Extent of the parameters of a rule, in words; collective."""
     parts = []
     for name in sorted(set(values) & set(re.findall(r"\w+", rule))):
         low = np.nanmin(values[name], initial=np.inf)
@@ -165,16 +162,16 @@ def _extent(comm: MPI.Comm, values: Mapping[str, Floats], rule: str) -> str:
 
 @dataclass(frozen=True)
 class Region:
-    """The cells of one law, whatever the values of its parameters."""
+    """The cells of one law."""
 
     law: Law
     cells: np.ndarray  # int32 (m,), local cells, ghosts included
     parameters: ParameterTable
-    parts: tuple[tuple[Any, Ints], ...] = ()  # materials, each with its part of these cells
+    parts: tuple[tuple[Any, Ints], ...] = ()  # materials with their cells
 
     @property
     def mesh(self) -> mesh.Mesh:
-        """The mesh of the cells."""
+        """The mesh."""
         return self.parameters.function.function_space.mesh
 
     @property
@@ -190,10 +187,10 @@ class Region:
         }
 
     def output(self, state: Mapping[str, Floats], cells: Ints, points: int) -> dict[str, Floats]:
-        """The law's own fields, (q,) or (q, components), q points cell by cell.
+        """Output fields of the law, (q,) or (q, components), q points cell by cell.
 
         Raises:
-            ValueError: if the law raises or returns something wrong; the message names it.
+            ValueError: naming the law, if it raises or returns something wrong.
         """
         if self.law.output is None:
             return {}
@@ -227,7 +224,7 @@ def create_regions(
 
     Raises:
         ValueError: if a law lacks a part, tags and materials do not cover the cells exactly, or a
-            parameter makes no sense.
+            parameter is invalid.
     """
     how = kinematics.plane_stress
     given, choice = _material_of_cells(u.function_space.mesh, materials, cell_tags, how)
@@ -237,12 +234,12 @@ def create_regions(
                 f"materials: {law.name} is a law of the deformation gradient: choose "
                 "Solid(.., strain='finite')"
             )
-    # Those of one class, state, form at finite strain and form of plane stress are one region.
-    # Sorted by name so that the same laws make the same forms in any order of the dictionary.
+    # Regions have one class, state, form at finite strain and plane stress each; sorted by name so
+    # that the order of the dictionary does not change the forms.
     alike: dict[Any, list[int]] = {}
     for i, (material, law) in enumerate(given):
         form = kinematics.finite and law.isotropic  # see `materials.logarithmic`
-        names = tuple(named_parameters(material))  # some tuples have more
+        names = tuple(named_parameters(material))  # tuples may differ in length
         way = form, law.normal_strain is None, names
         alike.setdefault((type(material), way, *law.state), []).append(i)
     regions = []
@@ -261,7 +258,7 @@ def create_regions(
 def create_state(
     regions: Sequence[Region], domain: mesh.Mesh, degree: int
 ) -> dict[str, fem.Function]:
-    """Create the internal variables of all laws, shared where laws use the same name.
+    """Create the internal variables of all laws, shared by laws that use the same name.
 
     Raises:
         ValueError: if two laws have an internal variable of one name in two shapes.
@@ -287,7 +284,7 @@ def create_evaluations(
 ) -> list[Source]:
     """Compile stress and new internal variables of all regions; collective.
 
-    All read the displacement and the committed state, so the order does not matter.
+    All depend on the displacement and the committed state only, so the order is free.
     """
     size, evaluations = stress.function_space.dofmap.bs, []
     for region, response in zip(regions, responses, strict=True):
@@ -332,11 +329,10 @@ def by_cells(
     """Entries of an argument by tag, and the tags of the local cells; collective.
 
     Args:
-        domain: the mesh.
         cell_tags: of its cells.
         given: entries by tag or by name.
         name: of the argument, for messages.
-        cover: whether each cell has to have an entry.
+        cover: whether each cell must have an entry.
 
     Raises:
         ValueError: on all ranks, for tags of no cell, and cells without an entry.
@@ -403,12 +399,11 @@ class Integral:
         return reduce(add, (weight * density * dx for density, dx in pairs))
 
     def _measures(self) -> list[ufl.Measure]:
-        """Measure of the cells of each region."""
         regions, domain = self.regions, self.regions[0].mesh
         dx = measure(domain, self.degree)
         if len(regions) == 1:
             return [dx]
         owned = domain.topology.index_map(domain.topology.dim).size_local
-        # numbers of the laws, not the user's tags, which must not enter the compiled code
+        # numbers of the laws: the user's tags must not enter the compiled code
         dx = dx(subdomain_data=[(i, r.cells[r.cells < owned]) for i, r in enumerate(regions)])
         return [dx(i) for i in range(len(regions))]

@@ -1,34 +1,25 @@
 # SPDX-License-Identifier: MIT
-"""Reduced integration of the volumetric part: one volume change for each cell, its mean.
-
-Where a body keeps its volume, tr eps = 0, or J = det F = 1, at every point is too many conditions:
-cells of first order lock. So the volumetric part of the energy is taken in the mean over each cell.
+"""Reduced integration of the volumetric part: one mean volume change for each cell.
 
 **Small strain**, psi(eps) = psi(dev eps) + K/2 tr(eps)^2: the laws get the deviator, and
 
     psi_vol = K/2 V t^2,    t = (B u - b) / V,    B_a = int tr eps(phi_a),  b = int tr eps_0,
 
 V the volume of the cell, with the weight of the kinematics. The forces are B^T p with the mean
-stress p = K t of the output; the tangent is the constant B^T (K / V) B.
+stress p = K t of the output, the tangent is B^T (K / V) B.
 
-**Finite strain**, psi(F) = psi_0(F) + U(J):
-
-    psi_vol = V U(j),    j = 1/V int J dX.
-
-The forces are p B^T with p = U'(j), B_a = int dJ/du_a dX; the tangent is p d2J/du2, a part of the
-forms, and B^T (U''(j) / V) B. On quadrilaterals and hexahedra of second order the mean is the
-projection onto N = (1, x - x_c), see `cell_functions`: with M = int N N^T, B_ka = int N_k dJ/du_a,
-S = int U''(j) N N^T
+**Finite strain**, psi(F) = psi_0(F) + U(J): derived in theory.md, Finite strain. On quadrilaterals
+and hexahedra of second order, with M = int N N^T, B_ka = int N_k dJ/du_a, S = int U''(j) N N^T,
 
     psi_vol = int U(j),  j = N^T M^-1 int N J,  p = N^T M^-1 int N U'(j),  B^T M^-1 S M^-1 B.
 
 Triangles and tetrahedra of second order have constants: N would lock. Pressures of tetrahedra, and
 of hexahedra of first order, alternate.
 
-Where U'' is far above the other moduli, Newton's method on u alone takes many short steps: after a
-change of shears by e, j is wrong by e^2, and p by U'' e^2. With p as an unknown, a step leaves it
-at p + U''(j) B du / V: the next tangent has p d2J/du2 with that p, and the energy along a step its
-volumes (`VolumeStep`); forces are those of U'(j(u)). At the solution both are the same.
+Newton's method on u alone takes many short steps if U'' is far above the other moduli: a change of
+shears by e puts an error U'' e^2 into p. So p is an unknown: a step leaves it at p + U''(j) B du /
+V, the next tangent has p d2J/du2 with that p, the energy along a step its volumes (`VolumeStep`),
+and the forces U'(j(u)), with the same solution.
 
 Sources: Simo, Taylor, Pister, Comput. Methods Appl. Mech. Engrg. 51 (1985) 177-208; T. Sussman,
 K.-J. Bathe, Comput. Struct. 26 (1987) 357-409 (9/3); D. Magisano, L. Leonetti, G. Garcea, Comput.
@@ -64,17 +55,17 @@ from ufl.classes import Label, Variable
 from ufl.core.expr import Expr
 
 CELLS = ("quadrilateral", "hexahedron")
-# Their trace is linear in u, and the change of volume.
+# Kinematics with a trace that is linear in u, the change of volume.
 TRACED = (plane_strain, axisymmetric, spatial)
 
 
 def create_dilatation(
     u: fem.Function, given: Any, integral: Integral, eigenstrain: Eigenstrain | None
 ) -> MeanDilatation | MeanVolume | None:
-    """Volumetric part in the mean, None for "full"; collective.
+    """Reduced volumetric part, None for "full"; collective.
 
     Raises:
-        ValueError: for another choice than "full" and "reduced", and where nothing can be reduced.
+        ValueError: for another choice, and where nothing can be reduced.
     """
     if check("volumetric", given, one_of("full", "reduced")) == "full":
         return None
@@ -115,7 +106,7 @@ def check_reducible(
 
 
 class MeanDilatation:
-    """The volumetric part of bodies with a small strain, in the mean over each cell.
+    """The volumetric part at small strain, by the mean over each cell.
 
     Attributes:
         mean_stress: p = K t per cell, a DG0 Function; up to date after `follow`.
@@ -166,7 +157,7 @@ class MeanDilatation:
         return float((self.densities() * self._volumes).sum())
 
     def densities(self) -> Floats:
-        """Return K/2 t^2 of the owned cells, per volume, t as of `follow`."""
+        """Return K/2 t^2 of the owned cells."""
         p = self.mean_stress.x.array[: len(self._bulk)]
         return np.asarray(p**2 / (2 * self._bulk))
 
@@ -175,10 +166,10 @@ class MeanDilatation:
         return float((self._bulk / self._volumes * self._B.times(v)[:, 0] ** 2).sum())
 
     def add_tangent(self, K: PETSc.Mat) -> None:
-        """Add B^T (K / V) B to a matrix, formed once for given parameters; collective."""
+        """Add B^T (K / V) B, formed once for given parameters; collective."""
         same = self._tangent is not None and np.array_equal(self._tangent[0], self._bulk)
         if any_rank(self._u.function_space.mesh.comm, not same)[0]:
-            self._tangent = None  # before the new one needs the memory
+            self._tangent = None  # free the memory first
             product = K.duplicate(copy=False)
             product.zeroEntries()
             product.assemble()
@@ -189,7 +180,7 @@ class MeanDilatation:
 
 
 def bulk_modulus_of(region: Region) -> Expr:
-    """Bulk modulus of a law in UFL, K = tr(C : I) / 9."""
+    """K = tr(C : I) / 9 of a law in UFL."""
     return ufl.tr(elastic_response(region.law, ufl.Identity(3), region.symbols)) / 9
 
 
@@ -198,7 +189,7 @@ class VolumeStep:
     """Volumes and pressures along a step u + t du, as linearised at u; N as in `cell_functions`."""
 
     ratio: Floats  # (owned cells, m) coefficients of j at u
-    change: Floats  # (owned cells, m) those of its derivative along du
+    change: Floats  # (owned cells, m) of its derivative along du
     energy: Floats  # (owned cells,) int U(j)
     slope: Floats  # (owned cells, m) int U'(j) N_k
     stiffness: Floats  # (owned cells, m, m) int U''(j) N_k N_l
@@ -221,10 +212,10 @@ class VolumeStep:
 
 
 class MeanVolume:
-    """The volumetric part of bodies with a finite strain, by the mean of J over each cell.
+    """The volumetric part at finite strain, by the mean of J over each cell.
 
     Attributes:
-        cells: the functions of a cell onto which J and U'(j) are projected.
+        cells: the functions onto which J and U'(j) are projected.
         mean_stress: coefficients of p; up to date after `follow`.
     """
 
@@ -236,7 +227,7 @@ class MeanVolume:
         self.cells = cells = CellFunctions(V.mesh, integral.weight, dx, affine=affine)
         self.mean_stress, self._ratio = (fem.Function(cells.space) for _ in range(2))
         self._ratio.x.array[:: cells.size] = 1.0
-        self._at = fem.Constant(V.mesh, default_scalar_type(1.0))  # J in derivatives
+        self._at = fem.Constant(V.mesh, default_scalar_type(1.0))  # J, for derivatives
         self._gradient = integral.kinematics.measure(u)
         J = ufl.det(self._gradient)
         change = ufl.derivative(J, u, ufl.TrialFunction(V))
@@ -253,7 +244,6 @@ class MeanVolume:
         self._B = RowsOfCells(B, cells.size)
 
     def _slope(self, region: Region, order: int, J: Expr) -> Expr:
-        """A derivative of U at J."""
         at = Variable(self._at, Label(-4))
         value = volumetric_energy(region, at)
         for _ in range(order):
@@ -289,10 +279,7 @@ class MeanVolume:
         set_owned(self.mean_stress, pressure)
 
     def energy(self, along: tuple[VolumeStep, float] | None = None) -> float:
-        """Return sum_c int U(j) over the owned cells, j as of `follow`.
-
-        Along a step, at the length t, `VolumeStep.energy_at`.
-        """
+        """Return sum_c int U(j) over the owned cells as of `follow`, or along a step."""
         if along is None:
             return float(self._energies().sum())
         step, t = along
@@ -303,7 +290,7 @@ class MeanVolume:
         return self.cells.vectors(self._energy_forms[0])[:, 0]
 
     def densities(self) -> Floats:
-        """Mean of U(j) over each owned cell, per volume at X, j as of `follow`."""
+        """Mean of U(j) over each owned cell, per volume at X."""
         return self._energies() / self.cells.volumes
 
     def step_along(self, v: fem.Function) -> VolumeStep:
@@ -321,7 +308,7 @@ class MeanVolume:
         )
 
     def norm_squared(self, v: fem.Function) -> float:
-        """Return sum_c int K (B v / V)^2 over the owned cells, K that of small strains."""
+        """Return sum_c int K (B v / V)^2 over the owned cells, K at small strain."""
         self._B.assemble()
         change = self.cells.coefficients(self._B.times(v))
         bulk = self.cells.matrices(self._bulk_form)

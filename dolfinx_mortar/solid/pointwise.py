@@ -31,13 +31,11 @@ from ufl.core.expr import Expr
 
 
 class PointValuesOfRegion(ABC):
-    """Values at the points of a region, found before assembly.
+    """Values at the points of a region, computed before assembly.
 
     Attributes:
-        region: the law and its cells.
         response: of the law, in terms of these values.
-        normal: in plane stress the strain, or the stretch less 1, out of the plane; zero in other
-            regions.
+        normal: in plane stress the strain (stretch less 1) out of the plane, else zero.
     """
 
     response: Response
@@ -65,10 +63,10 @@ class PointValuesOfRegion(ABC):
 
     @abstractmethod
     def _evaluate(self) -> None:
-        """Fill the Functions; an error leaves them as before."""
+        """Fill the Functions; an error leaves them unchanged."""
 
     def fill(self) -> None:
-        """Evaluate the law if an input has changed; without communication.
+        """Evaluate the law if an input has changed; not collective.
 
         Raises:
             ValueError: if the law fails.
@@ -83,7 +81,7 @@ class PointValuesOfRegion(ABC):
         return [values.copy() for values in now]
 
     def settle(self) -> None:  # noqa: B027 - most have evaluated everything by then
-        """Evaluate the values that only the end of a step needs; without communication."""
+        """Evaluate the values needed at the end of a step only; not collective."""
 
     def _state(self) -> dict[str, Floats]:
         """Committed internal variables at the points, (q,) or (q, 3, 3)."""
@@ -94,7 +92,7 @@ class PointValuesOfRegion(ABC):
         return found
 
     def _rows(self, f: fem.Function) -> Ints:
-        """Points of the region, rows of the values of a Function at points."""
+        """Points of the region: rows of a Function's values."""
         return np.asarray(f.function_space.dofmap.list[self.region.cells].ravel())
 
     def _set(self, f: fem.Function, values: Floats) -> None:
@@ -104,15 +102,13 @@ class PointValuesOfRegion(ABC):
         f.x.array.reshape(-1, size)[self._rows(f)] = values
 
     def _evaluated(self, expression: fem.Expression, cells: Ints) -> Floats:
-        """Values of an expression in cells, point by point."""
         return np.asarray(expression.eval(self._mesh, cells))
 
 
 class NormalStrain(PointValuesOfRegion):
-    """The strain, or the stretch less 1, out of the plane without stress, of a law in UFL."""
+    """The strain (stretch less 1) out of the plane with sigma_zz = 0, of a law in UFL."""
 
     def _create(self, strain: Expr, degree: int) -> None:
-        """Create the Function and compile its equation; collective."""
         region = self.region
         self.normal = create_field(self._mesh, degree, (), "strain_out_of_the_plane")
         committed = region.tensors(self._committed)
@@ -128,7 +124,7 @@ class NormalStrain(PointValuesOfRegion):
         self._start = None if start is None else fem.Expression(start, points)
 
     def _evaluate(self) -> None:
-        """Solve the equation at all points, or take its root from the law."""
+        """Solve the equation at all points, or evaluate its closed form."""
         assert self.normal is not None
         cells, values = self.region.cells, self.normal.x.array
         dofs = self.normal.function_space.dofmap.list[cells]
@@ -157,7 +153,6 @@ class PointwiseFields(PointValuesOfRegion):
     """Stress, upper triangle of the tangent and new state of a law of arrays; energy at F."""
 
     def _create(self, strain: Expr, degree: int) -> None:
-        """Create the Functions; compile the strain, or F; collective."""
         law, domain = self.region.law, self._mesh
         with raised_together(domain.comm):
             self._finite, has_energy = self._create_law()
@@ -180,11 +175,10 @@ class PointwiseFields(PointValuesOfRegion):
         return finite, finite and self.region.law.energy is not None
 
     def _wanted(self, strain: Expr) -> Expr:
-        """Expressions to be evaluated at the points before the law."""
+        """Expressions evaluated at the points before the law."""
         return ufl.as_vector([strain[entry] for entry in self._entries])
 
     def _tensor(self, entries: Sequence[Expr]) -> Expr:
-        """3x3 tensor of stored entries."""
         rows: list[list[Expr]] = [[ufl.as_ufl(0.0)] * 3 for _ in range(3)]
         for (i, j), entry in zip(self._entries, entries, strict=True):
             rows[i][j] = entry
@@ -206,7 +200,6 @@ class PointwiseFields(PointValuesOfRegion):
         return self._tensor(sums)
 
     def _evaluate(self) -> None:
-        """Call the law."""
         region, (rows, columns) = self.region, np.array(self._entries).T
         points = self._stress.function_space.dofmap.list.shape[1]
         strain = np.zeros((len(region.cells) * points, 3, 3))
@@ -229,7 +222,7 @@ class PointwiseFields(PointValuesOfRegion):
                 self._set(f, values)
 
     def _judge(self, bad: Bools, strain: Floats, what: str) -> None:
-        """Raise a ValueError if something is wrong at some points, naming the first."""
+        """Raise a ValueError for invalid points, naming the first."""
         wrong = np.flatnonzero(bad)
         if wrong.size:
             points = self._stress.function_space.dofmap.list.shape[1]
@@ -248,10 +241,7 @@ INSIDE_OUT, UNDEFINED = "is not called where det F is not positive:", "gives NaN
 
 
 class LogarithmicFields(PointwiseFields):
-    """Energy, stress P, tangent and new state of a law of a small strain at F.
-
-    Internal variables are evaluated at the end of a step only.
-    """
+    """Energy, P, tangent and new state (at the end of a step only) of a small-strain law at F."""
 
     def _create_law(self) -> tuple[bool, bool]:
         """Compile the law once for all ranks, or load it from the cache; collective."""
@@ -261,26 +251,25 @@ class LogarithmicFields(PointwiseFields):
             return kernel_of(found, module, vector)
 
         names, d = list(ungrouped(self.region.symbols)), self._mesh.geometry.dim
-        law = replace(self.region.law, plane_stress=False)  # H_zz is found here
+        law = replace(self.region.law, plane_stress=False)  # H_zz is an unknown here
         self._law = LogarithmicLaw(law, names, dimension=d, jit=compiled)
         self._start: tuple[list[Floats], Start] | None = None
         self._gradients = np.zeros((0, 3, 3))
         return True, self._law.has_energy
 
     def _wanted(self, strain: Expr) -> Expr:
-        """Return F - I, row by row, affine in u: strains may be far below round-off of 1."""
+        """Return F - I, row by row: strains may be far below round-off of 1."""
         u = self._inputs[0]
         H = ufl.derivative(strain, u, u)
         return ufl.as_vector([H[i, j] for i in range(3) for j in range(3)])
 
     def _evaluate(self) -> None:
-        """Evaluate energy, stress and tangent."""
         found = self._evaluated(self._strain, self.region.cells)
         H = np.ascontiguousarray(found).reshape(-1, 3, 3)
         start = self._start_of_step()
         if self.normal is not None:
             self._law.find_normal(start, H)
-        self._seen = []  # a failing law leaves its values
+        self._seen = []  # invalid until the law succeeds
         functions = [self._stress, self._tangent]
         functions += [] if self._energy is None else [self._energy]
         P, A, *psi = targets = [self._table(f) for f in functions]
@@ -299,7 +288,7 @@ class LogarithmicFields(PointwiseFields):
         self._gradients = H
 
     def _table(self, f: fem.Function) -> Floats:
-        """Space for values (q, components) of a Function, a view if points are in order."""
+        """Storage for values (q, components) of a Function, a view if points are in order."""
         rows, table = self._rows(f), f.x.array.reshape(-1, f.function_space.dofmap.bs)
         if len(rows) and np.array_equal(rows, np.arange(rows[0], rows[0] + len(rows))):
             return np.asarray(table[rows[0] : rows[0] + len(rows)])
@@ -318,7 +307,7 @@ class LogarithmicFields(PointwiseFields):
             self._set(f, new[name])
 
     def stress_lost(self) -> Floats:
-        """Stress lost (q,), see `LogarithmicLaw`; none of a law without memory."""
+        """Error of the stress (q,), see `LogarithmicLaw`; zero of a law without memory."""
         if not self.region.law.state:
             return np.zeros(0)
         return self._law.stress_lost(self._start_of_step(), self._gradients)
@@ -345,10 +334,7 @@ def create_point_values(
     *,
     finite: bool = False,
 ) -> dict[Law, PointValuesOfRegion]:
-    """Values found at points before each assembly, by law; collective.
-
-    The strain is F where strains are finite.
-    """
+    """Values computed at points before each assembly, by law; of F if `finite`; collective."""
     found: dict[Law, PointValuesOfRegion] = {}
     for region in regions:
         kind: type[PointValuesOfRegion]
@@ -367,7 +353,7 @@ def create_point_values(
 def fill_point_values(
     comm: MPI.Comm, found: Mapping[Law, PointValuesOfRegion], *, at_end: bool = False
 ) -> None:
-    """Evaluate where something has changed, at the end of a step what that needs; collective.
+    """Evaluate where an input has changed, and at the end of a step its own values; collective.
 
     Raises:
         ValueError: on all ranks, if a law fails on any.
@@ -405,7 +391,7 @@ def _pairs(size: int) -> list[tuple[int, int]]:
 def packed(tangent: Floats, entries: Sequence[tuple[int, int]]) -> Floats:
     """Upper triangle of the symmetric part of tangents (q, 3, 3, 3, 3), row by row."""
     a, b = np.array(_pairs(len(entries))).T
-    at = np.array(entries) @ [3, 1]  # number of an entry among nine
+    at = np.array(entries) @ [3, 1]  # index among nine entries
     terms = np.stack([9 * at[a] + at[b], 9 * at[b] + at[a]], axis=1)
     return np.asarray(_means(np.ascontiguousarray(tangent).reshape(len(tangent), 81), terms))
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Functions at points of the bodies, and the expressions that fill them.
 
-Parameters and eigenstrain may change between steps, and are evaluated again.
+Parameters and eigenstrain may change between steps.
 """
 
 from abc import ABC, abstractmethod
@@ -42,14 +42,14 @@ class Part:
 
     @property
     def entries(self) -> list[Expr]:
-        """Number of components of the value."""
+        """Components of the value."""
         value = self.value
         return [value[i] for i in range(*value.ufl_shape)] if value.ufl_shape else [value]
 
 
 @dataclass(frozen=True)
 class Source:
-    """Values in some cells, which one expression fills into components of Functions."""
+    """Values in some cells, filled by one expression into components of Functions."""
 
     parts: Sequence[Part]  # all at the same points
     cells: Ints  # local cells, ghosts included
@@ -62,18 +62,18 @@ class Source:
 
     @property
     def dofs(self) -> Ints:
-        """Points (cells, points) of the cells, rows of the tables of values."""
+        """Points (cells, points) of the cells: rows of the tables of values."""
         return np.asarray(self._space.dofmap.list[self.cells])
 
     def evaluate(self, cells: Ints) -> Floats:
-        """Values (cells, points, components) in some cells; without communication."""
+        """Values (cells, points, components) in some cells; not collective."""
         values = np.asarray(self.expression.eval(self._space.mesh, cells))
         points = self._space.dofmap.list.shape[1]
         # dolfinx 0.9 has points and components on one axis, 0.11 on two
         return values.reshape(len(cells), points, sum(part.table.shape[1] for part in self.parts))
 
     def fill(self) -> None:
-        """Evaluate the expression into the Functions; without communication."""
+        """Evaluate the expression into the Functions; not collective."""
         dofs, tables = self.dofs, [part.table for part in self.parts]
         ends = np.cumsum([table.shape[1] for table in tables])
         columns = np.split(self.evaluate(self.cells), ends[:-1], axis=-1)
@@ -81,12 +81,12 @@ class Source:
             table[dofs] = of_part
 
     def undefined(self) -> list[int]:
-        """Number of points of the cells at which the Function of each part is NaN or infinite."""
+        """Number of points at which the Function of each part is NaN or infinite."""
         at = [part.table[self.dofs] for part in self.parts]
         return [int(np.sum(~np.isfinite(values).all(axis=-1))) for values in at]
 
     def numbers(self) -> list[Floats]:
-        """Numbers that it depends on."""
+        """Values of the inputs."""
         return [
             np.asarray(f.value) if isinstance(f, fem.Constant) else f.x.array for f in self.inputs
         ]
@@ -96,7 +96,7 @@ def create_source(cells: Ints, *parts: Part) -> Source:
     """Compile the evaluation of parts whose Functions have the same points; collective.
 
     Raises:
-        ValueError: on all ranks, if that is impossible.
+        ValueError: on all ranks, for an expression that does not compile.
     """
     V = parts[0].function.function_space
     value = ufl.as_vector([entry for part in parts for entry in part.entries])
@@ -117,7 +117,7 @@ def create_source(cells: Ints, *parts: Part) -> Source:
 def point_function(
     domain: mesh.Mesh, degree: int, size: tuple[int, ...] = (), name: str | None = None
 ) -> fem.Function:
-    """Create a Function of scalars, or of vectors of a size, at the points of a quadrature."""
+    """Create a Function of scalars, or of vectors of a size, at quadrature points."""
     element = basix.ufl.quadrature_element(
         domain.basix_cell(), value_shape=size, scheme="default", degree=degree
     )
@@ -193,7 +193,7 @@ class Followed(ABC):
 
 
 def follow_changed(comm: MPI.Comm, followed: Sequence[Followed]) -> None:
-    """Evaluate anew what has changed on any rank; collective if any may change."""
+    """Evaluate what has changed on any rank; collective if any may change."""
     varying = [one for one in followed if one.varying]
     changed = np.array([one.outdated() for one in varying], dtype=bool)
     if varying:
@@ -204,10 +204,10 @@ def follow_changed(comm: MPI.Comm, followed: Sequence[Followed]) -> None:
 
 
 def fill_all(comm: MPI.Comm, evaluations: Sequence[Source]) -> None:
-    """Evaluate all expressions; an error leaves the Functions as before; collective.
+    """Evaluate all expressions; an error changes no Function; collective.
 
     Raises:
-        ValueError: on all ranks, if a law gives NaN or infinity on any, naming the law.
+        ValueError: on all ranks, naming a law that gives NaN or infinity on any.
     """
     filled = {part.function for source in evaluations for part in source.parts}
     before = {f: f.x.array.copy() for f in filled}
@@ -222,7 +222,6 @@ def fill_all(comm: MPI.Comm, evaluations: Sequence[Source]) -> None:
 
 
 def _check_defined(comm: MPI.Comm, evaluations: Sequence[Source]) -> None:
-    """Raise a ValueError on all ranks if a law has given NaN or infinity on any; collective."""
     names = [part.name for source in evaluations for part in source.parts]
     found = [float(count) for source in evaluations for count in source.undefined()]
     for name, count in zip(names, maximum(comm, *found), strict=True):
