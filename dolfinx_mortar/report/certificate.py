@@ -25,20 +25,18 @@ from dolfinx_mortar.step_report import Certificate, StepReport
 
 
 def _largest(comm: MPI.Comm, *arrays: Floats) -> Floats:
-    """Maxima over all ranks, 0 for empty arrays."""
     return maximum(comm, *(a.max(initial=0.0) for a in arrays))
 
 
 def operator_errors(link: Link, X: Floats, facet_length: float) -> tuple[float, float]:
-    """Linear-field error and row-sum error of D and M; collective.
+    """Linear-field error and row-sum error of D and M, relative to D_jj; collective.
 
     On flat interfaces (D - M) X, X (owned nodes, d), has no tangential part; on curved ones it is
-    the gap times the angle between facet and averaged slave normals. Rows of D - M sum to zero.
-    Relative to D_jj, the first also to the gap plus a facet length; for each choice of direction of
-    a tie.
+    the gap times the angle between facet and nodal normals, so the first error is also relative to
+    the gap plus a facet length, for each direction of a tie. Rows of D - M sum to zero.
     """
     sides, coupling = link.sides, link.coupling
-    judged = coupling.kept.T & coupling.normals.any(axis=1)  # may lack a normal
+    judged = coupling.kept.T & coupling.normals.any(axis=1)  # some lack a normal
     normals = coupling.normals if coupling.operators is None else coupling.operators.normals
     v = link.Q.createVecRight()
     v.set(1.0)
@@ -102,10 +100,10 @@ def create_certificate(
     """Certificate of the present state with its results; collective.
 
     Args:
-        residual: of the final geometry.
+        residual: at the final geometry.
         balances: of forces and moments of the two sides, from `set_results`.
         sliders: with friction.
-        left_out: small-strain error; None computes it, as the next ones.
+        left_out: small-strain error, computed if None, as are the next ones.
         overlaps: see `find_overlaps`.
         pull: of `find_pull`.
     """
@@ -208,8 +206,8 @@ def set_results(
     """Set the interfaces' resultants and Functions; collective.
 
     Returns the slips, and the largest imbalances of forces and moments. Reactions of equalities are
-    residual forces, those of contacts D_jj times the multipliers; tractions are per present area,
-    see `growth`.
+    residual forces, of contacts D_jj times the multipliers; tractions are per present area, see
+    `growth`.
     """
     d, n = problem.d, problem.n
     moved = problem.X + problem.u.x.array[: d * n].reshape(-1, d)

@@ -1,30 +1,27 @@
 # SPDX-License-Identifier: MIT
 """The ledger of energies of a motion, and the energy that contact restores.
 
-In a step from n to n+1 the trapezoidal rule keeps, of linear bodies,
+For linear bodies the trapezoidal rule conserves, from n to n+1,
 
     K + Psi = K_n + Psi_n + 1/2 (q + q_n).(u - u_n)
 
-exactly, q the forces of loads, supports, damping and contacts. Where sides meet or part in a step,
-1/2 (lambda g_n - lambda_n g) is lost. So after a step the velocity is corrected by an impulse s of
-the contact forces, so that the work of the normal forces c is zero, and the work w of friction f
-not positive (as it may be where a slip turns back),
+q the forces of loads, supports, damping and contacts. Opening and closing contacts lose 1/2 (lambda
+g_n - lambda_n g). So after a step the velocity is corrected by an impulse s of the contact forces
+that makes the work of the normal forces c zero, and the work w of friction f not positive,
 
     v <- v + s y,   (kappa M + K) y = c + c_n + f + f_n,
     K(v + s y) = K(v) - 1/2 (c + c_n).(u - u_n) - <w> + s y_f.M (v + s y / 2),
 
-with y_f the part of y due to f; the last term counts as work of friction. As K y has neither
-momentum nor moment of momentum, both are conserved (Laursen and Love 2002 correct node by node,
-with M alone). The smaller of the two roots s is taken; energy beyond the range of the impulse
-becomes part of the defect. The impulse waits until more than rtol of the largest energy is to be
-restored.
+y_f the part of y due to f; the last term counts as work of friction. K y has neither momentum nor
+moment of momentum, so both are conserved (Laursen and Love 2002 correct node by node, with M
+alone). The smaller of the two roots s is taken; energy beyond the range of the impulse is part of
+the defect. Below rtol of the largest energy the impulse is postponed.
 
-The work of moving tools on bodies counts as work of supports; w and K are relative to the tool. At
-tools driven by loads, which have no mass, no impulse acts: their momentum is that of the loads.
+The work of moving tools counts as work of supports; w and K are relative to the tool. Tools driven
+by loads have no mass, and no impulse acts at them.
 
-Where an eigenstrain or parameters of laws change in a step, the change of the potential without
-motion, Psi - Psi_n - 1/2 (F + F_n).(u - u_n), F the internal forces, each with the data of its
-time, counts as work of loads.
+Changes of eigenstrain or parameters of laws in a step do the work Psi - Psi_n - 1/2 (F + F_n).(u -
+u_n), F the internal forces, each with the data of its time; it counts as work of loads.
 
 At finite strain the moment of momentum has an error of third order in a step.
 """
@@ -44,8 +41,8 @@ from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.step_report import Ledger, Note, StepReport
 from dolfinx_mortar.terms.inertia import Damping, Inertia, Motion
 
-# Smallest defect with a note: velocities are then wrong by half a per cent. Measured on a rod that
-# hits a wall and a bar (defects of 3e-4 to 8 %): by 0.4 to 0.7 of the defect.
+# Smallest defect with a note: on impacts of a rod with a wall and a bar, velocities are wrong by
+# 0.4 to 0.7 of the defect.
 LARGE_DEFECT = 0.01
 MASS = (
     ". Contact nodes of thin bodies, of one or two layers of cells, have kept their mass, with "
@@ -63,21 +60,20 @@ class Ends:
     supports: Floats
     loads: Floats
     damping: Floats
-    internal: Floats | None  # where a law has no potential, or reads what may change
+    internal: Floats | None  # if a law has no potential, or changing data
 
 
 class EnergyLedger:
     """The ledger of a problem with inertia, step by step.
 
-    Where a law has no potential, "stored" is the work of the internal forces, part of which may be
-    dissipated.
+    Where a law has no potential, "stored" is the work of the internal forces, dissipation included.
     """
 
     def __init__(self, problem: ContactProblem, inertia: Inertia, *, conserve: bool) -> None:
         """Begin, or continue from the last step of the problem's history; collective.
 
         Args:
-            problem: at the end of a step or at its start.
+            problem: between steps.
             inertia: one of its terms.
             conserve: whether contact restores energy.
         """
@@ -147,7 +143,7 @@ class EnergyLedger:
     def start(self, begin: float, end: float, sides: Floats) -> None:
         """Find the acceleration M a = P^T (f - F + c) under the loads of the start; collective.
 
-        Nodes without mass are in equilibrium or move with others, to which P^T moves their forces.
+        P^T moves the forces of massless nodes to the nodes that they move with.
 
         Args:
             begin: time of the start.
@@ -205,7 +201,7 @@ class EnergyLedger:
         """Commit a converged step, and add its ledger to the report; collective.
 
         Args:
-            report: of the step; gets a note if the energy could not be restored.
+            report: of the step; gets a note on energy that was not restored.
             linear: solver of the responses.
         """
         problem, inertia, before = self.problem, self.inertia, self._before
@@ -216,7 +212,7 @@ class EnergyLedger:
             name: self._sum(0.5 * (getattr(before, name) + getattr(after, name)) * du)
             for name in ("contact", "friction", "supports", "loads", "damping")
         }
-        # the work of a moving tool on the bodies is no gain of contact
+        # the work of a moving tool is no gain of contact
         way = self._tool_way(before.u, after.u)
         tools = {
             name: self._sum(0.5 * (getattr(before, name) + getattr(after, name)) * way)
@@ -274,7 +270,7 @@ class EnergyLedger:
     def _in_bodies(
         self, before: Ends, after: Ends, potential: float | None
     ) -> tuple[float, float, float]:
-        """Stored energy after a step, dissipated energy, and the work of heat."""
+        """Stored and dissipated energy, and the work of changing data."""
         inner, start = 0.0, self._potential
         if before.internal is not None and after.internal is not None:
             mean = 0.5 * (before.internal + after.internal)
@@ -297,7 +293,7 @@ class EnergyLedger:
         return on
 
     def _contacts_have_mass(self) -> bool:
-        """Whether nodes that can touch have kept their mass; collective."""
+        """Whether nodes of contacts have mass; collective."""
         bare, links = self.inertia.mass.massless, self.problem.system.unilateral
         heavy = any((~bare[k.nodes] & k.coupling.kept[:, 0]).any() for k in links)
         return bool(any_rank(self.problem.comm, heavy)[0])
@@ -338,8 +334,8 @@ class EnergyLedger:
     ) -> tuple[Motion, float, float, float, float]:
         """Motion after an impulse of the contact forces that adds an energy; collective.
 
-        Also the works of tools and of friction in it, the energy that is missing, and the time for
-        which the forces have acted.
+        Also the works of tools and of friction in it, the missing energy, and the time for which
+        the forces have acted.
         """
         if responses is None:
             return motion, 0.0, 0.0, energy, 0.0
@@ -363,7 +359,6 @@ class EnergyLedger:
 
 
 def _not_restored(share: float, *, unsolved: bool) -> Note:
-    """Note on energy that contact has taken or added in a step."""
     what = "taken from the bodies without giving it back" if share > 0.0 else "given to the bodies"
     why = "Its forces are too small along the motion for the impulse that restores the energy"
     if unsolved:
@@ -373,7 +368,6 @@ def _not_restored(share: float, *, unsolved: bool) -> Note:
 
 
 def _balanced(ledger: Ledger) -> Ledger:
-    """A ledger with its defect."""
     gone = ledger.dissipated + ledger.friction + ledger.damping
     total = ledger.kinetic + ledger.stored
     largest = max(ledger.largest, total, gone, abs(ledger.loads), abs(ledger.supports))
@@ -381,7 +375,7 @@ def _balanced(ledger: Ledger) -> Ledger:
 
 
 def notes_on_energy(ledger: Ledger, *, thin: bool = False) -> list[str]:
-    """A note if energy has appeared or is lost; `thin`: contact nodes have mass."""
+    """Notes on an energy defect; `thin`: contact nodes have mass."""
     if abs(ledger.defect) <= LARGE_DEFECT:
         return []
     what = "appeared" if ledger.defect > 0.0 else "been lost"

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Notes on a converged step: separation from the partner, neglected strains, resolution.
 
-Tunnelling and indefinite tangents are reported by Newton's method.
+Newton's method adds those on tunnelling and indefinite tangents.
 """
 
 import logging
@@ -39,13 +39,13 @@ class StepEnd:
     problem: ContactProblem
     balance: Balance
     contacts: Contacts
-    stiffness: Floats  # (n,) owned diagonal of the last K^
+    stiffness: Floats  # (n,) owned diagonal of the last condensed stiffness
     overlap: float
     left_out: LeftOut
     overlaps: Mapping[int, Overlap]
     pull: float  # of contacts, see `find_pull`
     rtol: float
-    limit: float  # allowed norm of residual forces
+    limit: float  # tolerance of residual forces, as a norm
 
 
 def note_partners(end: StepEnd) -> list[str]:
@@ -56,7 +56,7 @@ def note_partners(end: StepEnd) -> list[str]:
         seen = f"contacts pull, by {end.pull:.1%} of the largest push: forces are wrong there"
         why = "Refine the slave side where the master ends, or let the other side be the slave"
         notes.append(Note(seen, why))
-    if end.overlap == 0.0:  # else a part of an initial overlap is left
+    if end.overlap == 0.0:  # otherwise an initial overlap remains
         notes += notes_on_overlaps(end.problem, end.overlaps, end.contacts.active, end.rtol)
     return notes + notes_on_crossings(end.problem, end.overlaps)
 
@@ -109,7 +109,7 @@ def _turn(problem: ContactProblem, link: Link, contacts: Contacts) -> float:
 
 
 def _turned_tools(end: StepEnd) -> list[str]:
-    """Notes on rotations of tools that make slips, arcs or chords, wrong; collective."""
+    """Notes on tool rotations that make slips (arcs or chords) wrong; collective."""
     notes, sliding = list[str](), end.contacts.sliding
     for link in end.problem.system.links:
         tool = link.interface.tool
@@ -154,7 +154,7 @@ def note_pressures(end: StepEnd) -> list[str]:
     return notes + few
 
 
-DIAGNOSES = note_partners, note_strains, note_pressures  # the same on all ranks
+DIAGNOSES = note_partners, note_strains, note_pressures  # the same order on all ranks
 
 
 def find_notes(end: StepEnd) -> list[str]:

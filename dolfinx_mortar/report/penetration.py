@@ -67,7 +67,7 @@ APART = (
 
 @dataclass(frozen=True)
 class Overlap:
-    """Deepest place of boundaries that lie in each other."""
+    """Deepest overlap of boundaries."""
 
     share: float  # depth over the size of the smaller facet
     depth: float
@@ -85,7 +85,7 @@ def notes_on_overlaps(
 
     Args:
         found: see `find_overlaps`.
-        closed: (owned nodes,) contact; without any the check is stricter.
+        closed: (owned nodes,) contact; None for a stricter check.
         rtol: overlap allowed by the step, in facet lengths.
     """
     notes, links = list[str](), problem.system.links
@@ -96,8 +96,7 @@ def notes_on_overlaps(
         elif link.pairing and (bare := _on_prescribed_facets(link, problem.u)):
             some = bare if some is None or bare.share > some.share else some
         elif closed is not None and not any_rank(problem.comm, closed[link.nodes].any())[0]:
-            # only a closed node excuses more overlap than the step's tolerance, with a digit for
-            # points beside nodes
+            # without closed nodes only the step's tolerance, times ten for points between nodes
             limit = rtol / DIGIT
         if some is not None and some.share > limit:
             notes.append(_note(f"{link.interface}: the sides", some, MEAN))
@@ -107,7 +106,7 @@ def notes_on_overlaps(
 def _on_prescribed_facets(link: Link, u: fem.Function) -> Overlap | None:
     """Deepest point of slave facets without multipliers, by Dirichlet data; collective.
 
-    Flush flanks do not cross there, and nothing stops the master.
+    Flush flanks do not cross there.
     """
     comm, bare = link.sides.V.mesh.comm, link.prescribed_facets()
     if not any_rank(comm, bare.any())[0]:
@@ -127,7 +126,7 @@ def _on_prescribed_facets(link: Link, u: fem.Function) -> Overlap | None:
 
 
 def notes_on_crossings(problem: ContactProblem, found: Mapping[int, Overlap]) -> list[str]:
-    """Note if boundaries that no interface couples lie in each other; collective."""
+    """Note on overlaps of boundaries without an interface; collective."""
     if (some := found.get(-1)) is None or some.share <= SUNK:
         return []
     one, other = (_point(x) for x in problem.bodies.centre[list(some.bodies)])
@@ -175,12 +174,12 @@ def _in_tool(link: Link, tool: Tool, u: fem.Function) -> Overlap | None:
 
 def _deviations(surface: Surface, u: fem.Function, feature_angle: float) -> Floats:
     """Largest deviations (n,) of a surface from its facets; collective."""
-    # sagittas at nodes are means, perhaps half of the largest
+    # nodal sagittas are means, perhaps half of the largest
     return 2.0 * nodal_sagittas(surface, coordinates(surface, u), feature_angle)
 
 
 def _deepest(comm: MPI.Comm, group: Longs, *columns: Any) -> dict[int, Any]:
-    """Columns where the first one is largest over all ranks, for each group; collective."""
+    """Columns at the maximum of the first one over all ranks, for each group; collective."""
     order = np.argsort(columns[0], kind="stable")
     last = {int(k): i for k, i in zip(group[order], order, strict=True)}
     mine = {k: [column[i].tolist() for column in columns] for k, i in last.items()}
@@ -194,17 +193,17 @@ class _Skin:
     """Flat facets near other bodies, or on surfaces in self-contact."""
 
     body: Longs  # (m,)
-    sides: Bools  # (m, 2, interfaces) on its slave and its master side
+    sides: Bools  # (m, 2, interfaces) on its slave and master side
     on: Bools  # (m, 2, interfaces) on or next to these
     x: Floats  # (m, d, d)
-    off: Floats  # (m,) distance of the interface sides from their facets, on or next to them
-    size: Floats  # (m,) in space root of the area, of whole facets
+    off: Floats  # (m,) deviation of smooth interface sides from the facets
+    size: Floats  # (m,) of whole facets, in space root of the area
 
     def __getitem__(self, which: Bools | Longs) -> "_Skin":
         return _Skin(*(getattr(self, f.name)[which] for f in fields(self)))
 
     def received(self, comm: MPI.Comm) -> "_Skin":
-        """Own facets, and those of other ranks in their box; collective."""
+        """Facets of this rank and those of other ranks in their box; collective."""
         low, high = bounds(self.x)
         box = low.min(axis=0, initial=np.inf), high.max(axis=0, initial=-np.inf)
         sent = [
@@ -215,9 +214,9 @@ class _Skin:
         return _Skin(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(self)))
 
     def pairs(self, meets_itself: Bools) -> tuple[Longs, Longs]:
-        """Near facets (p, 2) of two bodies, or in self-contact; interface (p,) that couples them.
+        """Near facets (p, 2) of two bodies, or in self-contact; coupling interface (p,) or -1.
 
-        -1 if none does: sides of an interface are coupled where they face each other.
+        Sides of an interface are coupled where they face each other.
         """
         count = int(self.body.max(initial=-1)) + 1
         own = np.zeros(count, dtype=bool)
@@ -228,7 +227,7 @@ class _Skin:
         alike = self.body[one] == self.body[other]
         a, b = pairs[alike].T
         apart = np.abs(self.x[a][:, :, None] - self.x[b][:, None]).max(axis=3).min(axis=(1, 2))
-        common = apart <= HALF_OF_DIGITS * self.size[a]  # of ranks by round-off
+        common = apart <= HALF_OF_DIGITS * self.size[a]  # equal on all ranks despite round-off
         alike[alike] = common | ~(surface[a] & surface[b]).any(axis=1)
         one, other = (pairs := pairs[~alike]).T
         n = facet_normals(Facets(LINE2 if self.x.shape[2] == 2 else TRI3, self.x))
@@ -239,10 +238,10 @@ class _Skin:
 
 
 def find_overlaps(problem: ContactProblem) -> dict[int, Overlap]:
-    """Deepest overlap at X + u of the sides of each contact, -1: of what none couples; collective.
+    """Deepest overlap at X + u of contacts' sides, and of uncoupled boundaries (-1); collective.
 
-    Of two bodies, or a surface in self-contact; minus jumps of ties, and sagittas of both sides, as
-    facets count as flat.
+    Of two bodies, or a surface in self-contact; less jumps of ties, and sagittas of both sides,
+    since facets count as flat.
     """
     interfaces = problem.system.interfaces
     meets_itself: Bools = np.array([s.meet_themselves for s in problem.system.sides], dtype=bool)
@@ -266,7 +265,6 @@ def find_overlaps(problem: ContactProblem) -> dict[int, Overlap]:
 
 
 def _longest_jumps(problem: ContactProblem) -> Floats:
-    """Length of the jump of each interface; collective."""
     apart = [link.apart() for link in problem.system.links]
     lengths = [0.0 if v is None else np.linalg.norm(v, axis=1).max(initial=0.0) for v in apart]
     none = np.zeros(len(problem.system.sides))

@@ -2,7 +2,7 @@
 """Reactions: forces of Dirichlet conditions on the bodies.
 
 In F(u) = f + c + r (internal forces, loads, contacts and ties, reactions) a prescribed component is
-an unknown of y, u = T y, for which r = T^T (F - f) without any part of c.
+an unknown of y, u = T y, where r = T^T (F - f) without c.
 """
 
 from collections.abc import Sequence
@@ -67,13 +67,13 @@ def reaction(
             components at its nodes, edges included; an array of this rank's local dofs, d * node +
             component, as from ``bc.dof_indices()[0]`` and locate_dofs_topological on ``V.sub(k)``
             (not on V, which returns nodes); None for all supports.
-        facet_tags: of the tag, also of cells, edges or vertices; default those of all interfaces if
-            they are the same.
+        facet_tags: of the tag, also of cells, edges or vertices; by default those of all interfaces
+            if they are the same.
         about: point of the moment, d numbers, default the origin; not for rings, whose moment is 0.
 
     Raises:
-        ValueError: on all ranks, for invalid arguments, before the first step, and if a problem
-            made later uses one of the interfaces.
+        ValueError: on all ranks, for invalid arguments, before the first step, and if a later
+            problem uses one of the interfaces.
     """
     check_problem(problem, ContactProblem)
     problem.check_owned()
@@ -207,7 +207,6 @@ def _tags_of(problem: ContactProblem) -> MeshTags:
 
 
 def _dofs_of_conditions(problem: ContactProblem, bcs: Sequence[Any]) -> list[Ints]:
-    """Local dofs of Dirichlet conditions on the problem's space."""
     for bc in bcs:
         space = getattr(bc, "function_space", None)
         known = isinstance(bc, fem.DirichletBC)
@@ -217,7 +216,6 @@ def _dofs_of_conditions(problem: ContactProblem, bcs: Sequence[Any]) -> list[Int
 
 
 def _check_dofs(problem: ContactProblem, support: Any) -> Ints:
-    """Checked local dofs of this rank."""
     remedy = "give a Dirichlet condition, a tag, or an array of local dofs"
     dofs = check("support", support, array((None,), remedy=remedy))
     layout = problem.V.dofmap.index_map

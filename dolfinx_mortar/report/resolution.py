@@ -38,11 +38,11 @@ from dolfinx_mortar.mortar.surface import (
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.step_report import Note
 
-# Nodes that resolve the largest pressure, in 2D and 3D. Errors against Hertz: lines with 5 nodes -5
-# to 9 %, with 7 -3 to 3 %; points with 9 -14 to 5 %, with 17 to 25 -2 to 4 %.
+# Nodes that resolve the largest pressure, in 2D and 3D: errors against Hertz are -5 to 9 % with 5
+# in 2D (9 in 3D: -14 to 5 %), -3 to 3 % with 7 (17 in 3D: -2 to 4 %).
 NODES = {2: 7, 3: 17}
-# Oscillation of plane pressures over their mean. Disc and block, moduli 1:100 to 100:1: .007 to
-# .083 where pressures are within a tenth of Hertz', .15 to 1 where a fifth off.
+# Oscillation of plane pressures over their mean: on disc and block .007 to .083 where pressures are
+# within a tenth of Hertz', .15 to 1 where a fifth off.
 OSCILLATION = 0.1
 Find = Callable[
     [Pairing, Segments, fem.Function | None, tuple[SmoothSide, SmoothSide]],
@@ -51,7 +51,7 @@ Find = Callable[
 
 
 def _means(link: Link, u: fem.Function | None, find: Find) -> Floats:
-    """Nodal means (n,) of values of ``find`` at points; collective."""
+    """Nodal means (n,) of point values of ``find``; collective."""
     (pairing, operators), sides = link.mortar, link.sides
     smooth = link.pattern.smooth or link.pattern.nearby
     assert smooth is not None, "of contacts only"
@@ -65,10 +65,10 @@ def _means(link: Link, u: fem.Function | None, find: Find) -> Floats:
 
 
 def missed_gaps(link: Link, u: fem.Function | None) -> Floats:
-    """Return by how much gaps (n,) exceed those of round sides in contact; collective.
+    """Excess (n,) of gaps over those of round sides in contact; collective.
 
-    Errors of heights, and of gaps along the normal n at a point that count along n_j, int Phi_j
-    (n_j - n).(x_m - x_s) / D_jj.
+    Errors of heights, and of gaps along the normal n at a point instead of n_j, int Phi_j (n_j -
+    n).(x_m - x_s) / D_jj.
     """
     sides, own = link.sides, link.coupling.normals
     normals: Floats = np.zeros((len(sides.slave.nodes), own.shape[1]))
@@ -100,10 +100,10 @@ def note_on_facets(
 
     Errors h_j of gaps are, with facets, the height of smooth surfaces, minus its mean over loaded
     nodes; with smooth surfaces of degree 1 `missed_gaps`. K^_jj h_j, with both sides in series, is
-    compared with the contact forces z_j, at loaded nodes and those with gaps below h_j. A uniform
-    h_j counts two to four times.
-    Uniform facets on a tool: forces F of an overlap w store Psi = F w / 2, and -z.h is 2 Psi (1 -
-    F'/F), F' the force of the smooth surface (accurate to 1 % on rings of 64 facets).
+    compared with the contact forces z_j, at loaded nodes and those with gaps below h_j; it
+    overestimates a uniform h_j two to four times. Uniform facets on a tool: forces F of an overlap
+    w store Psi = F w / 2, and -z.h is 2 Psi (1 - F'/F), F' the force of the smooth surface
+    (accurate to 1 % on rings of 64 facets).
 
     Args:
         x: (n,) X + u.
@@ -194,10 +194,9 @@ def _in_series(link: Link, k: Floats, diagonal: PETSc.Vec) -> Floats:
 def notes_on_resolution(link: Link, contacts: Contacts) -> list[str]:
     """Notes on pressures that are not resolved, or that oscillate; collective.
 
-    Patches up to the ends of sides are left out: pressures may be singular. Multipliers of a slave
-    side finer and stiffer than the master oscillate, as their space is larger than the trace of the
-    compliant displacements (measured in the plane). Forces of master edges are off by up to a
-    facet.
+    Patches up to the ends of sides are excluded: pressures may be singular. On a slave side finer
+    and stiffer than the master the multiplier space is larger than the trace space of the compliant
+    displacements, and pressures oscillate.
     """
     count, ends = _peak_patch(link, contacts)
     if not ends:
@@ -230,9 +229,9 @@ def notes_on_resolution(link: Link, contacts: Contacts) -> list[str]:
 def oscillation(link: Link, contacts: Contacts) -> float:
     """Amplitude of node-to-node oscillations of pressures, over their mean; collective.
 
-    sum_j D_jj |d_j - (M d)_j| / 4 over sum_j D_jj p_j, d = p - M p, with p_j the multiplier of node
-    j and M the mean over the other nodes of its facets; d_j = 0 next to nodes without multiplier.
-    In the plane pressures p (1 +- a) give a, smooth ones a fourth-order difference.
+    sum_j D_jj |d_j - (M d)_j| / 4 over sum_j D_jj p_j, d = p - M p, p_j the multipliers, M the mean
+    over the other nodes of the facets of j; d_j = 0 next to nodes without multiplier. In the plane
+    p (1 +- a) gives a, a smooth p a fourth-order difference.
     """
     slave, nodes, comm = link.sides.slave, link.nodes, link.sides.V.mesh.comm
     own = np.zeros((len(slave.nodes), 2))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Error of the small-strain measure, estimated after every step, and notes.
 
-Neglected is H^T H / 2 of the Green-Lagrange strain, H = grad u: relatively e / 2 of a strain e (as
-much as finite measures differ), a^2 / 2 of a rotation a.
+Neglected is H^T H / 2 of the Green-Lagrange strain, H = grad u: relatively e / 2 of a strain e (the
+spread of finite measures), a^2 / 2 of a rotation a.
 """
 
 from dataclasses import dataclass
@@ -21,14 +21,13 @@ from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.step_report import Note
 from dolfinx_mortar.supports.bodies import name_of
 
-# Largest error without a note. At small strain the rotation part of the neglected work: two blocks
-# turned by 1, 2, 5 degrees under pressure have forces 1.7, 6.7, 42 % too high for 1.7, 6.4, 31 %.
-# Or half of the whole term: perfectly plastic blocks under a ball lose 5 to 35 % of the force for 6
-# to 48 %. In logarithmic strain space the stress norm: perfectly plastic shear by .5, 1, 2, 5 loses
-# .002, .02, .089, .137 of it, of the shear stress .3, 2.7, 17, 56 %.
+# Largest error without a note: of forces, by the work of rotations (two blocks turned by 2 degrees:
+# 6.4 % for 6.7 %) or half of the whole term (blocks under a ball: 6 to 48 % for 5 to 35 %); in
+# logarithmic strain space of the stress norm (perfectly plastic shear by 1: .02 for 2.7 % of the
+# shear stress).
 LARGEST_SHARE = 0.02
-# also of the mean |H^T H|: a strip bent by 11 %, a bar stretched by 14 %, a body turned by 7
-# degrees have 1 %, indentation at most 0.13 %
+# of the mean |H^T H|: a strip bent by 11 %, a bar stretched by 14 %, a body turned by 7 degrees
+# have 1 %
 
 # strain or rotation (radians, 2.9 degrees) for a note
 LARGE = 0.05
@@ -44,9 +43,9 @@ class LeftOut:
     rotation: float  # largest rotation, radians
     work: float  # error of forces: share of the stress work, of the worst body
     lengths: float  # mean |H^T H| / 2 of that body
-    told: int  # body of the note: the worst above the limits, else the steepest
+    told: int  # body of the note: the worst above the limits, else the one of `steepest`
     own: tuple[float, float]  # largest strain and rotation in it
-    steepest: tuple[float, int]  # the larger of both on this rank, and its owned cell
+    steepest: tuple[float, int]  # larger of strain and rotation on this rank, and its cell
 
     @property
     def relative(self) -> float:
@@ -72,7 +71,7 @@ def _measure(solid: Solid, weights: Floats, cells: slice) -> Floats:
     size, strains = frobenius_norm(found.left_out), frobenius_norm(found.strain)
     seen = strains if found.seen is found.strain else frobenius_norm(found.seen)
     angles = np.linalg.norm(found.rotation, axis=1)
-    # per cell: under volume constraints points vary much
+    # per cell: under volume constraints point values vary much
     work = np.abs(per_cell(double_contraction(stress, found.seen)))
     made = [per_cell(double_contraction(stress, E)) for E in (found.left_out, found.turned)]
     sums = [volume.sum(axis=1), per_cell(size), work, *made]
@@ -83,7 +82,7 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
     """Measure strain and rotation at u, given the stress of `Solid.evaluate`; collective."""
     solid, comm, count = problem.solid, problem.comm, problem.bodies.count
     body, weights = problem.bodies.of_cells, solid.fields.weights
-    many = CHUNK // weights.shape[1]  # all cells would need the memory of the tangent
+    many = CHUNK // weights.shape[1]  # limits the memory
     chunks = [slice(i, i + many) for i in range(0, len(body), many)]
     parts = [_measure(solid, weights, cells) for cells in chunks]
     columns = np.concatenate([np.zeros((9, 0)), *parts], axis=1)
@@ -152,7 +151,7 @@ def notes_on_small_strain(problem: ContactProblem, found: LeftOut) -> list[str]:
 
 
 def notes_on_lost_stress(problem: ContactProblem) -> list[str]:
-    """Note where laws in the additive form are out of range; collective."""
+    """Note on laws of the additive form out of range; collective."""
     share, name = largest_stress_lost(problem.comm, problem.solid.points.found)
     if share < LARGEST_SHARE:
         return []

@@ -25,11 +25,11 @@ def summarise(step: LoadStep) -> dict[str, Any]:
 
     Returns:
         "time"; "parts" (more than one after cuts); over all parts "newton_iterations",
-            "qp_iterations", "linear_iterations", "factorisations", "residual_history", "notes" and
-            this rank's "seconds"; of the last part "linear_solver", "certificate" and the "ledger"
-            of `time_steps`, else None; "forces" on the slave side of each interface; "reactions",
-            "force" and "moment" about the origin of each of ``problem.bcs``. A step made by hand
-            lacks the last two.
+        "qp_iterations", "linear_iterations", "factorisations", "residual_history", "notes" and this
+        rank's "seconds"; of the last part "linear_solver", "certificate" and the "ledger" of
+        `time_steps`, else None; "forces" on the slave side of each interface; "reactions", "force"
+        and "moment" about the origin of each of ``problem.bcs``. A step made by hand lacks the last
+        two.
 
     Raises:
         ValueError: for other objects.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The terms of a problem, which add energy, forces and stiffness, and their sum.
+"""Terms of a problem, which add energy, forces and stiffness, and their sum.
 
-Knows nothing of contact, Newton's method or load levels.
+Independent of contact, Newton's method and load levels.
 """

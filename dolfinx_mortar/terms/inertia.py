@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Inertia and damping: bodies that move in time.
+"""Inertia and damping.
 
 With the forces G = f + c + R - F(u) - C v of loads, contacts, supports, bodies and damping, a step
-of the generalised alpha method (Chung and Hulbert 1993) solves
+of the generalised alpha method solves
 
     M ((1 - am) a + am a_n) = (1 - af) G + af G_n,
     u = u_n + dt v_n + dt^2 ((1/2 - beta) a_n + beta a),
     v = v_n + dt ((1 - gamma) a_n + gamma a).
 
-Divided by 1 - af it is the balance of forces at the end of a static step, with a term of potential
+Divided by 1 - af, it is a static step with a term of potential
 
     Pi(u) = kappa/2 |u - p|^2_M + g.u,      kappa = (1 - am) / ((1 - af) beta dt^2),
     p = u_n + dt v_n + dt^2 (1/2 - beta) a_n,      g = (am M a_n - af G_n) / (1 - af).
@@ -54,7 +54,7 @@ NO_TIME = (
 
 
 def has_square(dt: float) -> bool:
-    """Whether dt^2 is neither 0 nor infinite in floating point."""
+    """Whether dt^2 neither under- nor overflows."""
     return 0.0 < dt * dt < np.inf
 
 
@@ -65,8 +65,8 @@ as_floats = partial(np.asarray, dtype=np.float64)
 class Scheme:
     """Parameters of the generalised alpha method.
 
-    Second order: gamma = 1/2 - am + af; stable for all dt: am <= af <= 1/2, beta >= 1/4 +
-    (af - am)/2.
+    Second order: gamma = 1/2 - am + af; stable for all dt: am <= af <= 1/2, beta >= 1/4 + (af -
+    am)/2.
     """
 
     am: float = 0.0
@@ -82,9 +82,9 @@ IMPLICIT = Scheme(beta=1.0, gamma=1.0)
 
 
 def generalised_alpha(radius: float) -> Scheme:
-    """Scheme that multiplies the highest frequencies by `radius` in each step.
+    """Scheme with spectral radius `radius` at the highest frequencies; 1 damps nothing.
 
-    Chung and Hulbert (1993), eqs. 17, 20 and 25; 1 damps nothing.
+    Chung and Hulbert (1993), eqs. 17, 20 and 25.
     """
     am, af = (2.0 * radius - 1.0) / (radius + 1.0), radius / (radius + 1.0)
     return Scheme(am, af, 0.25 * (1.0 - am + af) ** 2, 0.5 - am + af)
@@ -118,9 +118,9 @@ class Inertia(Term):
         for step in dm.time_steps(problem, times):
             print(step.time, inertia.kinetic_energy())
 
-    The mass of nodes of sides that can open is moved to the nodes behind them; mass, centre and
-    moments of inertia of each body are conserved if there are four layers of cells behind each
-    side, mass and centre with three; with one or two nodes keep their mass, see
+    Nodes of sides that can open are massless; their mass is moved to the nodes behind them. Mass,
+    centre and moments of inertia of each body are conserved with four layers of nodes behind each
+    side, mass and centre with three; with one or two, nodes keep their mass, see
     `dolfinx_mortar.terms.mass`. Mass, energy and momentum are those of the whole ring in
     axisymmetry, per thickness in the plane.
 
@@ -130,12 +130,11 @@ class Inertia(Term):
         acceleration: of the last step, a Function on ``solid.V``.
 
     Args:
-        solid: the bodies.
         density: mass per volume at X: a positive number or Constant, whose value is read here, or
             one for each tag of cells.
         cell_tags: for ``density`` or ``velocity`` by tag.
         velocity: at the start; d numbers, a Function on ``solid.V``, a function of the coordinates
-            as `fem.Function.interpolate` takes it, or d numbers by tag of cells.
+            for `fem.Function.interpolate`, or d numbers by tag of cells.
 
     Source: J. Chung, G. M. Hulbert, J. Appl. Mech. 60 (1993) 371-375, for the schemes; H. B.
     Khenous, P. Laborde, Y. Renard, Eur. J. Mech. A 27 (2008) 918-932, for the mass.
@@ -245,7 +244,7 @@ class Inertia(Term):
         dt = end - start
         if not (dt > 0.0 and has_square(dt)):
             raise ValueError(f"Inertia: the step goes from {start:g} to {end:g}; {NO_TIME}")
-        # 13 digits of equal steps agree after a thousand of them: they share a matrix
+        # 11 digits of equal steps agree, so that they share a matrix
         dt = float(f"{dt:.11e}")
         s, mass = self.scheme, self.mass
         v, a = mass.extend(self.values("velocity")), self.values("acceleration")
@@ -267,7 +266,6 @@ class Inertia(Term):
 
     @property
     def _change(self) -> Floats:
-        """Difference u - p, (owned nodes, d)."""
         return self._owned(self.solid.u) - self.start.predicted
 
     def energy(self) -> Floats:
@@ -292,7 +290,7 @@ class Inertia(Term):
         self._added = K.handle, factor
 
     def varies(self, K: PETSc.Mat) -> bool:
-        """Whether a matrix was assembled with another kappa, as for another dt."""
+        """Whether a matrix was assembled with another kappa."""
         return self._added != (K.handle, self.start.kappa)
 
     def end(self) -> Motion:
@@ -310,10 +308,7 @@ class Inertia(Term):
         self._end = motion
 
     def commit(self) -> None:
-        """Make the motion at the end of the step the start of the next one; collective.
-
-        Without a step nothing changes.
-        """
+        """Make the motion at the end of a step the start of the next one; collective."""
         if self._start is None:
             return
         end = self._end or self.end()
@@ -321,7 +316,7 @@ class Inertia(Term):
         self._start = self._end = None
 
     def roll_back(self) -> None:
-        """Forget the step."""
+        """Discard the step."""
         self._start = self._end = None
 
     def kinetic_energy(self) -> float:
@@ -340,7 +335,7 @@ class Inertia(Term):
     def moment_of_momentum(self, about: Sequence[float] | None = None) -> Floats:
         """Return sum_i (x_i - about) x (M v)_i, (1,) in the plane, (3,) in space; collective.
 
-        x is X at small strain, X + u at finite strain; ``about`` is a point, by default the origin.
+        x is X at small strain, X + u at finite strain; ``about`` is by default the origin.
         """
         x = self.mass.X - (0.0 if about is None else np.asarray(about, dtype=float))
         if self.solid.strain == "finite":
@@ -358,7 +353,7 @@ class Inertia(Term):
         return self.solid.mesh.comm
 
     def sum(self, share: float | np.floating[Any]) -> float:
-        """Sum of a number over all ranks; collective."""
+        """Sum over all ranks; collective."""
         return float(self.comm.allreduce(float(share), op=MPI.SUM))
 
 
@@ -409,7 +404,7 @@ class Damping(Term):
 
     @property
     def shares(self) -> list[float]:
-        """Factors a and b of mass and stiffness."""
+        """Factors a and b."""
         return [self._mass, self._stiffness]
 
     def times(self, velocity: Floats) -> Floats:
@@ -430,7 +425,7 @@ class Damping(Term):
         return rate, constant - rate * start.predicted
 
     def velocity(self) -> Floats:
-        """Velocity at the present u, at the end of the step."""
+        """Velocity at the end of the step."""
         rate, constant = self._rate()
         u = self._inertia.solid.u.x.array[: constant.size].reshape(constant.shape)
         return np.asarray(rate * u + constant)
@@ -452,7 +447,7 @@ class Damping(Term):
             F.array_w[:] += self.times(self.velocity()).ravel()
 
     def varies(self, K: PETSc.Mat) -> bool:
-        """Whether a matrix was assembled with another rate r, as for another dt."""
+        """Whether a matrix was assembled with another r."""
         return self._inertia.varies(K)
 
     def add_tangent(self, K: PETSc.Mat) -> None:
@@ -476,14 +471,13 @@ def read_numbers(density: Any) -> None:
 
 
 def numbers_of(density: Any) -> Any:
-    """Densities as one number, or as numbers by tag."""
+    """Densities as a number, or as numbers by tag."""
     if isinstance(density, Mapping):
         return {str(tag): float(_value(given)) for tag, given in sorted(density.items(), key=str)}
     return float(_value(density))
 
 
 def _value(given: Any) -> Any:
-    """The number in a scalar Constant, other objects unchanged."""
     if isinstance(given, fem.Constant) and given.value.shape == ():
         return float(given.value)
     return given
@@ -516,7 +510,7 @@ def set_velocity(target: fem.Function, given: Any, cell_tags: Any) -> None:
     if given is None:
         return
     if isinstance(given, fem.Function):
-        space = given.function_space  # another space of the same mesh and element will do
+        space = given.function_space  # another space of the same mesh and element is accepted
         same = space.mesh is V.mesh and space.ufl_element() == V.ufl_element()
         if space != V and (not same or space.component()):
             raise ValueError(
@@ -542,7 +536,6 @@ def set_velocity(target: fem.Function, given: Any, cell_tags: Any) -> None:
 
 
 def _set_by_tag(target: fem.Function, given: Any, cell_tags: Any, wanted: str) -> None:
-    """Set velocities by tag of cells."""
     V, d = target.function_space, target.function_space.dofmap.index_map_bs
     rule = array((d,), remedy=wanted)
     found, tags = by_cells(V.mesh, cell_tags, given, "Inertia: velocity")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Loads: follower pressure on the deformed surface; a dead force and a spring of one node."""
+"""Loads: follower pressure on the deformed surface; dead force and spring of a node."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -37,16 +37,14 @@ class Pressure(WeakForm):
     edges of the surface are fixed or slide in planes through the origin: p then has the potential p
     V, V the enclosed volume, and Newton's method is quadratic, with a line search. Otherwise whole
     steps converge linearly, at a rate of about p over the moduli, except with the exact tangent of
-    closed contacts, which includes the antisymmetric part. For dead loads, with direction and area
-    at X, see ``loads`` of the problem.
+    closed contacts, which includes the antisymmetric part. For dead loads see ``loads`` of the
+    problem.
 
-    In plane stress cof F is that of the plane times the stretch through the thickness, extrapolated
-    from the integration points of the adjacent cell by its projection onto linear functions of X.
-    The tangent omits its derivative.
+    In plane stress cof F has the factor of the stretch through the thickness, extrapolated from the
+    integration points of the adjacent cell; the tangent omits its derivative.
 
     Args:
         solid: the bodies, with ``strain="finite"``.
-        facet_tags: tags of facets of their mesh.
         tag: a tag or its name, of exterior facets.
         p: pressure, positive into the body: a number, or a Constant, a Function or UFL, whose
             values may change between steps.
@@ -117,7 +115,7 @@ class Pressure(WeakForm):
         """Whether p V is a potential of the present forces; collective.
 
         By differences of p V along a random displacement of components `free` (owned nodes, d),
-        exact because p V is cubic in u.
+        exact for the cubic p V.
         """
         if self._energy is None:
             return False
@@ -165,7 +163,6 @@ def _exterior(domain: Mesh, facet_tags: Any, tag: Any) -> tuple[MeshTags, int]:
 
 
 def _as_scalar(domain: Mesh, p: Any) -> Expr:
-    """Pressure as UFL."""
     if is_number(p):
         p = fem.Constant(domain, default_scalar_type(p))
     scalar = isinstance(p, Expr) and p.ufl_shape == () and not extract_arguments(p)
@@ -217,7 +214,7 @@ class PointTerm(Term):
         self._u: fem.Function | None = None
 
     def given(self) -> Mapping[str, Any]:
-        """Arguments that have to agree on all ranks; see `agreement`."""
+        """Arguments that must agree on all ranks, see `agreement`."""
         return self._given
 
     def act_on(self, u: fem.Function) -> None:
@@ -252,14 +249,14 @@ class PointForce(PointTerm):
         tip = fem.Constant(mesh, (0.0, -50.0))
         problem = dm.ContactProblem(solid, bcs=bcs, terms=[dm.PointForce(V, (4.0, 1.0), tip)])
 
-    As the mesh is refined stresses below the force diverge, in 2D and 3D also the displacement of
-    the node; everything farther away converges. A traction on a small side has no such singularity.
+    Stresses below the force diverge as the mesh is refined, and so does the displacement of the
+    node; a traction on a small side has no such singularity.
 
     Args:
         V: space of the displacement.
         point: coordinates (d,) at X of one of its nodes, the same on all ranks.
-        value: the force (d,), numbers or a Constant, whose value is read at the start of every
-            step; in the plane per thickness, in axisymmetry on the whole ring.
+        value: the force (d,), numbers or a Constant, read at the start of every step; in the plane
+            per thickness, in axisymmetry on the whole ring.
 
     Raises:
         ValueError: on all ranks, naming a wrong argument, and for a point with no node, or several.
@@ -274,7 +271,6 @@ class PointForce(PointTerm):
         self._f = self._read()
 
     def _read(self) -> Floats:
-        """The present force (d,)."""
         constant = isinstance(self._value, fem.Constant)
         d = self.V.mesh.geometry.dim
         remedy = f"give {d} finite components, numbers or a Constant"
@@ -300,15 +296,14 @@ class PointForce(PointTerm):
 class PointSpring(PointTerm):
     """A spring from the node at a point to the ground: Pi(u) = 1/2 u(X).k u(X).
 
-    Its force on the node is -k u. A soft spring prevents rigid motions; ``k * outer(n, n)`` acts in
-    the direction n alone.
+    Its force on the node is -k u. A soft spring prevents rigid motions; ``k * outer(n, n)`` acts
+    along n alone.
 
     Args:
         V: space of the displacement.
         point: coordinates (d,) at X of one of its nodes, the same on all ranks.
-        stiffness: force per displacement: a number k >= 0 for all directions, or a symmetric,
-            positive semidefinite matrix (d, d); in the plane per thickness, in axisymmetry of the
-            whole ring.
+        stiffness: force per displacement: a number k >= 0, or a symmetric, positive semidefinite
+            matrix (d, d); in the plane per thickness, in axisymmetry of the whole ring.
 
     Raises:
         ValueError: on all ranks, for a point as in `PointForce`, and other stiffnesses.

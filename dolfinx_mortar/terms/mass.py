@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""The mass matrix, without mass at the nodes of sides that can open.
+"""The mass matrix, with massless nodes on sides that can open.
 
-Mass at contact nodes makes contact forces oscillate in finite steps, and impacts add or lose
-energy. Without it the contact forces are those of the elastic layer behind, continuous in time
-(Khenous, Laborde, Renard 2008, "Mass redistribution method for finite element contact problems in
+Mass at contact nodes makes contact forces oscillate, and impacts change the energy (Khenous,
+Laborde, Renard 2008, "Mass redistribution method for finite element contact problems in
 elastodynamics"). With the consistent mass M of one displacement component,
 
     M* = D P^T M P D,     (P v)_c = mean of v at the inner nodes nearest to c,   (P v)_i = v_i,
 
 so that the layer moves with the nodes next to it. M* is positive semidefinite, zero in the rows of
-contact nodes. D = 1 + s is diagonal, s a polynomial of degree two in each body, such that mass,
-centre and moments of inertia are those of M: sum_ij p_i M*_ij q_j is the same for p and q in {1, x,
-y, z}. In a layer of width h, s is of order h^2.
+contact nodes. D = 1 + s is diagonal, s a polynomial of degree two in each body, with mass, centre
+and moments of inertia of M: sum_ij p_i M*_ij q_j is the same for p and q in {1, x, y, z}. In a
+layer of width h, s is of order h^2.
 """
 
 from collections.abc import Iterator
@@ -52,11 +51,11 @@ class Mass:
     matrix: PETSc.Mat  # AIJ, of nodes
     X: Floats  # (owned nodes, d)
     extension: PETSc.Mat | None = None  # P, None for the identity
-    bare: Bools | None = None  # (owned nodes,) without mass; None for none
+    bare: Bools | None = None  # (owned nodes,) massless; None for none
 
     @property
     def massless(self) -> Bools:
-        """Owned nodes without mass."""
+        """Massless owned nodes."""
         return np.zeros(len(self.X), dtype=bool) if self.bare is None else self.bare
 
     def times(self, values: Floats) -> Floats:
@@ -79,7 +78,7 @@ class Mass:
         K.setValuesBlockedIJV(indptr, columns, blocks.ravel(), addv=PETSc.InsertMode.ADD_VALUES)
 
     def solve(self, values: Floats, held: Bools) -> Floats:
-        """Return P v, M* v = f where there is mass, v = 0 where held (owned nodes, d); collective.
+        """Return P v, M* v = f at nodes with mass, v = 0 where held (owned nodes, d); collective.
 
         Raises:
             RuntimeError: on all ranks, if conjugate gradients do not converge, as for infinite f.
@@ -89,7 +88,7 @@ class Mass:
         return self.extend(np.stack(columns, axis=1))
 
     def _solve(self, values: Floats, free: Bools, along: str) -> Floats:
-        """x, 0 where not free, with the free rows and columns of M* x = values; collective."""
+        """Solve the free rows and columns of M* x = values, x = 0 elsewhere; collective."""
         result = np.zeros_like(values)
         solver = self._solver(free)
         b, x = solver.getOperators()[0].createVecs()
@@ -106,7 +105,7 @@ class Mass:
         return result
 
     def _solver(self, free: Bools) -> PETSc.KSP:
-        """Conjugate gradients for the free rows and columns, some twenty iterations; collective."""
+        """Conjugate gradients for the free rows and columns; collective."""
         first = self.matrix.getOwnershipRange()[0]
         rows = (np.flatnonzero(free) + first).astype(PETSc.IntType)
         chosen = PETSc.IS().createGeneral(rows, comm=self.matrix.comm)
@@ -148,7 +147,7 @@ def assemble_mass(V: fem.FunctionSpace, density: Any, weight: Any) -> Mass:
 def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
     """The mass without contact nodes; collective.
 
-    With less than four layers of nodes a body keeps mass and centre, but not its moments of
+    A body with less than four layers of nodes keeps mass and centre, but not its moments of
     inertia; with one or two, all nodes keep their mass, as do nodes without an inner node within
     three cells.
 
@@ -232,7 +231,7 @@ def _find_weights(plain: Mass, contact: Bools) -> dict[int, tuple[Ints, Floats]]
 def _inner_nodes(
     plain: Mass, near: PETSc.Mat, rows: Ints, contact: Bools
 ) -> Iterator[tuple[int, tuple[Ints, Floats]]]:
-    """Yield rows with the nearest nodes off the contact sides, to half of the digits."""
+    """Yield rows with the nearest inner nodes, equal distances to half of the digits."""
     indptr, columns, _ = near.getValuesCSR()
     wanted, place = np.unique(columns, return_inverse=True)
     there = values_at(plain.matrix.comm, np.column_stack([plain.X, contact]), wanted)[place]
@@ -249,7 +248,7 @@ def _inner_nodes(
 def _restore_moments(
     plain: Mass, moved: PETSc.Mat, body: Ints, degree: Ints
 ) -> tuple[Floats, Bools]:
-    """Diagonal of D by Newton's method from s = 0, and the bodies whose moments are those of M."""
+    """Diagonal of D by Newton's method from s = 0, and the bodies with all moments of M."""
     comm, count = moved.comm.tompi4py(), len(degree)
     by_body = partial(_sum_by_body, comm, body, count)
     n, d = plain.X.shape
@@ -289,7 +288,6 @@ def _restore_moments(
 
 
 def _apply(matrix: PETSc.Mat, values: Floats, *, transposed: bool = False) -> Floats:
-    """A matrix, or its transpose, times columns (owned rows, k); collective."""
     x, y = matrix.createVecs()
     result = np.empty_like(values)
     for k in range(values.shape[1]):

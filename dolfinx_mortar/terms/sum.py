@@ -36,7 +36,7 @@ NO_PLACE = (
     "global numbers for all that are coupled to each other"
 )
 OUT_OF_RANGE = 63  # PETSC_ERR_ARG_OUTOFRANGE
-CALLED_WITH = {  # the arguments of what a term may define
+CALLED_WITH = {  # optional methods of a term, with their arguments
     "energy": (),
     "add_forces": ("F",),
     "add_tangent": ("K",),
@@ -63,7 +63,7 @@ class Terms:
     """J(u) = Psi(u) + sum_k Pi_k(u), its first and its second derivative; the bodies are Psi."""
 
     solid: Solid
-    named: Sequence[tuple[str, Term]]  # Pi_k, by their names in messages
+    named: Sequence[tuple[str, Term]]  # Pi_k, with their names in messages
 
     @property
     def every(self) -> list[Term]:
@@ -72,7 +72,6 @@ class Terms:
 
     @property
     def _every(self) -> list[tuple[str, Term]]:
-        """All terms with their names."""
         return [("solid", self.solid), *self.named]
 
     @property
@@ -103,7 +102,7 @@ class Terms:
     def energy(self, along: tuple[VolumeStep, float] | None = None) -> Energy | None:
         """J(u), None if a term has none; collective.
 
-        Along a step with the volumes of its linearisation, see `Solid.energy`.
+        `along` a step with its linearised volumes, see `Solid.energy`.
         """
         sums = np.zeros(3)
         for name, term in self._every:
@@ -116,8 +115,8 @@ class Terms:
     def assemble_forces(self, F: PETSc.Vec, *, from_committed: bool = False) -> float:
         """Fill F with dJ/du; return the largest norm of the forces of a term; collective.
 
-        Without those of the bodies, whose scale are unassembled element forces. `from_committed`:
-        see `Solid.add_first_forces`.
+        Not of the bodies, whose scale are unassembled element forces. `from_committed`: see
+        `Solid.add_first_forces`.
         """
         F.array_w[:] = 0.0
         if from_committed:
@@ -145,7 +144,7 @@ class Terms:
     ) -> None:
         """Fill K with d2J/du2, symmetric; collective.
 
-        For `pressure` see `Solid.add_tangent`, for `from_committed` `Solid.add_first_tangent`.
+        `pressure`: see `Solid.add_tangent`; `from_committed`: see `Solid.add_first_tangent`.
         """
         K.zeroEntries()
         if from_committed:
@@ -185,7 +184,6 @@ class Terms:
 
     @property
     def _of_users(self) -> str:
-        """Names of the user's terms with a tangent."""
         own = [name for name, term in self.named if term.has_tangent and not is_ours(term)]
         return "; ".join(own)
 
@@ -193,8 +191,8 @@ class Terms:
         """Tangent of all terms but the bodies; collective.
 
         Raises:
-            ValueError: on all ranks, for NaN or infinity, and if a user's term is not symmetric,
-                which is only seen if it is not zero at the present u.
+            ValueError: on all ranks, for NaN or infinity, and for a user's tangent that is not
+                symmetric, unless it is zero at the present u.
         """
         K = self.create_matrix()
         K.zeroEntries()
@@ -231,7 +229,7 @@ class Terms:
         ]
         if not any_rank(self.comm, bool(dense))[0]:
             return K
-        self.solid.add_tangent(K)  # unset entries are removed
+        self.solid.add_tangent(K)  # PETSc removes unset entries
         K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
         with raised_together(self.comm):
             for name, dofs in dense:
@@ -243,7 +241,7 @@ class Terms:
         return K
 
     def begin(self, start: float, end: float) -> None:
-        """Let all terms prepare a step between two load levels; collective.
+        """Prepare a step between two load levels; collective.
 
         Raises:
             ValueError: on all ranks, if forces or the energy of a term are NaN or infinite.
@@ -252,7 +250,7 @@ class Terms:
         self.check_energies()
 
     def prepare(self, named: Sequence[tuple[str, Term]], start: float, end: float) -> None:
-        """Let some terms prepare a step between two load levels; collective."""
+        """Prepare a step of some terms; collective."""
         for name, term in named:
             self._ask(f"{name}: begin()", term, partial(term.begin, start, end))
 
@@ -262,14 +260,14 @@ class Terms:
             self._ask(f"{name}: meet()", term, partial(term.meet, contact, body))
 
     def stride(self) -> float:
-        """How far a node may move in the present step; collective."""
+        """Upper bound of a node's motion in the present step; collective."""
         found = [self._ask(f"{n}: stride()", t, partial(_stride, t)) for n, t in self.named]
         return float(maximum(self.comm, max(found, default=0.0))[0])
 
     def check_energies(self) -> None:
         """Raise a ValueError on all ranks unless the energies of terms are finite at u; collective.
 
-        Of terms without energy the forces are checked: users' and dead loads elsewhere.
+        Of users' terms without energy and dead loads, the forces are checked instead.
         """
         for name, term in self.named:
             if isinstance(term, DeadLoads):
@@ -292,7 +290,7 @@ class Terms:
             self._ask(f"{name}: commit()", term, term.commit)
 
     def roll_back(self) -> None:
-        """Let terms forget a failed step; not collective."""
+        """Discard a failed step in all terms; not collective."""
         for term in self.every:
             term.roll_back()
 
@@ -302,7 +300,6 @@ class Terms:
 
 
 def _add(method: Callable[[Any], object], to: PETSc.Vec | PETSc.Mat) -> None:
-    """Let a term add to a vector or a matrix, and return nothing."""
     returned = _within_pattern(partial(method, to))
     if returned is not None:
         raise ValueError(
@@ -312,7 +309,7 @@ def _add(method: Callable[[Any], object], to: PETSc.Vec | PETSc.Mat) -> None:
 
 
 def _within_pattern(call: Callable[[], R]) -> R:
-    """Set entries; raise if PETSc's pattern has no place for one."""
+    """Set entries; raise an error for one outside PETSc's pattern."""
     try:
         return call()
     except PETSc.Error as error:
@@ -322,7 +319,7 @@ def _within_pattern(call: Callable[[], R]) -> R:
 
 
 def _addends(term: Term, energy: Callable[[], object]) -> Floats | None:
-    """Energy of a term as an array, None if it has none."""
+    """Energy of a term as an array, None without one."""
     given = energy()
     if given is None:
         return None
@@ -332,12 +329,10 @@ def _addends(term: Term, energy: Callable[[], object]) -> Floats | None:
 
 
 def _stride(term: Term) -> float:
-    """How far a term may move a node."""
     return check("it", term.stride(), number("a finite length", least=0.0))
 
 
 def _couplings(term: Term) -> Sequence[Any]:
-    """Dense blocks of a term."""
     rule = instance((list, tuple), "give a list of arrays of global dofs, () for none")
     return list(check("it", term.couplings, rule))
 
@@ -350,7 +345,7 @@ def _dofs(name: str, dofs: object, n: int) -> np.ndarray:
 
 
 def check_terms(comm: MPI.Comm, terms: Any, u: fem.Function) -> list[Term]:
-    """Terms as a list, after checks; collective.
+    """Check terms and return them as a list; collective.
 
     Raises:
         ValueError: on all ranks, naming what is missing.
@@ -372,7 +367,7 @@ def check_terms(comm: MPI.Comm, terms: Any, u: fem.Function) -> list[Term]:
 
 
 def _kind(term: Term) -> dict[str, Any]:
-    """Attributes that have to agree on all ranks."""
+    """Attributes that must agree on all ranks."""
     names = "linear", "has_tangent"
     return {name: getattr(term, name) for name in names} | {"state": sorted(term.state)}
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Terms in UFL: dead loads, and weak forms of the displacement.
 
-One step minimises J(v) = Psi(v) + sum Pi(v) - f.v, f the dead loads and Pi a `WeakForm` (springs,
-elastic foundations, conservative pressure, a viscous damper). Both are multiplied by the weight of
-the kinematics: t in inner(t, v) * ds is a traction, and forces in axisymmetry are those of the
-whole ring.
+A step minimises J(v) = Psi(v) + sum Pi(v) - f.v, f the dead loads and Pi a `WeakForm` (springs,
+elastic foundations, conservative pressure, a viscous damper). Both have the weight of the
+kinematics: t in inner(t, v) * ds is a traction, and forces in axisymmetry are those of the whole
+ring.
 """
 
 from collections.abc import Mapping
@@ -52,7 +52,7 @@ class DeadLoads(Term):
         """Assemble the forces; collective.
 
         Raises:
-            ValueError: on all ranks, if they hold NaN or infinity.
+            ValueError: on all ranks, for NaN or infinity.
         """
         bad = ~np.isfinite(assemble(self._form, self._vector))
         if any_rank(self._u.function_space.mesh.comm, bad.any())[0]:
@@ -84,10 +84,10 @@ class WeakForm(Term):
 
     With ``energy`` forces and tangent are its first and second derivative. With ``residual``, a
     linear form R(u; v), the forces are R(u; phi_i) and the tangent is the symmetric part of dR/du:
-    Newton is quadratic if R has a potential, and converges linearly otherwise, except with the
-    exact tangent of contact, which takes the antisymmetric part, too.
+    Newton's method is quadratic if R has a potential, else linear, except with the exact tangent of
+    contact, which includes the antisymmetric part.
 
-    Subclasses keep a state: Functions in the form that `commit` sets, Constants that `begin` sets
+    Subclasses may have a state: Functions in the form set by `commit`, Constants set by `begin`
     (see the guide).
 
     Args:
@@ -129,7 +129,7 @@ class WeakForm(Term):
         self._given = {name: form}
 
     def given(self) -> Mapping[str, Any]:
-        """Arguments that have to agree on all ranks; see `agreement`."""
+        """Arguments that must agree on all ranks, see `agreement`."""
         return self._given
 
     def energy(self) -> float | None:
@@ -178,14 +178,13 @@ def check_form(
     """Raise a ValueError unless a form can be added; collective.
 
     Args:
-        u: displacement in the form.
         name: of the argument.
         form: integrals over cells and exterior facets.
         arguments: number of test functions.
-        dead: whether it must not contain u.
+        dead: whether u is forbidden in it.
     """
     wanted = WANTED[arguments + dead]
-    if not isinstance(form, ufl.Form):  # its repr may be pages long
+    if not isinstance(form, ufl.Form):  # its repr may fill pages
         compiled = "compiled form, not in UFL" if isinstance(form, fem.Form) else ""
         raise ValueError(f"{name} is a {compiled or type(form).__name__}: {wanted}")
     check_real(name, *form.coefficients(), *form.constants())
