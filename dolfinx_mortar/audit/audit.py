@@ -108,7 +108,7 @@ def find_free_motions(
     supports: Dirichlet,
     springs: Callable[[PETSc.Vec], Floats],
 ) -> tuple[list[str], list[str]]:
-    """Free rigid motions, and bodies restrained only by contact, by names; collective."""
+    """Free rigid motions, and names of bodies restrained only by contact; collective."""
     contacts = [link.constrained_motion for link in system.unilateral]
     facets = [_facet_motion(link) for link in system.unilateral]
     held = _held_motions(system, supports, springs)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Audit of the mesh: NaN coordinates; collapsed, inverted or folded cells.
 
-As dolfinx orders nodes freely, only the signs of the Jacobian within a cell are compared, and the
-sides of a facet on which two simplices lie.
+dolfinx orders nodes freely, so that only the signs of the Jacobian within a cell are compared, and
+the sides of a facet on which two simplices lie.
 """
 
 from dataclasses import dataclass
@@ -37,8 +37,7 @@ def check_mesh(mesh: Mesh) -> None:
     """Raise a ValueError on all ranks for invalid cells; collective.
 
     Invalid: unsupported degree of the geometry, NaN or infinite coordinates, no volume, Jacobians
-    that change sign, overlaps with neighbours. Bodies may overlap. Unsupported kinds of cells are
-    ignored.
+    that change sign, overlaps with neighbours. Unsupported kinds of cells are ignored.
     """
     kind, d = mesh.topology.cell_name(), mesh.topology.dim
     if kind not in CELLS or mesh.geometry.dim != d:

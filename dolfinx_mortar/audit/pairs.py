@@ -59,7 +59,7 @@ class Pairs:
     contacts: list[Contact]
     found: list[Pair]
     joined: dict[tuple[str, str], int]  # nodes shared by two bodies of one part: no contact
-    lost: list[str]  # in words
+    lost: list[str]  # constraints, in words
 
     def __iter__(self) -> Iterator[Any]:
         return iter((self.tags, self.contacts))
@@ -108,10 +108,9 @@ def find_pairs(
     bodies are a pair if some facet of one, projected along its normal, meets an opposite facet of
     the other, with nothing between them, at most `within` apart; overlaps count up to half of the
     thinner body. A side is the whole face of such facets, up to edges; faces that face several
-    bodies have one tag.
-    The finer side is the slave, unless nodes would lose a constraint, as slaves of two contacts or
-    in a cycle; then another side is, if not more than twice as coarse. The table tells remaining
-    losses.
+    bodies have one tag. The finer side is the slave, unless nodes would lose a constraint, as
+    slaves of two contacts or in a cycle; then the other side, if not more than twice as coarse. The
+    table lists remaining losses.
 
     Args:
         mesh: of all bodies.
@@ -124,8 +123,8 @@ def find_pairs(
         show: whether rank 0 prints the table.
 
     Returns:
-        A record that unpacks as facet tags, such as "disc to block", and contacts, the same on any
-            ranks.
+        A record that unpacks as facet tags, such as "disc to block", and contacts, independent of
+        the ranks.
 
     Raises:
         ValueError: on all ranks, for an invalid mesh; tags of another mesh or not of all cells;
@@ -175,7 +174,6 @@ def _check(mesh: Mesh, cell_tags: Any, within: Any, surface: Any) -> None:
 
 
 def _tags_of_cells(mesh: Mesh, cell_tags: MeshTags | None) -> Longs:
-    """Tag (owned cells,) of each cell, else 0; without communication."""
     owned = mesh.topology.index_map(mesh.topology.dim).size_local
     tags = np.zeros(owned, dtype=np.int64)
     if cell_tags is None:
@@ -327,7 +325,7 @@ def _sides(comm: MPI.Intracomm, facing: Facing) -> dict[tuple[int, int], _Side]:
     least = np.full(len(own), np.inf)
     np.minimum.at(least, which.ravel(), facing.distance)
     one = np.concatenate(comm.allgather(np.column_stack([own, *sums, least])))
-    other = one[:, [1, 0, 3, 2, 4, 6, 5, 7, 8]]  # seen from the other body
+    other = one[:, [1, 0, 3, 2, 4, 6, 5, 7, 8]]  # with both bodies exchanged
     other[:, 4] = 0.0
     sides, rows = {}, np.concatenate([one, other])
     for a, b in np.unique(rows[:, :2].astype(int), axis=0).tolist():

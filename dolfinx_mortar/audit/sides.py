@@ -25,8 +25,8 @@ from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import mean_facet_length
 
 Cost = tuple[float, ...]
-# Ratio of slave to master facets for accurate pressures. Disc on a block, moduli 1:1 to 1:1000:
-# peaks are right to .7 % up to 4, to 6 % at 8, 11 % at 12; half of 4 for small patches.
+# Ratio of slave to master facets for accurate pressures, half of 4 for small patches: the peak of a
+# disc on a block is wrong by .7 % up to 4, 6 % at 8.
 COARSE = 2.0
 
 
@@ -49,8 +49,8 @@ class Roles:
     """Slave sides, and slave nodes that lose a constraint."""
 
     slave: Longs  # (p,) 0 or 1: index of the slave
-    twice: dict[tuple[int, int], int]  # nodes that are slaves in two pairs, lost by the second
-    # nodes of the second that would close a cycle with the first
+    twice: dict[tuple[int, int], int]  # slave nodes of two pairs, lost by the second
+    # nodes of the second pair that would close a cycle with the first
     cyclic: dict[tuple[int, int], int]
     cost: Cost
 
@@ -61,8 +61,7 @@ def choose_roles(given: Candidates) -> Roles:
     A node is the slave in one contact only; contacts must not need each other's slave nodes in a
     cycle (`interfaces.claims`). Minimised in this order: slaves `COARSE` times coarser than their
     masters; slave faces with two masters at a node; shares of slave sides lost by cycles; shares of
-    other nodes with two masters; coarseness of slaves; number of the side. (Of 150 walls 3 do not
-    converge, with a choice pair by pair 9.)
+    other nodes with two masters; coarseness of slaves; number of the side.
     """
     slave = np.zeros(len(given.sides), dtype=np.int64)
     for which in _related(given):
@@ -90,7 +89,7 @@ def _search(given: Candidates) -> Longs:
     own, other = given.sizes.T
     finer = (other < own * (1.0 - HALF_OF_DIGITS)).astype(np.int64)
     count = len(finer)
-    if 2**count <= count**3:  # up to nine: all choices
+    if 2**count <= count**3:  # exhaustive up to nine
         turns = np.array(list(product((0, 1), repeat=count)), dtype=np.int64)
         return min((finer ^ turn for turn in turns), key=lambda slave: assess(given, slave).cost)
     slave, links = finer, scipy.sparse.csr_array(_links(given))
@@ -109,7 +108,7 @@ def _search(given: Candidates) -> Longs:
 
 
 def assess(given: Candidates, slave: Longs) -> Roles:
-    """Return where nodes lose a constraint with slave sides (p,).
+    """Count nodes that lose a constraint with slave sides (p,).
 
     Example:
         A base of three nodes faces two blocks, with two nodes each, which face each other.
@@ -173,11 +172,11 @@ def _reaches(needs: dict[int, set[int]], start: int, end: int) -> bool:
     return end in seen
 
 
-# Ratio of sagitta to contact forces: the peak pressure of a pin in its hole is right to 2 % below
-# 0.05, to 5 % below 0.2, and 30 to 130 % too high from 0.3 on.
+# Ratio of sagitta error to contact forces with a warning: the peak pressure of a pin in its hole is
+# wrong by 5 % below it, and 30 to 130 % too high from 0.3 on.
 SPOILT = 0.2
-# Relative curvature of closely fitting sides over the larger one: the peak pressure of a pin is
-# 112, 62 and 25 % too high for 0.1, 0.33 and 0.5, of a disc on a plane (1) 6 %.
+# Relative curvature of closely fitting sides over the larger one: the peak pressure of a pin is 25
+# % too high for 0.5, of a disc on a plane (1) 6 %.
 CLOSE = 0.5
 
 
@@ -209,7 +208,7 @@ class InterfaceAudit:
     slave_nodes: int
     kept_nodes: int
     uncovered_nodes: int  # gap not-a-number, "facing" 0
-    removed_nodes: int  # face a master (Dirichlet, claims)
+    removed_nodes: int  # facing a master, removed by Dirichlet data or another contact
     dirichlet_nodes: int  # all directions prescribed
     facing_away: int  # slave facets that touch master facets from behind
     size_ratio: float  # mean facet lengths, slave over master; 1 without a master
@@ -342,7 +341,7 @@ def warn(link: Link, found: InterfaceAudit, u: fem.Function | None) -> list[str]
 
 
 def reach_hint(link: Link) -> str:
-    """Remedy for a body held by nothing else; empty if a tie reaches everywhere."""
+    """Remedy for a body restrained by nothing else; empty if a tie reaches everywhere."""
     reach = _measure_reach(link)
     if reach is None or not reach.beyond:
         return ""
@@ -419,9 +418,8 @@ def are_flat(link: Link, sides: tuple[SmoothSide, SmoothSide]) -> bool:
 def warnings_on_straight_facets(link: Link, u: fem.Function | None = None) -> list[str]:
     """Warnings about second order on straight facets of curved sides; collective.
 
-    Pressures of ties on rings with 20, 80, 320 facets scatter by 2, 0.6, 0.4 % (rms), of first
-    order by 0.2, 0.02, 0.001 %. Peaks of a closely fitting elliptic pin with 52, 73, 103, 205
-    facets are 80, 29, 6, 0.4 % too high.
+    There pressures oscillate: of ties on rings with 80 facets by .6 % (rms), of first order by .02
+    %; peaks of a closely fitting elliptic pin with 73 facets are 29 % too high.
     """
     slave, interface = link.sides.slave, link.interface
     if link.pairing is None or slave.curved or slave.element.degree == 1:
@@ -444,7 +442,7 @@ def warnings_on_straight_facets(link: Link, u: fem.Function | None = None) -> li
 
 
 def _mirrors(link: Link) -> list[str]:
-    """Warn for each side whose normals at mirrors are bent by over 5 %; collective."""
+    """Warn for each side whose normals at mirrors deviate by over 5 %; collective."""
     warnings = []
     names = ("slave",) if link.sides.meet_themselves else ("slave", "master")
     judged = link.sides.judged

@@ -88,13 +88,10 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
 
 
 def _open(file: Path, stack: ExitStack) -> Any:
-    """Gmsh with the model of a file, until the stack closes.
+    """Gmsh with the model of a file, until the stack closes; OSError, ValueError, RuntimeError.
 
-    In version 2 elements may lack a tag of geometry, as written by meshio: gmsh puts all of them in
-    entity 0, of all groups. Then the tags of groups replace those of entities.
-
-    Raises:
-        OSError, ValueError, RuntimeError: without the file, if gmsh cannot read it, without gmsh.
+    In files of version 2 without tags of geometry (meshio) gmsh puts all elements in entity 0, of
+    all groups: then the tags of groups replace those of entities.
     """
     _check_file(file)
     try:
@@ -120,7 +117,6 @@ def _open(file: Path, stack: ExitStack) -> Any:
 
 
 def _renew(gmsh: Any) -> None:
-    """Replace the present model by an empty one."""
     name = gmsh.model.getCurrent()
     gmsh.model.remove()
     gmsh.model.add(name)
@@ -169,7 +165,6 @@ def _named(file: Path) -> Iterator[tuple[int, int, str]]:
 
 
 def _read_group(model: Any, dim: int, tag: int, name: str, entities: list[int]) -> Group:
-    """A group with the elements of its entities."""
     found: dict[int, list[tuple[Longs, Longs]]] = {}
     for entity in entities:
         for kind, *arrays in zip(*model.mesh.getElements(dim, entity), strict=True):
@@ -265,7 +260,7 @@ def _check_cells(model: Any, bodies: list[Group], path: str) -> None:
 
 
 def _check_facets(model: Any, bodies: list[Group], sides: list[Group], path: str) -> None:
-    """Raise a ValueError if elements of sides are no facets of a body, of which dolfinx aborts."""
+    """Raise a ValueError for elements of sides that are no facets: dolfinx would abort."""
     (kind,) = {kind for g in bodies for kind in g.nodes}
     k = CELLS[kind]
     parts = [nodes[:, :k] for g in sides for nodes in g.nodes.values()]
@@ -289,7 +284,7 @@ def _check_facets(model: Any, bodies: list[Group], sides: list[Group], path: str
 
 
 def _are_in(facets: Longs, known: Longs) -> Bools:
-    """Mask (m,) of facets (m, k) that are among known ones (n, k), by their nodes in any order."""
+    """Mask (m,) of facets (m, k) among known ones (n, k), with nodes in any order."""
     if facets.shape[1] != known.shape[1]:
         return np.zeros(len(facets), dtype=bool)
     every = np.sort(np.concatenate([known, facets]), axis=1)
@@ -298,7 +293,6 @@ def _are_in(facets: Longs, known: Longs) -> Bools:
 
 
 def _check_plane(model: Any, bodies: list[Group], path: str) -> None:
-    """Raise a ValueError if surfaces are not in the plane z = 0."""
     if bodies[0].dim == 3:
         return
     tags, x, _ = model.mesh.getNodes()
@@ -313,7 +307,7 @@ def _check_plane(model: Any, bodies: list[Group], path: str) -> None:
 
 
 def _check_apart(groups: list[Group], path: str) -> None:
-    """Raise a ValueError if an element is in two groups, of one dimension; its tag is one."""
+    """Raise a ValueError if an element is in two groups of one dimension: it has one tag."""
     for kind in sorted({kind for g in groups for kind in g.nodes}):
         parts = [(g, g.nodes[kind]) for g in groups if kind in g.nodes]
         owner = np.concatenate([np.full(len(n), i) for i, (_, n) in enumerate(parts)])

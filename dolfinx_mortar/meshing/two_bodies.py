@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """A disc or a ball on a block: disconnected bodies in one mesh, made on rank 0 and distributed.
 
-Each has a gmsh model of its own, so that no node is shared where they touch; halves are mirrored.
+Each has its own gmsh model, so that touching bodies share no node; halves are mirrored.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -67,10 +67,10 @@ def hertz(
 ) -> TaggedMesh:
     """Mesh a half disc above a block, non-matching where they touch (collective).
 
-    The block is [-w/2, w/2] x [-t, 0] with (w, t) = ``block``. The disc has its lowest point at
-    (0, ``gap``) and its flat face on top at y = ``radius + gap``. The mesh is symmetric in x and
-    (0, 0), (0, ``gap``) are nodes. Bodies: "block", "disc". Sides: "bottom" and "top" of the block,
-    "flat" and "arc" of the disc, and "axis", which is x = 0 in the half.
+    The block is [-w/2, w/2] x [-t, 0] with (w, t) = ``block``. The disc has its lowest point at (0,
+    ``gap``) and its flat face on top at y = ``radius + gap``. The mesh is symmetric in x; (0, 0)
+    and (0, ``gap``) are nodes. Bodies: "block", "disc". Sides: "bottom", "top", "flat", "arc", and
+    "axis", which is x = 0 in the half.
 
     Args:
         comm: communicator; gmsh runs on its rank 0 only.
@@ -87,7 +87,7 @@ def hertz(
         core: distance at which the graded mesh begins to coarsen [mm].
 
     Raises:
-        ValueError: on all ranks, if an argument is out of range, or differs between ranks.
+        ValueError: on all ranks, if an argument is out of range or differs between ranks.
         RuntimeError: on all ranks, if gmsh is missing or fails.
     """
     given = dict(locals())
@@ -167,24 +167,24 @@ def sphere(
     The whole block is [-w/2, w/2] x [-l/2, l/2] x [-t, 0] with (w, l, t) = ``block``. The half ball
     has its lowest point at (0, 0, ``gap``) and its flat face on top at z = ``radius + gap``. The
     quarter x, y >= 0 of both is meshed; (0, 0, 0) and (0, 0, ``gap``) are nodes. Bodies: "block",
-    "ball". Sides: "bottom" and "top" of the block, "flat" and "sphere" of the ball, "symmetry_x"
-    and "symmetry_y", on x = 0 and y = 0.
+    "ball". Sides: "bottom", "top", "flat", "sphere", and "symmetry_x" and "symmetry_y", on x = 0
+    and y = 0.
 
     Args:
-        comm: Communicator of the mesh; it is created on rank 0 and distributed.
+        comm: communicator; the mesh is created on rank 0 and distributed.
         cell: "hexahedron" or "tetrahedron" (which needs gmsh).
-        h: Element size at the first contact point [mm]; a pair gives (block, ball) separately. The
+        h: element size at the first contact point [mm]; a pair gives (block, ball) separately. The
             ball's hexahedra are one more along the edge of the core, so that they do not match.
-        radius: Of the ball [mm].
-        block: Width, length and thickness of the whole block [mm].
-        gap: Initial gap [mm], negative for an overlap.
-        core: Distance from the contact point within which the size is ``h`` [mm], by default an
+        radius: of the ball [mm].
+        block: width, length and thickness of the whole block [mm].
+        gap: initial gap [mm], negative for an overlap.
+        core: distance from the contact point within which the size is ``h`` [mm], by default an
             eighth of the radius; beyond, sizes grow in proportion to the distance.
-        half: Whether to mesh the half y >= 0 of both instead, for loads along x; the part x < 0 is
-            the mirror image of the quarter, and nothing is "symmetry_x" then.
+        half: whether to mesh the half y >= 0 of both instead, for loads along x, without
+            "symmetry_x".
 
     Raises:
-        ValueError: on all ranks, for an argument out of range, or not the same on all ranks.
+        ValueError: on all ranks, if an argument is out of range or differs between ranks.
         RuntimeError: on all ranks, if gmsh is missing or fails.
     """
     given = dict(locals())
@@ -221,11 +221,7 @@ def _block_of_hexahedra(corner: Floats, core: float, h: float) -> Arrays:
 
 
 def _ball_of_hexahedra(radius: float, gap: float, core: float, h: float) -> Arrays:
-    """Mesh a half ball of twice the radius, and take its inversion around (0, 0, 2R).
-
-    That maps the plane z = 0 to the ball's surface and the sphere of radius 2R to the flat face;
-    it is conformal, so that well-shaped cells stay so.
-    """
+    """Mesh a half ball of twice the radius, inverted (a conformal map) around (0, 0, 2R)."""
     n = int(np.ceil(core / h - 1e-9)) + 1
 
     def outer(p: Floats) -> Floats:
@@ -253,7 +249,7 @@ def _ball_of_tetrahedra(radius: float, gap: float, core: float, h: float) -> Arr
     with gmsh_model(HXT) as gmsh:
         occ = gmsh.model.occ
         part = [(3, occ.addSphere(0, 0, 0, radius, -1, 0.0, np.pi / 2, np.pi / 2))]
-        # the pole of the parametrisation lies on the rim, away from the contact
+        # moves the pole of the parametrisation away from the contact
         occ.rotate(part, 0, 0, 0, 0, 1, 0, np.pi / 2)
         occ.translate(part, 0, 0, radius + gap)
         return _tetrahedra(gmsh, (0.0, 0.0, gap), core, h, 2.0 * radius)
@@ -273,7 +269,7 @@ def _tetrahedra(
 
 
 def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], Floats]) -> Arrays:
-    """Mesh an octant x, y, z >= 0 whose outer boundary can be seen from the origin, by hexahedra.
+    """Mesh an octant x, y, z >= 0 by hexahedra, its outer boundary star-shaped about the origin.
 
     The cube at the origin has n^3 equal cells; each shell around it repeats the 3 n^2 facets of its
     three outer faces, larger in proportion to the distance.
@@ -283,7 +279,7 @@ def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], 
         n: cells along it.
         radius: typical distance of the outer boundary, which sets the number of shells.
         outer: maps points (p, 3) on the three far faces of the unit cube to the outer boundary;
-            points with a zero coordinate must keep it.
+            zero coordinates remain zero.
 
     Returns:
         Nodes (p, 3) and cells (m, 8) in the order of dolfinx.
@@ -343,10 +339,7 @@ def gmsh_model(options: Mapping[str, float] = MappingProxyType({})) -> Iterator[
 def set_graded_size(
     gmsh: Any, origin: int, h: float, *, core: float, limit: float, beyond: float
 ) -> None:
-    """Set the size to h within ``core`` of the point ``origin``, growing linearly to limit h.
-
-    The growth takes the length ``beyond``.
-    """
+    """Set the size to h within ``core`` of the point ``origin``, then linearly to limit h."""
     field = gmsh.model.mesh.field
     distance, size = field.add("Distance"), field.add("Threshold")
     field.setNumbers(distance, "PointsList", [origin])
@@ -499,7 +492,7 @@ def name_sides(
 
 
 def check_sizes(h: Any, radius: Any, block: Any, gap: Any, sides: str) -> tuple[float, ...]:
-    """Element sizes of a block and of a round body on it, after checks.
+    """Check the element sizes of a block and of a round body on it.
 
     `sides`: names of the block's sides, separated by commas, the thickness last.
     """

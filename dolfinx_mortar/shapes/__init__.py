@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Shapes of rigid tools: signed distances of points, with normals and curvatures, in arrays."""
+"""Shapes of rigid tools: signed distances with normals and curvatures, in arrays."""
 
 from dolfinx_mortar.shapes.given_distance import SignedDistance
 from dolfinx_mortar.shapes.polyline import Polyline

@@ -107,15 +107,14 @@ class Curved(Shape):
 
 
 def _in_space(x: Floats) -> Floats:
-    """Vectors (.., d) padded to (.., 3)."""
     return np.ascontiguousarray(np.pad(x, [*(x.ndim - 1) * [(0, 0)], (0, 3 - x.shape[-1])]))
 
 
 def create_tree(corners: Floats, bends: Floats) -> tuple[Floats, Longs, Floats]:
     """Boxes (2 k, 2, 3) of a binary tree, indices (k,) at its leaves, and bulges (m,).
 
-    Box 1 is the root, 2 i and 2 i + 1 the halves of box i across its longest side, box k + i that
-    of leaf i; the last leaf is repeated up to a power of two. Bulges bound the bends.
+    Boxes 2 i and 2 i + 1 halve box i across its longest side, from the root 1; box k + i is leaf i;
+    the last leaf is repeated up to a power of two. Bulges bound the bends.
     """
     half = (corners + np.roll(corners, -1, axis=1))[:, : bends.shape[1]] / 2
     net = np.hstack([corners, half + bends[:, :, 0] / 2, half - bends[:, :, 1] / 2])
@@ -184,7 +183,7 @@ def _on_edge(x, p, q, bend):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _in_face(x, p, a):  # type: ignore[no-untyped-def]
-    """s, t of the foot of x inside a triangle, and distance squared, inf if none; by Newton."""
+    """Coordinates s, t of the foot of x in a triangle, and distance squared, inf without foot."""
     s, t, bend = 0.0, 0.0, 0.0 * a
     for k in range(LIMIT):
         foot, js, jt = _compiled_face(p, bend, s, t)
@@ -254,7 +253,7 @@ def _on_one(x, p, bends):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def find_nearest(points, corners, bends, boxes, leaves, bulges):  # type: ignore[no-untyped-def]
-    """Return for points (n, 3) the nearest element (n,), location in it (n,), and s, t (n, 2)."""
+    """Nearest element (n,) of points (n, 3), location in it (n,), and s, t (n, 2)."""
     n, k = len(points), len(leaves)
     nearest, where = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     at = np.zeros((n, 2))

@@ -39,8 +39,7 @@ class SignedDistance(Shape):
         point: d coordinates of the tool's reference point.
         gradient: x (d, n) -> (d, n).
         hessian: x (d, n) -> (d, d, n).
-        length: scale of phi, such as the least radius of the surface, for differences of a
-            function.
+        length: scale of phi for differences, such as the least radius of the surface.
 
     Raises:
         ValueError: naming a wrong argument; in evaluations for other shapes and NaN.
@@ -126,7 +125,7 @@ class SignedDistance(Shape):
 
 
 def _compile(phi: Expr, d: int) -> Kernel:
-    """phi, gradient and Hessian, (1 + d + d^2,), as functions of x (d,)."""
+    """Kernel of phi, gradient and Hessian, (1 + d + d^2,), at x (d,)."""
     known = ufl.SpatialCoordinate, ConstantValue, ufl.classes.MultiIndex
     if phi.ufl_shape != () or phi.ufl_free_indices:
         raise ValueError(f"phi is {phi}, of shape {phi.ufl_shape}: give a scalar expression")
@@ -155,7 +154,7 @@ def _compile(phi: Expr, d: int) -> Kernel:
 def _returned(name: str, function: Function, x: Floats, shape: tuple[int, ...]) -> Floats:
     """Checked result (n, ..) of a function at points x (n, d)."""
     n = len(x)
-    if not n:  # no points
+    if not n:
         return np.zeros((0, *shape))
     values = function(np.ascontiguousarray(x.T))
     found = np.moveaxis(check(f"{name}(x)", values, returned((*shape, n), n)), -1, 0)

@@ -160,7 +160,7 @@ class _Pointed(Shape):
         self.radius = check("radius", radius, number("a finite length", least=0.0))
 
     def _section(self, x: Floats, across: Distance, tip: Distance) -> Distance:
-        """Distances of points x (n, d), given those ``across`` the axis and from the ``tip``."""
+        """Distances of points x (n, d), from those ``across`` the axis and from the ``tip``."""
         height, angle = (x - self._centre) @ self.axis, np.radians(self.half_angle)
         s, c = np.sin(angle), np.cos(angle)
         flank = Distance(
@@ -285,8 +285,7 @@ class Union(_Combined):
 class Intersection(_Combined):
     """Intersection of shapes of the same dimension: phi = max phi_k.
 
-    Surface and distances from faces are exact; off an edge phi is the larger of both distances,
-    less than that from the edge.
+    Surface and distances from faces are exact; near an edge phi is less than the distance from it.
 
     Raises:
         ValueError: also for an empty intersection.
@@ -350,9 +349,7 @@ class Complement(Shape):
 
 
 def berkovich(tip: Any, axis: Any, turned: float = 0.0) -> Intersection:
-    """Berkovich's pyramid: three faces at 65.27 degrees to the axis.
-
-    The area of its section at depth h is 24.5 h^2.
+    """Berkovich's pyramid: three faces at 65.27 degrees to the axis, section 24.5 depth^2.
 
     Args:
         tip: 3 coordinates.

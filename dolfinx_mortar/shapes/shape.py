@@ -68,7 +68,7 @@ class Shape(ABC):
 
     grad phi is the outward unit normal at the nearest point, the Hessian of phi the curvature, 1 /
     (R + phi) for a sphere. Coordinates are those of the mesh for the tool in its initial position;
-    in axisymmetry (r, z), of the section. Errors name the wrong argument.
+    in axisymmetry (r, z). Errors name the wrong argument.
 
     Attributes:
         point: reference point (d,), the centre or the tip.
@@ -85,7 +85,7 @@ class Shape(ABC):
         return self.distance(x).value
 
     def given(self) -> Mapping[str, Any]:
-        """Arguments by name; default the attributes of these names."""
+        """Arguments by name; by default the attributes of these names."""
         return {name: getattr(self, name) for name in signature(type(self)).parameters}
 
     @property
@@ -94,7 +94,7 @@ class Shape(ABC):
         return None
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Why it is unusable in d dimensions or axisymmetry (about the axis r = 0), or ""."""
+        """Why it is unusable in d dimensions or axisymmetry (about r = 0), or ""."""
         n = len(self.point)
         return "" if n == d else f"{self!r} has points of {n} components, the mesh of {d}"
 

@@ -6,8 +6,8 @@ A triangle of `curved` with corners p_i and smooth normals n_i has
     a_ij = (n_i + n_j) (n_j - n_i).(p_j - p_i) / |n_i + n_j|^2,
 
 four times the offset of the edge's middle: the surface of T. Nagata, Simple local interpolation of
-surfaces using normal vectors (2005), where edges bend to one side; S-shaped edges stay straight.
-Neighbours share a parabola: no gaps. Creases stay straight, faces without smooth edges flat.
+surfaces using normal vectors (2005), except for straight S-shaped edges. Neighbours share a
+parabola. Creases are straight, faces without smooth edges flat.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ class Triangulation:
     def point_normals(self) -> Floats:
         """Angle-weighted sum of the normals around each corner (m, 3, 3).
 
-        Its product with the offset from the nearest point is positive outside. J. A. Baerentzen, H.
-        Aanaes: Signed distance computation using the angle weighted pseudonormal (2005).
+        Its product with the offset from the nearest point is positive outside: J. A. Baerentzen, H.
+        Aanaes, Signed distance computation using the angle weighted pseudonormal (2005).
         """
         one, other = self._arms()
         cosine = (one * other).sum(axis=2) / (_length(one) * _length(other))
@@ -66,9 +66,8 @@ class Triangulation:
     def smooth_normals(self, crease: float) -> tuple[Floats, Bools]:
         """Unit normals at corners (m, 3, 3), and the mask (m, 3) of edges without crease.
 
-        Averages over triangles connected without a crease (an angle of normals above ``crease``
-        degrees), with weights exact for spheres. N. Max: Weights for computing vertex normals from
-        facet normals (1999).
+        Averages over triangles connected without a crease (an angle above ``crease`` degrees),
+        exact for spheres: N. Max, Weights for computing vertex normals from facet normals (1999).
         """
         turn = (self.normals[:, None] * self.normals[self.beyond]).sum(axis=2)
         smooth = (self.beyond >= 0) & (turn >= np.cos(np.radians(crease)) - HALF_OF_DIGITS)
@@ -152,7 +151,7 @@ def _find_neighbours(x: Floats, triangles: Longs, rim: bool) -> Longs:
     refuse(
         "surface has",
         x.mean(axis=1),
-        np.asarray(turned > (turned > 1).any()),  # of most, if any, edges
+        np.asarray(turned > (turned > 1).any()),  # of the majority
         "triangles that are turned against their neighbours",
         "order the corners of all counterclockwise as seen from outside of the tool",
     )
@@ -188,10 +187,10 @@ class Triangles(Curved):
         surface: path of an STL file, binary or text, read by every rank (errors are raised on all
             ranks at the first use of the shape); or points (n, 3) and triangles (m, 3).
         point: 3 coordinates of the tool's reference point; default the middle of its box.
-        crease: angle of normals in degrees, 0 to 90, above which an edge stays sharp. With 0 all
+        crease: angle of normals in degrees, 0 to 90, above which an edge is sharp. With 0 all
             triangles are flat.
-        rim: whether the surface may end. Beyond its rim phi is the distance from it: the body must
-            not get there.
+        rim: whether the surface may end. Beyond its rim phi is the distance from it, where the body
+            must not be.
 
     Raises:
         ValueError: also for unreadable files, triangles without area or turned against their
@@ -272,7 +271,6 @@ def _bulges(x: Floats, normals: Floats) -> Floats:
 
 
 def _check_arrays(surface: Any) -> tuple[Floats, Longs]:
-    """Checked points (n, 3) and triangles (m, 3)."""
     wanted = "give the path of an STL file, or points (n, 3) and triangles (m, 3)"
     if not isinstance(surface, list | tuple) or len(surface) != 2:
         raise ValueError(f"surface is {surface!r}: {wanted}")

@@ -15,7 +15,7 @@ GRID = {2: 400, 3: 60}
 def find_zero_level(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Longs]:
     """Points (n, d) on the surface of a shape, and lines or triangles (m, d), in a box.
 
-    Points on crossed edges of simplices of a grid are moved onto the surface.
+    Edges of simplices of a grid that cross the surface have a point each.
 
     Example:
         >>> from dolfinx_mortar.shapes import Cylinder
