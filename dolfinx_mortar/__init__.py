@@ -105,7 +105,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import a companion of the package when it is first used."""
+    """Import a companion of the package at first use."""
     if name in ("analytic", "meshing", "plotting"):
         return import_module(f"{__name__}.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

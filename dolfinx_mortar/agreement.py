@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Comparison of arguments that must agree among ranks; for all modules.
+"""Comparison of arguments that must agree among ranks.
 
 Compared are replicated values: numbers, texts, tags, kinds of objects, elements of Functions, UFL
 signatures, values of Constants; not values of Functions, dofs, tags of cells, or results of

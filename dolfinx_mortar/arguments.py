@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Declared rules for arguments; without communication, for all sub-packages.
+"""Declared rules for arguments; not collective.
 
 >>> check("n", 3, integer(1)), check("x", [1, 2], array((2,), (3,)))
 (3, array([1., 2.]))
@@ -30,7 +30,7 @@ class Rule(Generic[T]):
 
 
 def check(name: str, value: Any, rule: Rule[T], remedy: str = "") -> T:
-    """Converted argument, or raise a ValueError with name, value and remedy."""
+    """Converted argument, or a ValueError with name, value and remedy."""
     found = rule.read(value)
     if found is None:
         raise ValueError(f"{name} is {_shown(value)}: {remedy or rule.remedy}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Supported displacement spaces, and values of their Functions; for all modules."""
+"""Supported displacement spaces, and values of their Functions."""
 
 from typing import Any
 
@@ -21,14 +21,14 @@ HIGHEST = 2
 def check_space(
     V: dolfinx.fem.FunctionSpace, name: str = "V", *, scalar: bool = False, on_cells: bool = True
 ) -> None:
-    """Raise a ValueError, without communication, for unsupported spaces.
+    """Raise a ValueError for unsupported spaces; not collective.
 
     Supported: Lagrange of degree 1 or 2, double precision, cells of no higher degree.
 
     Args:
         name: of the argument.
         scalar: whether scalar spaces are allowed.
-        on_cells: whether facets have to lie on the cells.
+        on_cells: whether facets must lie on the cells.
     """
     if not isinstance(V, dolfinx.fem.FunctionSpace):
         of = "" if scalar else " of displacements"
@@ -79,12 +79,11 @@ def find_positions(
     Of the highest degree of V, u and the cells; V or the space of u if one fits.
 
     Args:
-        V: scalar or vector space.
         u: displacement in any vector space of the mesh, None for X.
         same_nodes: whether nodes must be numbered as in V.
 
     Raises:
-        ValueError: for other displacements, without communication; for other nodes.
+        ValueError: for other displacements, not collectively; for other nodes.
     """
     spaces = [V]
     if u is not None:

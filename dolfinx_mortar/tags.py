@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Named tags of cells or facets; for all modules."""
+"""Named tags of cells or facets."""
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
@@ -50,7 +50,7 @@ class Tags(mesh.MeshTags):
         """Tag of a name, or a tag unchanged.
 
         Raises:
-            ValueError: for unknown names, and other than integers of 32 bits.
+            ValueError: for unknown names, and non-integers or more than 32 bits.
         """
         tag = tag_of(self, name, "name")
         check_tag("name", tag)
@@ -147,7 +147,7 @@ def check_entities(name: str, tags: mesh.MeshTags) -> None:
 
 
 def tag_of(tags: Any, given: Any, argument: str) -> Any:
-    """Tag of a name, or anything but strings unchanged; a ValueError without communication."""
+    """Tag of a name, or anything but strings unchanged; a ValueError, not collectively."""
     if not isinstance(given, str):
         return given
     names = names_of(tags)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The committed state of a problem in one record, of which checkpoints are made; its undoing."""
+"""The committed state of a problem in one record, for checkpoints and undoing."""
 
 from __future__ import annotations
 
@@ -48,37 +48,37 @@ class Slips:
 
 @dataclass(frozen=True)
 class Gained:
-    """What Newton's iterations have added in a step to the motion with which it began."""
+    """Additions of Newton's iterations to the predicted motion of a step."""
 
     by: Floats  # (n,) displacement
-    travel: Floats  # (m,) motions of tools that forces drive
-    duration: float  # by how much the level has risen
+    travel: Floats  # (m,) motions of tools driven by forces
+    duration: float  # increment of the level
 
 
 @dataclass(frozen=True)
 class StepOutcome:
-    """Results of a converged step that `Committed.commit` takes."""
+    """Results of a converged step for `Committed.commit`."""
 
     at: Floats  # (n,) displacement at the end of the step
     active: Bools  # (owned nodes,) closed contacts
     sliding: Floats | None  # (owned nodes, d) slip directions of closed nodes, 0 if stuck
     paired: Floats | None  # (n,) displacement of the pairing; empty for X
     slips: Slips | None  # with friction
-    # (owned nodes, d) forces of the contacts on both sides, normal to them and along
+    # (owned nodes, d) normal contact forces on both sides
     normal: Floats | None = None
     tangential: Floats | None = None
     ended: Sequence[Any] = ()  # of the interfaces, see `Interface.state`
-    level: float | None = None  # at which the step ends; None for that of the committed state
+    level: float | None = None  # level at its end; None for that of the committed state
     gained: Gained | None = None  # None without a level
     before: Before | None = None  # the last commit
 
 
 @dataclass
 class Committed:
-    """The state from which the next step starts, beside u and the internal variables."""
+    """The state at the start of the next step, without u and the internal variables."""
 
     active: Bools  # (owned nodes,) closed contacts
-    displacement: Floats  # (n,) owned, from which slips are measured
+    displacement: Floats  # (n,) owned, origin of slips
     slid: Floats  # (interfaces, owned nodes), see `Slips`
     dissipated: Floats  # (interfaces, owned nodes), see `Slips`
     begun: bool = False  # a step has been committed
@@ -86,9 +86,9 @@ class Committed:
     paired: Floats | None = None  # (n,) displacement of the pairing; empty for X
     level: float = 0.0  # load level, of the last step of `load_steps`
     history: list[LoadStep] = field(default_factory=list)  # all steps of `load_steps`
-    brought: int = 0  # how many of them a checkpoint has restored
-    walked: int = 0  # how many of them belong to the last call
-    walk: Walk | None = None  # the last call of `load_steps`, the only one that may continue
+    brought: int = 0  # of them, number restored by a checkpoint
+    walked: int = 0  # of them, number of the last call
+    walk: Walk | None = None  # the last call of `load_steps`, which may continue
     supports: SupportForces | None = None  # of the last step that has converged
     gained: Gained | None = None  # in the last step, see `ContactProblem.begin_step`
 
@@ -98,7 +98,7 @@ class Committed:
         return self.history[len(self.history) - self.walked :]
 
     def commit(self, u: Floats, outcome: StepOutcome | None) -> None:
-        """Commit the displacement (n,), with the outcome of the step that has ended there."""
+        """Commit the displacement (n,), with the outcome of the step."""
         self.begun, self.displacement, self.gained = True, u.copy(), None
         if outcome is None:
             return
@@ -120,7 +120,7 @@ class ProblemState:
     supports: Dirichlet
     geometry: str
     committed: Committed
-    terms: Sequence[tuple[str, Term]]  # what else adds forces, by name
+    terms: Sequence[tuple[str, Term]]  # other terms, by name
 
     @property
     def u(self) -> fem.Function:
@@ -137,7 +137,7 @@ class ProblemState:
         }
 
     def ask_terms(self, name: str) -> list[dict[str, Any]]:
-        """Return a mapping that terms have, of each of them; collective."""
+        """Call a method of each term that returns a mapping; collective."""
 
         def ask_one(named: str, term: Term) -> dict[str, Any]:
             return ask_term(self.comm, f"{named}: {name}", term, lambda: dict(getattr(term, name)))
@@ -151,14 +151,14 @@ class ProblemState:
 
 
 class Before:
-    """All that a step and its commit change, as it was before: displacement, results, state."""
+    """Copy of all that a step and its commit change: displacement, results, state."""
 
     def __init__(self, state: ProblemState, outcome: StepOutcome | None) -> None:
-        """Copy it; collective.
+        """Copy the state; collective.
 
         Args:
             state: of the problem, to which no reference is kept.
-            outcome: of a step before that has not been committed.
+            outcome: of an earlier step that has not been committed.
         """
         self.state, self.outcome = state, outcome
         functions = [state.u, *state.states_of_terms.values()]
@@ -168,7 +168,7 @@ class Before:
         self._committed = vars(state.committed) | {"history": [*state.committed.history]}
 
     def restore(self) -> None:
-        """Put it back, perhaps on this rank only: without communication."""
+        """Restore the copy; not collective, perhaps on this rank only."""
         state = self.state
         for f, values in self._values:
             f.x.array[:] = values
@@ -176,7 +176,7 @@ class Before:
         for interface, kept, began in self._results:
             interface.put_back(kept)
             interface.restore(began)
-        history = state.committed.history  # which programs may hold
+        history = state.committed.history  # the user may refer to this list
         history[:] = self._committed["history"]
         vars(state.committed).update(self._committed, history=history)
         for term in (state.solid, *(term for _, term in state.terms)):

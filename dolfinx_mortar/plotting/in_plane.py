@@ -70,7 +70,7 @@ def draw_field(axes: Any, cells: Parts, name: str) -> None:
 
 
 def draw_tools(axes: Any, tools: list[Any], low: Floats, high: Floats) -> None:
-    """Draw where the signed distances of tools are negative, in the box from low to high (2,)."""
+    """Draw the region of negative signed distance of tools, in the box from low to high (2,)."""
     x, y = (np.linspace(low[i], high[i], GRID) for i in range(2))
     points = np.stack(np.meshgrid(x, y), axis=-1)
     for tool in tools:
@@ -82,11 +82,11 @@ def draw_tools(axes: Any, tools: list[Any], low: Floats, high: Floats) -> None:
 
 
 def draw_pressure(axes: Any, sides: list[tuple[str, Parts]], title: str) -> None:
-    """Draw pressures over x or y, facet by facet, where there are some and as far again beside."""
+    """Draw pressures over x or y, facet by facet, where positive and around."""
     axis = int(np.argmax(sum(np.ptp(side.x[:, :2], axis=0) for _, side in sides if len(side.x))))
     for (name, side), colour in zip(sides, SIDES * len(sides), strict=False):
         order = _in_order(side)
-        gap = np.full((len(order), 1), np.nan)  # between two facets no line is drawn
+        gap = np.full((len(order), 1), np.nan)  # no line between facets
         s = np.hstack([side.x[order, axis], gap]).ravel()
         p = np.hstack([side.values[order], gap]).ravel()
         axes.plot(s, p, ".-", color=colour, ms=4, lw=1.0, label=name)
@@ -99,12 +99,12 @@ def draw_pressure(axes: Any, sides: list[tuple[str, Parts]], title: str) -> None
 
 
 def _in_order(facets: Parts) -> Any:
-    """Return the nodes of facets along the lines that they are."""
+    """Nodes of facets in order along their line."""
     return facets.nodes[:, (0, 2, 1) if facets.nodes.shape[1] == 3 else (0, 1)]
 
 
 def _add_cells(axes: Any, cells: Parts, **style: Any) -> Any:
-    """Draw cells as polygons along their nodes, with edges that do not hide their colours."""
+    """Draw cells as polygons along their nodes, with thin edges."""
     polygons: Any = cells.x[cells.polygons][:, :, :2]
     drawn = PolyCollection(polygons, linewidth=0.2, cmap="viridis", **style)
     axes.add_collection(drawn)

@@ -25,7 +25,7 @@ BODIES = ("#6f9bc4", "#cf9650", "#7fae69", "#a583bd", "#b5a53c", "#909090")  # a
 
 
 def begin(file: Any, ax: Any, panes: int) -> Any:
-    """Return a plotter, without a window where there is no screen, or a file is asked for.
+    """Return a plotter, off-screen for a file or without a screen.
 
     Raises:
         RuntimeError: if nothing can be drawn.
@@ -82,7 +82,7 @@ def draw_field(plotter: Any, outside: Parts, name: str) -> None:
 
 
 def draw_tools(plotter: Any, tools: list[Any], low: Floats, high: Floats) -> None:
-    """Draw the surfaces of tools, one can see through them, in the box from low to high (3,)."""
+    """Draw the transparent surfaces of tools, in the box from low to high (3,)."""
     for tool in tools:
         if tool.surface is not None:
             surface = pyvista.PolyData.from_regular_faces(*tool.surface)
@@ -98,7 +98,7 @@ def draw_tools(plotter: Any, tools: list[Any], low: Floats, high: Floats) -> Non
 
 
 def draw_pressure(plotter: Any, sides: list[tuple[str, Parts]], title: str) -> None:
-    """Draw pressures on the slave sides, seen along the direction in which these extend least."""
+    """Draw pressures on the slave sides, seen along their direction of least extent."""
     for _, side in sides:
         _add_values(plotter, side, title)
     _finish_pane(plotter)
@@ -109,7 +109,7 @@ def draw_pressure(plotter: Any, sides: list[tuple[str, Parts]], title: str) -> N
 
 
 def _look(plotter: Any, towards: Floats) -> None:
-    """Look from a direction (3,), with z upwards, or y where that is the direction."""
+    """Look from a direction (3,), with z upwards, or y for a view along z."""
     upright = np.linalg.norm(towards[:2]) > 0.1 * abs(towards[2])
     for renderer in plotter.renderers:
         renderer.view_vector(towards, viewup=(0, 0, 1) if upright else (0, 1, 0))
@@ -124,7 +124,7 @@ def _add_values(plotter: Any, parts: Parts, title: str) -> None:
 
 
 def _add_facets(plotter: Any, facets: Parts, **style: Any) -> None:
-    """Draw facets, shaded ones in triangles, and their edges in front of them."""
+    """Draw facets, shaded ones in triangles, with edges in front."""
     surface: Any = pyvista.PolyData.from_regular_faces
     around = surface(facets.x, facets.polygons)
     drawn = surface(facets.x, facets.triangles) if facets.at_nodes else around
@@ -143,8 +143,7 @@ def _finish_pane(plotter: Any) -> None:
 def find_screen() -> None:
     """Make sure that VTK can draw; set ``pyvista.OFF_SCREEN`` without a screen.
 
-    A VTK before 9.4, as in Debian 13, draws in X windows only and ends the program if no X server
-    answers. Then one in memory (Xvfb) is started.
+    A VTK before 9.4, as in Debian 13, ends the program without an X server: then Xvfb is started.
 
     Raises:
         RuntimeError: if there is neither.
@@ -166,12 +165,12 @@ def find_screen() -> None:
 
 @cache
 def _connect(display: str) -> bool:
-    """Tell whether an X server answers, and stay connected for the rest of the program."""
+    """Whether an X server answers; stays connected for the rest of the program."""
     library = ctypes.util.find_library("X11")
     if not display or library is None:
         return bool(display)
     x11 = ctypes.CDLL(library)
-    x11.XOpenDisplay.restype = ctypes.c_void_p  # not the integer of 32 bits that is the default
+    x11.XOpenDisplay.restype = ctypes.c_void_p  # not the default, an integer of 32 bits
     return bool(x11.XOpenDisplay(display.encode()))
 
 
