@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Material laws: stress or energy, and new state, of a 3x3 strain, state and parameters."""
+"""Material laws: stress or energy, and new state, of a 3x3 strain."""
 
 from typing import Any
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Pressure-dependent plasticity by Drucker and Prager, for soil, rock and concrete."""
+"""Pressure-dependent plasticity by Drucker and Prager."""
 
 from __future__ import annotations
 
@@ -103,7 +103,6 @@ class DruckerPrager(Material):
             friction_angle=(friction_angle, 0.0, 90.0, False),
         )
         sine, cosine = (f(math.radians(friction_angle)) for f in (math.sin, math.cos))
-        # sqrt(J2) + (sine tr sigma / 3 - cosine cohesion) scale <= 0
         scales = {
             "compression": 6 / (math.sqrt(3) * (3 - sine)),
             "extension": 6 / (math.sqrt(3) * (3 + sine)),

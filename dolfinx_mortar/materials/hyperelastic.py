@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rubber: laws of neo-Hooke, Mooney and Rivlin, and Ogden."""
+"""Laws of rubber."""
 
 import math
 from collections.abc import Mapping
@@ -49,7 +49,7 @@ class NeoHooke(Material):
 
     @staticmethod
     def energy(F: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return psi, per volume at X."""
+        """Return psi."""
         log_J = ufl.ln(ufl.det(F))
         return (
             shear_modulus(p) / 2 * (ufl.inner(F, F) - 3 - 2 * log_J)
@@ -63,7 +63,7 @@ class NeoHooke(Material):
 
     @staticmethod
     def stress(F: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return P = d psi / dF."""
+        """Return P."""
         inverse = ufl.transpose(ufl.inv(F))
         log_J = ufl.ln(ufl.det(F))
         return shear_modulus(p) * (F - inverse) + lame_modulus(p) * log_J * inverse
@@ -110,7 +110,7 @@ class MooneyRivlin(Material):
 
     @staticmethod
     def energy(F: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return psi, per volume at X."""
+        """Return psi."""
         C, J = ufl.transpose(F) * F, ufl.det(F)
         first = ufl.tr(C) * J ** (-2 / 3)
         second = (ufl.tr(C) ** 2 - ufl.inner(C, C)) / 2 * J ** (-4 / 3)
@@ -166,7 +166,7 @@ class Ogden(PointwiseLaw):
 
     @staticmethod
     def energy(F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> Floats:
-        """Return psi (q,), per volume at X."""
+        """Return psi (q,)."""
         a, J = np.linalg.svd(F, compute_uv=False), np.linalg.det(F)
         psi = p.K / 2 * (J - 1) ** 2
         for mu, alpha in zip(p.mu, p.alpha, strict=True):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Check of a law at one point: stress against energy, tangent against stress, rotations, state."""
+"""Check of a law at one point."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -26,12 +26,11 @@ from ufl.core.expr import Expr
 
 PATHS = 8  # random paths of small strains
 SIZES = tuple(np.geomspace(1e-5, 1.0, 6))  # factors of the strains
-# Largest errors: at small strains a law that iterates to 1e-6 passes; at finite strain plastic laws
-# have 7e-8 near kinks.
+# Largest errors: laws that iterate to 1e-6 pass; finite strain has 7e-8 near kinks.
 RTOL = 1e-5
 FINITE_RTOL = 1e-7
-# Lengths of differences, relative to the strain or smallest stretch: the longest survives
-# cancellation, the shortest stays inside the yield surface up to E / Y = 1e6.
+# Relative lengths of differences: the longest survives cancellation, the shortest stays elastic up
+# to E / Y = 1e6.
 LENGTHS = tuple(EPS**power for power in (1 / 5, 1 / 3, 0.45))
 WEIGHTS = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}  # central differences of sixth order
 STRETCHES = (  # scaled to a volume before use
@@ -155,7 +154,7 @@ def check(
 
 
 def _gradients(rng: np.random.Generator, size: float) -> Iterator[Floats]:
-    """Yield small and large deformation gradients, also with coincident stretches."""
+    """Small and large deformation gradients, also with coincident stretches."""
     for share in SIZES:
         yield np.eye(3) + share * size * rng.uniform(-1.0, 1.0, (3, 3))
     for J in VOLUMES:
@@ -170,19 +169,18 @@ def _rotation(rng: np.random.Generator) -> Floats:
 
 
 def _unit(rng: np.random.Generator, *, symmetric: bool = True) -> Floats:
-    """Return a random tensor (3, 3) of norm one."""
     A = rng.standard_normal((3, 3))
     A += A.T if symmetric else 0.0
     return np.asarray(A / np.linalg.norm(A))
 
 
 class Point(NamedTuple):
-    """Response of a law at one strain (or F) and state."""
+    """Response at one strain, or F, and state."""
 
-    energy: float  # NaN without one
-    stress: Floats  # (3, 3), P at F
+    energy: float
+    stress: Floats
     tangent: Floats  # (3, 3, 3, 3)
-    state: dict[str, Floats]  # at the end of the step, () or (3, 3)
+    state: dict[str, Floats]
 
 
 @dataclass(frozen=True)
@@ -201,7 +199,7 @@ class LawAtPoint:
         return FINITE_RTOL if self.finite else RTOL
 
     def __call__(self, strain: Floats, state: State) -> Point:
-        """Evaluate the law at a strain or F (3, 3) and a committed state, all finite."""
+        """Evaluate at a finite strain or F (3, 3) and a committed state."""
         point = self.evaluate(strain, state)
         values = [*point[1:3], *point.state.values()]
         values += [np.array(point.energy)] if self.has_energy else []
@@ -223,8 +221,7 @@ class LawAtPoint:
 def law_at_point(material: Any, law: Law, strain: str | None = None) -> LawAtPoint:
     """Return a law as a function of numbers, of its own strain or a finite one.
 
-    Raises:
-        ValueError: for parameters that vary in space; for plane stress at finite strain.
+    ValueError for parameters that vary in space, and for plane stress at finite strain.
     """
     finite = (strain or law.strain) == "finite"
     if law.plane_stress and finite:
@@ -249,7 +246,7 @@ def law_at_point(material: Any, law: Law, strain: str | None = None) -> LawAtPoi
 
 
 def _numbers_of(material: Any) -> dict[str, float]:
-    """Return the parameters as numbers; a ValueError if one varies in space."""
+    """Parameters as numbers; a ValueError if one varies in space."""
     numbers = {}
     for name, value in named_parameters(material).items():
         if isinstance(value, Expr) and not isinstance(value, ufl.Constant):
@@ -262,13 +259,12 @@ def _numbers_of(material: Any) -> dict[str, float]:
 
 
 def _of_ufl(law: Law, given: Mapping[str, float]) -> Callable[[Floats, State], Point]:
-    """Evaluate a law in UFL at one strain, or F, and state."""
     e, D, z, *rest, p = _symbols(given, (3, 3), (3, 3), (), *law.state.values())
     response = respond(
         law, e, dict(zip(law.state, rest, strict=True)), p, z if law.condensed else None
     )
     psi = ufl.as_ufl(0.0) if response.energy is None else response.energy
-    # one by one: UFL compares the subexpressions of a compiled unit tree by tree
+    # one by one: UFL compares the subexpressions of a compiled unit
     parts = [_entries(response.change(D)), _entries(response.stress), _entries(psi)]
     parts += [_entries(response.updated[name]) for name in law.state]
     if law.condensed:
@@ -306,7 +302,6 @@ def _of_ufl(law: Law, given: Mapping[str, float]) -> Callable[[Floats, State], P
 def _of_arrays(
     given: Mapping[str, float], values: Callable[..., PointValues]
 ) -> Callable[[Floats, State], Point]:
-    """Evaluate a law of arrays at one strain, or F, and state."""
     p = grouped({name: np.array([value]) for name, value in given.items()})
 
     def evaluate(strain: Floats, state: State) -> Point:
@@ -320,7 +315,7 @@ def _of_arrays(
 
 
 def _symbols(given: Mapping[str, float], *shapes: tuple[int, ...]) -> list[Any]:
-    """Return `constants` as scalars and tensors, then the parameters."""
+    """`constants` as scalars and tensors, then the parameters."""
     sizes = [int(np.prod(shape)) for shape in shapes]
     numbers = iter(list(constants(sum(sizes) + len(given))))
     found: list[Any] = []
@@ -331,15 +326,15 @@ def _symbols(given: Mapping[str, float], *shapes: tuple[int, ...]) -> list[Any]:
 
 
 def _entries(value: Expr) -> Expr:
-    """Return the entries of a tensor, row by row, or of a scalar."""
+    """Entries of a tensor, row by row, or of a scalar."""
     entries = [value[i, j] for i in range(3) for j in range(3)] if value.ufl_shape else [value]
     return ufl.as_vector(entries)
 
 
 class _Errors(NamedTuple):
-    """Errors at one sample; NaN where a check does not apply."""
+    """Errors at one sample, NaN without a check."""
 
-    changed: bool  # whether an internal variable changed
+    changed: bool
     on_kink: bool  # where differences mean nothing
     energy: float
     tangent: float
@@ -352,7 +347,7 @@ class _Errors(NamedTuple):
 
 
 class _Judge:
-    """All comparisons at strains, or F, and states; `found` has their errors."""
+    """All comparisons; `found` has their errors."""
 
     def __init__(self, point: LawAtPoint, seed: int, rate_independent: bool) -> None:
         self.point, self._rate_independent = point, rate_independent
@@ -375,7 +370,7 @@ class _Judge:
             )
 
     def __call__(self, strain: Floats, state: State) -> State:
-        """Check the law at a strain, or F; return the state at the end of the step."""
+        """Check at a strain, or F; return the state at the end of the step."""
         point, law, here = self.point, self.point.law, self.point(strain, state)
         if point.finite:
             scale = modulus = max(self._stiffness, float(np.abs(here.tangent).max()))
@@ -402,7 +397,7 @@ class _Judge:
             tangent=tangent,
             skew=float(np.abs(here.tangent - here.tangent.transpose(2, 3, 0, 1)).max()) / modulus,
         )
-        if point.finite and state is self.virgin:  # tensors in the state may have to rotate, too
+        if point.finite and state is self.virgin:  # tensors of the state may rotate, too
             errors = errors._replace(objectivity=sample.compare_turned(_rotation(self.rng)))
         elif not point.finite:
             kept = sample.compare_kept() if self._rate_independent else 0.0
@@ -415,7 +410,7 @@ class _Judge:
         return here.state
 
     def report(self) -> LawReport:
-        """Return the largest errors of all samples."""
+        """Largest errors of all samples."""
         kept = [errors for errors in self.found if not errors.on_kink]
         if len(kept) < len(self.found) / 2:
             raise ValueError(
@@ -442,18 +437,16 @@ class _Judge:
 
 @dataclass(frozen=True)
 class _Sample:
-    """A law at one strain, or F, and state."""
-
     point: LawAtPoint
-    strain: Floats  # (3, 3)
+    strain: Floats
     state: State
     here: Point
-    scale: float  # stress to which errors are relative
+    scale: float  # unit of errors
 
     def demand(
         self, what: str, given: Any, wanted: Any, other: str, scale: float, **places: Floats
     ) -> float:
-        """Return the error relative to a scale; a ValueError with both values if too large."""
+        """Return the relative error; a ValueError with both values if too large."""
         given, wanted = np.asarray(given), np.asarray(wanted)
         errors = np.abs(given - wanted)
         worst = np.unravel_index(errors.argmax(), errors.shape)
@@ -466,7 +459,7 @@ class _Sample:
         return float(errors[worst] / scale) if scale > 0.0 else 0.0
 
     def compare_differences(self, D: Floats, length: float, modulus: float) -> tuple[float, float]:
-        """Return the errors of stress and tangent against differences along D; NaN on a kink."""
+        """Errors of stress and tangent against differences along D; NaN on a kink."""
         slopes, changes = [], []
         change: Floats
         for share in LENGTHS:
@@ -497,7 +490,7 @@ class _Sample:
         return energy_error, self.demand(what, change, nearest, why, modulus, D=D)
 
     def compare_turned(self, Q: Floats) -> float:
-        """Return the error of energy and stress at Q F, Q a rotation."""
+        """Error of energy and stress at Q F, Q a rotation."""
         turned, why = self.point(Q @ self.strain, self.state), "since a rotation strains nothing "
         why += "(write psi in C = F^T F) it should be"
         stress = Q @ self.here.stress
@@ -508,7 +501,7 @@ class _Sample:
         return max(error, self.demand("psi(Q F)", *energies, why, self.scale, Q=Q))
 
     def compare_kept(self) -> float:
-        """Return the error of the stress after a commit of the new state."""
+        """Error of the stress after a commit."""
         after = self.point(self.strain, self.here.state)
         told = "after a commit at the same strain it is"
         for name, value in self.here.state.items():
@@ -517,7 +510,7 @@ class _Sample:
         return self.demand("the stress", self.here.stress, after.stress, told, self.scale)
 
     def compare_isotropy(self, Q: Floats) -> float:
-        """Return the error of the response to the elastic strain rotated by Q."""
+        """Error of the response to the elastic strain rotated by Q."""
         plastic = self.state.get(PLASTIC, np.zeros((3, 3)))
         state = {name: 0.0 * plastic if name == PLASTIC else v for name, v in self.state.items()}
         after = self.point(Q @ (self.strain - plastic) @ Q.T, state)
@@ -531,7 +524,7 @@ class _Sample:
 
 
 def _extreme_moduli(tangent: Floats) -> tuple[float, float]:
-    """Return the smallest eigenvalue of the symmetric part, and the largest size."""
+    """Smallest eigenvalue of the symmetric part, and largest absolute one."""
     roots = np.sqrt([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # Mandel's notation
     rows, columns = zip(*INDEX, strict=True)
     matrix = roots[:, None] * tangent[rows, columns][:, rows, columns] * roots

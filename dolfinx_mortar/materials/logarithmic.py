@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Small-strain laws at finite strain: functions of a logarithmic strain, with its dual stress as P.
 
-Derivation and sources: theory.md, Small-strain laws at finite strain. **Multiplicative form**, for
-isotropic laws with plastic strain and scalars as state (`Law.isotropic`): with F = F_e F_p, C_p =
-F_p^T F_p, and the logarithmic plastic strain E_p = 1/2 ln C_p in the state,
+Derivation: theory.md, Small-strain laws at finite strain. **Multiplicative form**, for isotropic
+laws (`Law.isotropic`), with C_p = F_p^T F_p and 1/2 ln C_p as the plastic strain of the state:
 
     E = 1/2 ln(C_p^-1/2 F^T F C_p^-1/2),         psi = psi(E; plastic strain 0, scalars),
     C_p^-1 = C_pn^-1/2 exp(-2 dep) C_pn^-1/2,    dep the plastic strain that the law gives.
 
-dep the plastic strain of the law. The exponential map is exact for any shear, and isochoric where
-the law is. **Additive form**, for all others: the law of small strain at E = 1/2 ln(F^T F), exact
-where the principal directions do not rotate; in simple shear by 1 perfect plasticity is 3 % too
-soft, by 2 17 %.
+dep the plastic strain of the law. **Additive form**, for all others: the law of small strain at E =
+1/2 ln(F^T F), exact where the principal directions do not rotate; in simple shear by 1 perfect
+plasticity is 3 % too soft, by 2 17 %.
 
 Sources: J. C. Simo, Comput. Methods Appl. Mech. Engrg. 99 (1992) 61-112; C. Miehe, N. Apel, M.
 Lambrecht, Comput. Methods Appl. Mech. Engrg. 191 (2002) 5383-5425.
@@ -95,7 +93,7 @@ class LogarithmicLaw:
             jit: compiler of an expression.
 
         Raises:
-            ValueError: if the law raises, or returns something of the wrong shape or name.
+            ValueError: for a law that raises, or returns a wrong shape or name.
         """
         self.law, self.multiplicative = law, law.isotropic
         self.has_energy = law.energy is not None and law.update is None
@@ -107,11 +105,10 @@ class LogarithmicLaw:
         self._tensors = np.empty((3, CHUNK, 3, 3))
 
     def start(self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Start:
-        """Data of the committed state and the parameters, constant in a step.
+        """Prepare a step of q points.
 
         Args:
-            q: number of points.
-            state: by name, (q,) or (q, 3, 3).
+            state: committed, by name, (q,) or (q, 3, 3).
             parameters: by name, (q,); those of a tuple as name[0], name[1] ..
         """
         roots = None
@@ -140,11 +137,7 @@ class LogarithmicLaw:
                 psi[some] = np.where(np.isnan(x[:, 0]), np.inf, found[:, -1])
 
     def find_normal(self, start: Start, H: Floats) -> None:
-        """Set H_zz of q points such that P_zz = 0, NaN where the law is undefined.
-
-        Raises:
-            ValueError: without a root.
-        """
+        """Set H_zz for P_zz = 0, NaN if the law is undefined; a ValueError without a root."""
         k = len(self.components)
         c = self.components.index((2, 2))
         last = _upper(k).index((c, c))
@@ -185,7 +178,7 @@ class LogarithmicLaw:
         return new
 
     def values(self, F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> PointValues:
-        """All values at F (q, 3, 3) as tensors, see `response.values_at_points`."""
+        """All values at F (q, 3, 3), see `response.values_at_points`."""
         q, k = len(F), len(self.components)
         H = np.ascontiguousarray(F - np.eye(3))
         P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
@@ -198,7 +191,7 @@ class LogarithmicLaw:
     def stress_lost(self, start: Start, H: Floats) -> Floats:
         """Return 1 - |dev tau| / |dev T| (q,), tau Kirchhoff's stress and T that of the law.
 
-        Zero in the multiplicative form; in the additive form the error of the yield stress.
+        The error of the yield stress in the additive form, else 0.
         """
         share = np.zeros(len(H))
         for some in () if self.multiplicative else _chunks(len(H)):
@@ -208,7 +201,6 @@ class LogarithmicLaw:
         return share
 
     def _decompose(self, start: Start, H: Floats, some: slice) -> list[Floats]:
-        """x, logs, N, y, m of `logarithms`."""
         parts = [part[: len(H)] for part in (*self._vectors, *self._tensors)]
         roots = _NONE if start.roots is None else start.roots[some]
         logarithms.decompose(H, roots, start.roots is None, *parts)
@@ -242,7 +234,7 @@ def _chunks(q: int) -> list[slice]:
 def _answers(
     law: Law, size: int
 ) -> tuple[Sequence[tuple[int, int]], list[tuple[int, int, int, int]]]:
-    """Entries of T and L that `logarithms` takes: of an isotropic law principal ones."""
+    """Entries of T and L for `logarithms`: principal ones if isotropic."""
     pairs = INDEX[:size]
     if not law.isotropic:
         return pairs, [(*pairs[a], *pairs[b]) for a, b in _upper(size)]
@@ -288,7 +280,7 @@ class _InUFL:
         return np.ascontiguousarray(np.hstack(columns))
 
     def moduli(self, start: Start, some: slice, logs: Floats, N: Floats) -> Floats:
-        """T and L, see `logarithms`, and psi as the last column if there is a potential."""
+        """T and L, see `logarithms`, and psi last if there is a potential."""
         return tabulate(self._moduli, self._at(start, some, logs, N))
 
     def update(self, start: Start, some: slice, logs: Floats, N: Floats) -> dict[str, Floats]:
@@ -304,7 +296,6 @@ class _InUFL:
         return new
 
     def _at(self, start: Start, some: slice, logs: Floats, N: Floats) -> Floats:
-        """Arguments with the strain."""
         numbers = start.numbers[some]
         if self._law.isotropic:
             numbers[:, :3] = logs
@@ -352,7 +343,6 @@ class _OfArrays:
         return np.stack(columns, axis=1)
 
     def update(self, start: Start, some: slice, logs: Floats, N: Floats) -> dict[str, Floats]:
-        """As `_InUFL.update`."""
         new = self._values(start, some, logs, N).state
         if self._law.isotropic and PLASTIC in new:
             new[PLASTIC] = np.ascontiguousarray(new[PLASTIC][:, range(3), range(3)])
@@ -372,7 +362,7 @@ class _OfArrays:
 
 
 def _unit(i: int, j: int) -> Expr:
-    """Symmetric tensor with entries ij and ji, whose sum is one."""
+    """Symmetric tensor whose entries ij and ji add up to one."""
     entries = [[0.0] * 3 for _ in range(3)]
     entries[i][j] += 0.5
     entries[j][i] += 0.5

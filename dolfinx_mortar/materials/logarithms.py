@@ -32,8 +32,8 @@ from dolfinx_mortar.materials.tensor import INDEX
 PAIRS = INDEX
 SETTINGS = {"cache": True, "error_model": "numpy"}
 
-# Relative difference of eigenvalues: power series are exact to round-off below it; above,
-# differences lose at most two digits.
+# Relative difference of eigenvalues below which power series are exact to round-off; above,
+# differences lose two digits.
 NEAR = 0.08
 
 
@@ -87,7 +87,7 @@ def compose(N, values, A):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def compose_stored(N, values, size, components):  # type: ignore[no-untyped-def]
-    """Fill columns of components (q, ..) with the stored ones of sum_a values_a N_a N_a."""
+    """Fill columns of components (q, ..) with the stored sum_a values_a N_a N_a."""
     for q in range(len(N)):
         for p in range(size):
             i, j = PAIRS[p]
@@ -143,7 +143,7 @@ def second_difference(x, y, z, f_xy, f_yz, f_zx):  # type: ignore[no-untyped-def
     m = 1 + (x + y + z) / 3
     a, b, c = (1 + x - m) / m, (1 + y - m) / m, (1 + z - m) / m
     if max(abs(a), abs(b), abs(c)) < NEAR:
-        # complete homogeneous polynomials of a, b, c with sum zero
+        # complete homogeneous polynomials with zero sum
         second, third = a * b + b * c + c * a, a * b * c
         h0, h1, h2 = 0.0, 0.0, 1.0
         total, sign = 0.0, -1.0
@@ -209,7 +209,7 @@ def determinant(h):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def _isotropic_moduli(pairs, law, x, logs, S, M):  # type: ignore[no-untyped-def]
-    """Fill S and M by T_aa, the upper triangle of L_aabb, and G_12, G_23, G_13, T = 2 G E."""
+    """Fill S and M from T_aa, L_aabb (upper triangle), G_12, G_23, G_13, T = 2 G E."""
     k = 3
     for a in range(3):
         for b in range(a, 3):
@@ -228,7 +228,7 @@ def _isotropic_moduli(pairs, law, x, logs, S, M):  # type: ignore[no-untyped-def
 
 @numba.njit(**SETTINGS)
 def _moduli(pairs, law, x, logs, N, S, M, f, h, T, R, L):  # type: ignore[no-untyped-def]
-    """Fill S (3, 3) and M (s, s) from T and the upper triangle of L; the others are work space."""
+    """Fill S (3, 3) and M (s, s) from T and L (upper triangle); the rest is work space."""
     s = len(pairs)
     _differences(s, x, logs, f, h)
     _turn(s, N, R)
@@ -257,7 +257,6 @@ def _moduli(pairs, law, x, logs, N, S, M, f, h, T, R, L):  # type: ignore[no-unt
 
 @numba.njit(**SETTINGS)
 def _turn(s, N, R):  # type: ignore[no-untyped-def]
-    """Fill R (s, s), which maps stored components to those in the eigenvectors."""
     for i in range(s):
         a, b = PAIRS[i]
         for j in range(s):
@@ -267,7 +266,6 @@ def _turn(s, N, R):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def _transform(s, R, L, M):  # type: ignore[no-untyped-def]
-    """Set M to R L R^T."""
     for i in range(s):
         for j in range(s):
             M[i, j] = 0.0
@@ -281,7 +279,7 @@ def _transform(s, R, L, M):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def _add_curvature(s, T, h, M):  # type: ignore[no-untyped-def]
-    """Add T : d^2 E to M, 2 T_ab f_acb for each ac and cb."""
+    """Add T : d^2 E, 2 T_ab f_acb for each ac and cb."""
     for i in range(s):
         a, c = PAIRS[i]
         M[i, i] += 2 * T[a, a] * h[a, c, a]
@@ -298,7 +296,7 @@ def _add_curvature(s, T, h, M):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def _differences(s, x, logs, f, h):  # type: ignore[no-untyped-def]
-    """Fill the divided differences f_ab and f_abc of the stored pairs."""
+    """Fill f_ab and f_abc of the stored pairs."""
     for a in range(3):
         f[a, a] = 1 / (2 * (1 + x[a]))
         h[a, a, a] = -f[a, a] / (2 * (1 + x[a]))
@@ -333,7 +331,7 @@ def respond(pairs, isotropic, law, x, logs, N, y, m, P, A):  # type: ignore[no-u
 
 @numba.njit(**SETTINGS)
 def _fill_stress(pairs, y, m, S, Z, P):  # type: ignore[no-untyped-def]
-    """Fill Z (s, k), the derivatives of the components of C, and P (k,)."""
+    """Fill Z (s, k) = dC, and P (k,)."""
     s = len(pairs)
     k = s + 1 if s == 4 else s + 3
     for n in range(k):
@@ -348,7 +346,7 @@ def _fill_stress(pairs, y, m, S, Z, P):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def _couple(pairs, isotropic, M, Z, W):  # type: ignore[no-untyped-def]
-    """Set W (s, k) to M Z; an isotropic law couples normal strains only."""
+    """Set W (s, k) to M Z; isotropic laws couple normal strains only."""
     s = len(pairs)
     k = s + 1 if s == 4 else s + 3
     for p in range(s):
@@ -375,7 +373,7 @@ def congruent_columns(m, S, B):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def _fill_tangent(pairs, B, Z, W, A):  # type: ignore[no-untyped-def]
-    """Set A to the upper triangle of Z^T W plus B, the stress part."""
+    """Set A to Z^T W + B, the stress part; upper triangle."""
     s = len(pairs)
     k = s + 1 if s == 4 else s + 3
     t = 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The protocol of material laws: parameters, ranges, and a response in UFL or arrays."""
+"""The protocol of material laws."""
 
 import dataclasses
 import math
@@ -64,10 +64,7 @@ def ungrouped(p: SimpleNamespace) -> dict[str, Any]:
 
 
 def check_fields(law: Any) -> None:
-    """Raise ValueError unless the numbers among the parameters are in the ranges of the law.
-
-    Parameters in UFL are checked by the `Solid`.
-    """
+    """Raise ValueError for numbers out of the ranges of a law; the `Solid` checks UFL."""
     kind = type(law)
     given = {name: (getattr(law, name), *limits) for name, limits in kind.ranges.items()}
     check_parameters(kind.__name__, **given)
@@ -263,7 +260,7 @@ class PointwiseLaw(Material):
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """The parts of a law, looked up once in the class of a material; None if missing."""
+    """The parts of a law, None if missing; looked up once."""
 
     name: str
     strain: str  # "small" or "finite": the first argument of the methods
@@ -286,7 +283,7 @@ class Law:
 
     @property
     def condensed(self) -> bool:
-        """Whether the strain out of the plane is an unknown at each point."""
+        """Whether z is an unknown at each point."""
         return self.plane_stress and self.update is None and not self.linear
 
 
@@ -308,11 +305,7 @@ RESERVED = (
 
 
 def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
-    """Parts of a material's law; `name` is that of the user's argument.
-
-    Raises:
-        ValueError: for a missing or wrong part.
-    """
+    """Parts of a material's law, `name` in messages; a ValueError for a missing or wrong part."""
     if not dataclasses.is_dataclass(material) or isinstance(material, type):
         raise ValueError(f"{name} = {material!r} is not a material such as Elastic(E, nu).")
     kind = type(material)
@@ -355,7 +348,6 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
 
 
 def _check_parameters(law: Law, material: Any) -> None:
-    """Raise a ValueError unless parameters are numbers or UFL, and ranges name parameters."""
     given = named_parameters(material)
     for name in law.ranges:
         check(f"{law.name}: ranges: a name", name, one_of(*given))
@@ -370,7 +362,7 @@ def _check_parameters(law: Law, material: Any) -> None:
 
 
 def _is_isotropic(name: str, material: Any, state: Any) -> bool:
-    """Whether a law is declared isotropic; a ValueError if its state is not."""
+    """Whether a law is isotropic; a ValueError if its state is not."""
     isotropic = bool(getattr(material, "isotropic", False))
     tensors = [variable for variable, shape in state.items() if shape and variable != PLASTIC]
     if isotropic and tensors:
@@ -388,7 +380,7 @@ def _method(kind: type, name: str) -> Callable[..., Any] | None:
 
 
 def _fitting(material: Any, part: str) -> Callable[..., Any] | None:
-    """A derivative of the stress, if defined together with the law's energy and stress."""
+    """A derivative of the stress, if defined together with energy and stress."""
     places = [
         next((i for i, kind in enumerate(type(material).__mro__) if name in vars(kind)), math.inf)
         for name in (part, "energy", "stress")
@@ -398,7 +390,7 @@ def _fitting(material: Any, part: str) -> Callable[..., Any] | None:
 
 
 def _checked_state(law: str, state: Any) -> Mapping[str, tuple[int, ...]]:
-    """Declared internal variables, or a ValueError for a name or shape."""
+    """Declared internal variables; a ValueError for a name or shape."""
     check(f"{law}: state", state, instance(Mapping, "give a dictionary, name -> shape"))
     free = Rule[str](
         f"choose a text other than {', '.join(RESERVED)}",

@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""The response of a law to a strain, with checks of the values that its methods return.
+"""The response of a law to a strain, with checks of the values of its methods.
 
-Plane stress by condensation at each point: with the strain e in the plane and z out of it, a law
-gives sigma(e, z) with the moduli C,
+Plane stress by condensation at each point, with the strain e in the plane and z out of it:
 
     sigma_zz(e, z) = 0,         psi(e) = psi(e, z),
     d sigma / d e = C - C : zz (x) zz : C / C_zzzz.
 
 At finite strain e is F in the plane, sigma is P and z the stretch out of the plane less 1. For a
-linear law z = -sigma_zz(e, 0) / C_zzzz, in the compiled code; else Newton's method solves for z
-before assembly.
+linear law z = -sigma_zz(e, 0) / C_zzzz; else Newton's method solves for z before assembly.
 """
 
 import dataclasses
@@ -47,7 +45,6 @@ def with_normal_stretch(F: Expr, z: Any) -> Expr:
 
 
 def _with_normal(tensor: Expr, normal: Any) -> Expr:
-    """The in-plane part of a 3x3 tensor, with zz = normal."""
     (a, b), (c, d) = ((tensor[i, 0], tensor[i, 1]) for i in range(2))
     return ufl.as_tensor([[a, b, 0], [c, d, 0], [0, 0, normal]])
 
@@ -83,17 +80,15 @@ def solve_normal_strain(
 ) -> Floats:
     """Return z with sigma_zz(z) = 0, NaN where the law is undefined.
 
-    Newton's method from z = 0 or a start that depends on strain and state alone. For a convex
-    potential sigma_zz grows with z: iterates outside the bracket between pressure and tension
-    bisect it. Where C_zzzz is not positive, steps are twice those of the elastic modulus. At finite
-    strain no step goes further than half of the way to z = -1.
+    Newton's method, with bisection outside the bracket between pressure and tension, twice the
+    elastic step where C_zzzz <= 0, and at finite strain at most half of the way to z = -1.
 
     Args:
         law: its name.
         equation: of rows that are evaluated together, such as cells.
         shape: number of rows, and of points in each.
         finite: whether z is a stretch less 1.
-        start: of z.
+        start: of z, a function of strain and state alone.
 
     Raises:
         ValueError: naming the law, if Newton's method fails at a point.
@@ -105,7 +100,7 @@ def solve_normal_strain(
     rows: Ints = np.arange(shape[0], dtype=np.int32)
     for iteration in range(LIMIT):
         values = equation(rows, z[rows])
-        # Newton's method doubles the digits: half of them suffice before the last iteration
+        # half of the digits suffice before the last, quadratic iteration
         rows = rows[: _advance(z, low, high, rows, values, HALF_OF_DIGITS, floor, 0.5**iteration)]
         if not rows.size:
             return z
@@ -119,7 +114,7 @@ def solve_normal_strain(
 
 @numba.njit(cache=True, error_model="numpy")
 def _advance(z, low, high, rows, values, share, floor, softer):  # type: ignore[no-untyped-def]
-    """Iterate z in some rows; return the number of unfinished ones, moved to the front."""
+    """Iterate some rows; move unfinished ones to the front, return their number."""
     left = 0
     for k in range(len(rows)):
         row, done = rows[k], True
@@ -138,7 +133,7 @@ def _advance(z, low, high, rows, values, share, floor, softer):  # type: ignore[
                 else:
                     high[row, q] = z[row, q]
                 new, narrow = _kept_between(low[row, q], high[row, q], new, z[row, q] + step)
-                # a law that is undefined from the start counts as finished
+                # a law undefined from the start counts as finished
                 done = done and (narrow or (softer == 1.0 and np.isnan(stress)))
             z[row, q] = new
         if not done:
@@ -149,7 +144,7 @@ def _advance(z, low, high, rows, values, share, floor, softer):  # type: ignore[
 
 @numba.njit(cache=True, error_model="numpy")
 def _kept_between(low, high, new, instead):  # type: ignore[no-untyped-def]
-    """Return an iterate within its bracket or the middle, and whether the bracket is exhausted."""
+    """Iterate within the bracket, else its middle, and whether the bracket is exhausted."""
     if low < new < high:
         return new, False
     middle = (low + high) / 2
@@ -177,11 +172,10 @@ def respond(
 ) -> Response:
     """Stress, energy and new internal variables of a law in UFL.
 
-    In plane stress z is the strain out of the plane, if `law.condensed`; at finite strain F_zz = 1
-    + z.
+    z is the strain out of the plane if `law.condensed`; F_zz = 1 + z at finite strain.
 
     Raises:
-        ValueError: if a method of the law raises, or returns something of the wrong shape or name.
+        ValueError: for a method that raises, or returns a wrong shape or name.
     """
     equation = root = start = None
     finite = law.strain == "finite"
@@ -208,10 +202,9 @@ def respond(
 
 
 def _stress(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-    """Stress of a law, or the derivative of its energy."""
     if law.stress is not None:
         return _call(law, "stress", (3, 3), strain, state, p)
-    # not ufl.variable: its running number would enter the signature of the compiled code
+    # not ufl.variable: its running number would enter the compiled signature
     variable = Variable(strain, Label(-1))
     return ufl.diff(_call(law, "energy", (), variable, state, p), variable)
 
@@ -228,7 +221,7 @@ def _change(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any, direction
 def without_variables(expression: Expr) -> Expr:
     """An expression with the operands of its Variables.
 
-    Much faster than UFL's `strip_variables`, which visits shared subexpressions repeatedly.
+    UFL's `strip_variables` visits shared subexpressions repeatedly.
     """
     return map_expr_dag(_VariableStripper(), expression)
 
@@ -244,7 +237,6 @@ class _VariableStripper(MultiFunction):
 def _equation(
     law: Law, strain: Expr, state: Mapping[str, Expr], p: Any
 ) -> tuple[Expr, Expr, Expr, Expr]:
-    """Equation of the strain out of the plane, see `Response.equation`."""
     stress = _stress(law, strain, state, p)
     modulus = _change(law, strain, state, p, NORMAL)[2, 2]
     elastic = _call(law, "elastic_stress", (3, 3), NORMAL, p)[2, 2]
@@ -252,7 +244,7 @@ def _equation(
 
 
 def _elastic_root(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-    """Elastic strain out of the plane with sigma_zz = 0."""
+    """Elastic z with sigma_zz = 0."""
     elastic = with_normal_strain(strain, 0.0)
     if law.state.get(PLASTIC) == (3, 3):
         elastic = elastic - state[PLASTIC]
@@ -270,7 +262,6 @@ def elastic_response(law: Law, strain: Expr, p: Any) -> Expr:
 
 
 def _updated_state(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-    """New internal variables by declared name."""
     if law.updated_state is None:
         return {}
     new = _guarded(law, "updated_state", strain, state, p)
@@ -280,7 +271,6 @@ def _updated_state(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) ->
 
 
 def _check_state(law: Law, where: str, new: Any) -> None:
-    """Raise a ValueError unless a law returns its declared internal variables."""
     check(f"{where}: the state", new, instance(Mapping, "return a dictionary by name"))
     if set(new) != set(law.state):
         given, declared = (", ".join(sorted(names)) or "nothing" for names in (new, law.state))
@@ -288,7 +278,7 @@ def _check_state(law: Law, where: str, new: Any) -> None:
 
 
 def _call(law: Law, method: str, shape: tuple[int, ...], *arguments: Any) -> Any:
-    """Result of a method of a law, as UFL or an array of the right shape."""
+    """Result of a method, as UFL or an array of the right shape."""
     return _shaped(f"{law.name}.{method}", _guarded(law, method, *arguments), shape)
 
 
@@ -309,7 +299,7 @@ _ARGUMENTS = {"elastic_stress": "(strain, p)", "tangent": "(strain, state, p, di
 
 
 def _shaped(what: str, value: Any, shape: tuple[int, ...]) -> Any:
-    """Return a value as UFL, or as an array for a law of arrays; else a ValueError."""
+    """A value as UFL, or as an array for a law of arrays; else a ValueError."""
     arrays = len(shape) % 2 == 1  # the first axis is the points
     found: Any
     try:
@@ -352,11 +342,8 @@ def values_at_points(
 ) -> PointValues:
     """Values of a law of arrays at q points.
 
-    For a symmetric strain (q, 3, 3), or F, committed internal variables (q,) or (q, 3, 3),
-    parameters (q,).
-
-    Raises:
-        ValueError: if it raises, or returns a wrong form, name or shape.
+    `strain` symmetric (q, 3, 3), or F; committed internal variables (q,) or (q, 3, 3); parameters
+    (q,). ValueError if the law raises, or returns a wrong form, name or shape.
     """
     z, finite = None, law.strain == "finite"
     if law.plane_stress:
@@ -370,7 +357,6 @@ def values_at_points(
 
 
 def _flat(strain: Floats, normal: Floats) -> Floats:
-    """The in-plane part of tensors (q, 3, 3), with zz entries (q,)."""
     whole = np.zeros_like(strain)
     whole[:, :2, :2], whole[:, 2, 2] = strain[:, :2, :2], normal
     return whole
@@ -379,7 +365,7 @@ def _flat(strain: Floats, normal: Floats) -> Floats:
 def _normal_at_points(
     law: Law, strain: Floats, state: Mapping[str, Floats], p: SimpleNamespace
 ) -> Floats:
-    """Strain, or stretch less 1, (q,) out of the plane with sigma_zz = 0."""
+    """Strain, or stretch less 1, (q,) with sigma_zz = 0."""
     finite, parameters = law.strain == "finite", ungrouped(p)
 
     def equation(points: Ints, z: Floats) -> Floats:
@@ -395,7 +381,6 @@ def _normal_at_points(
 
 
 def _condensed(found: PointValues, z: Floats) -> PointValues:
-    """Values with stress and tangent condensed to plane stress."""
     stress, C = found.stress.copy(), found.tangent
     stress[:, 2], stress[:, :, 2] = 0.0, 0.0
     with np.errstate(all="ignore"):
@@ -409,7 +394,6 @@ def _condensed(found: PointValues, z: Floats) -> PointValues:
 def _updated(
     law: Law, strain: Floats, state: Mapping[str, Floats], p: SimpleNamespace
 ) -> PointValues:
-    """Call a law of arrays at q points, see `values_at_points`."""
     where, q = f"{law.name}.update", len(strain)
     found = _guarded(law, "update", strain, state, p)
     if not isinstance(found, tuple) or len(found) != 3:
@@ -427,7 +411,7 @@ def _updated(
 
 
 def _remedy(error: Exception) -> str:
-    """Remedy for an error of a user's function, or ""; numba caches by module name."""
+    """Remedy for an error, or ""; numba caches by module name."""
     if not isinstance(error, ModuleNotFoundError):
         return ""
     return (

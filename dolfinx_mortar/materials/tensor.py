@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Symmetric 3x3 tensors and their stored components.
 
-Tensors of plane problems have zeros xz and yz. The stored shear is the tensor component (not the
-engineering strain), once.
+The stored shear is the tensor component (not the engineering strain), once.
 
 ==== ===================
 """
@@ -55,9 +54,7 @@ def double_contraction(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def vector_norm(c: np.ndarray) -> np.ndarray:
-    """Euclidean norm of the stored components (..., 4 or 6), shear counted once.
-
-    Not invariant under rotation; some papers plot it of the back stress as "hardening".
+    """Euclidean norm of the stored components (..., 4 or 6), shear counted once (not invariant).
 
     >>> float(vector_norm(np.array([3.0, 0.0, 0.0, 4.0])))
     5.0

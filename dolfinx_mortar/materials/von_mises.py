@@ -25,8 +25,7 @@ from dolfinx_mortar.materials.protocol import (
 )
 from ufl.core.expr import Expr
 
-# Dead band of the yield condition: committed plastic points lie on the surface up to round-off of 2
-# mu eps (up to 1e5 yield strains).
+# Dead band of the yield condition: round-off of 2 mu eps up to 1e5 yield strains.
 YIELD_TOLERANCE = 1e-10
 LEAST_RATIO = -0.9
 """Poisson's ratio down to which `flow_in_plane_stress` is exact: below, its root has two scales."""
@@ -55,7 +54,7 @@ def _tangent(law: Any, strain: Expr, state: Mapping[str, Expr], p: Any, directio
 
 
 def _updated_state(law: Any, strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-    """Return the plastic strain and, with isotropic hardening, k at the end of the step."""
+    """Plastic strain and, with isotropic hardening, k at the end of the step."""
     xi, norm, g, _ = law._flow(strain, state, p)
     new = {PLASTIC: state[PLASTIC] + g / norm * xi}
     return new | ({ACCUMULATED: state[ACCUMULATED] + g} if ACCUMULATED in state else {})
@@ -141,7 +140,7 @@ class VonMises(Material):
 
     @property
     def normal_strain(self) -> Callable[..., Expr] | None:
-        """The strain out of the plane in plane stress, for a constant nu above -0.9."""
+        """Closed form of z in plane stress, for a constant nu above -0.9."""
         exact = isinstance(self.nu, Real) and float(self.nu) >= LEAST_RATIO
         return self._normal_strain if exact else None
 
@@ -174,7 +173,7 @@ class VonMises(Material):
             isotropic=(isotropic, 0.0, math.nextafter(1.0, 2.0), True),
         )
         modulus = 2 / 3 * plastic_modulus
-        # 0 * modulus is not a number in UFL: there would be an unused k
+        # 0 * modulus is not a number in UFL: k would be unused
         a, H = ((1 - isotropic) * modulus, isotropic * modulus) if isotropic else (modulus, 0.0)
         return cls(E, nu, math.sqrt(2 / 3) * yield_stress, a, H)
 
@@ -185,7 +184,7 @@ class VonMises(Material):
 
     @staticmethod
     def _flow(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr, Expr, Expr]:
-        """Return xi, |xi|, dgam and d dgam / d|xi|, with the dead band."""
+        """Return xi, |xi|, dgam and d dgam / d|xi|."""
         xi, norm = shifted_stress(strain, state, p)
         k, H = VonMises._memory(state, p)
         radius, slope = p.Y + H * k, 1 / (2 * shear_modulus(p) + p.a + H)
@@ -372,7 +371,7 @@ class VonMisesVoce(Material):
         rest = p.Q * ufl.exp(-p.b * k)  # remaining saturation
         radius = p.Y + p.H * k + p.Q - rest
         M = 2 * shear_modulus(p) + p.a + p.H
-        # ln(b rest / M), split so that one part is the same at all points of a cell
+        # split: one part is the same at all points of a cell
         found = increment(norm - radius, rest, M, p.b, ufl.ln(p.b * p.Q / M) - p.b * k)
         yields = ufl.gt(norm - radius, YIELD_TOLERANCE * radius)
         return xi, norm, *(ufl.conditional(yields, value, 0.0) for value in found)

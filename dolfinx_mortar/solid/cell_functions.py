@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Functions of one cell each: constants, or N = (1, x - x_c) at X, x_c the middle of the cell.
+"""Functions of one cell each: constants, or N = (1, x - x_c), x_c the middle of the cell.
 
-On cells of second order the affine functions keep the rate of convergence, and stable pressures.
+The affine ones keep the rate of convergence and stable pressures on cells of second order.
 
 Source: D. Boffi, L. Gastaldi, Int. J. Numer. Methods Fluids 39 (2002) 1001-1011.
 """
@@ -35,12 +35,7 @@ class CellFunctions:
     """
 
     def __init__(self, domain: mesh.Mesh, weight: Expr, dx: ufl.Measure, *, affine: bool) -> None:
-        """Integrate the products of the functions; collective.
-
-        Args:
-            dx: measure of all cells.
-            affine: whether the coordinates are among the functions.
-        """
+        """Integrate over `dx`, with the coordinates if `affine`; collective."""
         m = 1 + domain.geometry.dim * affine
         self.space = fem.functionspace(domain, ("DG", 0, (m,)))
         self.basis = _create_basis(self.space)
@@ -53,7 +48,7 @@ class CellFunctions:
 
     @property
     def size(self) -> int:
-        """The number m of functions of a cell."""
+        """The number m of functions."""
         return int(self.space.dofmap.bs)
 
     def field(self, coefficients: fem.Function) -> Expr:
@@ -61,15 +56,15 @@ class CellFunctions:
         return ufl.dot(coefficients, self.basis)
 
     def first(self, density: Expr) -> Expr:
-        """Form of `vectors` with the integrals of a density, then zeros."""
+        """Form of `vectors`: int density, then zeros."""
         return density * self._tests[0][0]
 
     def tested(self, density: Expr) -> Expr:
-        """Form of `vectors` with the integrals of a density times N_k."""
+        """Form of `vectors`: int density N_k."""
         return density * ufl.dot(self._tests[0], self.basis)
 
     def paired(self, density: Expr) -> Expr:
-        """Form of `matrices` with the integrals of a density times N_k N_l."""
+        """Form of `matrices`: int density N_k N_l."""
         return density * ufl.inner(ufl.outer(self.basis, self.basis), self._tests[1])
 
     def vectors(self, form: fem.Form) -> Floats:
@@ -81,7 +76,7 @@ class CellFunctions:
         return assemble(form, self._vectors[1]).reshape(-1, self.size, self.size).copy()
 
     def coefficients(self, integrals: Floats) -> Floats:
-        """Coefficients (owned cells, m) of the projection with given integrals with N_k."""
+        """Coefficients (owned cells, m) of the projection, given its integrals with N_k."""
         return np.asarray(np.einsum("ckl,cl->ck", self.inverse, integrals))
 
     def values(self, f: fem.Function) -> Floats:
@@ -90,7 +85,7 @@ class CellFunctions:
 
 
 def _create_basis(space: fem.FunctionSpace) -> Expr:
-    """Return (1, (x - x_c) / h), h the size of the cell: the same round-off in any unit."""
+    """Return (1, (x - x_c) / h), h the size of the cell, for unit-free round-off."""
     domain, m = space.mesh, space.dofmap.bs
     if m == 1:
         return ufl.as_vector([1.0])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Eigenstrain, the strain of a body without stress: thermal, misfit, initial."""
+"""Eigenstrain, the strain of a body without stress."""
 
 from collections.abc import Mapping, Sequence
 from numbers import Number
@@ -77,7 +77,7 @@ class Eigenstrain(Followed):
         return from_components(function) if function.ufl_shape else function * ufl.Identity(3)
 
     def judge(self) -> None:
-        """Raise a ValueError if it is NaN, infinite, not symmetric, or shears out of the plane."""
+        """Raise a ValueError for NaN, infinity, asymmetry, or shear out of the plane."""
         for source, vanishing in zip(self._sources, self._vanishing, strict=True):
             self._judge(source, vanishing)
 
@@ -125,7 +125,7 @@ def create_eigenstrain(
 def _parts(
     domain: mesh.Mesh, given: Any, cell_tags: mesh.MeshTags | None
 ) -> list[tuple[str, Any, Ints]]:
-    """Name, value and local cells of every part of the argument; collective."""
+    """Name, value and local cells of each part; collective."""
     imap = domain.topology.index_map(domain.topology.dim)
     if not isinstance(given, Mapping):
         return [("eigenstrain", given, np.arange(imap.size_local + imap.num_ghosts, dtype="i4"))]

@@ -44,7 +44,7 @@ def in_any_order() -> dict[str, list[str]]:
 
 
 def unrolled(cell: str) -> list[str]:
-    """Compiler options for other forms: -O3 on tensor-product cells, with the same bits."""
+    """Compiler options for other forms: -O3 on tensor-product cells."""
     given = get_options()["cffi_extra_compile_args"]
     if cell not in ("quadrilateral", "hexahedron") or "-O2" not in given:
         return list(given)
@@ -54,17 +54,14 @@ def unrolled(cell: str) -> list[str]:
 class Forms:
     """Compiled forms of a solid, with the two vectors that they read or fill.
 
-    A reduced volumetric part is not among them.
-
     Attributes:
         residual: int sigma : d eps/du [v].
         tangent: its derivative.
         elastic_norm: int eps(w) : C : eps(w), w = `direction`.
         element_force: sum_e sum_a |f_ea|^2.
         energy: Psi, if all laws have a potential.
-        direction: argument of `elastic_norm`.
         force: the residual with its ghosts.
-        dilatation: the reduced part of tangent, elastic_norm and energy.
+        dilatation: the reduced volumetric part, not among these forms.
         committed: data of the stress of the committed state.
     """
 
@@ -125,7 +122,7 @@ class Forms:
 
     @cached_property
     def moduli(self) -> float:
-        """Integral over this rank's cells of |C : (e_x e_y + e_y e_x)|, an energy."""
+        """This rank's integral of |C : (e_x e_y + e_y e_x)|, an energy."""
         shear = ufl.as_tensor([[0, 1, 0], [1, 0, 0], [0, 0, 0]])
         integral = dataclasses.replace(self._integral, degree=1)
         moduli = [elastic_response(r.law, shear, r.symbols) for r in integral.regions]
@@ -135,7 +132,7 @@ class Forms:
 
 
 class CommittedData:
-    """Displacement, eigenstrain and parameters of the committed state, for `add_first_forces`."""
+    """Committed displacement, eigenstrain and parameters, for `add_first_forces`."""
 
     def __init__(
         self,
@@ -155,7 +152,7 @@ class CommittedData:
             values[:] = 0.0
 
     def keep(self) -> None:
-        """Copy the present values to the committed ones."""
+        """Commit the present values."""
         self._kept = [f.x.array.copy() for f in self._functions]
 
     def forget(self) -> None:
@@ -175,7 +172,7 @@ class CommittedData:
 
     @cached_property
     def change(self) -> tuple[fem.Form, list[fem.Function]]:
-        """The form int C : (eps(w) - e) : eps(v) at small strain, C the tangent, and w, e."""
+        """Form int C : (eps(w) - e) : eps(v) at small strain, and w, e."""
         V, kinematics = self._u.function_space, self._integral.kinematics
         changes, v = [fem.Function(V)], ufl.TestFunction(V)
         strain, virtual = (kinematics.virtual(self._u, along) for along in (changes[0], v))
@@ -204,7 +201,7 @@ def create_responses(
     state: Mapping[str, fem.Function],
     found: Mapping[Law, PointValuesOfRegion],
 ) -> list[Response]:
-    """Response of the law of each region to a 3x3 strain, in UFL; collective.
+    """Response of each region to a 3x3 strain, in UFL; collective.
 
     Raises:
         ValueError: on all ranks, if a law raises or returns something wrong on any.
@@ -227,13 +224,13 @@ def _unturned(kinematics: Kinematics, u: fem.Function, v: Expr) -> Expr:
 
 
 def _from_energy(law: Law) -> bool:
-    """Whether UFL derives a (symmetric) tangent from the energy of a law of F."""
+    """Whether UFL derives a symmetric tangent from an energy of F."""
     derived = law.update is None and law.stress is None and law.tangent is None
     return derived and law.strain == "finite"
 
 
 def moduli_first(response: Response, entries: Sequence[tuple[int, int]]) -> Response:
-    """Response whose change is a symmetric dP/dF, formed once, times the direction."""
+    """Response with a symmetric dP/dF, formed once, times the direction."""
 
     def change(direction: Expr) -> Expr:
         columns = []
@@ -253,7 +250,6 @@ def moduli_first(response: Response, entries: Sequence[tuple[int, int]]) -> Resp
 def _tangent(
     u: fem.Function, responses: Sequence[Response], kinematics: Kinematics, integral: Integral
 ) -> ufl.Form:
-    """The consistent tangent int d eps[v] : C : d eps[w] + sigma : d^2 eps[v, w]."""
     V = u.function_space
     v, w = ufl.TestFunction(V), ufl.TrialFunction(V)
     virtual, along = kinematics.virtual(u, v), kinematics.virtual(u, w)

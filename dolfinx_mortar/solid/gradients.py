@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Strain, rotation and volume at the integration points, and the terms neglected at small strain.
 
-With H = grad u and its symmetric part e, the Green-Lagrange strain is e + H^T H / 2; a rotation by
-a alone has a^2 / 2 in both directions across the axis.
+With H = grad u the Green-Lagrange strain is sym H + H^T H / 2.
 """
 
 import dataclasses
@@ -32,7 +31,7 @@ from ufl.core.expr import Expr
 
 
 def check_finite(strain: Any, eigenstrain: Any) -> None:
-    """Raise a ValueError for an unknown strain, and for arguments that exclude a finite one."""
+    """Raise a ValueError for an unknown strain, and arguments that exclude a finite one."""
     check("strain", strain, one_of("small", "finite"))
     if strain == "finite" and eigenstrain is not None:
         raise ValueError(
@@ -47,8 +46,7 @@ class Volumes:
 
     Attributes:
         J: quadrature Function filled by `Solid.evaluate`; 1 before.
-        source: evaluation of J.
-        thickness: F_zz, of plates the stretch through their thickness.
+        thickness: F_zz, the stretch through a plate.
     """
 
     def __init__(self, u: fem.Function, gradient: Expr, degree: int) -> None:
@@ -82,10 +80,7 @@ class Volumes:
 
 
 def describe_lowest(domain: Mesh, values: Floats, limit: float, cells_do: str, name: str) -> str:
-    """Message on cells with values (owned cells, points) <= limit or NaN, or ""; collective.
-
-    `cells_do` and `name` are parts of it.
-    """
+    """Message on cells with values (owned cells, points) <= limit or NaN, or ""; collective."""
     bad = ~(values > limit).all(axis=1)
     where = ""
     if bad.any():
@@ -166,7 +161,7 @@ class PointGradients:
         return Gradients(strain, rotation, rest[0], rest[1], rest[2] if rest[2:] else strain)
 
     def describe_shortened(self, limit: float) -> str:
-        """Message about finite strains that shorten lengths below a limit, or ""; collective."""
+        """Message on shortening below a limit at finite strain, or ""; collective."""
         strain = np.nan_to_num(self.evaluate().strain, posinf=0.0, neginf=0.0)
         C = np.eye(3) + 2 * tensor_of(strain)
         stretches = np.sqrt(np.maximum(np.linalg.eigvalsh(C)[:, 0], 0.0))

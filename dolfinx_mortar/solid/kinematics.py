@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Kinematics: plane, axisymmetric or spatial problems as one frozen record."""
+"""Plane, axisymmetric or spatial problems as one frozen record."""
 
 import dataclasses
 from collections.abc import Callable
@@ -20,10 +20,7 @@ from ufl.core.expr import Expr
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Strain of a displacement, and volume of the integrals.
-
-    The virtual strain is the derivative d measure(u)/du [v], by UFL.
-    """
+    """Strain of a displacement, and volume of the integrals."""
 
     name: str
     measure: Callable[[Expr], Expr]  # displacement -> strain, 3x3
@@ -83,7 +80,7 @@ class Kinematics:
         """Weight (q,) at points (q, d); 0 on an axis up to round-off.
 
         Raises:
-            ValueError: if the weight does not work with NumPy arrays, or is negative or NaN.
+            ValueError: for a weight that fails, or is negative or NaN.
         """
         try:
             values = np.asarray(self.weight(points.T), dtype=np.float64)
@@ -104,18 +101,16 @@ class Kinematics:
 
 
 def _plane(u: Expr, hoop: Any = 0) -> Expr:
-    """H of a displacement in the plane, 3x3, with H_zz = hoop."""
     g = ufl.grad(u)
     return ufl.as_tensor([[g[0, 0], g[0, 1], 0], [g[1, 0], g[1, 1], 0], [0, 0, hoop]])
 
 
 def _ring(u: Expr) -> Expr:
-    """H of a ring by the displacement (u_r, u_z), in the order r, z, theta."""
+    """H, 3x3, of the displacement (u_r, u_z), in the order r, z, theta."""
     return _plane(u, u[0] / ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u))[0])
 
 
 def _of_gradient(name: str, H: Callable[[Expr], Expr], dimension: int, **others: Any) -> Kinematics:
-    """Kinematics by the displacement gradient H, 3x3, with the defaults of plane strain."""
     others = {"weight": _unit, "rigid_motions": translations_and_rotations} | others
     return Kinematics(
         name,
@@ -127,7 +122,7 @@ def _of_gradient(name: str, H: Callable[[Expr], Expr], dimension: int, **others:
 
 
 def _circumference(x: Any) -> Any:
-    """Return 2 pi r: forces of the whole ring."""
+    """Forces are those of the whole ring."""
     return 2 * np.pi * x[0]
 
 
@@ -137,7 +132,7 @@ def _along_the_axis(x: Floats) -> dict[str, Floats]:
 
 
 def _unit(x: Any) -> int:
-    """Return 1: forces of a body, in the plane per thickness."""
+    """Forces are per thickness in the plane."""
     return 1
 
 
@@ -211,7 +206,7 @@ def on_axis(kinematics: Kinematics, mesh: Mesh, x: Floats) -> Bools:
 
 
 def check_radius(kinematics: Kinematics, mesh: Mesh) -> None:
-    """Raise a ValueError on all ranks for a mesh with negative radii; collective."""
+    """Raise a ValueError on all ranks for negative radii; collective."""
     if kinematics.radius is None:
         return
     x, i = np.asarray(mesh.geometry.x, dtype=np.float64), kinematics.radius

@@ -51,11 +51,7 @@ UNTAGGED = int(np.iinfo(np.int32).min)
 
 
 class ParameterTable(Followed):
-    """All parameters of a law, one value per cell, or per integration point where one varies in it.
-
-    Attributes:
-        symbols: the parameters by name, as UFL.
-    """
+    """Parameters of a law per cell, or per integration point where one varies; `symbols` in UFL."""
 
     def __init__(
         self,
@@ -65,19 +61,15 @@ class ParameterTable(Followed):
         cells: Sequence[Ints],
         degree: int,
     ) -> None:
-        """Create the parameters of materials of one law, with their numbers; collective.
-
-        `follow` evaluates varying ones.
+        """Create the parameters of materials of one law, for `follow`; collective.
 
         Args:
             u: displacement, on which no parameter may depend.
-            law: of all materials, which are of one class.
             cells: local cells of each material, ghosts included.
             degree: of the quadrature of the solid.
 
         Raises:
-            ValueError: on all ranks, if a parameter depends on u, belongs to another mesh or to
-                other points than those of the solid.
+            ValueError: on all ranks, if a parameter depends on u, another mesh or other points.
         """
         self._law, self._cells = law, np.sort(np.concatenate(cells))
         self._names = names = list(named_parameters(materials[0]))
@@ -180,7 +172,7 @@ class Region:
         return self.parameters.symbols
 
     def tensors(self, state: Mapping[str, fem.Function]) -> dict[str, Expr]:
-        """Internal variables of the law as UFL, () or (3, 3) by name."""
+        """Internal variables in UFL by name, () or (3, 3)."""
         return {
             name: from_components(state[name]) if shape else state[name]
             for name, shape in self.law.state.items()
@@ -190,7 +182,7 @@ class Region:
         """Output fields of the law, (q,) or (q, components), q points cell by cell.
 
         Raises:
-            ValueError: naming the law, if it raises or returns something wrong.
+            ValueError: naming a law that raises or returns something wrong.
         """
         if self.law.output is None:
             return {}
@@ -234,8 +226,8 @@ def create_regions(
                 f"materials: {law.name} is a law of the deformation gradient: choose "
                 "Solid(.., strain='finite')"
             )
-    # Regions have one class, state, form at finite strain and plane stress each; sorted by name so
-    # that the order of the dictionary does not change the forms.
+    # one region per class, state, form at finite strain and plane stress; sorted by name so that
+    # the order of the dictionary does not change the forms
     alike: dict[Any, list[int]] = {}
     for i, (material, law) in enumerate(given):
         form = kinematics.finite and law.isotropic  # see `materials.logarithmic`
@@ -258,10 +250,10 @@ def create_regions(
 def create_state(
     regions: Sequence[Region], domain: mesh.Mesh, degree: int
 ) -> dict[str, fem.Function]:
-    """Create the internal variables of all laws, shared by laws that use the same name.
+    """Create the internal variables, shared by laws that use the same name.
 
     Raises:
-        ValueError: if two laws have an internal variable of one name in two shapes.
+        ValueError: for one name with two shapes.
     """
     shapes: dict[str, tuple[int, ...]] = {}
     owner: dict[str, str] = {}
@@ -282,10 +274,7 @@ def create_evaluations(
     staged: Mapping[str, fem.Function],
     stress: fem.Function,
 ) -> list[Source]:
-    """Compile stress and new internal variables of all regions; collective.
-
-    All depend on the displacement and the committed state only, so the order is free.
-    """
+    """Compile stress and new internal variables of all regions, in any order; collective."""
     size, evaluations = stress.function_space.dofmap.bs, []
     for region, response in zip(regions, responses, strict=True):
         given = [("stress", stress, response.stress)]
@@ -329,7 +318,6 @@ def by_cells(
     """Entries of an argument by tag, and the tags of the local cells; collective.
 
     Args:
-        cell_tags: of its cells.
         given: entries by tag or by name.
         name: of the argument, for messages.
         cover: whether each cell must have an entry.
@@ -404,6 +392,6 @@ class Integral:
         if len(regions) == 1:
             return [dx]
         owned = domain.topology.index_map(domain.topology.dim).size_local
-        # numbers of the laws: the user's tags must not enter the compiled code
+        # not the user's tags, which must not enter the compiled code
         dx = dx(subdomain_data=[(i, r.cells[r.cells < owned]) for i, r in enumerate(regions)])
         return [dx(i) for i in range(len(regions))]

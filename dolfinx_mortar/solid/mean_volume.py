@@ -3,27 +3,28 @@
 
 **Small strain**, psi(eps) = psi(dev eps) + K/2 tr(eps)^2: the laws get the deviator, and
 
-    psi_vol = K/2 V t^2,    t = (B u - b) / V,    B_a = int tr eps(phi_a),  b = int tr eps_0,
+**Small strain**, psi(eps) = psi(dev eps) + K/2 tr(eps)^2: the laws get the deviator, and
 
 V the volume of the cell, with the weight of the kinematics. The forces are B^T p with the mean
 stress p = K t of the output, the tangent is B^T (K / V) B.
 
+**Finite strain**, psi(F) = psi_0(F) + U(J): theory.md, Finite strain. On quadrilaterals and
+hexahedra of second order, with M = int N N^T, B_ka = int N_k dJ/du_a, S = int U''(j) N N^T,
+
 **Finite strain**, psi(F) = psi_0(F) + U(J): derived in theory.md, Finite strain. On quadrilaterals
 and hexahedra of second order, with M = int N N^T, B_ka = int N_k dJ/du_a, S = int U''(j) N N^T,
 
-    psi_vol = int U(j),  j = N^T M^-1 int N J,  p = N^T M^-1 int N U'(j),  B^T M^-1 S M^-1 B.
+On triangles and tetrahedra of second order N would lock. Pressures of tetrahedra, and of hexahedra
+of first order, alternate.
 
-Triangles and tetrahedra of second order have constants: N would lock. Pressures of tetrahedra, and
-of hexahedra of first order, alternate.
+Newton's method on u alone takes many short steps if U'' is far above the other moduli, so p is an
+unknown: a step leaves it at p + U''(j) B du / V, the next tangent has p d2J/du2 with that p, the
+energy along a step its volumes (`VolumeStep`), and the forces U'(j(u)), with the same solution.
 
 Newton's method on u alone takes many short steps if U'' is far above the other moduli: a change of
 shears by e puts an error U'' e^2 into p. So p is an unknown: a step leaves it at p + U''(j) B du /
 V, the next tangent has p d2J/du2 with that p, the energy along a step its volumes (`VolumeStep`),
 and the forces U'(j(u)), with the same solution.
-
-Sources: Simo, Taylor, Pister, Comput. Methods Appl. Mech. Engrg. 51 (1985) 177-208; T. Sussman,
-K.-J. Bathe, Comput. Struct. 26 (1987) 357-409 (9/3); D. Magisano, L. Leonetti, G. Garcea, Comput.
-Methods Appl. Mech. Engrg. 313 (2017) 986-1005, for p as an unknown.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ def create_dilatation(
 def check_reducible(
     V: fem.FunctionSpace, regions: Sequence[Region], kinematics: Kinematics, degree: int
 ) -> None:
-    """Raise a ValueError without a volumetric part that could be reduced."""
+    """Raise a ValueError unless a volumetric part can be reduced."""
     cell, p = V.mesh.topology.cell_name(), V.element.basix_element.degree
     laws = [r.law for r in regions]
     whole = ", ".join(k.name for k in laws if k.strain == "finite" and not k.volumetric)
@@ -106,11 +107,7 @@ def check_reducible(
 
 
 class MeanDilatation:
-    """The volumetric part at small strain, by the mean over each cell.
-
-    Attributes:
-        mean_stress: p = K t per cell, a DG0 Function; up to date after `follow`.
-    """
+    """The volumetric part at small strain; `mean_stress`: p = K t per cell, by `follow`."""
 
     def __init__(
         self, u: fem.Function, integral: Integral, eigenstrain: Eigenstrain | None
@@ -144,7 +141,7 @@ class MeanDilatation:
         )
 
     def follow(self) -> None:
-        """Update to the displacement and the parameters of the laws; collective."""
+        """Update to displacement and parameters; collective."""
         self._bulk = assemble(self._modulus, self._vector) / self._volumes
         change = self._B.times(self._u)[:, 0]
         if self._free is not None:
@@ -153,7 +150,7 @@ class MeanDilatation:
         self.mean_stress.x.scatter_forward()
 
     def energy(self, along: Any = None) -> float:
-        """Return sum_c K/2 V t^2 over the owned cells, t as of `follow`."""
+        """Return sum_c K/2 V t^2 over the owned cells."""
         return float((self.densities() * self._volumes).sum())
 
     def densities(self) -> Floats:
@@ -204,7 +201,7 @@ class VolumeStep:
         return np.asarray(np.einsum("ckl,cl->ck", self.inverse, self.slope_at(t)))
 
     def energy_at(self, t: float, ratio: Floats) -> Floats:
-        """Energy of each cell at another j, linear in its difference from the linearisation."""
+        """Energy of each cell at another j, linear about the linearisation."""
         way, slope = t * self.change, self.slope_at(t)
         along = ((self.slope + slope) / 2 * way).sum(axis=1)
         missed = (slope * (ratio - self.ratio - way)).sum(axis=1)
@@ -216,7 +213,7 @@ class MeanVolume:
 
     Attributes:
         cells: the functions onto which J and U'(j) are projected.
-        mean_stress: coefficients of p; up to date after `follow`.
+        mean_stress: coefficients of p, as of `follow`.
     """
 
     def __init__(self, u: fem.Function, integral: Integral) -> None:
@@ -269,13 +266,13 @@ class MeanVolume:
         return dataclasses.replace(response, stress=total, energy=energy, change=change)
 
     def follow(self) -> None:
-        """Update to the displacement and the parameters of the laws; collective."""
+        """Update to displacement and parameters; collective."""
         cells = self.cells
         set_owned(self._ratio, cells.coefficients(cells.vectors(self._volume_form)))
         self.set_pressure(cells.coefficients(cells.vectors(self._energy_forms[1])))
 
     def set_pressure(self, pressure: Floats) -> None:
-        """Set the coefficients (owned cells, m) of p, until the next `follow`; collective."""
+        """Set the coefficients (owned cells, m) of p until the next `follow`; collective."""
         set_owned(self.mean_stress, pressure)
 
     def energy(self, along: tuple[VolumeStep, float] | None = None) -> float:
@@ -286,7 +283,6 @@ class MeanVolume:
         return float(step.energy_at(t, self.cells.values(self._ratio)).sum())
 
     def _energies(self) -> Floats:
-        """Return int U(j) of the owned cells; collective."""
         return self.cells.vectors(self._energy_forms[0])[:, 0]
 
     def densities(self) -> Floats:

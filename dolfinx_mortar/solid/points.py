@@ -40,7 +40,7 @@ ALIASES = {"hardening": "back_stress_vector_norm"}
 
 
 class PointFields:
-    """Values of quadrature Functions and derived quantities on the owned cells, by NumPy."""
+    """Values of quadrature Functions and derived quantities on the owned cells."""
 
     def __init__(
         self,
@@ -50,7 +50,7 @@ class PointFields:
         degree: int,
         weight: Callable[[Any], Any],
     ) -> None:
-        """Keep references to the quadrature Functions, compile the weights; collective."""
+        """Compile the weights; collective."""
         self._stored = {"stress": stress, **state}
         self._regions = regions
         self.degree = degree
@@ -63,7 +63,7 @@ class PointFields:
 
     @cached_property
     def bases(self) -> dict[str, tuple[int, ...]]:
-        """Shapes, (components,) or (), of stress, state and output of the laws, by name."""
+        """Shapes, (components,) or (), of stress, state and output, by name."""
         shapes: dict[str, tuple[int, ...]] = {
             name: (len(self._components),) if f.function_space.dofmap.bs > 1 else ()
             for name, f in self._stored.items()
@@ -132,12 +132,11 @@ class PointFields:
         return self._base(name)
 
     def _is_tensor(self, name: str) -> bool:
-        """Whether a name stands for a symmetric tensor."""
         shape = self.bases.get(name, ())
         return shape == (len(self._components),) or PLASTIC_FIELDS.get(name, False)
 
     def _base(self, name: str) -> np.ndarray:
-        """Return a stored or derived field, zero where a law has none."""
+        """Stored or derived field, zero where a law has none."""
         if name in self._stored:
             return self._at_points(self._stored[name])
         if name not in self.bases and name not in PLASTIC_FIELDS:
@@ -156,13 +155,13 @@ class PointFields:
         return result
 
     def _at_points(self, f: fem.Function) -> np.ndarray:
-        """Return a quadrature Function on the owned cells, (cells, points[, components])."""
+        """Quadrature Function on the owned cells, (cells, points[, components])."""
         dofmap = f.function_space.dofmap
         values = f.x.array.reshape(-1, dofmap.bs)[dofmap.list[: self._owned]]
         return values[..., 0] if dofmap.bs == 1 else values
 
     def _output(self, region: Region, cells: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the derived fields of a region's law, cell by cell."""
+        """Derived fields of a region's law, cell by cell."""
         state = {}
         for name in region.law.state:
             values = self._at_points(self._stored[name])[cells]
@@ -175,7 +174,7 @@ class PointFields:
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """Integration weights (cells, points) of the kinematics; their sum is the volume."""
+        """Integration weights (cells, points); their sum is the volume."""
         form, places = self._weights
         return np.asarray(fem.assemble_vector(form).array[places[: self._owned]])
 
@@ -187,7 +186,7 @@ class PointFields:
         return values
 
     def max(self, name: str) -> float:
-        """Largest value of a scalar field over all points and ranks."""
+        """Largest value of a scalar field over all ranks."""
         values = self._values_everywhere(name)
         if values.ndim > 2:
             raise ValueError(
@@ -197,13 +196,13 @@ class PointFields:
         return self._mesh.comm.allreduce(largest, op=MPI.MAX)
 
     def integral(self, name: str) -> float:
-        """Integral of a scalar field over the bodies of all ranks."""
+        """Integral of a scalar field over all ranks."""
         return self._mesh.comm.allreduce(
             float(np.sum(self._values_everywhere(name) * self.weights)), op=MPI.SUM
         )
 
     def cell_values(self, name: str) -> fem.Function:
-        """Cell averages of a field as a DG0 Function, one per name and refilled."""
+        """Cell averages as a DG0 Function, one per name and refilled."""
         values, weights = self._values_everywhere(name), self.weights
         if name not in self._averages:
             shape = values.shape[2:]
@@ -221,7 +220,7 @@ class PointFields:
 def _compile_weights(
     domain: mesh.Mesh, degree: int, weight: Callable[[Any], Any]
 ) -> tuple[fem.Form, Ints]:
-    """Return the form of the integration weights, and the cells' entries in its vector."""
+    """Form of the integration weights, and the cells' entries in its vector."""
     Q = point_function(domain, degree).function_space
     factor = ufl.as_ufl(weight(ufl.SpatialCoordinate(domain)))
     return fem.form(factor * ufl.TestFunction(Q) * measure(domain, degree)), Q.dofmap.list
@@ -241,8 +240,7 @@ class Energies:
 class EnergyDensities:
     """Densities per volume at X, at the integration points, for laws with a potential.
 
-    The potential of a step, psi(eps; state_n), is the minimum of the energy stored at its end plus
-    the dissipation; from the new state nothing flows, so that
+    The potential psi(eps; state_n) is the minimum of stored energy plus dissipation:
 
         stored     = psi(eps; state),
         dissipated = psi(eps; state_n) - psi(eps; state),     added up over the steps.
@@ -291,10 +289,8 @@ class EnergyDensities:
     ) -> None:
         """Evaluate the stored energy, and add to the dissipated; collective.
 
-        Args:
-            committed: internal variables at the start of the step.
-            staged: those at its end.
-            follow: updates data that have changed at the points.
+        `committed` and `staged` are internal variables at the start and end of the step; `follow`
+        updates data that have changed at the points.
         """
         fill_all(self._mesh.comm, self._sources)
         potential = self.stored.x.array.copy()
@@ -316,7 +312,7 @@ class EnergyDensities:
             self.stored.x.scatter_forward()
 
     def by_body(self, fields: PointFields) -> dict[int | str, Energies]:
-        """Return the energies of the cells of each tag, by its name if it has one; collective."""
+        """Energies of the cells of each tag, by its name if any; collective."""
         domain, named = self._mesh, self._cell_tags
         owned = domain.topology.index_map(domain.topology.dim).size_local
         tags = np.zeros(owned, dtype=np.int64)
@@ -342,7 +338,6 @@ class PointState:
         shown: other Functions filled by `evaluate`, by name.
         followed: the parameters of the laws and the eigenstrain.
         found: values computed before each assembly, by law.
-        evaluations: of stress and new internal variables.
         densities: energies, if requested.
     """
 
@@ -396,7 +391,7 @@ class PointState:
             self.committed[name].x.array[:] = staged.x.array
 
     def keep(self) -> list[tuple[fem.Function, Floats]]:
-        """Copies of results, state, and their parameters, for `put_back`."""
+        """Copies of results, state and parameters, for `put_back`."""
         functions = [*self.lasting_fields().values(), *(one.function for one in self.followed)]
         return [(f, f.x.array.copy()) for f in functions]
 
@@ -414,7 +409,7 @@ class PointState:
         return {"stress": self.stress} | committed | self.shown | shown
 
     def flowing(self) -> Bools:
-        """Points (owned cells, points) whose state `evaluate` has changed."""
+        """Points (owned cells, points) whose state has changed."""
         space = self.stress.function_space
         cells = space.mesh.topology.index_map(space.mesh.topology.dim).size_local
         changed = np.zeros((cells, space.dofmap.list.shape[1]), dtype=bool)

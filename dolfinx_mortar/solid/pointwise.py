@@ -35,7 +35,7 @@ class PointValuesOfRegion(ABC):
 
     Attributes:
         response: of the law, in terms of these values.
-        normal: in plane stress the strain (stretch less 1) out of the plane, else zero.
+        normal: z in plane stress, else zero.
     """
 
     response: Response
@@ -66,18 +66,13 @@ class PointValuesOfRegion(ABC):
         """Fill the Functions; an error leaves them unchanged."""
 
     def fill(self) -> None:
-        """Evaluate the law if an input has changed; not collective.
-
-        Raises:
-            ValueError: if the law fails.
-        """
+        """Evaluate the law if an input has changed, or raise a ValueError; not collective."""
         now = [f.x.array for f in self._inputs]
         if len(self._seen) != len(now) or not all(map(np.array_equal, now, self._seen)):
             self._evaluate()
             self._seen = self._copies(now)
 
     def _copies(self, now: list[Floats]) -> list[Floats]:
-        """Copies of the evaluated inputs."""
         return [values.copy() for values in now]
 
     def settle(self) -> None:  # noqa: B027 - most have evaluated everything by then
@@ -92,11 +87,10 @@ class PointValuesOfRegion(ABC):
         return found
 
     def _rows(self, f: fem.Function) -> Ints:
-        """Points of the region: rows of a Function's values."""
         return np.asarray(f.function_space.dofmap.list[self.region.cells].ravel())
 
     def _set(self, f: fem.Function, values: Floats) -> None:
-        """Set a Function at the points: values (q,), (q, components) or tensors (q, 3, 3)."""
+        """Set a Function at the points: (q,), (q, components) or (q, 3, 3)."""
         size = f.function_space.dofmap.bs
         values = stored(values, size) if values.ndim == 3 else values.reshape(-1, size)
         f.x.array.reshape(-1, size)[self._rows(f)] = values
@@ -106,7 +100,7 @@ class PointValuesOfRegion(ABC):
 
 
 class NormalStrain(PointValuesOfRegion):
-    """The strain (stretch less 1) out of the plane with sigma_zz = 0, of a law in UFL."""
+    """The strain (stretch less 1) z in plane stress, of a law in UFL."""
 
     def _create(self, strain: Expr, degree: int) -> None:
         region = self.region
@@ -124,7 +118,6 @@ class NormalStrain(PointValuesOfRegion):
         self._start = None if start is None else fem.Expression(start, points)
 
     def _evaluate(self) -> None:
-        """Solve the equation at all points, or evaluate its closed form."""
         assert self.normal is not None
         cells, values = self.region.cells, self.normal.x.array
         dofs = self.normal.function_space.dofmap.list[cells]
@@ -222,7 +215,7 @@ class PointwiseFields(PointValuesOfRegion):
                 self._set(f, values)
 
     def _judge(self, bad: Bools, strain: Floats, what: str) -> None:
-        """Raise a ValueError for invalid points, naming the first."""
+        """Raise a ValueError naming the first invalid point."""
         wrong = np.flatnonzero(bad)
         if wrong.size:
             points = self._stress.function_space.dofmap.list.shape[1]
@@ -241,10 +234,10 @@ INSIDE_OUT, UNDEFINED = "is not called where det F is not positive:", "gives NaN
 
 
 class LogarithmicFields(PointwiseFields):
-    """Energy, P, tangent and new state (at the end of a step only) of a small-strain law at F."""
+    """Energy, P, tangent and (at the end of a step) new state of a small-strain law at F."""
 
     def _create_law(self) -> tuple[bool, bool]:
-        """Compile the law once for all ranks, or load it from the cache; collective."""
+        """Compile the law once for all ranks, or load it; collective."""
 
         def compiled(vector: Expr) -> Kernel:
             found, module, _ = jit.ffcx_jit(self._mesh.comm, (vector, ANYWHERE))
@@ -258,7 +251,7 @@ class LogarithmicFields(PointwiseFields):
         return True, self._law.has_energy
 
     def _wanted(self, strain: Expr) -> Expr:
-        """Return F - I, row by row: strains may be far below round-off of 1."""
+        """F - I, row by row: strains may be far below round-off of 1."""
         u = self._inputs[0]
         H = ufl.derivative(strain, u, u)
         return ufl.as_vector([H[i, j] for i in range(3) for j in range(3)])
@@ -288,14 +281,14 @@ class LogarithmicFields(PointwiseFields):
         self._gradients = H
 
     def _table(self, f: fem.Function) -> Floats:
-        """Storage for values (q, components) of a Function, a view if points are in order."""
+        """Storage (q, components), a view if points are in order."""
         rows, table = self._rows(f), f.x.array.reshape(-1, f.function_space.dofmap.bs)
         if len(rows) and np.array_equal(rows, np.arange(rows[0], rows[0] + len(rows))):
             return np.asarray(table[rows[0] : rows[0] + len(rows)])
         return np.empty((len(rows), table.shape[1]))
 
     def _copies(self, now: list[Floats]) -> list[Floats]:
-        """Copies of the inputs; the last ones are those of the start of the step."""
+        """The last inputs are those of the start of the step."""
         assert self._start is not None
         kept = self._start[0]
         return [*(values.copy() for values in now[: len(now) - len(kept)]), *kept]
@@ -307,13 +300,12 @@ class LogarithmicFields(PointwiseFields):
             self._set(f, new[name])
 
     def stress_lost(self) -> Floats:
-        """Error of the stress (q,), see `LogarithmicLaw`; zero of a law without memory."""
+        """Error of the stress (q,), see `LogarithmicLaw`; zero without memory."""
         if not self.region.law.state:
             return np.zeros(0)
         return self._law.stress_lost(self._start_of_step(), self._gradients)
 
     def _start_of_step(self) -> Start:
-        """Data of the points at the start of the step."""
         functions = [*self._committed.values(), self.region.parameters.function]
         now = [f.x.array for f in functions]
         if self._start is None or not all(map(np.array_equal, now, self._start[0])):
@@ -384,7 +376,6 @@ def largest_stress_lost(
 
 
 def _pairs(size: int) -> list[tuple[int, int]]:
-    """Rows and columns of the upper triangle, row by row."""
     return [(i, j) for i in range(size) for j in range(i, size)]
 
 
@@ -398,7 +389,7 @@ def packed(tangent: Floats, entries: Sequence[tuple[int, int]]) -> Floats:
 
 @numba.njit(cache=True)
 def _means(values, terms):  # type: ignore[no-untyped-def]
-    """Means (q, t) of columns terms (t, 2) of values (q, n), faster than NumPy."""
+    """Means (q, t) of columns terms (t, 2) of values (q, n)."""
     means = np.empty((len(values), len(terms)))
     for q in range(len(values)):
         for t in range(len(terms)):

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Bodies: materials on cell tags, committed state, energy, residual and tangent.
 
-The compiled code depends on the cell type and the laws, not on the mesh, the tags or the values of
-the parameters.
+The compiled code depends on the cell type and the laws only.
 """
 
 import math
@@ -150,7 +149,6 @@ class Solid(Term):
         self._compile(integral, cell_tags)
 
     def _compile(self, integral: Integral, cell_tags: MeshTags | None) -> None:
-        """Compile the forms, and the evaluation at points; collective."""
         u, degree, finite = self.u, integral.degree, self.kinematics.finite
         dilatation = create_dilatation(u, self.volumetric, integral, self.eigenstrain)
         measured, points = self.kinematics.measure(u), self.points
@@ -218,7 +216,7 @@ class Solid(Term):
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
-        """Whether the tangent is constant: laws and strain are linear, parameters constant."""
+        """Whether the tangent is constant: laws, strain and parameters."""
         return self.gradients.small and all(region.law.linear for region in self.regions)
 
     # -- one Newton iteration -------------------------------------------------------------------
@@ -297,8 +295,8 @@ class Solid(Term):
     def element_force_norm(self) -> float:
         """Norm of the unassembled element forces at u, sqrt(sum_e sum_a |f_ea|^2).
 
-        The scale of round-off in F(u); not zero with residual stresses. Exact for degree 1 on
-        simplices; else by the gradients at the midpoint, without the hoop stress.
+        The scale of round-off in F(u). Exact for degree 1 on simplices; else by the gradients at
+        the midpoint, without the hoop stress.
         """
         self.follow()
         return _root(self, fem.assemble_scalar(self.forms.element_force))
@@ -395,8 +393,7 @@ def _root(solid: Solid, share: float) -> float:
 def flows_at_start(solid: Solid) -> bool:
     """Whether changes since the last commit may make bodies flow; collective.
 
-    Then a step begins with `add_first_forces` and `add_first_tangent`. False at finite strain,
-    where a singular tangent is shifted.
+    Then a step begins with `add_first_forces` and `add_first_tangent`. False at finite strain.
     """
     if not solid.gradients.small or not solid.state:
         return False
@@ -416,8 +413,8 @@ def add_first_forces(solid: Solid, F: PETSc.Vec) -> None:
 
         F_n + int C_n : (eps(u - u_n) - (e - e_n)) : eps(v),    C_n the tangent of that state.
 
-    The stress beyond yield by an eigenstrain e or parameters is bounded, and no measure of the
-    distance to equilibrium.
+    The stress beyond yield by an eigenstrain e or parameters is bounded, no measure of the distance
+    to equilibrium.
     """
     solid.follow()
     committed, dilatation = solid.forms.committed, solid.forms.dilatation

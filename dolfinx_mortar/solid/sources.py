@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Functions at points of the bodies, and the expressions that fill them.
-
-Parameters and eigenstrain may change between steps.
-"""
+"""Functions at points of the bodies, and the expressions that fill them."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -62,11 +59,11 @@ class Source:
 
     @property
     def dofs(self) -> Ints:
-        """Points (cells, points) of the cells: rows of the tables of values."""
+        """Points (cells, points): rows of the tables."""
         return np.asarray(self._space.dofmap.list[self.cells])
 
     def evaluate(self, cells: Ints) -> Floats:
-        """Values (cells, points, components) in some cells; not collective."""
+        """Values (cells, points, components); not collective."""
         values = np.asarray(self.expression.eval(self._space.mesh, cells))
         points = self._space.dofmap.list.shape[1]
         # dolfinx 0.9 has points and components on one axis, 0.11 on two
@@ -81,7 +78,7 @@ class Source:
             table[dofs] = of_part
 
     def undefined(self) -> list[int]:
-        """Number of points at which the Function of each part is NaN or infinite."""
+        """Number of NaN or infinite points of each part."""
         at = [part.table[self.dofs] for part in self.parts]
         return [int(np.sum(~np.isfinite(values).all(axis=-1))) for values in at]
 
@@ -93,11 +90,7 @@ class Source:
 
 
 def create_source(cells: Ints, *parts: Part) -> Source:
-    """Compile the evaluation of parts whose Functions have the same points; collective.
-
-    Raises:
-        ValueError: on all ranks, for an expression that does not compile.
-    """
+    """Compile parts with the same points; a ValueError on all ranks if impossible; collective."""
     V = parts[0].function.function_space
     value = ufl.as_vector([entry for part in parts for entry in part.entries])
     # a number alone has no mesh
@@ -149,12 +142,7 @@ def check_source(u: fem.Function, name: str, value: Expr) -> None:
 
 
 class Followed(ABC):
-    """Values at points, evaluated again when their data have changed.
-
-    Attributes:
-        function: the values.
-        varying: whether any may change.
-    """
+    """Values at points in `function`, evaluated again when data have changed, if `varying`."""
 
     def __init__(self, function: fem.Function, sources: Sequence[Source]) -> None:
         self.function = function
@@ -171,7 +159,7 @@ class Followed(ABC):
         """Evaluate everything; collective.
 
         Raises:
-            ValueError: on all ranks, for invalid values; all are then as before.
+            ValueError: on all ranks, for invalid values; all are then unchanged.
         """
         before = self.function.x.array.copy()
         for source in self._sources:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A term of the energy: the base of bodies, loads and users' classes."""
+"""A term of the energy."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -132,14 +132,10 @@ def assemble(form: fem.Form, vector: la.Vector) -> Floats:
 
 
 class MatrixForm:
-    """A bilinear form whose matrix is the same each time, to the last bit.
+    """A bilinear form with the same matrix each time, to the last bit.
 
-    PETSc adds up the messages of other ranks in the order of arrival; on more than two ranks
-    dolfinx does it in the order of the ranks, in a matrix of its own. On one rank that takes half
-    the time of assembly in AIJ.
-
-    Attributes:
-        form: compiled; Any because dolfinx annotates one overload only.
+    PETSc sums messages of other ranks in order of arrival, dolfinx in order of the ranks. `form` is
+    Any because dolfinx annotates one overload only.
     """
 
     def __init__(self, form: Any) -> None:

@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Terms of a problem, which add energy, forces and stiffness, and their sum.
-
-Independent of contact, Newton's method and load levels.
-"""
+"""Terms of a problem, which add energy, forces and stiffness, and their sum."""

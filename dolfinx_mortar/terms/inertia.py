@@ -183,7 +183,7 @@ class Inertia(Term):
         self._start: Start | None = None
         self._end: Motion | None = None
         self._added: tuple[int, float] | None = None  # last matrix, and its factor of M
-        self._met: tuple[Bools, Ints] | None = None  # arguments of the last `meet`
+        self._met: tuple[Bools, Ints] | None = None  # of the last `meet`
 
     @property
     def state(self) -> Mapping[str, fem.Function]:
@@ -416,7 +416,7 @@ class Damping(Term):
         return np.asarray(self._mass * self._inertia.mass.times(velocity) + elastic)
 
     def _rate(self) -> tuple[float, Floats]:
-        """Return r and v' of the velocity r (u - u_n) + v' at the end of the step."""
+        """Return r and v' of the velocity r (u - u_n) + v'."""
         inertia, start = self._inertia, self._inertia.start
         s = start.scheme
         rate = s.gamma / (s.beta * start.dt)
@@ -484,11 +484,7 @@ def _value(given: Any) -> Any:
 
 
 def create_density(solid: Solid, density: Any, cell_tags: Any) -> Any:
-    """Density as UFL; collective.
-
-    Raises:
-        ValueError: on all ranks, for unknown tags and cells without density.
-    """
+    """Density in UFL; a ValueError on all ranks for unknown or missing tags; collective."""
     if not isinstance(density, Mapping):
         return fem.Constant(solid.mesh, np.float64(_value(density)))
     chosen, tags = by_cells(solid.mesh, cell_tags, density, "Inertia: density", cover=True)
@@ -500,11 +496,7 @@ def create_density(solid: Solid, density: Any, cell_tags: Any) -> Any:
 
 
 def set_velocity(target: fem.Function, given: Any, cell_tags: Any) -> None:
-    """Set the initial velocity; collective.
-
-    Raises:
-        ValueError: on all ranks, naming a wrong velocity.
-    """
+    """Set the initial velocity; a ValueError on all ranks naming a wrong one; collective."""
     V, d = target.function_space, target.function_space.dofmap.index_map_bs
     wanted = f"give {d} finite numbers, a Function on solid.V, or a function of the coordinates"
     if given is None:

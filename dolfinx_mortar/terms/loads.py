@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Loads: follower pressure on the deformed surface; dead force and spring of a node."""
+"""Loads: follower pressure; dead force and spring of a node."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -218,11 +218,7 @@ class PointTerm(Term):
         return self._given
 
     def act_on(self, u: fem.Function) -> None:
-        """Bind the displacement of a problem.
-
-        Raises:
-            ValueError: if V is not its space, or for a second displacement.
-        """
+        """Bind the displacement, once; a ValueError unless its space is V."""
         if u.function_space != self.V:
             raise ValueError(f"{type(self).__name__}: V is not the space of solid.u: give solid.V")
         if self._u is not None and self._u is not u:
@@ -341,7 +337,7 @@ class PointSpring(PointTerm):
 
 
 def _is_semidefinite(k: Floats) -> bool:
-    """Whether a number or a matrix is symmetric and positive semidefinite, to round-off."""
+    """Symmetric and positive semidefinite, to round-off."""
     k = np.atleast_2d(k)
     error = ROUND_OFF * np.abs(k).max()
     return bool(np.abs(k - k.T).max() <= error and np.linalg.eigvalsh(k)[0] >= -error)

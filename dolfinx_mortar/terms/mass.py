@@ -7,10 +7,9 @@ elastodynamics"). With the consistent mass M of one displacement component,
 
     M* = D P^T M P D,     (P v)_c = mean of v at the inner nodes nearest to c,   (P v)_i = v_i,
 
-so that the layer moves with the nodes next to it. M* is positive semidefinite, zero in the rows of
-contact nodes. D = 1 + s is diagonal, s a polynomial of degree two in each body, with mass, centre
-and moments of inertia of M: sum_ij p_i M*_ij q_j is the same for p and q in {1, x, y, z}. In a
-layer of width h, s is of order h^2.
+so that the layer moves with the nodes next to it. D = 1 + s is diagonal, s a polynomial of degree
+two in each body, of order h^2 in a layer of width h, such that sum_ij p_i M*_ij q_j is that of M
+for p and q in {1, x, y, z}: mass, centre and moments of inertia.
 """
 
 from collections.abc import Iterator
@@ -81,14 +80,13 @@ class Mass:
         """Return P v, M* v = f at nodes with mass, v = 0 where held (owned nodes, d); collective.
 
         Raises:
-            RuntimeError: on all ranks, if conjugate gradients do not converge, as for infinite f.
+            RuntimeError: on all ranks, if conjugate gradients do not converge.
         """
         free = ~(held | self.massless[:, None])
         columns = [self._solve(values[:, k], free[:, k], "xyz"[k]) for k in range(values.shape[1])]
         return self.extend(np.stack(columns, axis=1))
 
     def _solve(self, values: Floats, free: Bools, along: str) -> Floats:
-        """Solve the free rows and columns of M* x = values, x = 0 elsewhere; collective."""
         result = np.zeros_like(values)
         solver = self._solver(free)
         b, x = solver.getOperators()[0].createVecs()
@@ -105,7 +103,6 @@ class Mass:
         return result
 
     def _solver(self, free: Bools) -> PETSc.KSP:
-        """Conjugate gradients for the free rows and columns; collective."""
         first = self.matrix.getOwnershipRange()[0]
         rows = (np.flatnonzero(free) + first).astype(PETSc.IntType)
         chosen = PETSc.IS().createGeneral(rows, comm=self.matrix.comm)
@@ -147,9 +144,8 @@ def assemble_mass(V: fem.FunctionSpace, density: Any, weight: Any) -> Mass:
 def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
     """The mass without contact nodes; collective.
 
-    A body with less than four layers of nodes keeps mass and centre, but not its moments of
-    inertia; with one or two, all nodes keep their mass, as do nodes without an inner node within
-    three cells.
+    With less than four layers of nodes, moments of inertia change; with one or two, all nodes keep
+    their mass, as do nodes without an inner node within three cells.
 
     Args:
         plain: the consistent mass.
@@ -175,7 +171,7 @@ def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
 
 
 def _create(like: PETSc.Mat, csr: Any) -> PETSc.Mat:
-    """Matrix with the layout of another one, from lists of rows; collective."""
+    """Matrix with the layout of another one; collective."""
     indptr, columns, values = csr
     (n, N), _ = like.getSizes()
     arrays = (
@@ -231,7 +227,7 @@ def _find_weights(plain: Mass, contact: Bools) -> dict[int, tuple[Ints, Floats]]
 def _inner_nodes(
     plain: Mass, near: PETSc.Mat, rows: Ints, contact: Bools
 ) -> Iterator[tuple[int, tuple[Ints, Floats]]]:
-    """Yield rows with the nearest inner nodes, equal distances to half of the digits."""
+    """Yield rows with their nearest inner nodes."""
     indptr, columns, _ = near.getValuesCSR()
     wanted, place = np.unique(columns, return_inverse=True)
     there = values_at(plain.matrix.comm, np.column_stack([plain.X, contact]), wanted)[place]
@@ -248,7 +244,7 @@ def _inner_nodes(
 def _restore_moments(
     plain: Mass, moved: PETSc.Mat, body: Ints, degree: Ints
 ) -> tuple[Floats, Bools]:
-    """Diagonal of D by Newton's method from s = 0, and the bodies with all moments of M."""
+    """Diagonal of D by Newton's method, and the bodies with all moments of M."""
     comm, count = moved.comm.tompi4py(), len(degree)
     by_body = partial(_sum_by_body, comm, body, count)
     n, d = plain.X.shape

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Energy, forces and tangent of a problem: the sum over bodies and terms."""
+"""The sum over bodies and terms: energy, forces and tangent of a problem."""
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
@@ -60,7 +60,7 @@ class Energy:
 
 @dataclass(frozen=True)
 class Terms:
-    """J(u) = Psi(u) + sum_k Pi_k(u), its first and its second derivative; the bodies are Psi."""
+    """J(u) = Psi(u) + sum_k Pi_k(u), its first and second derivative; Psi of the bodies."""
 
     solid: Solid
     named: Sequence[tuple[str, Term]]  # Pi_k, with their names in messages
@@ -154,11 +154,7 @@ class Terms:
         self.add_tangents(K)
 
     def add_tangents(self, K: PETSc.Mat) -> None:
-        """Add the tangents of all terms but the bodies, within the pattern of K; collective.
-
-        Raises:
-            ValueError: on all ranks, if a term gives NaN or infinity.
-        """
+        """Add tangents of all terms but the bodies; a ValueError for NaN, infinity; collective."""
         if self._of_users:
             K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
         before = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["mallocs"]
@@ -191,8 +187,7 @@ class Terms:
         """Tangent of all terms but the bodies; collective.
 
         Raises:
-            ValueError: on all ranks, for NaN or infinity, and for a user's tangent that is not
-                symmetric, unless it is zero at the present u.
+            ValueError: on all ranks, for NaN, infinity, and a user's unsymmetric tangent.
         """
         K = self.create_matrix()
         K.zeroEntries()
@@ -202,7 +197,7 @@ class Terms:
         return K
 
     def _check_symmetric(self, K: PETSc.Mat) -> None:
-        """Raise a ValueError on all ranks unless v.K w = w.K v for random v and w; collective."""
+        """Raise a ValueError on all ranks unless v.K w = w.K v for random v, w; collective."""
         v, w = K.createVecs()
         rng = np.random.default_rng(self.comm.rank)
         v.array[:], w.array[:] = rng.normal(size=(2, v.local_size))
@@ -217,8 +212,8 @@ class Terms:
     def create_matrix(self, *, blocks: bool = False) -> PETSc.Mat:
         """Matrix with the pattern of the mesh and the couplings of terms; collective.
 
-        `blocks` stores d x d blocks, unless a user's tangent is added: faster assembly and
-        products, but no sums or products with other matrices.
+        `blocks` stores d x d blocks, unless a user's tangent is added: faster, but without sums and
+        products of matrices.
         """
         ours = all(is_defined_here(type(term).add_tangent) for _, term in self.named)
         K = self.solid.create_matrix("baij" if blocks and ours else "aij")
@@ -309,7 +304,6 @@ def _add(method: Callable[[Any], object], to: PETSc.Vec | PETSc.Mat) -> None:
 
 
 def _within_pattern(call: Callable[[], R]) -> R:
-    """Set entries; raise an error for one outside PETSc's pattern."""
     try:
         return call()
     except PETSc.Error as error:
@@ -319,7 +313,6 @@ def _within_pattern(call: Callable[[], R]) -> R:
 
 
 def _addends(term: Term, energy: Callable[[], object]) -> Floats | None:
-    """Energy of a term as an array, None without one."""
     given = energy()
     if given is None:
         return None
@@ -338,18 +331,13 @@ def _couplings(term: Term) -> Sequence[Any]:
 
 
 def _dofs(name: str, dofs: object, n: int) -> np.ndarray:
-    """Global dofs of a dense block, in PETSc's type."""
     remedy = f"give arrays of global dofs, integers from 0 to {n - 1}"
     rule = array((None,), remedy=remedy, holds=lambda k: np.isin(k, np.arange(n)).all())
     return check(f"{name}: couplings: one", dofs, rule).astype(PETSc.IntType)
 
 
 def check_terms(comm: MPI.Comm, terms: Any, u: fem.Function) -> list[Term]:
-    """Check terms and return them as a list; collective.
-
-    Raises:
-        ValueError: on all ranks, naming what is missing.
-    """
+    """Check terms; a ValueError on all ranks names what is missing; collective."""
     with raised_together(comm):
         check("terms", terms, instance((list, tuple), "give a list of terms, [] for none"))
         for k, term in enumerate(terms):
@@ -373,7 +361,6 @@ def _kind(term: Term) -> dict[str, Any]:
 
 
 def _check_signatures(k: int, term: Term) -> None:
-    """Raise a ValueError unless the methods of a term take their arguments."""
     for name, arguments in CALLED_WITH.items():
         signature = inspect.signature(getattr(term, name))
         try:
@@ -386,7 +373,7 @@ def _check_signatures(k: int, term: Term) -> None:
 
 
 def _check_state(k: int, term: Term, V: fem.FunctionSpace) -> None:
-    """Raise a ValueError unless the state of a term is nodal Functions on the mesh of V."""
+    """Raise a ValueError unless a state is nodal Functions on the mesh of V."""
     what = f"state of terms[{k}], a {type(term).__name__}"
     check(what, term.state, instance(Mapping, "give a dictionary of Functions by name"))
     nodes = V.dofmap.index_map

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Terms in UFL: dead loads, and weak forms of the displacement.
 
-A step minimises J(v) = Psi(v) + sum Pi(v) - f.v, f the dead loads and Pi a `WeakForm` (springs,
-elastic foundations, conservative pressure, a viscous damper). Both have the weight of the
-kinematics: t in inner(t, v) * ds is a traction, and forces in axisymmetry are those of the whole
-ring.
+Both have the weight of the kinematics: t in inner(t, v) * ds is a traction, and forces in
+axisymmetry are those of the whole ring.
 """
 
 from collections.abc import Mapping
@@ -38,22 +36,14 @@ class DeadLoads(Term):
     has_tangent = False
 
     def __init__(self, solid: Solid, loads: ufl.Form) -> None:
-        """Check and compile a linear form; collective.
-
-        Raises:
-            ValueError: naming the error and the remedy.
-        """
+        """Check and compile a linear form, or raise a ValueError with the remedy; collective."""
         check_form(solid.u, "loads", loads, arguments=1, dead=True)
         self._u = solid.u
         self._form = fem.form(weighted(loads, solid))
         self._vector = create_vector(solid.V)
 
     def begin(self, start: float, end: float) -> None:
-        """Assemble the forces; collective.
-
-        Raises:
-            ValueError: on all ranks, for NaN or infinity.
-        """
+        """Assemble the forces; a ValueError on all ranks for NaN or infinity; collective."""
         bad = ~np.isfinite(assemble(self._form, self._vector))
         if any_rank(self._u.function_space.mesh.comm, bad.any())[0]:
             raise ValueError(
@@ -229,7 +219,7 @@ def weighted(form: ufl.Form, solid: Solid) -> ufl.Form:
 
 
 def _with_one_rule(form: ufl.Form) -> ufl.Form:
-    """A form whose derivatives UFL integrates with the quadrature of the form itself."""
+    """A form whose derivatives have its own quadrature."""
     integrals = []
     for integral in expand_derivatives(form).integrals():
         metadata = dict(integral.metadata())
