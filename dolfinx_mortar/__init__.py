@@ -14,7 +14,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from dolfinx_mortar import materials, shapes
-from dolfinx_mortar.audit.pairs import Pair, Pairs, find_pairs
+from dolfinx_mortar.audit.pairs import find_pairs
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.obstacle import Obstacle
 from dolfinx_mortar.interfaces.rigid_side import RigidSide
@@ -30,11 +30,11 @@ from dolfinx_mortar.materials import (
     VonMises,
     VonMisesVoce,
 )
-from dolfinx_mortar.mortar.assembly import Mortar, Segments, assemble_mortar, segments
+from dolfinx_mortar.mortar.assembly import assemble_mortar, segments
 from dolfinx_mortar.output import Writer
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPNotSolved
-from dolfinx_mortar.report.reaction import Reaction, reaction
+from dolfinx_mortar.report.reaction import reaction
 from dolfinx_mortar.report.summary import summarise, write_summary
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term
@@ -63,21 +63,16 @@ __all__ = [
     "LoadStep",
     "Material",
     "MooneyRivlin",
-    "Mortar",
     "NeoHooke",
     "NewtonNotConverged",
     "Obstacle",
     "Ogden",
     "Orthotropic",
-    "Pair",
-    "Pairs",
     "PointForce",
     "PointSpring",
     "Pressure",
     "QPNotSolved",
-    "Reaction",
     "RigidSide",
-    "Segments",
     "Solid",
     "StepReport",
     "Tags",

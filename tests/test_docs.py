@@ -20,6 +20,7 @@ from pathlib import Path
 import pytest
 
 import dolfinx_mortar as dm
+from dolfinx_mortar.mortar import assembly
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -194,7 +195,7 @@ def test_every_name_of_the_pages_exists():
 
 OF_GLOSSARY = {
     "contact": dm.Contact,
-    "mortar": dm.Mortar,
+    "mortar": assembly.Mortar,
     "problem": dm.ContactProblem,
     "report": dm.StepReport,
     "solid": dm.Solid,
