@@ -42,9 +42,7 @@ class Claims:
 
     owner: Ints  # (owned nodes,) interface
     banned: list[Bools]  # of each (local nodes,): slave nodes of others
-    dependencies: frozenset[
-        tuple[int, int]
-    ]  # i depends on slave nodes of k: T_i is left of T_k
+    dependencies: frozenset[tuple[int, int]]  # i depends on slave nodes of k: T_i is left of T_k
     order: list[int]  # of the transformations
     notes: list[str]
 

@@ -3,8 +3,7 @@
 
 Forces are relative to the largest force of the step; a penetration counts as the force that would
 remove it, complementarity as work; both are at most rtol facet lengths. Without forces the first
-residual and the round-off of K u are the scales, at finite strain of K h, h the cell size:
-residuals at u = 0 are .1 to .7 EPS |diag(K) h| for K/mu from 2 to 1e5.
+residual and the round-off of K u are the scales, at finite strain of K h with the cell size h.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,17 +30,17 @@ class Contacts:
 
     active: Bools  # (owned nodes,)
     multipliers: Floats  # (owned nodes,) lambda_j, 0 if inactive
-    # with friction: tangential reactions over D_jj, and opposed directions of slip
+    # with friction: tangential reactions over D_jj
     tangential: Floats | None = None  # (owned nodes, d)
-    # (owned nodes, d), 0 if it sticks or is open; in prescribed directions `SlipLimits.shares`
+    # (owned nodes, d) directions of slip, 0 elsewhere; in prescribed directions `SlipLimits.shares`
     sliding: Floats | None = None
 
     def reactions(self, balance: Balance) -> Floats:
-        """Return D_jj lambda_j (k,) on the bounded unknowns of a configuration."""
+        """Reactions D_jj lambda_j (k,) on the bounded unknowns of a configuration."""
         return np.asarray(balance.bounds.weight * self.multipliers[balance.nodes])
 
     def tangential_reactions(self, limits: SlipLimits) -> Floats:
-        """Return D_jj tangential_j (m, d - 1) in the frames of a configuration."""
+        """Reactions D_jj tangential_j (m, d - 1) in the frames of a configuration."""
         if self.tangential is None:
             return np.zeros(limits.slip.shape)
         return limits.weight[:, None] * limits.along(self.tangential[limits.nodes])
@@ -97,8 +96,8 @@ def go_on(
 ) -> Contacts:
     """Initial active set of a step: that of the last one, without multipliers.
 
-    Slipping nodes start as slipping, lest a sliding body pass through free states, but as sticking
-    where the rigid prediction reverses their slip by more than ``noise``.
+    Slipping nodes start as slipping, as a sliding body would else pass through free states, but as
+    sticking where the rigid prediction reverses their slip by more than ``noise``.
 
     Args:
         contacts: active set and slip directions at the end of the last step.
@@ -152,7 +151,7 @@ def contact_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
 
 
 def normal_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
-    """Return B^T lambda (owned nodes, d) of the contacts; collective."""
+    """Forces B^T lambda (owned nodes, d) of the contacts; collective."""
     return _on_both_sides(
         problem, lambda link: contacts.multipliers[link.nodes, None] * link.coupling.normals
     )
@@ -175,10 +174,9 @@ def _on_both_sides(problem: ContactProblem, tractions: Callable[[Link], Floats])
     return total
 
 
-# Error of a QP relative to the residual expected next (Eisenstat and Walker 1996); digits are cheap
-# with a factorisation only.
+# Error of a QP relative to the residual expected next (Eisenstat and Walker 1996).
 FORCING = {"direct": 1e-3, "iterative": 1e-1}
-# Share of the step's tolerance left to a QP. The first QP of a nonlinear step, and each after an
+# Share of the step's tolerance for a QP. The first QP of a nonlinear step, and each after an
 # iteration without progress, are one digit more accurate: small missing forces are large plastic
 # motions.
 DIGIT = 0.1
@@ -189,7 +187,7 @@ class Scales:
     """Scales of the residuals; diverging iterates do not enlarge them."""
 
     facet_length: float
-    begun: float = 0.0  # largest norm of external, support or element forces at the start
+    begun: float = 0.0  # largest force norm at the start
     first: float = 0.0  # norm of the first QP's right-hand side
     work: float = 0.0  # |u|_e^2 at the start
     extent: float = np.inf  # mesh size plus largest prescribed displacement
@@ -200,11 +198,11 @@ class Scales:
 class Residuals:
     """Residuals at an iterate; ``excess`` <= 1 means convergence."""
 
-    forces: float  # norm of T^T (f - F(u)) - z on free unknowns, relative
+    forces: float  # |T^T (f - F(u)) - z| on free unknowns, relative
     contact: float  # penetration and complementarity, relative
     excess: float  # largest residual over its tolerance
     limit: float  # tolerance of the force norm
-    loads: float = 0.0  # largest relative defect of a driving load
+    loads: float = 0.0  # largest relative residual of a driving load
 
 
 def round_off(
@@ -215,7 +213,7 @@ def round_off(
 ) -> float:
     """Round-off of K u, ROUND_OFF |diag(K) (|u| + h)|, h = ``cells``; collective.
 
-    u is clipped at ``extent``, lest a singular tangent loosen the force tolerance.
+    u is clipped at ``extent``: a singular tangent would loosen the force tolerance.
     """
     near = np.abs(u.x.array[: diagonal.local_size]).clip(max=extent) + cells
     return ROUND_OFF * norm(u.function_space.mesh.comm, diagonal.array_r * near)
@@ -301,9 +299,7 @@ def tightest(rtol: float) -> float:
 def next_tolerance(kind: str, rtol: float, size: float, residuals: Sequence[Residuals]) -> float:
     """Relative tolerance of the next QP of a nonlinear step, "direct" or "iterative".
 
-    Args:
-        size: norm of the QP's right-hand side.
-        residuals: of the iterates so far.
+    `size` is the norm of the QP's right-hand side, `residuals` are those of the iterates so far.
 
     >>> round(next_tolerance("iterative", 1e-6, 1.0, []), 12)
     0.01

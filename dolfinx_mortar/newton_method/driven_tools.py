@@ -1,18 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Bolts, rigid sides and tools driven by forces: unknowns of the QPs of a Newton step.
+"""Bolts, rigid sides and tools driven by forces: scalar unknowns of the QPs, see `qp.scalars`.
 
-The motions e_a (in the frames of the nodes) of the unknowns q_a of the tools move the bounds and
-slips of nodes,
+The motions e_a (in the frames of the nodes) of the unknowns q_a move bounds and slips of nodes,
 
     w_n <= g + e_n.q,    slip = slip_0 + w_t - e_t.q,
 
-and with the reactions z(q) they solve F_a + e_a.z(q) = 0: they are scalars of the QP, see
-`qp.scalars`.
-
-Nodes of a rigid side follow it, w = w_0 + e.q, as those of a bolt's cut do, and are eliminated:
-q changes the right-hand side, and z = r^ - K^ y there. The arms of moments turn with the side,
-e = e_0 + De q, with the reactions z_0 of the iterate in De q.z_0. A step t q rotates the side as a
-rigid body: its nodes move on arcs, not to u_0 + t e.q.
+and the reactions z(q) satisfy F_a + e_a.z(q) = 0. Nodes of a rigid side or of a bolt's cut follow,
+w = w_0 + e.q, and are eliminated: z = r^ - K^ y there. The arms of moments turn with the side, e =
+e_0 + De q, with the reactions z_0 of the iterate in De q.z_0. A step t q moves its nodes on arcs,
+not to u_0 + t e.q.
 """
 
 from __future__ import annotations
@@ -57,7 +53,7 @@ DISTINCT = 0.5
 
 @dataclass(frozen=True)
 class Settled:
-    """A QP in which the tools are in balance with their loads."""
+    """A QP in which the tools are in equilibrium with their loads."""
 
     lin: Linearisation
     solved: QPSolution
@@ -76,7 +72,7 @@ class Drives:
     tools: list[tuple[Interface, Driven]]
     motions: Floats  # e, of the owned unknowns of y
     loads: Floats  # (m,) F
-    reach: Floats  # (m,) largest motion of a slave node by each unknown, in any direction
+    reach: Floats  # (m,) largest motion of a slave node by each
     held: Ints  # (k,) owned unknowns of y that follow rigid sides and bolts
     follows: Bools  # motions of rigid sides and bolts
     sides: Bools  # motions of rigid sides
@@ -94,7 +90,7 @@ class Drives:
             first = end
 
     def missing(self, reactions: Floats) -> tuple[Floats, Floats]:
-        """F + e.z (m,) for reactions z (n,), and the size of its terms (m,); collective."""
+        """Residuals F + e.z (m,) for reactions z (n,), and sizes of their terms (m,); collective."""
         parts = self.motions * reactions
         sums = np.stack([parts.sum(axis=1), np.abs(parts).sum(axis=1)])
         total, size = self.comm.allreduce(sums, op=MPI.SUM)
@@ -118,19 +114,11 @@ class Drives:
         return np.where(on, force * self.arms(), 0.0)
 
     def check_gaps(self, balance: Balance, active: Bools, facet_length: float) -> None:
-        """Raise if an open gap separates a body from a loaded tool; collective.
+        """Raise a StepFailed if an open gap separates a body from a loaded tool; collective.
 
         With inertia a load would move tools, which have no mass, across it instantaneously. A tool
-        of radius R >= h in contact is h^2 / (8 R) <= h / 8 from the next node: smaller gaps are due
-        to the mesh.
-
-        Args:
-            balance: at an iterate.
-            active: (owned nodes,) the active set there.
-            facet_length: h.
-
-        Raises:
-            StepFailed: if so.
+        of radius R >= h in contact is h^2 / (8 R) <= h / 8 from the next node, with the facet
+        length h: smaller gaps are due to the mesh. `active` is (owned nodes,).
         """
         loaded, first = np.abs(self.loads) > self.noise(balance), 0
         left = np.where(active[balance.nodes], 0.0, balance.bounds.upper)
@@ -151,8 +139,8 @@ class Drives:
 def find_drives(problem: ContactProblem, known: Floats | None = None) -> Drives | None:
     """Motions of the driven tools in the present geometry, None for none; collective.
 
-    The motion of a slave node is the mean sum_l D_jl e_l / D_jj, which is e_j where D is diagonal.
-    Reactions `known` (owned nodes, d) act on the tools like loads.
+    The motion of a slave node is sum_l D_jl e_l / D_jj. Reactions `known` (owned nodes, d) act on
+    the tools like loads.
     """
     offered = [(link, link.interface.driven()) for link in problem.system.links]
     parts = [(link, tool) for link, tool in offered if tool is not None]
@@ -239,12 +227,11 @@ def _unknowns(link: Link, d: int) -> Ints:
 
 
 def as_scalars(drives: Drives, lin: Linearisation, rtol: float, begun: float) -> Scalars:
-    """Motions as scalars of the QP of an iterate; collective.
+    """Motions as scalars of the QP of an iterate, scaled to lengths; collective.
 
-    Each is scaled to a length, the largest motion of a node. On rigid sides, whose nodes are
-    eliminated, the reaction is r^ - K^ y, and arms turn with the side. Tolerances are `rtol` times
-    the forces on a tool, on rigid sides also times `begun`, the largest force at the start of the
-    step.
+    On rigid sides, whose nodes are eliminated, the reaction is r^ - K^ y, and arms turn with the
+    side. Tolerances are `rtol` times the forces on a tool, on rigid sides also times `begun`, the
+    largest force at the start of the step.
     """
     e, held, equal = drives.motions.copy(), drives.held, lin.balance.equal
     m, inverse = len(e), 1.0 / drives.reach

@@ -29,8 +29,7 @@ from dolfinx_mortar.solid.solid import volume_step
 from dolfinx_mortar.spaces import with_values
 from dolfinx_mortar.terms.sum import Energy, VolumeStep
 
-# Sufficient decrease relative to the slope (Armijo; Nocedal and Wright 2006), and least step
-# length: 14 halvings.
+# Sufficient decrease relative to the slope (Armijo; Nocedal and Wright 2006), and least length.
 ARMIJO = 1e-4
 
 Curve = Callable[[float], Floats]
@@ -50,9 +49,9 @@ class Direction:
     motion: Floats  # (k,) of bounded unknowns
     gap: Floats  # (k,) bounds including round-off
     penalty: Floats  # (k,) s D_jj
-    noise: float  # error of r.du: round-off of forces and gaps, residual of the QP
-    slip: Floats  # (m, d - 1) at the start, with friction
-    slide: Floats  # (m, d - 1) slip in the step
+    noise: float  # error of r.du by round-off and the QP's residual
+    slip: Floats  # (m, d - 1) at the start
+    slide: Floats  # (m, d - 1) in the step
     limits: Floats  # (m,) of friction
     pull: float = 0.0  # -F.q of driven tools (one rank), and known friction
     curve: Curve | None = None
@@ -90,16 +89,14 @@ class Moved:
     length: float  # t
     halvings: int
     energy: Energy | None  # J at the end
-    travel: Floats  # (m,) of driven tools since the load step began
+    travel: Floats  # (m,) of driven tools since the step began
     pressure: Floats | None  # (owned cells,) linearised mean stresses
 
 
 def take_step(problem: ContactProblem, found: Solution, largest: float, old: Iterate) -> Moved:
     """Move u and driven tools along the solution of the QP; collective.
 
-    Args:
-        largest: largest multiplier so far.
-        old: the iterate.
+    `largest` is the largest multiplier so far, `old` the iterate.
     """
     lin = found.lin
     T = problem.system.transformation if lin.geometry is None else lin.geometry.trial
@@ -281,7 +278,7 @@ def _friction(lin: Linearisation, solved: QPSolution) -> tuple[Floats, Floats, F
 
 
 def find_slope(problem: ContactProblem, lin: Linearisation, path: Direction) -> float:
-    """Return phi'(0), with the whole decrease of the penalty; collective.
+    """Slope phi'(0), with the whole decrease of the penalty; collective.
 
     A solution of the QP closes violated gaps in proportion to t.
     """

@@ -33,15 +33,15 @@ from dolfinx_mortar.solid.kinematics import on_axis
 class Balance:
     """Residual forces and constraints at the present u and geometry."""
 
-    r: PETSc.Vec  # (n,) -dJ/du, external less internal forces
+    r: PETSc.Vec  # (n,) -dJ/du, external minus internal forces
     reduced: PETSc.Vec  # (n,) T^T r
-    equal: Constraints  # increments of Dirichlet data and ties
+    equal: Constraints  # of Dirichlet data and ties
     bounds: Constraints  # of contact
     elements: float  # norm of the unassembled element forces
     external: float  # largest norm of the forces of one term
     limits: SlipLimits | None = None
-    from_committed: bool = False  # whether bodies are linearised about the committed state
-    friction: Floats | None = None  # (n,) at prescribed slips, contained in r
+    from_committed: bool = False  # bodies are linearised about the committed state
+    friction: Floats | None = None  # (n,) part of r at prescribed slips
 
     def known(self, multipliers: Floats) -> Floats:
         """Friction reactions (owned nodes, d) at prescribed slips."""
@@ -192,7 +192,7 @@ def linearise(
     """
     T, linear = problem.system.transformation, linear or problem.linear
     direct = linear.direct
-    spoilt = direct and T is None  # the elimination then acts on K itself
+    spoilt = direct and T is None  # the elimination acts on K itself
     if tangent or spoilt or not problem.K.isAssembled():
         with problem.timings("assembly"):
             first = balance.from_committed
@@ -200,7 +200,7 @@ def linearise(
             if shift > 0.0:
                 problem.solid.forms.add_elastic(problem.K, shift)
     change = None if T is None else T.change
-    formed = direct  # a factorisation needs the matrix, an iteration its products
+    formed = direct  # a factorisation needs the matrix
     if direct and not problem.system.driven:
         formed = interface_unknowns(problem.K, change, linear.options) is None
     if formed and T is not None and not T.formed:
@@ -282,16 +282,14 @@ class Corrections:
         """Begin with v = 0."""
         self.given: Floats | None = None  # v of the last QP, (n,)
         self.sets: list[Actives] = []
-        self.weights: list[Floats] = []  # (n,) stiffness of their active bounds, 0 elsewhere
+        self.weights: list[Floats] = []  # (n,) stiffness of active bounds, else 0
         self.found: list[Floats] = []  # v at the solutions
         self.changes: list[Floats] = []  # differences to the v of their QPs
 
     def apply(self, lin: Linearisation, solved: QPSolution) -> tuple[Linearisation, float]:
         """QP with the next v, and the largest force by a change of a bound; collective.
 
-        Args:
-            lin: of the exact tangent.
-            solved: solution of it, or of the last QP.
+        `lin` has the exact tangent; `solved` is a solution of it, or of the last QP.
         """
         assert lin.geometry is not None
         dofs, bounds, comm = lin.balance.bounds.dofs, lin.balance.bounds, lin.qp.comm
@@ -326,7 +324,7 @@ class Corrections:
 def least_change(
     comm: MPI.Comm, found: Sequence[Floats], changes: Sequence[Floats], weight: Floats
 ) -> Floats:
-    """Return sum a_i found_i, sum a_i = 1, of the least |weight sum a_i changes_i|; collective.
+    """Sum of a_i found_i, sum a_i = 1, of the least |weight sum a_i changes_i|; collective.
 
     Anderson mixing; found_i is the image of found_i - changes_i.
 
@@ -402,7 +400,7 @@ def count_changes(lin: Linearisation, solved: QPSolution, start: Actives, limit:
 
 
 def to_reduced(T: Transformation | None, forces: PETSc.Vec) -> PETSc.Vec:
-    """Return T^T times a force vector; None is the identity; collective."""
+    """Return T^T f; None is the identity; collective."""
     result = forces.copy()
     if T is not None:
         T.apply_transposed(forces, result)
@@ -410,7 +408,7 @@ def to_reduced(T: Transformation | None, forces: PETSc.Vec) -> PETSc.Vec:
 
 
 def to_displacement(T: Transformation | None, dy: PETSc.Vec) -> PETSc.Vec:
-    """Return du = T dy; None is the identity; collective."""
+    """Return T dy; None is the identity; collective."""
     du = dy.copy()
     if T is not None:
         T.apply(dy, du)

@@ -70,7 +70,7 @@ def check_problem(problem: Any, kind: type) -> None:
 
 
 def check_controls(qp: Any, rtol: Any, max_it: Any) -> None:
-    """Raise a ValueError for invalid controls of Newton's method, see `newton`."""
+    """Raise a ValueError for invalid controls of Newton's method."""
     backends.check_name(qp)
     check("rtol", rtol, number(above=0.0, below=1.0))
     check("max_it", max_it, integer(1))

@@ -7,8 +7,7 @@ The deformation below a slider (a dent) moves with it by the sliding path c:
 
 with the displacement u0 of the last step, at the nearest point of the body if X - C is outside;
 prescribed components stay. A X + b is the fit of u0 at the nodes: rotation and mean strain. Paths
-below a facet are ignored. The dented body shows in the remaining overlap: in demos/ironing 2 to 5 %
-if the block's displacement is moved, 105 to 115 % for the tool's.
+below a facet are ignored. The dent is in the body whose motion reduces the overlap.
 """
 
 from dataclasses import dataclass, replace
@@ -75,8 +74,7 @@ def _convect(problem: ContactProblem, carried: Floats, before: Floats) -> None:
 def _go_on(problem: ContactProblem, level: float, target: Floats) -> Floats | None:
     """Add the scaled gain of the last step; return the motion (m,) of tools; collective.
 
-    On flowing bodies (deep drawing takes 153 iterations instead of 458): nearly incompressible
-    elastic ones would be far from equilibrium.
+    On flowing bodies only: nearly incompressible elastic ones would be far from equilibrium.
     """
     gained, tools = problem.committed.gained, [i.driven() for i in problem.interfaces]
     if gained is None or problem.solid.strain == "small":
@@ -100,7 +98,7 @@ def _go_on(problem: ContactProblem, level: float, target: Floats) -> Floats | No
 
 
 def _stuck(problem: ContactProblem) -> Bools:
-    """Mask (owned nodes,) of slave nodes that stick."""
+    """Slave nodes (owned nodes,) that stick."""
     stuck, sliding = np.zeros(problem.n, dtype=bool), problem.committed.sliding
     if sliding is not None:
         for interface, sides in zip(problem.interfaces, problem.system.sides, strict=True):
@@ -122,13 +120,13 @@ class Dent:
     """A group of tied bodies dented by a slider."""
 
     group: int
-    way: Floats  # (d,) path in this step, relative to the group, along the contact
+    way: Floats  # (d,) path in this step relative to the group
 
 
 def find_slides(
     system: InterfaceSystem, closed: Bools, bodies: Bodies, carried: Floats, u: fem.Function
 ) -> list[list[Dent]]:
-    """Return for each sliding contact which of its sides may be dented; collective.
+    """Sides of each sliding contact that may be dented; collective.
 
     Closed contacts that slide by a facet or more, each side in one group that does not rotate;
     first the group that moves less.
@@ -179,7 +177,7 @@ def find_slides(
 
 
 def elastic_groups(solid: Solid, bodies: Bodies) -> Bools:
-    """Mask (bodies,) of groups without internal variables, which would stay at X; collective."""
+    """Groups (bodies,) without internal variables, which would stay at X; collective."""
     inelastic = np.zeros(bodies.count)
     for region in solid.regions:
         if region.law.state:
@@ -207,7 +205,7 @@ def convected(u: fem.Function, bodies: Bodies, dent: Dent) -> Floats:
 
 
 def mean_gradient(X: Floats, u: Floats, comm: MPI.Comm) -> Floats:
-    """Return A (d, d) of the least-squares fit A X + b to displacements u (n, d); collective."""
+    """Gradient A (d, d) of the least-squares fit A X + b to displacements u (n, d); collective."""
     d, ones = X.shape[1], np.ones((len(X), 1))
     rows = np.hstack([X, ones, u])
     n, *total = comm.allreduce(np.array([len(X), *rows.sum(axis=0)]), op=MPI.SUM)
@@ -217,10 +215,9 @@ def mean_gradient(X: Floats, u: Floats, comm: MPI.Comm) -> Floats:
 
 
 def values_near(u: fem.Function, cells: Ints, points: Floats, reach: float) -> Floats:
-    """Return u (p, d) at points (p, 3), or at nearest points of owned cells; collective.
+    """Values u (p, d) at points (p, 3), or at nearest points of owned cells; collective.
 
-    Args:
-        reach: largest distance of a point.
+    `reach` is the largest distance of a point.
     """
     V, comm = u.function_space, u.function_space.mesh.comm
     x = V.mesh.geometry.x[cell_nodes(V.mesh)[cells].ravel()]

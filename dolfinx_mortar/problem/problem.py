@@ -191,7 +191,7 @@ class ContactProblem:
 
     @property
     def fixed(self) -> Bools:
-        """Mask (local nodes, d) of displacement components with Dirichlet data."""
+        """Displacement components (local nodes, d) with Dirichlet data."""
         return self.supports.fixed
 
     @property
@@ -405,7 +405,7 @@ class ContactProblem:
         return set()
 
     def is_new(self, warning: str) -> bool:
-        """Mark a warning as logged; tell whether it was not before."""
+        """Mark a warning as logged; whether it is new."""
         new = warning not in self._logged
         self._logged.add(warning)
         return new
@@ -455,7 +455,7 @@ class ContactProblem:
                 self.linear.clear()
 
     def positions(self) -> PETSc.Vec:
-        """Return X + u as a vector."""
+        """Vector X + u."""
         x = self.vector(self.X)
         x.array[:] += self.u.x.array[: x.local_size]
         return x
@@ -606,9 +606,9 @@ class ContactProblem:
         return fields
 
     def output_tools(self) -> list[tuple[Outline, Floats]]:
-        """Outlines of the rigid tools, each with a box in its frame; collective.
+        """Outlines of the rigid tools, each with a box (2, d) in its frame; collective.
 
-        The box (2, d) encloses the side at X + u on all ranks.
+        The box encloses the side at X + u on all ranks.
         """
         return self.system.tools_at(self.u)
 

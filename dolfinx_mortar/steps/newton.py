@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Semi-smooth Newton: a bound-constrained QP at every iterate (paper, section 3).
 
-An iteration solves the QP, shortens its step by a line search, updates multipliers and geometry,
-and measures residuals there (ARCHITECTURE.md, A Newton step). Updates of the geometry are a
-fixed-point iteration. At finite strain, and where it is slow, the exact tangent includes the motion
-of the surfaces, and Newton's method is quadratic. An iteration with the exact tangent that raises
-the residual is undone, and repeated without it.
+See ARCHITECTURE.md, A Newton step. Updates of the geometry are a fixed-point iteration. At finite
+strain, and where it is slow, the exact tangent is used; an iteration with it that raises the
+residual is undone, and repeated without.
 """
 
 from __future__ import annotations
@@ -60,8 +58,7 @@ log = logging.getLogger(__name__)
 FAILED = failures.StepFailed, backends.QPNotSolved, backends.UnusableQP
 
 # The fixed point is slow if at the rate of its updates it needs more than FEW iterations, and an
-# update changes the contact forces by SHARE of the residual. At small strain an iteration with the
-# exact tangent takes twice the time.
+# update changes the contact forces by SHARE of the residual.
 FEW = 5
 SHARE = 0.5
 
@@ -77,10 +74,10 @@ def newton(
     """Solve one load step, from the present u and the committed state; collective.
 
     At the iterate u^k the QP of the quadratic model of the energy (paper, eqs. 9 and 10) starts
-    from the last active set and directions of slip. A line search on J(v) + s sum_j D_jj
-    (w_n - gap)_+, with s twice the largest multiplier, shortens the step, but for laws without
-    energy. With geometry="updated" normals, segments, D and M are computed in every iteration, and
-    their derivatives are part of the tangent where that converges faster.
+    from the last active set and directions of slip. A line search on J(v) + s sum_j D_jj (w_n -
+    gap)_+, with s twice the largest multiplier, shortens the step, except for laws without energy.
+    With geometry="updated" normals, segments, D and M are computed in every iteration, and their
+    derivatives are part of the tangent where that converges faster.
 
     Args:
         problem: the bodies and their constraints; ``problem.commit()`` accepts the step.
@@ -144,7 +141,7 @@ def solve_step(
                 raise
     finally:
         report.seconds = problem.timings.since(earlier)
-        used = solvers[-1]  # the last one in use
+        used = solvers[-1]
         report.linear_solver += used.description
         unread = [option for option in linear.options.unread() if option in used.options.unread()]
         if report.converged and unread:
@@ -305,7 +302,7 @@ class _Step:
         return iterate, residual
 
     def factorise(self, residuals: list[Residuals]) -> bool:
-        """Factorise for the rest of the step, near a balance that may be a saddle; collective."""
+        """Factorise for the rest of the step, near an equilibrium, perhaps a saddle; collective."""
         near = self.qps.finite and bool(residuals) and residuals[-1].forces < STABLE
         given_up = self.qps.solver.description
         other = self.qps.solver.factorising() if near else None
@@ -351,7 +348,7 @@ class _Step:
         return np.inf if raised and not found.exact else old
 
     def missed(self, residual: Residuals) -> float:
-        """Residual that the exact tangent must lower, with forces at finite strain (rims)."""
+        """Residual that the exact tangent must lower, with forces at finite strain."""
         return max(residual.forces, residual.contact) if self.qps.finite else residual.excess
 
     def go_back(self, old: Iterate) -> None:

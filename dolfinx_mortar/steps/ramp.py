@@ -96,9 +96,7 @@ def _row(shape: tuple[int, ...], row: Any) -> list[float] | None:
 def notes_on_unread(ramps: Sequence[Ramp], read: Sequence[Any] | None) -> list[str]:
     """A note for each table whose Constant no part of a problem reads, by the addresses of values.
 
-    Args:
-        ramps: all tables.
-        read: the Constants that steps read; None if unknown.
+    `read` are the Constants that steps read; None if unknown.
     """
     if read is None:
         return []

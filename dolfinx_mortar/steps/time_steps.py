@@ -93,8 +93,8 @@ class TimeSolves(Solves):
     def _settle(self, inertia: Inertia, begin: float, level: Level) -> Floats:
         """Bring nodes without mass into equilibrium; return forces (owned nodes, d) on rigid sides.
 
-        Collective. By a step from rest in a share h = 1e-4 of the first one, in which the
-        accelerations of the start move other nodes by a share h^2.
+        By a step from rest in a share h = 1e-4 of the first one, in which the accelerations of the
+        start move other nodes by a share h^2; collective.
         """
         problem, mass = self.problem, inertia.mass
         on_sides, forces = np.zeros_like(mass.massless), np.zeros_like(mass.X)
@@ -274,7 +274,7 @@ def choose_scheme(scheme: Any, radius: Any) -> tuple[Scheme, float | None]:
 def stop_held(problem: ContactProblem, inertia: Inertia) -> list[str]:
     """Set the initial velocity to 0 where supports do not move in the first step; collective.
 
-    The trapezoidal rule would change its sign in every step. Returns a note if there was any.
+    The trapezoidal rule would change its sign in every step. Returns notes.
     """
     supports, velocity = problem.supports, inertia.values("velocity").copy()
     way = supports.increment(supports.values(), problem.u.x.array)

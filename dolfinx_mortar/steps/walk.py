@@ -45,7 +45,7 @@ class Level:
     """A point on the load path."""
 
     time: float
-    overlap: float = 0.0  # depth of overlap that may remain
+    overlap: float = 0.0  # depth that may remain
     share: float = 1.0  # of the step that ends here, a binary fraction
 
     def between(self, reached: Level) -> Level:
@@ -193,14 +193,10 @@ def walk(
     """Make the steps to given levels, see `load_steps`; collective.
 
     Args:
-        solves: solution of a step.
-        levels: ends of the steps.
-        loading: loads of a level.
         begin: level of the committed state.
         most: largest number of halvings of a step.
         file: of checkpoints, None for none.
         every: number of steps between two files.
-        progress: as in `load_steps`.
         done: number of levels of the last walk, which this one continues.
     """
     problem = solves.problem
@@ -400,7 +396,7 @@ def _describe_kept(parts: int, reached: Level) -> str:
 def lines(comm: MPI.Comm, wanted: bool | None) -> Callable[[str], None]:
     """Function that logs a line on rank 0, and prints it unless the log is shown; collective.
 
-    `wanted`: whether to print; None prints if logging is not configured, except in notebooks.
+    None prints if logging is not configured, except in notebooks.
 
     Raises:
         ValueError: on all ranks, for other values.
