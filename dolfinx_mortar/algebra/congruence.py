@@ -29,13 +29,9 @@ def as_aij(K: PETSc.Mat) -> PETSc.Mat:
 
 
 class Congruence:
-    """(I + C)^T K (I + C) of a symmetric K, on a fixed pattern.
-
-    It is K + K C + (K C)^T + C^T K C, faster than PETSc's triple product as C has few rows.
-    """
+    """(I + C)^T K (I + C) = K + K C + (K C)^T + C^T K C of a symmetric K, on a fixed pattern."""
 
     def __init__(self, K: PETSc.Mat, C: PETSc.Mat) -> None:
-        """Analyse the patterns; collective."""
         K, other = as_aij(K), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
         self.Ct = C.transpose(PETSc.Mat())
         self.KC = K.matMult(C)
@@ -56,13 +52,12 @@ class Congruence:
 
 
 class ProductOfBases:
-    """(I + C)^T A (I + D) of any A in AIJ, for C and D with few rows, on a fixed pattern.
+    """(I + C)^T A (I + D) in AIJ, for C and D with few rows, on a fixed pattern; collective.
 
-    C changes the basis of test functions, D that of trial functions.
+    `update` computes the values.
     """
 
     def __init__(self, A: PETSc.Mat, C: PETSc.Mat, D: PETSc.Mat) -> None:
-        """Analyse the patterns, without values; collective."""
         self._Ct, self._AD = C.transpose(PETSc.Mat()), A.matMult(D)
         self._right = union(self._AD, [A])
         self._CtR = self._Ct.matMult(self._right)
@@ -81,7 +76,7 @@ class ProductOfBases:
 class ContextOf:
     """Context of a PETSc Mat of type python with a weak reference to its owner.
 
-    PETSc's reference to the context is invisible to Python: both would never be freed.
+    PETSc's own reference would never be freed.
     """
 
     def __init__(self, owner: object) -> None:
@@ -95,7 +90,6 @@ class _Decoupled(ABC):
     """An operator without a matrix, decoupled at some unknowns.
 
     Attributes:
-        matrix: PETSc Mat of type python.
         decoupled: owned unknowns.
         diagonal: (n,) before decoupling, possibly approximate.
         scale: diagonal entry at decoupled unknowns, the mean of the diagonal.
@@ -110,7 +104,7 @@ class _Decoupled(ABC):
 
     @abstractmethod
     def product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y = product with x, without decoupling; collective."""
+        """Set y, without decoupling; collective."""
 
     def changed(self) -> None:
         """Update PETSc's state and the mean of the diagonal; collective."""
@@ -120,23 +114,18 @@ class _Decoupled(ABC):
     # called by PETSc
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y = product with x."""
         x.copy(self._x)
         self._x.array[self.decoupled] = 0.0
         self.product(self._x, y)
         y.array[self.decoupled] = self.scale * x.array_r[self.decoupled]
 
     def getDiagonal(self, mat: PETSc.Mat, d: PETSc.Vec) -> None:
-        """Set d = diagonal."""
         self.diagonal.copy(d)
         d.array[self.decoupled] = self.scale
 
 
 class OperatorOfBases(_Decoupled):
-    """(I + C)^T A (I + D) for a sum A and nested factors, decoupled at some unknowns.
-
-    `ProductOfBases` without a matrix.
-    """
+    """`ProductOfBases` without a matrix, for a sum A and nested factors."""
 
     def __init__(self, like: PETSc.Mat) -> None:
         super().__init__(like)
@@ -151,20 +140,13 @@ class OperatorOfBases(_Decoupled):
         decoupled: Ints,
         diagonal: PETSc.Vec,
     ) -> None:
-        """Set the operator; collective.
-
-        Args:
-            parts: terms of A.
-            bases: factors C and D, from left to right.
-            decoupled: owned unknowns.
-            diagonal: (n,) approximate diagonal.
-        """
+        """Set the terms of A, factors C and D from left to right, and the diagonal; collective."""
         self._parts, self._bases, self.decoupled = parts, bases, decoupled
         diagonal.copy(self.diagonal)
         self.changed()
 
     def product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y = product with x, without decoupling; collective."""
+        """Set y, without decoupling; collective."""
         x.copy(self._u)
         for _, D in reversed(self._bases):
             D.mult(self._u, self._change)
@@ -199,7 +181,7 @@ def decouple(matrix: PETSc.Mat, rows: Ints, scale: float) -> None:
 
 
 class Halved:
-    """K for products: in space the upper half of its blocks, read in half the time."""
+    """K for products: in space the upper half of its blocks, which is read faster."""
 
     def __init__(self, K: PETSc.Mat) -> None:
         self.K, self._half = K, PETSc.Mat()
@@ -221,8 +203,7 @@ class Halved:
 class CongruentOperator(_Decoupled):
     """(I + C)^T K (I + C), decoupled at some unknowns, for changing K, C and unknowns.
 
-    In 3D its product takes a fifth of the time of the matrix's. `matrix.duplicate` is explicit;
-    `half` is K for products.
+    In 3D five times as fast as the matrix; `half` is K for products.
     """
 
     def __init__(self, K: PETSc.Mat, half: Halved | None = None) -> None:
@@ -255,7 +236,7 @@ class CongruentOperator(_Decoupled):
         self.diagonal.assemble()
 
     def product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y = product with x, without decoupling; collective."""
+        """Set y, without decoupling; collective."""
         if self.C is None:
             self.half.factor.mult(x, y)
             return
@@ -267,7 +248,7 @@ class CongruentOperator(_Decoupled):
     # called by PETSc
 
     def multTranspose(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y = product with x: K is symmetric."""
+        """Set y: K is symmetric."""
         self.mult(mat, x, y)
 
     def duplicate(self, mat: PETSc.Mat, op: int) -> PETSc.Mat:

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Entries in the format CSR, and sums of triplets and dense blocks over all ranks.
 
-petsc4py's `getValuesCSR` and `setValuesCSR` call PETSc for each row, a hundred times slower.
-Triplets use MatSetPreallocationCOO, which petsc4py 3.22 does not wrap; sums do not depend on the
-order of messages.
+petsc4py's `getValuesCSR` and `setValuesCSR` take a hundred times as long; it does not wrap
+MatSetPreallocationCOO. Sums do not depend on the order of messages.
 """
 
 from __future__ import annotations
@@ -34,14 +33,14 @@ def has(name: str) -> bool:
 
 
 def call(name: str, *arguments: object) -> None:
-    """Call a function and raise its error."""
+    """Call a function; raise its error."""
     error = getattr(_lib, name)(*arguments)
     if error:
         raise PETSc.Error(error)
 
 
 def csr_of(A: PETSc.Mat) -> tuple[Ints, Ints, Floats]:
-    """Copies of the entries of owned rows: first entry of each row, global columns, values."""
+    """First entry of each owned row, global columns and values, copied."""
     if A.getType() != "seqaij":
         return A.getValuesCSR()
     start, columns = A.getRowIJ()
@@ -58,7 +57,7 @@ def owned_rows(A: PETSc.Mat) -> scipy.sparse.csr_array:
 def set_csr(A: PETSc.Mat, start: Ints, columns: Ints, values: Floats) -> None:
     """Set all values (e,) of owned rows of an assembled matrix, on its pattern; collective.
 
-    Columns (e,) are global and ascend in each row; start is (rows + 1,).
+    Global columns (e,) ascend in each row; start is (rows + 1,).
     """
     if A.getType() != "seqaij":
         A.setValuesCSR(start, columns, values)
@@ -84,7 +83,6 @@ def add_blocks(A: PETSc.Mat, start: Ints, columns: Ints, blocks: Floats) -> None
 
 @numba.njit(cache=True)
 def _add_blocks(rows, places, values, start, columns, blocks):  # type: ignore[no-untyped-def]
-    """Whether the pattern, with ascending columns, had all entries."""
     d, c = blocks.shape[1:]
     for r in range(len(start) - 1):
         for i in range(d):
@@ -130,10 +128,10 @@ class Triplets:
     """Sums of triplets at the entries of a square matrix; collective.
 
     Args:
-        layout: distribution of rows and columns.
-        d: rows and columns per node of the layout.
-        rows: (t,) global row of each triplet, of any rank.
-        columns: (t,) global columns.
+        layout: of rows and columns.
+        d: rows and columns per node.
+        rows: (t,) global, of any rank.
+        columns: (t,) global.
 
     Attributes:
         rows: (e,) owned local row of each entry; ascending.
@@ -169,14 +167,14 @@ class Triplets:
         self.rows, self.columns = np.repeat(own, np.diff(self._start)), found.astype(np.int64)
 
     def fill(self, values: npt.ArrayLike) -> PETSc.Mat:
-        """Matrix of the sums of the values (t,), the same object in every call; collective."""
+        """Matrix of the sums of values (t,), the same object in every call; collective."""
         v = np.ascontiguousarray(values, dtype=PETSc.ScalarType).ravel()
         pointer, mode = ctypes.c_void_p(v.ctypes.data), ctypes.c_int(PETSc.InsertMode.INSERT_VALUES)
         call("MatSetValuesCOO", ctypes.c_void_p(self._sums.handle), pointer, mode)
         return self._sums
 
     def zero(self) -> PETSc.Mat:
-        """Matrix for the analysis of the pattern; its values are arbitrary."""
+        """Matrix with arbitrary values."""
         return self._sums
 
     def sum(self, values: npt.ArrayLike) -> Floats:
@@ -193,13 +191,10 @@ class BlockMatrix:
     """Matrix of d x d blocks on a fixed pattern; collective.
 
     Args:
-        layout: distribution of the nodes.
+        layout: of the nodes.
         d: size of a block.
         rows: (p,) owned local node of each block.
         columns: (p,) global nodes; repeated blocks are added.
-
-    Attributes:
-        matrix: of the last blocks; zero at first.
     """
 
     def __init__(
@@ -260,17 +255,10 @@ def _add(start, columns, rows, others, values, total):  # type: ignore[no-untype
 
 
 class BlockEntries:
-    """Sums of blocks at the entries of a pattern of this rank's nodes.
+    """Sums of blocks at the entries of a pattern (m, n) of this rank's nodes.
 
-    Args:
-        pattern: (m, n) possible blocks.
-        block: rows and columns of a block.
-        rows: (block rows * m,) global rows.
-        columns: (block columns * n,) global columns.
-
-    Attributes:
-        rows: (e,) global rows, of any rank.
-        columns: (e,) global columns.
+    Global rows (block rows * m,), columns (block columns * n,), and those of the entries (e,), may
+    be of other ranks.
     """
 
     rows: Longs
@@ -298,10 +286,9 @@ class BlockEntries:
 
 
 class BlockSums:
-    """Matrix of the sums of blocks over all ranks, on a fixed pattern."""
+    """Matrix of the sums of blocks over all ranks, on a fixed pattern; collective."""
 
     def __init__(self, comm: MPI.Intracomm, layout: Layout, entries: BlockEntries) -> None:
-        """Analyse the pattern; collective."""
         self._entries = entries
         self._sums = Triplets(comm, layout, entries.rows, entries.columns)
 
@@ -315,7 +302,7 @@ class BlockSums:
 
 
 class SumWithProducts:
-    """A + sum_i B_i N_i over all ranks, on a fixed pattern."""
+    """A + sum_i B_i N_i over all ranks, on a fixed pattern; collective."""
 
     def __init__(
         self,
@@ -324,7 +311,6 @@ class SumWithProducts:
         A: BlockEntries,
         *products: tuple[BlockEntries, PETSc.Mat],
     ) -> None:
-        """Analyse the patterns; collective."""
         self._A, rows, columns = A, [A.rows], [A.columns]
         self._products: list[tuple[BlockSums, PETSc.Mat]] = []
         for B, N in products:
@@ -338,7 +324,7 @@ class SumWithProducts:
         self._total = Triplets(comm, layout, np.concatenate(rows), np.concatenate(columns))
 
     def zero(self) -> PETSc.Mat:
-        """Matrix for the analysis of the pattern; its values are arbitrary."""
+        """Matrix with arbitrary values."""
         return self._total.zero()
 
     def fill(

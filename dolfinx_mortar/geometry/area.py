@@ -3,11 +3,9 @@
 
 The plane is normal to the mean normal of a slave facet, through its centre. The intersection of
 both projected facets is split into triangles; weights are areas in the plane over the cosine to the
-slave facet. Facets of second order are clipped in four parts, unless straight and flat.
-
-Integrals of Phi_j N_l are exact on flat triangles and parallelograms. On others the degree grows
-with the change of the Jacobian and of the slopes, for an error of constant pressures of 1e-8 at
-most.
+slave facet. Facets of second order are clipped in four parts. Integrals of Phi_j N_l are exact on
+flat triangles and parallelograms; on others the degree grows with the change of the Jacobian and of
+the slopes.
 """
 
 from collections.abc import Sequence
@@ -73,7 +71,6 @@ def _depth(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _overlap(P, Q):  # type: ignore[no-untyped-def]
-    """Whether two projected facets share more than a line."""
     p, q = P.shape[0], Q.shape[0]
     # overlaps as narrow as a thin polygon do not count
     if plane.is_beside(P, p, Q, q, plane.orientation(P, p), -64 * ROUND_OFF):
@@ -121,7 +118,6 @@ def _copy(P, n, Q):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _doubled(a):  # type: ignore[no-untyped-def]
-    """Contiguous copy of twice the length."""
     result = np.empty((2 * len(a),) + a.shape[1:], a.dtype)  # noqa: RUF005
     x, y = a.reshape(-1), result.reshape(-1)
     for i in range(len(x)):
@@ -164,7 +160,6 @@ def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyp
 
 @numba.njit(**KERNEL)
 def _is_far(middle, radius, centre, axes):  # type: ignore[no-untyped-def]
-    """Whether the projections of a ball and the slave facet are apart."""
     x = y = square = 0.0
     for i in range(3):
         offset, along = middle[i] - centre[i], axes[0, i]
@@ -176,7 +171,7 @@ def _is_far(middle, radius, centre, axes):  # type: ignore[no-untyped-def]
 def _clip(  # type: ignore[no-untyped-def]
     S, x_m, balls, bilinear, pairs, deepest, first, last, centre, axes, M, pieces, sizes, row
 ):
-    """Fill M, pieces, sizes and row (pair) for one slave facet; return the count."""
+    """Fill one slave facet's M, pieces, sizes and row (pair); return the count."""
     spare = np.empty((VERTICES, 2))
     count = 0
     k, n = S.shape[0], x_m.shape[1]
@@ -204,7 +199,6 @@ def _clip(  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
-    """Append the triangles of a polygon; return the new arrays."""
     if t + VERTICES > len(which):
         which, corners = _doubled(which), _doubled(corners)
     least = ROUND_OFF * plane.measure(P, n)[0]
@@ -222,7 +216,7 @@ def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _split(S, x_m, balls, bilinear, pairs, deepest, first, last, centre, axes, which, corners, t):  # type: ignore[no-untyped-def]
-    """Append the triangles of one slave facet; return the arrays, and if masters overlap."""
+    """Append one slave facet's triangles; return the arrays, and if masters overlap."""
     n = last - first
     M, row = np.empty((n, x_m.shape[1], 3)), np.empty(n, np.int64)
     pieces, sizes = np.empty((n, VERTICES, 2)), np.empty(n, np.int64)
@@ -304,7 +298,6 @@ def _place(  # type: ignore[no-untyped-def]
     x_s, x_m, bilinear, pairs, centre, axes, radius, which, corners, size, rule, whole, points,
     weights, start
 ):  # fmt: skip
-    """Pair, xi_s, xi_m and weight of all points; on parts unless `whole`."""
     total = 0
     for t in range(len(which)):
         total += start[rule[t] + 1] - start[rule[t]]
@@ -332,7 +325,6 @@ def _place(  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _inside(c, r, s):  # type: ignore[no-untyped-def]
-    """Point (r, s) of the triangle c (3, 2)."""
     x = c[0, 0] + r * (c[1, 0] - c[0, 0]) + s * (c[2, 0] - c[0, 0])
     return x, c[0, 1] + r * (c[1, 1] - c[0, 1]) + s * (c[2, 1] - c[0, 1])
 
@@ -364,7 +356,6 @@ def _nearest_line(c, e, P, r, best):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _is_next(corners, which, t):  # type: ignore[no-untyped-def]
-    """Whether triangle t shares its edge 01 with the one before."""
     if t == 0 or t == len(corners) or which[t - 1] != which[t]:
         return False
     same = True
@@ -432,8 +423,6 @@ def moments(
 
 
 class _Given(NamedTuple):
-    """Input of the points of pairs (c,)."""
-
     over: "_Overlaps"
     place: Longs  # see `Sides`
     factor: Floats
@@ -654,12 +643,10 @@ class _Overlaps(NamedTuple):
 
     @property
     def pairs(self) -> Ints:
-        """Pairs of parts (p', 2)."""
         return self.sides[3]
 
 
 def _find_overlaps(slave: Facets, master: Facets, pairs: Ints, deepest: Floats) -> _Overlaps:
-    """Triangles in which facets overlap."""
     parts_s, parts_m = parts_of(slave), parts_of(master)
     pairs, of = pairs_of_parts(pairs, slave.element, master.element)
     planes = create_planes(parts_s.x)

@@ -107,7 +107,6 @@ def _projected(e: Floats, n: Floats, K: Floats) -> Floats:
 
 
 def _inverted(e: Floats) -> Floats:
-    """Vectors e / |e|^2: spheres through the origin become planes."""
     return np.asarray(e / np.maximum((e**2).sum(axis=-1), TINY)[..., None])
 
 
@@ -235,7 +234,7 @@ def curvature_slopes(facets: Facets, sagitta: Floats) -> Floats:
 
 
 def _divided(v: Floats, square: Floats) -> Floats:
-    """Quotient v / square, zero where that is zero; also for complex numbers."""
+    """Quotient, zero where `square` is; also for complex numbers."""
     return np.asarray(v / np.where(square.real > 0.0, square, np.inf)[..., None])
 
 
@@ -245,7 +244,6 @@ def _unit(v: Floats) -> Floats:
 
 
 def _frame(facets: Facets) -> Floats:
-    """Two orthonormal tangents (m, 3, 2) of facets."""
     n, first = _unit(area_vectors(facets)), facets.x[:, 1] - facets.x[:, 0]
     second = _unit(np.asarray(np.cross(n, first)))
     return np.stack([np.cross(second, n), second], axis=2)

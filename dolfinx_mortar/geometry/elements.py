@@ -107,7 +107,6 @@ def _quadratic_interval_derivatives(xi: Floats) -> Floats:
 
 
 def _triangle(xi: Floats) -> Floats:
-    """Linear functions of the triangle (q, 3)."""
     (r, s), N = xi.T, np.empty((3, len(xi)))  # contiguous by function
     N[0], N[1], N[2] = 1 - r - s, r, s
     return N.T

@@ -104,7 +104,6 @@ def dual_basis(a: Floats) -> tuple[Floats, Floats]:
 
 
 def _normals(a: Floats) -> Floats:
-    """Normals (.., d) to tangents, as long as their length or area."""
     if a.shape[-1] == 2:
         return np.stack([a[..., 0, 1], -a[..., 0, 0]], axis=-1)
     return np.asarray(np.cross(a[..., 0, :], a[..., 1, :]), dtype=np.float64)

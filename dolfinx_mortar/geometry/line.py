@@ -23,13 +23,11 @@ from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND
 
 @numba.njit(**KERNEL)
 def _at(v, xi, i):  # type: ignore[no-untyped-def]
-    """Component i of the polynomial v (3, 2) at xi."""
     return v[0, i] + xi * (v[1, i] + xi * v[2, i])
 
 
 @numba.njit(**KERNEL)
 def _moment(x, n, y0, y1, xi):  # type: ignore[no-untyped-def]
-    """Return (x(xi) - y) x n(xi) and its derivative."""
     p0, p1 = _at(x, xi, FIRST) - y0, _at(x, xi, SECOND) - y1
     n0, n1 = _at(n, xi, FIRST), _at(n, xi, SECOND)
     dx0, dx1 = x[1, 0] + 2 * xi * x[2, 0], x[1, 1] + 2 * xi * x[2, 1]
@@ -106,7 +104,7 @@ def _insert(cuts, count, value):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _clip_facet(x, n, x_m, ends_m, pairs, deepest, first, last, which, ends, q):  # type: ignore[no-untyped-def]
-    """Append the disjoint segments of one slave facet; return the count."""
+    """Append one slave facet's disjoint segments; return the count."""
     p, c, start = last - first, 0, q
     low, high, cuts = np.empty(p), np.empty(p), np.empty(2 * p)
     index, master, most = np.empty(p, np.int32), np.empty(p, np.int32), np.empty(p)
@@ -138,7 +136,6 @@ def _clip_facet(x, n, x_m, ends_m, pairs, deepest, first, last, which, ends, q):
 
 @numba.njit(**KERNEL)
 def _clip(x_s, n_s, x_m, ends_m, pairs, deepest):  # type: ignore[no-untyped-def]
-    """Pair and ends in xi of all segments."""
     p = len(pairs)
     which, ends = np.empty(2 * p, dtype=np.int32), np.empty((2 * p, 2))
     q = last = np.int64(0)
@@ -162,7 +159,7 @@ def _point(x, n, y, low, high, t):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _place(x_s, n_s, x_m, pairs, which, ends, points, weights):  # type: ignore[no-untyped-def]
-    """Coordinates xi_s, xi_m and weight of all points, ordered by segment."""
+    """Coordinates xi_s, xi_m and weight of all points."""
     k = len(points)
     xi_s, xi_m = np.empty(len(which) * k), np.empty(len(which) * k)
     weight = np.empty(len(which) * k)

@@ -155,7 +155,6 @@ def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
 def _place(  # type: ignore[no-untyped-def]
     slave, master, reference_s, reference_m, axes, part, xi_s, xi_m, weight, scale
 ):
-    """See `on_facets`; facets by their coefficients."""
     on_s, on_m, area = np.empty(xi_s.shape), np.empty(xi_m.shape), np.empty(len(weight))
     P = np.empty((1, 2, 9))
     a, b = len(reference_s), len(reference_m)
@@ -435,7 +434,6 @@ def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _are_near(x_s, x_m, pairs, centre, axes, radius, margin):  # type: ignore[no-untyped-def]
-    """Whether (p,) the projections are closer than the margins."""
     near = np.ones(len(pairs), dtype=np.bool_)
     k, n = x_s.shape[1], x_m.shape[1]
     S, M = np.empty((k, 3)), np.empty((n, 3))

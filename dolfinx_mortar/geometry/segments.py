@@ -65,7 +65,6 @@ def create_cones(x_s: Floats, n_s: Floats, margin: Floats) -> Cones:
 
 @numba.njit(**KERNEL)
 def _meets(c, axis, radius, slope, p, rho):  # type: ignore[no-untyped-def]
-    """Whether a cone can meet the ball at p."""
     axial = 0.0
     square = 0.0
     for i in range(c.size):

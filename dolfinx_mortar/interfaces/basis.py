@@ -76,7 +76,6 @@ def find_referenced(sides: Sides, pattern: Pattern, banned: Bools, coverage: Cov
 def _why_claimed(
     sides: Sequence[Sides], interfaces: Sequence[Interface], owners: Ints, k: int
 ) -> str:
-    """Reason and remedy for nodes of interface k with other owners; collective."""
     first = int(owners.min(initial=k))
     pair = sides[k].V.mesh.comm.allreduce(first, op=MPI.MIN), k
     why = "claimed by an earlier interface that they face as well; "
@@ -97,7 +96,7 @@ def _common(
     coverage: Sequence[Coverage],
     owner: Ints,
 ) -> Bools:
-    """Owned nodes (n,) on one face with the owner, covered by both masters; collective."""
+    """Owned nodes on one face with the owner, covered by both masters; collective."""
     d, own = sides[0].V.mesh.geometry.dim, np.arange(len(owner))
     whole = np.zeros((len(sides), len(owner)), dtype=bool)
     of_sides = np.zeros((*whole.shape, d))
@@ -390,7 +389,6 @@ class _Factor:
         self.C = self._blocks.matrix
 
     def update(self, links: Sequence[Link]) -> None:
-        """Refill the matrix; collective."""
         values = []
         for k, mine, here in self.parts:
             link = links[k]
@@ -399,7 +397,7 @@ class _Factor:
         self._blocks.fill(np.concatenate(values))
 
     def uncouple(self, links: Sequence[Link], held: Ints) -> tuple[PETSc.Mat, PETSc.Mat]:
-        """C of constraints at fixed unknowns, without stored zeros, and E; collective."""
+        """See `Transformation.uncouple`; collective."""
         V, d = self.V, self.V.dofmap.index_map_bs
         first, n = V.dofmap.index_map.local_range[0], V.dofmap.index_map.size_local
         is_held = np.zeros(d * n, dtype=bool)
@@ -440,7 +438,6 @@ class _Factor:
 
 
 def _product(Cs: Sequence[PETSc.Mat]) -> PETSc.Mat:
-    """C of the product of I + C_k; collective."""
     total = Cs[0]
     for C in Cs[1:]:
         both = total.matMult(C)

@@ -142,7 +142,6 @@ class ContactDerivatives(LinkDerivatives):
     """
 
     def __init__(self, link: CoupledSides) -> None:
-        """Create the patterns for all candidates; collective."""
         V, slave, pairing = link.sides.V, link.sides.slave, link.pairing
         assert pairing is not None
         self._found, pairs = pairing, pairing.pairs
@@ -247,7 +246,6 @@ class _Normals:
         return self._sum.zero()
 
     def fill(self, link: CoupledSides, u: fem.Function, found: Derivatives) -> PETSc.Mat:
-        """Derivatives, given those of the averaged normals; collective."""
         master, common, M = link.sides.master, link.coupling.common, link.mortar[1].M[:, :1]
         assert master is not None and common is not None
         N_m = self._of_master.fill(_in_planes(link, coordinates(master, u)))
@@ -277,7 +275,6 @@ def _in_planes(link: CoupledSides, x: Floats) -> Floats:
 
 
 def _averaged(surface: Surface) -> Triplets:
-    """Pattern of the derivatives of averaged normals of a side; collective."""
     V, d = surface.V, surface.X.shape[1]
     nodes = V.dofmap.index_map.local_to_global(surface.nodes).astype(np.int64)
     at = (d * nodes[:, None] + np.arange(d))[surface.facets]
@@ -292,7 +289,6 @@ def _in_space(link: CoupledSides) -> bool:
 
 
 def _neighbours(slave: Surface, marked: Bools) -> Bools:
-    """Slave nodes (n,) of facets with a marked node; collective."""
     found = np.zeros((len(slave.nodes), 1))
     found[slave.facets[marked[slave.facets].any(axis=1)]] = 1.0
     return np.asarray(accumulate(slave, found)[:, 0] > 0.0)
@@ -343,7 +339,6 @@ class ToolDerivatives(LinkDerivatives):
     """Derivatives for all facets of a side below a tool."""
 
     def __init__(self, link: CoupledSides, side: WholeSide, tool: Tool) -> None:
-        """Create the patterns; collective."""
         V, slave = link.sides.V, link.sides.slave
         self.side, self.tool = side, tool
         n, d = len(slave.nodes), V.dofmap.index_map_bs

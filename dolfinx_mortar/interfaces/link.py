@@ -198,7 +198,6 @@ def set_sliding(
 def _resultants(
     link: Link, forces: Floats, known: Floats, multiplier: Floats, x: Floats
 ) -> tuple[Resultants, tuple[float, float]]:
-    """Resultants and balances of slave forces and prescribed friction; collective."""
     comm, n, d = link.sides.V.mesh.comm, link.sides.n_owned, forces.shape[1]
     f, points = np.zeros((2, n, 3)), np.zeros((n, 3))
     f[:, :, :d], points[:, :d] = link.transpose(forces), x
@@ -239,7 +238,6 @@ def _balances(comm: MPI.Comm, f: Floats, points: Floats, h: float) -> tuple[floa
 
 
 def _fill(function: fem.Function, link: Link, values: Floats, kept: Bools) -> None:
-    """Set a Function to nodal values on the slave side, zero off it; collective."""
     result = _extended(link, values[:, None], kept[:, None])[:, 0]
     function.x.array[:] = np.where(link.sides.on_slave, result, 0.0)
 

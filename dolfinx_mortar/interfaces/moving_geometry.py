@@ -76,7 +76,6 @@ class Products:
     """Matrices of T^T (K + H) T_g, on fixed patterns."""
 
     def __init__(self) -> None:
-        """Start empty."""
         self._total: PETSc.Mat | None = None
         self._factors: list[ProductOfBases] = []
         self._operator: OperatorOfBases | None = None
@@ -118,7 +117,6 @@ class MovingGeometry:
     """Derivatives of contacts, on the patterns of their pairs."""
 
     def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], claims: Claims) -> None:
-        """Create the patterns; collective."""
         found = {k: link.interface.derivatives(link) for k, link in enumerate(links)}
         self._contacts = {k: one for k, one in found.items() if one is not None}
         self._trial = Transformation(V, links, claims)
@@ -204,7 +202,6 @@ def _lumped(link: Link, rows: scipy.sparse.csr_array) -> tuple[Floats, Floats]:
 
 
 def _values_at(keys: Longs, values: Floats, asked: Longs) -> Floats:
-    """Values (e,) at some of the ascending keys, else 0."""
     if not len(keys):
         return np.zeros(len(asked))
     place = np.minimum(np.searchsorted(keys, asked), len(keys) - 1)

@@ -180,7 +180,6 @@ class _Arcs:
     """Arcs of a surface from their chords and the normals at their ends."""
 
     def __init__(self, chord: Floats, start: Floats, end: Floats) -> None:
-        """Chords d and unit normals n_0 and n (n, d)."""
         self.chord, self.start, self.end = chord, start, end
         both, apart = end + start, end - start
         h, w = np.linalg.norm(both, axis=1), np.linalg.norm(apart, axis=1)

@@ -114,7 +114,6 @@ class InterfaceSystem:
         fixed: Bools,
         weight: Weight | None = None,
     ) -> None:
-        """Find the surfaces; collective."""
         self.V, self.interfaces = V, list(interfaces)
         self.sides: list[Sides] = [i.find_sides(V, fixed, weight) for i in interfaces]
         self._find_spreads()
@@ -285,7 +284,6 @@ class InterfaceSystem:
         return found
 
     def _followed(self, k: int, link: Link, u: fem.Function | None) -> Link:
-        """Couple an interface with the same pairs at X + u; collective."""
         if u is not None and link.interface.stays and link.pairing and is_ours(link.interface):
             return link
         parts = link.sides, link.pairing, link.pattern, link.banned
@@ -344,7 +342,6 @@ class InterfaceSystem:
         return T is not reused.transformation
 
     def _slid(self, u: fem.Function | None) -> bool:
-        """Whether sides slid beyond the margins of the last search; collective."""
         slid = []
         for interface, (pairing, _) in zip(self.interfaces, self._reused.pairs, strict=True):
             if not interface.stays and u is not None and pairing is not None:

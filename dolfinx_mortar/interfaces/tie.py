@@ -244,7 +244,6 @@ class Tie(MortarInterface):
 
 
 def _check_jump(jump: Any, d: int) -> Any:
-    """Checked jump, numbers as an array; without communication."""
     if jump is None:
         return None
     example = ", ".join(["0"] * (d - 1) + ["0.1"])
@@ -270,7 +269,7 @@ def _check_jump(jump: Any, d: int) -> Any:
 
 
 def _nodal_function(jump: Any, V: fem.FunctionSpace) -> Any:
-    """Function as one of V, all else unchanged; collective for Functions."""
+    """Functions as one of V; collective for these."""
     if not isinstance(jump, fem.Function) or jump.function_space == V:
         return jump
     jump.x.scatter_forward()
@@ -280,7 +279,6 @@ def _nodal_function(jump: Any, V: fem.FunctionSpace) -> Any:
 
 
 def _values_at(jump: Any, V: fem.FunctionSpace, nodes: Ints) -> Floats:
-    """Jump (n, d) at owned nodes; without communication."""
     d = V.dofmap.index_map_bs
     if jump is None:
         return np.zeros((len(nodes), d))

@@ -336,7 +336,6 @@ class Tool(RigidBody):
     """
 
     def __init__(self, shape: Any, reference: Any, d: int) -> None:
-        """Check the shape and the reference point, in d dimensions."""
         if not isinstance(shape, Shape):
             raise ValueError(
                 f"shape is {shape!r}: give one of dolfinx_mortar.shapes, such as Plane(point, "

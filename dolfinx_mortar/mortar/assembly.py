@@ -69,7 +69,7 @@ class _Cells:
     dofs: Longs
 
     def sent(self, comm: MPI.Comm, receivers: Bools) -> _Cells:
-        """The cells of master facets sent to this rank, by receivers (m, ranks); collective."""
+        """Cells sent to this rank, by receivers (m, ranks); collective."""
         own = self.number, self.places, self.x, self.dofs
         parts = comm.alltoall([tuple(v[to] for v in own) for to in receivers.T])
         return _Cells(*(np.concatenate([part[i] for part in parts]) for i in range(4)))
@@ -78,7 +78,6 @@ class _Cells:
 def _find_cells(
     V: dolfinx.fem.FunctionSpace, side: Surface, u: dolfinx.fem.Function | None, name: str
 ) -> _Cells:
-    """Cells behind facets at X + u; collective."""
     W, d, cells = side.V, side.X.shape[1], cells_of(side)
     nodes = W.dofmap.list[cells]
     of_facets = side.nodes[side.facets]

@@ -133,7 +133,7 @@ def _with_images(S: Floats, mirrors: Bools) -> Floats:
 
 
 def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Bools) -> Floats:
-    """S (local nodes, d, d) at facets' nodes (m, k); collective."""
+    """Spreads (local nodes, d, d); collective."""
     n = facet_normals(facets)
     d = n.shape[1]
     products = (n[:, :, None] * n[:, None]).reshape(len(n), d * d)
@@ -144,7 +144,7 @@ def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Boo
 
 
 def _rotations(F: Floats) -> Floats:
-    """Rotations (n, d, d) of tensors by Newton-Schulz iterations."""
+    """Rotations by Newton-Schulz iterations."""
     R = F * np.sqrt(F.shape[1]) / np.linalg.norm(F, axis=(1, 2), keepdims=True)
     for _ in range(LIMIT):
         off = np.swapaxes(R, 1, 2) @ R - np.eye(R.shape[1])

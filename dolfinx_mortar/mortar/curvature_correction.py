@@ -104,7 +104,7 @@ def _find_jumps(surface: Surface, facets: Facets, normals: NodeNormals) -> Bools
 
 
 def _at_ends(surface: Surface, values: Floats) -> Floats:
-    """Nodal sums (n, c) of values (m, 2, c) of lines; collective."""
+    """Nodal sums (n, c) of values (m, 2, c); collective."""
     m, k = surface.facets.shape
     return sum_at_nodes(surface, np.concatenate([values, np.zeros((m, k - 2, values.shape[2]))], 1))
 
@@ -207,7 +207,7 @@ def _over(facets: Facets, shape: NodeShape, nodes: Ints, count: Ints) -> SmoothS
 
 
 def _nodal_curvatures(surface: Surface) -> Floats:
-    """Mean curvatures (n, d, d) of curved facets at nodes; collective."""
+    """Nodal means (n, d, d) of curvatures; collective."""
     facets, d = facets_at(surface, surface.X), surface.X.shape[1]
     K = own_curvatures(facets).reshape(-1, d * d)
     columns = np.concatenate([K, np.ones((len(K), 1))], axis=1)[:, None]
@@ -284,7 +284,6 @@ class Curved:
 
     @cached_property
     def _first(self) -> tuple[Ints, Ints]:
-        """Positions of the distinct facets, and the index of each (m,)."""
         _, again = distinct(self.which)
         first = np.empty(again.max(initial=-1) + 1, dtype=np.int32)
         first[again] = np.arange(len(again))
@@ -463,7 +462,6 @@ def find_parting(
 
 
 def _received(pairing: Pairing, own: NodeNormals) -> NodeNormals:
-    """Normals at received master nodes; collective."""
     flags = np.zeros_like(own.n)
     flags[:, 0] = own.open + 2 * own.sharp + (0 if own.jumps is None else 4 * own.jumps)
     n, flags = receive(pairing, own.n), receive(pairing, flags)

@@ -106,7 +106,6 @@ def find_facing(
 def _least_gaps(
     facets: Facets, others: Facets, segments: Segments, n: Floats, count: int
 ) -> Floats:
-    """Least gaps (count,) along the normals of facets."""
     apart = points_of(others, segments.master, segments.xi_m)
     apart -= points_of(facets, segments.slave, segments.xi_s)
     least = np.full(count, np.inf)
@@ -215,7 +214,7 @@ def _edges(V: fem.FunctionSpace, facets: Facets, nodes: Ints) -> Longs:
 
 
 def _meeting(keys: Longs, normals: Floats, limit: float) -> tuple[Longs, Longs, Bools]:
-    """Pairs of rows (q,), (q,) with equal keys, and where normals are close."""
+    """Pairs of rows with equal keys, and where normals are close."""
     order = np.lexsort(keys.T)
     sorted_keys = keys[order]
     found: list[Longs] = [np.zeros((0, 2), dtype=np.int64)]

@@ -224,7 +224,6 @@ def some_points(segments: Segments, which: Bools) -> Segments:
 
 
 def _weigh(pairing: Pairing, segments: Segments, facets: Facets) -> Segments:
-    """Multiply by the weight of the pairing."""
     if pairing.weight is None:
         return segments
     at_X, xi = facets_at(pairing.slave, pairing.slave.X), facets.element.rule[0]

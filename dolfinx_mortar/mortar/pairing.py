@@ -120,7 +120,6 @@ def _deepest(surface: Surface, u: dolfinx.fem.Function | None, itself: bool) -> 
 def _create_scatter(
     V: dolfinx.fem.FunctionSpace, nodes: Longs
 ) -> tuple[PETSc.Scatter, PETSc.Vec, PETSc.Vec]:
-    """Scatter of V at global nodes to this rank (collective)."""
     d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
     size = (d * index_map.size_local, d * index_map.size_global)
     source = PETSc.Vec().createMPI(size, comm=V.mesh.comm)
@@ -132,7 +131,6 @@ def _create_scatter(
 def _create_triplets(
     slave: Surface, pairs: Ints, nodes: Longs, facets: Ints
 ) -> tuple[Triplets, Triplets]:
-    """Patterns of D and M (collective)."""
     index_map = slave.V.dofmap.index_map
     rows = index_map.local_to_global(slave.nodes)[slave.facets]
     paired, found = np.unique(pairs[:, 0]), []
@@ -168,7 +166,7 @@ def _check_surfaces(
     master: Surface,
     u: dolfinx.fem.Function | None,
 ) -> None:
-    """Raise a ValueError on all ranks unless surfaces are a pair."""
+    """Raise a ValueError on all ranks unless both are a pair."""
     if slave.V != V or master.V != V:
         raise ValueError("slave and master have to be surfaces of V.")
     if u is not None and (not isinstance(u, dolfinx.fem.Function) or u.function_space != V):
@@ -191,7 +189,7 @@ def _check_finite(u: dolfinx.fem.Function | None, *sides: Surface) -> None:
 
 
 def _check_facing(pairs: Ints, slave: Surface, master: Surface, n_s: Floats, n_m: Floats) -> None:
-    """Raise a ValueError on all ranks if no two facets face each other (collective)."""
+    """Raise a ValueError on all ranks if no facets face each other."""
     comm = slave.V.mesh.comm
     if comm.allreduce(len(pairs)):
         return
@@ -280,7 +278,6 @@ def create_pairing(
 
 
 def _has_pairs(pairing: Pairing, pairs: Ints, nodes: Longs, facets: Ints) -> bool:
-    """Whether a pairing has just these candidates on this rank."""
     same = np.array_equal(pairing.pairs, pairs) and np.array_equal(pairing.master_nodes, nodes)
     return same and np.array_equal(pairing.master_facets, facets)
 

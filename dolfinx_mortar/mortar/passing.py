@@ -129,7 +129,7 @@ def find_passed(
 def _passed(
     side: Middles, other: Surface, before: fem.Function, now: fem.Function
 ) -> Passing | None:
-    """How a side's middles have passed through a surface; collective."""
+    """Motion of a side's middles through a surface; collective."""
     own, comm = side.surface, other.V.mesh.comm
     facets = [facets_at(own, coordinates(own, u)) for u in (before, now)]
     (faces, start_at), (_, end_at) = side.at(before), side.at(now)
@@ -161,7 +161,6 @@ def _outside(faces: Floats, middles: Floats, skin: Floats) -> Longs:
 
 
 def _first(side: Middles, through: Surface | None, faces: Floats, passed: Longs) -> Passing | None:
-    """The Passing of facets of this rank; collective."""
     comm, depth = side.surface.V.mesh.comm, side.depth[np.isfinite(side.depth)]
     count = comm.allreduce(len(passed), op=MPI.SUM)
     if not count:
@@ -251,7 +250,7 @@ def _cross(
     least: Floats,
     distance: Callable[[Floats], Floats],
 ) -> Bools:
-    """Which straight paths (n, d) enter negative distances, by bisection."""
+    """As `_enter`, for straight paths, by bisection."""
     (a, b), (near, far) = ends, phi
     inside, left = far < 0.0, np.arange(len(a))
     while left.size:

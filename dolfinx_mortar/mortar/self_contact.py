@@ -84,14 +84,13 @@ def choose_roles(
 
 
 def _are_among(rows: Longs, keys: Longs) -> Bools:
-    """Which rows (m, k) are among others (n, k)."""
     _, number = np.unique(np.concatenate([keys, rows]), axis=0, return_inverse=True)
     number = number.ravel()
     return np.asarray(np.isin(number[len(keys) :], number[: len(keys)]))
 
 
 def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Bools:
-    """Which facets (n,), with nodes `keys` (n, k), are slaves, by pairs a, b (p,)."""
+    """Which facets (n,) are slaves, by pairs a, b (p,)."""
     n = len(keys)
     if n == 0:
         return np.zeros(0, dtype=bool)
@@ -120,7 +119,6 @@ def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Boo
 
 
 def _neighbours(keys: Longs, least: int) -> Longs:
-    """Pairs (2, p) of facets with `least` common nodes."""
     n, k = keys.shape
     nodes, column = np.unique(keys, return_inverse=True)
     shape = (n, len(nodes))
@@ -185,7 +183,6 @@ class _Parts:
         self.odd = [False] * n  # role relative to the parent
 
     def find(self, k: int) -> tuple[int, bool]:
-        """Root of a facet, and whether its role differs."""
         way, odd = [], False
         while self.above[k] != k:
             way.append(k)

@@ -150,7 +150,6 @@ def _element(V: dolfinx.fem.FunctionSpace) -> FacetElement:
 
 
 def _cells_behind(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
-    """Cells (m,) behind exterior facets, and the facets' numbers in them."""
     topology = V.mesh.topology
     tdim = topology.dim
     facet_cells = topology.connectivity(tdim - 1, tdim)
@@ -162,7 +161,6 @@ def _cells_behind(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, I
 
 
 def _facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
-    """Local nodes (m, k) around facets, and cells (m,)."""
     tdim, (cells, local) = V.mesh.topology.dim, _cells_behind(V, entities)
     count = len(basix.topology(V.mesh.basix_cell())[tdim - 1])
     order, layout = _element(V).order, V.dofmap.dof_layout
@@ -196,7 +194,6 @@ def create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, P
 
 
 def _check_shapes(facets: Facets, comm: MPI.Comm, name: str) -> None:
-    """Raise a ValueError on all ranks for unusable facets."""
     finite = np.isfinite(facets.x).all()
     quality = distortions(facets) if finite else np.ones(len(facets.x))
     unusable = np.flatnonzero(quality < _MOST_WARPED)
@@ -252,7 +249,6 @@ def create_surface(
 
 
 def _thickness(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) -> Floats:
-    """Thickness (m,) behind facets of a side, within it or its body; collective."""
     comm = V.mesh.comm
     result = thickness_behind(facets, facets, comm)
     unknown = np.isinf(result)
@@ -280,7 +276,7 @@ def thickness_of_bodies(
 
 
 def _meet_at_edges(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) -> bool:
-    """Whether facets of this rank meet others at more than 60 degrees; collective."""
+    """Whether facets meet at more than 60 degrees; collective."""
     n = facet_normals(facets)
     mean = means_at_nodes(V, nodes, n)[nodes]
     along = (mean * n[:, None]).sum(axis=2)
@@ -332,7 +328,6 @@ class Boundary:
 
 
 def _connect(topology: dolfinx.mesh.Topology) -> None:
-    """Create the connectivities between facets and cells; collective."""
     d = topology.dim
     topology.create_connectivity(d - 1, d)
     topology.create_connectivity(d, d - 1)

@@ -62,8 +62,6 @@ class Derivatives:
 
 
 class _Surfaces(NamedTuple):
-    """Smooth surfaces over the facets of pairs (P,)."""
-
     c_s: Floats  # (P, e) c_ab, or (P, 0)
     c_m: Floats  # (P, e')
     arcs: Floats  # (P, 2, 2) see `curvature_correction.pair_sagittas`
@@ -73,7 +71,6 @@ class _Surfaces(NamedTuple):
 
 
 def _add_motions_of_heights(sides: Sides, surfaces: _Surfaces, sums: Sums) -> None:
-    """Add the derivatives of H by c_ab or chords."""
     (p, k, d), others = sides.x.shape, sides.x.shape[2] * (sides.x.shape[1] + sides.n.shape[1])
     if surfaces.lengths:
         rates = sums.chords
@@ -207,7 +204,6 @@ def _surfaces(
     smooth: tuple[SmoothSide, SmoothSide] | None,
     used: Ints,
 ) -> _Surfaces:
-    """Heights of pairs (P,); collective."""
     slave, master = pairing.slave.element, pairing.master.element
     c_s: Floats = np.empty((len(used), 0))
     arcs: Floats = np.empty((len(used), 2, 2))
@@ -280,7 +276,7 @@ def _groups(pairing: Pairing, used: Ints) -> list[_Group]:
 
 
 def _parts(count: Longs, pairing: Pairing) -> Iterator[Longs]:
-    """Facets with equal numbers of master nodes, in limited memory."""
+    """Facets by numbers of master nodes, in limited memory."""
     k, d = pairing.slave.element.nodes, pairing.slave.X.shape[1]
     for m in np.unique(count):
         which = np.flatnonzero(count == m)
@@ -296,7 +292,6 @@ def _add_parts(
     own: Ints,
     others: Ints,
 ) -> None:
-    """Add the derivatives of facets with nodes (p, k) and (p, m) to the parts."""
     (_, k, d), lines = sides.x.shape, sides.n.shape[1]
     both = np.concatenate([own, others], axis=1)
     z = found.F.shape[-1]

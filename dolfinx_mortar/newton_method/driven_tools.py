@@ -90,7 +90,7 @@ class Drives:
             first = end
 
     def missing(self, reactions: Floats) -> tuple[Floats, Floats]:
-        """Residuals F + e.z (m,) for reactions z (n,), and sizes of their terms (m,); collective."""
+        """Residuals F + e.z (m,) for reactions z (n,), and sizes of the terms (m,); collective."""
         parts = self.motions * reactions
         sums = np.stack([parts.sum(axis=1), np.abs(parts).sum(axis=1)])
         total, size = self.comm.allreduce(sums, op=MPI.SUM)
@@ -197,7 +197,6 @@ def find_drives(problem: ContactProblem, known: Floats | None = None) -> Drives 
 
 
 def _ways(problem: ContactProblem, link: Link, tool: Driven, x: Floats) -> Floats:
-    """Motions (m, n, d) of the slave nodes for unit amounts."""
     return tool.motions(x[link.nodes], problem.X[link.nodes], np.zeros(len(tool.names)))
 
 
@@ -221,7 +220,6 @@ def _loads(
 
 
 def _unknowns(link: Link, d: int) -> Ints:
-    """Owned unknowns of y that a link constrains."""
     node, axis = np.nonzero(link.constrained)
     return (d * link.nodes[node] + axis).astype(np.int32)
 
@@ -292,7 +290,6 @@ def settle(drives: Drives, lin: Linearisation, solved: QPSolution, extent: float
 
 
 def _names(drives: Drives) -> list[tuple[str, Interface, Driven]]:
-    """Unknowns (m,) by name, owner and tool."""
     return [(name, owner, tool) for owner, tool in drives.tools for name in tool.names]
 
 

@@ -75,7 +75,6 @@ class StepFailed(Exception):
     """A step failed; nothing has been undone or diagnosed yet."""
 
     def __init__(self, seen: str, why: str = "") -> None:
-        """Set message and explanation."""
         super().__init__(seen)
         self.why = why
 
@@ -120,7 +119,6 @@ def explain(
 
 
 def _look_at(problem: ContactProblem, u: Floats) -> tuple[str, str]:
-    """Flowing body and shortened cells at a displacement; collective."""
     before, shown = problem.u.x.array.copy(), problem.solid.points.keep()
     try:
         problem.u.x.array[:] = u
@@ -268,7 +266,6 @@ def _through_tool(found: Passing, at: list[float]) -> str:
 
 
 def _find_middles(problem: ContactProblem) -> list[tuple[Middles, ...]]:
-    """Mid-surface points of the bodies on all sides of each contact; collective."""
     if not any(problem.system.opposite):
         return [()] * len(problem.interfaces)
     body_of = problem.bodies.of_cells

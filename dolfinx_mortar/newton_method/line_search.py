@@ -116,7 +116,7 @@ def take_step(problem: ContactProblem, found: Solution, largest: float, old: Ite
 
 
 def _check_distance(du: PETSc.Vec, extent: float) -> None:
-    """Raise if a step is far longer than the model: singular tangent."""
+    """Raise if a step is far longer than the model."""
     farthest = du.norm(PETSc.NormType.INFINITY)
     if not QUARTER_OF_DIGITS * farthest <= extent:
         raise StepFailed(
@@ -268,7 +268,6 @@ def create_path(
 
 
 def _friction(lin: Linearisation, solved: QPSolution) -> tuple[Floats, Floats, Floats]:
-    """Slip, its change, and the limits of the QP's solution."""
     law, bounds = lin.qp.friction, lin.balance.bounds
     if law is None:
         return np.zeros((0, 1)), np.zeros((0, 1)), np.zeros(0)

@@ -279,7 +279,6 @@ class Corrections:
     """
 
     def __init__(self) -> None:
-        """Begin with v = 0."""
         self.given: Floats | None = None  # v of the last QP, (n,)
         self.sets: list[Actives] = []
         self.weights: list[Floats] = []  # (n,) stiffness of active bounds, else 0
@@ -379,7 +378,7 @@ def _follow(
 def _lifted(
     problem: ContactProblem, balance: Balance, operator: CongruentOperator | OperatorOfBases
 ) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
-    """Operator K^, r^ after the elimination, and the diagonal of T^T K T before."""
+    """As `_eliminated`, for an operator."""
     dy, b = problem.vector(), balance.reduced.copy()
     dy.array[balance.equal.dofs] = balance.equal.upper
     if dy.norm(PETSc.NormType.INFINITY) != 0.0:  # zero once supports have their values

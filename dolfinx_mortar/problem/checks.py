@@ -122,7 +122,6 @@ def _check_interfaces(interfaces: list[Any]) -> list[Interface]:
 
 
 def _check_weight(solid: Solid) -> None:
-    """Raise a ValueError on all ranks unless interfaces can evaluate the weight."""
     x = np.array(solid.mesh.geometry.x[:, : solid.mesh.geometry.dim], dtype=np.float64)
     i = solid.kinematics.radius
     if i is not None:

@@ -98,7 +98,6 @@ def _go_on(problem: ContactProblem, level: float, target: Floats) -> Floats | No
 
 
 def _stuck(problem: ContactProblem) -> Bools:
-    """Slave nodes (owned nodes,) that stick."""
     stuck, sliding = np.zeros(problem.n, dtype=bool), problem.committed.sliding
     if sliding is not None:
         for interface, sides in zip(problem.interfaces, problem.system.sides, strict=True):
@@ -108,7 +107,6 @@ def _stuck(problem: ContactProblem) -> Bools:
 
 
 def _overlap(problem: ContactProblem) -> float:
-    """Norm of the overlaps of contact nodes at u; collective."""
     with problem.timings("mortar"):
         links = problem.system.at(problem.configuration).links
         gap = np.minimum(nodal_gaps(links, problem.positions(), problem.n), 0.0)
@@ -235,7 +233,7 @@ def values_near(u: fem.Function, cells: Ints, points: Floats, reach: float) -> F
 
 
 def _nearest_values(u: fem.Function, cells: Ints, points: Floats) -> tuple[Floats, Floats]:
-    """Distances (p,) of points from the cells of this rank, and u (p, d) at the nearest ones."""
+    """Distances (p,) of points from this rank's cells, and u (p, d) there."""
     mesh, d = u.function_space.mesh, u.function_space.dofmap.index_map_bs
     if not len(cells) or not len(points):
         return np.full(len(points), np.inf), np.zeros((len(points), d))
@@ -248,7 +246,7 @@ def _nearest_values(u: fem.Function, cells: Ints, points: Floats) -> tuple[Float
 
 
 def _nearest_points(mesh: Mesh, cells: Ints, points: Floats) -> tuple[Floats, Ints, Floats]:
-    """Distances (p,) of points from cells of this rank, the nearest cells, and points in them."""
+    """Distances (p,) from this rank's cells, these, and points in them."""
     tdim, corners = mesh.topology.dim, cell_nodes(mesh)
     tree = geometry.bb_tree(mesh, tdim, entities=cells)
     inside = geometry.compute_collisions_points(tree, points)

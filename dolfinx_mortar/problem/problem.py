@@ -99,7 +99,6 @@ class ContactProblem:
         petsc_options_prefix: str = "dolfinx_mortar_",
         petsc_options: Mapping[str, Any] | None = None,
     ) -> None:
-        """Check the arguments; create matrices, solver and interfaces; collective."""
         sides, conditions = check_arguments(
             *(solid, interfaces, bcs, loads, potential, geometry),
             terms=terms,
@@ -294,7 +293,6 @@ class ContactProblem:
         raise_together(self.comm, failed[0] if failed else None)
 
     def _read(self, level: float | None) -> StepData:
-        """Data of a step from the present displacement; collective."""
         limits = []
         if self.system.has_friction:
             laws = [(one.law, one.nodal["gap"].function_space) for one in self.interfaces]
@@ -322,12 +320,10 @@ class ContactProblem:
         return StepData(target, asked, largest, contacts, limits, flows=flows)
 
     def _mean(self, asked: Floats) -> Floats:
-        """Mean increments (n,) of the bodies; collective."""
         mean = self.bodies.mean(asked, self.supports.owned)[self.bodies.label]
         return np.asarray(mean * self.bodies.shifts).ravel()
 
     def _carried(self, asked: Floats, u: Floats) -> Floats:
-        """Rigid displacement (n,) of supported bodies; collective."""
         mean = self._mean(asked)
         if self.solid.strain == "small" or not self.bodies.shifts.all():
             return mean
@@ -338,7 +334,7 @@ class ContactProblem:
         return self.vector(self.X.ravel() + self.committed.displacement)
 
     def _partners(self, target: Floats) -> list[Sequence[Partners | None] | None]:
-        """Slip partners at the last commit, at first also after the rigid motion; collective."""
+        """Slip partners at the last commit, at first also after the rigid motion."""
         if not self.system.has_friction or self.geometry == "reference":
             return [None]
         began = self.committed.displacement
@@ -360,7 +356,7 @@ class ContactProblem:
     def _completed(
         self, here: Configuration, partners: Sequence[Sequence[Partners | None] | None]
     ) -> list[Partners | None]:
-        """Partners, missing ones from later choices; None is those of ``here``; collective."""
+        """Partners, missing ones from later choices."""
         first, *others = (self._found_partners(here) if p is None else p for p in partners)
         result = list(first)
         for other in others:
@@ -449,7 +445,6 @@ class ContactProblem:
                 self.linear.clear()
 
     def _enter(self, found: Configuration) -> None:
-        """Make a configuration the present one; collective."""
         with self.timings("mortar"):
             if self.system.enter(found):
                 self.linear.clear()

@@ -38,8 +38,6 @@ FEW = (
 
 @dataclass(frozen=True)
 class _Found:
-    """A solution."""
-
     x: Floats  # (n,)
     q: Floats  # (m,)
     state: State
@@ -59,13 +57,8 @@ def solve(
 ) -> QPSolution:
     """Solve a bound-constrained QP by active-set updates, condensed where possible (collective).
 
-    Args:
-        start: initial active set and directions of slip.
-        guess: (n,) first x, 0 by default.
-
-    Returns:
-        The solution; its active set is that of the last linear system, in which weakly active
-        unknowns may be in either state.
+    The active set of the solution is that of the last linear system; weakly active unknowns may be
+    in either state. `guess` (n,) is the first x.
 
     Raises:
         QPNotSolved: if no updates end.
@@ -92,7 +85,7 @@ def solve(
 
 
 def _of_whole(qp: BoundQP, found: _Found) -> tuple[BoundQP, PETSc.Vec, PETSc.Vec, KKT]:
-    """The QP moved by its scalars, x, b - A x there, and the check; collective."""
+    """The QP moved by its scalars, x, b - A x, and the check; collective."""
     at = qp if qp.scalars is None else moved(qp, found.q)
     x = qp.b.duplicate()
     x.array[:] = found.x
@@ -165,7 +158,7 @@ def _solve_law(problem: HeldProblem, start: State) -> tuple[Outcome, str]:
 
 
 def _solve_given(problem: HeldProblem, state: State) -> Outcome | None:
-    """Iterate over the friction limits until they agree; None if they do not."""
+    """Iterate over the friction limits; None if they do not converge."""
     qp, law = problem.qp, problem.qp.friction or no_friction()
     problem.solve(state, TIGHT)
     for _ in range(LIMIT):

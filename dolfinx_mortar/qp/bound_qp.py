@@ -4,16 +4,14 @@
 At node j the reaction z = b - A x has a normal component z_n >= 0, the multiplier of the bound on
 x_n, and tangential components z_t against the slip x_t - rest:
 
-    |z_t| <= s,    z_t = s (x_t - rest) / |x_t - rest| in slip,    s = mu z_n + cohesion,
+    |z_t| <= s,    z_t = s (x_t - rest) / |x_t - rest| in slip,    s = mu z_n + cohesion.
 
-with z_n = 0 where the bound is inactive. With q = z_t + c (x_t - rest), for any c > 0, this is z_t
-= q min(1, s / |q|) (Alart and Curnier 1991), which gives the next state of the active-set method.
-In slip, with d = q / |q| and (I - d d^T) q = 0, the linearisation is
+With q = z_t + c (x_t - rest), c > 0, this is z_t = q min(1, s / |q|) (Alart and Curnier 1991). In
+slip, with d = q / |q|, it is linearised consistently (Hueber, Stadler and Wohlmuth 2008),
 
-    z_t = s d + kappa (I - d d^T) (x_t - rest),    kappa = c s / (|q| - s),
+    z_t = s d + kappa (I - d d^T) (x_t - rest),    kappa = c s / (|q| - s);
 
-consistent, as s contains the unknown z_n, and unsymmetric for mu > 0 (Hueber, Stadler and Wohlmuth
-2008). In the solution kappa = s / |x_t - rest|.
+s contains the unknown z_n. See theory.md, Friction.
 """
 
 from __future__ import annotations
@@ -135,8 +133,8 @@ class Sliders:
     def directions(self, before: Floats | None = None) -> tuple[Floats, Floats]:
         """Directions d (m, t), zero at sticking nodes, and kappa (m,) of the next state.
 
-        A node whose slip in a direction ``before`` (m, t) would reverse sticks first, as neighbours
-        that reverse at once may alternate for ever.
+        A node whose slip in a direction ``before`` (m, t) would reverse sticks first: neighbours
+        could alternate.
 
         >>> nodes, rest = np.array([[0], [1]]), np.zeros((2, 1))
         >>> law = Friction(np.arange(2), nodes, rest, *np.ones((2, 2)))
@@ -165,7 +163,7 @@ class Sliders:
 
 @dataclass(frozen=True)
 class Scalars:
-    """Scalar unknowns q (m,), lengths, that move bounds and right-hand side; see `qp.scalars`."""
+    """Scalar unknowns q (m,), lengths, see `qp.scalars`."""
 
     motions: Floats  # (m, n) e: bounds and rests of slips hold for x - e.q
     loads: Floats  # (m,) F
@@ -186,10 +184,9 @@ class Scalars:
 class BoundQP:
     """Minimise 1/2 x'Ax - b'x over lower <= x <= upper, with friction.
 
-    The reaction, or Lagrange multiplier of the bounds, is z = b - A x: z >= 0 at an active upper
-    bound, z <= 0 at an active lower bound, z = 0 at a free unknown. With Coulomb friction or an
-    indefinite A there is no minimum: solutions satisfy these conditions; there may be several or
-    none.
+    The reaction z = b - A x is >= 0 at an active upper bound, <= 0 at an active lower bound, else
+    0. With Coulomb friction or an indefinite A there is no minimum: solutions satisfy these
+    conditions; there may be several or none.
     """
 
     A: PETSc.Mat  # (n, n)
@@ -276,9 +273,9 @@ class Bounded:
         return active
 
     def strength(self, active: Actives, new: Actives) -> Floats:
-        """|z| + c |x - bound| of unknowns that differ between two sets, 0 at others.
+        """Sizes |z| + c |x - bound| of unknowns that differ between two sets, 0 at others.
 
-        Up to the tolerance they are weakly active: either state is correct.
+        Up to the tolerance they are weakly active.
         """
         side = np.where((active > 0) | (new > 0), self.upper, self.lower)
         side = np.where(np.isfinite(side), side, self.x)
@@ -290,7 +287,7 @@ class Bounded:
 class KKT:
     """Residuals of the optimality conditions, relative to |b| + |z on bounded unknowns| or max |x|.
 
-    `force_floor` and `length_floor` are the round-off over these scales.
+    The floors are round-off.
     """
 
     stationarity: float  # |z| over free unknowns
@@ -359,8 +356,8 @@ def validate(qp: BoundQP) -> None:
     """Raise an error on all ranks if the data can have no solution.
 
     Raises:
-        UnusableQP: for a lower bound above its upper bound, an infinite bound of the wrong sign,
-            entries of b or A that are not finite, or indices out of range.
+        UnusableQP: for bounds that cross or are infinite with the wrong sign, entries that are not
+            finite, or indices out of range.
     """
     lower, upper = qp.lower.array_r, qp.upper.array_r
     diagonal = qp.diagonal.array_r
@@ -405,8 +402,7 @@ def on_bounded(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> Bounded:
 def on_friction(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec, found: Bounded) -> Sliders:
     """An iterate x (n,), z = b - A x (n,) at this rank's nodes with friction.
 
-    The limit is that of z_n + c (x_n - upper) from `found`: it includes the force that closes a
-    penetration.
+    The limit includes the force that closes a penetration.
     """
     law = qp.friction
     assert law is not None
@@ -418,7 +414,7 @@ def on_friction(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec, found: Bounded) -> Slid
 
 
 def is_noise(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> bool:
-    """Whether all forces z = b - A x may be round-off of bounds, without a sign; collective."""
+    """Whether all forces z = b - A x may be round-off of bounds; collective."""
     if max(qp.b.norm(), z.norm()) > qp.noise:
         return False
     bounded, errors = on_bounded(qp, x, z), np.zeros(0)

@@ -89,7 +89,6 @@ class Dense:
         return result
 
     def _free(self, M: Floats, held: Ints) -> tuple[Floats, Longs]:
-        """Free part of a matrix (k, k), scaled, and its unknowns."""
         free = np.setdiff1d(np.arange(len(M)), held)
         s = self.scale[free]
         return M[np.ix_(free, free)] * np.outer(s, s), free
@@ -120,16 +119,8 @@ def _slipping(S: Floats, sliding: Sliding) -> Floats:
 class Condensed:
     """A QP on one rank, condensed by MUMPS to its unknowns with bounds or friction.
 
-    Unknowns of G without bounds or friction are eliminated from S. If A is indefinite with bounds
-    and friction held, a LinAlgError is raised.
-
-    Args:
-        whole: the QP.
-        linear: solver of A, with S.
-        atol: norm of b - A x on inner unknowns that counts as zero.
-
-    Attributes:
-        dense: solver of the condensed linear systems.
+    A LinAlgError if A is indefinite with these fixed. `atol` is the norm of b - A x on inner
+    unknowns that counts as zero; `linear` has S.
     """
 
     def __init__(self, whole: BoundQP, linear: LinearSolver, atol: float) -> None:
@@ -181,13 +172,11 @@ class Condensed:
         return self._with_inner(x)
 
     def _left(self, x: Floats) -> Floats:
-        """Return b - A x (n,)."""
         at = self._whole.b.duplicate()
         at.array[:] = x
         return np.asarray(reaction(self._whole, at).array_r)
 
     def _with_inner(self, x: Floats) -> Floats:
-        """Return x (n,) with x_I solved for its x_G."""
         left, found = self._whole.b.duplicate(), self._whole.b.duplicate()
         left.array[:] = self._left(x)
         left.array[self._G] = 0.0

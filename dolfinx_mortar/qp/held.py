@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The active-set method: solve with a set, update it, until it is unchanged.
 
-With friction the set has the states of nodes, too: tangential unknowns of sticking nodes are fixed,
-slipping nodes have the law's reaction.
+With friction, tangential unknowns of sticking nodes are fixed, too, and slipping nodes have the
+law's reaction.
 """
 
 from __future__ import annotations
@@ -124,13 +124,8 @@ def update(
 ) -> Outcome:
     """Update the set until it is unchanged (collective).
 
-    A repeated set is a cycle: then the accuracy is raised, and at the highest level the updates
-    end.
-
-    Args:
-        hold: solves with a set, to the accuracy of a level.
-        state: this rank's part of the first set.
-        level: accuracy of the first solve.
+    A repeated set is a cycle: the accuracy is raised, at last the updates end. `hold` solves with a
+    set, to the accuracy of a level.
     """
     seen: set[int] = set()
     updates, held = 1, state
@@ -184,13 +179,9 @@ class Solver(Protocol):
 class HeldProblem:
     """The QP with a given active set, for `update`.
 
-    The relative tolerance of level l is rtol^(2^(l - 2)), and rtol^2 where the check still fails
-    because the increment is small relative to the reactions. Loose levels refer to the reactions at
-    the bounds, which decide on the next set, the tight one to all forces.
-
-    Args:
-        x: (n,) initial guess, and the last solution.
-        most: largest residual of the tight level.
+    The relative tolerance of level l is rtol^(2^(l - 2)), and rtol^2 where the check still fails.
+    Loose levels refer to the reactions at the bounds, the tight one to all forces. x (n,) is the
+    guess and the last solution, `most` the largest residual of the tight level.
     """
 
     def __init__(
@@ -210,9 +201,7 @@ class HeldProblem:
         self.z = self.qp.b.copy()
 
     def hold(self, state: State, level: int, worst: bool = False) -> Found:
-        """Solve in a state; x and z are the solution (collective).
-
-        With `worst`, only the unknowns with the largest error are updated.
+        """Solve in a state, updating only the largest errors if `worst`; set x and z (collective).
 
         Raises:
             LinearSolveFailed: if the state leaves a body unconstrained.
@@ -244,7 +233,7 @@ class HeldProblem:
         return Found(new, changes, changes == 0 and level >= TIGHT and self._is_accurate(level))
 
     def solve(self, state: State, level: int) -> float:
-        """Solve in a state; x and z are the solution; return the tolerance (collective)."""
+        """Solve in a state; set x and z; return the tolerance (collective)."""
         qp, (lower, upper) = self.qp, self.qp.bounds
         on = state.active != 0
         held, values = qp.bounded[on], np.where(state.active > 0, upper, lower)[on]
@@ -285,7 +274,6 @@ class HeldProblem:
         return float(max(self.rtol ** (2.0 ** (level - TIGHT)), ROUND_OFF))
 
     def _is_accurate(self, level: int) -> bool:
-        """Whether the check is satisfied, or more accuracy is impossible."""
         finest = self.linear.exact or self._accuracy(level) <= ROUND_OFF
         return finest or check(self.qp, self.x, self.z).satisfied(self.rtol)
 

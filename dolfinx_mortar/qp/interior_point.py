@@ -19,10 +19,8 @@ from dolfinx_mortar.qp.linear import LinearSolver
 def solve(qp: BoundQP, linear: LinearSolver, *, rtol: float) -> QPSolution:
     """Solve a bound-constrained QP, then once more with the active set found (collective).
 
-    Args:
-        qp: symmetric and positive definite, without friction.
-        linear: for the last solve; TAO's linear solver has its options.
-        rtol: tolerance of the KKT check that stops the iteration.
+    A is symmetric and positive definite, without friction; TAO's linear solver has the options of
+    `linear`.
     """
     scaled = _Scaled(qp, linear)
     try:
@@ -79,7 +77,7 @@ def _iterate(
 class _Scaled:
     """The QP in y = x / (s l), s = diag(A)^(-1/2), with y of size 1: TAO has absolute constants.
 
-    Unknowns without bounds get distant ones, as TAO averages the complementarity over all bounds.
+    Bounds are finite, as TAO averages the complementarity.
     """
 
     def __init__(self, qp: BoundQP, linear: LinearSolver) -> None:
@@ -105,7 +103,6 @@ class _Scaled:
         self.b.scale(1.0 / self.length)
 
     def bounds(self, box: float) -> tuple[PETSc.Vec, PETSc.Vec]:
-        """Bounds of y, -box and box for none."""
         own = self.qp.bounded
         sides = self.b.duplicate(), self.b.duplicate()
         for side, values, far in zip(sides, self.qp.bounds, (-box, box), strict=True):
@@ -115,12 +112,10 @@ class _Scaled:
         return sides
 
     def unscale(self, y: PETSc.Vec) -> PETSc.Vec:
-        """Return x."""
         x = y.duplicate()
         x.pointwiseMult(y, self.s)
         x.scale(self.length)
         return x
 
     def destroy(self) -> None:
-        """Free the scaled matrix; collective."""
         self.A.destroy()

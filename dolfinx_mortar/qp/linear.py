@@ -72,20 +72,16 @@ class MatrixSetup:
 class LinearSolver:
     """Solve A_ff x_f = b_f - A_fc x_c for changing A and sets c of fixed unknowns.
 
-    The factorisation for an earlier set or A preconditions conjugate gradients until the observed
-    convergence predicts that a new one is cheaper (`Renewal`).
+    The factorisation for an earlier set or A preconditions conjugate gradients until a new one is
+    predicted to be cheaper (`Renewal`).
 
     Args:
         comm: of the matrices.
         prefix: of all PETSc options of this solver.
         options: PETSc options without prefix over the defaults (CG with MUMPS Cholesky, or GMRES
             with LU for indefinite matrices); the user's options database takes precedence.
-        multigrid: whether multigrid is the default preconditioner.
+        multigrid: whether it is the default preconditioner.
         unknowns: of multigrid; by default those of the matrix.
-
-    Attributes:
-        counts: costs so far.
-        description: name of the last method in use, for reports.
 
     Raises:
         ValueError: for options that PETSc cannot use, on all ranks.
@@ -115,7 +111,6 @@ class LinearSolver:
 
     @property
     def _setup(self) -> MatrixSetup | None:
-        """Solvers of the present matrix, if one is set."""
         return self._setups.get(self._kind)
 
     @property
@@ -137,7 +132,7 @@ class LinearSolver:
     def factorising(self) -> LinearSolver | None:
         """A solver that factorises instead, after freeing this one's matrices; collective.
 
-        None if the solver is direct or chosen by the user, or if the matrix is too large.
+        None if the solver is direct or chosen, or the matrix too large.
         """
         if self.direct or self.options.chosen or not 0 < self._order <= MOST_FACTORISED:
             return None
@@ -166,15 +161,15 @@ class LinearSolver:
     ) -> None:
         """Set the matrix of the next solves (collective).
 
-        The factorisation of the same object remains as preconditioner. A definite and an indefinite
-        matrix are kept at once, except with SuperLU_DIST.
+        The factorisation of the same object remains as preconditioner, and that of a definite
+        matrix next to an indefinite one's, except with SuperLU_DIST.
 
         Args:
-            A: (n, n) matrix.
+            A: (n, n)
             definite: see `BoundQP`.
-            apart: unknowns of S, which `apply` fixes, see `preconditioner.set_apart`; None for any.
+            apart: unknowns of S, which `apply` fixes; None for any.
             product: A as an operator whose K is factorised.
-            near: (n, n) definite matrix whose preconditioner serves A, too.
+            near: (n, n) definite matrix whose preconditioner serves A.
         """
         if near is not None and not self.direct:
             self._set_beside(A, near)
@@ -228,7 +223,6 @@ class LinearSolver:
         self._setups[False] = MatrixSetup(*parts, A.createVecRight(), shared=True)
 
     def _iteration(self, operator: Operator, pc: PETSc.PC) -> PETSc.KSP:
-        """GMRES for an unsymmetric matrix, with another solver's PC."""
         ksp = PETSc.KSP().create(self._comm)
         ksp.setType(PETSc.KSP.Type.GMRES)
         ksp.setPCSide(PETSc.PC.Side.RIGHT)
@@ -251,7 +245,6 @@ class LinearSolver:
         self._setups = {}
 
     def _drop(self, kind: bool) -> None:
-        """Free the matrix of a kind, and those with its preconditioner; collective."""
         beside = self._setups.get(False)
         if kind and beside is not None and beside.shared:
             self._drop(False)
@@ -309,9 +302,7 @@ class LinearSolver:
             )
 
     def is_indefinite(self) -> bool:
-        """Whether the free part of a matrix assumed definite is not; collective.
-
-        False if the present matrix is not assumed definite, or none is set.
+        """Whether the free part of the present matrix, assumed definite, is not; collective.
 
         Raises:
             LinearSolveFailed: for a singular matrix.
@@ -355,7 +346,7 @@ class LinearSolver:
         """Solve for the free unknowns, in place (collective).
 
         Args:
-            b: (n,) right-hand side.
+            b: (n,)
             x: (n,) in: values of the fixed unknowns and a guess for the others; out: solution.
             held: owned local indices of fixed unknowns, ascending.
             atol: largest 2-norm of b - A x over free unknowns.
@@ -366,8 +357,8 @@ class LinearSolver:
             (n,) b - A x, also at fixed unknowns; the next call reuses the vector.
 
         Raises:
-            LinearSolveFailed: if the residual remains above atol and round-off, or if the solution
-                is so large that the matrix must be singular.
+            LinearSolveFailed: if the residual remains above atol and round-off, or the matrix must
+                be singular.
         """
         operator = self._operator
         operator.free.sliding = sliding
@@ -410,12 +401,10 @@ class LinearSolver:
 
     @property
     def _ksp(self) -> PETSc.KSP:
-        """Solver with or without slipping nodes."""
         sliding = self._operator.free.sliding is not None
         return self.setup.sliding_ksp if sliding else self.setup.ksp
 
     def _sweep(self, b: PETSc.Vec, x: PETSc.Vec, atol: float, norm: float) -> None:
-        """Solve for the correction dx that reduces the residual to the tolerance."""
         begin = perf_counter()
         setup, held = self.setup, self._operator.held
         assert held is not None
@@ -436,7 +425,7 @@ class LinearSolver:
     ) -> None:
         """Raise if x is no solution, by the first and last residual norm and their tolerance.
 
-        So it is, too, if its round-off is near the forces: see QUARTER_OF_DIGITS.
+        Nor is x one if its round-off is near the forces: see QUARTER_OF_DIGITS.
         """
         first, norm, atol = norms
         round_off = self._operator.round_off(x)

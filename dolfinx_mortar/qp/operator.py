@@ -2,9 +2,8 @@
 """The matrix of a linear system with fixed unknowns and slipping nodes, and its residuals.
 
 Negative eigenvalues are counted by MUMPS (Sylvester's law of inertia). With multigrid, conjugate
-gradients for a random right-hand side b find one: each eigenvector has about |b| / sqrt(n) of b,
-which remains in the residual until its eigenvalue is resolved; the factorisation of the coarsest
-level is counted, too.
+gradients for a random b find one: its eigenvector's part of b, about |b| / sqrt(n), remains until
+it is resolved.
 """
 
 from mpi4py import MPI
@@ -21,10 +20,10 @@ RESOLVED = 0.01
 
 
 class FreePart:
-    """Context of a PETSc Mat of type python: A on free unknowns, without a copy of A.
+    """Context of a PETSc Mat of type python: A on free unknowns, without a copy.
 
     For vectors that vanish at fixed unknowns. With slipping nodes it is the derivative of
-    `Operator.r`, unsymmetric.
+    `Operator.r`.
     """
 
     def __init__(self, A: PETSc.Mat) -> None:
@@ -48,16 +47,12 @@ class FreePart:
 class Operator:
     """A with fixed unknowns.
 
-    A factorisation takes a copy of A with zeroed rows and columns, on the same pattern so that its
-    symbolic part remains valid; an iteration applies A itself.
-
-    Args:
-        direct: whether it is to be factorised with some unknowns fixed.
-        definite: see `BoundQP`.
+    A factorisation takes a copy of A with zeroed rows and columns, on the same pattern; an
+    iteration applies A.
 
     Attributes:
-        free: A on free unknowns, with the law of slipping nodes on all ranks or on none.
-        matrix: of the linear system without slipping nodes.
+        free: A on free unknowns, with the law of slipping nodes.
+        matrix: without slipping nodes.
         factorised: the same as a matrix, A itself unless ``direct``.
         sliding_matrix: with the law in the rows of slipping nodes.
         held: owned local indices of fixed unknowns, ascending; None at first.

@@ -42,18 +42,14 @@ def was_read(name: str) -> bool:
 
 
 class SolverOptions:
-    """PETSc options under a prefix; the user's options database takes precedence.
+    """PETSc options under a prefix, over defaults; the user's options database takes precedence.
 
-    Attributes:
-        given: the user's options without prefix.
-        grown: enlarged options, such as workspaces.
-        definite: whether the defaults are those of symmetric positive definite matrices.
+    `definite`: whether the defaults are those of definite matrices; `grown`: enlarged workspaces.
     """
 
     def __init__(
         self, prefix: str, options: Mapping[str, Any] | None, *, multigrid: bool = False
     ) -> None:
-        """Set options over the defaults: CG with MUMPS Cholesky, or with multigrid."""
         self.prefix = prefix
         self.given = dict(options or {})
         self.grown: dict[str, Any] = {}
@@ -121,8 +117,8 @@ def check_options(comm: MPI.Comm, prefix: str, options: Mapping[str, Any] | None
     """Check options by a small matrix on each rank (collective).
 
     Raises:
-        ValueError: on all ranks, for options (without prefix) that are no mapping of names to
-            numbers and strings, or that PETSc refuses.
+        ValueError: on all ranks, for options (without prefix) that are no mapping to numbers and
+            strings, or that PETSc refuses.
     """
     if not isinstance(comm, MPI.Comm):
         raise ValueError(f"comm is {comm!r}: give an MPI communicator, such as MPI.COMM_WORLD")
@@ -143,7 +139,6 @@ def check_options(comm: MPI.Comm, prefix: str, options: Mapping[str, Any] | None
 
 
 def _wrong_type(options: Mapping[str, Any] | None) -> str:
-    """Error in the types, or ""."""
     if options is None:
         return ""
     if not isinstance(options, Mapping):

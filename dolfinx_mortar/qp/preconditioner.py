@@ -46,11 +46,9 @@ class LinearCounts:
 
 
 class Renewal:
-    """When to renew, from the convergence observed so far.
+    """When to renew: `after` so many iterations above those of a new one.
 
-    Attributes:
-        after: iterations above those of a new one that are worth a renewal.
-        direct: for a factorisation one solve decides, for multigrid the sum of all.
+    With a factorisation one solve decides, with multigrid the sum of all.
     """
 
     def __init__(self, after: int, *, direct: bool) -> None:
@@ -61,8 +59,7 @@ class Renewal:
     def is_far(self, different: int) -> bool:
         """Whether to renew at once, for so many unknowns newly fixed or free.
 
-        Each is a change of rank one, up to one iteration with a factorisation; the finest level of
-        multigrid has the present matrix.
+        With a factorisation each may take an iteration.
         """
         return (different if self.direct else self.excess) > self.after
 
@@ -96,7 +93,7 @@ class Unknowns(Protocol):
 
 
 class OwnUnknowns:
-    """The unknowns v = x, for the matrix A of the QP."""
+    """The unknowns v = x."""
 
     def __init__(self, A: PETSc.Mat) -> None:
         self.operator = CongruentOperator(A)
@@ -126,24 +123,19 @@ def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
 
 
 class Multigrid:
-    """Context of a PETSc PC of type python: M^-1 in unknowns v that may differ from x.
+    """PETSc PC of type python, M^-1 in unknowns v that may differ from x.
 
-    At open contacts the relative motion of the sides is no suitable unknown, as coarse functions
-    would couple the two bodies. So a matrix B in other unknowns v may be used,
+    At open contacts coarse functions of the relative motion would couple the two bodies. So a
+    matrix B in other unknowns v may be used,
 
         x = (I - E) v,      M^-1 = (I - E) B^-1 (I - E)^T on free unknowns,
 
-    where B belongs to an earlier set, geometry and tangent. With GAMG the finest level uses the
-    present matrix, so that changes of the set cost few iterations; with other PCs each changed
-    unknown costs about one, and unknowns fixed in B but free now have the mean diagonal.
-
-    Args:
-        A: (n, n) matrix of the QP.
-        prefix: of the options of the PC for B^-1.
+    of an earlier set, geometry and tangent. With GAMG the finest level uses the present matrix;
+    with other PCs each changed unknown costs about one iteration, and unknowns fixed in B but free
+    now have the mean diagonal. `prefix` is that of the PC for B^-1.
     """
 
     def __init__(self, A: PETSc.Mat, prefix: str) -> None:
-        """Create the inner PC, whose options are read at every set-up."""
         self.inner = PETSc.PC().create(A.comm)
         self.inner.setOptionsPrefix(prefix)
         self.inner.setFromOptions()
@@ -166,13 +158,9 @@ class Multigrid:
     def renew(
         self, change: Change, motions: list[PETSc.Vec], held: Ints, *, definite: bool
     ) -> None:
-        """Set up with another matrix; collective.
+        """Set up with another matrix B; collective.
 
-        Args:
-            change: v, with the matrix B of the QP in them.
-            motions: near null space, which is overwritten.
-            held: unknowns that are fixed in B.
-            definite: whether B is.
+        `motions`, the near null space, are overwritten; `held` are fixed in B.
         """
         self.B, self.E, self.held = change.matrix.copy(), change.E, held
         free_unused(self.B.comm.tompi4py())
@@ -205,7 +193,6 @@ class Multigrid:
 
     @property
     def _coarsest(self) -> PETSc.Mat:
-        """Factorised matrix, P^T B P, or B if there is one level."""
         return self.inner.getMGSmoother(0).getOperators()[1]
 
     @property
@@ -226,7 +213,7 @@ class Multigrid:
     def follow(self, change: Change, held: Ints) -> None:
         """Set the present fixed unknowns and v; collective.
 
-        The matrix of the change is the object of the set-up with other values.
+        The matrix of the change is the object of the set-up.
         """
         assert self.B is not None, "not set up"
         self.E, self.held = change.E, held
@@ -249,8 +236,8 @@ class Multigrid:
 def set_apart(qp: BoundQP, options: SolverOptions) -> Ints | None:
     """Unknowns G that a factorisation may leave for last; None for an ordinary one.
 
-    With bounds or friction, or of C if A is a product, ascending; on one rank, if S has few entries
-    and PETSc's library exports the function.
+    With bounds or friction, or of C if A is a product, ascending; on one rank, if S has few
+    entries.
     """
     if not qp.definite or qp.scalars is not None:
         return None
@@ -279,19 +266,11 @@ def _few(A: PETSc.Mat, unknowns: Ints, options: SolverOptions) -> Ints | None:
 
 
 class SchurComplement:
-    """S = A_GG - A_GI A_II^-1 A_IG, of a factorisation by MUMPS that leaves G for last.
+    """S = A_GG - A_GI A_II^-1 A_IG, of a factorisation by MUMPS that leaves G (k,) for last.
 
-    Fixed unknowns in G concern S alone: one factorisation serves all active sets. If A = T^T K T
-    with T = I + C, and C in G x G, K is factorised, and T^T S T serves all geometries. One rank
-    only; petsc4py 3.22 does not wrap it.
-
-    Args:
-        unknowns: G (k,), ascending.
-        product: the matrix, if K is factorised in its place.
-
-    Attributes:
-        prepared: whether the PC has been given G.
-        S: (k, k), of the last factorisation; solves fix G.
+    One factorisation serves all active sets. If A = T^T K T with T = I + C, C in G x G, K is
+    factorised, and T^T S T serves all geometries. S is that of the last factorisation; solves fix
+    G.
     """
 
     def __init__(self, unknowns: Ints, product: CongruentOperator | None = None) -> None:
@@ -322,7 +301,6 @@ class SchurComplement:
         return self._K
 
     def _elsewhere(self) -> Ints:
-        """Decoupled unknowns outside of G."""
         assert self.product is not None
         return np.setdiff1d(self.product.decoupled, self.unknowns)
 
@@ -357,11 +335,7 @@ class SchurComplement:
 class Preconditioner:
     """Factorisation or multigrid of an earlier matrix and set, as preconditioner of an operator.
 
-    Args:
-        ksp: its solver, whose PC is set.
-        options: PETSc options of both.
-        unknowns: of multigrid; by default those of the operator.
-        schur: of a factorisation that serves any set of its unknowns fixed; None for others.
+    `unknowns` are those of multigrid, `schur` is of a factorisation that serves any set of G fixed.
     """
 
     def __init__(
@@ -407,7 +381,6 @@ class Preconditioner:
         return self._state == self._present() and self.comm.allreduce(same, op=MPI.LAND)
 
     def _present(self) -> int:
-        """State of the matrix that is factorised, or from which levels are made."""
         return self.operator.state if self.schur is None else self.schur.state(self.operator.A)
 
     def differences(self, held: Ints) -> int | None:
@@ -487,7 +460,6 @@ class Preconditioner:
         self.pc.setReusePreconditioner(True)
 
     def _reset(self) -> None:
-        """Free a factorisation."""
         self.pc.reset()
         if self.schur is not None:
             self.schur.prepared = False

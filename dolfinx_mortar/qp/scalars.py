@@ -69,8 +69,8 @@ def moved(qp: BoundQP, q: Floats) -> BoundQP:
 class Bordered:
     """A QP with scalars as a QP in (w, q), with rows A x + C q and R x + Q q + e.(A x + C q).
 
-    The last rank has q after its part of w. Linear systems are solved for x at given q and for the
-    columns X = dx/dq; then m equations give q.
+    The last rank has q after its part of w. Linear systems are solved for x at given q and for
+    dx/dq; then m equations give q.
 
     Attributes:
         qp: in (w, q).
@@ -130,7 +130,6 @@ class Bordered:
         return np.asarray(self.comm.allreduce(values, op=MPI.SUM))
 
     def _loads(self) -> Floats:
-        """Right-hand side of the rows of q; collective."""
         own = self.scalars.motions @ self.inner.b.array_r
         return self.scalars.loads + self._sum(own) + self.rho * self.centre
 

@@ -39,7 +39,6 @@ def check_name(backend: str) -> None:
 
 
 def _check_scope(backend: str, qp: BoundQP) -> None:
-    """Raise a ValueError for a QP that the backend cannot solve."""
     named = {"friction": qp.friction, "tools or sides that forces drive": qp.scalars}
     for name, given in named.items():
         if given is not None and backend != ACTIVE_SET:
@@ -64,26 +63,23 @@ def solve(
     guess: PETSc.Vec | None = None,
     rtol: float = 1e-10,
 ) -> QPSolution:
-    """Solve a bound-constrained QP (collective).
+    """Solve a bound-constrained QP and check the solution (collective).
 
     Args:
         backend: "active-set", or for a definite matrix without friction "interior-point".
         linear: linear solver, whose factorisation is reused; by default a new one with MUMPS.
         start_active: (k,) initial active set on ``qp.bounded``: +1 upper, -1 lower, 0 free; by
-            default every unknown at its bound nearest to zero, which constrains every body.
+            default every unknown at its bound nearest to zero.
         start_sliding: (m, t) initial directions of slip, zero at sticking nodes; by default
             everywhere.
         start_kappa: (m,) initial kappa of `qp.friction`; at most |diag(A)|, the default.
-        guess: (n,) for the first linear solve of the active set; 0 by default.
+        guess: (n,) for the first linear solve; 0 by default.
         rtol: relative tolerance of the KKT check; round-off is the limit.
-
-    Returns:
-        The solution, which has passed the check.
 
     Raises:
         ValueError: for an unknown backend, a problem that it cannot solve, or data without
             solution.
-        QPNotSolved: if the backend fails, or if its solution, an attribute of the error, fails the
+        QPNotSolved: if the backend fails, or its solution, an attribute of the error, fails the
             check.
     """
     check_name(backend)
@@ -151,7 +147,6 @@ def _run(
 
 
 def _cause(error: Exception, linear: LinearSolver) -> str:
-    """Cause of a failure and remedy."""
     if isinstance(error, PETSc.Error):
         return (
             f" in PETSc: {error}. Check the options of the linear solver, {linear.options.values}"
@@ -174,7 +169,6 @@ def _nothing_to_do(qp: BoundQP, backend: str) -> QPSolution | None:
 
 
 def _possible(qp: BoundQP, active: Actives) -> Actives:
-    """The set without unknowns at infinite bounds."""
     lower, upper = qp.bounds
     active = np.where((active > 0) & np.isinf(upper), 0, active)
     return np.where((active < 0) & np.isinf(lower), 0, active).astype(np.int8)

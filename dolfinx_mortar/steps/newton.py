@@ -201,7 +201,6 @@ class _Step:
             qps.solver.forget(keep_definite=qps.linear)
 
     def run(self, max_it: int) -> Iterate:
-        """Iterate until convergence; set the results and the certificate."""
         old, residuals = self.first(), list[Residuals]()
         while len(self.report.iterations) < max_it:
             try:
@@ -234,7 +233,6 @@ class _Step:
     def iterate(
         self, old: Iterate, residuals: list[Residuals], *, exact: bool
     ) -> tuple[Iterate, Residuals]:
-        """Linearise, solve, search, update, measure; record the iteration in the report."""
         problem, number = self.problem, len(self.report.iterations) + 1
         problem.raise_failed()
         free_unused(problem.comm)
@@ -320,7 +318,6 @@ class _Step:
         return True
 
     def is_exact(self, old: Iterate, residuals: list[Residuals]) -> bool:
-        """Whether the next QP has the exact tangent of the moving geometry."""
         if not residuals or old.shift or not self.qps.may_be_exact:
             return False
         if not self.missed(residuals[-1]) < old.barred:
@@ -333,7 +330,7 @@ class _Step:
         return many and turned > SHARE * residual.forces * residual.limit / self.report.rtol
 
     def leads_away(self, residual: Residuals, residuals: list[Residuals]) -> bool:
-        """Whether the last iteration, with the exact tangent, has raised the residual."""
+        """Whether the exact tangent has raised the residual."""
         if not self.report.iterations[-1].exact_tangent or residual.excess <= 1.0:
             return False
         return not self.missed(residual) <= self.missed(residuals[-1])
@@ -348,11 +345,10 @@ class _Step:
         return np.inf if raised and not found.exact else old
 
     def missed(self, residual: Residuals) -> float:
-        """Residual that the exact tangent must lower, with forces at finite strain."""
+        """Residual that the exact tangent must lower."""
         return max(residual.forces, residual.contact) if self.qps.finite else residual.excess
 
     def go_back(self, old: Iterate) -> None:
-        """Undo the last iteration; collective."""
         self.problem.owned_u[:] = old.u
         self.problem.u.x.scatter_forward()
         for interface, kept in old.tools:
@@ -364,7 +360,6 @@ class _Step:
         return [(i, i.state(False)) for i in self.problem.interfaces if i.driven() is not None]
 
     def first(self) -> Iterate:
-        """The initial iterate; collective."""
         problem, flows = self.problem, self.data.flows
         balance = find_balance(problem, self.data, self.overlap, from_committed=flows)
         contacts = go_on(self.data.contacts, balance.limits, gap_round_off(problem.u))
@@ -384,7 +379,6 @@ class _Step:
         return Iterate(*place, balance, contacts, start, scales, energy, norm, problem.vector())
 
     def balance(self, contacts: Contacts | None) -> Balance:
-        """Forces and constraints at u in the present geometry; collective."""
         multipliers = None if contacts is None else contacts.multipliers
         return find_balance(self.problem, self.data, self.overlap, multipliers)
 
@@ -415,13 +409,11 @@ class _Step:
         scales: Scales,
         norm: float,
     ) -> Residuals:
-        """Residuals of a balance, and of tools that forces drive; collective."""
         rtol = self.report.rtol
         found = measure(self.problem.u, balance, contacts, diagonal, scales, norm, rtol)
         return driven_tools.miss(self.problem, balance, contacts, found, rtol)
 
     def check_passing(self) -> None:
-        """Raise if bodies have passed through each other."""
         with self.problem.timings("mortar"):
             passed = failures.describe_passing(self.problem)
         if passed:

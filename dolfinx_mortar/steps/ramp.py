@@ -61,13 +61,11 @@ def read_ramps(comm: MPI.Comm, ramp: Any) -> list[Ramp]:
 
 
 def _listed(table: Any) -> Any:
-    """A table as a list of rows, as iterators can be read once; other values unchanged."""
     rows = isinstance(table, Iterable) and not isinstance(table, Mapping | str | bytes)
     return list(table) if rows else table
 
 
 def _read(name: str, constant: Any, table: Any) -> Ramp:
-    """Ramp of one table."""
     remedy = "give a dolfinx Constant, such as the value of a Dirichlet condition or a traction"
     check(f"{name}: the key", constant, instance(fem.Constant, remedy))
     shape = constant.value.shape
@@ -83,7 +81,7 @@ def _read(name: str, constant: Any, table: Any) -> Ramp:
 
 
 def _row(shape: tuple[int, ...], row: Any) -> list[float] | None:
-    """Level and components of a row, None if it is no pair of finite numbers."""
+    """Level and components, None unless finite numbers."""
     if not isinstance(row, Sequence | np.ndarray) or len(row) != 2:
         return None
     level, value = as_numbers(row[0]), as_numbers(row[1])
@@ -111,7 +109,6 @@ def notes_on_unread(ramps: Sequence[Ramp], read: Sequence[Any] | None) -> list[s
 
 
 def _place(constant: Any) -> int:
-    """Address of a Constant's value."""
     return int(np.asarray(constant.value).__array_interface__["data"][0])
 
 

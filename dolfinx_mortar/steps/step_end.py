@@ -73,7 +73,6 @@ def _ends_indefinite(qps: Subproblem, report: StepReport) -> bool:
 
 
 def _notes_on_shifts(problem: ContactProblem, report: StepReport, negative: bool) -> list[str]:
-    """A note if tangents were indefinite."""
     notes, shifted = list[str](), [it.number for it in report.iterations if it.shift]
     cells = describe_cells(problem)
     if shifted:

@@ -68,7 +68,6 @@ class TimeSolves(Solves):
         return report
 
     def _begin(self, level: Level) -> EnergyLedger:
-        """Ledger of the first step of a call, to a level; collective."""
         problem = self.problem
         (inertia,) = find_inertia(problem)
         if any(step.report.ledger is not None for step in problem.history[-1:]):
@@ -80,7 +79,6 @@ class TimeSolves(Solves):
         return ledger
 
     def _start(self, inertia: Inertia, level: Level) -> EnergyLedger:
-        """Ledger of a motion that begins, with a step to a level; collective."""
         problem, begin = self.problem, self.problem.committed.level
         self.notes = stop_held(problem, inertia)
         self.loading.set(problem, begin)
@@ -133,7 +131,6 @@ class TimeSolves(Solves):
         return forces
 
     def _acts(self, nodes: Bools, begin: float, end: float) -> bool:
-        """Whether loads, tools or stresses may act on nodes (owned nodes,); collective."""
         problem, r = self.problem, self.problem.vector()
         driven = [interface.driven() for interface in problem.interfaces]
         if any(tool is not None and np.any(tool.loads()) for tool in driven):

@@ -69,7 +69,6 @@ class Loading:
     on_time: Callable[[float], None] | None
 
     def __post_init__(self) -> None:
-        """Raise a ValueError unless `on_time` is a function."""
         check_optional("on_time", self.on_time, instance(Callable, "give a function of the level"))
 
     @property
@@ -225,7 +224,6 @@ def walk(
 
 
 def _idle(problem: ContactProblem, loading: Loading) -> list[str]:
-    """Notes on tables without effect, logged by rank 0; none if there is a user's function."""
     if loading.on_time is not None:
         return []
     notes = notes_on_unread(loading.ramps, problem.constants())
@@ -242,7 +240,7 @@ def _continue(
     loading: Loading,
     begin: float,
 ) -> float:
-    """Restore a checkpoint, or check that it can be written; return the first level; collective."""
+    """Restore a checkpoint, or check that it can be written; return the first level."""
     problem = solves.problem
     # other ranks may have no access to the folder; `check_folder` raises for wrong names
     if not problem.comm.bcast(problem.comm.rank == 0 and os.path.exists(file)):
@@ -272,7 +270,6 @@ def _continue(
 
 
 def _check_walked(levels: list[float], walk: list[float], file: Path) -> None:
-    """Raise a ValueError unless the first levels are those reached, up to round-off."""
     size = max(map(abs, walk), default=0.0)
     for k, reached in enumerate(walk):
         if k == len(levels) or abs(levels[k] - reached) > SAME * size:
@@ -285,7 +282,6 @@ def _check_walked(levels: list[float], walk: list[float], file: Path) -> None:
 
 
 def _check_settings(present: Mapping[str, Any], before: Mapping[str, Any], where: str) -> None:
-    """Raise a ValueError unless the settings of steps are those before."""
     for name in {**present, **before}:
         if present.get(name) != before.get(name):
             raise ValueError(
@@ -295,7 +291,6 @@ def _check_settings(present: Mapping[str, Any], before: Mapping[str, Any], where
 
 
 def _check_tables(ramps: Sequence[Ramp], saved: Saved, file: Path) -> None:
-    """Raise a ValueError unless tables are those of the saved run, up to the level reached."""
     before = saved.about["walk"]
     if before is None or not saved.walk:
         return
@@ -310,7 +305,7 @@ def _check_tables(ramps: Sequence[Ramp], saved: Saved, file: Path) -> None:
 def _walk(
     solves: Solves, number: int, time: float, loading: Loading, most: int, written: Checkpoint
 ) -> LoadStep:
-    """Step to a level, in parts if that fails; return the entry of the history; collective."""
+    """Step to a level, in parts if that fails."""
     problem = solves.problem
     parts: list[StepReport] = []
     reached, pending = Level(problem.committed.level, share=0.0), [Level(time)]
@@ -359,7 +354,6 @@ def _walk(
 def _book(
     problem: ContactProblem, number: int, time: float, parts: list[StepReport], cuts: int
 ) -> LoadStep:
-    """Add a committed step to the history; return its entry; collective."""
     last = parts[-1]
     last.cuts = cuts
     if cuts:
@@ -382,7 +376,6 @@ def find_overlap(problem: ContactProblem, rtol: float) -> float:
 
 
 def _describe_kept(parts: int, reached: Level) -> str:
-    """Text on the state after a failed step, given the number of its converged parts."""
     if not parts:
         return "The displacement and the committed state are as before the step"
     count = "1 part of it that has" if parts == 1 else f"{parts} parts of it that have"
