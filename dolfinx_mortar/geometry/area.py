@@ -51,7 +51,7 @@ _HIGHEST = 24
 
 @cache
 def _rules() -> tuple[Floats, Floats, Longs]:
-    """Points, weights (sum 1) and first points of rules of degree 2, 4, ... ."""
+    """Points, weights (sum 1) and first points of rules of even degree."""
     points, weights, start = [], [], [0]
     for degree in range(2, _HIGHEST + 2, 2):
         p, w = triangle_rule(degree)
@@ -341,7 +341,7 @@ def _degree_of_moments(slave: FacetElement, master: FacetElement, smooth: bool) 
 
 @numba.njit(**KERNEL)
 def _nearest_line(c, e, P, r, best):  # type: ignore[no-untyped-def]
-    """Distance, polygon r and its corner, of the line nearest to edge e of triangle c."""
+    """Distance, polygon r and its corner, of the line nearest to edge e."""
     f = (e + 1) % 3
     for v in range(len(P)):
         o = (v + 1) % len(P)
@@ -570,11 +570,7 @@ def _add_edges(
     ids: Longs,
     found: Sums,
 ) -> None:
-    """Add the derivatives by the motion of edges of triangles (s,).
-
-    Edges are anticlockwise with ends (s, 2, 2) and points at shares t (q,), on lines (s, 2, 3)
-    between nodes ids (s, 2).
-    """
+    """Add the derivatives by the motion of edges of triangles (s,), anticlockwise."""
     at, (u, normal, tilts) = inner.at, inner.frame
     (s, q, k), radius = at.N.shape, over.planes[2][inner.part]
     lines = lines - over.planes[0][inner.part][:, None]
@@ -598,7 +594,7 @@ def _add_edges(
 
 @numba.njit(**KERNEL)
 def _scatter(to, facets, nodes, columns, values):  # type: ignore[no-untyped-def]
-    """Add values (s, r d, k, n) of nodes (s, r) and columns (s, n) to those of facets (s,)."""
+    """Add values (s, r d, k, n) at nodes (s, r) and columns (s, n) to facets (s,)."""
     d = values.shape[1] // nodes.shape[1]
     for s in range(len(values)):
         for z in range(values.shape[1]):
@@ -660,7 +656,7 @@ def _find_overlaps(slave: Facets, master: Facets, pairs: Ints, deepest: Floats) 
 def _least_degree(slave: FacetElement, master: FacetElement) -> int:
     """Degree for products of two functions on affine facets.
 
-    Facets that turn by phi have relative errors of up to 1e-5 phi^4 in D_jj and 2e-3 phi^2 in M;
-    forces and constants are exact, as both sides have the same points.
+    With twists phi relative errors are up to 1e-5 phi^4 in D_jj and 2e-3 phi^2 in M; forces are
+    exact.
     """
     return max(slave.degree, master.degree) * (4 if slave.bilinear or master.bilinear else 2)

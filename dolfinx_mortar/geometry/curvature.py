@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Smooth surfaces through the nodes of facets: normals, and heights over the facets.
 
-See theory.md, Curved sides. With unit normals n_a at the nodes x_a, the height over a facet is
+See theory.md, Curved sides. The height over a facet is
 
     h = 1/2 sum_{a<b} N_a N_b c_ab,     c_ab = (n_b - n_a).(x_b - x_a)
 
-over all pairs of nodes, at X; on a sphere of radius R, c_ab = |x_b - x_a|^2 / R. Sides in contact
-have the common curvature K = (K_s - K_m) / 2, each for its own outward normal, with e_ab.K e_ab =
-c_ab: c_ab is the mean of both sides. On second-order facets each side has its own, times the
-stretch along the normal.
+over all pairs of nodes, at X. Sides in contact have the common curvature K = (K_s - K_m) / 2, each
+for its own outward normal, with e_ab.K e_ab = c_ab: c_ab is the mean of both. On second-order
+facets each side has its own, times the stretch along the normal.
 
 Normals are those of Max (J. Graphics Tools 4, 1999), n_a ~ sum (e_1 x e_2) / (|e_1|^2 |e_2|^2) with
 the edges of each facet at the node; in 2D the chords' normals over their lengths. They are exact on
@@ -88,10 +87,7 @@ def one_ring_sums(
 
 
 def end_angles(facets: Facets, n: Floats) -> tuple[Floats, Floats]:
-    """Sines (m, 2) of the angles between lines and tangents at their ends, and lengths (m,).
-
-    By normals n (m, 2, 2).
-    """
+    """Sines (m, 2) of the angles between lines and tangents at their ends, and lengths (m,)."""
     chord = edges(facets)[:, 0]
     length = np.linalg.norm(chord, axis=1)
     ends = np.array([-1.0, 1.0])[:, None]
@@ -114,7 +110,7 @@ def normal_changes(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
     """Changes of normals m_ab (m, e, d), n_b - n_a unless the normal of an end is one-sided.
 
     If only b is regular, m_ab = 2 n_b, exact on spheres and cylinders; if none is, n_b - n_a, or
-    zero where an end is on an edge. Nodes (m, k) are the facets'.
+    zero at edges. Nodes are (m, k).
     """
     a, b = node_pairs(first_order(facets.element))
     at_a, at_b = (normals.n[nodes[:, end]] for end in (a, b))
@@ -191,8 +187,7 @@ def curved_sagittas(facets: Facets, K: Floats, at_vertices: Floats) -> Floats:
 def sagitta_tensors(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
     """Tensors C_ab (m, e, d, d), the symmetric part of m_ab (x_b - x_a)^T, with trace c_ab.
 
-    A strain E of the surface changes c_ab by C_ab : E. m_ab is without its component along the
-    facet's normal.
+    A strain E of the surface changes c_ab by C_ab : E. m_ab is tangential.
     """
     change, n = normal_changes(facets, normals, nodes), facet_normals(facets)[:, None]
     change -= (change * n).sum(axis=2, keepdims=True) * n
@@ -250,7 +245,7 @@ def _frame(facets: Facets) -> Floats:
 
 
 def height_table(element: FacetElement, e: int) -> Floats:
-    """Coefficients N_a N_b / 2 (e, k, k), symmetric, as products of N of an element, for e c_ab."""
+    """Coefficients N_a N_b / 2 (e, k, k), symmetric, as products of N, for e c_ab."""
     of = height_element(element, np.empty((0, e)))
     V = np.eye(element.nodes) if of is element else of.shape_functions(element.points).T
     a, b = node_pairs(of)
@@ -261,7 +256,7 @@ def height_table(element: FacetElement, e: int) -> Floats:
 def common_sagittas(facets: Facets, sagitta: Floats, K_other: Floats) -> Floats:
     """Products c_ab (m, e) of the surface that two sides share where they touch.
 
-    From c_ab (m, e) of one side, and curvatures (m, d, d) of the other for its own outward normal.
+    From those of one side, and curvatures (m, d, d) of the other for its own outward normal.
     """
     e = edges(facets)
     return np.asarray(0.5 * (sagitta - np.einsum("mei,mij,mej->me", e, K_other, e)))
@@ -310,7 +305,7 @@ def heights_of_arcs(arcs: Floats, h: Floats) -> Floats:
 
 
 def edges(facets: Facets, element: FacetElement | None = None) -> Floats:
-    """Edges x_b - x_a (m, e, d) for the pairs of vertices of facets, or of nodes of `element`."""
+    """Edges x_b - x_a (m, e, d) for the pairs of vertices, or of nodes of `element`."""
     a, b = node_pairs(element or first_order(facets.element))
     return np.asarray(facets.x[:, b] - facets.x[:, a])
 

@@ -103,7 +103,7 @@ def bounds(x: Floats) -> tuple[Floats, Floats]:
 
 
 def near_others(x: Floats, body: Longs, boxes: Floats) -> Bools:
-    """Which facets (m,) x (m, k, d) of bodies meet the box (bodies, 2, d) of another one."""
+    """Which facets (m,) of bodies meet the box (bodies, 2, d) of another one."""
     low, high = bounds(x)
     near = np.zeros(len(x), dtype=bool)
     for other in range(len(boxes)):
@@ -154,9 +154,7 @@ def find_overlaps(x: Floats, off: Floats, pairs: Longs) -> tuple[Floats, Floats]
 def near_pairs(x: Floats, group: Longs, apart: Bools) -> Longs:
     """Pairs (p, 2) of facets with vertices x (m, k, d) whose boxes meet, each once.
 
-    Args:
-        group: (m,) number of the group of each.
-        apart: (groups, groups) which to compare, symmetric.
+    Of groups (m,) to be compared by `apart` (groups, groups), symmetric.
     """
     low, high = bounds(x)
     centre, half = (low + high) / 2, (high - low) / 2

@@ -39,7 +39,7 @@ def _moment(x, n, y0, y1, xi):  # type: ignore[no-untyped-def]
 def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
     """Coordinate xi in [-1, 1] where the slave's normal meets y, or the nearer end.
 
-    NaN behind the centre of curvature of a concave facet. Newton's method with bisection.
+    NaN behind the centre of curvature of a concave facet.
     """
     first, last = _moment(x, n, y0, y1, -1.0)[0], _moment(x, n, y0, y1, 1.0)[0]
     if first <= 0.0 or last >= 0.0:
@@ -63,7 +63,7 @@ def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _opposite(x, n, y, xi):  # type: ignore[no-untyped-def]
-    """Coordinate eta in [-1, 1] of the master on the slave's normal at xi, near the chord's."""
+    """Coordinate eta in [-1, 1] of the master on the slave's normal at xi."""
     n0, n1 = _at(n, xi, FIRST), _at(n, xi, SECOND)
     C = (y[0, 0] - _at(x, xi, FIRST)) * n1 - (y[0, 1] - _at(x, xi, SECOND)) * n0
     B = y[1, 0] * n1 - y[1, 1] * n0
@@ -221,7 +221,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 
 def _by_nodes(N: Floats, M: Floats, n: Floats, apart: Floats) -> Floats:
-    """Derivatives (s, q, 2 (2 k + m)) of (x - y) x n by the nodes."""
+    """Derivatives of (x - y) x n by the nodes."""
     along, across = (v[:, :, None, ::-1] * [1.0, -1.0] for v in (n, apart))
     N, M = N[..., None], M[..., None]
     parts = np.concatenate([N * along, -N * across, -M * along], axis=2)
@@ -231,7 +231,7 @@ def _by_nodes(N: Floats, M: Floats, n: Floats, apart: Floats) -> Floats:
 def _end_rates(
     slave: FacetElement, ends: Floats, x: Floats, n: Floats, y: Floats, is_end: Bools
 ) -> Floats:
-    """Derivatives (s, 2, 2 (2 k + m)) of segments' ends, 0 where a side ends."""
+    """Derivatives of segments' ends, 0 where a side ends."""
     N, dN, _ = functions(slave, ends[..., None])
     normal, apart = N @ n, (N @ x)[:, :, None] - y[:, None]
     off = np.where(is_end[:, None], np.abs(_cross(apart, normal[:, :, None])), np.inf)
@@ -279,11 +279,10 @@ def place_points(
     Args:
         n_s: (ms, k, 2) averaged normals at the nodes.
         pairs: (p, 2) of facing facets, ordered by slave facet.
-        deepest: (p,) largest distance of the master behind the slave facet, at the centre of a
-            part.
+        deepest: (p,) largest distance of the master behind the slave facet.
 
     Returns:
-        Index into the pairs (q,), xi_s (q, 1), xi_m (q, 1) and weight (q,) of the points.
+        Index into the pairs (q,), xi_s (q, 1), xi_m (q, 1) and weight (q,).
     """
     x_s, n = (_polynomials(slave.element, v) for v in (slave.x, n_s))
     x_m = _polynomials(master.element, master.x)

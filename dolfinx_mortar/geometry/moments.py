@@ -76,7 +76,7 @@ class Points(NamedTuple):
     def differentiate(self, by_s: Floats, by_m: Floats, by_w: Floats) -> tuple[Floats, Floats]:
         """Moments (s, k, k + l + 1), and their derivatives (s, z, k, k + l + 1).
 
-        By derivatives (s, q, d-1, z) of both xi, and (s, q, z) of the log weight at fixed xi.
+        By derivatives (s, q, d-1, z) of both xi, and (s, q, z) of the log weight.
         """
         e, v = by_s.shape[2], self.weight[..., None] * self.N
         rates = self.by_xi[:, :, None]
@@ -107,7 +107,7 @@ def functions(element: FacetElement, xi: Floats) -> tuple[Floats, Floats, Floats
 
 
 def sums(N: Floats, x: Floats) -> Floats:
-    """Sums sum_k N_k x_k (s, q, .., d) of values N (s, q, .., k) and nodes x (s, k, d)."""
+    """Sums of N_k x_k (s, q, .., d) for N (s, q, .., k) and nodes x (s, k, d)."""
     rows = N.reshape(len(x), math.prod(N.shape[1:-1]), x.shape[1])
     return (rows @ x).reshape(*N.shape[:-1], x.shape[2])
 
@@ -126,10 +126,7 @@ def turns(element: FacetElement, x: Floats) -> tuple[Floats, Floats]:
 
 
 def height(N: Floats, Q: Floats, arcs: Floats) -> tuple[Floats, Floats, Floats]:
-    """Heights N.Q N (s, q) of arcs (s, 2), see `curvature.heights_of_arcs`.
-
-    And derivatives by N (s, q, k), and by the logarithm of the chord's length.
-    """
+    """Heights N.Q N (s, q) of arcs (s, 2), and derivatives by N and the log chord length."""
     QN, curvature, square = N @ Q, arcs[:, None, 0], arcs[:, None, 1]
     h, left = (QN * N).sum(axis=2), 1.0 - square
     root, across = np.sqrt(square), np.sqrt(square + 2.0 * curvature * h)
@@ -156,10 +153,10 @@ def create_points(
         master: N and dN.
         nodes: (s, k, d) and (s, l, d).
         weight: (s, q) on the slave's reference facet.
-        given: nodal weights (s, k) of the integrals; reach (s, 2) of `Segments`, or (s, 0).
+        given: nodal weights (s, k); reach (s, 2) of `Segments`, or (s, 0).
         tilts: `turns` of the slave facets.
         heights: Q (s, k, k), (s, l, l) and arcs (s, 2, 2), or empty.
-        spread: (s, l, m) the master's nodes among m, for results by these.
+        spread: (s, l, m) the master's nodes among m.
     """
     (N, dN, ddN), (M, dM), (x, y), (factor, reach) = slave, master, nodes, given
     own, factor = (N, M), factor[:, :, None]
@@ -198,8 +195,8 @@ def whole(
 ) -> tuple[Floats, Floats]:
     """Moments (p, k, k + 1) of whole facets below a tool, and derivatives (p, d k, k, k + 1).
 
-    For weights (p, q) on the reference facet, phi (p, q) at xi (q, d-1), and derivatives by the
-    nodes (p, q, k, d); H = -int N_j phi.
+    For weights (p, q) on the reference facet, distances phi (p, q) and derivatives (p, q, k, d) at
+    xi; H = -int N_j phi.
     """
     N, dN, _ = (v[0] for v in functions(facets.element, xi[None]))
     dual, normal = dual_basis(dN @ facets.x[:, None])

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Parts of slave facets in space, their auxiliary planes, convex polygons in these (kernels).
 
-A part is a facet of first order, or one of four between the nodes of a facet of second order.
-Facets of all types are x = sum_ab c_ab xi^a eta^b with a, b <= 2, cheaper than shape functions. In
-a plane the slave facet has radius 1. Polygons are anticlockwise, with `n` vertices in an array;
-vertices nearer to a line than ROUND_OFF lie on it. Numba's cache of a caller in another file does
-not notice changes here: touch that file, too.
+A part is a facet of first order, or one of four between the nodes of a facet of second order. All
+are x = sum_ab c_ab xi^a eta^b with a, b <= 2. In a plane the slave facet has radius 1. Polygons are
+anticlockwise, with `n` vertices in an array; vertices nearer to a line than ROUND_OFF lie on it.
+Numba's cache of a caller in another file does not notice changes here: touch that file, too.
 """
 
 import numba
@@ -139,7 +138,7 @@ def along(c, m, axes, P):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
-    """Where (r, s) a projected facet P (1, 2, 9) has the point (x, y), or NaN, by Newton."""
+    """Where (r, s) a projected facet has the point (x, y), or NaN, by Newton."""
     for _ in range(LIMIT):
         y0, a0, b0 = _component(P, FIRST, FIRST, r, s)
         y1, a1, b1 = _component(P, FIRST, SECOND, r, s)
@@ -186,11 +185,9 @@ def on_facets(
 ) -> tuple[Floats, Floats, Floats]:
     """Coordinates xi_s, xi_m (q, 2) and weights (q,) of points on the facets' true surfaces.
 
-    xi_m is NaN where the line through a point misses the master.
-
-    Args:
-        axes: (ms * s, 3, 3) of the slave parts' planes; the last is the direction of projection.
-        part: (q, 2) parts of slave and master, to which xi_s, xi_m and weight belong.
+    xi_m is NaN where the line through a point misses the master. `axes` (ms * s, 3, 3) are of the
+    slave parts' planes, the last the direction of projection; xi_s, xi_m and weight belong to the
+    parts (q, 2).
     """
     part_s = slave.element.part or slave.element
     scale = slave.element.size / (count(slave.element) * part_s.size)
@@ -274,7 +271,7 @@ def is_thin(P, n):  # type: ignore[no-untyped-def]
 def orientation(P, n):  # type: ignore[no-untyped-def]
     """Sign 1 or -1 of an anticlockwise or clockwise convex polygon, 0 for any other.
 
-    Corners with less than HALF_OF_DIGITS of the sum of areas are straight.
+    Corners below HALF_OF_DIGITS of the areas are straight.
     """
     least, most, whole = np.inf, -np.inf, 0.0
     for i in range(n):

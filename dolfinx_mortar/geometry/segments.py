@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Segments: parts of slave facets projected on one master facet, with their quadrature points.
 
-A slave facet is projected along the interpolated averaged nodal normals in 2D (`line`), along its
-mean normal in 3D (`area`). Candidate pairs are found at any distance, in O(n log n): double cones
-around the projections are tested against a hierarchy of balls around the master facets.
+Projection is along the interpolated averaged nodal normals in 2D (`line`), along the mean normal in
+3D (`area`). Candidate pairs are found at any distance, in O(n log n): double cones around the
+projections against a hierarchy of balls around the master facets.
 """
 
 from dataclasses import dataclass
@@ -78,8 +78,8 @@ def _meets(c, axis, radius, slope, p, rho):  # type: ignore[no-untyped-def]
 def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-untyped-def]
     """All pairs (cone, ball of the first level) that can meet.
 
-    Level l has balls start[l] to start[l + 1]; ball i encloses i b to (i + 1) b - 1 of the level
-    below, b = 2^d.
+    Level l has balls start[l] to start[l + 1]; ball i encloses balls i b to (i + 1) b - 1 below, b
+    = 2^d.
     """
     branches = 2 ** centre.shape[1]
     pairs = np.empty((8 * (len(radius) + start[1]) + 64, 2), dtype=np.int32)
@@ -116,7 +116,7 @@ def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-
 def sort_in_space(x: Floats) -> Longs:
     """Order of points x (n, d) with compact aligned blocks of 2^j points, j >= d, by halving.
 
-    Cones meet fewer balls than in the order of a k-d tree or Morton's curve.
+    Faster than a k-d tree's or Morton's curve.
     """
     order = np.arange(len(x))
     half = smallest = 2 ** x.shape[1]
@@ -155,7 +155,7 @@ def _enclose(ball, rho, start):  # type: ignore[no-untyped-def]
 def find_meeting(cones: Cones, centre: Floats, radius: Floats, order: Longs | None = None) -> Ints:
     """Pairs (p, 2) of cones and balls that can meet, ordered by cone, then ball.
 
-    The order of the balls, made here by default, affects speed only.
+    The order of the balls affects speed only.
     """
     n = len(radius)
     if len(cones.radius) == 0 or n == 0:
@@ -236,10 +236,9 @@ def are_facing(n_s: Floats, n_m: Floats) -> Bools:
 def find_candidates(
     slave: Facets, n_s: Floats, master: Facets, margin: Floats, order: Longs | None = None
 ) -> Ints:
-    """Find the pairs (p, 2) of facets that can share a segment, ordered, at any distance.
+    """Pairs (p, 2) of facets that can share a segment, ordered, at any distance.
 
-    A superset of the pairs with segments, also without margins (ms,). n_s (ms, k, d) are averaged
-    unit normals.
+    A superset, also without margins (ms,). n_s (ms, k, d) are averaged unit normals.
     """
     cones = create_cones(slave.x, bounding_directions(slave, n_s), margin)
     pairs = find_meeting(cones, *bounding_balls(master.x), order)
@@ -254,8 +253,7 @@ def create_segments(
 ) -> Segments:
     """Project, clip, split and place quadrature points.
 
-    The nearest of several master facets covers the slave; those too deep, behind the body, neither
-    cover nor hide.
+    The nearest master facet covers the slave; those too deep neither cover nor hide.
 
     Args:
         n_s: (ms, k, d) averaged normals at the nodes.

@@ -41,8 +41,8 @@ from dolfinx_mortar.spaces import check_space, find_positions
 class Segments:
     """Quadrature points where two sides face each other, on the slave facets of this rank.
 
-    An integral over the covered part of the slave side is the sum of weights times values over the
-    points of all ranks. A side has k functions in a cell; a vector space has d dofs for each.
+    Integrals over the covered part of the slave side are sums of weights times values over all
+    ranks. A side has k functions in a cell; a vector space has d dofs for each.
     """
 
     x: Floats  # (n, d) points of the slave side at X + u
@@ -108,7 +108,7 @@ def _place(x: Floats) -> str:
 
 
 def _tabulate(V: dolfinx.fem.FunctionSpace, xi: Floats) -> Floats:
-    """Values and derivatives (1 + d, q, k) of V at xi (q, d) in a cell."""
+    """Values and derivatives (1 + d, q, k) at xi in a cell."""
     one_more = np.vstack([xi, np.zeros(xi.shape[1])])  # basix 0.9 aborts without a point
     return np.asarray(V.element.basix_element.tabulate(1, one_more)[:, :-1, :, 0])
 
@@ -116,7 +116,7 @@ def _tabulate(V: dolfinx.fem.FunctionSpace, xi: Floats) -> Floats:
 def _evaluate(
     V: dolfinx.fem.FunctionSpace, side: Surface, cells: _Cells, which: Ints, on_facet: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Points xi, x (n, d), values (n, k) and gradients (n, k, d) of V at points of facets."""
+    """Points xi, x, values (n, k) and gradients (n, k, d) of V."""
     W, N = side.V, side.element.shape_functions(on_facet)
     nodes = np.asarray(W.element.basix_element.points)[cells.places[which]]
     xi = np.einsum("nk,nki->ni", N, nodes)
@@ -137,17 +137,15 @@ def segments(
 ) -> Segments:
     """Return the points for integrals over an interface of non-matching meshes (collective).
 
-    The slave side is divided at the edges of master facets: with the weights w_q and the functions
-    N_i of the slave and N_l of the master, int N_i N_l = sum_q w_q N_i N_l over the covered part.
-    Exact for products of two functions of V where flat triangles, parallelograms or parallel lines
-    face each other.
+    The slave side is divided at the edges of master facets: int N_i N_l = sum_q w_q N_i N_l over
+    the covered part, exact where flat triangles, parallelograms or parallel lines face each other.
 
     Args:
         V: scalar or vector Lagrange space of degree 1 or 2 on the mesh of all bodies.
         slave: tag or name of the side that is integrated.
         master: tag or name of the other side.
-        u: displacement, in any vector Lagrange space of degree 1 or 2 on this mesh: positions,
-            normals, areas and gradients are at X + u; None for X.
+        u: displacement, in any vector Lagrange space of degree 1 or 2 on this mesh: all results are
+            at X + u; None for X.
 
     Returns:
         The points of this rank's slave facets, at any distance from the master; none where no
@@ -215,7 +213,7 @@ class Mortar:
 
 
 def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETSc.Mat:
-    """Owned rows of a node matrix, every entry times the d x d identity (eqs. 19, 20)."""
+    """Owned rows times the d x d identity (eqs. 19, 20)."""
     d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
     start, columns, values = csr_of(A)
     shape = (index_map.size_local, index_map.size_global)
@@ -228,7 +226,7 @@ def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETS
 
 
 def _create_normal_matrix(comm: MPI.Intracomm, normals: Floats) -> PETSc.Mat:
-    """N (d * m, m) of eq. 17, block diagonal of the normals (m of this rank, d)."""
+    """N (d * m, m) of eq. 17, for normals (m of this rank, d)."""
     m, d = normals.shape
     first = comm.exscan(m) or 0
     columns = (first + np.repeat(np.arange(m), d)).astype(PETSc.IntType)
@@ -255,14 +253,14 @@ def assemble_mortar(
 
     Args:
         V: vector or scalar Lagrange space of degree 1 or 2 on the mesh of all bodies.
-        slave: tag or name of the side that carries the multipliers.
+        slave: tag or name of the side with the multipliers.
         master: tag or name of the other side.
         u: displacement, in V or in a vector Lagrange space of no higher degree on this mesh;
             segments, normals and gap are at X + u.
         weight: factor of all integrals at points X of the slave side, (q, d) -> (q,), such as 2 pi
-            r; None for 1.
-        feature_angle: least angle of an edge in degrees, for the normals of both sides as in
-            `Contact`; None for averaged slave normals.
+            r.
+        feature_angle: least angle of an edge in degrees, for normals as in `Contact`; None for
+            averaged slave normals.
 
     Raises:
         ValueError: On all ranks, for tags, spaces and displacements that do not fit.

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Normals of contact nodes, common to both sides (theory.md, Normals).
 
-With the spread S = mean (n_f - n')(n_f - n')^T, n' = mean n_f, of the normals of exterior facets at
-a node and the averaged normals a_j of the slave and b_j = -unit sum_l M_jl n_l of the master,
+With the spreads S of the normals of exterior facets at a node, and the averaged normals a_j of the
+slave and b_j = -unit sum_l M_jl n_l of the master,
 
-    n_j = unit [C_m (C_s + C_m)^-1 a_j + C_s (C_s + C_m)^-1 b_j],   C_s = a_j a_j^T + S_s + eps I,
+    n_j = unit [C_m (C_s + C_m)^-1 a_j + C_s (C_s + C_m)^-1 b_j],   C_s = a_j a_j^T + S_s + eps I.
 
-C_m likewise. eps has a part of neighbouring spreads, so that the end of a flat part yields to the
-other side's face. On planes of symmetry sums include mirror images, without facets in the plane.
+eps has a part of neighbouring spreads, so that the end of a flat part yields to the other side's
+face. On planes of symmetry sums include mirror images, without facets in the plane.
 """
 
 from collections.abc import Callable, Sequence
@@ -82,11 +82,8 @@ def find_spreads(
 ) -> Spreads:
     """Spreads of normals at X; collective.
 
-    Args:
-        boundary: all exterior facets.
-        contacts: sides of contacts, one or more.
-        ties: sides that are tied: these do not count.
-        mirrors: (local nodes, d), see `find_mirrors`.
+    `contacts` are sides of contacts, `ties` tied sides, which do not count, `mirrors` (local nodes,
+    d) those of `find_mirrors`.
     """
     V, nodes = contacts[0].V, boundary.nodes
     marks = la.vector(V.dofmap.index_map)
@@ -195,8 +192,8 @@ def common_normals(
 ) -> CommonNormals:
     """Normals of both sides at X + u; collective.
 
-    The averaged ones (n, d) where nothing is coupled, or no direction agrees with both sides. M has
-    entries (f,); the feature angle is in degrees.
+    Averaged ones (n, d) where nothing is coupled, or no direction agrees with both sides. M has
+    entries (f,); the angle is in degrees.
     """
     slave, master, V = pairing.slave, pairing.master, pairing.slave.V
     own, nodes, d = slave.nodes[: slave.owned], master.nodes[: master.owned], slave.X.shape[1]
@@ -297,7 +294,7 @@ def _edged(S: Floats, limit: float) -> Bools:
 
 
 def _of_side(averaged: Floats, facing: Floats, S: Floats, limit: float) -> Floats:
-    """Normals (n, d) of a side: averaged, or of the facets that face the other side at edges."""
+    """Normals (n, d) of a side: averaged, on edges `facing`."""
     edged = np.flatnonzero(_edged(S, limit) & facing.any(axis=1))
     if not len(edged):
         return averaged.copy()

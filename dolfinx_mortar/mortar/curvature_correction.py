@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Smooth surfaces over the facets of two sides (theory.md, Curved sides): heights and offsets.
 
-Arguments: `fixed` are components (local nodes, d) with Dirichlet data, `feature_angle` the least
-angle of an edge in degrees, `sides` smooth surfaces at X, `which` (q,) the facets and `xi` (q, d-1)
-the reference coordinates of points, `segments` those at X + u.
+`fixed` are components (local nodes, d) with Dirichlet data, `sides` smooth surfaces at X, `which`
+(q,) facets and `xi` (q, d-1) reference coordinates of points, `segments` those at X + u; feature
+angles are in degrees.
 """
 
 from collections.abc import Callable, Sequence
@@ -66,9 +66,8 @@ def smooth_normals(
 ) -> NodeNormals:
     """Normals of the smooth surface at the nodes, at x (n, d); collective.
 
-    n = 0 where a facet's normal has no positive component along it, as at a cusp. Mirror images
-    complete facets at planes of symmetry. In space the deviatoric curvature projects edges. `fixed`
-    is (n, d).
+    n = 0 where a facet's normal has no positive component along it. Mirror images complete facets
+    at planes of symmetry. In space the deviatoric curvature projects edges. `fixed` is (n, d).
     """
     facets = facets_at(surface, x)
     if mirrors is None:
@@ -174,10 +173,7 @@ def find_smooth_sides(
     feature_angle: float,
     shapes: Sequence[NodeShape] = (),
 ) -> tuple[SmoothSide, SmoothSide]:
-    """Smooth surfaces of the slave and of the received master facets; collective.
-
-    `shapes` are those of `find_shape` of both sides, if known.
-    """
+    """Smooth surfaces of the slave and of the received master facets; collective."""
     slave, master = pairing.slave, pairing.master
     own, other = shapes or [find_shape(side, fixed, feature_angle) for side in (slave, master)]
     facets, count = received_facets(pairing, None), _count_edges(other, master.owned)
@@ -331,8 +327,7 @@ def point_heights(
     """Sum of heights (q,), by which smooth surfaces are closer than facets; collective.
 
     First-order sides share one surface, see `common_sagittas`. Second-order heights are h (1 + e_n)
-    with the strain e_n along the normal, as mid-side nodes move with the bodies; h alone would
-    leave an error of first order in the pressures.
+    with the strain e_n along the normal, as mid-side nodes move with the bodies.
     """
     pairs, of = distinct(segments.pair)
     c_s, c_m, arcs = pair_sagittas(pairing, u, sides, pairs)
@@ -351,7 +346,7 @@ def pair_sagittas(
 ) -> tuple[Floats, Floats, Floats]:
     """Each facet's c_ab (p, e) of pairs (p,), and arcs (p, 2, 2); collective.
 
-    For second order with the strain, and curved arcs over lines straight at X.
+    For second order with the strain.
     """
     a, b = find_curved(pairing, u, sides, pairs)
     c, arcs = [a.sagitta, b.sagitta], np.tile([0.0, 1.0], (len(pairs), 2, 1))
@@ -371,8 +366,7 @@ def missed_heights(
 ) -> Floats:
     """Fourth-order error (q,) of heights of degree 1 over round surfaces; collective.
 
-    With |x|^2 = R^2 - 2 R h over facets of a sphere, R - |x| = h + h^2 / (2 R); `common_sagittas`
-    shortens edges by a projection, too.
+    Over facets of a sphere |x|^2 = R^2 - 2 R h, R - |x| = h + h^2 / (2 R).
     """
     pairs, of = distinct(segments.pair)
     a, b = find_curved(pairing, u, sides, pairs)
@@ -408,8 +402,8 @@ def point_motions(
 ) -> Callable[[slice], Floats]:
     """Return a function: part of the points -> A_l (q, k, d, d) of offset vectors.
 
-    The offset r = x_s - x_m moves with the bodies, so that rotations cause no strain. To first
-    order u_s = u_m + sum_l A_l u_l, with g_l = grad N_l on the master,
+    The offset r = x_s - x_m moves with the bodies. To first order u_s = u_m + sum_l A_l u_l, with
+    g_l = grad N_l on the master,
 
         A_l u_l = u_l (g_l.r) - (r.n) g_l (n.u_l) + n (H_t g_l).u_l:
 
@@ -448,8 +442,7 @@ def find_parting(
 ) -> float:
     """Mean of |k_s + k_m| over that of max(|k_s|, |k_m|), k = tr K; collective.
 
-    1 for a ball on a plane, c / R for a pin in a hole of radius R with the clearance c, infinite
-    for planes.
+    1 for a ball on a plane, c / R for a pin with clearance c, infinite for planes.
     """
     pairs, of = distinct(segments.pair)
     size = np.bincount(of, segments.weight, minlength=len(pairs))

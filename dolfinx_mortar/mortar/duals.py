@@ -1,23 +1,20 @@
 # SPDX-License-Identifier: MIT
 """Dual functions of the Lagrange multiplier, and the slave nodes with a multiplier.
 
-Phi_j (eq. 20), biorthogonal over the covered part G of each facet: Phi = D m^-1 N, D = diag(int_G
-N_j), m = int_G N N^T. m, almost singular at little coverage, is not formed: with the weights w and
-sqrt(w) N = Q R, sqrt(w) Phi = Q R^-T D and m^-1 = R^-1 R^-T; if a diagonal entry of R is round-off,
-all functions of the facet are equal.
+Phi = D m^-1 N (eq. 20), D = diag(int_G N_j), m = int_G N N^T over the covered part G of each facet.
+m, almost singular at little coverage, is not formed: with sqrt(w) N = Q R, sqrt(w) Phi = Q R^-T D
+and m^-1 = R^-1 R^-T; if a diagonal entry of R is round-off, all functions of the facet are equal.
 
 Functions of nodes without multiplier are shared out (theory.md, Partly covered facets): the others
 are biorthogonal among themselves, and 1 - sum_j Phi_j, orthogonal to their N_j, is added to them in
-equal parts. So constants remain, D stays diagonal, and functions are bounded.
+equal parts. D stays diagonal.
 
 Vertex functions of six-node triangles integrate to zero. So Phi is biorthogonal to N~ (after Popp,
-Wohlmuth, Gee and Wall, SIAM J. Sci. Comput. 34, 2012, with 1 / 12 for their 1 / 5, which loses half
-an order in ties),
+Wohlmuth, Gee and Wall, SIAM J. Sci. Comput. 34, 2012, whose 1 / 5 loses half an order in ties),
 
     N~_v = N_v + alpha sum_m N_m,      N~_m = (1 - 2 alpha) N_m,      alpha = 1 / 12,
 
-and D_mv = -alpha D_mm at both ends of an edge. Mid-side nodes without multiplier share nothing, so
-that no vertex depends on another one.
+and D_mv = -alpha D_mm at both ends of an edge, unless the mid-side node has no multiplier.
 """
 
 from collections.abc import Sequence
@@ -104,7 +101,7 @@ def absorbing(shares: Sequence[tuple[int, int, int]], kept: Bools) -> Floats:
 
 @numba.njit(**SUMS)
 def _orthonormalise(Q, R):  # type: ignore[no-untyped-def]
-    """Replace A^T (k, q) by Q^T of A = Q R; return the least R_jj / |row j|, or 0."""
+    """Replace A^T by Q^T of A = Q R; return the least R_jj / |row j|, or 0."""
     least = 1.0
     for j in range(len(Q)):
         length = np.sqrt(product(Q[j], Q[j]))
@@ -124,7 +121,7 @@ def _orthonormalise(Q, R):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SUMS)
 def _biorthogonalise(Q, roots, Phi, inverse):  # type: ignore[no-untyped-def]
-    """Fill Phi (k, q), biorthogonal to Q = sqrt(w) N (overwritten), and m^-1 if accurate."""
+    """Fill Phi, biorthogonal to Q = sqrt(w) N (overwritten), and m^-1 if accurate."""
     k = len(Q)
     R, D, z = np.zeros((k, k)), np.empty(k), np.zeros((k, k))
     for j in range(k):
@@ -194,7 +191,7 @@ def _all_duals(N, weight, slave, keep):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True, eq=False)
 class Duals:
-    """Dual functions of slave facets (m,), and their data.
+    """Dual functions of slave facets (m,).
 
     Phi_j = sum_b A_jb N~_b + (1 - sum_ib A_ib N~_b) / count over the kept nodes of a facet, A =
     diag(d) m^-1, d = int N~, m = int N~ N~^T.
@@ -212,8 +209,8 @@ class Duals:
 def create_duals(N: Floats, weight: Floats, slave: Ints, kept: Bools) -> Duals:
     """Return the dual functions Phi (eq. 20) of slave facets.
 
-    sum_q w Phi_i N_j = delta_ij sum_q w N_j for i and j kept. Functions of other nodes are zero;
-    those of the kept nodes of a facet add up to one.
+    sum_q w Phi_i N_j = delta_ij sum_q w N_j for i and j kept; the kept ones of a facet add up to
+    one, others are zero.
 
     Args:
         N: (q, k) values N~.
@@ -233,7 +230,7 @@ def node_weights(
 ) -> tuple[Floats, Floats]:
     """Int N~_j (n,) over the covered part, and over the whole slave side (collective).
 
-    The former is D_jj if all nodes have a multiplier (`keep` is None) and N~ is N.
+    The former is D_jj if all nodes have a multiplier and N~ is N.
     """
     slave = pairing.slave
     shares, kept = slave.element.shares, None if keep is None else keep[slave.facets]
@@ -273,7 +270,7 @@ def find_coverage(
 
 
 def _find_weightless(pairing: Integrated, segments: Segments) -> tuple[Bools, Floats]:
-    """Slave nodes (n,) without weight, as on an axis, and the coverage of their facets."""
+    """Slave nodes without weight (on an axis), and the coverage of their facets."""
     slave = pairing.slave
     if slave.element.degree == 1:  # positive functions
         return np.zeros(len(slave.nodes), dtype=bool), np.zeros(len(slave.nodes))
@@ -294,8 +291,7 @@ def default_keep(
 ) -> Bools:
     """Slave nodes (n,) that may have a multiplier, the same on any ranks (collective).
 
-    More than `LEAST_COVERAGE` of their weight is covered. On a covered facet without such a node,
-    the best covered `allowed` node.
+    With more coverage than `LEAST_COVERAGE`, or the best `allowed` node of a covered facet.
     """
     allowed = np.ones(len(covered), dtype=bool) if allowed is None else allowed
     none, _ = _find_weightless(pairing, segments)
@@ -322,8 +318,8 @@ def choose_duals(
 ) -> tuple[Bools, Floats]:
     """Slave nodes (n,) with a multiplier, and w Phi_j (q, k) (collective).
 
-    Nodes of `default_keep` with int Phi_j > 0, the force of a unit pressure; the choice is repeated
-    without the others, as second-order vertices whose facets are covered in far corners.
+    Nodes of `default_keep` with int Phi_j > 0, the force of a unit pressure; chosen again without
+    the others.
     """
     while True:  # with fewer nodes each time
         keep = default_keep(pairing, segments, *weights, allowed)
@@ -336,7 +332,7 @@ def choose_duals(
 
 
 def _best_nodes(coverage: Floats, X: Floats) -> Ints:
-    """Best covered node (m,) of each facet, of equal ones the last by x, y, z."""
+    """Best covered node of each facet, of equal ones the last by x, y, z."""
     best = coverage >= (1 - HALF_OF_DIGITS) * coverage.max(axis=1, initial=0.0)[:, None]
     size = facet_sizes(X)
     for x in np.moveaxis(X, 2, 0):

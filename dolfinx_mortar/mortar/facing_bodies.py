@@ -66,8 +66,8 @@ def find_facing(
 ) -> Facing:
     """Facets of other parts that facets of a skin face, at any distance; collective.
 
-    Without those deeper in another body than half of the thinner body (`pairing.THROUGH`), unless
-    `deep`. `asked` (m,) are the facets to project, all if None.
+    Without those deeper in another body than half of the thinner one, unless `deep`; for the facets
+    `asked` (m,), or all.
     """
     depth = (
         np.full(len(skin.part), np.inf)
@@ -114,7 +114,7 @@ def _least_gaps(
 
 
 def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
-    """Distances (p,) of pairs; inf where a facet sees a flank past the edge of a body.
+    """Distances (p,); inf where a facet sees a flank past the edge of a body.
 
     Facets that cross at less than 45 degrees touch, as on fitting curved sides.
     """
@@ -155,7 +155,7 @@ def are_near(facing: Facing, within: float | None) -> Bools:
 
 
 def boxes_of(comm: MPI.Comm, x: Floats, body: Longs, count: int) -> Floats:
-    """Boxes (count, 2, d) of bodies from facets x (m, k, d) of bodies (m,); collective."""
+    """Boxes (count, 2, d) of bodies from facets of bodies (m,); collective."""
     boxes = np.full((count, 2, x.shape[2]), np.inf)
     low, high = bounds(x)
     np.minimum.at(boxes[:, 0], body, low)
@@ -179,8 +179,8 @@ def find_faces(
 ) -> Longs:
     """Smooth face (m,) of each exterior facet of this rank, numbered over all ranks; collective.
 
-    Neighbours of one body, with local nodes (m, k), are of one face where their normals differ by
-    less than the feature angle, in degrees.
+    Neighbours of one body are of one face where their normals differ by less than the angle, in
+    degrees.
     """
     comm = V.mesh.comm
     edges = _edges(V, facets, nodes)

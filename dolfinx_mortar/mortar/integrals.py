@@ -132,13 +132,8 @@ def find_segments(pairing: Pairing, u: dolfinx.fem.Function | None) -> tuple[Seg
 def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Facets) -> Segments:
     """Reduce the weights of segments far behind the nearest one (collective).
 
-    With the rise H over the nearest point and r = min(8 mean |tan a|, 3/2) h, over all facets at
-    the nodes of a slave facet of size h, weights have the factor
-
-        1 - (H - r) / max(r, .3 h),     at least 0, at most 1.
-
-    8: lower factors slow a rolling disc; 3/2: 1 changes the contact of a round disc, 7/4 that of
-    sliding cantilevers (theory.md, Edges and corners).
+    See theory.md, Edges and corners; 8 and 3/2: the contact of rolling discs and sliding
+    cantilevers is unchanged.
     """
     slave, on, w = pairing.slave, segments.slave, segments.weight
     count, N = len(facets.x), (segments.N, pairing.master.element.shape_functions(segments.xi_m))
@@ -207,7 +202,7 @@ def drop_far(
 ) -> Segments:
     """The segments without pairs that are too far apart as a whole (collective).
 
-    `reach` maps sizes of facets (q,) and the least distance to the largest distances (q,).
+    `reach`: sizes of facets (q,), least distance -> largest distances (q,).
     """
     distances, larger = point_distances(pairing, segments, u)
     comm = pairing.slave.V.mesh.comm

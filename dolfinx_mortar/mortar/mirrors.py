@@ -27,9 +27,9 @@ def find_mirrors(surface: Surface, fixed: Bools, feature_angle: float) -> Bools:
 def judge_supports(surface: Surface, fixed: Bools, feature_angle: float) -> tuple[Bools, Floats]:
     """Components (n, d) across planes of symmetry, and n_j.e (n, d), at X; collective.
 
-    Where A and B have the same sign and differ by a factor of at most two, or where A is less than
-    the scatter of n_f.e; not where all components are fixed (n, d), nor inside a side. Mid-side
-    nodes have means of the vertices. Edges of more than `feature_angle` degrees have no curvature.
+    Where A and B have the same sign and differ by a factor of at most two, or A is less than the
+    scatter of n_f.e; not where all components are fixed, nor inside a side. Mid-side nodes have
+    means of the vertices. Edges of more than `feature_angle` degrees have no curvature.
     """
     n, gap, limit = ring_sums(surface, one_ring_sums(facets_at(surface, surface.X)))
     closed = np.asarray(np.linalg.norm(gap, axis=1) <= limit)

@@ -39,8 +39,8 @@ SmoothSides = tuple[SmoothSide, SmoothSide]
 class MortarOperators:
     """D, M and P in one configuration, for c choices of the nodes with a multiplier.
 
-    One choice per direction of the multipliers, as Dirichlet data allow, at the n owned slave
-    nodes; entries follow the patterns of the pairing.
+    One per direction of the multipliers, as Dirichlet data allow, at the n owned slave nodes;
+    entries follow the pairing.
     """
 
     segments: Segments
@@ -71,7 +71,7 @@ def create_operators(
         normals: outward unit normals (n, d) of the local slave nodes.
         allowed: (n, c) local slave nodes that may have a multiplier.
         heights_of: smooth surfaces at X for heights.
-        motions_of: smooth surfaces at X for offsets in P.
+        motions_of: the same for offsets in P.
     """
     comm, own = pairing.slave.V.mesh.comm, slice(None, pairing.slave.owned)
     weights = node_weights(pairing, segments)
@@ -126,8 +126,7 @@ def integrate_matrices(
 ) -> tuple[Floats, Floats]:
     """Entries of D (e,) and M (f,) on the patterns of the pairing (collective).
 
-    `keep` (n,) is equal on all ranks, `Phi` that of `weighted_duals`. Rows without multiplier
-    vanish, their columns in D do not.
+    `keep` (n,) is equal on all ranks. Rows without multiplier vanish, their columns in D do not.
     """
     N_m = pairing.master.element.shape_functions(segments.xi_m)
     kept = keep[pairing.slave.facets]
@@ -155,10 +154,7 @@ def integrate_motions(
     Phi: Sequence[Floats],
     motions: Callable[[slice], Floats],
 ) -> Floats:
-    """Int Phi_j A_l (f, d, d) at the entries of M (collective).
-
-    Phi (q, k) of `weighted_duals` for each row of A_l, see `point_motions`.
-    """
+    """Int Phi_j A_l (f, d, d) at the entries of M, see `point_motions` (collective)."""
     d, k, m = len(Phi), pairing.slave.element.nodes, pairing.master.element.nodes
     blocks = np.zeros((d, len(pairing.pairs), k, m * d))
     for first in range(0, len(segments.pair), CHUNK):
@@ -175,10 +171,7 @@ def integrate_motions(
 def mean_values(
     pairing: Integrated, segments: Segments, Phi: Floats, weight: Floats, at_points: Floats
 ) -> Floats:
-    """Int Phi_j f / D_jj (n,) at the owned slave nodes, or 0, for f (q,) (collective).
-
-    Phi of `weighted_duals`, weight D_jj (n,).
-    """
+    """Int Phi_j f / D_jj (n,) at the owned slave nodes, or 0, for f (q,) (collective)."""
     total = integrate_values(pairing, segments, Phi, at_points)[: pairing.slave.owned]
     return np.asarray(total * inverse(weight))
 
@@ -255,10 +248,7 @@ def whole_facets(side: WholeSide, x: Floats, facing: Bools) -> tuple[Segments, F
 
 
 def integrate_side(side: WholeSide, x: Floats, facing: Bools, allowed: Bools) -> SideOperators:
-    """Integrate D over the facing facets (m,) of this rank, at x (n, d); collective.
-
-    Only `allowed` local nodes (n,) may have a multiplier.
-    """
+    """Integrate D over the facing facets (m,) of this rank, at x; collective."""
     slave, own = side.slave, slice(None, side.slave.owned)
     segments, points = whole_facets(side, x, facing)
     weights = node_weights(side, segments)
@@ -283,7 +273,7 @@ def integrate_side(side: WholeSide, x: Floats, facing: Bools, allowed: Bools) ->
 
 
 def means(side: WholeSide, found: SideOperators, at_points: Floats) -> Floats:
-    """Int Phi_j f / D_jj (n, c) at the owned nodes for f (q, c), or 0; collective."""
+    """As `mean_values`, (n, c) for f (q, c); collective."""
     weight = found.weight[:, 0]
     at = side, found.segments, found.Phi, weight
     return np.stack([mean_values(*at, f) for f in at_points.T], axis=1)

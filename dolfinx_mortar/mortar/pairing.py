@@ -56,8 +56,8 @@ same iterations and forces.
 class Pairing:
     """Candidate pairs of facets at one configuration, with a margin.
 
-    Matrices have a row for each owned slave node j; columns of P = D^-1 (M - D_other) are those of
-    D off its diagonal, then of M.
+    Matrices have a row for each owned slave node; columns of P = D^-1 (M - D_other) are those of D
+    off its diagonal, then of M.
     """
 
     slave: Surface
@@ -214,10 +214,10 @@ def create_pairing(
     weight: Weight | None = None,
     earlier: Pairing | None = None,
 ) -> Pairing:
-    """Find the candidate pairs at X + u and fix the patterns of D and M for them (collective).
+    """Find the candidate pairs at X + u and fix the patterns of D and M (collective).
 
-    Pairs of moving surfaces allow a sliding by half an edge or more, see `outside_margin`. With one
-    surface as both sides, its slave facets are chosen at each search.
+    Pairs of moving surfaces allow a sliding by half an edge. In self-contact slave facets are
+    chosen anew.
 
     Args:
         again: a later search, in which no pairs are no error.
@@ -226,7 +226,7 @@ def create_pairing(
 
     Raises:
         ValueError: On all ranks, if the sides share facets, belong to another space, u is not
-            finite there, or at the first search no slave facet faces a master facet.
+            finite there, or at the first search no facets face each other.
     """
     _check_surfaces(V, slave, master, u)
     _check_finite(u, slave, master)
@@ -318,8 +318,7 @@ def received_facets(pairing: Pairing, u: dolfinx.fem.Function | None) -> Facets:
 def outside_margin(pairing: Pairing, u: dolfinx.fem.Function | None) -> bool:
     """Whether a segment at X + u can belong to a pair that is not a candidate (collective).
 
-    By the relative motion only; False is certain. True where u is not finite: the next search
-    raises the error.
+    By the relative motion only; False is certain. True where u is not finite.
     """
     comm = pairing.slave.V.mesh.comm
     slave, n_s = _slave_facets(pairing.slave, u)

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Whether one side has passed through the other in a step, undetected by contact.
 
-Facets deeper than a part of the thinner body, or beyond an edge, are not paired (`THROUGH`). So the
-middle of the body behind each facet must not enter the other body or a rigid tool; nor the tool's
-point the body.
+Facets deeper than a part of the thinner body are not paired (`THROUGH`). So the middle of the body
+behind each facet must not enter the other body or a rigid tool; nor the tool's point the body.
 
-The best-fitting rigid motion x -> R x + c of a step from x_0 to x_1 is taken as steady, about a
-fixed line (in 2D, a point) with a shift along it:
+The best-fitting rigid motion x -> R x + c of a step is taken as steady, about a fixed line (in 2D,
+a point) with a shift along it:
 
     x(t) = R^t ((1 - t) x_0 + t R^-1 x_1).
 """
@@ -50,8 +49,7 @@ class Middles:
 def find_middles(surface: Surface, body_of: Ints, skin: Facets, bodies: Ints) -> Middles:
     """The middles of the bodies behind a surface; collective.
 
-    `body_of` (m,) and `bodies` are the bodies of its facets and of this rank's exterior facets,
-    `skin`.
+    `body_of` (m,) and `bodies` are the bodies of its facets and of this rank's exterior facets.
     """
     facets = facets_at(surface, surface.X)
     depth = thickness_of_bodies(surface.V.mesh.comm, facets, body_of, skin, bodies)
@@ -78,8 +76,8 @@ class SeenByTool:
     ) -> Callable[[Floats, Floats], list[Floats]]:
         """Return a function: points (.., d) in space at start and end -> paths in the tool's frame.
 
-        One array for each time. Below half a turn the relative motion, `seen`, is steady; else
-        `body` turns steadily in space, and the tool about its point, which moves straight.
+        Below half a turn the relative motion, `seen`, is steady; else `body` turns steadily in
+        space, and the tool about its point, which moves straight.
         """
         if not self.turns_round(body):
             steady = times_of([seen])
@@ -177,8 +175,7 @@ def find_passed_tool(
 
     Either middles of the body have entered the tool, or the tool's point, deeper in it than the
     facet is long or its middle deep, has passed a facet; if less deep, by the difference farther,
-    since chords lie behind a tip. Parts of a path in the tool shorter than `QUARTER_OF_DIGITS` of
-    the depth of the middle are missed.
+    since chords lie behind a tip. Parts shorter than `QUARTER_OF_DIGITS` of the depth are missed.
     """
     comm, own = side.surface.V.mesh.comm, side.surface
     x = [coordinates(own, u) for u in (before, now)]
@@ -350,7 +347,7 @@ def times_of(motions: list[RigidMotion]) -> Floats:
 
 
 def path(motion: RigidMotion, times: Floats, start: Floats, end: Floats) -> Floats:
-    """Points (t, .., d) at the times of a path between its start and end."""
+    """Points (t, .., d) of a path between its start and end."""
     if motion.angle() <= TURN:
         return np.stack([(1.0 - t) * start + t * end for t in times])
     held = motion.back(end)

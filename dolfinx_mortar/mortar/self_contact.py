@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Self-contact: facets of a surface that can touch, and which of two is the slave.
 
-A node of both kinds has no multiplier, since T expresses slave nodes by master nodes. Arguments:
-own facets (ms,), received `copies` (mm,), global `nodes` (ms, k) and (mm, k) of both, their
-coordinates `X`, `pairs` (p, 2) that face each other, and `deepest`, how far behind a facet its
-master may lie.
+A node of both kinds has no multiplier. Arguments: own facets (ms,), received `copies` (mm,), global
+`nodes` (ms, k) and (mm, k) of both, their coordinates `X`, `pairs` (p, 2) that face each other, and
+`deepest`, how far behind a facet its master may lie.
 """
 
 from dataclasses import dataclass
@@ -40,7 +39,7 @@ def distances_in_reach(
 ) -> Floats:
     """Distances (p,) of pairs, in diameters of the larger facet; inf if not near.
 
-    Facets with a common node, or deeper behind a facet than `deepest` (p,), are not near.
+    Facets with a common node, or too deep, are not near.
     """
     found = np.full(len(pairs), np.inf)
     f, g = pairs.T
@@ -66,9 +65,9 @@ def choose_roles(
 ) -> tuple[Bools, Bools]:
     """Which own (ms,) and which received facets (mm,) are slaves; collective.
 
-    Pair by pair, the nearest first by distances (p,) in diameters: facets that face each other have
-    opposite roles; neighbours, a diameter apart, the same; then the finer one at X, by powers of
-    two, is the slave. Undecided parts begin with a slave in the order of coordinates, on all ranks.
+    Pair by pair, the nearest first: facets that face each other have opposite roles; neighbours, a
+    diameter apart, the same; then the finer one at X is the slave. Undecided parts begin with a
+    slave in the order of coordinates, on all ranks.
     """
     rows = np.sort(nodes[0], axis=1), np.sort(nodes[1], axis=1)
     f, g = pairs.T
@@ -153,7 +152,7 @@ def divide(
 def has_changed(roles: Roles, facets: Facets, copies: Facets, pairs: Ints) -> bool:
     """Whether facets of this rank are near others of the same role.
 
-    Within half of the reach, if their distance is half of that when the roles were chosen.
+    Within half of the reach, if half as far as when the roles were chosen.
     """
     limit = np.minimum(roles.deepest[0][pairs[:, 0]], roles.deepest[1][pairs[:, 1]])
     nodes = roles.nodes

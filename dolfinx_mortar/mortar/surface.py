@@ -55,7 +55,7 @@ class Nodes(Protocol):
 class Surface:
     """The marked facets that this rank integrates, and their nodes.
 
-    A facet belongs to the rank of its cell. Nodes include this rank's nodes of other ranks' facets.
+    A facet belongs to the rank of its cell; this rank's nodes of other ranks' facets are included.
     """
 
     V: dolfinx.fem.FunctionSpace
@@ -218,9 +218,9 @@ def create_surface(
     """Collect the exterior facets marked with `tag`, a number or name, on any rank (collective).
 
     Raises:
-        ValueError: On all ranks, naming the argument, for an unsupported space, tags of another
-            mesh or dimension, a tag that is no 32 bit integer or marks no or interior facets, and
-            facets that are not finite, degenerate, inverted or badly warped.
+        ValueError: On all ranks, for an unsupported space, tags of another mesh or dimension, a tag
+            that is no 32 bit integer or marks no or interior facets, and facets that are not
+            finite, degenerate, inverted or badly warped.
     """
     check_space(V)
     element = _element(V)
@@ -412,7 +412,7 @@ def nodal_sagittas(surface: Surface, x: Floats, feature_angle: float) -> Floats:
     """Mean deviation (n,) of a surface from its flat parts at each node; collective.
 
     L a / 8 for an arc of chord L and angle a, twice that between facet and nodal normals, without
-    edges; facets of degree 2 have parts half as long.
+    edges; parts of second order are half as long.
     """
     facets = facets_at(surface, x)
     normals = nodal_normals(surface, x)[surface.facets]
@@ -429,7 +429,7 @@ def normal_derivatives(surface: Surface, x: Floats) -> Floats:
     """Terms (m, k, d, k, d) of facets in the derivatives of nodal normals (collective).
 
     [f, j, :, l, :] is the change of n_j with x_l by facet f: dn_j = -(I - n_j n_j^T) / |S| sum_f
-    G_l (n_f.dx_l), with its normal n_f and surface gradients G_l at node j, and S = sum_f n_f.
+    G_l (n_f.dx_l), with surface gradients G_l at node j and S = sum_f n_f.
     """
     facets = facets_at(surface, x)
     at_nodes = normals_at_nodes(facets)
@@ -457,9 +457,9 @@ def _gradients_at_nodes(facets: Facets) -> Floats:
 def carrying(surface: Surface, x: Floats, n: Floats, vectors: Floats) -> Floats:
     """Coefficients W (m, k, k), by which tangential v_j (n, d) move with the surface; collective.
 
-    sum_f sum_l W_fjl x_l over the facets of node j is v_j up to a part along n_j (n, d): the mean
-    of F_f a_j with the deformation gradients F_f = sum_l x_l grad N_l^T, I - n_f n_f^T at x. Zero
-    where n_j is, or without a common tangent.
+    sum_f sum_l W_fjl x_l over the facets of node j is v_j up to a part along n_j: the mean of F_f
+    a_j with the deformation gradients F_f = sum_l x_l grad N_l^T. Zero where n_j is, or without a
+    common tangent.
     """
     facets, d = facets_at(surface, x), x.shape[1]
     n_f = normals_at_nodes(facets)
@@ -482,7 +482,7 @@ def carrying(surface: Surface, x: Floats, n: Floats, vectors: Floats) -> Floats:
 def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
     """Stretch 1 / |F^-T n| (n,) of the bodies along the normals at X (collective).
 
-    Means over facets of the change of volume over area.
+    Means of the change of volume over area.
     """
     element, (nodes, X, slopes, height) = surface.element, surface.behind
     x = X + u.x.array.reshape(-1, X.shape[2])[nodes]

@@ -46,7 +46,7 @@ class Tractions:
 
 @dataclass(frozen=True, eq=False)
 class Derivatives:
-    """Derivatives of forces F, gaps G and b, from this rank's slave facets; sums of parts.
+    """Derivatives of forces F, gaps G and b; sums of parts.
 
     Coordinates are those of the slave nodes, then of the received master nodes.
     """
@@ -128,10 +128,8 @@ def differentiate_whole(
 ) -> tuple[Floats, Floats, Floats]:
     """Derivatives dF (f, k, d, k, d), dg (f, k, k, d), and D (f, k, k) on facets below a tool.
 
-    Args:
-        weights: (f, q) on the reference facet, with all factors.
-        phi: (f, q) distances at xi (q, d-1); by_x (f, q, k, d) their derivatives.
-        c: (f, k, d) tractions.
+    For weights (f, q) on the reference facet, distances phi (f, q) and derivatives by_x (f, q, k,
+    d) at xi, tractions c (f, k, d).
     """
     (p, k, d), element, kept = facets.x.shape, facets.element, duals.kept
     T = absorbing(element.shares, kept)
@@ -342,8 +340,7 @@ class Results(NamedTuple):
 def duals(S: Floats, dS: Floats, T: Floats, inverse: Floats, kept: Bools) -> tuple[Floats, Floats]:
     """Coefficients C (p, k, k), Phi_j = sum_b C_jb N_b, and changes (p, z, k, k), for S and dS.
 
-    With N~ = T N, m = T S T^T, d = T S 1: A = diag(d) m^-1, C = (A - mean of its rows) T + 1 /
-    count.
+    C = (A - mean of its rows) T + 1 / count, A = diag(d) m^-1, m = T S T^T, d = T S 1.
     """
     (p, z, k, _), V = dS.shape, inverse @ T
     part = kept / np.maximum(kept.sum(axis=1, keepdims=True), 1)
@@ -368,9 +365,8 @@ def apply(
 ) -> Results:
     """Derivatives of facets with nodes x (p, k, d) and masters' nodes y (p, m, d).
 
-    Args:
-        moments: (p, k, k + m + 1) S, R and H.
-        changes: (p, z, k, k + m + 1) by the coordinates; `others` is the first of a master.
+    From S, R and H side by side (p, k, k + m + 1) and changes (p, z, k, k + m + 1) by the
+    coordinates; `others` is the first of a master.
     """
     (p, k, d), m, (_, z, _, size) = x.shape, y.shape[1], changes.shape
     C, dC = duals(moments[:, :, :k], changes[..., :k], *basis)

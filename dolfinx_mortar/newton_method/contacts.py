@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Active set and multipliers of an iterate, the warm start of the next QP, and its KKT residuals.
 
-Forces are relative to the largest force of the step; a penetration counts as the force that would
-remove it, complementarity as work; both are at most rtol facet lengths. Without forces the first
-residual and the round-off of K u are the scales, at finite strain of K h with the cell size h.
+A penetration counts as the force that would remove it, complementarity as work. Without forces the
+first residual and the round-off of K u are the scales, at finite strain of K h with the cell size
+h.
 """
 
 from collections.abc import Callable, Sequence
@@ -48,8 +48,8 @@ class Contacts:
     def after(self, last: "Contacts", limits: SlipLimits | None) -> "Contacts":
         """Correct multipliers for friction in prescribed directions.
 
-        At an inclined support it opens the contact by c lambda_j, so that lambda_j becomes
-        (lambda_j + c last lambda_j) / (1 + c).
+        At an inclined support it opens the contact by c lambda_j: lambda_j becomes (lambda_j + c
+        last lambda_j) / (1 + c).
         """
         if limits is None:
             return self
@@ -96,12 +96,8 @@ def go_on(
 ) -> Contacts:
     """Initial active set of a step: that of the last one, without multipliers.
 
-    Slipping nodes start as slipping, as a sliding body would else pass through free states, but as
-    sticking where the rigid prediction reverses their slip by more than ``noise``.
-
-    Args:
-        contacts: active set and slip directions at the end of the last step.
-        limits: of the step's first balance; None without friction.
+    Slipping nodes start as slipping, but as sticking where the rigid prediction reverses their slip
+    by more than ``noise``. `contacts` are the last active set and slip directions.
     """
     active, sliding = contacts
     if limits is not None and sliding is not None:
@@ -241,10 +237,7 @@ def measure(
 ) -> Residuals:
     """KKT residuals of an iterate with given multipliers; collective.
 
-    Args:
-        contacts: multipliers of the last QP.
-        diagonal: of the last K^, for penetrations as forces.
-        elastic_norm: |u|_e of the iterate.
+    `diagonal` of the last K^ makes penetrations forces; `elastic_norm` is |u|_e.
     """
     comm, z = u.function_space.mesh.comm, contacts.reactions(balance)
     free = balance.reduced.array_r.copy()

@@ -116,9 +116,8 @@ class Drives:
     def check_gaps(self, balance: Balance, active: Bools, facet_length: float) -> None:
         """Raise a StepFailed if an open gap separates a body from a loaded tool; collective.
 
-        With inertia a load would move tools, which have no mass, across it instantaneously. A tool
-        of radius R >= h in contact is h^2 / (8 R) <= h / 8 from the next node, with the facet
-        length h: smaller gaps are due to the mesh. `active` is (owned nodes,).
+        With inertia a load would move tools, which have no mass, across it instantaneously. Gaps of
+        the mesh are below h / 8: h^2 / (8 R) at a tool of radius R >= h, the facet length.
         """
         loaded, first = np.abs(self.loads) > self.noise(balance), 0
         left = np.where(active[balance.nodes], 0.0, balance.bounds.upper)
@@ -139,8 +138,7 @@ class Drives:
 def find_drives(problem: ContactProblem, known: Floats | None = None) -> Drives | None:
     """Motions of the driven tools in the present geometry, None for none; collective.
 
-    The motion of a slave node is sum_l D_jl e_l / D_jj. Reactions `known` (owned nodes, d) act on
-    the tools like loads.
+    A slave node moves by sum_l D_jl e_l / D_jj. Reactions `known` (owned nodes, d) act like loads.
     """
     offered = [(link, link.interface.driven()) for link in problem.system.links]
     parts = [(link, tool) for link, tool in offered if tool is not None]
@@ -227,9 +225,8 @@ def _unknowns(link: Link, d: int) -> Ints:
 def as_scalars(drives: Drives, lin: Linearisation, rtol: float, begun: float) -> Scalars:
     """Motions as scalars of the QP of an iterate, scaled to lengths; collective.
 
-    On rigid sides, whose nodes are eliminated, the reaction is r^ - K^ y, and arms turn with the
-    side. Tolerances are `rtol` times the forces on a tool, on rigid sides also times `begun`, the
-    largest force at the start of the step.
+    On rigid sides the reaction is r^ - K^ y, and arms turn. Tolerances are `rtol` times the forces
+    on a tool, on rigid sides also times `begun`, the largest force at the start of the step.
     """
     e, held, equal = drives.motions.copy(), drives.held, lin.balance.equal
     m, inverse = len(e), 1.0 / drives.reach

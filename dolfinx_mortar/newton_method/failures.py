@@ -203,8 +203,6 @@ def _flow(problem: ContactProblem) -> str:
 def describe_passing(problem: ContactProblem) -> str:
     """Describe bodies or tools that passed through each other since the last commit; collective.
 
-    Empty for none.
-
     Raises:
         ValueError: on all ranks, if all nodes of the slave side are prescribed.
     """

@@ -96,7 +96,7 @@ class Moved:
 def take_step(problem: ContactProblem, found: Solution, largest: float, old: Iterate) -> Moved:
     """Move u and driven tools along the solution of the QP; collective.
 
-    `largest` is the largest multiplier so far, `old` the iterate.
+    `largest` is the largest multiplier so far.
     """
     lin = found.lin
     T = problem.system.transformation if lin.geometry is None else lin.geometry.trial
@@ -165,11 +165,10 @@ def search(
     """Backtrack along a Newton direction until the merit decreases; u is moved; collective.
 
     Args:
-        solved: the QP's solution.
         du: the step in u.
-        multiplier: largest multiplier so far; s is twice as large.
+        multiplier: largest so far; s is twice as large.
         before: J at the start.
-        volumes: with mean stresses as unknowns, see `mean_volume`; J then has linearised volumes.
+        volumes: with mean stresses as unknowns, see `mean_volume`.
         driven: motions of tools, which are not moved here.
 
     Returns:

@@ -91,7 +91,7 @@ def find_balance(
 
     Args:
         overlap: depth of an initial overlap left to later steps.
-        multipliers: lambda_j (owned nodes,), for friction at prescribed slips; None without.
+        multipliers: lambda_j (owned nodes,), for friction at prescribed slips.
         from_committed: linearise forces of bodies about the committed state.
     """
     with problem.timings("assembly"):
@@ -149,8 +149,8 @@ def _present_limits(
 def growth(problem: ContactProblem, link: Link) -> Floats:
     """Ratio (n,) of present to initial circumference at the slave nodes; collective.
 
-    In axisymmetry D has the present section, but 2 pi r at X; times this it is the present area. On
-    the axis the mean of other nodes of the facets; one elsewhere and at X.
+    In axisymmetry D has the present section, but 2 pi r at X. On the axis the mean of other nodes
+    of the facets; one elsewhere and at X.
     """
     kinematics, slave = problem.solid.kinematics, link.sides.slave
     u = None if link.interface.stays else problem.configuration
@@ -187,8 +187,8 @@ def linearise(
     Args:
         tangent: assemble K anew; linear laws need it once.
         shift: multiple of the elastic stiffness added to an indefinite K.
-        pressure: mean stresses of a linearisation, see `Solid.add_tangent`.
-        linear: linear solver; default that of the problem.
+        pressure: mean stresses of a linearisation.
+        linear: default that of the problem.
     """
     T, linear = problem.system.transformation, linear or problem.linear
     direct = linear.direct
@@ -240,13 +240,9 @@ def linearise_all(
 ) -> Linearisation:
     """Assemble the QP of the exact tangent; arguments as in `linearise`; collective.
 
-    K^ = T^T (K + H) T_g is unsymmetric (`interfaces.moving_geometry`); H contains the antisymmetric
-    tangents of terms. With multigrid K^ is an operator, preconditioned by T^T K T.
-
-    Args:
-        partners: of each interface, for its slips; empty without friction.
-        multipliers: lambda_j (owned nodes,).
-        tangential: tangential tractions (owned nodes, d), None without friction.
+    K^ = T^T (K + H) T_g is unsymmetric (`interfaces.moving_geometry`); with multigrid it is an
+    operator, preconditioned by T^T K T. Multipliers are lambda_j (owned nodes,), tangential
+    tractions (owned nodes, d); with friction `partners` of each interface.
     """
     linear = linear or problem.linear
     with problem.timings("mortar"):
@@ -275,7 +271,7 @@ def linearise_all(
 class Corrections:
     """Parts v of the gap rows that T_g neglects, by Anderson mixing of QP solutions.
 
-    For a given active set the fixed point is affine; results since its first appearance are mixed.
+    For a given active set the fixed point is affine.
     """
 
     def __init__(self) -> None:
@@ -286,10 +282,7 @@ class Corrections:
         self.changes: list[Floats] = []  # differences to the v of their QPs
 
     def apply(self, lin: Linearisation, solved: QPSolution) -> tuple[Linearisation, float]:
-        """QP with the next v, and the largest force by a change of a bound; collective.
-
-        `lin` has the exact tangent; `solved` is a solution of it, or of the last QP.
-        """
+        """QP with the next v, and the largest force by a change of a bound; collective."""
         assert lin.geometry is not None
         dofs, bounds, comm = lin.balance.bounds.dofs, lin.balance.bounds, lin.qp.comm
         closing = lin.geometry.closing(to_displacement(lin.geometry.trial, solved.x))

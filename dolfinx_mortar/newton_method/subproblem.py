@@ -1,10 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""QP of a Newton iteration and its solution: tangent, shift, accuracy.
-
-The tangent is that of the bodies in the present geometry (a fixed point), or the exact one
-(theory.md, The exact tangent). At finite strain multiples of the elastic stiffness are added to an
-indefinite one.
-"""
+"""QP of a Newton iteration and its solution: tangent, shift, accuracy."""
 
 from __future__ import annotations
 
@@ -133,12 +128,7 @@ class Subproblem:
         return not self.driven or (self.finite and any(others))
 
     def solve(self, old: Iterate, residuals: Sequence[Residuals], *, exact: bool) -> Solution:
-        """Solve the QP at an iterate; collective.
-
-        Args:
-            residuals: of all iterates of the step so far.
-            exact: use the exact tangent unless its QP has no solution.
-        """
+        """Solve the QP at an iterate, if it has a solution with the `exact` tangent; collective."""
         tangent = not self.linear or (not residuals and self.problem.terms.vary(self.problem.K))
         rejected = ""
         if exact:
@@ -165,9 +155,8 @@ class Subproblem:
     def definite(self, old: Iterate, residuals: Sequence[Residuals], tangent: bool) -> Solution:
         """Solve the QP of the bodies' tangent, made positive definite; collective.
 
-        Multiples of the elastic stiffness are added until K is positive definite on the free
-        unknowns, first a tenth of the last one; near equilibrium none, so that unstable equilibria
-        converge.
+        Multiples of the elastic stiffness are added until K is positive definite, first a tenth of
+        the last one; near equilibrium none, so that unstable equilibria converge.
         """
         near = bool(residuals) and residuals[-1].forces < STABLE
         least, most = SHIFTS
@@ -306,10 +295,9 @@ class Subproblem:
 def respond(
     problem: ContactProblem, forces: Floats, rtol: float, linear: LinearSolver
 ) -> Floats | None:
-    """Return y (owned nodes, d) with K y = f, K the last tangent; collective.
+    """Return y (owned nodes, d) with K y = f, K the last tangent, or None; collective.
 
-    Supports and ties hold, contacts do not act. Call it at the end of a step. None if the linear
-    solver finds no solution.
+    Supports and ties hold, contacts do not act.
     """
     T, r = problem.system.transformation, problem.vector(forces)
     found = problem.system.constraints(problem.positions(), problem.vector(problem.owned_u))

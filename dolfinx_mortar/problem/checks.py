@@ -64,7 +64,7 @@ def check_arguments(
 
 
 def check_problem(problem: Any, kind: type) -> None:
-    """Raise a ValueError unless a problem is of its class, which this module cannot import."""
+    """Raise a ValueError unless a problem is of its class."""
     remedy = f"give a {kind.__name__}(solid, interfaces, bcs=...)"
     check("problem", problem, instance(kind, remedy))
 

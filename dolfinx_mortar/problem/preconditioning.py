@@ -16,8 +16,7 @@ from dolfinx_mortar.supports.dirichlet import Dirichlet
 class UnknownsOfBodies:
     """Unknowns of multigrid: those of the QP, except displacements at open contacts.
 
-    Rigid motions of the whole, the near-null space, have w_n = 0 at closed nodes only; at open ones
-    the change of basis is reversed (`Transformation.uncouple`).
+    Rigid motions, the near-null space, have w_n = 0 at closed nodes only.
     """
 
     def __init__(

@@ -5,9 +5,8 @@ The deformation below a slider (a dent) moves with it by the sliding path c:
 
     u(X) <- u(X) + w(X - C) - w(X),   w = u0 - A X,   C = (1 + A)^-1 c,
 
-with the displacement u0 of the last step, at the nearest point of the body if X - C is outside;
-prescribed components stay. A X + b is the fit of u0 at the nodes: rotation and mean strain. Paths
-below a facet are ignored. The dent is in the body whose motion reduces the overlap.
+with the displacement u0 of the last step; prescribed components stay. A X + b is the fit of u0 at
+the nodes. The dent is in the body whose motion reduces the overlap.
 """
 
 from dataclasses import dataclass, replace
@@ -34,9 +33,9 @@ from dolfinx_mortar.supports.bodies import Bodies
 def predict(
     problem: ContactProblem, data: StepData, level: float | None, before: Floats
 ) -> StepData:
-    """Predict u at the end of a step, after the rigid motion with the supports; collective.
+    """Predict u at the end of a step; return the data with the motion of tools; collective.
 
-    Returns the data with the motion of tools. Level: at the end; before: (n,) u before that motion.
+    `before` (n,) is u before the rigid motion with the supports.
     """
     _convect(problem, problem.owned_u - before, before)
     data = replace(data, begun=problem.owned_u.copy())
@@ -46,7 +45,7 @@ def predict(
 
 
 def _convect(problem: ContactProblem, carried: Floats, before: Floats) -> None:
-    """Move the deformation of the side of a contact by which the overlap halves; collective."""
+    """Move the deformation of a side by which the overlap halves; collective."""
     if problem.solid.strain == "small" or problem.geometry == "reference":
         return
     closed, began = problem.committed.active & ~_stuck(problem), with_values(problem.V, before)
@@ -74,7 +73,7 @@ def _convect(problem: ContactProblem, carried: Floats, before: Floats) -> None:
 def _go_on(problem: ContactProblem, level: float, target: Floats) -> Floats | None:
     """Add the scaled gain of the last step; return the motion (m,) of tools; collective.
 
-    On flowing bodies only: nearly incompressible elastic ones would be far from equilibrium.
+    On flowing bodies only.
     """
     gained, tools = problem.committed.gained, [i.driven() for i in problem.interfaces]
     if gained is None or problem.solid.strain == "small":
@@ -130,7 +129,7 @@ def find_slides(
     first the group that moves less.
 
     Args:
-        closed: (owned nodes,) slave nodes that were closed and did not stick at the last commit.
+        closed: (owned nodes,) closed without stick at the last commit.
         carried: (owned nodes, d) displacement by the supports.
         u: displacement at the start of the step.
     """

@@ -244,11 +244,8 @@ class ContactProblem:
         """Read loads, Dirichlet values and jumps, predict u, pair the surfaces; collective.
 
         Bodies, tied ones together, are translated by the mean of their prescribed increments. The
-        result depends only on the displacement and the committed state.
-
-        Args:
-            level: load level of the step; None for the committed one.
-            predict: further prediction, see `problem.predictors`.
+        result depends only on the displacement and the committed state. `level` is that of the
+        step, None for the committed one; `predict` is a further prediction.
 
         Raises:
             ValueError: for NaN, infinity or contradictions in data, displacement, potential or
@@ -545,13 +542,11 @@ class ContactProblem:
         by cell cannot be restored.
 
         Args:
-            path: HDF5 file in an existing folder; replaced once the new one is complete on the
-                disk.
+            path: HDF5 file in an existing folder; replaced once the new one is complete.
 
         Raises:
             OSError: on all ranks, if it cannot be written; the older file remains.
-            ValueError: if a problem made later uses one of the interfaces, or the last step is not
-                committed.
+            ValueError: if the last step is not committed, or another problem uses an interface.
             RuntimeError: if h5py is missing (an ImportError on rank 0).
         """
         if self.ended_here() is not None:
@@ -567,9 +562,6 @@ class ContactProblem:
         Mesh, materials and interfaces must be the same; the mesh may be numbered differently.
         Before an evaluation set loads to ``committed.level``, and after changes of parameters call
         ``solid.follow()``; `load_steps` does both.
-
-        Args:
-            path: file of `save` or `load_steps`.
 
         Raises:
             OSError: on all ranks, if the file is missing or unreadable.

@@ -94,7 +94,7 @@ def _row(shape: tuple[int, ...], row: Any) -> list[float] | None:
 def notes_on_unread(ramps: Sequence[Ramp], read: Sequence[Any] | None) -> list[str]:
     """A note for each table whose Constant no part of a problem reads, by the addresses of values.
 
-    `read` are the Constants that steps read; None if unknown.
+    `read` are the Constants that steps read, None if unknown.
     """
     if read is None:
         return []
@@ -125,13 +125,7 @@ def check_range(ramps: Sequence[Ramp], levels: Sequence[float]) -> None:
 
 
 def difference(saved: Sequence[Rows], ramps: Sequence[Ramp], walked: Sequence[float]) -> str:
-    """How tables differ from saved ones between the levels reached, "" if they do not.
-
-    Args:
-        saved: tables of the saved run.
-        ramps: present tables, for Constants in the same order.
-        walked: levels of the run, with the initial one.
-    """
+    """How tables differ from saved ones between the levels reached (`walked`), or ""."""
     if len(saved) != len(ramps):
         return f"there are {len(ramps)} tables now, {len(saved)} then"
     low, high = min(walked), max(walked)

@@ -91,8 +91,7 @@ class TimeSolves(Solves):
     def _settle(self, inertia: Inertia, begin: float, level: Level) -> Floats:
         """Bring nodes without mass into equilibrium; return forces (owned nodes, d) on rigid sides.
 
-        By a step from rest in a share h = 1e-4 of the first one, in which the accelerations of the
-        start move other nodes by a share h^2; collective.
+        By a step from rest in a share h = 1e-4 of the first one: other nodes move by a share h^2.
         """
         problem, mass = self.problem, inertia.mass
         on_sides, forces = np.zeros_like(mass.massless), np.zeros_like(mass.X)
@@ -271,7 +270,7 @@ def choose_scheme(scheme: Any, radius: Any) -> tuple[Scheme, float | None]:
 def stop_held(problem: ContactProblem, inertia: Inertia) -> list[str]:
     """Set the initial velocity to 0 where supports do not move in the first step; collective.
 
-    The trapezoidal rule would change its sign in every step. Returns notes.
+    The trapezoidal rule would change its sign in every step.
     """
     supports, velocity = problem.supports, inertia.values("velocity").copy()
     way = supports.increment(supports.values(), problem.u.x.array)
@@ -293,7 +292,7 @@ def stop_held(problem: ContactProblem, inertia: Inertia) -> list[str]:
 
 
 def count_done(problem: ContactProblem, levels: list[float]) -> int:
-    """Number of times of the last walk, if they are the first `levels` up to round-off, else 0."""
+    """Number of times of the last walk, if they are the first `levels`, else 0."""
     committed = problem.committed
     walked = [step.time for step in committed.last_walk]
     size = max(map(abs, walked), default=0.0)

@@ -191,12 +191,8 @@ def walk(
 ) -> Iterator[LoadStep]:
     """Make the steps to given levels, see `load_steps`; collective.
 
-    Args:
-        begin: level of the committed state.
-        most: largest number of halvings of a step.
-        file: of checkpoints, None for none.
-        every: number of steps between two files.
-        done: number of levels of the last walk, which this one continues.
+    `begin` is the committed level, `most` the largest number of halvings, `done` the number of
+    levels of the last walk, which this one continues.
     """
     problem = solves.problem
     committed = problem.committed
@@ -387,7 +383,7 @@ def _describe_kept(parts: int, reached: Level) -> str:
 
 
 def lines(comm: MPI.Comm, wanted: bool | None) -> Callable[[str], None]:
-    """Function that logs a line on rank 0, and prints it unless the log is shown; collective.
+    """Function that logs a line on rank 0, and prints it if `wanted`; collective.
 
     None prints if logging is not configured, except in notebooks.
 
