@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Change of basis u = T y of a problem, in which every constraint is a bound.
 
-Row j of B_I T = N^T (D - M) T is D_jj times a unit vector (theory.md, Constraints become bounds). T
-= (I - Q)^-1 W, W = blockdiag(R_j), is W + Q without references to slave nodes, in a stack of bodies
-the product of the interfaces' matrices in topological order. Sides of six-node triangles have two
-matrices, first that of the mid-side nodes. A slave node of several interfaces has multipliers of
-only one.
+See theory.md, Constraints become bounds. T = (I - Q)^-1 W, W = blockdiag(R_j), is W + Q without
+references to slave nodes, in a stack of bodies the product of the interfaces' matrices in
+topological order. Sides of six-node triangles have two matrices, first that of the mid-side nodes.
+A slave node of several interfaces has multipliers of only one.
 """
 
 from collections.abc import Sequence
@@ -55,7 +54,7 @@ def referenced(sides: Sides, pattern: Pattern) -> Bools:
 
 
 def choose_owners(sides: Sequence[Sides], coverage: Sequence[Coverage]) -> Ints:
-    """Owner (n,) of each owned node: first interface that faces or covers it; no communication."""
+    """Owner (n,) of each owned node: first interface that faces or covers it."""
     n = sides[0].n_owned
     owner, best = np.zeros(n, dtype=np.int32), np.full(n, -1)
     for k, (side, found) in enumerate(zip(sides, coverage, strict=True)):
@@ -241,7 +240,7 @@ def notes_on_splits(
 
 
 def _between(side: Sides, other: Sides, u: fem.Function | None) -> Floats:
-    """Part (m,) of facets next to the other slave side that only its master covers; collective."""
+    """Part (m,) of facets that only the other side's master covers; collective."""
     facets = side.slave.nodes[side.slave.facets]
     beside, shared = other.on_slave[facets], other.on_master[facets].all(axis=1).any()
     if other.master is None or side.master is None or any_rank(side.V.mesh.comm, shared)[0]:
@@ -257,7 +256,7 @@ def _between(side: Sides, other: Sides, u: fem.Function | None) -> Floats:
 
 
 class Transformation:
-    """T and T^T K T on patterns that are fixed as long as the pairings."""
+    """T and T^T K T on the patterns of the pairings."""
 
     def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], claims: Claims) -> None:
         # without chains one matrix saves products
@@ -310,10 +309,7 @@ class Transformation:
     # = y for chains
 
     def uncouple(self, held: Ints) -> tuple[PETSc.Mat, PETSc.Mat | None]:
-        """C of u = (I + C) v, without stored zeros, and E or None; collective.
-
-        `held` are owned fixed unknowns of y.
-        """
+        """C of u = (I + C) v, and E or None, for owned fixed unknowns of y; collective."""
         if self.chained:
             return self.change, None
         Cs, Es = zip(*(factor.uncouple(self.links, held) for factor in self.factors), strict=True)
@@ -423,7 +419,7 @@ class _Factor:
         return _create(V, C), _create(V, E)
 
     def inverse(self, links: Sequence[Link], u: PETSc.Vec) -> PETSc.Vec:
-        """Return y with T y = u: w_j = R_j^-1 (u_j - sum_l Q_jl u_l); collective."""
+        """Return w_j = R_j^-1 (u_j - sum_l Q_jl u_l); collective."""
         difference, d = u.copy(), self.V.dofmap.index_map_bs
         for k, _, here in self.parts:
             moved = (links[k].Q * u).array_r.reshape(-1, d)

@@ -19,10 +19,7 @@ from dolfinx_mortar.spaces import check_nodal
 
 @dataclass(frozen=True)
 class Constraints:
-    """Bounds on increments of unknowns y, u = T y, in this rank's numbering.
-
-    An upper bound for contact, two equal ones for ties and Dirichlet data.
-    """
+    """Bounds on increments of unknowns y in this rank's numbering, equal ones for equalities."""
 
     dofs: Ints  # (k,) owned unknowns of y, each once
     lower: Floats  # (k,) -inf if free
@@ -104,15 +101,12 @@ ROOM = 0.05
 
 @dataclass(frozen=True)
 class SlipLimits:
-    """Limits of the tangential reactions at nodes with friction.
+    """Limits of the tangential reactions at nodes with friction, in this rank's numbering.
 
-    |z_t| <= coefficient z_n + cohesion where closed, in this rank's numbering. In prescribed
-    directions the slip s_e is known, not z_t; with the elastic slip a the share of the limit there
-    is
+    |z_t| <= coefficient z_n + cohesion where closed. In prescribed directions the slip s_e is
+    known, not z_t; with the elastic slip a the share of the limit there is
 
-        q / max(|q + s_t / a|, 1),     q = (share at the last commit) + s_e / a,
-
-    the rest is for the tangential unknowns.
+        q / max(|q + s_t / a|, 1),     q = (share at the last commit) + s_e / a.
     """
 
     nodes: Ints  # (m,) owned
@@ -213,7 +207,7 @@ REMEDY = "give a number, a scalar fem.Constant, or a scalar Lagrange fem.Functio
 class FrictionLaw:
     """Limit of the tangential traction tau of a closed contact with pressure p.
 
-    Coulomb, "friction": abs(tau) <= mu p. Tresca, "tresca": abs(tau) <= s.
+    "friction": abs(tau) <= mu p (Coulomb); "tresca": abs(tau) <= s.
     """
 
     name: str
@@ -221,15 +215,11 @@ class FrictionLaw:
 
     @property
     def by_pressure(self) -> bool:
-        """Whether the limit is proportional to the pressure; else it acts at open nodes, too."""
+        """Whether the limit is proportional to the pressure, zero at open nodes."""
         return self.name == "friction"
 
     def values(self, scalar: fem.FunctionSpace) -> Floats:
-        """Values at the owned nodes of a scalar space; collective.
-
-        Raises:
-            ValueError: on all ranks, for negative or non-finite values.
-        """
+        """Values at the owned nodes; a ValueError for negative or non-finite ones; collective."""
         comm, n = scalar.mesh.comm, scalar.dofmap.index_map.size_local
         if isinstance(self.value, fem.Function):
             self.value.x.scatter_forward()  # ghosts may be set
@@ -251,7 +241,7 @@ class FrictionLaw:
 
 
 def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | None:
-    """The law, None for neither argument and the number 0; ValueError for both or invalid ones."""
+    """The law, or None; a ValueError for both or invalid ones."""
     if friction is not None and tresca is not None:
         raise ValueError(
             f"friction is {friction!r} and tresca is {tresca!r}: give one of the two, a "

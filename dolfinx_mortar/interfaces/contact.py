@@ -126,14 +126,13 @@ class Contact(Unilateral, MortarInterface):
     ``gap`` (>= 0 when open; not-a-number at nodes that face no master), ``active`` (1 in contact,
     else 0). ``force`` is the resultant on the slave side, -sum_j D_jj lambda_j n_j plus friction.
     ``pressure`` and ``traction`` are per area of the slave side at X + u with geometry="updated",
-    at X with "reference", and belong to the part that faces the master, also at a node just beyond
-    its end: their integral exceeds the force unless all of the side faces the master.
+    at X with "reference", and of the part that faces the master, also at a node just beyond its
+    end: their integral exceeds the force unless all of the side faces the master.
     Friction: abs(tau) <= mu p, with equality against the slip R_t^T (D^-1 (D - M) (u -
-    u_committed)), the tangential motion relative to the master since the last commit. Further
-    results: ``traction`` (tangential, on the slave side), ``step_slip`` (of the last step, a
-    length), ``slip`` (accumulated), ``status`` (0 open, 1 stick, 2 slip), and ``dissipation``
-    (energy since the start). Where Dirichlet data prescribe the slip, friction reaches its limit
-    over a twentieth of a facet.
+    u_committed)) since the last commit. Further results: ``traction`` (tangential, on the slave
+    side), ``step_slip`` (of the last step, a length), ``slip`` (accumulated), ``status`` (0 open, 1
+    stick, 2 slip), and ``dissipation`` (energy since the start). Where Dirichlet data prescribe the
+    slip, friction reaches its limit over a twentieth of a facet.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
@@ -144,10 +143,10 @@ class Contact(Unilateral, MortarInterface):
             between the facets, as the paper.
         feature_angle: least angle of an edge between facets in degrees, for smooth surfaces.
         friction: Coulomb's coefficient mu: a number, a scalar Constant, or a scalar Lagrange
-            Function on the mesh of the displacement, read at every step.
-        tresca: limit of the tangential traction instead, of the same kinds, at every slave node
-            that faces the master, whatever the pressure; a step is then a convex minimisation. In
-            axisymmetry per circumference at X for small strains.
+            Function on this mesh, read at every step.
+        tresca: limit of the tangential traction instead, at every slave node that faces the master;
+            a step is then a convex minimisation. In axisymmetry per circumference at X for small
+            strains.
     Source: the paper, eqs. 12 to 20; friction: S. Hueeber, G. Stadler, B. Wohlmuth, SIAM J. Sci.
     Comput. 30 (2008) 572-596; M. Gitterle, A. Popp, M. W. Gee, W. A. Wall, Int. J. Numer. Methods
     Engrg. 84 (2010) 543-571.

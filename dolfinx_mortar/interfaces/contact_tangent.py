@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Derivatives of forces, weighted gaps and slips of one contact by the displacement.
 
-The system is in `moving_geometry`, the product rule in `mortar.tangent`. Below a tool tractions
-turn with dn_j = -(I - n n^T) Hess phi dx_j, and phi is that of `point_gaps`. Changes of heights of
-second order by normal strain are left out.
+See `moving_geometry` and `mortar.tangent`. Below a tool tractions turn with dn_j = -(I - n n^T)
+Hess phi dx_j. Changes of heights of second order by normal strain are left out.
 """
 
 from __future__ import annotations
@@ -61,8 +60,7 @@ class Unknowns:
 class SlipRows:
     """Rows of the slips of a contact, s.(du_j - P du) + m.dt, m being the present motion.
 
-    The tangents t turn with the normal. s = t, except on tools, where m depends on the normal: +
-    t.dm.
+    s = t, which turns with the normal; on tools, where m depends on the normal: + t.dm.
     """
 
     link: CoupledSides
@@ -124,7 +122,7 @@ class LinkDerivatives(ABC):
         """Derivatives d(B^T lambda)/du, dG_j in rows w_n, and which (n,) are known; collective.
 
         The next call refills the matrices. Multipliers are lambda_j (owned nodes,), tangential
-        tractions (owned nodes, d), None without friction.
+        tractions (owned nodes, d).
         """
 
     @abstractmethod
@@ -135,10 +133,9 @@ class LinkDerivatives(ABC):
 
 
 class ContactDerivatives(LinkDerivatives):
-    """Derivatives of the forces and weighted gaps of one contact.
+    """Derivatives of the forces and weighted gaps of one contact, F_x + F_n C + F_p N.
 
-    F_x + F_n C + F_p N, with derivatives C of contact normals and N of averaged ones (along which
-    facets are projected in 2D).
+    C are derivatives of contact normals, N of averaged ones (for projections in 2D).
     """
 
     def __init__(self, link: CoupledSides) -> None:
@@ -403,7 +400,7 @@ class ToolDerivatives(LinkDerivatives):
         return SlipRows(link, partners, tangents @ by_n, N, tangents @ by_x)
 
     def _turning(self, x: Floats) -> Floats:
-        """Derivatives dn_j/dx_j (n, d, d) at x (n, d), n = -grad phi / |grad phi|."""
+        """Derivatives dn_j/dx_j (n, d, d), n = -grad phi / |grad phi|."""
         found = self.tool.pose().distance(self.tool.asked, x)
         size, g = unit_vectors(found.gradient)
         across = np.eye(x.shape[1]) - g[:, :, None] * g[:, None]

@@ -212,7 +212,7 @@ class CoupledSides:
     def relative(self, v: PETSc.Vec) -> Floats:
         """Return R^-1 (v_j - sum_l Q_jl v_l) at the owned slave nodes, (n, d); collective.
 
-        In constrained directions this is the relative motion R_j^-1 (v_j - P v).
+        In constrained directions this is R_j^-1 (v_j - P v).
         """
         difference = v.array_r - (self.Q * v).array_r
         local = difference.reshape(-1, self.coupling.R.shape[1])[self.nodes]
@@ -221,8 +221,7 @@ class CoupledSides:
     def gaps(self, v: PETSc.Vec) -> Floats:
         """Return n_j.(P v - v_j) - h_j at the owned slave nodes (n,) for v = X + u; collective.
 
-        The distance along the normal, less the mean height h_j of smooth surfaces; without a master
-        P = 0, and -h_j is the position of the tool along the normal.
+        Without a master P = 0, and -h_j is the position of the tool along the normal.
         """
         normals = self.coupling.normals
         moved = (self.Q * v).array_r - v.array_r
@@ -236,7 +235,7 @@ class CoupledSides:
     def transpose(self, forces: Floats) -> tuple[Floats, Floats]:
         """Owned nodal forces (I - Q)^T v of slave forces v (n, d); collective.
 
-        Two summands: on the slave side (I and D) and the master side (M).
+        On the slave side (I and D) and on the master side (M).
         """
         moved = -np.einsum("eij,ei->ej", self.coupling.blocks, forces[self.pattern.row])
         return self._on_both_sides(forces, moved)
@@ -257,10 +256,7 @@ class CoupledSides:
 
 
 def relative_motions(coupled: CoupledSides, v: PETSc.Vec) -> Floats:
-    """Return D^-1 (D - M) v (c, n, d) at the slave nodes for c choices of direction; collective.
-
-    Zero at nodes without multiplier.
-    """
+    """Return D^-1 (D - M) v (c, n, d), 0 without multiplier; collective."""
     P, coupling = coupled.pattern.scalars, coupled.coupling
     result = np.zeros((coupling.P.shape[1], *coupling.normals.shape))
     for c in range(len(result)):
@@ -290,7 +286,7 @@ def along_and_across(relative: Floats, normals: Floats) -> tuple[Floats, Floats]
 
 
 def slipped(coupled: CoupledSides, u: PETSc.Vec) -> Floats:
-    """Tangential part (n,) of D^-1 (D - M) u, its largest length over the choices; collective."""
+    """Tangential part (n,) of D^-1 (D - M) u, the largest of the choices; collective."""
     _, across = along_and_across(relative_motions(coupled, u), coupled.coupling.normals)
     return np.asarray(across.max(axis=0))
 

@@ -66,7 +66,7 @@ class Interface(Collective, Results, ABC):
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
-        slave: tag or name (see `Tags`) of the nonmortar side, with multipliers and integration.
+        slave: tag or name (see `Tags`) of the nonmortar side.
 
     Raises:
         ValueError: for invalid tags and unknown names.
@@ -108,10 +108,7 @@ class Interface(Collective, Results, ABC):
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Raise a ValueError if a problem cannot take it.
 
-        Args:
-            V: space of the displacement.
-            revolved: whether the problem is axisymmetric.
-            strain: "small" or "finite".
+        `revolved`: whether it is axisymmetric; `strain`: "small" or "finite".
         """
 
     def find_sides(self, V: fem.FunctionSpace, fixed: Bools, weight: Weight | None = None) -> Sides:
@@ -120,7 +117,7 @@ class Interface(Collective, Results, ABC):
         Args:
             V: vector space of the displacement.
             fixed: (local nodes, d) prescribed directions.
-            weight: factor of all integrals over the interface, None for 1.
+            weight: factor of all integrals, None for 1.
         """
         sides = [create_surface(V, self.facet_tags, self.slave, "slave")]
         if self.master is not None and self.master != self.slave:
@@ -177,12 +174,9 @@ class Interface(Collective, Results, ABC):
         banned: Bools,
         u: fem.Function | None,
     ) -> Coupling:
-        """Frames, weights and Q at X + u; collective.
+        """Frames, weights and Q at X + u (X for None); collective.
 
-        Args:
-            pairing: candidate pairs.
-            banned: (local nodes,) slave nodes without multiplier.
-            u: displacement, None for X.
+        `banned` (local nodes,) are slave nodes without multiplier.
         """
 
     def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:

@@ -126,7 +126,7 @@ class Link(CoupledSides):
         return v
 
     def shown_gap(self, gap: Floats) -> Floats:
-        """Gap (n,) for output, of ties the opening by a jump, from contact gaps (owned nodes,)."""
+        """Gap (n,) for output, of ties the opening by a jump."""
         if self.unilateral:
             return np.asarray(gap[self.nodes])
         apart = None if self.sides.hold else self.apart()
@@ -151,7 +151,7 @@ def set_results_of(
         gap: (n,) nodal gaps, of ties the opening by a jump.
         active: (n,)
         x: (owned nodes, d) coordinates of the forces.
-        growth: (n,) area per D_jj, for tractions.
+        growth: (n,) area per D_jj.
     """
     found = link.interface
     kept: Bools = np.asarray(link.coupling.kept.any(axis=1))
@@ -180,7 +180,7 @@ def set_results_of(
 def set_sliding(
     link: Link, traction: Floats, step_slip: Floats, slip: Floats, status: Floats, energy: Floats
 ) -> None:
-    """Set the results of friction at the owned slave nodes, (n, d) and (n,); collective."""
+    """Set the results of friction at the owned slave nodes; collective."""
     interface, nodes = link.interface, link.nodes
     # on the axis closed nodes stick
     on = link.coupling.coverage.weightless & (interface.active.x.array[nodes] > 0.0)
@@ -243,7 +243,7 @@ def _fill(function: fem.Function, link: Link, values: Floats, kept: Bools) -> No
 
 
 def _extended(link: Link, values: Floats, kept: Bools) -> Floats:
-    """Nodal values (local nodes, k) of those (n, k) at kept slave nodes (n, k); collective.
+    """Nodal values (local nodes, k) of those (n, k) at kept slave nodes; collective.
 
     Other covered nodes have the mean of kept neighbours, nodes off the master not-a-number.
     """

@@ -43,7 +43,7 @@ class MortarInterface(Interface):
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
-        slave: tag or name (see `Tags`) of the nonmortar side, with multipliers and integration.
+        slave: tag or name (see `Tags`) of the nonmortar side.
         master: tag or name of the mortar side.
         surface: "facets", or "smooth" for smooth surfaces through the nodes.
         feature_angle: least angle of an edge between facets in degrees.
@@ -88,12 +88,7 @@ class MortarInterface(Interface):
         }
 
     def reach(self, sizes: Floats, nearest: float) -> Floats:
-        """Largest distances (q,) of paired points, if ``within`` is finite.
-
-        Args:
-            sizes: (q,) diameter of the larger facet.
-            nearest: least distance of the sides.
-        """
+        """Largest distances (q,) of paired points, for facet diameters and the least distance."""
         return np.full(len(sizes), np.inf)
 
     @abstractmethod
@@ -111,7 +106,7 @@ class MortarInterface(Interface):
 
     @abstractmethod
     def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
-        """Entries (e, d, d) of Q for P (e, c) in rows (e,) of the frame."""
+        """Entries (e, d, d) of Q for P (e, c) in rows (e,)."""
 
     @abstractmethod
     def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:

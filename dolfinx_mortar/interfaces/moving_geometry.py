@@ -4,8 +4,8 @@
     (K + H) du + B^T lambda+ = r,    G_j + dG_j.du >= 0,    H = d(B^T lambda)/du at fixed lambda,
 
 with weighted gaps G. Test functions are those of T; du = T_g y with y_n = -dG_j.du / D_jj makes
-gaps bounds: K^ = T^T (K + H) T_g. In rows of T_g the parts of neighbouring slave nodes are lumped
-on node j; the neglected part corrects the bounds once du is known.
+gaps bounds: K^ = T^T (K + H) T_g. In T_g the parts of neighbouring slave nodes are lumped on node
+j; the neglected part corrects the bounds once du is known.
 With friction y_t is the change of the slip t.m, t.(du_j - P du) + m.dt, with the partners' P
 (`slip_partners`) and the motion m; dt = -r (t.dn), r the first column of R.
 """
@@ -62,12 +62,9 @@ class GeometryTangent:
     def follow(
         self, K: PETSc.Mat, T: Transformation, decoupled: Ints, diagonal: PETSc.Vec
     ) -> OperatorOfBases:
-        """Same as an operator, valid until the next call; collective.
+        """Same as an operator, decoupled at owned unknowns, valid until the next call; collective.
 
-        Args:
-            T: of the test functions.
-            decoupled: owned decoupled unknowns.
-            diagonal: (n,) of T^T K T.
+        `diagonal` (n,) is that of T^T K T.
         """
         return self.products.follow([K, *self.forces], T, self.trial, decoupled, diagonal)
 
@@ -153,8 +150,7 @@ class MovingGeometry:
 def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None) -> Link:
     """Scale rows dG_j to w_n, and return the link of T_g; collective.
 
-    Rows of T replace gap rows that are unknown or have a small part along n_j, and dependent slip
-    rows: T_g would be singular.
+    Rows of T replace unknown or dependent rows, and those with a small part along n_j.
     """
     coupling, nodes, row = link.coupling, link.nodes, link.pattern.row
     kept, R, across = coupling.kept[:, 0], coupling.R, coupling.rows
@@ -183,7 +179,7 @@ def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None
 
 
 def _lumped(link: Link, rows: scipy.sparse.csr_array) -> tuple[Floats, Floats]:
-    """Rows' parts (n, d) at their nodes, others lumped on them, and minus the others (e, d)."""
+    """Rows' parts (n, d) with others lumped on them, and minus the others (e, d)."""
     coupling, pattern = link.coupling, link.pattern
     used = np.arange(len(pattern.row)) >= pattern.split
     used |= coupling.P[:, 0] != 0.0

@@ -70,7 +70,7 @@ class Obstacle(Movable, Unilateral):
     along grad phi on the side, and opposite on the tool.
     The tool's point ``reference`` is at ``position``, and ``rotation`` turns it about this point
     (an angle in the plane, a rotation vector in space; radians). Both are Constants, read in every
-    step, which ``ramp`` and ``on_time`` of `load_steps` may set.
+    step.
     Results are those of a `Contact` with the tool as master; slip is relative to the moving tool.
     ``tool_force`` and ``tool_moment`` (about its point) act on the tool. A node faces a tool within
     two facet lengths. Facets inclined by 78 degrees or more to the tool's surface, and untagged
@@ -301,8 +301,5 @@ class Obstacle(Movable, Unilateral):
 
     @property
     def tool_moment(self) -> Floats:
-        """Moment (3,) of the forces on the tool about its point; in the plane the last component.
-
-        Of rings, see `moment`.
-        """
+        """Moment (3,) of the forces on the tool about its point; in the plane the last one."""
         return self._about_place(self.master_moment, self.master_force)

@@ -45,8 +45,7 @@ class Results:
     Attributes:
         law: of friction, or None.
         owner: problem to which the interface belongs.
-        nodal: Functions by name: "pressure", "gap", "active", and with friction "traction",
-            "step_slip", "slip", "status", "energy" (dissipated since the start).
+        nodal: Functions by name.
         resultants: None until the first step.
         dissipated: energy of all ranks.
     """
@@ -108,7 +107,7 @@ class Results:
 
     @property
     def force(self) -> Floats:
-        """Resultant (d,) on the slave side at the end of the step (impulses: `Ledger.impulses`).
+        """Resultant (d,) on the slave side at the end of the step.
 
         Of rings the sum of outward forces, which cancel on the whole, and the axial force.
         """
@@ -188,11 +187,10 @@ def _at_nodes(f: fem.Function) -> Floats:
 def merge_results(
     sides: Sequence[Sides], interfaces: Sequence[Results], name: str, function: fem.Function
 ) -> fem.Function:
-    """Fill a Function with results of all interfaces; collective.
+    """Fill a Function with results of all interfaces, "pressure" to "slip" or "facing"; collective.
 
-    "pressure", "gap", "status", "facing", or with friction "traction" and "slip". A node of several
-    slave sides has the value of the interface with its multiplier, else of the first whose master
-    it faces; elsewhere 0.
+    A node of several slave sides has the value of the interface with its multiplier, else of the
+    first whose master it faces; elsewhere 0.
     """
     n, size = sides[0].n_owned, function.function_space.dofmap.index_map_bs
     merged, best = np.zeros((n, size)), np.full(n, -1)

@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A side of a body glued to a rigid plate.
-
-Unknown motions with given force F or moment M have the equations sum_j f_j = F and sum_j R (X_j -
-c) x f_j = M for the nodal forces f_j, see `RigidSide`.
-"""
+"""A side of a body glued to a rigid plate: sum_j f_j = F, sum_j R (X_j - c) x f_j = M if driven."""
 
 from __future__ import annotations
 
@@ -84,8 +80,7 @@ class RigidSide(Movable, Interface):
 
     Its point c = ``reference`` is at ``position`` = c + t, turned by ``rotation`` about it (an
     angle in the plane, a rotation vector in space; radians). Both are Constants, read in every
-    step, which ``ramp`` and ``on_time`` of `load_steps` may set. With the rotation matrix R or
-    vector theta
+    step. With the rotation matrix R or vector theta
 
         u_j = t + R (X_j - c) - (X_j - c)      at finite strain,
         u_j = t + theta x (X_j - c)            at small strain.

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Slip in a step, relative to the master points (partners) at the last commit.
 
-The present P would change slips with every geometry update. The tangential distance of a node and
-its partner must not slip in rigid rotations: in the plane it turns with the normal; in space, where
-it may spin, the slave side carries it.
+The tangential distance of a node and its partner must not slip in rigid rotations: in the plane it
+turns with the normal; in space, where it may spin, the slave side carries it.
 On a moving rigid tool slips are along arcs of its surface. The nearest point of the tool at the
 last commit moves with it to y, its normal (into the tool) to n_0; the nearest point is now z, with
 the normal n. With d = z - y, c = n_0.n, h = |n_0 + n|, the angle b between n_0 and n, f = (b/2) /
@@ -12,9 +11,9 @@ sin(b/2), and tangents t at z, the slip is
     t.(d - B n_0),   B = d.(n + n_0) / h^2 + K d.(n - n_0),
     K = (f - 1) / (2 - 2 c) + f / (h (2 + h)),
 
-exact on planes, cylinders and spheres up to half a turn, and zero in common motions. Rotation about
-the normal uses the chord. With frozen geometry the tool's motion at X is s + theta x (X - p), with
-rotation theta, translation s of its point, and p the middle of its path.
+exact on planes, cylinders and spheres up to half a turn, and zero in common motions. With frozen
+geometry the tool's motion at X is s + theta x (X - p), with rotation theta, translation s of its
+point, and p the middle of its path.
 """
 
 from __future__ import annotations
@@ -76,7 +75,7 @@ class Partners:
 
 
 def partners_on_master(link: CoupledSides, x: PETSc.Vec) -> Partners:
-    """Partners in the present configuration of a contact, x (n,) at the last commit; collective."""
+    """Partners in the present configuration, x (n,) at the last commit; collective."""
     scalars, coupling = link.pattern.scalars, link.coupling
     scalars.fill(coupling.P[:, 0, None, None])
     P = scalars.matrix.copy()
@@ -95,7 +94,7 @@ def _distances(link: CoupledSides, P: PETSc.Mat, x: PETSc.Vec) -> tuple[Floats, 
 
 
 def _carried(link: CoupledSides, x: PETSc.Vec, along: Floats) -> PETSc.Mat:
-    """Slave matrix W (nodes, nodes), W x = ``along`` (n, d) up to normal parts; collective."""
+    """Slave matrix W, W x = ``along`` (n, d) up to normal parts; collective."""
     slave, index_map = link.sides.slave, link.sides.V.dofmap.index_map
     d, kept = along.shape[1], link.coupling.kept[:, :1]
     columns = np.zeros((len(slave.nodes), 3 * d))

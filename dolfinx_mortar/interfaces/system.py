@@ -97,12 +97,12 @@ class InterfaceSystem:
     Args:
         interfaces: in the order in which they claim slave nodes.
         fixed: (local nodes, d) prescribed directions.
-        weight: factor of all integrals over interfaces, None for 1.
+        weight: factor of all integrals, None for 1.
 
     Attributes:
         present: configuration in use.
         searches: number of pairings.
-        middles: mid-surface points of both sides of each contact, see `newton_method.failures`.
+        middles: mid-surface points of both sides of each contact.
         faced: whether the sides have faced each other, and may turn away.
         facet_length: largest mean slave facet, 1 without interfaces.
     """
@@ -195,10 +195,7 @@ class InterfaceSystem:
         return marks
 
     def tools_at(self, u: fem.Function) -> list[tuple[Outline, Floats]]:
-        """Outlines of the rigid tools, each with a box (2, d) in its frame; collective.
-
-        The box encloses the side at X + u on all ranks.
-        """
+        """Outlines of the rigid tools, with boxes (2, d) of the sides in their frames; collective."""
         tools = []
         for interface, sides in zip(self.interfaces, self.sides, strict=True):
             if interface.tool is None:
@@ -272,7 +269,7 @@ class InterfaceSystem:
         parts: tuple[Sides, Pairing | None, Pattern, Bools],
         u: fem.Function | None,
     ) -> Coupling:
-        """Couple interface k at X + u, ties and frozen contacts once per search; collective."""
+        """Couple interface k at X + u, ties and frozen contacts once per search."""
         interface, reused = self.interfaces[k], self._reused
         at = None if interface.stays else u
         lasts = at is None and parts[1] is not None and is_ours(interface)
@@ -292,8 +289,8 @@ class InterfaceSystem:
     def begin(self, u: fem.Function | None, known: Floats | None) -> Configuration:
         """First configuration of a step at X + u (X for None), without T; collective.
 
-        `known` (n,) is the displacement of the last committed pairing, kept while it fits, empty
-        for X; None pairs the surfaces at X + u.
+        Paired at the committed displacement `known` (n,) while that fits, empty for X, or at X + u
+        for None.
         """
         if known is None or not self.interfaces:
             return self.at(u)
@@ -369,10 +366,8 @@ class InterfaceSystem:
     ) -> GeometryTangent:
         """Derivatives of the moving geometry at X + u; collective.
 
-        Args:
-            multipliers: lambda_j (owned nodes,).
-            tangential: tangential tractions (owned nodes, d), None without friction.
-            slips: displacement since the last commit, and the partners of each interface.
+        `slips` are the displacement since the last commit, and the partners; others as in
+        `LinkDerivatives`.
         """
         T, moving = self.transformation, self._reused.moving
         assert T is not None
@@ -383,12 +378,7 @@ class InterfaceSystem:
         return moving.linearise(self.links, u, multipliers, tangential, slips)
 
     def constraints(self, x: PETSc.Vec, u: PETSc.Vec) -> Constraints:
-        """Bounds of all interfaces on increments of y; collective.
-
-        Args:
-            x: (n,) X + u, also with frozen geometry.
-            u: (n,) displacement.
-        """
+        """Bounds of all interfaces on increments of y, at x = X + u, also frozen; collective."""
         parts = []
         for link in self.links:
             slip = link.relative(x) if link.unilateral else link.missed(u)
@@ -420,8 +410,7 @@ class InterfaceSystem:
 
         Args:
             moved: (n,) displacement since the last commit.
-            limits: (owned nodes,) coefficients or tractions of each interface, None without
-                friction.
+            limits: (owned nodes,) coefficients or tractions of each interface, or None.
             partners: of each interface at the start of the step, None for present ones.
             sliding: (owned nodes, d) directions of slip at the last commit.
         """

@@ -49,19 +49,18 @@ class Tie(MortarInterface):
     overlap s along the unit vector n is unknown, with the equation ``force @ n == pretension``.
     Prescribed displacement components are not tied. Jumps, tightenings and directions do not rotate
     with the bodies: where these rotate by R, multiply them by R in each step, or a bolt loses
-    force. The offset between separated sides rotates (linearised) with ``surface="smooth"``, not
-    with "facets". ``force`` is the resultant on the slave side; ``pressure`` the normal traction
-    per area at X, positive in compression; ``gap`` the normal part of the jump, negative where the
-    sides overlap.
+    force. The offset between separated sides rotates (linearised) with ``surface="smooth"`` only.
+    ``force`` is the resultant on the slave side; ``pressure`` the normal traction per area at X,
+    positive in compression; ``gap`` the normal part of the jump, negative where the sides overlap.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
         slave: tag or name (see `Tags`) of the side with the multipliers.
         master: tag or name of the other side.
         jump: displacement of the slave side relative to the master side, a length: d Cartesian
-            components, a Constant, a Function on the displacement's mesh, or a function of points x
-            (3, n) that returns (d, n), evaluated at the slave nodes in every step. A vector from
-            the slave side into the master side makes them overlap, the opposite opens a slit.
+            components, a Constant, a Function on this mesh, or a function of points x (3, n) that
+            returns (d, n), evaluated at the slave nodes in every step. A vector from the slave side
+            into the master side makes them overlap, the opposite opens a slit.
         pretension: resultant on the slave side along ``direction``, a force, positive in tension: a
             number or a scalar Constant, read in every step. Half a bolt on a plane of symmetry has
             half the force. None keeps jump and tightening: later loads change the force of a tight
@@ -69,8 +68,7 @@ class Tie(MortarInterface):
         direction: d numbers of any length, out of the slave side: the axis of the bolt; default the
             mean normal of the slave side.
         surface: "facets" ties points of facets, u_s = P u_m as in the paper; "smooth" the smooth
-            surfaces through their nodes: where facets are apart by r, u_s = P u_m + (motion of r),
-            see `dolfinx_mortar.mortar.curvature_correction.point_motions`.
+            surfaces through their nodes: where facets are apart by r, u_s = P u_m + (motion of r).
         feature_angle: least angle of an edge between facets in degrees, for smooth surfaces.
         within: largest distance between tied facets at X, a length; default the least distance
             between the sides plus half of the larger of two facets (the audit warns where that may
@@ -202,7 +200,7 @@ class Tie(MortarInterface):
         """Jump plus tightening (n, d) at slave nodes, or None; collective.
 
         Raises:
-            ValueError: on all ranks, for a jump on another mesh, or not a vector at each node.
+            ValueError: on all ranks, for jumps on another mesh or of another shape.
         """
         if self.jump is None and not self.tightening.any():
             return None

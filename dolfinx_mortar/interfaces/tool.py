@@ -48,12 +48,12 @@ class Driven(Protocol):
 
         Args:
             x: (n, d) present positions, X with frozen geometry.
-            X: (n, d) positions at the start.
-            moved: (m,) motions from the present pose at which to linearise; may be neglected.
+            X: (n, d) initial positions.
+            moved: (m,) motions at which to linearise; may be neglected.
         """
 
     def curve(self, X: Floats, amounts: Floats) -> Floats:
-        """Motion by amounts (m,) minus its linearisation (n, d) at X (n, d); only where `holds`."""
+        """Motion by amounts (m,) minus its linearisation (n, d) at X; only where `holds`."""
 
     def move(self, amounts: Floats) -> None:
         """Move the tool by amounts (m,) of its motions."""
@@ -106,7 +106,7 @@ class RigidBody:
         position: Constant (d,), position of this point without ``travel``.
         rotation: Constant, an angle in the plane, a rotation vector (3,) in space.
         revolved: whether the problem is axisymmetric.
-        load: given forces and moments by names of `motions_in`.
+        load: given forces and moments by name.
         travel: (3,) or (6,) additional motion by the loads.
     """
 
@@ -327,13 +327,7 @@ class Asked(Shape):
 
 
 class Tool(RigidBody):
-    """A shape and its pose.
-
-    Attributes:
-        asked: the shape with checks.
-        began: pose at the last commit.
-        probes: (q, d) points whose distances identify the shape.
-    """
+    """A shape and its pose; `began` is that of the last commit, `probes` identify the shape."""
 
     def __init__(self, shape: Any, reference: Any, d: int) -> None:
         if not isinstance(shape, Shape):
@@ -387,7 +381,7 @@ class Tool(RigidBody):
     def way(self, before: Floats, after: Floats) -> Floats:
         """Displacement of points (n, d) that move with the tool since the last commit.
 
-        Mean for the material points ``before`` and ``after``.
+        Mean for the points ``before`` and ``after``.
         """
         began, now = self.began, self.pose()
         forth = now.to_space(began.to_tool(before)) - before
@@ -430,7 +424,7 @@ class Outline:
         return None if found is None else (self.pose.to_space(found[0]), found[1])
 
     def cut(self, low: Floats, high: Floats) -> tuple[Floats, Longs]:
-        """Points (n, d) in initial position, and their lines or triangles (m, d), in a box (d,)."""
+        """Points in initial position, and their lines or triangles (m, d), in a box."""
         if (found := self.shape.surface) is not None:
             return found
         if self.revolved:
@@ -509,12 +503,8 @@ def point_gaps(
     """Gaps (q,) between a tool and the smooth slave surface, and the distances; collective.
 
     Smooth surfaces of first order interpolate the distances of all nodes; facets of second order
-    are nearer by the height of the smooth surface.
-
-    Args:
-        u: displacement, None for X.
-        segments: whole facets.
-        points: (q, d) their points at X + u.
+    are nearer by the height of the smooth surface. `points` (q, d) are those of whole facets at X +
+    u (X for None).
     """
     assert pattern.side is not None
     slave = pattern.side.slave
