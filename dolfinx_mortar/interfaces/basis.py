@@ -305,8 +305,7 @@ class Transformation:
         C = _product([factor.C for factor in self.factors])
         return C.copy() if len(self.factors) == 1 else C
 
-    # -- multigrid basis v, y = (I - E) v: at open nodes v_n = n_j.u_j, uncoupled from the master; v
-    # = y for chains
+    # multigrid basis v, y = (I - E) v: at open nodes v_n = n_j.u_j; for chains v = y
 
     def uncouple(self, held: Ints) -> tuple[PETSc.Mat, PETSc.Mat | None]:
         """C of u = (I + C) v, and E or None, for owned fixed unknowns of y; collective."""

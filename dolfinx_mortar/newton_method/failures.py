@@ -63,7 +63,7 @@ CORNERS = (
     "radius of a quarter of a facet to a whole one"
 )
 HARDEN = "or give the law hardening"
-# Blocks of MooneyRivlin buckle at a height of .62 with quadrilaterals of degree 2, else at .54.
+# Blocks of MooneyRivlin buckle at a height of .62 with quadrilaterals of degree 2, exactly at .54.
 BY_THEMSELVES = (
     "Under compression by 30 % or more, cells of degree 2 with volumetric='reduced' may buckle "
     "by themselves, in waves as long as cells: compare with cells of degree 1 or, where the law is "
