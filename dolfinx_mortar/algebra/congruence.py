@@ -41,7 +41,7 @@ class Congruence:
             self.product.axpy(1.0, part, other)
 
     def update(self, K: PETSc.Mat, C: PETSc.Mat) -> None:
-        """Recompute with new values on the same patterns; collective."""
+        """Recompute on the same patterns; collective."""
         K = as_aij(K)
         C.transpose(self.Ct)
         K.matMult(C, result=self.KC)
@@ -65,7 +65,7 @@ class ProductOfBases:
         self.product.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
 
     def update(self, A: PETSc.Mat, C: PETSc.Mat, D: PETSc.Mat) -> None:
-        """Recompute with new values on the same patterns; collective."""
+        """Compute on the fixed patterns; collective."""
         C.transpose(self._Ct)
         A.matMult(D, result=self._AD)
         refill(self._right, [self._AD, A])
@@ -107,7 +107,7 @@ class _Decoupled(ABC):
         """Set y, without decoupling; collective."""
 
     def changed(self) -> None:
-        """Update PETSc's state and the mean of the diagonal; collective."""
+        """Update PETSc's state and the scale; collective."""
         self.scale = self.diagonal.sum() / self.diagonal.getSize()
         self.matrix.stateIncrease()
 
@@ -168,7 +168,7 @@ def union(A: PETSc.Mat, others: Iterable[PETSc.Mat]) -> PETSc.Mat:
 
 
 def refill(total: PETSc.Mat, parts: Iterable[PETSc.Mat]) -> None:
-    """Set a matrix to the sum of others on parts of its pattern; collective."""
+    """Sum of matrices, on parts of the pattern of `total`; collective."""
     total.zeroEntries()
     for part in parts:
         total.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
@@ -189,7 +189,7 @@ class Halved:
 
     @property
     def factor(self) -> PETSc.Mat:
-        """K, or the copy of its half with its present values; collective."""
+        """K, or its half with the present values; collective."""
         K = self.K
         if "baij" not in K.getType() or K.getBlockSize() < 3:
             return K
@@ -228,7 +228,6 @@ class CongruentOperator(_Decoupled):
         self.changed()
 
     def _add_change(self, C: PETSc.Mat) -> None:
-        """Add sum_r C_rj (C_rj + 2 delta_rj) K_rr to the diagonal; collective."""
         start, columns, values = csr_of(C)
         rows, first = np.repeat(np.arange(len(start) - 1), np.diff(start)), C.getOwnershipRange()[0]
         terms = values * (values + 2.0 * (columns == rows + first)) * self._of_K.array_r[rows]

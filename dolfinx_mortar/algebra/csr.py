@@ -28,7 +28,7 @@ _lib = ctypes.CDLL(PETSc.__file__)
 
 
 def has(name: str) -> bool:
-    """Whether the library exports a function: petsc4py may hide its symbols."""
+    """Whether a function of PETSc's library can be called: petsc4py may hide it."""
     return hasattr(_lib, name)
 
 

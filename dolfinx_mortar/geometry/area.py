@@ -51,7 +51,6 @@ _HIGHEST = 24
 
 @cache
 def _rules() -> tuple[Floats, Floats, Longs]:
-    """Points, weights (sum 1) and first points of rules of even degree."""
     points, weights, start = [], [], [0]
     for degree in range(2, _HIGHEST + 2, 2):
         p, w = triangle_rule(degree)
@@ -63,7 +62,6 @@ def _rules() -> tuple[Floats, Floats, Longs]:
 
 @numba.njit(**KERNEL)
 def _depth(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
-    """Depth of the projected facet M below S at (x, y)."""
     xi, eta, _ = inverse(S, bilinear[0], x, y)
     r, s, _ = inverse(M, bilinear[1], x, y)
     return height_at(S, bilinear[0], xi, eta) - height_at(M, bilinear[1], r, s)
@@ -127,7 +125,6 @@ def _doubled(a):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyped-def]
-    """Visible parts of polygon i among n: points, sizes, number."""
     pieces = np.empty((2 * VERTICES, VERTICES, 2))
     sizes = np.empty(2 * VERTICES, np.int64)
     common, spare = np.empty((VERTICES, 2)), np.empty((VERTICES, 2))
@@ -255,7 +252,6 @@ def _triangulate(x_s, x_m, balls, bilinear, pairs, deepest, centre, axes):  # ty
 
 @numba.njit(**KERNEL)
 def _changes(P, bilinear, corners):  # type: ignore[no-untyped-def]
-    """Relative change of the Jacobian, and of slopes, squared, over a triangle."""
     if not bilinear:
         return 0.0, 0.0
     low, high, turn = np.inf, 0.0, 0.0
@@ -271,7 +267,7 @@ def _changes(P, bilinear, corners):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners, least):  # type: ignore[no-untyped-def]
-    """Rule (t,) of each triangle; `least` is the degree of two functions."""
+    """Rule (t,) of each triangle, at least of a degree."""
     rule = np.full(len(which), least // 2 - 1)
     if not (bilinear[0] or bilinear[1]):
         return rule
@@ -335,7 +331,7 @@ def _areas(c: Floats) -> Floats:
 
 
 def _degree_of_moments(slave: FacetElement, master: FacetElement, smooth: bool) -> int:
-    """Degree for `moments`: errors of derivatives on warped facets are up to 1e-3."""
+    """Degree for `moments`, for errors of derivatives below 1e-3 on warped facets."""
     return max(2 + smooth, min(_least_degree(slave, master), 4))
 
 
@@ -433,7 +429,7 @@ class _Given(NamedTuple):
 
 
 class _OfPairs(NamedTuple):
-    """Points (s, q) of triangles, or of lines, of pairs of facets."""
+    """Points (s, q) of triangles, or of lines, of pairs."""
 
     at: Points
     xi: Floats  # (s, q, 2) on the slave's part
@@ -511,7 +507,6 @@ def _frames(over: "_Overlaps") -> tuple[Floats, Floats, Floats]:
 
 
 def _scattered(element: FacetElement, part: Longs) -> Floats:
-    """Selection (s, v, k) of nodes of parts in facets."""
     nodes = np.array(element.sub_facets)[part % count(element)]
     return np.eye(element.nodes)[nodes]
 
@@ -556,7 +551,6 @@ def _add_inner(over: "_Overlaps", inner: _OfPairs, found: Sums) -> None:
 
 
 def _columns(inner: _OfPairs, found: Sums) -> Longs:
-    """Columns (s, k + l + 1) of pairs among those of facets."""
     last = np.full((len(inner.pair), 1), found.values.shape[2] - 1)
     return np.concatenate([inner.nodes, last], axis=1)
 
@@ -607,7 +601,7 @@ def _scatter(to, facets, nodes, columns, values):  # type: ignore[no-untyped-def
 def place_points(
     slave: Facets, master: Facets, pairs: Ints, deepest: Floats
 ) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
-    """See `line.place_points`, with xi (q, 2); folded facets cover nothing."""
+    """See `line.place_points`; folded facets cover nothing."""
     least = _least_degree(slave.element, master.element)
     simple_s, simple_m = first_order(slave), first_order(master)
     if simple_s is not None and simple_m is not None:

@@ -316,7 +316,7 @@ def first_order(element: FacetElement) -> FacetElement:
 
 
 def height_element(element: FacetElement, sagitta: Floats) -> FacetElement:
-    """The type with the functions N_a of heights: `element` if curved, or `first_order`."""
+    """The type with the functions N_a of heights."""
     first = first_order(element)
     return first if sagitta.shape[1] == len(node_pairs(first)[0]) else element
 

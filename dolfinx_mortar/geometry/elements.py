@@ -162,7 +162,7 @@ def _product_derivatives(functions: Functions, derivatives: Functions, xi: Float
 
 
 def _gauss(n: int, tdim: int) -> tuple[Floats, Floats]:
-    """Gauss points, n per direction, and weights, sum 1."""
+    """Gauss points and weights, sum 1."""
     points, weights = np.polynomial.legendre.leggauss(n)
     xi = np.stack(np.meshgrid(*tdim * [points]), axis=-1).reshape(-1, tdim)
     return xi, np.asarray(reduce(np.multiply.outer, tdim * [weights / 2])).ravel()

@@ -76,7 +76,7 @@ def _pierce(p: Floats, q: Floats, x: Floats, n: Floats) -> Bools:
 
 
 def facet_distances(a: Facets, b: Facets) -> Floats:
-    """Distances (p,) of facets a and b, flat or two flat halves between vertices."""
+    """Distances (p,) of facets, flat or two halves between vertices."""
     found = np.full(len(a.x), np.inf)
     for x in _halves(a):
         for y in _halves(b):

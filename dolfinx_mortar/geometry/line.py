@@ -84,7 +84,7 @@ def _distances(x, n, y, xi):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _nearest(x, n, x_m, master, deepest, low, high, a, b):  # type: ignore[no-untyped-def]
-    """Candidate that covers [a, b] at the smallest distance, or -1."""
+    """Nearest candidate that covers [a, b], or -1."""
     best, least = -1, np.inf
     for c in range(len(master)):
         if low[c] <= a and high[c] >= b:
@@ -159,7 +159,6 @@ def _point(x, n, y, low, high, t):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _place(x_s, n_s, x_m, pairs, which, ends, points, weights):  # type: ignore[no-untyped-def]
-    """Coordinates xi_s, xi_m and weight of all points."""
     k = len(points)
     xi_s, xi_m = np.empty(len(which) * k), np.empty(len(which) * k)
     weight = np.empty(len(which) * k)
@@ -221,7 +220,6 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 
 def _by_nodes(N: Floats, M: Floats, n: Floats, apart: Floats) -> Floats:
-    """Derivatives of (x - y) x n by the nodes."""
     along, across = (v[:, :, None, ::-1] * [1.0, -1.0] for v in (n, apart))
     N, M = N[..., None], M[..., None]
     parts = np.concatenate([N * along, -N * across, -M * along], axis=2)

@@ -81,7 +81,7 @@ def all_pairs(pairs, a, b):  # type: ignore[no-untyped-def]
 
 
 def on_reference(element: FacetElement) -> Floats:
-    """Coefficients (s, 3, 9) of the parts of the reference facet."""
+    """Coefficients (s, 3, 9) of parts of the reference facet."""
     x = element.points[np.array(element.sub_facets)]  # (s, k', d-1)
     return coefficients(Facets(element.part or element, np.pad(x, ((0, 0), (0, 0), (0, 1)))))
 
@@ -103,7 +103,6 @@ def coefficients(facets: Facets) -> Floats:
 
 @numba.njit(**KERNEL)
 def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
-    """Component i of a point of facet m and of its tangents."""
     c1, c2, c4, c5, c7, c8 = c[m, i, 1], c[m, i, 2], c[m, i, 4], c[m, i, 5], c[m, i, 7], c[m, i, 8]
     mid, high = c[m, i, 3] + s * (c4 + s * c5), c[m, i, 6] + s * (c7 + s * c8)
     along = (c1 + 2 * s * c2) + r * ((c4 + 2 * s * c5) + r * (c7 + 2 * s * c8))
@@ -112,7 +111,6 @@ def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _point(c, m, r, s):  # type: ignore[no-untyped-def]
-    """Point of facet m, and the area per reference area."""
     x0, a0, b0 = _component(c, m, FIRST, r, s)
     x1, a1, b1 = _component(c, m, SECOND, r, s)
     x2, a2, b2 = _component(c, m, THIRD, r, s)
@@ -128,7 +126,7 @@ def _on_facet(c, r, s):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def along(c, m, axes, P):  # type: ignore[no-untyped-def]
-    """Write the coefficients of facet m in a plane into P (1, 2, 9)."""
+    """Write the coefficients of facet m in a plane into P."""
     for a in range(2):
         for k in range(9):
             P[0, a, k] = 0.0
@@ -257,7 +255,7 @@ def measure(P, n):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def is_thin(P, n):  # type: ignore[no-untyped-def]
-    """Whether P is as narrow as the errors of some cuts, or no polygon."""
+    """Whether P is as narrow as errors of cuts, or no polygon."""
     if n < 3:
         return True
     square = 0.0
@@ -355,7 +353,7 @@ def create_planes(x: Floats) -> tuple[Floats, Floats, Floats]:
 
 @numba.njit(**KERNEL)
 def project(x, centre, axes, P):  # type: ignore[no-untyped-def]
-    """Write the facet x (k, 3) in a plane's tangents and height into P."""
+    """Write a facet in a plane's tangents and height into P."""
     for j in range(x.shape[0]):
         for i in range(3):
             P[j, i] = 0.0

@@ -211,7 +211,7 @@ def projection_directions(slave: Facets, n_s: Floats) -> Floats:
 
 
 def bounding_directions(slave: Facets, n_s: Floats) -> Floats:
-    """Unit vectors (m, k or 1, d) whose cone contains all projections along n_s."""
+    """Unit vectors whose cone contains all projections."""
     if slave.x.shape[2] > 2:
         n = facet_normals(parts_of(slave))
         return n.reshape(len(slave.x), count(slave.element), 3)
@@ -224,7 +224,7 @@ def bounding_directions(slave: Facets, n_s: Floats) -> Floats:
 
 
 def sliding_margins(x_s: Floats) -> Floats:
-    """Sliding (m,) for which candidates of slave facets x_s (m, k, d) suffice."""
+    """Sliding (m,) for which candidates suffice."""
     return _SLIDING[x_s.shape[2]] * facet_sizes(x_s)
 
 

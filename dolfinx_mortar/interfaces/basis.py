@@ -66,7 +66,7 @@ def choose_owners(sides: Sequence[Sides], coverage: Sequence[Coverage]) -> Ints:
 
 
 def find_referenced(sides: Sides, pattern: Pattern, banned: Bools, coverage: Coverage) -> Bools:
-    """Owned master nodes and removed slave nodes to which P may refer; collective."""
+    """Nodes to which P may refer: of masters, and removed slave nodes; collective."""
     leant_on = referenced(sides, pattern)
     leant_on[sides.nodes[coverage.reached & banned[sides.nodes]]] = True
     return leant_on
@@ -108,7 +108,7 @@ def _common(
 
 
 def _lost(sides: Sides, coverage: Coverage, banned: Bools, common: Bools) -> Bools:
-    """Removed owned nodes (n,) that lose contact, not at ``common`` ends; collective."""
+    """Removed owned nodes that lose contact, not at ``common`` ends; collective."""
     slave = sides.slave
     taken = np.asarray(with_ghosts(sides.V, banned)[slave.nodes][slave.facets].all(axis=1))
     alone = np.repeat(taken[:, None, None], slave.facets.shape[1], axis=1)
@@ -217,7 +217,7 @@ def notes_on_splits(
     coverage: Sequence[Coverage],
     displacements: Sequence[fem.Function | None],
 ) -> list[str]:
-    """Notes on facets of two slave sides that face another interface's master; collective."""
+    """Notes on facets of two slave sides below one master; collective."""
     comm, n = sides[0].V.mesh.comm, sides[0].n_owned
     numbers = [k for k, side in enumerate(sides) if side.master not in (None, side.slave)]
     shares = np.full((len(sides), n), np.nan)
@@ -271,7 +271,7 @@ class Transformation:
 
     @property
     def chained(self) -> bool:
-        """Whether interfaces may depend on each other's slave nodes."""
+        """Whether interfaces may depend on others' slave nodes."""
         return bool(self.claims.dependencies)
 
     def serves(self, claims: Claims) -> bool:

@@ -44,7 +44,7 @@ class Constraints:
 def check_shapes(
     name: str, found: object, shapes: Mapping[str, tuple[int, ...]], *, infinite: bool = False
 ) -> None:
-    """Raise a ValueError for arrays of wrong ``shapes``, by field names, or with NaN."""
+    """Raise a ValueError for wrong ``shapes``, by field names, or NaN."""
     for field, shape in shapes.items():
         values = np.asarray(getattr(found, field))
         if values.shape != shape:
@@ -54,7 +54,7 @@ def check_shapes(
 
 
 def check_constraints(name: str, found: Constraints, nodes: Ints, directions: Bools) -> None:
-    """Raise a ValueError for invalid bounds at nodes (n,) in directions (n, d)."""
+    """Raise a ValueError for invalid bounds at nodes in directions (n, d)."""
     shape = np.shape(found.dofs)[:1]
     check_shapes(name, found, {"dofs": shape, "weight": shape})
     check_shapes(name, found, {"lower": shape, "upper": shape}, infinite=True)
@@ -124,7 +124,7 @@ class SlipLimits:
 
     @property
     def shares(self) -> Floats:
-        """Shares (m, d) of the limit in prescribed directions, as vectors."""
+        """Vectors (m, d) of the share of the limit in prescribed directions."""
         q, size = self._asked()
         return np.asarray(q / np.maximum(size, 1.0)[:, None])
 
@@ -135,7 +135,7 @@ class SlipLimits:
         return np.asarray(q.any(axis=1) & (size >= 1.0))
 
     def _asked(self) -> tuple[Floats, Floats]:
-        """Vectors q (m, d), and the sizes (m,) of q + s_t / a."""
+        """Vectors q (m, d), and sizes (m,) of q + s_t / a."""
         a = self.room[:, None]
         q = self.before + self.beside / a
         return q, np.hypot(np.linalg.norm(q, axis=1), np.linalg.norm(self.slip / a, axis=1))
@@ -148,7 +148,7 @@ class SlipLimits:
 
     @property
     def wedging(self) -> Floats:
-        """Factor (m,) of lambda_j by which friction in prescribed directions opens the contact."""
+        """Factor (m,) of lambda_j by which prescribed slip opens the contact."""
         return self.coefficient * np.asarray((self.opening * self.shares).sum(axis=1))
 
     def known(self, multipliers: Floats) -> Floats:

@@ -109,11 +109,11 @@ class SlipRows:
 
 
 class LinkDerivatives(ABC):
-    """Derivatives of forces, gaps and slips of an interface on a moving surface."""
+    """Derivatives of forces, gaps and slips of an interface."""
 
     @abstractmethod
     def serves(self, link: CoupledSides) -> bool:
-        """Whether the pattern fits another link; on this rank."""
+        """Whether the pattern fits another link, on this rank."""
 
     @abstractmethod
     def differentiate(
@@ -176,7 +176,7 @@ class ContactDerivatives(LinkDerivatives):
     def differentiate(
         self, link: CoupledSides, u: fem.Function, multipliers: Floats, tangential: Floats | None
     ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
-        """See `LinkDerivatives`; in space gap rows of loaded facets and neighbours; collective."""
+        """See `LinkDerivatives`; in space known gap rows are those near loaded facets."""
         slave, (_, operators) = link.sides.slave, link.mortar
         x = coordinates(slave, u)
         given, keep = tractions_of(link, multipliers, tangential)
@@ -260,7 +260,6 @@ class _Normals:
 
 
 def _in_planes(link: CoupledSides, x: Floats) -> Floats:
-    """Derivatives of the master's normals, projected onto planes of symmetry."""
     master, spreads, common = link.sides.master, link.sides.spreads, link.coupling.common
     assert master is not None and spreads is not None and common is not None
     n, by_n = in_planes(nodal_normals(master, x), spreads.mirrors[master.nodes])
@@ -313,10 +312,7 @@ def layout_of(V: fem.FunctionSpace) -> Unknowns:
 def tractions_of(
     link: CoupledSides, multipliers: Floats, tangential: Floats | None
 ) -> tuple[Tractions, Bools]:
-    """Normals, tractions, and local slave nodes with a multiplier; collective.
-
-    Arguments as in `LinkDerivatives.differentiate`.
-    """
+    """Normals, tractions, and local slave nodes with a multiplier; collective."""
     slave, nodes, kept = link.sides.slave, link.nodes, link.coupling.kept[:, :1]
     n = np.where(kept, link.coupling.normals, 0.0)
     at, d = multipliers[nodes, None], n.shape[1]

@@ -84,7 +84,7 @@ class Sides:
 
 @dataclass(frozen=True)
 class Pattern:
-    """Sparsity of the coupling of slave nodes; fixed between two searches."""
+    """Sparsity of the coupling, fixed between two searches."""
 
     row: Ints  # (e,) of the owned slave nodes
     column: Longs  # (e,) global node
@@ -97,7 +97,7 @@ class Pattern:
 
 @dataclass(frozen=True)
 class Coupling:
-    """One interface in one configuration, at its owned slave nodes."""
+    """One interface in one configuration, at owned slave nodes."""
 
     blocks: Floats  # (e, d, d) entries of Q, read-only
     P: Floats  # (e, c) for c choices of direction
@@ -114,7 +114,7 @@ class Coupling:
 
     @cached_property
     def rows(self) -> Floats:
-        """Rows of R^-1 (n, d, d), the directions of motions and forces."""
+        """Rows of R^-1 (n, d, d), directions of motions and forces."""
         return np.asarray(np.linalg.inv(self.R))
 
 
@@ -140,7 +140,7 @@ def check_coupling(name: str, found: Coupling, sides: Sides, pattern: Pattern) -
 
 
 def create_blocks(V: fem.FunctionSpace, rows: Ints, columns: Longs) -> BlockMatrix:
-    """Matrix of d x d blocks at owned ``rows`` (p,), global ``columns`` (p,); collective."""
+    """Matrix of d x d blocks at owned ``rows``, global ``columns``; collective."""
     return BlockMatrix(V.mesh.comm, V.dofmap.index_map, V.dofmap.index_map_bs, rows, columns)
 
 
@@ -195,7 +195,7 @@ class CoupledSides:
 
     @property
     def mortar(self) -> tuple[Pairing, MortarOperators]:
-        """Facet pairs and mortar operators of a link with a master."""
+        """Facet pairs and operators of a link with a master."""
         assert self.pairing is not None and self.coupling.operators is not None
         return self.pairing, self.coupling.operators
 
@@ -229,7 +229,7 @@ class CoupledSides:
         return np.asarray(along - self.coupling.heights)
 
     def constrained_motion(self, v: PETSc.Vec) -> Floats:
-        """Constrained components of the relative motion of all slave nodes; collective."""
+        """Constrained components of the relative motion; collective."""
         return np.asarray(self.relative(v)[self.coupling.directions])
 
     def transpose(self, forces: Floats) -> tuple[Floats, Floats]:
@@ -241,7 +241,7 @@ class CoupledSides:
         return self._on_both_sides(forces, moved)
 
     def exert(self, forces: Floats) -> tuple[Floats, Floats]:
-        """Same with P for Q, for contact forces in any direction; collective."""
+        """Same with P for Q, for forces in any direction; collective."""
         row = self.pattern.row
         return self._on_both_sides(forces, -self.coupling.P[:, :1] * forces[row])
 
@@ -358,7 +358,7 @@ def normal_frames(normals: Floats, kept: Bools, fixed: Bools) -> tuple[Floats, I
 
 
 def free_directions(normals: Floats, fixed: Bools) -> tuple[Floats, Floats]:
-    """Unit normals (n, d), or 0, without prescribed directions, and their lengths (n,)."""
+    """Unit normals (n, d), or 0, without prescribed directions, and their lengths."""
     free = normals * ~fixed
     left = np.linalg.norm(free, axis=1)
     some = (left > ROUND_OFF)[:, None]

@@ -162,7 +162,7 @@ class Interface(Collective, Results, ABC):
     def measure_coverage(
         self, sides: Sides, pairing: Pairing | None, u: fem.Function | None
     ) -> Coverage:
-        """Coverage of slave nodes at X + u, full without a master; collective."""
+        """Coverage of slave nodes at X + u; collective."""
         return full_coverage(sides)
 
     @abstractmethod
@@ -180,7 +180,7 @@ class Interface(Collective, Results, ABC):
         """
 
     def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
-        """Prescribed displacement (n, d) of tied sides at slave nodes (n,), or None; collective."""
+        """Prescribed displacement (n, d) of tied sides at nodes (n,), or None; collective."""
         return None
 
     def constraints(self, nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
@@ -201,7 +201,7 @@ class Interface(Collective, Results, ABC):
         return equalities(dofs, -slip[node, axis], weight)
 
     def derivatives(self, link: CoupledSides) -> LinkDerivatives | None:
-        """Derivatives of forces and gaps for the pattern of a link, or None; collective."""
+        """Derivatives for the pattern of a link, or None; collective."""
         return None
 
     def driven(self) -> Driven | None:
@@ -252,7 +252,7 @@ _RETURNS: Mapping[str, tuple[type, ...]] = {
 
 
 def _raised_together(name: str, method: Callable[..., Any]) -> Callable[..., Any]:
-    """Method whose errors on one rank are raised on all; collective."""
+    """Method with errors of one rank raised on all; collective."""
 
     @wraps(method)
     def asked(self: Interface, *args: Any, **options: Any) -> Any:

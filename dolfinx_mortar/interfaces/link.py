@@ -47,7 +47,7 @@ class Link(CoupledSides):
 
     @property
     def prescribed(self) -> Bools:
-        """Slave nodes (n,) that face the master, without multiplier because of Dirichlet data."""
+        """Slave nodes (n,) without multiplier because of Dirichlet data."""
         kept, coverage = self.coupling.kept.any(axis=1), self.coupling.coverage
         left_out = coverage.faces & ~kept & ~coverage.weightless
         return np.asarray(left_out & self.sides.fixed[self.nodes].any(axis=1))
@@ -100,7 +100,7 @@ class Link(CoupledSides):
         return replace(found, beside=beside, before=before, room=room)
 
     def acting(self, closed: Bools) -> Bools:
-        """Slave nodes (n,) at which the interface acts, given closed nodes (owned nodes,)."""
+        """Slave nodes (n,) at which the interface acts, given closed nodes."""
         some = self.constrained.any(axis=1)
         if self.unilateral:
             return np.asarray(closed[self.nodes] & some)
@@ -115,7 +115,7 @@ class Link(CoupledSides):
         return np.where((sides.on_slave & sides.on_master)[self.nodes, None], 0.0, found)
 
     def missed(self, u: PETSc.Vec) -> Floats:
-        """Relative motion (n, d) of tied sides minus the prescribed one; collective."""
+        """Relative motion (n, d) of ties minus the prescribed one; collective."""
         apart = self.apart()
         return self.relative(u if apart is None else u - self.spread(apart))
 
@@ -226,7 +226,7 @@ def _place_of(interface: Interface) -> Floats:
 
 
 def _balances(comm: MPI.Comm, f: Floats, points: Floats, h: float) -> tuple[float, float]:
-    """Relative imbalances of forces f (2, n, 3) and moments (theory.md, Moments); collective."""
+    """Relative imbalances of forces (2, n, 3) and moments (theory.md, Moments); collective."""
     size = np.linalg.norm(f[0], axis=1)
     whole = comm.allreduce(np.append(size @ points, size.sum()), op=MPI.SUM)
     arms, both = points - whole[:3] / np.maximum(whole[3], TINY), f.sum(axis=0)

@@ -88,7 +88,7 @@ class MortarInterface(Interface):
         }
 
     def reach(self, sizes: Floats, nearest: float) -> Floats:
-        """Largest distances (q,) of paired points, for facet diameters and the least distance."""
+        """Largest distances (q,) of points, by facet diameters and the least distance."""
         return np.full(len(sizes), np.inf)
 
     @abstractmethod
@@ -102,7 +102,7 @@ class MortarInterface(Interface):
 
     @abstractmethod
     def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
-        """Frames for unit normals (n, d), kept nodes (n, c), Dirichlet data (n, d)."""
+        """Frames for unit normals (n, d), kept nodes (n, c), fixed directions (n, d)."""
 
     @abstractmethod
     def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:

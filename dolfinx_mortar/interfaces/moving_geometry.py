@@ -38,7 +38,7 @@ from dolfinx_mortar.interfaces.slip_partners import Partners
 
 @dataclass(frozen=True)
 class GeometryTangent:
-    """Contribution of moving surfaces to a linearisation; valid until the next one."""
+    """Contribution of moving surfaces; valid until the next one."""
 
     forces: Sequence[PETSc.Mat]  # (n, n) H = d(B^T lambda)/du of each contact
     trial: Transformation  # T_g
@@ -47,7 +47,7 @@ class GeometryTangent:
     products: Products
 
     def closing(self, du: PETSc.Vec) -> Floats:
-        """Closing of gaps and added slips (n,) at w by du; collective."""
+        """Closing of gaps and added slips (n,) by du; collective."""
         total = np.zeros(du.local_size)
         for rows in self.gaps:
             total += (rows * du).array_r
@@ -111,7 +111,7 @@ class Products:
 
 
 class MovingGeometry:
-    """Derivatives of contacts, on the patterns of their pairs."""
+    """Derivatives of contacts, on the patterns of their pairs; collective."""
 
     def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], claims: Claims) -> None:
         found = {k: link.interface.derivatives(link) for k, link in enumerate(links)}
@@ -120,7 +120,7 @@ class MovingGeometry:
         self._products = Products()
 
     def serves(self, links: Sequence[Link]) -> bool:
-        """Whether the patterns fit the pairs of links with the same T."""
+        """Whether the patterns fit other links."""
         return all(contact.serves(links[k]) for k, contact in self._contacts.items())
 
     def linearise(
@@ -131,7 +131,7 @@ class MovingGeometry:
         tangential: Floats | None,
         slips: tuple[PETSc.Vec, Sequence[Partners | None]],
     ) -> GeometryTangent:
-        """Derivatives at X + u, see `InterfaceSystem.linearise_geometry`; collective."""
+        """See `InterfaceSystem.linearise_geometry`; collective."""
         moved, H, gaps, sliding = list(links), [], [], []
         since, partners = slips
         for k, contact in self._contacts.items():

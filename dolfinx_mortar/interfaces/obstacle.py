@@ -141,7 +141,7 @@ class Obstacle(Movable, Unilateral):
         self.tool.check(V.mesh.geometry.dim, revolved)
 
     def take(self, owner: object, V: fem.FunctionSpace) -> None:
-        """Assign to a problem; slips count from the present pose; collective."""
+        """Assign to a problem; slips count from here; collective."""
         super().take(owner, V)
         self.tool.began = self.tool.pose()
         self.tool.asked.alone = V.mesh.comm.size == 1
@@ -190,7 +190,7 @@ class Obstacle(Movable, Unilateral):
     def measure_coverage(
         self, sides: Sides, pairing: Pairing | None, u: fem.Function | None
     ) -> Coverage:
-        """Slave nodes close to the tool at X + u; collective."""
+        """See `Interface.measure_coverage`; collective."""
         slave, own = sides.slave, slice(None, sides.slave.owned)
         length = mean_facet_length(slave)
         with raised_together(sides.V.mesh.comm):
@@ -210,7 +210,7 @@ class Obstacle(Movable, Unilateral):
         banned: Bools,
         u: fem.Function | None,
     ) -> Coupling:
-        """Integrate D and the gaps at X + u, see `Interface.couple`; collective."""
+        """See `Interface.couple`; collective."""
         assert isinstance(pattern, SidePattern) and pattern.side is not None
         side, slave, own = pattern.side, sides.slave, slice(None, sides.slave.owned)
         comm, x = sides.V.mesh.comm, coordinates(slave, u)
@@ -256,7 +256,7 @@ class Obstacle(Movable, Unilateral):
             )
 
     def derivatives(self, link: CoupledSides) -> ToolDerivatives:
-        """Derivatives of forces and gaps for the pattern of a link; collective."""
+        """See `Interface.derivatives`; collective."""
         assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
         return ToolDerivatives(link, link.pattern.side, self.tool)
 

@@ -63,7 +63,7 @@ class Bolt:
         self.tighten(amounts[0] * self.axis)
 
     def check(self, sides: Sides, largest: float) -> None:
-        """Raise a ValueError where the sides cannot overlap, for the largest |e_j|; collective."""
+        """Raise a ValueError where the sides cannot overlap; collective."""
         common = (sides.on_slave & sides.on_master)[: sides.n_owned]
         count = sides.V.mesh.comm.allreduce(int(common.sum()), op=MPI.SUM)
         if count:
@@ -105,7 +105,7 @@ def find_axis(normal: Floats, direction: Direction, who: str) -> Floats:
 
 
 def describe_shear(normal: Floats, axis: Floats, who: str) -> str:
-    """Warning if n runs along the cut, or "" (always around a shank)."""
+    """Warning if n runs along the cut, or ""."""
     length = float(np.linalg.norm(normal))
     if length <= AROUND or float(axis @ normal) >= ALONG * length:
         return ""
@@ -119,7 +119,7 @@ def describe_shear(normal: Floats, axis: Floats, who: str) -> str:
 
 
 def mean_normal(slave: Surface) -> Floats:
-    """Mean of the outward unit normals (d,) of a side at X; collective."""
+    """Mean outward unit normal (d,) of a side at X; collective."""
     found = facets_at(slave, slave.X)
     own = np.append(area_vectors(found).sum(axis=0), tributary_weights(found).sum())
     total = slave.V.mesh.comm.allreduce(own, op=MPI.SUM)

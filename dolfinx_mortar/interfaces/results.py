@@ -59,7 +59,7 @@ class Results:
         self.nodal: dict[str, fem.Function] = {}
 
     def take(self, owner: object, V: fem.FunctionSpace) -> None:
-        """Assign to a problem with Functions on V, without results; collective."""
+        """Assign to a problem, without results; collective."""
         self.owner, self.resultants, self.dissipated = owner, None, 0.0
         scalar = V.sub(0).collapse()[0]
         spaces = dict.fromkeys(("pressure", "gap", "active"), scalar)
@@ -86,7 +86,7 @@ class Results:
             f.x.array[:] = 0.0
 
     def sum_up(self, comm: MPI.Comm, nodes: Ints) -> None:
-        """Sum the energies of the owned slave nodes, with friction; collective."""
+        """Sum the energies of the owned slave nodes; collective."""
         if "energy" in self.nodal:
             energy = self.nodal["energy"].x.array[nodes]
             self.dissipated = comm.allreduce(float(energy.sum()), op=MPI.SUM)

@@ -24,11 +24,7 @@ from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals,
 
 
 class Plate(RigidBody):
-    """Rigid body glued to a side.
-
-    Attributes:
-        small: whether rotations are linearised.
-    """
+    """Rigid body glued to a side; rotations are linearised if `small`."""
 
     holds = True
 
@@ -41,7 +37,7 @@ class Plate(RigidBody):
         return self.travel + self.steps(amounts) if self.small else super().ahead(amounts)
 
     def turned(self, arm: Floats, rotation: Floats) -> Floats:
-        """Arms (n, d) turned by a rotation, linearised at small strain."""
+        """Arms (n, d) turned by a rotation."""
         if not self.small:
             origin = np.zeros(len(self.point))
             return Pose(origin, rotation, origin).to_space(arm)

@@ -69,7 +69,7 @@ class Partners:
         return np.asarray(whole + tilt[:, None] * both)
 
     def slip(self, link: CoupledSides, moved: PETSc.Vec) -> Floats:
-        """Motion (n, d) by the displacement ``moved``, in present frames; collective."""
+        """Motion (n, d) by ``moved``, in present frames; collective."""
         in_frames = np.einsum("nij,nj->ni", link.coupling.rows, self.motion(link, moved))
         return np.where(self.known[:, None], in_frames, link.relative(moved))
 
@@ -108,7 +108,7 @@ def _carried(link: CoupledSides, x: PETSc.Vec, along: Floats) -> PETSc.Mat:
 
 @dataclass(frozen=True)
 class ToolPartners(Partners):
-    """Partners on a tool: P = 0, the motion is relative to the tool."""
+    """Partners on a tool, with P = 0."""
 
     at: Floats  # (n, d) positions at the last commit, X if frozen
     place: Floats  # (n, d) nearest points, in the tool's initial position
@@ -119,7 +119,7 @@ class ToolPartners(Partners):
 
     @classmethod
     def create(cls, link: CoupledSides, x: PETSc.Vec, tool: Tool, *, frozen: bool) -> ToolPartners:
-        """Partners of a link, x (n,) being positions at the last commit; collective."""
+        """Partners of a link, x (n,) at the last commit; collective."""
         n, scalars = link.coupling.normals, link.pattern.scalars
         scalars.fill(np.zeros((len(link.coupling.P), 1, 1)))
         at = x.array_r.reshape(-1, n.shape[1])[link.nodes]
@@ -176,7 +176,7 @@ class ToolPartners(Partners):
 
 
 class _Arcs:
-    """Arcs of a surface from their chords and the normals at their ends."""
+    """Arcs of a surface from chords and normals at their ends."""
 
     def __init__(self, chord: Floats, start: Floats, end: Floats) -> None:
         self.chord, self.start, self.end = chord, start, end

@@ -60,7 +60,7 @@ from dolfinx_mortar.spaces import with_values
 
 @dataclass(frozen=True)
 class Configuration:
-    """All interfaces at given positions, paired at given positions."""
+    """All interfaces at given positions."""
 
     links: Sequence[Link] = ()
     claims: Claims | None = None
@@ -68,19 +68,19 @@ class Configuration:
     paired_at: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) displacement; empty for X
 
     def largest_slip(self, u: PETSc.Vec) -> float:
-        """Largest deviation of tied sides from their jumps; collective."""
+        """Largest deviation of ties from their jumps; collective."""
         missed = [link.missed(u)[link.constrained] for link in self.links if not link.unilateral]
         largest = np.abs(np.concatenate([np.zeros(0), *missed])).max(initial=0.0)
         return float(maximum(u.comm.tompi4py(), largest)[0])
 
     def partners(self, x: PETSc.Vec, *, frozen: bool) -> list[Partners | None]:
-        """Slip partners of contacts with friction, see `Link.partners`; collective."""
+        """See `Link.partners`; collective."""
         return [link.partners(x, frozen=frozen) for link in self.links]
 
 
 @dataclass(frozen=True)
 class Reused:
-    """Last search and last T, whose matrices are reused where their patterns fit."""
+    """Last search and T, whose matrices are reused where their patterns fit."""
 
     pairs: Sequence[tuple[Pairing | None, Pattern]] = ()
     claims: Claims | None = None
@@ -167,7 +167,7 @@ class InterfaceSystem:
 
     @property
     def opposite(self) -> list[tuple[Surface, ...]]:
-        """Sides of each interface that may pass through each other or a tool."""
+        """Sides that may pass through each other or a tool."""
         return [
             tuple(sides.surfaces) if sides.unilateral and (sides.master or interface.tool) else ()
             for interface, sides in zip(self.interfaces, self.sides, strict=True)
@@ -229,7 +229,7 @@ class InterfaceSystem:
         return Configuration(self._coupled(u), self._reused.claims, paired_at=at)
 
     def _pair(self, u: fem.Function | None) -> Floats:
-        """Pair the surfaces at X + u, resolve the claims; return u (n,); collective."""
+        """Pair the surfaces, resolve the claims; return u (n,); collective."""
         self.searches += 1
         every = list(zip(self.interfaces, self.sides, strict=True))
         at = [None if interface.stays else u for interface in self.interfaces]
@@ -306,7 +306,7 @@ class InterfaceSystem:
         return Configuration(links, claims, paired_at=known)
 
     def follow(self, u: fem.Function | None) -> bool:
-        """Update to X + u (X for None) in a step; return whether T is a new one; collective."""
+        """Update to X + u (X for None) in a step; whether T is new; collective."""
         before = self.present
         if not self.interfaces:
             return False
@@ -321,7 +321,7 @@ class InterfaceSystem:
         return False
 
     def enter(self, found: Configuration) -> bool:
-        """Make a configuration the present one; return whether T is a new one; collective."""
+        """Make a configuration the present one; whether T is new; collective."""
         links, claims, held = found.links, found.claims, _pattern_of(found.links)
         if claims is None:  # no interfaces
             self.present = found
@@ -347,7 +347,7 @@ class InterfaceSystem:
 
     @contextmanager
     def put_back(self) -> Iterator[None]:
-        """Restore the present configuration after the block, except a first one; collective."""
+        """Restore the present configuration after the block; collective."""
         present, reused = self.present, self._reused
         try:
             yield
@@ -421,7 +421,7 @@ class InterfaceSystem:
         return join_limits(parts) if parts else None
 
     def exert(self, forces: Floats) -> Floats:
-        """Nodal forces, on both sides, of forces (owned nodes, d) at slave nodes; collective."""
+        """Nodal forces on both sides of forces (owned nodes, d); collective."""
         total = np.zeros_like(forces)
         for link in self.unilateral:
             slave, master = link.exert(np.where(link.constrained[:, :1], forces[link.nodes], 0.0))

@@ -80,11 +80,11 @@ class Pose:
         return (x - self.position) @ self.R + self.point
 
     def to_space(self, xi: Floats) -> Floats:
-        """Present positions of points of the tool (n, d)."""
+        """Present positions of the tool's points (n, d)."""
         return (xi - self.point) @ self.R.T + self.position
 
     def distance(self, shape: Shape, x: Floats) -> Distance:
-        """Distances of points x (n, d) from the surface of a shape."""
+        """Distances of points (n, d) from a shape."""
         found, R = shape.distance(self.to_tool(x)), self.R
         return Distance(found.value, found.gradient @ R.T, R @ found.hessian @ R.T)
 
@@ -219,13 +219,13 @@ class RigidBody:
         return every[self._driven]
 
     def steps(self, amounts: Floats) -> Floats:
-        """Amounts (m,) of the driven motions among all motions, (3,) or (6,)."""
+        """Amounts (m,) among all motions, (3,) or (6,)."""
         step = np.zeros(len(self.travel))
         step[self._driven] = amounts
         return step
 
     def ahead(self, amounts: Floats) -> Floats:
-        """Travel (3,) or (6,) plus amounts (m,) of the driven motions."""
+        """Travel (3,) or (6,) plus amounts (m,)."""
         step, d = self.steps(amounts), len(self.point)
         return np.concatenate([self.travel[:d] + step[:d], after(self.travel[d:], step[d:])])
 
@@ -235,7 +235,7 @@ class RigidBody:
 
 
 class Movable:
-    """Position, rotation and load of an interface with a rigid body."""
+    """Position, rotation and load of an interface."""
 
     rigid: RigidBody
 
@@ -277,7 +277,7 @@ class Movable:
 
     @property
     def travel(self) -> Floats:
-        """Motion by loads in addition to position and rotation, (3,) or (6,)."""
+        """Motion by loads, (3,) or (6,)."""
         return self.rigid.travel.copy()
 
 
@@ -351,7 +351,7 @@ class Tool(RigidBody):
         self.revolved = revolved
 
     def probed(self) -> list[float] | str:
-        """Largest coordinate and the distances at the probes, or how they fail."""
+        """Largest coordinate and distances at the probes, or how they fail."""
         try:
             found = [*map(float, self.shape.values(self.probes))]
         except Exception as error:
@@ -419,7 +419,7 @@ class Outline:
 
     @property
     def surface(self) -> tuple[Floats, Longs] | None:
-        """Present points (n, d) with lines or triangles; None of an analytic shape."""
+        """Present points (n, d) with lines or triangles, or None."""
         found = self.shape.surface
         return None if found is None else (self.pose.to_space(found[0]), found[1])
 
@@ -440,7 +440,7 @@ def spun(arm: Floats, rotation: Floats) -> Floats:
 
 
 def turn_between(before: Pose, now: Pose) -> Floats:
-    """Rotation, an angle (1,) or a vector (3,), between two poses, with whole turns."""
+    """Rotation (1,) or (3,) between two poses, with whole turns."""
     change = now.rotation - before.rotation
     if len(change) > 1 and np.cross(before.rotation, now.rotation).any():
         return _vector_near(

@@ -44,7 +44,7 @@ face differ by 1e-4, of crossing edges by 0.002."""
 
 @dataclass(frozen=True, eq=False)
 class Spreads:
-    """Spreads of normals of exterior facets around the nodes of contacts."""
+    """Spreads of normals around the nodes of contacts."""
 
     V: fem.FunctionSpace
     nodes: Ints  # (s,) local nodes, ascending
@@ -153,7 +153,7 @@ def _rotations(F: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class CommonNormals:
-    """Normals at the owned slave nodes, and their derivatives by the averaged ones."""
+    """Normals at the owned slave nodes, and their derivatives."""
 
     n: Floats  # (n, d)
     of_master: Floats  # (m, d) n_l at the owned master nodes
@@ -251,7 +251,7 @@ def in_planes(n: Floats, mirrors: Bools) -> tuple[Floats, Floats]:
 
 
 def carried(n: Floats, a: Floats) -> Floats:
-    """Derivatives (n, d, d) of unit vectors a that turn with n, without spin."""
+    """Derivatives (n, d, d) of unit vectors a that turn with n."""
     along = (n * a).sum(axis=1)[:, None, None]
     return np.asarray(along * np.eye(n.shape[1]) - n[:, :, None] * a[:, None])
 
@@ -289,7 +289,7 @@ def _facing(
 
 
 def _edged(S: Floats, limit: float) -> Bools:
-    """Nodes (n,) on an edge: tr S of more than half of the limit."""
+    """Nodes on an edge: tr S of more than half of the limit."""
     return np.asarray(np.trace(S, axis1=1, axis2=2) > limit / 2)
 
 

@@ -83,7 +83,7 @@ def smooth_normals(
 
 
 def _find_jumps(surface: Surface, facets: Facets, normals: NodeNormals) -> Bools:
-    """Nodes (n,) in the plane where the curvature jumps; collective."""
+    """Nodes in the plane where the curvature jumps; collective."""
     ends = surface.facets[:, :2]
     angles, length = end_angles(facets, normals.n[ends])
     halves = np.repeat(length[:, None] / 2, 2, axis=1)
@@ -103,7 +103,6 @@ def _find_jumps(surface: Surface, facets: Facets, normals: NodeNormals) -> Bools
 
 
 def _at_ends(surface: Surface, values: Floats) -> Floats:
-    """Nodal sums (n, c) of values (m, 2, c); collective."""
     m, k = surface.facets.shape
     return sum_at_nodes(surface, np.concatenate([values, np.zeros((m, k - 2, values.shape[2]))], 1))
 
@@ -128,7 +127,7 @@ def _classify(
     mirrors: Bools,
     feature_angle: float,
 ) -> NodeNormals:
-    """Normals of one-ring sums, and which are open or on edges; collective."""
+    """Normals of one-ring sums, open and edge nodes; collective."""
     (n, gap, limit), d = ring_sums(surface, parts), mirrors.shape[1]
     is_open = np.linalg.norm(gap, axis=1) > limit
     limits = np.cos(np.radians(feature_angle / 2)), HALF_OF_DIGITS  # cosines
@@ -214,7 +213,7 @@ def _nodal_curvatures(surface: Surface) -> Floats:
 def side_heights(
     surface: Surface, side: SmoothSide, u: dolfinx.fem.Function | None, which: Ints, xi: Floats
 ) -> Floats:
-    """Heights (q,) of a second-order side over its facets at X + u; collective."""
+    """Heights (q,) of a second-order side at X + u; collective."""
     facets, c, arcs = _at(surface, side, u)
     h = heights(facets, c, which, xi)
     return h if arcs is None else heights_of_arcs(arcs[which], h)
@@ -223,7 +222,6 @@ def side_heights(
 def _at(
     surface: Surface, side: SmoothSide, u: dolfinx.fem.Function | None
 ) -> tuple[Facets, Floats, Floats | None]:
-    """Second-order facets at X + u, c_ab and arcs, if any; collective."""
     facets, c = facets_at(surface, coordinates(surface, u)), side.sagitta
     if u is None:
         return facets, c, None
@@ -235,7 +233,7 @@ def _at(
 def side_slopes(
     surface: Surface, side: SmoothSide, u: dolfinx.fem.Function, which: Ints, xi: Floats
 ) -> Floats:
-    """Derivatives (q, k, d) of `side_heights` by nodes, at constant strain; collective."""
+    """Derivatives (q, k, d) of `side_heights`, at constant strain; collective."""
     facets, c, arcs = _at(surface, side, u)
     slopes = np.zeros((len(which), *facets.x.shape[1:]))
     if arcs is not None:
@@ -249,7 +247,6 @@ def side_slopes(
 
 
 def _count_edges(normals: NodeShape, owned: int) -> Ints:
-    """Numbers of owned nodes on an edge, and without a normal."""
     if not isinstance(normals, NodeNormals):
         return np.zeros(2, dtype=np.int32)
     none = np.abs(normals.n[:owned]).max(axis=1, initial=0.0) == 0.0
@@ -258,7 +255,7 @@ def _count_edges(normals: NodeShape, owned: int) -> Ints:
 
 @dataclass(frozen=True)
 class Curved:
-    """Facets of one side at X + u, and the smooth surface over them."""
+    """Facets of one side at X + u, and their smooth surface."""
 
     facets: Facets  # (m,)
     sagitta: Floats  # (m, e) c_ab of the smooth surface

@@ -145,7 +145,7 @@ def _biorthogonalise(Q, roots, Phi, inverse):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SUMS)
 def _facet_dual(N, weight, kept, count, first, last, Phi, inverse):  # type: ignore[no-untyped-def]
-    """Fill the functions (k, q) of one facet, `count` kept, and m^-1."""
+    """Fill the functions of one facet, `count` kept, and m^-1."""
     Q, found = np.empty((count, last - first)), np.zeros((count, last - first))
     roots, which = np.sqrt(weight[first:last]), np.flatnonzero(kept)
     among = np.zeros((count, count))
@@ -202,7 +202,7 @@ class Duals:
     inverse: Floats  # (m, k, k) m^-1, 0 for other nodes, and where it is inaccurate
 
     def of(self, facets: Longs) -> "Duals":
-        """Data of some facets, and functions at all points."""
+        """Data of some facets."""
         return Duals(self.Phi, self.kept[facets], self.inverse[facets])
 
 
@@ -260,7 +260,7 @@ class Coverage:
 def find_coverage(
     pairing: Integrated, segments: Segments, covered: Floats, tributary: Floats
 ) -> Coverage:
-    """Coverage of the owned slave nodes, from `node_weights`."""
+    """Coverage of the owned slave nodes."""
     slave = pairing.slave
     nodes = slave.facets[segments.covered].ravel()
     reached = accumulate(slave, np.bincount(nodes, minlength=len(slave.nodes))) > 0
@@ -342,12 +342,12 @@ def _best_nodes(coverage: Floats, X: Floats) -> Ints:
 
 
 def find_duals(pairing: Integrated, segments: Segments, keep: Bools) -> Duals:
-    """Dual functions at the points of segments; `keep` (n,) is equal on all ranks."""
+    """Dual functions at the points; `keep` (n,) is equal on all ranks."""
     element, kept = pairing.slave.element, keep[pairing.slave.facets]
     N = absorbed(element.shares, segments.N, kept[segments.slave])
     return create_duals(N, segments.weight, segments.slave, kept)
 
 
 def weighted_duals(pairing: Integrated, segments: Segments, keep: Bools) -> Floats:
-    """Return w Phi_j (q, k) at the points of segments, with their weights w."""
+    """Return w Phi_j (q, k) at the points."""
     return find_duals(pairing, segments, keep).Phi * segments.weight[:, None]

@@ -136,7 +136,7 @@ def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
 def _receive(
     comm: MPI.Intracomm, asking: Facets, skin: Skin, depth: Floats
 ) -> tuple[Facets, Longs, Longs, Floats]:
-    """Facets of all ranks that facets of this rank can face; collective."""
+    """Facets of all ranks that this rank's can face; collective."""
     if comm.size == 1:
         return skin.facets, skin.part, skin.label, depth
     n = facet_normals(asking)[:, None]
@@ -149,7 +149,7 @@ def _receive(
 
 
 def are_near(facing: Facing, within: float | None) -> Bools:
-    """Pairs (p,) of facets `within` a distance, by default the diameter of the larger."""
+    """Pairs `within` a distance, default the larger diameter."""
     reach = facing.size.max(axis=1, initial=0.0) if within is None else within
     return np.asarray(facing.distance <= reach)
 

@@ -108,7 +108,7 @@ def covered_weights(N_s: Floats, weight: Floats, slave: Ints, m: int) -> Floats:
 
 
 class Integrated(Protocol):
-    """Data for integrals over a slave side: a `Pairing`, or a side alone."""
+    """Data for integrals over a slave side."""
 
     @property
     def slave(self) -> Surface:
@@ -151,7 +151,7 @@ def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Fa
 
 
 def _reaches(slave: Surface, least: Floats, sums: Floats, size: Floats) -> Floats:
-    """Gap (m, 2) above which weights fall, and the slope; collective."""
+    """Gap above which weights fall, and the slope; collective."""
     nearest = np.full(len(slave.nodes), -np.inf)
     np.maximum.at(nearest, slave.facets, -least[:, None])
     least = -accumulate(slave, nearest, largest=True)[slave.facets].max(axis=1, initial=-np.inf)
@@ -236,7 +236,7 @@ def _weigh(pairing: Pairing, segments: Segments, facets: Facets) -> Segments:
 def integrate_values(
     pairing: Integrated, segments: Segments, Phi: Floats, values: Floats
 ) -> Floats:
-    """Int Phi_j f (n,) at the slave nodes, Phi of `weighted_duals`, f (q,) (collective)."""
+    """Int Phi_j f (n,) at the slave nodes for f (q,) (collective)."""
     slave = pairing.slave
     parts = sums_of_values(Phi, values, segments.slave, len(slave.facets))
     return sum_at_nodes(slave, parts[:, :, None])[:, 0]

@@ -20,7 +20,7 @@ from dolfinx_mortar.mortar.surface import Surface, facets_at, sum_at_nodes
 
 
 def find_mirrors(surface: Surface, fixed: Bools, feature_angle: float) -> Bools:
-    """Components (n, d) across planes of symmetry, see `judge_supports`; collective."""
+    """Components (n, d) across planes of symmetry; collective."""
     return judge_supports(surface, fixed, feature_angle)[0]
 
 

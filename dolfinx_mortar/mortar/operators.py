@@ -178,7 +178,7 @@ def mean_values(
 
 @dataclass(frozen=True, eq=False)
 class WholeSide:
-    """A slave side and the pattern of D between its nodes."""
+    """A slave side and the pattern of D."""
 
     slave: Surface
     D: Triplets  # of all facets
@@ -192,7 +192,7 @@ class WholeSide:
 
 @dataclass(frozen=True, eq=False)
 class SideOperators:
-    """D of a side in one configuration; see `MortarOperators`."""
+    """D of a side, see `MortarOperators`."""
 
     segments: Segments  # whole facets
     x: Floats  # (q, d) their points
@@ -205,7 +205,7 @@ class SideOperators:
 
 
 def create_whole_side(slave: Surface, weight: Weight | None) -> WholeSide:
-    """Fix the pattern of D for all facets of a side; collective."""
+    """Fix the pattern of D of all facets; collective."""
     index_map = slave.V.dofmap.index_map
     nodes = index_map.local_to_global(slave.nodes)[slave.facets]
     block = (*nodes.shape, nodes.shape[1])
@@ -216,14 +216,14 @@ def create_whole_side(slave: Surface, weight: Weight | None) -> WholeSide:
 
 
 def rule_of(element: FacetElement) -> tuple[Floats, Floats]:
-    """Points (q, d-1) and weights (q,), sum 1, exact for products of functions."""
+    """Points and weights, sum 1, exact for products of functions."""
     if len(element.rule[1]) >= element.nodes:
         return element.rule
     return triangle_rule(4)
 
 
 def whole_facets(side: WholeSide, x: Floats, facing: Bools) -> tuple[Segments, Floats]:
-    """Facing facets (m,) at x (n, d) as segments, and their points (q, d)."""
+    """Facing facets (m,) as segments, and their points (q, d)."""
     slave = side.slave
     facets, element = facets_at(slave, x), slave.element
     xi, weights = rule_of(element)

@@ -88,7 +88,7 @@ class Pairing:
 
 
 def _slave_facets(slave: Surface, u: dolfinx.fem.Function | None) -> tuple[Facets, Floats]:
-    """Facets and directions of projection (m, k or 1, d) (collective)."""
+    """Facets and directions of projection (collective)."""
     x = coordinates(slave, u)
     facets = facets_at(slave, x)
     return facets, projection_directions(facets, nodal_normals(slave, x)[slave.facets])
@@ -110,7 +110,7 @@ def _send_facets(
 
 
 def _deepest(surface: Surface, u: dolfinx.fem.Function | None, itself: bool) -> Floats:
-    """Largest depth (m,) of master facets behind facets."""
+    """Largest depth of master facets behind facets."""
     if u is None or not itself:
         return THROUGH * surface.thickness
     stretch = thickness_stretches(surface, u)[surface.facets].min(axis=1, initial=np.inf)
@@ -145,7 +145,7 @@ def _create_triplets(
 
 
 def pattern_of_P(slave: Surface, D: Triplets, *M: Triplets) -> dict[str, Any]:
-    """Rows and columns of P, and the places of P and D_jj in D."""
+    """Rows and columns of P, and places in D."""
     index_map = slave.V.dofmap.index_map
     nodes = slave.nodes[: slave.owned]
     position = np.full(index_map.size_local, -1, dtype=np.int32)
@@ -180,7 +180,7 @@ def _check_surfaces(
 
 
 def _check_finite(u: dolfinx.fem.Function | None, *sides: Surface) -> None:
-    """Raise a ValueError on all ranks unless X + u is finite (collective)."""
+    """Raise a ValueError on all ranks unless X + u is finite."""
     finite = all(np.isfinite(coordinates(side, u)).all() for side in sides)
     if any_rank(sides[0].V.mesh.comm, not finite)[0]:
         raise ValueError(
@@ -289,7 +289,7 @@ def _master_coordinates(
     received: PETSc.Vec,
     u: dolfinx.fem.Function | None,
 ) -> Floats:
-    """Return X + u (nm, d) of the received master nodes (collective)."""
+    """X + u of the received master nodes (collective)."""
     if u is None:
         return X
     # not u.x.petsc_vec: dolfinx destroys it with u, at different times on ranks: a deadlock

@@ -33,13 +33,13 @@ from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, thick
 
 @dataclass(frozen=True)
 class Middles:
-    """The middles of the bodies behind the facets of a surface."""
+    """Middles of the bodies behind facets."""
 
     surface: Surface
     depth: Floats  # (m,) distance from the facet at X
 
     def at(self, u: fem.Function) -> tuple[Floats, Floats]:
-        """Centres (k, d) and middles (k, d) of facets, where the depth is finite."""
+        """Centres and middles (k, d) of facets of finite depth."""
         finite, own = np.isfinite(self.depth), self.surface
         facets = facets_at(own, coordinates(own, u))[np.flatnonzero(finite)]
         faces = facets.x[:, np.array(own.element.vertices)].mean(axis=1)
@@ -66,7 +66,7 @@ class SeenByTool:
     point: Floats  # (d,) of the tool
 
     def turns_round(self, body: RigidMotion) -> bool:
-        """Whether the relative rotation of tool and body is half a turn or more."""
+        """Whether the relative rotation is half a turn or more."""
         against = body.rotation()
         against[-len(self.turn) :] -= self.turn
         return bool(np.linalg.norm(against) >= np.pi - HALF_OF_DIGITS)
@@ -215,7 +215,7 @@ def depth_of_point(comm: MPI.Comm, seen: SeenByTool) -> float:
 
 
 def _behind(parts: Floats, most: float, less: float) -> Floats:
-    """Lines or triangles (m, d, d) moved inward by min(size, `most`) - less."""
+    """Lines or triangles moved inward by min(size, `most`) - less."""
     facets = Facets(LINE2 if parts.shape[2] == 2 else TRI3, parts)
     shift = np.maximum(np.minimum(facet_sizes(parts), most) - less, 0.0)
     return np.asarray(parts - (shift[:, None] * facet_normals(facets))[:, None])
@@ -316,7 +316,7 @@ class RigidMotion:
 
 
 def rigid_sums(start: Floats, end: Floats) -> Floats:
-    """Sums over points (n, d) for `best_motion`; they add up over ranks."""
+    """Sums for `best_motion`; they add up over ranks."""
     one = np.ones((len(start), 1))
     return np.concatenate([one, start], axis=1).T @ np.concatenate([one, start, end], axis=1)
 
@@ -341,7 +341,7 @@ def best_motion(sums: Floats) -> RigidMotion:
 
 
 def times_of(motions: list[RigidMotion]) -> Floats:
-    """Times in [0, 1] between which no motion turns by more than `TURN`."""
+    """Times between which no motion turns by more than `TURN`."""
     most = max((motion.angle() for motion in motions), default=0.0)
     return np.asarray(np.linspace(0.0, 1.0, max(int(np.ceil(most / TURN)), 1) + 1), dtype=float)
 

@@ -138,7 +138,7 @@ def divide(
     X: tuple[Floats, Floats],
     deepest: tuple[Floats, Floats],
 ) -> tuple[Ints, Roles]:
-    """Candidates (p, 2) from slaves to masters, and the roles; collective."""
+    """Candidates (p, 2) from slaves to masters, and roles; collective."""
     limit = np.minimum(deepest[0][pairs[:, 0]], deepest[1][pairs[:, 1]])
     distance = distances_in_reach(facets, copies, pairs, nodes, limit)
     near = np.flatnonzero(distance < np.inf)
@@ -175,7 +175,7 @@ def has_changed(roles: Roles, facets: Facets, copies: Facets, pairs: Ints) -> bo
 
 
 class _Parts:
-    """Facets with roles relative to a root (union-find with parity)."""
+    """Roles of facets relative to a root (union-find with parity)."""
 
     def __init__(self, n: int) -> None:
         self.above = list(range(n))
@@ -192,7 +192,6 @@ class _Parts:
         return k, odd
 
     def join(self, a: int, b: int, different: bool) -> None:
-        """Give two facets different roles, or the same, unless already decided."""
         (r, p), (s, q) = self.find(a), self.find(b)
         if r != s:
             self.above[max(r, s)] = min(r, s)

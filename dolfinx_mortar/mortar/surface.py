@@ -177,7 +177,7 @@ def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.Function
 
 
 def create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, PETSc.Vec]:
-    """Nodes, with owned ones of other ranks' facets; the number owned; the vector; collective."""
+    """Nodes, with owned ones of other ranks' facets; their number; the vector; collective."""
     index_map = V.dofmap.index_map
     number = dolfinx.la.vector(index_map)
     number.array[:] = 0.0
@@ -444,7 +444,7 @@ def normal_derivatives(surface: Surface, x: Floats) -> Floats:
 
 
 def _gradients_at_nodes(facets: Facets) -> Floats:
-    """Surface gradients (m, k, k, d): [f, j, l] of N_l at node j."""
+    """Surface gradients [f, j, l] of N_l at node j."""
     element, (m, k, d) = facets.element, facets.x.shape
     points = element.points
     if element.degree == 1:  # the mean normal is that at the centre
@@ -493,7 +493,7 @@ def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
 
 
 def _heights_behind(surface: Surface, x: Floats, of_nodes: Floats, slopes: Floats) -> Floats:
-    """Volume over area (m,) at facets' centres, of cells x (m, k, d)."""
+    """Volume over area at facets' centres."""
     volume = np.linalg.det(np.einsum("amk,mki->mai", slopes, x))
     middle = surface.element.points[list(surface.element.vertices)].mean(axis=0)
     normals = scaled_normals(facets_at(surface, of_nodes), middle[None])[:, 0]
@@ -501,7 +501,7 @@ def _heights_behind(surface: Surface, x: Floats, of_nodes: Floats, slopes: Float
 
 
 def mean_facet_length(surface: Surface) -> float:
-    """Mean length of the facets' first edges at X (collective)."""
+    """Mean length of first edges at X (collective)."""
     first, second = surface.element.vertices[:2]
     edges = surface.X[surface.facets[:, second]] - surface.X[surface.facets[:, first]]
     local = np.array([np.linalg.norm(edges, axis=1).sum(), len(edges)])
@@ -510,7 +510,7 @@ def mean_facet_length(surface: Surface) -> float:
 
 
 def create_groups(x: Floats) -> list[Ints]:
-    """Divide facets x (m, k, d) into at most ceil(sqrt(m)) compact groups."""
+    """Divide facets into at most ceil(sqrt(m)) compact groups."""
     order = sort_in_space(x.mean(axis=1)).astype(np.int32)
     size = 1
     while size**2 < len(x):  # powers of 2: groups are compact
@@ -529,7 +529,7 @@ def group_cones(x: Floats, directions: Floats, groups: list[Ints], margin: Float
 
 
 def find_receivers(comm: MPI.Intracomm, cones: Cones, facets: Facets) -> Bools:
-    """Own facets (m, ranks) that other ranks may need, by their cones (collective)."""
+    """Own facets (m, ranks) that other ranks may need (collective)."""
     needed = np.zeros((len(facets.x), comm.size), dtype=bool)
     balls = bounding_balls(facets.x)
     for rank, others in enumerate(comm.allgather(cones)):

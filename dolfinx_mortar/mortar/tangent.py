@@ -114,7 +114,6 @@ def _sums(
     types: tuple[FacetElement, FacetElement],
     counts: tuple[int, int],
 ) -> Sums:
-    """Moments, with counts of derivatives by Q and by lengths."""
     (p, k, d), m, l = sides.x.shape, sides.y.shape[1], sides.place.shape[1]  # noqa: E741
     z, n = d * (k + sides.n.shape[1] + m), k + m + 1
     E_s, E_m = (np.zeros((counts[0], k, v, v)) for v in (k, l))
@@ -222,7 +221,7 @@ def _surfaces(
 
 
 def _slopes(side: Curved, other: Curved, shared: bool) -> tuple[Floats, Floats]:
-    """Derivatives `slopes` (P, e, k, d) of one side by the nodes of both."""
+    """Derivatives `slopes` of one side by the nodes of both."""
     e, (a, b) = edges_of(side.facets), node_pairs(first_order(side.facets.element))
     (P, k, d), count = side.facets.x.shape, len(a)
     by_nodes, by_others = (

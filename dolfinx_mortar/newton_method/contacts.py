@@ -36,11 +36,11 @@ class Contacts:
     sliding: Floats | None = None
 
     def reactions(self, balance: Balance) -> Floats:
-        """Reactions D_jj lambda_j (k,) on the bounded unknowns of a configuration."""
+        """Reactions D_jj lambda_j (k,) on the bounded unknowns."""
         return np.asarray(balance.bounds.weight * self.multipliers[balance.nodes])
 
     def tangential_reactions(self, limits: SlipLimits) -> Floats:
-        """Reactions D_jj tangential_j (m, d - 1) in the frames of a configuration."""
+        """Reactions D_jj tangential_j (m, d - 1) in the frames."""
         if self.tangential is None:
             return np.zeros(limits.slip.shape)
         return limits.weight[:, None] * limits.along(self.tangential[limits.nodes])
@@ -74,7 +74,7 @@ class Contacts:
         return replace(self, tangential=tangential, sliding=sliding)
 
     def directions(self, limits: SlipLimits | None) -> Floats | None:
-        """Directions of slip (m, d - 1) in these frames; None without friction."""
+        """Directions of slip (m, d - 1) in these frames."""
         if limits is None or self.sliding is None:
             return None
         along = limits.along(self.sliding[limits.nodes])
@@ -82,7 +82,7 @@ class Contacts:
         return np.divide(along, size, out=np.zeros_like(along), where=size > 0.0)
 
     def kappa(self, limits: SlipLimits | None) -> Floats | None:
-        """Tangential reactions over slips (m,), inf for zeros; None without friction."""
+        """Tangential reactions over slips (m,), inf for zeros."""
         if limits is None:
             return None
         force = np.linalg.norm(self.tangential_reactions(limits), axis=1)
@@ -127,7 +127,7 @@ def found_by(lin: Linearisation, solved: QPSolution, n: int) -> Contacts:
 def find_sliders(
     limits: SlipLimits, contacts: Contacts, diagonal: PETSc.Vec, noise: float
 ) -> Sliders:
-    """Slips above ``noise``, tangential reactions, limits mu D_jj lambda_j at friction nodes."""
+    """Slips above ``noise``, reactions and limits at friction nodes."""
     size = np.linalg.norm(limits.slip, axis=1, keepdims=True)
     share = np.divide(np.maximum(size - noise, 0.0), size, out=np.zeros_like(size), where=size > 0)
     position = np.arange(len(size), dtype=np.int32)
@@ -139,7 +139,7 @@ def find_sliders(
 
 
 def contact_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
-    """Contact forces (n,) on both sides in the present geometry; collective."""
+    """Contact forces (n,) on both sides; collective."""
     total = normal_forces(problem, contacts)
     if contacts.tangential is not None:
         total = total + tangential_forces(problem, contacts)
@@ -162,7 +162,7 @@ def tangential_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
 
 
 def _on_both_sides(problem: ContactProblem, tractions: Callable[[Link], Floats]) -> Floats:
-    """Nodal forces (owned nodes, d) of tractions at slave nodes; collective."""
+    """Nodal forces (owned nodes, d) of tractions; collective."""
     total: Floats = np.zeros((problem.n, problem.d))
     for link in problem.system.unilateral:
         slave, master = link.exert(link.coupling.weight[:, :1] * tractions(link))

@@ -90,7 +90,7 @@ class Drives:
             first = end
 
     def missing(self, reactions: Floats) -> tuple[Floats, Floats]:
-        """Residuals F + e.z (m,) for reactions z (n,), and sizes of the terms (m,); collective."""
+        """Residuals F + e.z (m,) for reactions z (n,), and sizes of terms; collective."""
         parts = self.motions * reactions
         sums = np.stack([parts.sum(axis=1), np.abs(parts).sum(axis=1)])
         total, size = self.comm.allreduce(sums, op=MPI.SUM)
@@ -101,7 +101,7 @@ class Drives:
         return self.loads + total, size
 
     def noise(self, balance: Balance) -> Floats:
-        """Round-off (m,) of the reactions, from the forces in the bodies; collective."""
+        """Round-off (m,) of the reactions; collective."""
         return np.asarray(ROUND_OFF * balance.elements * self.arms())
 
     def arms(self) -> Floats:
@@ -109,7 +109,7 @@ class Drives:
         return maximum(self.comm, *np.abs(self.motions).max(axis=1, initial=0.0))
 
     def allowed(self, force: float) -> Floats:
-        """Tolerances (m,) of loads on rigid sides and bolts, for one of forces; collective."""
+        """Tolerances (m,) of loads on rigid sides and bolts; collective."""
         on = self.sides | (self.follows & (self.loads == 0.0))
         return np.where(on, force * self.arms(), 0.0)
 
@@ -204,7 +204,7 @@ def _loads(
     x: Floats,
     known: Floats | None,
 ) -> Floats:
-    """Loads (m,), with the work of given reactions on unit motions; collective."""
+    """Loads (m,), with the work of given reactions; collective."""
     loads = np.concatenate([tool.loads() for _, tool in parts])
     if known is None:
         return loads
@@ -291,7 +291,7 @@ def _names(drives: Drives) -> list[tuple[str, Interface, Driven]]:
 
 
 def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> StepFailed:
-    """Error that names the load (m,) of largest `which`, which nothing resists; collective."""
+    """Error that names the load of largest `which`; collective."""
     k = int(np.argmax(which))
     name, owner, tool = _names(drives)[k]
     if tool.holds:
@@ -323,7 +323,7 @@ def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> StepFailed:
 def miss(
     problem: ContactProblem, balance: Balance, contacts: Contacts, residual: Residuals, rtol: float
 ) -> Residuals:
-    """Residuals including the loads of bolts, tools and rigid sides; collective."""
+    """Residuals with the loads of bolts, tools and rigid sides; collective."""
     drives = find_drives(problem, balance.known(contacts.multipliers))
     if drives is None:
         return residual

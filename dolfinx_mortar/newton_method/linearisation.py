@@ -134,7 +134,7 @@ def _known_friction(
 def _present_limits(
     problem: ContactProblem, limits: Sequence[Floats | None]
 ) -> Sequence[Floats | None]:
-    """Coefficients, and given tractions per present circumference (`growth`); collective."""
+    """Coefficients, and tractions per present circumference; collective."""
     if problem.solid.strain != "finite":
         return limits
     now: list[Floats | None] = []
@@ -167,7 +167,7 @@ def growth(problem: ContactProblem, link: Link) -> Floats:
 
 
 def support_slots(problem: ContactProblem) -> tuple[Ints, Ints]:
-    """Owned prescribed dofs (m,) of u, and their unknowns in y."""
+    """Owned prescribed dofs (m,), and their unknowns in y."""
     node, component = np.nonzero(problem.supports.owned)
     slots = problem.d * node + problem.system.slots()[node, component]
     return problem.d * node + component, slots
@@ -382,7 +382,7 @@ def _lifted(
 
 
 def count_changes(lin: Linearisation, solved: QPSolution, start: Actives, limit: float) -> int:
-    """Number of changes of the active set by more than a force ``limit``; collective."""
+    """Number of changes of the active set above a force ``limit``; collective."""
     bounds = lin.balance.bounds
     z = np.abs(solved.z.array_r[bounds.dofs])
     opening = np.abs(bounds.upper - solved.x.array_r[bounds.dofs])

@@ -121,7 +121,7 @@ class Subproblem:
 
     @property
     def may_be_exact(self) -> bool:
-        """Whether the exact tangent is available, and useful with driven tools."""
+        """Whether the exact tangent is available and useful."""
         if not self.moving or self.backend != ACTIVE_SET:
             return False
         others = [link.interface.driven() is None for link in self.problem.system.unilateral]
@@ -183,7 +183,7 @@ class Subproblem:
     def shifted(
         self, shift: float, old: Iterate, residuals: Sequence[Residuals], tangent: bool
     ) -> Solution:
-        """Solve the QP with a multiple of the elastic stiffness; collective."""
+        """Solve with a multiple of the elastic stiffness; collective."""
         lin = linearise(
             self.problem,
             old.balance,
@@ -201,7 +201,7 @@ class Subproblem:
         return Solution(lin, solved, shift=shift, negative=negative)
 
     def exact(self, old: Iterate, residuals: Sequence[Residuals], tangent: bool) -> Solution:
-        """Solve the QP of the exact tangent and correct its bounds; collective."""
+        """Solve with the exact tangent and correct bounds; collective."""
         lin = linearise_all(
             self.problem,
             old.balance,

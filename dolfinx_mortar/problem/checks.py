@@ -40,7 +40,7 @@ def check_arguments(
     geometry: str,
     **options: Any,
 ) -> tuple[list[Interface], list[fem.DirichletBC]]:
-    """Check the arguments of a problem; return interfaces and conditions as lists; collective."""
+    """Check the arguments; return interfaces and conditions as lists; collective."""
     check("solid", solid, instance(Solid, "give a Solid(u, materials, cell_tags)"))
     given, conditions = _unrolled(interfaces), _unrolled(bcs)
     check_same_on_all_ranks(

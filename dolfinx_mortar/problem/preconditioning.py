@@ -30,7 +30,7 @@ class UnknownsOfBodies:
         self.operator = CongruentOperator(operator.K, operator.half)
 
     def change(self, held: Ints) -> Change:
-        """The unknowns for the present geometry, contacts and tangent; collective."""
+        """See `Unknowns`; collective."""
         T = self.system.transformation
         eliminated = eliminated_dofs(self.system, self.supports)
         decoupled = np.union1d(eliminated, held).astype(np.int32)
@@ -39,7 +39,7 @@ class UnknownsOfBodies:
         return Change(E, self.operator.matrix)
 
     def motions(self, change: Change) -> list[PETSc.Vec]:
-        """Rigid motions, zero where these unknowns are decoupled; collective."""
+        """See `Unknowns`; collective."""
         T, motions = self.system.transformation, rigid_motions(self.bodies)
         if T is not None:
             motions = [T.uncoupled(motion, change.E) for motion in motions]

@@ -174,7 +174,7 @@ def find_slides(
 
 
 def elastic_groups(solid: Solid, bodies: Bodies) -> Bools:
-    """Groups (bodies,) without internal variables, which would stay at X; collective."""
+    """Groups without internal variables, which would stay at X; collective."""
     inelastic = np.zeros(bodies.count)
     for region in solid.regions:
         if region.law.state:
@@ -202,7 +202,7 @@ def convected(u: fem.Function, bodies: Bodies, dent: Dent) -> Floats:
 
 
 def mean_gradient(X: Floats, u: Floats, comm: MPI.Comm) -> Floats:
-    """Gradient A (d, d) of the least-squares fit A X + b to displacements u (n, d); collective."""
+    """Gradient A (d, d) of the fit A X + b to displacements u (n, d); collective."""
     d, ones = X.shape[1], np.ones((len(X), 1))
     rows = np.hstack([X, ones, u])
     n, *total = comm.allreduce(np.array([len(X), *rows.sum(axis=0)]), op=MPI.SUM)
@@ -212,10 +212,7 @@ def mean_gradient(X: Floats, u: Floats, comm: MPI.Comm) -> Floats:
 
 
 def values_near(u: fem.Function, cells: Ints, points: Floats, reach: float) -> Floats:
-    """Values u (p, d) at points (p, 3), or at nearest points of owned cells; collective.
-
-    `reach` is the largest distance of a point.
-    """
+    """Values u (p, d) at points (p, 3), or at nearest points within reach; collective."""
     V, comm = u.function_space, u.function_space.mesh.comm
     x = V.mesh.geometry.x[cell_nodes(V.mesh)[cells].ravel()]
     margin = (1.0 + QUARTER_OF_DIGITS) * reach

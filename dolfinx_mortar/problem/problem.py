@@ -225,7 +225,7 @@ class ContactProblem:
         return v
 
     def check_ranks(self, **controls: Any) -> None:
-        """Raise a ValueError on all ranks if Constants, jumps or controls differ; collective."""
+        """Raise a ValueError on all ranks if arguments differ; collective."""
         check_same_on_all_ranks(self.comm, **controls, **self._inputs)
 
     @property
@@ -237,7 +237,7 @@ class ContactProblem:
         return find_constants(self._inputs)
 
     def check_owned(self) -> None:
-        """Raise a ValueError if a problem made later uses one of the interfaces."""
+        """Raise a ValueError if a later problem uses an interface."""
         check_owned(self.interfaces, self.supports)
 
     def begin_step(self, level: float | None = None, predict: Predictor | None = None) -> StepData:
@@ -284,7 +284,7 @@ class ContactProblem:
         return data
 
     def raise_failed(self) -> None:
-        """Raise on all ranks an error of a tool's shape on any rank; collective."""
+        """Raise errors of tools' shapes on all ranks; collective."""
         tools = [one.tool.asked for one in self.interfaces if one.tool is not None]
         failed = [error for shape in tools if (error := shape.failed()) is not None]
         raise_together(self.comm, failed[0] if failed else None)
@@ -366,11 +366,11 @@ class ContactProblem:
         return found.partners(self._committed_positions(), frozen=frozen)
 
     def audit(self) -> Audit:
-        """Geometry audit at the present displacement, which stays; collective.
+        """Geometry audit at the present displacement; collective.
 
         Raises:
-            ValueError: if a body can move freely, two surfaces can never meet, or another problem
-                uses one of the interfaces.
+            ValueError: if a body can move freely, two surfaces can never meet, or a later problem
+                uses an interface.
         """
         self.check_owned()
         self._check_mesh()
@@ -409,7 +409,7 @@ class ContactProblem:
         return []
 
     def diagnose(self) -> list[str]:
-        """Notes on the last step, or on its failure, with explanations and remedies."""
+        """Notes on the last step, or on its failure, with remedies."""
         return [
             ". ".join(filter(None, (note, getattr(note, "why", "")))) for note in chain(*self.told)
         ]
@@ -458,7 +458,7 @@ class ContactProblem:
         An error of a term or an interface, or Ctrl-C, restores the last commit.
 
         Raises:
-            ValueError: if a problem made later uses one of the interfaces.
+            ValueError: if a later problem uses an interface.
         """
         self.check_owned()
         outcome = self.ended_here()
@@ -514,7 +514,7 @@ class ContactProblem:
         ]
 
     def ended_here(self) -> StepOutcome | None:
-        """Outcome of the last step, None if u has been changed since; collective."""
+        """Outcome of the last step, None if u has changed; collective."""
         elsewhere = self.outcome is None or not np.array_equal(self.outcome.at, self.owned_u)
         return None if any_rank(self.comm, elsewhere)[0] else self.outcome
 
@@ -593,10 +593,7 @@ class ContactProblem:
         return fields
 
     def output_tools(self) -> list[tuple[Outline, Floats]]:
-        """Outlines of the rigid tools, each with a box (2, d) in its frame; collective.
-
-        The box encloses the side at X + u on all ranks.
-        """
+        """Outlines of the rigid tools, with boxes (2, d) of sides in their frames; collective."""
         return self.system.tools_at(self.u)
 
 

@@ -55,7 +55,7 @@ def check_jumps(system: InterfaceSystem) -> None:
 
 
 def check_tightening(system: InterfaceSystem) -> str:
-    """Describe a pretension that needs an overlap longer than the model, or ""; collective."""
+    """Describe a pretension that needs a too large overlap, or ""; collective."""
     size = diagonal(system.V)
     for interface in system.interfaces:
         if isinstance(bolt := interface.driven(), Bolt):

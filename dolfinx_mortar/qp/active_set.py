@@ -96,7 +96,7 @@ def _of_whole(qp: BoundQP, found: _Found) -> tuple[BoundQP, PETSc.Vec, PETSc.Vec
 def _find_condensed(
     qp: BoundQP, linear: LinearSolver, start: State, rtol: float
 ) -> tuple[_Found, BoundQP, PETSc.Vec, PETSc.Vec, KKT]:
-    """Solve by a dense matrix, then correct round-off; LinAlgError if the check fails."""
+    """Solve by a dense matrix; LinAlgError if the check fails."""
     condensed = Condensed(qp, linear, SHARE * rtol * qp.b.norm())
     x = None
     for _ in range(2):

@@ -31,7 +31,7 @@ from dolfinx_mortar.arrays import EPS, ROUND_OFF, TINY, Actives, Bools, Floats, 
 
 @dataclass(frozen=True)
 class Friction:
-    """Friction at this rank's m nodes, with at most t tangential unknowns each."""
+    """Friction at this rank's m nodes, with at most t tangential unknowns."""
 
     normal: Ints  # (m,) position of x_n in `BoundQP.bounded`
     tangential: Ints  # (m, t) unknowns, -1 for none
@@ -41,7 +41,7 @@ class Friction:
 
     @property
     def some(self) -> Bools:
-        """Which entries (m, t) of `tangential` are unknowns."""
+        """Unknowns among the entries (m, t) of `tangential`."""
         return np.asarray(self.tangential >= 0)
 
     def pick(self, values: Floats) -> Floats:
@@ -51,11 +51,11 @@ class Friction:
         return np.where(self.some, values[self.tangential], 0.0)
 
     def means(self, diagonal: Floats) -> Floats:
-        """Mean (m,) of a diagonal over the tangential unknowns of each node."""
+        """Mean (m,) of a diagonal over each node's tangential unknowns."""
         return np.asarray(self.pick(diagonal).sum(axis=1) / np.maximum(self.some.sum(axis=1), 1))
 
     def acts(self, closed: Bools) -> Bools:
-        """Nodes (m,) that may have tangential reactions, given the closed ones (m,)."""
+        """Nodes (m,) that may have tangential reactions."""
         return np.asarray(closed | (self.cohesion > 0.0))
 
     def limit(self, pressing: Floats) -> Floats:
@@ -64,12 +64,12 @@ class Friction:
 
     @property
     def plane(self) -> bool:
-        """Whether nodes have at most one tangential unknown."""
+        """Whether no node has two tangential unknowns."""
         return self.tangential.shape[1] == 1
 
     @property
     def across(self) -> Bools:
-        """Nodes (m,) with more than one tangential unknown."""
+        """Nodes (m,) with two tangential unknowns."""
         return np.asarray(self.some.sum(axis=1) > 1)
 
     def select(self, mask: Bools) -> Friction:
@@ -154,7 +154,7 @@ class Sliders:
         return d, np.where(self.law.across, kappa, 0.0)
 
     def error(self) -> Floats:
-        """z_t - q min(1, s / |q|) (m, t), zero where the law holds."""
+        """Error z_t - q min(1, s / |q|) (m, t) in the law."""
         q = self.trial
         size = np.linalg.norm(q, axis=1)
         share = np.divide(self.limit, size, out=np.ones_like(size), where=size > self.limit)
@@ -211,7 +211,7 @@ class BoundQP:
 
     @cached_property
     def bounds(self) -> tuple[Floats, Floats]:
-        """(lower, upper) on `bounded`, infinite where there is no bound."""
+        """(lower, upper) on `bounded`, with infinities."""
         lower = self.lower.array_r[self.bounded].copy()
         upper = self.upper.array_r[self.bounded].copy()
         lower[lower <= PETSc.NINFINITY] = -np.inf
@@ -232,7 +232,7 @@ class BoundQP:
 
     @cached_property
     def stiffness(self) -> Floats:
-        """|diag(A)| (n,), nonzero, which scales distances to forces (collective)."""
+        """|diag(A)| (n,), nonzero (collective)."""
         diagonal = self.diagonal
         if not self.definite:
             diagonal = diagonal.copy()
@@ -243,7 +243,7 @@ class BoundQP:
 
     @cached_property
     def noise(self) -> float:
-        """Norm of the forces due to round-off of the bounds; collective at first."""
+        """Norm of the forces due to round-off of bounds; collective at first."""
         largest = self.extent * self.stiffness[self.bounded]
         return ROUND_OFF * norm(self.comm, largest)
 
@@ -300,7 +300,7 @@ class KKT:
     friction: float = 0.0  # error of the tangential reactions in the law of friction
 
     def satisfied(self, rtol: float) -> bool:
-        """Whether every residual is below rtol or its round-off; that of friction counts twice."""
+        """Whether every residual is below rtol or its round-off."""
         force, length = max(rtol, self.force_floor), max(rtol, self.length_floor)
         return bool(
             max(self.stationarity, self.sign) <= force
@@ -349,7 +349,7 @@ class QPNotSolved(RuntimeError):
 
 
 class UnusableQP(ValueError):
-    """The data of a quadratic program have no solution."""
+    """The data have no solution."""
 
 
 def validate(qp: BoundQP) -> None:

@@ -52,7 +52,7 @@ class Dense:
         y.array[:] = self.diagonal
 
     def round_off(self, x: PETSc.Vec) -> float:
-        """Round-off of A x."""
+        """See `held.Solver`."""
         return ROUND_OFF * float(norm(self.diagonal * x.array_r))
 
     def solve(
@@ -65,7 +65,7 @@ class Dense:
         sliding: Sliding | None = None,
         **others: object,
     ) -> PETSc.Vec:
-        """Solve for free unknowns, in place; see `LinearSolver.solve`."""
+        """See `held.Solver`."""
         values, right, result = x.array, b.array_r, b.duplicate()
         found = right - self.S @ values
         rest = found.copy()
@@ -94,7 +94,7 @@ class Dense:
         return M[np.ix_(free, free)] * np.outer(s, s), free
 
     def negative(self, held: Ints) -> int:
-        """Number of negative eigenvalues of the free part of S."""
+        """Number of negative eigenvalues of the free part."""
         M, _ = self._free(self.S, held)
         if not len(M) or scipy.linalg.lapack.dpotrf(M, lower=True)[1] == 0:
             return 0
@@ -102,7 +102,7 @@ class Dense:
 
 
 def _slipping(S: Floats, sliding: Sliding) -> Floats:
-    """S with the rows of slipping nodes replaced by those of their law."""
+    """S with the law in the rows of slipping nodes."""
     M, law, d = S.copy(), sliding.law, sliding.direction
     normal = S[sliding.normal]
     for a in range(d.shape[1]):
@@ -162,7 +162,7 @@ class Condensed:
         return replace(whole, A=self.dense.matrix, product=None, near=None, **parts)
 
     def expand(self, own: Floats) -> Floats:
-        """Return x (n,) for the solution (k,) of the condensed QP."""
+        """Return x (n,) for a solution (k,)."""
         held, x = self._whole.held, self._x.copy()
         right = self._w - self._Q @ (own - x[held])
         x[self._G[self._rest]] += scipy.linalg.solve_triangular(

@@ -36,14 +36,14 @@ SHARE = 0.5
 
 
 def nearest(qp: BoundQP) -> Actives:
-    """Active set (k,) with every bounded unknown at its bound nearest to zero."""
+    """Active set (k,) with every unknown at its bound nearest to zero."""
     lower, upper = qp.bounds
     return np.where(np.abs(upper) <= np.abs(lower), 1, -1).astype(np.int8)
 
 
 @dataclass(frozen=True)
 class State:
-    """An active set, and the directions in which nodes with friction slip."""
+    """An active set, and the directions of slip."""
 
     active: Actives  # (k,) on `BoundQP.bounded`
     directions: Floats  # (m, t) of slip, zero at sticking nodes
@@ -70,7 +70,7 @@ class State:
 
     @staticmethod
     def holding(qp: BoundQP) -> State:
-        """State with all unknowns at their nearest bounds, and all nodes sticking."""
+        """State with all unknowns at their nearest bounds and all nodes sticking."""
         return State.create(qp, nearest(qp))
 
     def tobytes(self) -> bytes:
@@ -88,7 +88,7 @@ class State:
         return np.asarray((acts & ~self.directions.any(axis=1))[:, None] & law.some)
 
     def held(self, qp: BoundQP) -> Ints:
-        """Unknowns that are fixed by active bounds or stick, ascending."""
+        """Fixed unknowns, ascending."""
         found, law = qp.bounded[self.active != 0], qp.friction
         if law is not None:
             found = np.concatenate([found, law.tangential[self.sticks(law)]])
@@ -103,7 +103,7 @@ class State:
 
 @dataclass(frozen=True)
 class Found:
-    """Result of a solve with a given set."""
+    """Result of a solve with a set."""
 
     predicted: Any  # the next set
     changes: int  # unknowns on all ranks that differ, without weakly active ones
@@ -147,7 +147,7 @@ def update(
 
 
 def came_back(active: Any, seen: set[int], comm: MPI.Comm) -> bool:
-    """Whether this set was seen before, on all ranks; add it (collective)."""
+    """Whether this set was seen before; add it (collective)."""
     part = blake2b(active.tobytes(), digest_size=7, salt=str(comm.rank).encode())
     everywhere = comm.allreduce(int.from_bytes(part.digest()), op=MPI.SUM)
     known = everywhere in seen

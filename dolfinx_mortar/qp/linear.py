@@ -44,7 +44,7 @@ ALONE = "superlu_dist"
 
 
 class LinearSolveFailed(RuntimeError):
-    """A linear system could not be solved; the message has cause and remedy."""
+    """A linear system could not be solved; the message has the remedy."""
 
 
 @dataclass(frozen=True)
@@ -209,7 +209,7 @@ class LinearSolver:
         self.counts.symbolic += 1
 
     def _set_beside(self, A: PETSc.Mat, near: PETSc.Mat) -> None:
-        """Set an indefinite matrix, with the preconditioner of a definite one; collective."""
+        """Set an indefinite matrix, preconditioned by a definite one; collective."""
         self.set_matrix(near)
         self._kind, base, beside = False, self._setups[True], self._setups.get(False)
         if beside is not None and beside.operator.A.handle == A.handle:
@@ -241,7 +241,7 @@ class LinearSolver:
             self._drop(kind)
 
     def abandon(self) -> None:
-        """Drop all matrices, which an error may have left locked; without communication."""
+        """Drop all matrices, perhaps locked by an error; without communication."""
         self._setups = {}
 
     def _drop(self, kind: bool) -> None:
@@ -324,7 +324,7 @@ class LinearSolver:
         return count_negative(setup.operator.matrix) > 0
 
     def apply(self, r: PETSc.Vec, x: PETSc.Vec) -> None:
-        """Apply the present factorisation or preconditioner once: x = F^-1 r."""
+        """Apply the present factorisation or preconditioner once."""
         begin = perf_counter()
         held = self._operator.held
         assert held is not None
@@ -372,7 +372,7 @@ class LinearSolver:
         return operator.z
 
     def _iterate(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, atol: float, norm: float) -> float:
-        """Correct x until its residual is small, or stagnates; return its norm."""
+        """Correct x until its residual is small or stagnates; return its norm."""
         for _ in range(LIMIT):
             different = self.setup.preconditioner.differences(held)
             if different is None or self.setup.renewal.is_far(different):
@@ -451,11 +451,11 @@ class LinearSolver:
 
 
 class Applied:
-    """Context of a PETSc PC of type python that applies another PC."""
+    """PETSc PC of type python that applies another PC."""
 
     def __init__(self, pc: PETSc.PC) -> None:
         self.pc = pc
 
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
-        """Set z = M^-1 r (called by PETSc)."""
+        """Set z = M^-1 r."""
         self.pc.apply(r, z)

@@ -32,14 +32,14 @@ class FreePart:
         self.sliding: Sliding | None = None
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y = product with x, zero at fixed unknowns."""
+        """Set y, zero at fixed unknowns."""
         self.A.mult(x, y)
         if self.sliding is not None:
             self.sliding.add(x.array_r, y.array)
         y.array[self.held] = 0.0
 
     def multTranspose(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y = A^T x, zero at fixed unknowns; without slipping nodes."""
+        """Set y = A^T x, without slipping nodes."""
         self.A.multTranspose(x, y)
         y.array[self.held] = 0.0
 
@@ -127,12 +127,12 @@ def counts_pivots(pc: PETSc.PC) -> bool:
 
 
 def negative_pivots(pc: PETSc.PC) -> int:
-    """Negative pivots of a symmetric factorisation by MUMPS, INFOG(12), or 0."""
+    """Negative pivots of a factorisation by MUMPS, INFOG(12), or 0."""
     return int(pc.getFactorMatrix().getMumpsInfog(12)) if counts_pivots(pc) else 0
 
 
 def count_negative(A: PETSc.Mat) -> int:
-    """Number of negative eigenvalues of a symmetric matrix, 1 if it is singular; collective."""
+    """Number of negative eigenvalues, 1 if A is singular; collective."""
     pc = PETSc.PC().create(A.comm)
     try:
         pc.setType(PETSc.PC.Type.CHOLESKY)
@@ -146,7 +146,7 @@ def count_negative(A: PETSc.Mat) -> int:
 
 
 def meets_negative_curvature(operator: Operator, pc: PETSc.PC, max_it: int) -> bool:
-    """Whether conjugate gradients for a random vector find x.A x <= 0; collective."""
+    """Whether conjugate gradients find x.A x <= 0; collective."""
     comm = operator.A.comm.tompi4py()
     x, b = operator.A.createVecs()
     b.array[:] = np.random.default_rng(comm.rank).standard_normal(b.local_size)

@@ -35,7 +35,7 @@ VALUES = (str, int, float, bool, np.number, type(None))
 
 
 def was_read(name: str) -> bool:
-    """Whether PETSc has read an option (with prefix) since it was set."""
+    """Whether PETSc has read an option (with prefix)."""
     found = ctypes.c_int(0)
     call("PetscOptionsUsed", None, name.encode(), ctypes.byref(found))
     return bool(found.value)
@@ -93,7 +93,7 @@ class SolverOptions:
 
     @contextmanager
     def database(self, prefix: str) -> Iterator[None]:
-        """Put the options into PETSc's database during a block."""
+        """Put the options into PETSc's database in a block."""
         opts = PETSc.Options()
         values = self.values
         hidden = {k for k in values if opts.hasName(f"{prefix}{k}")}

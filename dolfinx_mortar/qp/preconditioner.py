@@ -64,7 +64,7 @@ class Renewal:
         return (different if self.direct else self.excess) > self.after
 
     def learn(self, norms: Floats, *, stale: bool) -> None:
-        """Observe the residual norms of a solve with a new or an old set-up."""
+        """Observe the residual norms of a solve."""
         its, reached = max(len(norms) - 1, 0), 0.0
         if its > 0 and norms[0] > 0.0:
             reached = float(np.log(max(norms[-1] / norms[0], TINY)))
@@ -76,20 +76,20 @@ class Renewal:
 
 @dataclass(frozen=True)
 class Change:
-    """The unknowns v of multigrid for one set of fixed unknowns."""
+    """Unknowns v of multigrid for one set of fixed unknowns."""
 
     E: PETSc.Mat | None  # (n, n) x = (I - E) v; None for E = 0
     matrix: PETSc.Mat  # (n, n) of the QP in v, fixed unknowns decoupled; maybe of type python
 
 
 class Unknowns(Protocol):
-    """Unknowns v of multigrid for each set of fixed unknowns of the QP."""
+    """Unknowns v of multigrid for each set of fixed unknowns."""
 
     def change(self, held: Ints) -> Change:
-        """The unknowns v for the present geometry; collective."""
+        """Unknowns for the present geometry; collective."""
 
     def motions(self, change: Change) -> list[PETSc.Vec]:
-        """Near null space in these v, zero where they are decoupled; collective."""
+        """Near null space, zero where decoupled; collective."""
 
 
 class OwnUnknowns:
@@ -109,7 +109,7 @@ class OwnUnknowns:
 
 
 def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
-    """Orthonormal basis of the vectors, which are overwritten; collective."""
+    """Orthonormal basis of vectors, which are overwritten; collective."""
     basis: list[PETSc.Vec] = []
     for vector in vectors:
         whole = vector.norm()
@@ -186,7 +186,6 @@ class Multigrid:
         self.inner.setReusePreconditioner(True)
 
     def _forget_factors(self) -> None:
-        """Free B and the data of products P^T B P; collective."""
         for level in range(self.inner.getMGLevels() - 1):
             product = self.inner.getMGSmoother(level).getOperators()[0]
             call("MatProductClear", ctypes.c_void_p(product.handle))
@@ -197,13 +196,13 @@ class Multigrid:
 
     @property
     def _needs_diagonal(self) -> bool:
-        """Whether cycles read only the diagonal of B: Jacobi smoothers, several levels."""
+        """Whether cycles read only the diagonal of B."""
         levels = self.inner.getMGLevels()
         smoother = self.inner.getMGSmoother(levels - 1)
         return bool(levels > 1 and smoother.getPC().getType() == PETSc.PC.Type.JACOBI)
 
     def _release(self, finest: PETSc.Mat) -> None:
-        """Keep the part of B that cycles read; collective."""
+        """Keep only what cycles read; collective."""
         if self._needs_diagonal:
             assert self.B is not None, "not set up"
             self.B = PETSc.Mat().createDiagonal(self.B.getDiagonal())
@@ -220,7 +219,7 @@ class Multigrid:
         self.B.setDiagonal(change.matrix.getDiagonal())
 
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
-        """Set z = M^-1 r (called by PETSc)."""
+        """Set z = M^-1 r."""
         r.copy(self._r)
         if self.E is not None:
             self.E.multTranspose(r, self._v)
@@ -257,7 +256,6 @@ def interface_unknowns(K: PETSc.Mat, C: PETSc.Mat | None, options: SolverOptions
 
 
 def _few(A: PETSc.Mat, unknowns: Ints, options: SolverOptions) -> Ints | None:
-    """These unknowns if S has at most twice the entries of A."""
     used = options.of_definite("pc_type"), options.of_definite("pc_factor_mat_solver_type")
     if used != ("cholesky", "mumps") or not has("MatFactorSetSchurIS") or A.getType() != "seqaij":
         return None
@@ -280,7 +278,7 @@ class SchurComplement:
         self._K: PETSc.Mat | None = None
 
     def state(self, A: PETSc.Mat) -> int:
-        """Changes with the values of the factorised matrix; -1 if that is old."""
+        """Changes with the values of the factorised matrix."""
         if self.product is None:
             return int(A.stateGet())
         same = self._K is None or np.array_equal(self._decoupled, self._elsewhere())
@@ -315,7 +313,7 @@ class SchurComplement:
         call("MatFactorSetSchurIS", factor, ctypes.c_void_p(last.handle))
 
     def read(self, pc: PETSc.PC) -> None:
-        """Take S from a new factorisation; zeros for its inverse fix G in solves."""
+        """Take S; zeros for its inverse fix G in solves."""
         factor, S = ctypes.c_void_p(pc.getFactorMatrix().handle), ctypes.c_void_p()
         first, inverted = ctypes.POINTER(ctypes.c_double)(), 2  # MAT_FACTOR_SCHUR_INVERTED
         call("MatFactorGetSchurComplement", factor, ctypes.byref(S), None)
@@ -370,13 +368,13 @@ class Preconditioner:
         return f"{name} ({self.pc.getFactorSolverType()})" if self.options.direct else name
 
     def serves(self, apart: Ints | None) -> bool:
-        """Whether it serves where only these unknowns are fixed; None for any."""
+        """Whether it serves where only these unknowns are fixed."""
         if self.schur is None or apart is None:
             return self.schur is None and apart is None
         return np.array_equal(apart, self.schur.unknowns)
 
     def is_of(self, held: Ints) -> bool:
-        """Whether it is that of the present A with these unknowns fixed (collective)."""
+        """Whether it is that of the present A and fixed unknowns (collective)."""
         same = self.held is not None and (self.schur is not None or np.array_equal(self.held, held))
         return self._state == self._present() and self.comm.allreduce(same, op=MPI.LAND)
 
@@ -384,13 +382,13 @@ class Preconditioner:
         return self.operator.state if self.schur is None else self.schur.state(self.operator.A)
 
     def differences(self, held: Ints) -> int | None:
-        """Number of fixed unknowns in which it differs (collective); None if it is not set up."""
+        """Number of fixed unknowns in which it differs, or None (collective)."""
         if self.held is None:
             return None
         return int(self.comm.allreduce(np.setxor1d(self.held, held).size))
 
     def clear(self) -> None:
-        """Free the factorisation or the levels, also of PCs with other references; collective."""
+        """Free it, also in PCs with other references; collective."""
         self.ksp.getPC().reset()
         if self.schur is not None:
             self.schur.destroy()
@@ -398,7 +396,7 @@ class Preconditioner:
             self.multigrid.clear()
 
     def renew(self, held: Ints, counts: LinearCounts) -> str:
-        """Set up again; return cause and remedy of a failure, else "" (collective)."""
+        """Set up again; return the cause of a failure, or "" (collective)."""
         if self.multigrid is not None:
             self.multigrid.clear()  # two at a time need twice the memory
         free_unused(self.comm)
@@ -436,7 +434,7 @@ class Preconditioner:
             self._followed = now, held.copy()
 
     def _factorise(self, counts: LinearCounts) -> None:
-        """Factorise the matrix, with more workspace if MUMPS had too little."""
+        """Factorise, with more workspace if MUMPS had too little."""
         self.pc.setReusePreconditioner(False)
         factorised = self.operator.factorised
         if self.schur is not None:
@@ -466,7 +464,7 @@ class Preconditioner:
 
 
 def mumps_error(pc: PETSc.PC) -> int | None:
-    """INFOG(1) of a factorisation by MUMPS, None for other methods."""
+    """INFOG(1) of MUMPS, or None."""
     direct = pc.getType() in ("cholesky", "lu")
     if not direct or pc.getFactorSolverType() != "mumps":
         return None

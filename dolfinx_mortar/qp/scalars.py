@@ -113,7 +113,7 @@ class Bordered:
 
     @property
     def last(self) -> int:
-        """Number of scalars on this rank: all on the last one."""
+        """Number of scalars on this rank."""
         return len(self.scalars.loads) if self.comm.rank == self.comm.size - 1 else 0
 
     def join(self, w: Floats, q: Floats) -> Floats:
@@ -121,7 +121,7 @@ class Bordered:
         return np.concatenate([w, q[: self.last]])
 
     def at(self, values: Floats) -> tuple[Floats, Floats]:
-        """Return x (n,) and q (m,) of this rank's part of (w, q); collective."""
+        """Return x (n,) and q (m,) of (w, q); collective."""
         n = len(values) - self.last
         q = self.comm.bcast(values[n:], root=self.comm.size - 1)
         return values[:n] + q @ self.scalars.motions, q
@@ -136,7 +136,7 @@ class Bordered:
     # -- the matrix, called by PETSc -------------------------------------------------------------
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with (w, q)."""
+        """Set y."""
         at, q = self.at(x.array_r)
         given, product = self.inner.b.duplicate(), self.inner.b.duplicate()
         given.array[:] = at
@@ -146,7 +146,7 @@ class Bordered:
         y.array[:] = self.join(top, below + self.scalars.block @ q + self.rho * q)
 
     def getDiagonal(self, mat: PETSc.Mat, y: PETSc.Vec) -> None:
-        """Set y to the diagonal of A, and the weights of the scalars."""
+        """Set y, with the weights of the scalars."""
         y.array[:] = self.join(self.inner.diagonal.array_r, self.weights)
 
     # -- the solver, see `held.Solver` -----------------------------------------------------------
@@ -154,7 +154,7 @@ class Bordered:
     exact = False
 
     def round_off(self, x: PETSc.Vec) -> float:
-        """Round-off of A x."""
+        """See `held.Solver`."""
         at = self.inner.b.duplicate()
         at.array[:] = self.at(x.array_r)[0]
         return self.linear.round_off(at)
@@ -169,7 +169,7 @@ class Bordered:
         sliding: Sliding | None = None,
         **others: object,
     ) -> PETSc.Vec:
-        """Solve for free unknowns, in place; see `LinearSolver.solve`; collective."""
+        """See `held.Solver`; collective."""
         at, q = self.at(x.array_r)
         y, right, E = self.inner.b.duplicate(), self.inner.b.duplicate(), self.scalars.motions
         y.array[:] = at
@@ -241,7 +241,7 @@ class Bordered:
         return np.asarray(scale * np.linalg.solve(relative, scale * missing))
 
     def proximal(self) -> Floats:
-        """Proximal coefficients rho (m,) of the last state, zero where it resists; collective."""
+        """Coefficients rho (m,) of the last state, zero where it resists; collective."""
         if self.rho.any():
             return self.rho
         scale = 1.0 / np.sqrt(self.weights)
@@ -250,7 +250,7 @@ class Bordered:
         return self.share * singular * self.weights
 
     def hold(self, q: Floats | None) -> None:
-        """Set the proximal term about q, none for None."""
+        """Set the proximal term about q, or none."""
         self.rho = 0.0 * self.rho if q is None else self.proximal()
         self.centre = 0.0 * self.rho if q is None else q.copy()
         self.qp.b.array[self.inner.b.getLocalSize() :] = self._loads()[: self.last]
@@ -260,7 +260,7 @@ class Bordered:
         return bool((np.abs(self.rho * (q - self.centre)) <= self.scalars.noise).all())
 
     def force_of_term(self, q: Floats) -> Floats:
-        """Forces of the proximal term (m,), relative to the weights."""
+        """Forces of the proximal term (m,) over the weights."""
         return np.asarray(np.abs(self.rho * (q - self.centre)) / np.sqrt(self.weights))
 
 

@@ -162,7 +162,7 @@ def _solve(
     max_it: int,
     how: tuple[float | None, float],
 ) -> Gained | None:
-    """Solve a step from the prediction of the last one; if that fails, without; collective."""
+    """Solve a step from the prediction of the last one, or else without."""
     level, overlap = how
     for predictor in (None if problem.in_time else predict, None):
         data = problem.begin_step(level, predictor)
@@ -225,7 +225,6 @@ class _Step:
         raise failures.StepFailed(f"Newton did not converge in max_it={max_it} iterations")
 
     def renewed(self, old: Iterate) -> Iterate:
-        """An iterate in the T of the present geometry; collective."""
         balance = self.balance(old.contacts)
         start = old.contacts.active[balance.nodes].astype(np.int8)
         return replace(old, balance=balance, start=start)
@@ -300,7 +299,7 @@ class _Step:
         return iterate, residual
 
     def factorise(self, residuals: list[Residuals]) -> bool:
-        """Factorise for the rest of the step, near an equilibrium, perhaps a saddle; collective."""
+        """Factorise for the rest of the step, near a saddle; collective."""
         near = self.qps.finite and bool(residuals) and residuals[-1].forces < STABLE
         given_up = self.qps.solver.description
         other = self.qps.solver.factorising() if near else None
@@ -385,7 +384,7 @@ class _Step:
     def gap_error(
         self, found: Solution, length: float, balance: Balance, contacts: Contacts
     ) -> float:
-        """Error of predicted gaps of closed contacts, in facet lengths; collective."""
+        """Error of predicted gaps, in facet lengths; collective."""
         if not (self.qps.moving or self.qps.driven):
             return 0.0
         bounds, gaps = found.lin.balance.bounds, np.full(self.problem.n, np.nan)
@@ -396,7 +395,7 @@ class _Step:
         return largest / self.problem.system.facet_length
 
     def first_forces(self, lin: Linearisation) -> float:
-        """Size of the forces of the first QP, with prescribed increments; collective."""
+        """Size of the forces of the first QP; collective."""
         lifted = self.problem.vector(self.data.asked)
         lifted.pointwiseMult(lifted, lin.diagonal)
         return float(max(lin.qp.b.norm(), lifted.norm()))

@@ -40,7 +40,7 @@ CONSERVING, DAMPED = "energy-conserving", "generalised-alpha"
 
 @dataclass
 class TimeSolves(Solves):
-    """Solution of steps in time, with a ledger that the first step creates."""
+    """Solution of steps in time, with a ledger."""
 
     conserve: bool = True
     radius: float | None = None  # of "generalised-alpha"

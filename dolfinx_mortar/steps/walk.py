@@ -57,7 +57,7 @@ class Level:
         )
 
     def cuts(self, reached: Level) -> int:
-        """Number of halvings of the step, for the part from the level reached."""
+        """Number of halvings for the part from the level reached."""
         return round(-math.log2(self.share - reached.share))
 
 
@@ -77,7 +77,7 @@ class Loading:
         return bool(self.ramps) or self.on_time is not None
 
     def set(self, problem: ContactProblem, level: float) -> None:
-        """Set the loads of a level, with errors on all ranks; collective."""
+        """Set the loads of a level; collective."""
         for ramp in self.ramps:
             ramp.set(level)
         if self.on_time is not None:
@@ -93,7 +93,7 @@ class Loading:
 
 @dataclass
 class Solves:
-    """Solution of the steps of a run, by factorisations after multigrid has failed."""
+    """Solution of the steps of a run."""
 
     problem: ContactProblem
     qp: str
@@ -112,11 +112,11 @@ class Solves:
         self.problem.commit()
 
     def settings(self) -> dict[str, Any]:
-        """Settings that change results, by the name of the argument, as JSON values."""
+        """Settings that change results, as JSON values."""
         return {}
 
     def may_cut(self, loading: Loading) -> bool:
-        """Whether a part of a step is another problem than the whole step."""
+        """Whether a part is another problem than the step."""
         return loading.changes
 
     def to(self, level: Level) -> StepReport:
