@@ -89,10 +89,8 @@ class ContextOf:
 class _Decoupled(ABC):
     """An operator without a matrix, decoupled at some unknowns.
 
-    Attributes:
-        decoupled: owned unknowns.
-        diagonal: (n,) before decoupling, possibly approximate.
-        scale: diagonal entry at decoupled unknowns, the mean of the diagonal.
+    `scale` is the diagonal entry at decoupled unknowns, the mean of the `diagonal` (n,), which may
+    be approximate.
     """
 
     def __init__(self, like: PETSc.Mat) -> None:

@@ -134,8 +134,8 @@ class Triplets:
         columns: (t,) global.
 
     Attributes:
-        rows: (e,) owned local row of each entry; ascending.
-        columns: (e,) global columns, ascending within a row.
+        rows: (e,) owned local rows of the entries, ascending.
+        columns: (e,) global, ascending within a row.
     """
 
     rows: Ints
@@ -188,13 +188,9 @@ class Triplets:
 
 
 class BlockMatrix:
-    """Matrix of d x d blocks on a fixed pattern; collective.
+    """Matrix of d x d blocks (p,) at owned local rows and global columns (p,); collective.
 
-    Args:
-        layout: of the nodes.
-        d: size of a block.
-        rows: (p,) owned local node of each block.
-        columns: (p,) global nodes; repeated blocks are added.
+    Repeated blocks are added.
     """
 
     def __init__(

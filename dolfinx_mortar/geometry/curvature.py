@@ -43,7 +43,7 @@ class NodeNormals:
     """Normals of a smooth surface at nodes."""
 
     n: Floats  # (n, d) unit, or zero
-    open: Bools  # (n,) facets do not surround the node: the normal may be one-sided
+    open: Bools  # (n,) not surrounded: the normal may be one-sided
     sharp: Bools  # (n,) on an edge: no normal
     jumps: Bools | None = None  # (n,) the curvature jumps: the normal is one-sided
 

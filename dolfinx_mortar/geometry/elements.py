@@ -30,15 +30,15 @@ class FacetElement:
     points: Floats  # (k, d-1) nodes on the reference facet
     shape_functions: Functions  # N (q, k)
     derivatives: Functions  # dN_i / dxi_a (q, k, d-1)
-    vertex_functions: Functions  # N (q, k') of the vertices, first order
+    vertex_functions: Functions  # N (q, k') of first order
     bilinear: bool  # map of the vertices, else affine
     rule: tuple[Floats, Floats]  # points (q, d-1) and weights (q,), sum 1
     vertices: tuple[int, ...]
-    sub_facets: tuple[tuple[int, ...], ...]  # nodes of the parts that are clipped in 3D
-    order: tuple[int, ...]  # node i of the cyclic order is dolfinx's order[i]
-    mirrored: tuple[int, ...]  # nodes in the opposite cyclic order
-    part: FacetElement | None = None  # type of the parts; None if undivided
-    # mid-side nodes and the ends of their edges: mortar.duals.absorbed
+    sub_facets: tuple[tuple[int, ...], ...]  # of the parts clipped in 3D
+    order: tuple[int, ...]  # node i is dolfinx's order[i]
+    mirrored: tuple[int, ...]  # opposite cyclic order
+    part: FacetElement | None = None  # of the parts; None if undivided
+    # mid-side nodes and the ends of their edges
     shares: tuple[tuple[int, int, int], ...] = ()
 
     @property
@@ -131,7 +131,7 @@ def _quadratic_triangle_derivatives(xi: Floats) -> Floats:
     return np.concatenate([(4 * L - 1) * dL, 4 * (L * d_beside + beside * dL)], axis=1)
 
 
-# functions of the interval (ends, middle) for each node of the square: vertices, edges, centre
+# functions of the interval for each node of the square
 _R, _S = [0, 1, 1, 0, 2, 1, 2, 0, 2], [0, 0, 1, 1, 0, 2, 1, 2, 2]
 
 

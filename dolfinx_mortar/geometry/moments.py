@@ -41,9 +41,9 @@ class Sums(NamedTuple):
 
     values: Floats  # (p, k, k + m + 1) S, R and H
     changes: Floats  # (p, z, k, k + m + 1) derivatives
-    E_s: Floats  # (c, k, k, k) dH_j by Q_ab of slave heights; (0, ..) if not needed
+    E_s: Floats  # (c, k, k, k) dH_j by Q_ab of slave heights; (0, ..) unused
     E_m: Floats  # (c, k, l, l) of master heights
-    chords: Floats  # (c, k, 2) dH_j by log lengths of both chords; (0, ..) without arcs
+    chords: Floats  # (c, k, 2) dH_j by log lengths of chords; (0, ..) unused
 
     def add_heights(self, points: "Points", pairs: Ints) -> None:
         """Add the derivatives of H by heights, at the points of pairs (s,)."""
@@ -68,10 +68,10 @@ class Points(NamedTuple):
     U: Floats  # (s, q, d-1, d) of the master
     apart: Floats  # (s, q, d) x_m - x_s
     weight: Floats  # (s, q)
-    by_xi: Floats  # (s, q, 2 d-2) d log weight by xi of both facets
-    by_nodes: Floats  # (s, q, k + l, d) by the nodes at fixed xi
+    by_xi: Floats  # (s, q, 2 d-2) d log weight by both xi
+    by_nodes: Floats  # (s, q, k + l, d) at fixed xi
     own: tuple[Floats, Floats]  # N of both facets
-    by_chords: list[Floats]  # (s, q) dh by log lengths of chords
+    by_chords: list[Floats]  # (s, q)
 
     def differentiate(self, by_s: Floats, by_m: Floats, by_w: Floats) -> tuple[Floats, Floats]:
         """Moments (s, k, k + l + 1), and their derivatives (s, z, k, k + l + 1).

@@ -186,9 +186,9 @@ class Segments:
     xi_s: Floats  # (q, d-1)
     xi_m: Floats  # (q, d-1) of the projected point
     weight: Floats  # (q,) positive
-    facet_weights: Floats  # (ms, k) integral of N_j over each whole slave facet
+    facet_weights: Floats  # (ms, k) int N_j over whole facets
     element: FacetElement  # of the slave facets
-    reach: Floats | None = None  # (ms, 2) gap above which weights fall, and slope; or None
+    reach: Floats | None = None  # (ms, 2) gap above which weights fall, and slope
 
     @cached_property
     def N(self) -> Floats:

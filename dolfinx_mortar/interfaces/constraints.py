@@ -94,8 +94,7 @@ def join(parts: Sequence[Constraints]) -> Constraints:
     return Constraints(dofs.astype(np.int32), lower, upper, weight)
 
 
-# Elastic slip at nodes with prescribed slip, in facets: the stiffness mu p / ROOM over the facet
-# must be below E for the friction of the last iterate to converge.
+# In facets: the stiffness mu p / ROOM must be below E for friction of the last iterate to converge.
 ROOM = 0.05
 
 

@@ -37,7 +37,7 @@ class Partners:
     """P of a contact and its distances at the start of a step; in space see `carrying`."""
 
     P: PETSc.Mat  # (nodes, nodes) between nodes, scalar
-    known: Bools  # (n,) slave nodes that face the master
+    known: Bools  # (n,) that face the master
     normals: Floats  # (n, d) unit normals at the start
     apart: Floats  # (n,) n.(x_j - P x)
     along: Floats  # (n, d) tangential part of x_j - P x, in the plane
@@ -111,7 +111,7 @@ class ToolPartners(Partners):
     """Partners on a tool, with P = 0."""
 
     at: Floats  # (n, d) positions at the last commit, X if frozen
-    place: Floats  # (n, d) nearest points, in the tool's initial position
+    place: Floats  # (n, d) nearest, in the tool's initial position
     into: Floats  # (n, d) normals there, into the tool
     tool: Tool
     began: Pose

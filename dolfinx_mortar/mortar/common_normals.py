@@ -157,7 +157,7 @@ class CommonNormals:
 
     n: Floats  # (n, d)
     of_master: Floats  # (m, d) n_l at the owned master nodes
-    below_edges: Bools  # (n,) coupled to an edge of the master, not on an edge
+    below_edges: Bools  # (n,) coupled to an edge of the master, not on one
     differentiate: Callable[[], tuple[Floats, Floats]]  # -> by_slave, by_master
 
     @cached_property

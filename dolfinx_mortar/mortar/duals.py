@@ -199,7 +199,7 @@ class Duals:
 
     Phi: Floats  # (q, k) at the points
     kept: Bools  # (m, k) nodes with a multiplier
-    inverse: Floats  # (m, k, k) m^-1, 0 for other nodes, and where it is inaccurate
+    inverse: Floats  # (m, k, k) m^-1, 0 for others, and where inaccurate
 
     def of(self, facets: Longs) -> "Duals":
         """Data of some facets."""
@@ -244,10 +244,10 @@ def node_weights(
 class Coverage:
     """Coverage of the owned slave nodes by the master."""
 
-    share: Floats  # (n,) covered share of the tributary weight
+    share: Floats  # (n,) of the tributary weight
     reached: Bools  # (n,) on a partly covered facet
     weightless: Bools  # (n,) without tributary weight: no multiplier
-    near: Bools | None = None  # (n,) of a tool: within its reach; None for all
+    near: Bools | None = None  # (n,) within reach of a tool
 
     @property
     def faces(self) -> Bools:

@@ -114,7 +114,7 @@ def _least_gaps(
 
 
 def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
-    """Distances (p,); inf where a facet sees a flank past the edge of a body.
+    """Distances (p,) of pairs, inf for a flank seen past the edge of a body.
 
     Facets that cross at less than 45 degrees touch, as on fitting curved sides.
     """

@@ -132,8 +132,8 @@ def find_segments(pairing: Pairing, u: dolfinx.fem.Function | None) -> tuple[Seg
 def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Facets) -> Segments:
     """Reduce the weights of segments far behind the nearest one (collective).
 
-    See theory.md, Edges and corners; 8 and 3/2: the contact of rolling discs and sliding
-    cantilevers is unchanged.
+    See theory.md, Edges and corners: 8 and 3/2 leave rolling discs and sliding cantilevers
+    unchanged.
     """
     slave, on, w = pairing.slave, segments.slave, segments.weight
     count, N = len(facets.x), (segments.N, pairing.master.element.shape_functions(segments.xi_m))

@@ -49,10 +49,10 @@ class MortarOperators:
     D: Floats  # (e, c) entries; 0 in rows without multiplier
     M: Floats  # (f, c) entries
     weight: Floats  # (n, c) D_jj, 0 where not kept
-    P: Floats  # (g, c) D_jj^-1 (M - D_other), D_other off-diagonal
+    P: Floats  # (g, c) D_jj^-1 (M - D_other)
     heights: Floats  # (n,) of smooth surfaces, subtracted from gaps
     coverage: Coverage
-    motions: Floats | None = None  # (f, d, d) D_jj^-1 int Phi_j A_l, see `point_motions`
+    motions: Floats | None = None  # (f, d, d) D_jj^-1 int Phi_j A_l
 
 
 def create_operators(

@@ -63,20 +63,20 @@ class Pairing:
     slave: Surface
     master: Surface
     pairs: Ints  # (p, 2) own slave facet, received master facet; ordered
-    master_nodes: Longs  # (nm,) global nodes of received facets
+    master_nodes: Longs  # (nm,) global
     master_facets: Ints  # (mm, k) indices into these
     master_X: Floats  # (nm, d)
-    deepest: Floats  # (p,) largest depth of a master facet, or inf
+    deepest: Floats  # (p,) largest depth of a master, or inf
     sent: Bools  # (own master facets, ranks)
     groups: list[Ints]  # groups of neighbouring slave facets
-    scatter: PETSc.Scatter  # from a vector of V to displacements of master_nodes
-    source: PETSc.Vec  # a vector of V: source of the scatter
+    scatter: PETSc.Scatter  # from V to displacements of master_nodes
+    source: PETSc.Vec  # in V
     received: PETSc.Vec  # (d * nm) on this rank: target
-    D: Triplets  # int Phi_j N_l^s of all slave facets with candidates
-    M: Triplets  # int Phi_j N_l^m of all candidate pairs
-    row: Ints  # (e,) owned slave node of each entry of P
-    column: Longs  # (e,) its global node
-    off_diagonal: Ints  # positions in D of those of P
+    D: Triplets  # int Phi_j N_l^s
+    M: Triplets  # int Phi_j N_l^m
+    row: Ints  # (e,) owned slave node
+    column: Longs  # (e,) global node
+    off_diagonal: Ints  # in D
     diagonal: tuple[Ints, Ints]  # positions of D_jj in D, and nodes j
     weight: Weight | None = None  # of all integrals over the slave side; None for 1
     roles: Roles | None = None  # of a surface in self-contact

@@ -61,8 +61,8 @@ class SeenByTool:
     """Motion of points relative to a rigid tool."""
 
     at: Callable[[float, Floats], Floats]  # time in (0, 1), points (.., d) -> tool's frame
-    turn: Floats  # (1,) or (3,) rotation of the tool in the step, radians
-    distance: Callable[[Floats], Floats]  # (n,) from the tool of such points, negative inside
+    turn: Floats  # (1,) or (3,) rotation in the step, radians
+    distance: Callable[[Floats], Floats]  # (n,) of such points, negative inside
     point: Floats  # (d,) of the tool
 
     def turns_round(self, body: RigidMotion) -> bool:
@@ -173,9 +173,10 @@ def find_passed_tool(
 ) -> Passing | None:
     """Whether a body and a rigid tool have passed through each other; collective.
 
-    Either middles of the body have entered the tool, or the tool's point, deeper in it than the
-    facet is long or its middle deep, has passed a facet; if less deep, by the difference farther,
-    since chords lie behind a tip. Parts shorter than `QUARTER_OF_DIGITS` of the depth are missed.
+    Either middles of the body have entered the tool, or the tool's point has passed a facet moved
+    inward to the depth of its middle (at most its size) less the point's depth in the tool, as
+    chords lie behind a tip. Parts of paths shorter than `QUARTER_OF_DIGITS` of the depth are
+    missed.
     """
     comm, own = side.surface.V.mesh.comm, side.surface
     x = [coordinates(own, u) for u in (before, now)]

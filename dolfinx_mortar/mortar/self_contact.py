@@ -30,7 +30,7 @@ class Roles:
     copies: Bools  # (mm,) received ones that are slaves
     nodes: tuple[Longs, Longs]  # (ms, k), (mm, k) global nodes
     deepest: tuple[Floats, Floats]  # (ms,), (mm,)
-    seen: Longs  # (q,) near pairs: own facet * mm + received one, ascending
+    seen: Longs  # (q,) near pairs: own facet * mm + received one
     distance: Floats  # (q,) of these
 
 
@@ -150,9 +150,9 @@ def divide(
 
 
 def has_changed(roles: Roles, facets: Facets, copies: Facets, pairs: Ints) -> bool:
-    """Whether facets of this rank are near others of the same role.
+    """Whether pairs within half of the reach are new, or of equal roles and at half their distance.
 
-    Within half of the reach, if half as far as when the roles were chosen.
+    On this rank; the distance when the roles were chosen.
     """
     limit = np.minimum(roles.deepest[0][pairs[:, 0]], roles.deepest[1][pairs[:, 1]])
     nodes = roles.nodes

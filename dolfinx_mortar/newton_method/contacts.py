@@ -32,7 +32,7 @@ class Contacts:
     multipliers: Floats  # (owned nodes,) lambda_j, 0 if inactive
     # with friction: tangential reactions over D_jj
     tangential: Floats | None = None  # (owned nodes, d)
-    # (owned nodes, d) directions of slip, 0 elsewhere; in prescribed directions `SlipLimits.shares`
+    # (owned nodes, d) directions of slip or 0; `SlipLimits.shares` in prescribed directions
     sliding: Floats | None = None
 
     def reactions(self, balance: Balance) -> Floats:
@@ -172,9 +172,8 @@ def _on_both_sides(problem: ContactProblem, tractions: Callable[[Link], Floats])
 
 # Error of a QP relative to the residual expected next (Eisenstat and Walker 1996).
 FORCING = {"direct": 1e-3, "iterative": 1e-1}
-# Share of the step's tolerance for a QP. The first QP of a nonlinear step, and each after an
-# iteration without progress, are one digit more accurate: small missing forces are large plastic
-# motions.
+# Share of the step's tolerance for a QP; the first one, and those after no progress, get a digit
+# more, as small missing forces are large plastic motions.
 DIGIT = 0.1
 
 

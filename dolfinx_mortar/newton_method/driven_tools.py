@@ -73,11 +73,11 @@ class Drives:
     motions: Floats  # e, of the owned unknowns of y
     loads: Floats  # (m,) F
     reach: Floats  # (m,) largest motion of a slave node by each
-    held: Ints  # (k,) owned unknowns of y that follow rigid sides and bolts
+    held: Ints  # (k,) owned unknowns that follow
     follows: Bools  # motions of rigid sides and bolts
     sides: Bools  # motions of rigid sides
-    moved: Callable[[Floats], Floats]  # q (m,) -> e (m, n) there, to first order
-    curve: Callable[[Floats], Floats]  # q (m,) -> rotations of sides minus e.q (n,)
+    moved: Callable[[Floats], Floats]  # q (m,) -> e (m, n), to first order
+    curve: Callable[[Floats], Floats]  # q (m,) -> rotations minus e.q (n,)
     product: Callable[[PETSc.Vec], PETSc.Vec]  # y -> K^ y; collective
     comm: MPI.Comm
 
@@ -95,7 +95,7 @@ class Drives:
         sums = np.stack([parts.sum(axis=1), np.abs(parts).sum(axis=1)])
         total, size = self.comm.allreduce(sums, op=MPI.SUM)
         size = np.maximum(size, np.abs(self.loads))
-        if (on := self.sides).any():  # each of its forces is as accurate as the largest
+        if (on := self.sides).any():  # each force is as accurate as the largest
             arms = np.maximum(self.arms(), TINY)
             size[on] = (size[on] / arms[on]).max() * arms[on]
         return self.loads + total, size

@@ -33,7 +33,7 @@ from dolfinx_mortar.arrays import EPS, ROUND_OFF, TINY, Actives, Bools, Floats, 
 class Friction:
     """Friction at this rank's m nodes, with at most t tangential unknowns."""
 
-    normal: Ints  # (m,) position of x_n in `BoundQP.bounded`
+    normal: Ints  # (m,) of x_n in `BoundQP.bounded`
     tangential: Ints  # (m, t) unknowns, -1 for none
     rest: Floats  # (m, t) x_t without slip, 0 for none
     coefficient: Floats  # (m,) mu >= 0
@@ -165,7 +165,7 @@ class Sliders:
 class Scalars:
     """Scalar unknowns q (m,), lengths, see `qp.scalars`."""
 
-    motions: Floats  # (m, n) e: bounds and rests of slips hold for x - e.q
+    motions: Floats  # (m, n) e: bounds and rests hold for x - e.q
     loads: Floats  # (m,) F
     columns: Floats  # (m, n) C = -d(b - A x)/dq
     rows: Floats  # (m, n) R
@@ -195,12 +195,11 @@ class BoundQP:
     upper: PETSc.Vec  # (n,) PETSC_INFINITY for none
     bounded: Ints  # (k,) owned local unknowns with a finite bound
     friction: Friction | None = None  # on all ranks or on none
-    # Whether A is symmetric, and positive definite on unknowns without bounds: required by
-    # Cholesky, conjugate gradients, S and the interior point.
+    # Whether A is symmetric, and positive definite on unknowns without bounds.
     definite: bool = True
-    product: CongruentOperator | None = None  # A as an operator, factorised without being formed
-    near: PETSc.Mat | None = None  # definite matrix whose multigrid preconditions A
-    extent: float = 0.0  # size of the coordinates whose differences are the bounds
+    product: CongruentOperator | None = None  # A, factorised without being formed
+    near: PETSc.Mat | None = None  # its multigrid preconditions A
+    extent: float = 0.0  # size of coordinates, whose differences are the bounds
     scalars: Scalars | None = None  # on all ranks or on none
     taken: float = 0.0  # norm of the part of b due to scalars
 
@@ -296,8 +295,8 @@ class KKT:
     complementarity: float  # largest min(|reaction|, distance to its bound)
     force_floor: float
     length_floor: float
-    unsolved: float = 0.0  # |z| over free unknowns, as a force
-    friction: float = 0.0  # error of the tangential reactions in the law of friction
+    unsolved: float = 0.0  # |z| over free unknowns, a force
+    friction: float = 0.0  # error in the law of friction
 
     def satisfied(self, rtol: float) -> bool:
         """Whether every residual is below rtol or its round-off."""
@@ -446,7 +445,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
         free[qp.friction.tangential[qp.friction.some]] = False
     over, under = np.maximum(xb - upper, 0.0), np.maximum(lower - xb, 0.0)
     pull = np.where(active == 0, 0.0, np.maximum(-active * zb, 0.0))
-    # the sign of a reaction tells its bound; infinite ones are in stationarity
+    # infinite bounds are in stationarity
     side = np.where(zb > 0.0, upper, lower)
     distance = np.abs(np.where(np.isfinite(side), side, xb) - xb)
     bound = np.maximum(np.where(over > 0, np.abs(upper), 0), np.where(under > 0, np.abs(lower), 0))
@@ -454,7 +453,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     nearest = np.minimum(np.abs(lower), np.abs(upper)).min(initial=np.inf)
     tops = [a.max(initial=0.0) for a in largest] + [-nearest]
     x_top, bound_top, gap_top, pull_top, nearest = maximum(qp.comm, *tops)
-    # without forces, x is round-off of the nearest bounds
+    # without forces, x is round-off of bounds
     moved = np.abs(x.array_r)
     if np.isfinite(nearest):
         moved[qp.bounded] = np.maximum(moved[qp.bounded], -nearest)
@@ -464,7 +463,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     b2, zb2, free2, off2, wrong2, zt2 = np.sqrt(squares)
     force, length = b2 + np.hypot(zb2, zt2), max(x_top, bound_top)
     off2 = off2 + qp.taken
-    # One of both vanishes; their product would mix distant bounds with round-off in z.
+    # a product would mix distant bounds with round-off in z
     forces = np.abs(zb) / force if force > 0.0 else np.zeros_like(zb)
     both = np.minimum(forces, distance / max(length, TINY))
     both_top = maximum(qp.comm, both.max(initial=0.0))[0]

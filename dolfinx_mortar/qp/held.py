@@ -31,7 +31,7 @@ from dolfinx_mortar.qp.bound_qp import (
 )
 
 LOOSE, TIGHT = 0, 2
-# Tolerance of solves relative to that of the check, whose scale may decrease meanwhile.
+# Tolerance relative to that of the check, whose scale may decrease meanwhile.
 SHARE = 0.5
 
 
@@ -106,7 +106,7 @@ class Found:
     """Result of a solve with a set."""
 
     predicted: Any  # the next set
-    changes: int  # unknowns on all ranks that differ, without weakly active ones
+    changes: int  # unknowns of all ranks, without weakly active ones
     satisfied: bool  # accurate enough for the last solve
 
 
@@ -250,7 +250,7 @@ class HeldProblem:
         if self.reactions is None:
             self.reactions = max(self.guessed, self.z.norm())
         reached = asked = self._tolerance(level)
-        for _ in range(LIMIT):  # until the tolerance holds with the reactions of the solution
+        for _ in range(LIMIT):  # with the reactions of the solution
             solved = self.linear.solve(
                 qp.b, self.x, held, atol=SHARE * asked, z=self.z, sliding=sliding
             )

@@ -36,10 +36,10 @@ from dolfinx_mortar.qp.preconditioner import (
 
 log = logging.getLogger(__name__)
 
-# Largest order in 3D whose factorisation may replace multigrid: about 4 GiB.
+# Largest order in 3D that may be factorised instead of multigrid: about 4 GiB.
 MOST_FACTORISED = 200_000
 
-# PETSc 3.22 crashes at a third factorisation while another one exists.
+# PETSc 3.22 crashes at its third factorisation beside another.
 ALONE = "superlu_dist"
 
 
@@ -107,7 +107,7 @@ class LinearSolver:
         self._setups: dict[bool, MatrixSetup] = {}  # by whether the matrix is definite
         self._kind = True  # of the present matrix
         self._order = 0  # of the last matrix, 0 before any
-        self.beyond = 0  # negative eigenvalues of the last condensed matrix
+        self.beyond = 0  # negative eigenvalues of the condensed matrix
 
     @property
     def _setup(self) -> MatrixSetup | None:
@@ -181,7 +181,7 @@ class LinearSolver:
             if A.handle == before.A.handle and self.setup.preconditioner.serves(apart):
                 self._describe()
                 return
-        self._drop(definite)  # no matrix is set if an option raises an error
+        self._drop(definite)
         if self.direct and self.options["pc_factor_mat_solver_type"] == ALONE:
             self._drop(not definite)
         ksp = PETSc.KSP().create(self._comm)

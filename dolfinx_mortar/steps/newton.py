@@ -57,8 +57,8 @@ log = logging.getLogger(__name__)
 
 FAILED = failures.StepFailed, backends.QPNotSolved, backends.UnusableQP
 
-# The fixed point is slow if at the rate of its updates it needs more than FEW iterations, and an
-# update changes the contact forces by SHARE of the residual.
+# The fixed point is slow if it needs more than FEW iterations, and an update changes the contact
+# forces by SHARE of the residual.
 FEW = 5
 SHARE = 0.5
 
