@@ -30,14 +30,14 @@ class FacetElement:
     points: Floats  # (k, d-1) nodes on the reference facet
     shape_functions: Functions  # N (q, k)
     derivatives: Functions  # dN_i / dxi_a (q, k, d-1)
-    vertex_functions: Functions  # N (q, k') of first order
+    vertex_functions: Functions  # N (q, k') of the vertices, first order
     bilinear: bool  # map of the vertices, else affine
     rule: tuple[Floats, Floats]  # points (q, d-1) and weights (q,), sum 1
     vertices: tuple[int, ...]
-    sub_facets: tuple[tuple[int, ...], ...]  # of the parts clipped in 3D
-    order: tuple[int, ...]  # node i is dolfinx's order[i]
-    mirrored: tuple[int, ...]  # opposite cyclic order
-    part: FacetElement | None = None  # of the parts; None if undivided
+    sub_facets: tuple[tuple[int, ...], ...]  # nodes of the parts that are clipped in 3D
+    order: tuple[int, ...]  # node i of the cyclic order is dolfinx's order[i]
+    mirrored: tuple[int, ...]  # nodes in the opposite cyclic order
+    part: FacetElement | None = None  # type of the parts; None if undivided
     # mid-side nodes and the ends of their edges
     shares: tuple[tuple[int, int, int], ...] = ()
 

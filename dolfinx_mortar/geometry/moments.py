@@ -71,7 +71,7 @@ class Points(NamedTuple):
     by_xi: Floats  # (s, q, 2 d-2) d log weight by both xi
     by_nodes: Floats  # (s, q, k + l, d) at fixed xi
     own: tuple[Floats, Floats]  # N of both facets
-    by_chords: list[Floats]  # (s, q)
+    by_chords: list[Floats]  # (s, q) dh by log lengths of chords
 
     def differentiate(self, by_s: Floats, by_m: Floats, by_w: Floats) -> tuple[Floats, Floats]:
         """Moments (s, k, k + l + 1), and their derivatives (s, z, k, k + l + 1).

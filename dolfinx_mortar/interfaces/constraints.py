@@ -94,7 +94,8 @@ def join(parts: Sequence[Constraints]) -> Constraints:
     return Constraints(dofs.astype(np.int32), lower, upper, weight)
 
 
-# In facets: the stiffness mu p / ROOM must be below E for friction of the last iterate to converge.
+# Elastic slip at prescribed slips, in facets: the stiffness mu p / ROOM must be below E for the
+# friction of the last iterate to converge.
 ROOM = 0.05
 
 

@@ -49,7 +49,7 @@ class Sides:
     on_master: Bools  # (local nodes,)
     fixed: Bools  # (local nodes, d) directions with Dirichlet data
     mirrors: Bools  # (local nodes, d) components across planes of symmetry
-    dependent: Bools  # (n,) owned slave nodes
+    dependent: Bools  # (n,) owned slave nodes that depend on others
     unilateral: bool
     weight: Weight | None = None  # of all integrals; None for 1
     spreads: Spreads | None = None  # of contacts between two sides
@@ -106,7 +106,7 @@ class Coupling:
     directions: Bools  # (n, d) constrained directions
     kept: Bools  # (n, c) nodes with a multiplier
     weight: Floats  # (n, c) D_jj, 0 without multiplier
-    normals: Floats  # (n, d) outward, or 0
+    normals: Floats  # (n, d) outward; 0 if all directions are prescribed
     heights: Floats  # (n,) reduction of the gap n.(P x - x_j)
     coverage: Coverage
     operators: MortarOperators | None = None

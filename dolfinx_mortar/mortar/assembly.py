@@ -45,17 +45,17 @@ class Segments:
     ranks. A side has k functions in a cell; a vector space has d dofs for each.
     """
 
-    x: Floats  # (n, d) on the slave side at X + u
-    weight: Floats  # (n,) of the area (2D: length) at X + u
+    x: Floats  # (n, d) points of the slave side at X + u
+    weight: Floats  # (n,) of the slave side's area (2D: length) at X + u, positive
     normal: Floats  # (n, d) outward unit normals at X + u
     gap: Floats  # (n,) from x to the master along the normal; < 0: overlap
     slave_cells: Longs  # (n,) global
     master_cells: Longs  # (n,) global, perhaps of other ranks
-    xi_slave: Floats  # (n, d) in the cells
+    xi_slave: Floats  # (n, d) in the reference cells
     xi_master: Floats  # (n, d)
-    slave_dofs: Longs  # (n, k) global; (n, k, d) of a vector space
+    slave_dofs: Longs  # (n, k) global dofs; (n, k, d) of a vector space
     master_dofs: Longs  # (n, k) or (n, k, d), perhaps of other ranks
-    slave_values: Floats  # (n, k)
+    slave_values: Floats  # (n, k) values of the functions
     master_values: Floats  # (n, k)
     slave_gradients: Floats  # (n, k, d) by positions X + u
     master_gradients: Floats  # (n, k, d)

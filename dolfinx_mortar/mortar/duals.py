@@ -244,10 +244,10 @@ def node_weights(
 class Coverage:
     """Coverage of the owned slave nodes by the master."""
 
-    share: Floats  # (n,) of the tributary weight
+    share: Floats  # (n,) covered share of the tributary weight
     reached: Bools  # (n,) on a partly covered facet
     weightless: Bools  # (n,) without tributary weight: no multiplier
-    near: Bools | None = None  # (n,) within reach of a tool
+    near: Bools | None = None  # (n,) of a tool: within its reach
 
     @property
     def faces(self) -> Bools:

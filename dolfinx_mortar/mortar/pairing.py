@@ -69,14 +69,14 @@ class Pairing:
     deepest: Floats  # (p,) largest depth of a master, or inf
     sent: Bools  # (own master facets, ranks)
     groups: list[Ints]  # groups of neighbouring slave facets
-    scatter: PETSc.Scatter  # from V to displacements of master_nodes
-    source: PETSc.Vec  # in V
+    scatter: PETSc.Scatter  # from a vector of V to displacements of master_nodes
+    source: PETSc.Vec  # of V: source
     received: PETSc.Vec  # (d * nm) on this rank: target
     D: Triplets  # int Phi_j N_l^s
     M: Triplets  # int Phi_j N_l^m
     row: Ints  # (e,) owned slave node
     column: Longs  # (e,) global node
-    off_diagonal: Ints  # in D
+    off_diagonal: Ints  # positions in D of those of P
     diagonal: tuple[Ints, Ints]  # positions of D_jj in D, and nodes j
     weight: Weight | None = None  # of all integrals over the slave side; None for 1
     roles: Roles | None = None  # of a surface in self-contact

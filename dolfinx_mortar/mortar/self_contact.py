@@ -152,7 +152,7 @@ def divide(
 def has_changed(roles: Roles, facets: Facets, copies: Facets, pairs: Ints) -> bool:
     """Whether pairs within half of the reach are new, or of equal roles and at half their distance.
 
-    On this rank; the distance when the roles were chosen.
+    On this rank, since the roles were chosen.
     """
     limit = np.minimum(roles.deepest[0][pairs[:, 0]], roles.deepest[1][pairs[:, 1]])
     nodes = roles.nodes

@@ -73,7 +73,7 @@ class Drives:
     motions: Floats  # e, of the owned unknowns of y
     loads: Floats  # (m,) F
     reach: Floats  # (m,) largest motion of a slave node by each
-    held: Ints  # (k,) owned unknowns that follow
+    held: Ints  # (k,) owned unknowns of y that follow rigid sides and bolts
     follows: Bools  # motions of rigid sides and bolts
     sides: Bools  # motions of rigid sides
     moved: Callable[[Floats], Floats]  # q (m,) -> e (m, n), to first order

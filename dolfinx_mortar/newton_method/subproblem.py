@@ -42,9 +42,9 @@ from dolfinx_mortar.terms.sum import Energy
 
 # Relative residual of forces below which an indefinite tangent is used unshifted.
 STABLE = 1e-2
-# Of the elastic stiffness: a column needs about the strain times (length / thickness)^2.
+# Multiples of the elastic stiffness added to an indefinite tangent: a column needs about the strain times (length / thickness)^2.
 SHIFTS = 0.01, 1000.0
-# Of a QP for neglected parts of gap rows; more save no iterations.
+# Corrections of a QP for neglected parts of gap rows; more save no iterations.
 CORRECTIONS = 3
 
 
@@ -66,7 +66,7 @@ class Iterate:
     pressure: Floats | None = None  # (owned cells,) linearised mean stresses
     shift: float = 0.0
     negative: bool = False  # whether the last tangent is indefinite
-    turned: float = np.inf  # of contact forces by the geometry update
+    turned: float = np.inf  # change of contact forces by the geometry update
     slow: bool = False  # whether the fixed point converges slowly
     barred: float = np.inf  # residual above which the tangent is not exact
 

@@ -25,7 +25,7 @@ class StepData:
     increment: float  # largest of these and of jumps
     # active set (owned nodes,) and directions of slip (owned nodes, d)
     contacts: tuple[Bools, Floats | None] = (np.zeros(0, dtype=bool), None)
-    # with friction: limits (owned nodes,), and slip partners, None for present
+    # with friction, of each interface: limits (owned nodes,), and slip partners, None for present
     limits: Sequence[Floats | None] = ()
     partners: Sequence[Partners | None] = ()
     # bodies flow by the changes: the committed state is linearised

@@ -33,7 +33,7 @@ from dolfinx_mortar.arrays import EPS, ROUND_OFF, TINY, Actives, Bools, Floats, 
 class Friction:
     """Friction at this rank's m nodes, with at most t tangential unknowns."""
 
-    normal: Ints  # (m,) of x_n in `BoundQP.bounded`
+    normal: Ints  # (m,) position of x_n in `BoundQP.bounded`
     tangential: Ints  # (m, t) unknowns, -1 for none
     rest: Floats  # (m, t) x_t without slip, 0 for none
     coefficient: Floats  # (m,) mu >= 0
@@ -197,8 +197,8 @@ class BoundQP:
     friction: Friction | None = None  # on all ranks or on none
     # Whether A is symmetric, and positive definite on unknowns without bounds.
     definite: bool = True
-    product: CongruentOperator | None = None  # A, factorised without being formed
-    near: PETSc.Mat | None = None  # its multigrid preconditions A
+    product: CongruentOperator | None = None  # A as an operator, factorised without being formed
+    near: PETSc.Mat | None = None  # definite matrix whose multigrid preconditions A
     extent: float = 0.0  # size of coordinates, whose differences are the bounds
     scalars: Scalars | None = None  # on all ranks or on none
     taken: float = 0.0  # norm of the part of b due to scalars
@@ -445,7 +445,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
         free[qp.friction.tangential[qp.friction.some]] = False
     over, under = np.maximum(xb - upper, 0.0), np.maximum(lower - xb, 0.0)
     pull = np.where(active == 0, 0.0, np.maximum(-active * zb, 0.0))
-    # infinite bounds are in stationarity
+    # the sign of a reaction tells its bound; infinite ones are in stationarity
     side = np.where(zb > 0.0, upper, lower)
     distance = np.abs(np.where(np.isfinite(side), side, xb) - xb)
     bound = np.maximum(np.where(over > 0, np.abs(upper), 0), np.where(under > 0, np.abs(lower), 0))
@@ -453,7 +453,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     nearest = np.minimum(np.abs(lower), np.abs(upper)).min(initial=np.inf)
     tops = [a.max(initial=0.0) for a in largest] + [-nearest]
     x_top, bound_top, gap_top, pull_top, nearest = maximum(qp.comm, *tops)
-    # without forces, x is round-off of bounds
+    # without forces, x is round-off of the nearest bounds
     moved = np.abs(x.array_r)
     if np.isfinite(nearest):
         moved[qp.bounded] = np.maximum(moved[qp.bounded], -nearest)

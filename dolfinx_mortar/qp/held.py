@@ -106,7 +106,7 @@ class Found:
     """Result of a solve with a set."""
 
     predicted: Any  # the next set
-    changes: int  # unknowns of all ranks, without weakly active ones
+    changes: int  # unknowns on all ranks that differ, without weakly active ones
     satisfied: bool  # accurate enough for the last solve
 
 

@@ -39,7 +39,7 @@ log = logging.getLogger(__name__)
 # Largest order in 3D that may be factorised instead of multigrid: about 4 GiB.
 MOST_FACTORISED = 200_000
 
-# PETSc 3.22 crashes at its third factorisation beside another.
+# PETSc 3.22 crashes at its third factorisation while another one exists.
 ALONE = "superlu_dist"
 
 

@@ -17,7 +17,7 @@ from dolfinx_mortar.algebra.parallel import any_rank
 DEFAULTS = {"ksp_type": "cg", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
 GENERAL = {"ksp_type": "gmres", "pc_type": "lu"}
 # In 3D. The threshold drops round-off; a third smoothing step saves a third of the iterations;
-# later tangents may exceed Chebyshev's interval, hence 1.2.
+# Chebyshev's interval ends at 1.2, as later tangents may exceed 1.1.
 MULTIGRID = {
     "pc_type": "gamg",
     "pc_gamg_threshold": 0.005,
@@ -28,7 +28,7 @@ MULTIGRID = {
 DIRECT = ("cholesky", "lu")
 # First letters of options that choose or limit a method.
 OF_METHODS = ("pc_", "mg_", "ksp_type", "ksp_max_it")
-# Our convergence test ends the iteration.
+# PETSc reads them, but our convergence test ends the iteration.
 OVERRULED = {"ksp_rtol", "ksp_atol", "ksp_divtol"}
 VALUES = (str, int, float, bool, np.number, type(None))
 
