@@ -42,7 +42,8 @@ from dolfinx_mortar.terms.sum import Energy
 
 # Relative residual of forces below which an indefinite tangent is used unshifted.
 STABLE = 1e-2
-# Multiples of the elastic stiffness added to an indefinite tangent: a column needs about the strain times (length / thickness)^2.
+# Multiples of the elastic stiffness added to an indefinite tangent: a column needs about the strain
+# times (length / thickness)^2.
 SHIFTS = 0.01, 1000.0
 # Corrections of a QP for neglected parts of gap rows; more save no iterations.
 CORRECTIONS = 3
