@@ -267,7 +267,6 @@ def _changes(P, bilinear, corners):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners, least):  # type: ignore[no-untyped-def]
-    """Rule (t,) of each triangle, at least of a degree."""
     rule = np.full(len(which), least // 2 - 1)
     if not (bilinear[0] or bilinear[1]):
         return rule

@@ -49,7 +49,6 @@ def distances(a: Floats, b: Floats) -> Floats:
 
 
 def _between_lines(p: Floats, q: Floats, r: Floats, s: Floats) -> Floats:
-    """Squared distances (m,) of lines pq and rs."""
     v, w, across = q - p, s - r, p - r
     a, e, b = (np.einsum("mi,mi->m", *of) for of in ((v, v), (w, w), (v, w)))
     c, f = (np.einsum("mi,mi->m", of, across) for of in (v, w))
@@ -68,7 +67,6 @@ def _between_lines(p: Floats, q: Floats, r: Floats, s: Floats) -> Floats:
 
 
 def _pierce(p: Floats, q: Floats, x: Floats, n: Floats) -> Bools:
-    """Whether lines pq pierce triangles x with normals n (m,)."""
     before, after = (np.einsum("mi,mi->m", end - x[:, 0], n) for end in (p, q))
     crosses = before * after < 0.0
     share = before / np.where(crosses, before - after, 1.0)

@@ -84,7 +84,6 @@ def _distances(x, n, y, xi):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _nearest(x, n, x_m, master, deepest, low, high, a, b):  # type: ignore[no-untyped-def]
-    """Nearest candidate that covers [a, b], or -1."""
     best, least = -1, np.inf
     for c in range(len(master)):
         if low[c] <= a and high[c] >= b:
@@ -150,7 +149,6 @@ def _clip(x_s, n_s, x_m, ends_m, pairs, deepest):  # type: ignore[no-untyped-def
 
 @numba.njit(**KERNEL)
 def _point(x, n, y, low, high, t):  # type: ignore[no-untyped-def]
-    """Coordinates xi, eta and length per t at t in [-1, 1] of a segment."""
     half = (high - low) / 2
     xi = (low + high) / 2 + half * t
     dx0, dx1 = x[1, 0] + 2 * xi * x[2, 0], x[1, 1] + 2 * xi * x[2, 1]
@@ -229,7 +227,6 @@ def _by_nodes(N: Floats, M: Floats, n: Floats, apart: Floats) -> Floats:
 def _end_rates(
     slave: FacetElement, ends: Floats, x: Floats, n: Floats, y: Floats, is_end: Bools
 ) -> Floats:
-    """Derivatives of segments' ends, 0 where a side ends."""
     N, dN, _ = functions(slave, ends[..., None])
     normal, apart = N @ n, (N @ x)[:, :, None] - y[:, None]
     off = np.where(is_end[:, None], np.abs(_cross(apart, normal[:, :, None])), np.inf)

@@ -120,7 +120,6 @@ def _point(c, m, r, s):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _on_facet(c, r, s):  # type: ignore[no-untyped-def]
-    """Coordinates on the facet of a point of part c (3, 9)."""
     return c[0, 0] + s * c[0, 1] + r * c[0, 3], c[1, 0] + s * c[1, 1] + r * c[1, 3]
 
 

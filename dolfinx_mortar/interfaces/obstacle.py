@@ -244,7 +244,6 @@ class Obstacle(Movable, Unilateral):
         )
 
     def _check_distance(self, at_nodes: Distance, x: Floats, length: float) -> None:
-        """Raise a ValueError where |grad phi| is not 1 near the surface."""
         size = np.linalg.norm(at_nodes.gradient, axis=1)
         off = np.where(np.abs(at_nodes.value) <= length * size, np.abs(size - 1.0), 0.0)
         if off.max(initial=0.0) > NO_DISTANCE:

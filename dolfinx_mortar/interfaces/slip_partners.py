@@ -87,7 +87,6 @@ def partners_on_master(link: CoupledSides, x: PETSc.Vec) -> Partners:
 
 
 def _distances(link: CoupledSides, P: PETSc.Mat, x: PETSc.Vec) -> tuple[Floats, Floats]:
-    """Normal (n,) and tangential part (n, d) of x_j - P x; collective."""
     distance, normals = node_motions(link, P, x), link.coupling.normals
     apart = np.einsum("ni,ni->n", distance, normals)
     return apart, distance - apart[:, None] * normals

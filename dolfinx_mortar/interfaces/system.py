@@ -229,7 +229,6 @@ class InterfaceSystem:
         return Configuration(self._coupled(u), self._reused.claims, paired_at=at)
 
     def _pair(self, u: fem.Function | None) -> Floats:
-        """Pair the surfaces, resolve the claims; return u (n,); collective."""
         self.searches += 1
         every = list(zip(self.interfaces, self.sides, strict=True))
         at = [None if interface.stays else u for interface in self.interfaces]

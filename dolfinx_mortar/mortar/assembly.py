@@ -108,7 +108,6 @@ def _place(x: Floats) -> str:
 
 
 def _tabulate(V: dolfinx.fem.FunctionSpace, xi: Floats) -> Floats:
-    """Values and derivatives (1 + d, q, k) at xi in a cell."""
     one_more = np.vstack([xi, np.zeros(xi.shape[1])])  # basix 0.9 aborts without a point
     return np.asarray(V.element.basix_element.tabulate(1, one_more)[:, :-1, :, 0])
 
@@ -213,7 +212,6 @@ class Mortar:
 
 
 def _expand_rows(A: PETSc.Mat, rows: Ints, V: dolfinx.fem.FunctionSpace) -> PETSc.Mat:
-    """Owned rows times the d x d identity (eqs. 19, 20)."""
     d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
     start, columns, values = csr_of(A)
     shape = (index_map.size_local, index_map.size_global)

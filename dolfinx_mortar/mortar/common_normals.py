@@ -130,7 +130,6 @@ def _with_images(S: Floats, mirrors: Bools) -> Floats:
 
 
 def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Bools) -> Floats:
-    """Spreads (local nodes, d, d); collective."""
     n = facet_normals(facets)
     d = n.shape[1]
     products = (n[:, :, None] * n[:, None]).reshape(len(n), d * d)
@@ -289,7 +288,6 @@ def _facing(
 
 
 def _edged(S: Floats, limit: float) -> Bools:
-    """Nodes on an edge: tr S of more than half of the limit."""
     return np.asarray(np.trace(S, axis1=1, axis2=2) > limit / 2)
 
 

@@ -83,7 +83,6 @@ def smooth_normals(
 
 
 def _find_jumps(surface: Surface, facets: Facets, normals: NodeNormals) -> Bools:
-    """Nodes in the plane where the curvature jumps; collective."""
     ends = surface.facets[:, :2]
     angles, length = end_angles(facets, normals.n[ends])
     halves = np.repeat(length[:, None] / 2, 2, axis=1)
@@ -202,7 +201,6 @@ def _over(facets: Facets, shape: NodeShape, nodes: Ints, count: Ints) -> SmoothS
 
 
 def _nodal_curvatures(surface: Surface) -> Floats:
-    """Nodal means (n, d, d) of curvatures; collective."""
     facets, d = facets_at(surface, surface.X), surface.X.shape[1]
     K = own_curvatures(facets).reshape(-1, d * d)
     columns = np.concatenate([K, np.ones((len(K), 1))], axis=1)[:, None]

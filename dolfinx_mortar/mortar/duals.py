@@ -145,7 +145,6 @@ def _biorthogonalise(Q, roots, Phi, inverse):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SUMS)
 def _facet_dual(N, weight, kept, count, first, last, Phi, inverse):  # type: ignore[no-untyped-def]
-    """Fill the functions of one facet, `count` kept, and m^-1."""
     Q, found = np.empty((count, last - first)), np.zeros((count, last - first))
     roots, which = np.sqrt(weight[first:last]), np.flatnonzero(kept)
     among = np.zeros((count, count))

@@ -45,7 +45,6 @@ def judge_supports(surface: Surface, fixed: Bools, feature_angle: float) -> tupl
 def _judge(
     side: Surface, n: Floats, closed: Bools, fixed: Bools, i: int, feature_angle: float
 ) -> tuple[Bools, Floats]:
-    """Mirrors and n_j.e of component i."""
     vertices = side.facets[:, list(side.element.vertices)]
     held, n_f = fixed[vertices], facet_normals(facets_at(side, side.X))
     weights = np.where(closed[vertices], 1.0, QUARTER_OF_DIGITS)  # others only if alone

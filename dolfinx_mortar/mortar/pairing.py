@@ -88,7 +88,6 @@ class Pairing:
 
 
 def _slave_facets(slave: Surface, u: dolfinx.fem.Function | None) -> tuple[Facets, Floats]:
-    """Facets and directions of projection (collective)."""
     x = coordinates(slave, u)
     facets = facets_at(slave, x)
     return facets, projection_directions(facets, nodal_normals(slave, x)[slave.facets])
@@ -110,7 +109,6 @@ def _send_facets(
 
 
 def _deepest(surface: Surface, u: dolfinx.fem.Function | None, itself: bool) -> Floats:
-    """Largest depth of master facets behind facets."""
     if u is None or not itself:
         return THROUGH * surface.thickness
     stretch = thickness_stretches(surface, u)[surface.facets].min(axis=1, initial=np.inf)
@@ -166,7 +164,6 @@ def _check_surfaces(
     master: Surface,
     u: dolfinx.fem.Function | None,
 ) -> None:
-    """Raise a ValueError on all ranks unless both are a pair."""
     if slave.V != V or master.V != V:
         raise ValueError("slave and master have to be surfaces of V.")
     if u is not None and (not isinstance(u, dolfinx.fem.Function) or u.function_space != V):
@@ -180,7 +177,6 @@ def _check_surfaces(
 
 
 def _check_finite(u: dolfinx.fem.Function | None, *sides: Surface) -> None:
-    """Raise a ValueError on all ranks unless X + u is finite."""
     finite = all(np.isfinite(coordinates(side, u)).all() for side in sides)
     if any_rank(sides[0].V.mesh.comm, not finite)[0]:
         raise ValueError(
@@ -189,7 +185,6 @@ def _check_finite(u: dolfinx.fem.Function | None, *sides: Surface) -> None:
 
 
 def _check_facing(pairs: Ints, slave: Surface, master: Surface, n_s: Floats, n_m: Floats) -> None:
-    """Raise a ValueError on all ranks if no facets face each other."""
     comm = slave.V.mesh.comm
     if comm.allreduce(len(pairs)):
         return
@@ -289,7 +284,6 @@ def _master_coordinates(
     received: PETSc.Vec,
     u: dolfinx.fem.Function | None,
 ) -> Floats:
-    """X + u of the received master nodes (collective)."""
     if u is None:
         return X
     # not u.x.petsc_vec: dolfinx destroys it with u, at different times on ranks: a deadlock

@@ -127,7 +127,6 @@ def find_passed(
 def _passed(
     side: Middles, other: Surface, before: fem.Function, now: fem.Function
 ) -> Passing | None:
-    """Motion of a side's middles through a surface; collective."""
     own, comm = side.surface, other.V.mesh.comm
     facets = [facets_at(own, coordinates(own, u)) for u in (before, now)]
     (faces, start_at), (_, end_at) = side.at(before), side.at(now)

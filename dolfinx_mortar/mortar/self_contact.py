@@ -89,7 +89,6 @@ def _are_among(rows: Longs, keys: Longs) -> Bools:
 
 
 def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Bools:
-    """Which facets (n,) are slaves, by pairs a, b (p,)."""
     n = len(keys)
     if n == 0:
         return np.zeros(0, dtype=bool)

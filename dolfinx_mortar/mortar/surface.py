@@ -99,7 +99,6 @@ def check_tags(facet_tags: Any) -> None:
 
 
 def _owned_facets_with(facet_tags: dolfinx.mesh.MeshTags, tag: int) -> Ints:
-    """Owned facets that any rank has marked."""
     facet_map = facet_tags.topology.index_map(facet_tags.dim)
     mark = dolfinx.la.vector(facet_map)
     mark.array[:] = 0.0
@@ -169,7 +168,6 @@ def _facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, In
 
 
 def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.FunctionSpace) -> Ints:
-    """Reverse facets whose normal points into their cell."""
     element, x = _element(V), X[nodes]
     outwards = x.mean(axis=1) - X[V.dofmap.list[cells]].mean(axis=1)
     wrong = (facet_normals(Facets(element, x)) * outwards).sum(axis=1) < 0
@@ -493,7 +491,6 @@ def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
 
 
 def _heights_behind(surface: Surface, x: Floats, of_nodes: Floats, slopes: Floats) -> Floats:
-    """Volume over area at facets' centres."""
     volume = np.linalg.det(np.einsum("amk,mki->mai", slopes, x))
     middle = surface.element.points[list(surface.element.vertices)].mean(axis=0)
     normals = scaled_normals(facets_at(surface, of_nodes), middle[None])[:, 0]

@@ -221,7 +221,6 @@ def _surfaces(
 
 
 def _slopes(side: Curved, other: Curved, shared: bool) -> tuple[Floats, Floats]:
-    """Derivatives `slopes` of one side by the nodes of both."""
     e, (a, b) = edges_of(side.facets), node_pairs(first_order(side.facets.element))
     (P, k, d), count = side.facets.x.shape, len(a)
     by_nodes, by_others = (
@@ -273,7 +272,6 @@ def _groups(pairing: Pairing, used: Ints) -> list[_Group]:
 
 
 def _parts(count: Longs, pairing: Pairing) -> Iterator[Longs]:
-    """Facets by numbers of master nodes, in limited memory."""
     k, d = pairing.slave.element.nodes, pairing.slave.X.shape[1]
     for m in np.unique(count):
         which = np.flatnonzero(count == m)

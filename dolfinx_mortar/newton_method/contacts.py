@@ -162,7 +162,6 @@ def tangential_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
 
 
 def _on_both_sides(problem: ContactProblem, tractions: Callable[[Link], Floats]) -> Floats:
-    """Nodal forces (owned nodes, d) of tractions; collective."""
     total: Floats = np.zeros((problem.n, problem.d))
     for link in problem.system.unilateral:
         slave, master = link.exert(link.coupling.weight[:, :1] * tractions(link))

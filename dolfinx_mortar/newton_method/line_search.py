@@ -116,7 +116,6 @@ def take_step(problem: ContactProblem, found: Solution, largest: float, old: Ite
 
 
 def _check_distance(du: PETSc.Vec, extent: float) -> None:
-    """Raise if a step is far longer than the model."""
     farthest = du.norm(PETSc.NormType.INFINITY)
     if not QUARTER_OF_DIGITS * farthest <= extent:
         raise StepFailed(

@@ -102,7 +102,6 @@ class Dense:
 
 
 def _slipping(S: Floats, sliding: Sliding) -> Floats:
-    """S with the law in the rows of slipping nodes."""
     M, law, d = S.copy(), sliding.law, sliding.direction
     normal = S[sliding.normal]
     for a in range(d.shape[1]):

@@ -196,13 +196,11 @@ class Multigrid:
 
     @property
     def _needs_diagonal(self) -> bool:
-        """Whether cycles read only the diagonal of B."""
         levels = self.inner.getMGLevels()
         smoother = self.inner.getMGSmoother(levels - 1)
         return bool(levels > 1 and smoother.getPC().getType() == PETSc.PC.Type.JACOBI)
 
     def _release(self, finest: PETSc.Mat) -> None:
-        """Keep only what cycles read; collective."""
         if self._needs_diagonal:
             assert self.B is not None, "not set up"
             self.B = PETSc.Mat().createDiagonal(self.B.getDiagonal())

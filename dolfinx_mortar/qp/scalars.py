@@ -233,7 +233,6 @@ class Bordered:
         return y.array_r.copy(), z.array_r.copy()
 
     def _step(self, q: Floats, missing: Floats) -> Floats:
-        """Change of q (m,) that cancels the residual (m,)."""
         if not self.rho.any() and self.proximal().any():
             self.hold(q)
         scale = 1.0 / np.sqrt(self.weights)

@@ -329,7 +329,6 @@ class _Step:
         return many and turned > SHARE * residual.forces * residual.limit / self.report.rtol
 
     def leads_away(self, residual: Residuals, residuals: list[Residuals]) -> bool:
-        """Whether the exact tangent has raised the residual."""
         if not self.report.iterations[-1].exact_tangent or residual.excess <= 1.0:
             return False
         return not self.missed(residual) <= self.missed(residuals[-1])
@@ -355,7 +354,6 @@ class _Step:
         self.problem.follow_geometry()
 
     def tools(self) -> list[tuple[Interface, dict[str, Floats]]]:
-        """States of the tools that forces drive."""
         return [(i, i.state(False)) for i in self.problem.interfaces if i.driven() is not None]
 
     def first(self) -> Iterate:

@@ -81,7 +81,6 @@ def _read(name: str, constant: Any, table: Any) -> Ramp:
 
 
 def _row(shape: tuple[int, ...], row: Any) -> list[float] | None:
-    """Level and components, None unless finite numbers."""
     if not isinstance(row, Sequence | np.ndarray) or len(row) != 2:
         return None
     level, value = as_numbers(row[0]), as_numbers(row[1])

@@ -301,7 +301,6 @@ def _check_tables(ramps: Sequence[Ramp], saved: Saved, file: Path) -> None:
 def _walk(
     solves: Solves, number: int, time: float, loading: Loading, most: int, written: Checkpoint
 ) -> LoadStep:
-    """Step to a level, in parts if that fails."""
     problem = solves.problem
     parts: list[StepReport] = []
     reached, pending = Level(problem.committed.level, share=0.0), [Level(time)]
