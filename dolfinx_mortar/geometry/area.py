@@ -4,8 +4,7 @@
 The plane is normal to the mean normal of a slave facet, through its centre. The intersection of
 both projected facets is split into triangles; weights are areas in the plane over the cosine to the
 slave facet. Facets of second order are clipped in four parts. Integrals of Phi_j N_l are exact on
-flat triangles and parallelograms; on others the degree grows with the change of the Jacobian and of
-the slopes.
+flat triangles and parallelograms, else of a degree by the change of Jacobian and slopes.
 """
 
 from collections.abc import Sequence

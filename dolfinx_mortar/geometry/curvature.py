@@ -1,19 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Smooth surfaces through the nodes of facets: normals, and heights over the facets.
+"""Smooth surfaces through the nodes of facets: normals, and heights h over the facets.
 
-See theory.md, Curved sides. The height over a facet is
-
-    h = 1/2 sum_{a<b} N_a N_b c_ab,     c_ab = (n_b - n_a).(x_b - x_a)
-
-over all pairs of nodes, at X. Sides in contact have the common curvature K = (K_s - K_m) / 2, each
-for its own outward normal, with e_ab.K e_ab = c_ab: c_ab is the mean of both. On second-order
-facets each side has its own, times the stretch along the normal.
+See theory.md, Curved sides, for h and c_ab. Sides in contact have the common curvature K = (K_s -
+K_m) / 2, each for its own outward normal, with e_ab.K e_ab = c_ab: c_ab is the mean of both. On
+second-order facets each side has its own, times the stretch along the normal.
 
 Normals are those of Max (J. Graphics Tools 4, 1999), n_a ~ sum (e_1 x e_2) / (|e_1|^2 |e_2|^2) with
-the edges of each facet at the node; in 2D the chords' normals over their lengths. They are exact on
-spheres and circles if facets surround the node. Otherwise edges in space are first projected on the
-tangent plane, by half of |e|^2 times the deviatoric curvature; in 2D facets at a jump of curvature
-have that of their other end.
+the edges of each facet at the node; in 2D the chords' normals over their lengths. Unless facets
+surround the node, edges in space are first projected on the tangent plane, by half of |e|^2 times
+the deviatoric curvature; in 2D facets at a jump of curvature have that of their other end.
 """
 
 from __future__ import annotations

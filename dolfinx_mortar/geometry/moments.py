@@ -2,9 +2,6 @@
 """Moments of pairs of facets, for forces, gaps and dual functions (theory.md, The exact tangent).
 
     S_jk = int N_j N_k,     R_jl = int N_j N_l,     H_j = int N_j h
-
-over the part of a slave facet that faces a master facet, with the shape functions N of both, the
-heights h of smooth surfaces and the weight of the integrals.
 """
 
 import math

@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Unilateral contact, between two sides and as a base class.
-
-The bounds w_n <= g_j / D_jj in the basis of `interfaces.basis` (theory.md, Equations 12 to 15),
-with reactions D_jj lambda_j and D, M and N of the iterate.
-"""
+"""Unilateral contact, between two sides and as a base class (theory.md, Equations 12 to 15)."""
 
 from typing import Any
 

@@ -2,7 +2,7 @@
 """Unilateral contact of a side with a rigid tool without a mesh.
 
 Multipliers lambda_j exert the forces -D_jl lambda_j n_j, n_j = -grad phi(x_j), on the nodes l of
-the side, and the opposite on the tool. Smooth surfaces: `point_gaps`; tangent: `contact_tangent`.
+the side, and the opposite on the tool.
 """
 
 from __future__ import annotations

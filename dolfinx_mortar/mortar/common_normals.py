@@ -1,13 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Normals of contact nodes, common to both sides (theory.md, Normals).
 
-With the spreads S of the normals of exterior facets at a node, and the averaged normals a_j of the
-slave and b_j = -unit sum_l M_jl n_l of the master,
-
-    n_j = unit [C_m (C_s + C_m)^-1 a_j + C_s (C_s + C_m)^-1 b_j],   C_s = a_j a_j^T + S_s + eps I.
-
-eps has a part of neighbouring spreads, so that the end of a flat part yields to the other side's
-face. On planes of symmetry sums include mirror images, without facets in the plane.
+C_s = a_j a_j^T + S_s + eps I, where eps has a part of neighbouring spreads, so that the end of a
+flat part yields to the other side's face. On planes of symmetry sums include mirror images, without
+facets in the plane.
 """
 
 from collections.abc import Callable, Sequence

@@ -5,9 +5,8 @@ Phi = D m^-1 N (eq. 20), D = diag(int_G N_j), m = int_G N N^T over the covered p
 m, almost singular at little coverage, is not formed: with sqrt(w) N = Q R, sqrt(w) Phi = Q R^-T D
 and m^-1 = R^-1 R^-T; if a diagonal entry of R is round-off, all functions of the facet are equal.
 
-Functions of nodes without multiplier are shared out (theory.md, Partly covered facets): the others
-are biorthogonal among themselves, and 1 - sum_j Phi_j, orthogonal to their N_j, is added to them in
-equal parts. D stays diagonal.
+1 - sum_j Phi_j over the nodes with a multiplier, orthogonal to their N_j, is added to these in
+equal parts: constants remain (theory.md, Partly covered facets).
 
 Vertex functions of six-node triangles integrate to zero. So Phi is biorthogonal to N~ (after Popp,
 Wohlmuth, Gee and Wall, SIAM J. Sci. Comput. 34, 2012, whose 1 / 5 loses half an order in ties),

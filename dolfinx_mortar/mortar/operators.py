@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Mortar operators over the covered part of the slave side, and P = D^-1 M.
+"""Mortar operators over the covered part of the slave side (eqs. 19 and 20), and P = D^-1 M.
 
     D_jl = int Phi_j N_l^s,      M_jl = int Phi_j N_l^m
 
-(eqs. 19 and 20). D is diagonal over the nodes with a multiplier, except at mid-side nodes that
-depend on vertices. Below a tool there are D and means int Phi_j f / D_jj over whole facets.
+D is diagonal over the nodes with a multiplier, except at mid-side nodes that depend on vertices.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Derivatives of contact forces and weighted gaps by the coordinates of both sides.
+"""Derivatives of contact forces and weighted gaps by coordinates (theory.md, The exact tangent).
 
-See theory.md, The exact tangent. For tools H = -int N_j phi. Derivatives by the normals n_j, which
-depend on facets of other ranks, are separate.
+For tools H = -int N_j phi. Derivatives by the normals n_j, which depend on facets of other ranks,
+are separate.
 """
 
 from __future__ import annotations

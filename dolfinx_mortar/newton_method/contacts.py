@@ -1,10 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Active set and multipliers of an iterate, the warm start of the next QP, and its KKT residuals.
-
-A penetration counts as the force that would remove it, complementarity as work. Without forces the
-first residual and the round-off of K u are the scales, at finite strain of K h with the cell size
-h.
-"""
+"""Active set and multipliers of an iterate, the warm start of the next QP, and its KKT residuals."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

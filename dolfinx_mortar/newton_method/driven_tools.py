@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Bolts, rigid sides and tools driven by forces: scalar unknowns of the QPs, see `qp.scalars`.
 
-The motions e_a (in the frames of the nodes) of the unknowns q_a move bounds and slips of nodes,
+The motions e_a (in the frames of the nodes) of the unknowns q_a move bounds and slips,
 
-    w_n <= g + e_n.q,    slip = slip_0 + w_t - e_t.q,
+    w_n <= g + e_n.q,    slip = slip_0 + w_t - e_t.q.
 
-and the reactions z(q) satisfy F_a + e_a.z(q) = 0. Nodes of a rigid side or of a bolt's cut follow,
-w = w_0 + e.q, and are eliminated: z = r^ - K^ y there. The arms of moments turn with the side, e =
-e_0 + De q, with the reactions z_0 of the iterate in De q.z_0. A step t q moves its nodes on arcs,
-not to u_0 + t e.q.
+Nodes of a rigid side or of a bolt's cut follow, w = w_0 + e.q, and are eliminated: z = r^ - K^ y
+there. The arms of moments turn with the side, e = e_0 + De q, with the reactions z_0 of the iterate
+in De q.z_0. A step t q moves its nodes on arcs, not to u_0 + t e.q.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Primal-dual active set: semi-smooth Newton on z = max(0, z + c (x - upper)), and on lower bounds.
 
-With friction also on z_t = q min(1, s / |q|), see `qp.bound_qp`. Where MUMPS gives the Schur
-complement, the QP is condensed, see `condensed`.
+With friction also on z_t = q min(1, s / |q|), see `qp.bound_qp`.
 """
 
 from dataclasses import dataclass, replace

@@ -2,16 +2,13 @@
 """Quadratic program with bounds and Coulomb friction: data, solution, optimality conditions.
 
 At node j the reaction z = b - A x has a normal component z_n >= 0, the multiplier of the bound on
-x_n, and tangential components z_t against the slip x_t - rest:
+x_n, and tangential components z_t against the slip x_t - rest (theory.md, Friction):
 
-    |z_t| <= s,    z_t = s (x_t - rest) / |x_t - rest| in slip,    s = mu z_n + cohesion.
+    |z_t| <= s,    z_t = s (x_t - rest) / |x_t - rest| in slip,    s = mu z_n + cohesion,
 
-With q = z_t + c (x_t - rest), c > 0, this is z_t = q min(1, s / |q|) (Alart and Curnier 1991). In
-slip, with d = q / |q|, it is linearised consistently (Hueber, Stadler and Wohlmuth 2008),
+or z_t = q min(1, s / |q|) with q = z_t + c (x_t - rest), c > 0. Linearised with d = q / |q|,
 
-    z_t = s d + kappa (I - d d^T) (x_t - rest),    kappa = c s / (|q| - s);
-
-s contains the unknown z_n. See theory.md, Friction.
+    z_t = s d + kappa (I - d d^T) (x_t - rest),    kappa = c s / (|q| - s).
 """
 
 from __future__ import annotations

@@ -1,13 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Scalar unknowns of a QP: the motions q (m,) of rigid tools under given forces.
+"""Scalar unknowns of a QP: the motions q (m,) of rigid tools under given forces F.
 
-Unknowns measured from tools are w_j = x_j - e_j.q, so that bounds and slips do not depend on q.
-With the reactions z = b - C q - A x, equilibrium of the tools is
-
-    F - R x - Q q + e.z = 0,
-
-where C, R and Q are of condensed nodes that follow a rigid side (theory.md, Tools and sides that
-forces drive). Where q is undetermined in a state, a proximal term rho (q - q_0) is added.
+See theory.md, Tools and sides that forces drive: w_j = x_j - e_j.q, z = b - C q - A x, and F - R x
+- Q q + e.z = 0. Where q is undetermined in a state, a proximal term rho (q - q_0) is added.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Semi-smooth Newton: a bound-constrained QP at every iterate (paper, section 3).
 
-See ARCHITECTURE.md, A Newton step. Updates of the geometry are a fixed-point iteration. At finite
-strain, and where it is slow, the exact tangent is used; an iteration with it that raises the
-residual is undone, and repeated without.
+See ARCHITECTURE.md, A Newton step. An iteration with the exact tangent that raises the residual is
+undone, and repeated without.
 """
 
 from __future__ import annotations
