@@ -2,6 +2,8 @@
 """Moments of pairs of facets, for forces, gaps and dual functions (theory.md, The exact tangent).
 
     S_jk = int N_j N_k,     R_jl = int N_j N_l,     H_j = int N_j h
+
+with the functions N of both sides, and the heights h of smooth surfaces.
 """
 
 import math

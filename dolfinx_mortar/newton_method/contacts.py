@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Active set and multipliers of an iterate, the warm start of the next QP, and its KKT residuals."""
+"""Active set and multipliers of an iterate, warm start of the next QP, and its KKT residuals."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -173,7 +173,10 @@ DIGIT = 0.1
 
 @dataclass(frozen=True)
 class Scales:
-    """Scales of the residuals; diverging iterates do not enlarge them."""
+    """Scales of the residuals; diverging iterates do not enlarge them.
+
+    Without forces the first residual and the round-off of K u, at finite strain of K h.
+    """
 
     facet_length: float
     begun: float = 0.0  # largest force norm at the start
