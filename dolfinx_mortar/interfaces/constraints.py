@@ -104,7 +104,7 @@ class SlipLimits:
     """Limits of the tangential reactions at nodes with friction, in this rank's numbering.
 
     |z_t| <= coefficient z_n + cohesion where closed. In prescribed directions the slip s_e is
-    known, not z_t; with the elastic slip a the share of the limit there is
+    known, not z_t; with the elastic slip a and the other slip s_t its share of the limit is
 
         q / max(|q + s_t / a|, 1),     q = (share at the last commit) + s_e / a.
     """

@@ -88,7 +88,7 @@ class MortarInterface(Interface):
         }
 
     def reach(self, sizes: Floats, nearest: float) -> Floats:
-        """Largest distances (q,) of points, by facet diameters and the least distance."""
+        """Largest distances (q,) of paired points, by facet diameters and the least distance."""
         return np.full(len(sizes), np.inf)
 
     @abstractmethod

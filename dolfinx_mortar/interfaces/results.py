@@ -107,7 +107,7 @@ class Results:
 
     @property
     def force(self) -> Floats:
-        """Resultant (d,) on the slave side at the end of the step.
+        """Resultant (d,) on the slave side at the end of the step (impulses: `Ledger.impulses`).
 
         Of rings the sum of outward forces, which cancel on the whole, and the axial force.
         """
