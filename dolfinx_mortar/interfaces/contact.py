@@ -140,9 +140,9 @@ class Contact(Unilateral, MortarInterface):
         feature_angle: least angle of an edge between facets in degrees, for smooth surfaces.
         friction: Coulomb's coefficient mu: a number, a scalar Constant, or a scalar Lagrange
             Function on this mesh, read at every step.
-        tresca: limit of the tangential traction instead, of the same kinds, at every slave node that
-            faces the master; a step is then a convex minimisation. In axisymmetry per circumference at X for small
-            strains.
+        tresca: limit of the tangential traction instead, of the same kinds, at every slave node
+            that faces the master; a step is then a convex minimisation. In axisymmetry per
+            circumference at X for small strains.
     Source: the paper, eqs. 12 to 20; friction: S. Hueeber, G. Stadler, B. Wohlmuth, SIAM J. Sci.
     Comput. 30 (2008) 572-596; M. Gitterle, A. Popp, M. W. Gee, W. A. Wall, Int. J. Numer. Methods
     Engrg. 84 (2010) 543-571.

@@ -40,7 +40,7 @@ mean normal, along which the facet is projected. At 0.3 areas are divided by mor
 
 
 class Nodes(Protocol):
-    """Local nodes of which each owner has its own."""
+    """Local nodes; each is also among the nodes of its owner."""
 
     @property
     def V(self) -> dolfinx.fem.FunctionSpace:

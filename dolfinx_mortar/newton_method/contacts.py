@@ -233,7 +233,7 @@ def measure(
 ) -> Residuals:
     """KKT residuals of an iterate with given multipliers; collective.
 
-    `diagonal` of the last K^ makes penetrations forces; `elastic_norm` is |u|_e.
+    `diagonal` of the last K^ scales penetrations to forces; `elastic_norm` is |u|_e.
     """
     comm, z = u.function_space.mesh.comm, contacts.reactions(balance)
     free = balance.reduced.array_r.copy()
