@@ -122,8 +122,8 @@ class Contact(Unilateral, MortarInterface):
     ``gap`` (>= 0 when open; not-a-number at nodes that face no master), ``active`` (1 in contact,
     else 0). ``force`` is the resultant on the slave side, -sum_j D_jj lambda_j n_j plus friction.
     ``pressure`` and ``traction`` are per area of the slave side at X + u with geometry="updated",
-    at X with "reference", and of the part that faces the master, also at a node just beyond its
-    end: their integral exceeds the force unless all of the side faces the master.
+    at X with "reference", and of the part that faces the master: their integral exceeds the force
+    unless all of the side does.
     Friction: abs(tau) <= mu p, with equality against the slip R_t^T (D^-1 (D - M) (u -
     u_committed)) since the last commit. Further results: ``traction`` (tangential, on the slave
     side), ``step_slip`` (of the last step, a length), ``slip`` (accumulated), ``status`` (0 open, 1

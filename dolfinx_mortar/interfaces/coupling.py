@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Results of the search and the update of one interface, as immutable records.
 
-The change of basis of theory.md, "Constraints become bounds":
+See theory.md, Constraints become bounds:
 
     u_j = R_j w_j + sum_l Q_jl u_l,      Q_jl = R_j S_j R_j^-1 P_jl,     P = D^-1 (M - D_other)
 
-D_other are the entries of D off the diagonal: columns of removed nodes, and of vertices on which
-mid-side nodes of six-node triangles depend (`mortar.duals`). Smooth ties add D_jj^-1 int Phi_j A_l
-of `curvature_correction.point_motions` to P_jl I.
+D_other are the entries of D off the diagonal, of removed nodes and of vertices on which mid-side
+nodes depend (`mortar.duals`). Smooth ties add D_jj^-1 int Phi_j A_l of
+`curvature_correction.point_motions` to P_jl I.
 Where a component e is prescribed and n = n_f + n_e e, R_j^-1 has the rows n, e, .., t, and R_j the
 columns n_f / |n_f|^2, e - n_e n_f / |n_f|^2, .., t. A reaction z exerts R^-T z on the slave side
 and -P^T R^-T z on the master.
@@ -40,7 +40,7 @@ from dolfinx_mortar.mortar.surface import Surface
 
 @dataclass(frozen=True)
 class Sides:
-    """Surfaces of an interface in the displacement space."""
+    """Surfaces of an interface."""
 
     V: fem.FunctionSpace
     slave: Surface
@@ -210,7 +210,7 @@ class CoupledSides:
         return self.coupling.directions
 
     def relative(self, v: PETSc.Vec) -> Floats:
-        """Return R^-1 (v_j - sum_l Q_jl v_l) at the owned slave nodes, (n, d); collective.
+        """Return R^-1 (v_j - sum_l Q_jl v_l) (n, d); collective.
 
         In constrained directions this is R_j^-1 (v_j - P v).
         """
@@ -219,7 +219,7 @@ class CoupledSides:
         return np.asarray(np.einsum("nij,nj->ni", self.coupling.rows, local))
 
     def gaps(self, v: PETSc.Vec) -> Floats:
-        """Return n_j.(P v - v_j) - h_j at the owned slave nodes (n,) for v = X + u; collective.
+        """Return n_j.(P v - v_j) - h_j (n,) for v = X + u; collective.
 
         Without a master P = 0, and -h_j is the position of the tool along the normal.
         """
@@ -304,13 +304,8 @@ class Frame:
 def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
     """Orthonormal frames with the normal first and prescribed axes among the tangents.
 
-    Args:
-        normals: (n, d) unit normals; zero in every prescribed direction.
-        fixed: (n, d) prescribed Cartesian directions.
-
-    Returns:
-        R (n, d, d) with the frame vectors as columns, and slot (n, d): the column of R of a
-        prescribed axis, else -1.
+    Unit normals (n, d) are zero in prescribed Cartesian directions (n, d). Returns R (n, d, d) with
+    the frame vectors as columns, and slot (n, d), the column of R of a prescribed axis, else -1.
 
     >>> R, slot = create_frames(np.array([[0.0, -1.0]]), np.array([[True, False]]))
     >>> R[0].tolist(), slot[0].tolist()
@@ -330,15 +325,9 @@ def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
 
 
 def normal_frames(normals: Floats, kept: Bools, fixed: Bools) -> tuple[Floats, Ints, Bools]:
-    """Frames whose normal is constrained at nodes with multipliers; Cartesian elsewhere.
+    """Frames whose normal is constrained at kept nodes (n,); Cartesian elsewhere.
 
-    Args:
-        normals: (n, d) unit, not wholly prescribed at kept nodes.
-        kept: (n,) nodes with a multiplier.
-        fixed: (n, d) prescribed Cartesian directions.
-
-    Returns:
-        R and slot as in `create_frames`, and the constrained directions (n, d).
+    Arguments and results as of `create_frames`, and the constrained directions (n, d).
 
     >>> n, e = np.array([[0.6, 0.8]]), np.array([[True, False]])
     >>> R, slot, directions = normal_frames(n, np.array([True]), e)

@@ -152,12 +152,12 @@ class Results:
         return self._function("active")
 
     def gather(self, u: fem.Function) -> Mapping[str, Floats]:
-        """Slave nodes of all ranks on every rank; collective.
+        """Slave nodes of all ranks on every rank, ordered by X; collective.
 
         Returns:
             "X" (n, d) reference and "x" (n, d) current coordinates at u, "pressure", "gap" and
-                "active" (n,), with friction also "traction" (n, d), "step_slip" (n, d), "slip" and
-                "status" (n,), ordered by X.
+            "active" (n,), with friction also "traction" (n, d), "step_slip" (n, d), "slip" and
+            "status" (n,).
 
         Raises:
             NoResult: before the first step.

@@ -34,7 +34,7 @@ from dolfinx_mortar.mortar.surface import accumulate, carrying
 
 @dataclass(frozen=True)
 class Partners:
-    """P of a contact and its distances at the start of a step; in space see `carrying`."""
+    """P of a contact and its distances at the start of a step."""
 
     P: PETSc.Mat  # (nodes, nodes) between nodes, scalar
     known: Bools  # (n,) that face the master
@@ -156,7 +156,7 @@ class ToolPartners(Partners):
         return np.asarray(arcs.motion - arcs.lift[:, None] * arcs.end)
 
     def derivatives(self, link: CoupledSides, moved: PETSc.Vec) -> tuple[Floats, Floats]:
-        """Derivatives (n, d, d) of the motion by x_j and by n, up to parts along n."""
+        """Derivatives (n, d, d) of the motion by x_j and by n."""
         x = self.at + moved.array_r.reshape(-1, self.at.shape[1])[link.nodes]
         arcs, found = self._arcs(link, x), self.tool.pose().distance(self.tool.asked, x)
         g = found.gradient

@@ -222,7 +222,7 @@ class InterfaceSystem:
         return self.links[next(k for k, i in enumerate(self.interfaces) if i is interface)]
 
     def at(self, u: fem.Function | None) -> Configuration:
-        """Pair and couple the surfaces at X + u and resolve the claims, without T; collective."""
+        """Pair and couple the surfaces at X + u, without T; collective."""
         if not self.interfaces:
             return Configuration()
         at = self._pair(u)
@@ -405,12 +405,12 @@ class InterfaceSystem:
         partners: Sequence[Partners | None],
         sliding: Floats | None = None,
     ) -> SlipLimits | None:
-        """Limits of friction, None without; collective.
+        """Limits of friction, or None; collective.
 
         Args:
             moved: (n,) displacement since the last commit.
-            limits: (owned nodes,) coefficients or tractions of each interface, or None.
-            partners: of each interface at the start of the step, None for present ones.
+            limits: (owned nodes,) of each interface, or None.
+            partners: at the start of the step, None for present ones.
             sliding: (owned nodes, d) directions of slip at the last commit.
         """
         parts = []

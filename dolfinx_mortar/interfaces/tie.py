@@ -57,22 +57,22 @@ class Tie(MortarInterface):
         facet_tags: facet markers on the mesh of the displacement.
         slave: tag or name (see `Tags`) of the side with the multipliers.
         master: tag or name of the other side.
-        jump: displacement of the slave side relative to the master side, a length: d Cartesian
-            components, a Constant, a Function on this mesh, or a function of points x (3, n) that
-            returns (d, n), evaluated at the slave nodes in every step. A vector from the slave side
-            into the master side makes them overlap, the opposite opens a slit.
+        jump: displacement of the slave side relative to the master side, a length: d components, a
+            Constant, a Function on this mesh, or a function of points x (3, n) that returns (d, n),
+            evaluated at the slave nodes in every step. A vector from the slave side into the master
+            side makes them overlap, the opposite opens a slit.
         pretension: resultant on the slave side along ``direction``, a force, positive in tension: a
-            number or a scalar Constant, read in every step. Half a bolt on a plane of symmetry has
-            half the force. None keeps jump and tightening: later loads change the force of a tight
+            number or a scalar Constant, read in every step; half of it for half a bolt on a plane
+            of symmetry. None keeps jump and tightening: later loads change the force of a tight
             bolt.
         direction: d numbers of any length, out of the slave side: the axis of the bolt; default the
             mean normal of the slave side.
-        surface: "facets" ties points of facets, u_s = P u_m as in the paper; "smooth" the smooth
-            surfaces through their nodes: where facets are apart by r, u_s = P u_m + (motion of r).
+        surface: "facets" ties points of facets, u_s = P u_m; "smooth" the smooth surfaces through
+            their nodes: where facets are apart by r, u_s = P u_m + (motion of r).
         feature_angle: least angle of an edge between facets in degrees, for smooth surfaces.
         within: largest distance between tied facets at X, a length; default the least distance
-            between the sides plus half of the larger of two facets (the audit warns where that may
-            be wrong).
+            between the sides plus half of the larger facet (the audit warns where that may be
+            wrong).
     Source: the paper, section 4, eq. 16 with equality.
 
     Raises:
@@ -113,7 +113,7 @@ class Tie(MortarInterface):
 
     @property
     def jump(self) -> Jump:
-        """Displacement of the slave side relative to the master side, without the tightening."""
+        """Displacement of the slave side, without the tightening."""
         return self._jump
 
     @jump.setter
@@ -131,7 +131,7 @@ class Tie(MortarInterface):
 
     @property
     def pretension(self) -> Force | None:
-        """Resultant on the slave side along the direction; None keeps the jump."""
+        """Resultant along the direction; None keeps the jump."""
         return self._pretension
 
     @pretension.setter
@@ -140,7 +140,7 @@ class Tie(MortarInterface):
 
     @property
     def direction(self) -> Direction:
-        """Unit vector (d,) of the pretension, None for the mean normal of the slave side."""
+        """Unit vector (d,) of the pretension, None for the mean normal."""
         return self._direction
 
     @direction.setter

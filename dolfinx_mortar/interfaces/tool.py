@@ -30,7 +30,7 @@ from dolfinx_mortar.shapes.zero_level import find_zero_level
 
 
 class Driven(Protocol):
-    """A rigid tool or side with m unknown motions driven by given forces; same on all ranks."""
+    """A rigid tool or side with m motions driven by given forces; same on all ranks."""
 
     @property
     def holds(self) -> bool:
@@ -41,7 +41,7 @@ class Driven(Protocol):
         """Names (m) of the motions and their forces."""
 
     def loads(self) -> Floats:
-        """Given forces (m,) on the tool; a ValueError for NaN and infinity."""
+        """Given forces (m,); a ValueError for NaN and infinity."""
 
     def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
         """Displacements (m, n, d) of points by one unit of each motion.
@@ -61,7 +61,7 @@ class Driven(Protocol):
 
 @dataclass(frozen=True)
 class Pose:
-    """Pose of a tool: x = position + R (xi - point) of a point xi in its initial position."""
+    """Pose of a tool: x = position + R (xi - point) of a point with initial position xi."""
 
     position: Floats  # (d,)
     rotation: Floats  # (1,) or (3,) rotation vector
@@ -105,7 +105,6 @@ class RigidBody:
         point: (d,) initial position of the reference point.
         position: Constant (d,), position of this point without ``travel``.
         rotation: Constant, an angle in the plane, a rotation vector (3,) in space.
-        revolved: whether the problem is axisymmetric.
         load: given forces and moments by name.
         travel: (3,) or (6,) additional motion by the loads.
     """
@@ -124,7 +123,7 @@ class RigidBody:
         self.travel: Floats = np.zeros(len(motions_in(d)))
 
     def pose(self, travel: Floats | None = None) -> Pose:
-        """Present pose, or the one with another travel; a ValueError for NaN, and off an axis."""
+        """Present pose, or with another travel; a ValueError for NaN, and off an axis."""
         position: Floats = np.array(self.position.value, dtype=np.float64)
         rotation: Floats = np.array(self.rotation.value, dtype=np.float64).reshape(-1)
         for name, value in (("position", position), ("rotation", rotation)):
@@ -208,7 +207,7 @@ class RigidBody:
         return np.zeros_like(X)
 
     def along(self, arm: Floats) -> Floats:
-        """Displacements (m, n, d) by one unit of each driven motion at arms (n, d)."""
+        """Displacements (m, n, d) by one unit of each motion at arms (n, d)."""
         n, d = arm.shape
         every = np.zeros((len(motions_in(d)), n, d))
         every[np.arange(d), :, np.arange(d)] = 1.0
@@ -251,7 +250,7 @@ class Movable:
 
     @property
     def rotation(self) -> fem.Constant:
-        """Rotation since the start in radians, an angle or a vector (3,); set its value."""
+        """Rotation in radians, an angle or a vector (3,); set its value."""
         return self.rigid.rotation
 
     @property
@@ -369,7 +368,7 @@ class Tool(RigidBody):
         return super().identity | {"distances": self.probed()}
 
     def state(self, ended: bool) -> dict[str, Floats]:
-        """See `Interface.state`: also the pose at the last commit, or of the next one."""
+        """See `Interface.state`: also the pose `began`."""
         began = self.pose() if ended else self.began
         return super().state(ended) | {"position": began.position, "rotation": began.rotation}
 
@@ -468,7 +467,7 @@ def _vector_near(turned: scipy.spatial.transform.Rotation, guess: Floats) -> Flo
 
 
 def on_the_way(before: Pose, now: Pose, turn: Floats, t: float) -> Pose:
-    """Pose at a time t in [0, 1]: uniform translation of the point and rotation ``turn``."""
+    """Pose at a time t in [0, 1] of a uniform motion with the rotation ``turn``."""
     if t in (0.0, 1.0):
         return now if t else before
     position = (1.0 - t) * before.position + t * now.position
@@ -476,7 +475,7 @@ def on_the_way(before: Pose, now: Pose, turn: Floats, t: float) -> Pose:
 
 
 def find_facing(side: WholeSide, pose: Pose, shape: Shape, x: Floats) -> Bools:
-    """Facets (m,) that face the tool within 78 degrees, for nodes at x (n, d)."""
+    """Facets (m,) that face the tool within 78 degrees, for nodes at x."""
     facets = facets_at(side.slave, x)
     tool = pose.distance(shape, facets.x.mean(axis=1)).gradient
     return np.asarray(-(facet_normals(facets) * tool).sum(axis=1) > FACING)

@@ -128,9 +128,7 @@ class Subproblem:
         return not self.driven or (self.finite and any(others))
 
     def solve(self, old: Iterate, residuals: Sequence[Residuals], *, exact: bool) -> Solution:
-        """Solve the QP at an iterate, if `exact` with the exact tangent or else without;
-        collective.
-        """
+        """Solve the QP at an iterate, at first with the exact tangent if `exact`; collective."""
         tangent = not self.linear or (not residuals and self.problem.terms.vary(self.problem.K))
         rejected = ""
         if exact:
