@@ -84,7 +84,7 @@ def _excerpt(text: str, start: int) -> str:
 
 
 def _texts(name: str, value: Any) -> list[tuple[str, str]]:
-    """Names and texts of a value's parts; on errors its type."""
+    """Names and texts of parts; on errors the type."""
     try:
         return [(key, _text(leaf)) for key, leaf in _leaves(name, value)]
     except Exception as error:  # errors may be local to this rank

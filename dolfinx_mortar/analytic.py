@@ -247,7 +247,7 @@ def first_yield_line(
 
 @dataclass(frozen=True)
 class _History:
-    """A contact of one material under a normal force P, after tangential forces Q, see below."""
+    """A contact of one material after tangential forces Q, see below."""
 
     contact: Any
     friction: float  # mu
@@ -392,7 +392,6 @@ class PartialSlipPoint(_History):
 
     @property
     def _largest(self) -> float:
-        """The displacement D of full slip."""
         at = self.contact
         stiffness = 8.0 * at.contact_radius * at.E_star * (1.0 - self.nu)
         return float(3.0 * self.friction * at.force * (2.0 - self.nu) / stiffness)
@@ -494,7 +493,7 @@ def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
 
 
 def _fit_line(x: Floats, y: Floats, on: Bools) -> tuple[float, float]:
-    """Return (c0, c1) of the least-squares line y = c0 + c1 x of some points; NaN for one x."""
+    """Return (c0, c1) of the least-squares line y = c0 + c1 x; NaN for one x."""
     x, y = x[on], y[on]
     if len(x) < 2 or np.ptp(x) <= HALF_OF_DIGITS * np.max(x):
         return np.nan, np.nan

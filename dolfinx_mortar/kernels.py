@@ -75,7 +75,7 @@ def compile_kernel(vector: Expr) -> Kernel:
 
 
 def kernel_of(compiled: Any, module: Any, vector: Expr) -> Kernel:
-    """Kernel of a compiled vector of expressions."""
+    """Kernel of a compiled vector."""
     ffi = module.ffi
     address = int(ffi.cast("uintptr_t", compiled.tabulate_tensor_float64))
     return Kernel(address, vector.ufl_shape[0], (compiled, module))

@@ -26,7 +26,7 @@ class Timings:
             self.seconds[part] = self.seconds.get(part, 0.0) + time.perf_counter() - start
 
     def since(self, earlier: dict[str, float]) -> dict[str, float]:
-        """Seconds since a copy of ``seconds`` was taken."""
+        """Seconds since a copy of ``seconds``."""
         return {k: v - earlier.get(k, 0.0) for k, v in self.seconds.items()}
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Geometry audit before the first step: errors and warnings about sides and bodies."""
+"""Geometry audit before the first step."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -229,7 +229,7 @@ def _nearest(rows: Floats) -> Floats:
 
 
 def _coupled(bodies: Bodies, system: InterfaceSystem) -> Bools:
-    """Mask (bodies, bodies) of coupled bodies; collective."""
+    """Mask (bodies, bodies) of coupled ones; collective."""
     found = np.zeros((bodies.count, bodies.count))
     n = len(bodies.label)
     for sides in system.sides:

@@ -79,7 +79,7 @@ def jacobians(x: Floats, kind: str, points: Floats, degree: int = 1) -> Floats:
 
 
 def _points(kind: str, degree: int) -> Floats:
-    """Reference points (q, d), two per edge of tensor cells, three for degree 2."""
+    """Reference points (q, d), two per edge, three for degree 2."""
     exact = 3 * degree - 2 if kind in SIMPLICES else 2 * degree + 1
     points, _ = basix.make_quadrature(basix.CellType[kind], exact)
     return np.asarray(points)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Contacts proposed between bodies that are near and face each other."""
+"""Proposed contacts between bodies."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -305,7 +305,7 @@ def _ordered_parts(V: fem.FunctionSpace) -> tuple[Longs, int]:
 
 
 def _names(known: Longs, cell_tags: MeshTags | None) -> list[str]:
-    """Names of bodies (tag, part), sorted: of the tag, numbered if several."""
+    """Names of bodies (tag, part), numbered if several have one tag."""
     if cell_tags is None:
         return [f"body {k + 1}" for k in range(len(known))]
     called = {tag: name for name, tag in names_of(cell_tags).items()}

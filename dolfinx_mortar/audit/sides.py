@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Audit of the two sides of each interface: counts, warnings, choice of the slave side."""
+"""Audit of the two sides of each interface; choice of the slave side."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -59,7 +59,7 @@ def choose_roles(given: Candidates) -> Roles:
     """Roles with fine slaves and few lost constraints.
 
     A node is the slave in one contact only; contacts must not need each other's slave nodes in a
-    cycle (`interfaces.claims`). Minimised in this order: slaves `COARSE` times coarser than their
+    cycle (`interfaces.claims`). Minimised in this order: slaves `COARSE` times coarser than
     masters; slave faces with two masters at a node; shares of slave sides lost by cycles; shares of
     other nodes with two masters; coarseness of slaves; number of the side.
     """
@@ -172,11 +172,11 @@ def _reaches(needs: dict[int, set[int]], start: int, end: int) -> bool:
     return end in seen
 
 
-# Ratio of sagitta error to contact forces with a warning: the peak pressure of a pin in its hole is
-# wrong by 5 % below it, and 30 to 130 % too high from 0.3 on.
+# Ratio of sagitta error to contact forces with a warning: the peak pressure of a pin is wrong by 5
+# % below it, by 30 % and more from 0.3 on.
 SPOILT = 0.2
-# Relative curvature of closely fitting sides over the larger one: the peak pressure of a pin is 25
-# % too high for 0.5, of a disc on a plane (1) 6 %.
+# Relative curvature of closely fitting sides over the larger one: peak pressures are up to 25 % too
+# high above it.
 CLOSE = 0.5
 
 
@@ -291,7 +291,7 @@ def _count_facets(link: Link) -> tuple[int, int]:
 
 
 def _count_facing_away(pairing: Pairing) -> int:
-    """Number of slave facets that touch the back of a master facet, within a facet length."""
+    """Slave facets that touch the back of a master facet, within a facet length."""
     x_s = pairing.slave.X[pairing.slave.facets]
     x_m = pairing.master_X[pairing.master_facets]
     if len(x_s) == 0 or len(x_m) == 0:
@@ -418,8 +418,7 @@ def are_flat(link: Link, sides: tuple[SmoothSide, SmoothSide]) -> bool:
 def warnings_on_straight_facets(link: Link, u: fem.Function | None = None) -> list[str]:
     """Warnings about second order on straight facets of curved sides; collective.
 
-    There pressures oscillate: of ties on rings with 80 facets by .6 % (rms), of first order by .02
-    %; peaks of a closely fitting elliptic pin with 73 facets are 29 % too high.
+    Pressures oscillate there: on rings of 80 facets by .6 % (rms), of first order by .02 %.
     """
     slave, interface = link.sides.slave, link.interface
     if link.pairing is None or slave.curved or slave.element.degree == 1:

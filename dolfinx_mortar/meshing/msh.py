@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Meshes from files of Gmsh, with the names of their physical groups."""
+"""Meshes from files of Gmsh."""
 
 import logging
 import os
@@ -90,8 +90,8 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
 def _open(file: Path, stack: ExitStack) -> Any:
     """Gmsh with the model of a file, until the stack closes; OSError, ValueError, RuntimeError.
 
-    In files of version 2 without tags of geometry (meshio) gmsh puts all elements in entity 0, of
-    all groups: then the tags of groups replace those of entities.
+    gmsh puts elements without a tag of geometry (meshio) in entity 0: then tags of groups replace
+    those of entities.
     """
     _check_file(file)
     try:
@@ -123,7 +123,6 @@ def _renew(gmsh: Any) -> None:
 
 
 def _check_file(file: Path) -> None:
-    """Raise an OSError if there is no file, and a ValueError if it is not of Gmsh."""
     if not file.is_file():
         raise FileNotFoundError(f"path = {str(file)!r}: there is no such file in {Path.cwd()}.")
     with file.open("rb") as stream:
@@ -155,7 +154,6 @@ def _read_groups(model: Any, file: Path) -> list[Group]:
 
 
 def _named(file: Path) -> Iterator[tuple[int, int, str]]:
-    """Yield dimension, tag and name of the groups that a file names."""
     with file.open("rb") as stream:
         for line in stream:
             if line.startswith((b"$EndPhysicalNames", b"$Entities", b"$Nodes")):
@@ -177,7 +175,7 @@ def _read_group(model: Any, dim: int, tag: int, name: str, entities: list[int]) 
 
 
 def _create_model(gmsh: Any, groups: list[Group]) -> Any:
-    """New model with one entity for each group, one kind of elements, and contiguous nodes."""
+    """New model with one entity per group, one kind of elements, and contiguous nodes."""
     tags, x, _ = gmsh.model.mesh.getNodes()
     parts = [nodes.ravel() for g in groups for nodes in g.nodes.values()]
     used = np.unique(np.concatenate(parts))
@@ -196,7 +194,7 @@ def _create_model(gmsh: Any, groups: list[Group]) -> Any:
 
 
 def _check(model: Any, groups: list[Group], path: str) -> list[Group]:
-    """Bodies and sides; raise a ValueError if they make no valid mesh."""
+    """Bodies and sides; a ValueError if they make no valid mesh."""
     if not groups:
         raise ValueError(
             f"{path} has no physical groups, so that nothing tells bodies and sides apart: in "
@@ -284,7 +282,7 @@ def _check_facets(model: Any, bodies: list[Group], sides: list[Group], path: str
 
 
 def _are_in(facets: Longs, known: Longs) -> Bools:
-    """Mask (m,) of facets (m, k) among known ones (n, k), with nodes in any order."""
+    """Mask (m,) of facets (m, k) among known ones (n, k), in any order of nodes."""
     if facets.shape[1] != known.shape[1]:
         return np.zeros(len(facets), dtype=bool)
     every = np.sort(np.concatenate([known, facets]), axis=1)
@@ -307,7 +305,7 @@ def _check_plane(model: Any, bodies: list[Group], path: str) -> None:
 
 
 def _check_apart(groups: list[Group], path: str) -> None:
-    """Raise a ValueError if an element is in two groups of one dimension: it has one tag."""
+    """Raise a ValueError for elements in two groups of one dimension."""
     for kind in sorted({kind for g in groups for kind in g.nodes}):
         parts = [(g, g.nodes[kind]) for g in groups if kind in g.nodes]
         owner = np.concatenate([np.full(len(n), i) for i, (_, n) in enumerate(parts)])

@@ -258,7 +258,6 @@ def _ball_of_tetrahedra(radius: float, gap: float, core: float, h: float) -> Arr
 def _tetrahedra(
     gmsh: Any, contact: tuple[float, float, float], core: float, h: float, far: float
 ) -> Arrays:
-    """Mesh the model; sizes grow from h at the contact point to h far / core at distance far."""
     gmsh.model.occ.synchronize()
     points = np.array([gmsh.model.getValue(0, tag, []) for _, tag in gmsh.model.getEntities(0)])
     nearest = int(np.linalg.norm(points - contact, axis=1).argmin())
@@ -397,8 +396,7 @@ def distribute(
 ) -> tuple[dmesh.Mesh, int]:
     """Mesh of the two bodies that ``create`` returns on rank 0; collective.
 
-    Also the number of input cells of the first body, which come first, with nodes in dolfinx's
-    order.
+    Also the number of input cells of the first body, which come first.
 
     Raises:
         RuntimeError: if gmsh is missing or fails, on all ranks.

@@ -192,15 +192,12 @@ class Writer:
             self._leave()
 
     def _outlines(self) -> Sequence[tuple[Any, Floats]]:
-        """Tools of the problem, see `ContactProblem.output_tools`; collective."""
+        """See `ContactProblem.output_tools`; collective."""
         find = getattr(self.problem, "output_tools", None)
         return () if find is None else find()
 
     def _write_mesh(self, V: fem.FunctionSpace, topology: str) -> list[ET.Element]:
-        """Write cells and points, and return the references for the grids of all steps.
-
-        Those of an earlier run are reused for the same numbering.
-        """
+        """Write cells and points, or reuse equal ones; return their references."""
         file = self._file
         nodes, _, _ = plot.vtk_mesh(V)
         k = V.dofmap.dof_layout.num_dofs
@@ -229,7 +226,6 @@ class Writer:
 
 
 def _digest(comm: MPI.Comm, cells: Ints, x: Floats) -> str:
-    """Digest of cells and points of all ranks; collective."""
     own = hashlib.sha256(cells.astype(np.int64).tobytes() + x.astype(np.float64).tobytes())
     return hashlib.sha256("".join(comm.allgather(own.hexdigest())).encode()).hexdigest()
 
@@ -285,8 +281,8 @@ def _pad(values: Floats, shape: tuple[int, ...]) -> Floats:
 class _ToolFile(File):
     """The surfaces of rigid tools, of rank 0.
 
-    They are cut in the frames of the tools, in a box around the side, enlarged by its diagonal, and
-    moved, until the side leaves the box.
+    Cut in the frames of the tools, in a box around the side, enlarged by its diagonal, and moved,
+    until the side leaves the box.
     """
 
     written = 0  # steps, by this run, also those that the results lack

@@ -201,7 +201,6 @@ def _reserve(file: File, data: Path, resume: bool) -> None:
 
 
 def _create_tree(notes: Mapping[str, Any]) -> tuple[ET.Element, ET.Element]:
-    """Return the XDMF document and its collection of steps."""
     root = ET.Element("Xdmf", Version="3.0")
     domain = ET.SubElement(root, "Domain")
     steps = ET.SubElement(domain, "Grid", Name="steps", GridType="Collection")
@@ -222,7 +221,6 @@ def _create_tree(notes: Mapping[str, Any]) -> tuple[ET.Element, ET.Element]:
 
 
 def _check_xml(what: str, text: Any) -> None:
-    """Raise a ValueError unless a text is valid XML."""
     if not isinstance(text, str) or _NOT_XML.search(text):
         raise ValueError(f"{what}: {text!r} is no text that XML can hold.")
 
@@ -254,11 +252,7 @@ def field_keys(names: Iterable[str]) -> dict[str, str]:
 
 
 def _read(path: Path) -> list[Step]:
-    """Return the steps in the file of an earlier run; on rank 0.
-
-    Raises:
-        ValueError: if it is no file of a `Writer`, or its HDF5 files are missing.
-    """
+    """Steps of an earlier run, or a ValueError; on rank 0."""
     told = f"path is {str(path)!r}, which cannot be resumed, as"
     steps = []
     try:
@@ -284,12 +278,9 @@ def _read(path: Path) -> list[Step]:
 def insert(steps: Sequence[Step], new: Step, *, made: bool) -> list[Step]:
     """Insert a step in order of time, and drop steps of an earlier run that it replaces.
 
-    A load step computed by this run replaces itself and all later ones, a state restored from a
-    checkpoint only itself, as a later checkpoint may follow. Before the first load step, steps
-    without load steps are replaced from the new time on.
-
-    Args:
-        made: whether its load step was computed by this run, not restored from a checkpoint.
+    A load step `made` by this run replaces itself and all later ones, one restored from a
+    checkpoint only itself. Before the first load step, steps without load steps are replaced from
+    the new time on.
 
     Raises:
         ValueError: if times would not rise.

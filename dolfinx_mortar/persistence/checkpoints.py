@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Checkpoints: saving and restoring the committed state of a problem.
 
-Displacement, internal variables, stress, contacts, slips, forces of supports and load level;
-results of the interfaces; tightening of ties; history of load steps, tables of their ramps. Not the
-data that a program sets before each step: loads, supports, jumps, changing parameters.
+Not the data that a program sets before each step: loads, supports, jumps, changing parameters.
 """
 
 import dataclasses
@@ -161,7 +159,6 @@ class Saved:
         state.system.faced = True
 
     def _put_results(self, k: int) -> None:
-        """Set the results of an interface, or clear them; collective."""
         state, interface = self.state, self.state.interfaces[k]
         resultants, values = self.about["interfaces"][k], self.tables[SLAVES.format(k)]
         nodes = state.system.sides[k].nodes
@@ -192,14 +189,12 @@ class Saved:
 
 
 def _places_of(state: ProblemState) -> dict[str, Floats]:
-    """Places of the tables; collective."""
     nodes, points = find_places(state.solid.V), find_places(state.solid.stress.function_space)
     slaves = {SLAVES.format(k): nodes[side.nodes] for k, side in enumerate(state.system.sides)}
     return {NODES: nodes, POINTS: points} | slaves
 
 
 def _at_nodes(state: ProblemState) -> dict[str, Floats]:
-    """Data at the owned nodes."""
     u, committed = _owned(state.u), state.committed
     found = {"displacement": u, "slid": committed.slid.T, "dissipated": committed.dissipated.T}
     found["active"] = committed.active[:, None].astype(float)
@@ -217,7 +212,7 @@ def _at_nodes(state: ProblemState) -> dict[str, Floats]:
 
 
 def _at_points(state: ProblemState) -> dict[str, Floats]:
-    """Fields at the owned points; shown ones only if not committed as well."""
+    """Fields at the owned points, shown ones unless committed as well."""
     fields = {name: _owned(f) for name, f in state.solid.points.lasting_fields().items()}
     for name in [name for name in fields if name.startswith("shown/")]:
         differs = not np.array_equal(fields[name], fields[name.replace("shown/", "committed/")])
@@ -227,7 +222,6 @@ def _at_points(state: ProblemState) -> dict[str, Floats]:
 
 
 def _at_slaves(state: ProblemState, k: int) -> dict[str, Floats]:
-    """Results of an interface at its owned slave nodes."""
     interface, nodes = state.interfaces[k], state.system.sides[k].nodes
     if (found := interface.resultants) is None:
         return {}
@@ -247,8 +241,7 @@ def _owned(f: fem.Function) -> Floats:
 def describe(state: ProblemState) -> dict[str, Any]:
     """Return the identity of a problem on any ranks, by argument; collective.
 
-    Without loads, supports and other data that a program sets before each step, and parameters that
-    may change. A law is known by its name: changes of its code are not seen.
+    Without loads, supports and changing parameters. Laws are known by name, not by their code.
     """
     solid, V = state.solid, state.solid.V
     domain, cells = V.mesh, V.mesh.topology.index_map(V.mesh.topology.dim)

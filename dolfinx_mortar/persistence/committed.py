@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The committed state of a problem in one record, for checkpoints and undoing."""
+"""The committed state of a problem, for checkpoints and undoing."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ class ProblemState:
         }
 
     def ask_terms(self, name: str) -> list[dict[str, Any]]:
-        """Call a method of each term that returns a mapping; collective."""
+        """Mapping of each term by a method; collective."""
 
         def ask_one(named: str, term: Term) -> dict[str, Any]:
             return ask_term(self.comm, f"{named}: {name}", term, lambda: dict(getattr(term, name)))
@@ -154,12 +154,7 @@ class Before:
     """Copy of all that a step and its commit change: displacement, results, state."""
 
     def __init__(self, state: ProblemState, outcome: StepOutcome | None) -> None:
-        """Copy the state; collective.
-
-        Args:
-            state: of the problem, to which no reference is kept.
-            outcome: of an earlier step that has not been committed.
-        """
+        """Copy the state, and an outcome that has not been committed; collective."""
         self.state, self.outcome = state, outcome
         functions = [state.u, *state.states_of_terms.values()]
         self._values = [(f, f.x.array.copy()) for f in functions]

@@ -79,12 +79,7 @@ def import_h5py() -> Any:
 
 
 def check_folder(comm: MPI.Comm, path: Path) -> None:
-    """Raise on all ranks unless rank 0 can write a file there; collective.
-
-    Raises:
-        OSError: if not, naming the folder.
-        RuntimeError: if h5py is missing (on rank 0, an ImportError).
-    """
+    """Raise an OSError or RuntimeError on all ranks unless rank 0 can write there; collective."""
     with raised_together(comm):
         if comm.rank == 0:
             import_h5py()
@@ -137,7 +132,7 @@ def write(
 
 
 def _rows(comm: MPI.Comm, columns: list[Floats]) -> Iterator[Floats]:
-    """Yield the rows of all ranks on rank 0, which must exhaust them; others send; collective."""
+    """Yield rows of all ranks on rank 0, which must exhaust them; others send; collective."""
     rows = np.hstack(columns)
     if comm.rank > 0:
         comm.send(rows, dest=0)
@@ -191,7 +186,6 @@ def _shown(line: bytes) -> str:
 
 
 def _second_line(stream: IO[bytes]) -> bytes:
-    """Second line, with the checksum of the rest of a stream."""
     digest = hashlib.file_digest(stream, "sha256")  # type: ignore[arg-type]
     return CHECKSUM + digest.hexdigest().encode() + b"\n"
 
@@ -254,7 +248,7 @@ def read_tables(
 def _read_table(
     table: Any, about: Mapping[str, Any], own: Floats, size: float
 ) -> tuple[dict[str, Floats], Longs]:
-    """Values at own places (n, k), and how many rows were found for each."""
+    """Values at own places (n, k), and number of rows of each."""
     (n, k), widths = own.shape, about["columns"]
     tree = scipy.spatial.cKDTree(own) if n else None
     values, hits = np.zeros((n, sum(widths.values()))), np.zeros(n, dtype=np.int64)
@@ -275,7 +269,7 @@ def _read_table(
 
 
 def _difference(comm: MPI.Comm, own: Floats, hits: Longs, there: int) -> str:
-    """Describe differences of places from those of the file, "" for none."""
+    """Differences of places from those of the file, in words."""
     total = comm.allreduce(len(own), op=MPI.SUM)
     if total != there:
         return f"there are {total}, in the checkpoint {there}"
@@ -295,7 +289,7 @@ def _opened(path: Path) -> Any:
 
 
 def _check_head(path: Path) -> None:
-    """Raise an error unless a file is an undamaged checkpoint of this format and version."""
+    """Raise unless a file is an undamaged checkpoint of this format and version."""
     import_h5py()
     if not path.exists():
         raise FileNotFoundError(

@@ -268,11 +268,7 @@ class Parts:
 
     @property
     def triangles(self) -> Longs:
-        """The nodes (t, 3) of triangles that fill the parts, part after part.
-
-        They meet at the interior node, or else at the second of the polygon: a middle, if any,
-        which is not on a line with two others.
-        """
+        """Nodes (t, 3) of triangles of the parts, in order, around an interior or mid node."""
         around = self.polygons
         if self.nodes.shape[1] > around.shape[1]:
             tip, rim = self.nodes[:, -1:], np.hstack([around, around[:, :1]])
@@ -295,13 +291,9 @@ class Parts:
 def gather_bodies(
     V: fem.FunctionSpace, x: Floats, values: np.ndarray, at_nodes: bool
 ) -> Parts | None:
-    """Gather the cells of bodies in the plane, or outer facets in space, on rank 0; collective.
+    """Gather cells in the plane, or outer facets in space, on rank 0; collective.
 
-    Args:
-        V: Lagrange space of degree 1 or 2; its nodes are those of the parts.
-        x: (n, 3) positions of its local nodes.
-        values: at the local nodes (n,), or of the owned cells.
-        at_nodes: whether at nodes.
+    `x` (n, 3) are positions of local nodes; values at the local nodes (n,), or of the owned cells.
     """
     topology = V.mesh.topology
     if topology.dim == 2:
@@ -330,7 +322,6 @@ def _gather_facets(
 
 
 def _nodes_of(V: fem.FunctionSpace, facets: Ints) -> tuple[Longs, Ints]:
-    """Nodes (m, k) of facets, and their cells (m,)."""
     topology, d = V.mesh.topology, V.mesh.topology.dim
     for pair in ((d - 1, d), (d, d - 1)):
         topology.create_connectivity(*pair)

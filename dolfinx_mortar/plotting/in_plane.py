@@ -99,12 +99,10 @@ def draw_pressure(axes: Any, sides: list[tuple[str, Parts]], title: str) -> None
 
 
 def _in_order(facets: Parts) -> Any:
-    """Nodes of facets in order along their line."""
     return facets.nodes[:, (0, 2, 1) if facets.nodes.shape[1] == 3 else (0, 1)]
 
 
 def _add_cells(axes: Any, cells: Parts, **style: Any) -> Any:
-    """Draw cells as polygons along their nodes, with thin edges."""
     polygons: Any = cells.x[cells.polygons][:, :, :2]
     drawn = PolyCollection(polygons, linewidth=0.2, cmap="viridis", **style)
     axes.add_collection(drawn)

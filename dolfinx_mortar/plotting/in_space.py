@@ -116,7 +116,6 @@ def _look(plotter: Any, towards: Floats) -> None:
 
 
 def _add_values(plotter: Any, parts: Parts, title: str) -> None:
-    """Draw values of parts or at nodes in colours, with their scale."""
     bar = {"title": f"{title}\n", "color": "black", "vertical": True, "position_x": 0.85}
     bar |= {"fmt": "%.3g", "title_font_size": 18, "label_font_size": 18}
     style = {"cmap": "viridis", "lighting": False, "scalar_bar_args": bar}
@@ -165,7 +164,7 @@ def find_screen() -> None:
 
 @cache
 def _connect(display: str) -> bool:
-    """Whether an X server answers; stays connected for the rest of the program."""
+    """Whether an X server answers; stays connected."""
     library = ctypes.util.find_library("X11")
     if not display or library is None:
         return bool(display)
@@ -175,7 +174,7 @@ def _connect(display: str) -> bool:
 
 
 def _start() -> str:
-    """Start an X server in memory, which ends after its last client; return its display."""
+    """Start Xvfb, which ends after its last client; return its display."""
     server = subprocess.Popen(
         "Xvfb -displayfd 1 -terminate -nolisten tcp -screen 0 1600x1200x24".split(),
         stdin=subprocess.DEVNULL,

@@ -243,7 +243,6 @@ def set_results(
 def _set_sliding(
     problem: ContactProblem, limits: SlipLimits, contacts: Contacts, grown: Sequence[Floats]
 ) -> Slips:
-    """Set the results of friction, added to committed ones; collective."""
     n, d, committed = problem.n, problem.d, problem.committed
     traction, slip = np.zeros((2, n, d))
     assert contacts.sliding is not None

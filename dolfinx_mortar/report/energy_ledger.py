@@ -6,22 +6,22 @@ For linear bodies the trapezoidal rule conserves, from n to n+1,
     K + Psi = K_n + Psi_n + 1/2 (q + q_n).(u - u_n)
 
 q the forces of loads, supports, damping and contacts. Opening and closing contacts lose 1/2 (lambda
-g_n - lambda_n g). So after a step the velocity is corrected by an impulse s of the contact forces
-that makes the work of the normal forces c zero, and the work w of friction f not positive,
+g_n - lambda_n g). So after a step an impulse s of the contact forces corrects the velocity: the
+work of the normal forces c becomes zero, and the work w of friction f not positive,
 
     v <- v + s y,   (kappa M + K) y = c + c_n + f + f_n,
     K(v + s y) = K(v) - 1/2 (c + c_n).(u - u_n) - <w> + s y_f.M (v + s y / 2),
 
-y_f the part of y due to f; the last term counts as work of friction. K y has neither momentum nor
-moment of momentum, so both are conserved (Laursen and Love 2002 correct node by node, with M
-alone). The smaller of the two roots s is taken; energy beyond the range of the impulse is part of
-the defect. Below rtol of the largest energy the impulse is postponed.
+y_f the part of y due to f; the last term counts as work of friction. Momentum and moment of
+momentum are conserved (Laursen and Love 2002 correct node by node, with M alone). The smaller root
+s is taken; energy beyond its range is part of the defect. Below rtol of the largest energy the
+impulse is postponed.
 
-The work of moving tools counts as work of supports; w and K are relative to the tool. Tools driven
-by loads have no mass, and no impulse acts at them.
+The work of moving tools counts as work of supports; w and K are relative to the tool. No impulse
+acts at tools driven by loads.
 
-Changes of eigenstrain or parameters of laws in a step do the work Psi - Psi_n - 1/2 (F + F_n).(u -
-u_n), F the internal forces, each with the data of its time; it counts as work of loads.
+Changes of eigenstrain or parameters do the work Psi - Psi_n - 1/2 (F + F_n).(u - u_n), F the
+internal forces, each with the data of its time; it counts as work of loads.
 
 At finite strain the moment of momentum has an error of third order in a step.
 """
@@ -66,7 +66,7 @@ class Ends:
 class EnergyLedger:
     """The ledger of a problem with inertia, step by step.
 
-    Where a law has no potential, "stored" is the work of the internal forces, dissipation included.
+    Without a potential "stored" is the work of the internal forces, dissipation included.
     """
 
     def __init__(self, problem: ContactProblem, inertia: Inertia, *, conserve: bool) -> None:
@@ -90,11 +90,11 @@ class EnergyLedger:
         self._acting = self._resultants()
         self.last, self._potential = last, stored
         self._before: Ends | None = None
-        self._heated = False  # in this step
+        self._heated = False
         self._inner = self._internal()
 
     def _resultants(self) -> list[Floats | None]:
-        """Forces (d,) on slave sides that can open, None for other interfaces."""
+        """Forces (d,) on slave sides that can open, else None."""
         zero = np.zeros(self.problem.d)
         return [
             (zero if one.resultants is None else one.force.copy()) if one.unilateral else None
@@ -113,7 +113,6 @@ class EnergyLedger:
         ]
 
     def _forces(self, named: Sequence[tuple[str, Term]]) -> Floats:
-        """Sum of the forces of terms, (owned nodes, d); collective."""
         F = self.problem.vector()
         self.problem.terms.add_forces(named, F)
         return np.asarray(F.array_r.reshape(self.inertia.mass.X.shape)).copy()
@@ -123,7 +122,7 @@ class EnergyLedger:
         return -self._forces(self._still)
 
     def _damping(self, velocity: Floats | None = None) -> Floats:
-        """Forces of damping at a velocity, by default that at the end of the step."""
+        """Forces of damping, by default at the velocity of the end of the step."""
         terms = [term for _, term in self.problem.terms.named if isinstance(term, Damping)]
         found = [t.times(t.velocity() if velocity is None else velocity) for t in terms]
         return sum(found, np.zeros(self.inertia.mass.X.shape))
@@ -182,7 +181,6 @@ class EnergyLedger:
         return self.inertia.sum(array.sum())
 
     def _end(self) -> Ends:
-        """Forces at the end of a converged step; collective."""
         problem, shape = self.problem, self.inertia.mass.X.shape
         outcome, supports = problem.outcome, problem.committed.supports
         assert outcome is not None and supports is not None
@@ -284,7 +282,7 @@ class EnergyLedger:
 
     @cached_property
     def _driven(self) -> Bools:
-        """Nodes (owned nodes, 1) on sides that may meet tools driven by loads."""
+        """Nodes (owned nodes, 1) on sides with tools driven by loads."""
         on = np.zeros((len(self.inertia.mass.X), 1), dtype=bool)
         system = self.problem.system
         for sides, interface in zip(system.sides, system.interfaces, strict=True):
@@ -299,7 +297,7 @@ class EnergyLedger:
         return bool(any_rank(self.problem.comm, heavy)[0])
 
     def _tool_way(self, before: Floats, after: Floats) -> Floats:
-        """Motion of tools at the nodes that they touch in the step, (owned nodes, d)."""
+        """Motion (owned nodes, d) of touching tools at the nodes."""
         X = self.inertia.mass.X
         way, free = np.zeros_like(before), np.ones(len(before), dtype=bool)
         links = self.problem.system.unilateral
@@ -334,8 +332,7 @@ class EnergyLedger:
     ) -> tuple[Motion, float, float, float, float]:
         """Motion after an impulse of the contact forces that adds an energy; collective.
 
-        Also the works of tools and of friction in it, the missing energy, and the time for which
-        the forces have acted.
+        Also the works of tools and of friction, the missing energy, and the time of the forces.
         """
         if responses is None:
             return motion, 0.0, 0.0, energy, 0.0

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Notes on a converged step: separation from the partner, neglected strains, resolution.
-
-Newton's method adds those on tunnelling and indefinite tangents.
-"""
+"""Notes on a converged step: separation from the partner, neglected strains, resolution."""
 
 import logging
 import re
@@ -62,7 +59,7 @@ def note_partners(end: StepEnd) -> list[str]:
 
 
 def _missed_tools(end: StepEnd) -> list[str]:
-    """Notes on tools that meet no node, also of shared sides."""
+    """Notes on tools that meet no node."""
     notes, links = list[str](), end.problem.system.links
     why = (
         "Either no facet of the side faces the tool (its normal has to point out of the tool, "

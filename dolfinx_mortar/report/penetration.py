@@ -104,10 +104,7 @@ def notes_on_overlaps(
 
 
 def _on_prescribed_facets(link: Link, u: fem.Function) -> Overlap | None:
-    """Deepest point of slave facets without multipliers, by Dirichlet data; collective.
-
-    Flush flanks do not cross there.
-    """
+    """Deepest point of slave facets without multipliers, by Dirichlet data; collective."""
     comm, bare = link.sides.V.mesh.comm, link.prescribed_facets()
     if not any_rank(comm, bare.any())[0]:
         return None
@@ -179,7 +176,7 @@ def _deviations(surface: Surface, u: fem.Function, feature_angle: float) -> Floa
 
 
 def _deepest(comm: MPI.Comm, group: Longs, *columns: Any) -> dict[int, Any]:
-    """Columns at the maximum of the first one over all ranks, for each group; collective."""
+    """Columns at the maximum of the first one over all ranks, by group; collective."""
     order = np.argsort(columns[0], kind="stable")
     last = {int(k): i for k, i in zip(group[order], order, strict=True)}
     mine = {k: [column[i].tolist() for column in columns] for k, i in last.items()}
@@ -203,7 +200,7 @@ class _Skin:
         return _Skin(*(getattr(self, f.name)[which] for f in fields(self)))
 
     def received(self, comm: MPI.Comm) -> "_Skin":
-        """Facets of this rank and those of other ranks in their box; collective."""
+        """Facets of this rank and those of others in their box; collective."""
         low, high = bounds(self.x)
         box = low.min(axis=0, initial=np.inf), high.max(axis=0, initial=-np.inf)
         sent = [
@@ -272,7 +269,6 @@ def _longest_jumps(problem: ContactProblem) -> Floats:
 
 
 def _create_skin(problem: ContactProblem, meets_itself: Bools) -> _Skin:
-    """Exterior facets of this rank that may cross others; collective."""
     boundary, interfaces = problem.system.boundary, problem.system.sides
     facets, nodes = boundary.at(problem.u), boundary.nodes
     body = problem.bodies.of_cells[boundary.cells].astype(np.int64)

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Reactions: forces of Dirichlet conditions on the bodies.
 
-In F(u) = f + c + r (internal forces, loads, contacts and ties, reactions) a prescribed component is
-an unknown of y, u = T y, where r = T^T (F - f) without c.
+A prescribed component is an unknown of y, u = T y, where r = T^T (F - f) without contact forces.
 """
 
 from collections.abc import Sequence

@@ -38,8 +38,8 @@ from dolfinx_mortar.mortar.surface import (
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.step_report import Note
 
-# Nodes that resolve the largest pressure, in 2D and 3D: errors against Hertz are -5 to 9 % with 5
-# in 2D (9 in 3D: -14 to 5 %), -3 to 3 % with 7 (17 in 3D: -2 to 4 %).
+# Nodes that resolve the largest pressure, in 2D and 3D: errors against Hertz are at most 9 % with 5
+# nodes and 3 % with 7 in 2D, 14 % with 9 and 4 % with 17 in 3D.
 NODES = {2: 7, 3: 17}
 # Oscillation of plane pressures over their mean: on disc and block .007 to .083 where pressures are
 # within a tenth of Hertz', .15 to 1 where a fifth off.
@@ -264,12 +264,7 @@ def _peak_patch(link: Link, contacts: Contacts) -> tuple[int, bool]:
 
 
 def find_patches(link: Link, marked: Bools, *columns: Floats | Bools) -> list[Floats]:
-    """Tables of patches of connected slave nodes over all ranks; collective.
-
-    Args:
-        marked: (n,) nodes that count.
-        columns: (n,) or (n, c), of the tables.
-    """
+    """Tables of ``columns`` (n,) or (n, c) by patch of connected marked slave nodes; collective."""
     slave, comm, layout = link.sides.slave, link.sides.V.mesh.comm, link.sides.V.dofmap.index_map
     marks = np.zeros((len(slave.nodes), 1))
     marks[: slave.owned, 0] = marked

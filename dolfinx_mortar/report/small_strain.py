@@ -54,7 +54,7 @@ class LeftOut:
 
 
 def _measure(solid: Solid, weights: Floats, cells: slice) -> Floats:
-    """Rows of `find_left_out` (9, cells) of some owned cells."""
+    """Rows of `find_left_out` (9, cells)."""
     volume = weights[cells]
     points, dofmap = volume.shape[1], solid.stress.function_space.dofmap
 
@@ -71,7 +71,7 @@ def _measure(solid: Solid, weights: Floats, cells: slice) -> Floats:
     size, strains = frobenius_norm(found.left_out), frobenius_norm(found.strain)
     seen = strains if found.seen is found.strain else frobenius_norm(found.seen)
     angles = np.linalg.norm(found.rotation, axis=1)
-    # per cell: under volume constraints point values vary much
+    # per cell: under volume constraints point values vary
     work = np.abs(per_cell(double_contraction(stress, found.seen)))
     made = [per_cell(double_contraction(stress, E)) for E in (found.left_out, found.turned)]
     sums = [volume.sum(axis=1), per_cell(size), work, *made]

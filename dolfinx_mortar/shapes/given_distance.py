@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A signed distance given by the user, in UFL or as a function of points."""
+"""A signed distance given by the user."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -152,7 +152,7 @@ def _compile(phi: Expr, d: int) -> Kernel:
 
 
 def _returned(name: str, function: Function, x: Floats, shape: tuple[int, ...]) -> Floats:
-    """Checked result (n, ..) of a function at points x (n, d)."""
+    """Checked result (n, ..) at points x (n, d)."""
     n = len(x)
     if not n:
         return np.zeros((0, *shape))
@@ -163,7 +163,7 @@ def _returned(name: str, function: Function, x: Floats, shape: tuple[int, ...]) 
 
 
 def _differences(function: Callable[[Floats], Floats], x: Floats, step: float) -> Floats:
-    """Central differences (n, .., d) of a function of points x (n, d)."""
+    """Central differences (n, .., d) at points x (n, d)."""
     ways = step * np.eye(x.shape[1])
     parts = [(function(x + way) - function(x - way)) / (2 * step) for way in ways]
     return np.stack(parts, axis=-1)

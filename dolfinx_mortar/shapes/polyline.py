@@ -147,7 +147,7 @@ class Polyline(Curved):
 
 
 def _mirrored(tangent: Floats, along: Floats) -> Floats:
-    """Tangent (n, 2) of a circle at the other end of a chord along unit vectors."""
+    """Tangent (n, 2) of a circle at the other end of a chord."""
     return 2.0 * (tangent * along).sum(axis=1)[:, None] * along - tangent
 
 
@@ -163,7 +163,7 @@ def _agreeing(directions: Floats, spans: Floats) -> Floats:
 
 
 def _crossed(p: Floats, q: Floats, closed: bool) -> Bools:
-    """Mask (m,) of edges that cross one not next to them."""
+    """Mask (m,) of edges that cross another one."""
 
     def side(a: Floats, b: Floats, c: Floats) -> Floats:
         u, v = b - a, c - a

@@ -22,7 +22,6 @@ from dolfinx_mortar.shapes.shape import (
 
 
 def _off_axis(point: Floats, radius: float, axis: Floats | None = None) -> bool:
-    """Whether a point, or a direction, is off the axis r = 0."""
     size = radius + float(np.abs(point).max())
     return bool(abs(point[0]) > SAME * size or (axis is not None and abs(axis[0]) > SAME))
 
@@ -53,8 +52,6 @@ class Plane(Shape):
 
 
 class _Round(Shape):
-    """Shape with centre and radius."""
-
     def __init__(self, centre: Any, radius: Any) -> None:
         self.centre = self.point = check("centre", centre, POINT)
         self.radius = check("radius", radius, LENGTH)
@@ -246,8 +243,6 @@ class Wedge(_Pointed):
 
 
 class _Combined(Shape):
-    """Shapes combined by the least or the largest phi."""
-
     sign: ClassVar[float]
 
     def __init__(self, *shapes: Shape) -> None:
@@ -302,7 +297,7 @@ class Intersection(_Combined):
             )
 
     def _is_empty(self) -> bool:
-        """Whether repeated projections onto the farthest shape end at a gap (convex: a proof)."""
+        """Whether repeated projections onto the farthest shape leave a gap (convex: a proof)."""
         x = np.array([shape.point for shape in _leaves(self)])
         for _ in range(LIMIT):
             try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Base of all shapes: a signed distance with its derivatives."""
+"""Base of all shapes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Distance:
     """Signed distances phi of points, their gradients and Hessians."""
 
     value: Floats  # (n,) positive outside
-    gradient: Floats  # (n, d) unit normals, out of the tool
+    gradient: Floats  # (n, d) unit normals
     hessian: Floats  # (n, d, d) curvatures, 1 / length
 
     def less(self, radius: float) -> Distance:

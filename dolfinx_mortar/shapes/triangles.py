@@ -91,19 +91,14 @@ class Triangulation:
         return x[:, [1, 2, 0]] - x, x[:, [2, 0, 1]] - x
 
     def _summed(self, group: Longs, parts: Floats) -> Floats:
-        """Sums (m, 3, 3) of parts at corners (m, 3, 3) over groups (3 m,)."""
+        """Sums (m, 3, 3) of parts at corners over groups (3 m,)."""
         total = np.zeros((int(group.max()) + 1, 3))
         np.add.at(total, group, parts.reshape(-1, 3))
         return np.asarray(total[group].reshape(-1, 3, 3))
 
 
 def create_triangulation(points: Floats, triangles: Longs, *, rim: bool) -> Triangulation:
-    """Surface of points (n, 3) and triangles (m, 3), perhaps with a rim.
-
-    Raises:
-        ValueError: for triangles without area or turned against neighbours, edges of more than two,
-            holes, and bodies turned inside out.
-    """
+    """Surface of points (n, 3) and triangles (m, 3); ValueErrors of `Triangles`."""
     x = points[triangles]
     across = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     sides = _length(x - x[:, [1, 2, 0]])
@@ -126,7 +121,7 @@ def create_triangulation(points: Floats, triangles: Longs, *, rim: bool) -> Tria
 
 
 def _find_neighbours(x: Floats, triangles: Longs, rim: bool) -> Longs:
-    """Triangle beyond each edge (m, 3), -1 at a rim; ValueErrors of `create_triangulation`."""
+    """Triangle beyond each edge (m, 3), -1 at a rim."""
     ends = np.stack([triangles[:, FIRST], triangles[:, SECOND]], axis=2).reshape(-1, 2)
     _, place, count = np.unique(
         np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True
@@ -263,7 +258,7 @@ class Triangles(Curved):
 
 
 def _bulges(x: Floats, normals: Floats) -> Floats:
-    """Bends a (m, 3, 3) of edges, see `curved`, from corners and normals."""
+    """Bends a (m, 3, 3) of edges, see `curved`."""
     p, q, one, other = x[:, FIRST], x[:, SECOND], normals[:, FIRST], normals[:, SECOND]
     both = one + other
     turn = ((other - one) * (q - p)).sum(axis=2) / (both**2).sum(axis=2)
@@ -319,7 +314,7 @@ def read_stl(path: str | os.PathLike[str]) -> tuple[Floats, Longs]:
 
 
 def _binary(content: bytes) -> Floats | None:
-    """Corners (m, 3, 3); None if the length of the file does not fit."""
+    """Corners (m, 3, 3), None for a wrong length."""
     if len(content) < HEADER:
         return None
     count = int.from_bytes(content[HEADER - 4 : HEADER], "little")
@@ -329,7 +324,7 @@ def _binary(content: bytes) -> Floats | None:
 
 
 def _text(content: bytes) -> Floats | None:
-    """Corners (m, 3, 3); None for other texts."""
+    """Corners (m, 3, 3), None for other texts."""
     if not content.lstrip()[:5].lower() == b"solid":
         return None
     try:

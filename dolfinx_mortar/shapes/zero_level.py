@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Zero level of a signed distance in a box: lines in the plane, triangles in space."""
+"""Zero level of a signed distance in a box."""
 
 from itertools import permutations, product
 
@@ -45,7 +45,7 @@ def find_zero_level(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Lo
 
 
 def _around(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Corners (d,) of the box around the surface, by a coarse grid; phi may be approximate."""
+    """Corners (d,) of a box around the surface, by a coarse grid."""
     for _ in range(LIMIT):
         counts = _counts(low, high, GRID[len(low)] // 4)
         cell = (high - low) / counts
@@ -63,7 +63,6 @@ def _around(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Floats]:
 
 
 def _counts(low: Floats, high: Floats, most: int) -> Longs:
-    """Numbers of cells (d,) along the sides of a box."""
     sides = high - low
     return np.maximum(np.ceil(sides / sides.max() * most), 1).astype(np.int64)
 

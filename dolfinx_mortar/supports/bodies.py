@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Bodies: connected parts of a mesh, and their unconstrained rigid-body modes."""
+"""Connected parts of a mesh, and their unconstrained rigid-body modes."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -266,7 +266,7 @@ def _take_out(null: Floats, rest: Floats, motions: dict[str, Floats]) -> tuple[F
 
 
 def _groups(null: Floats, body: npt.NDArray[np.int_]) -> list[list[int]]:
-    """Sets of bodies that only move together, for a null space (modes, k)."""
+    """Sets of bodies that only move together."""
     linked = np.abs(null @ null.T) > QUARTER_OF_DIGITS
     _, label = scipy.sparse.csgraph.connected_components(
         linked | (body[:, None] == body), directed=False
@@ -275,7 +275,7 @@ def _groups(null: Floats, body: npt.NDArray[np.int_]) -> list[list[int]]:
 
 
 def _common_motions(bodies: Bodies, group: list[int]) -> dict[str, Floats]:
-    """Rigid motions of a group of bodies as one, in terms of their modes."""
+    """Rigid motions of a group as one body, in terms of modes."""
     count, d = bodies.centre.shape
     middle = bodies.centre[group].mean(axis=0)
     probes = np.vstack([np.zeros(d), np.eye(d)])  # modes are affine
