@@ -261,7 +261,7 @@ class _History:
         return self.forces[-1]
 
     def _traction(self, x: npt.ArrayLike, a: float, sticks: tuple[float, ...]) -> Floats:
-        """Return the sum over legs that stick where |x| < c."""
+        """Sum over legs that stick where |x| < c."""
         at = check("x", x, FINITE)
         total = np.zeros_like(at)
         for w, c in zip(self.weights, sticks, strict=True):
@@ -317,7 +317,7 @@ class PartialSlip(_History):
         return float(limit / (np.pi * self.contact.E_star) * legs.sum())
 
     def traction(self, x: npt.ArrayLike) -> Floats:
-        """Return the shear traction at distances x from the middle, zero outside the contact.
+        """Shear traction at distances x from the middle, zero outside the contact.
 
         Exerted by the body that pushes with Q on the other one: its integral is Q.
         """
@@ -397,7 +397,7 @@ class PartialSlipPoint(_History):
         return float(3.0 * self.friction * at.force * (2.0 - self.nu) / stiffness)
 
     def traction(self, r: npt.ArrayLike) -> Floats:
-        """Return the shear traction at distances r from the middle, as `PartialSlip.traction`."""
+        """Shear traction at distances r from the middle, as `PartialSlip.traction`."""
         return self._traction(r, self.contact.contact_radius, self.stick_radii)
 
 
@@ -425,7 +425,7 @@ FORCES = array((), (None,), remedy="give a finite number, or several in a sequen
 
 
 def _legs_of(force: Force, limit: float) -> Legs:
-    """Return the forces of a history, the weights of its legs, and k of each.
+    """Forces of a history, the weights of its legs, and k of each.
 
     The weight is 1 for the first leg, 2 for the others, signed; 1 - k, the change of the force over
     weight times mu P, is in [0, 1]. Else a ValueError.

@@ -219,7 +219,7 @@ class LawAtPoint:
 
 
 def law_at_point(material: Any, law: Law, strain: str | None = None) -> LawAtPoint:
-    """Return a law as a function of numbers, of its own strain or a finite one.
+    """Law as a function of numbers, of its own strain or a finite one.
 
     ValueError for parameters that vary in space, and for plane stress at finite strain.
     """
@@ -446,7 +446,7 @@ class _Sample:
     def demand(
         self, what: str, given: Any, wanted: Any, other: str, scale: float, **places: Floats
     ) -> float:
-        """Return the relative error; a ValueError with both values if too large."""
+        """Relative error; a ValueError with both values if too large."""
         given, wanted = np.asarray(given), np.asarray(wanted)
         errors = np.abs(given - wanted)
         worst = np.unravel_index(errors.argmax(), errors.shape)

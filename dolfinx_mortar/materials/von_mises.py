@@ -61,7 +61,7 @@ def _updated_state(law: Any, strain: Expr, state: Mapping[str, Expr], p: Any) ->
 
 
 def flow_in_plane_stress(p: Expr, q: Expr, r: Expr) -> Expr:
-    """Return the root t > 0 of p^2 / (1 + r t)^2 + q^2 / (1 + t)^2 = 1, 0 if p^2 + q^2 <= 1.
+    """Root t > 0 of p^2 / (1 + r t)^2 + q^2 / (1 + t)^2 = 1, 0 if p^2 + q^2 <= 1.
 
     With N^2 the left side, 1/N is concave in t. Three steps of Halley's method from a lower bound
     reach the round-off of N for p, q in [0, 1e6], .0175 <= r <= 1.
@@ -206,7 +206,7 @@ class VonMises(Material):
 
     @staticmethod
     def _normal_strain(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return the strain zz with sigma_zz = 0.
+        """Strain zz with sigma_zz = 0.
 
         In the plane, stress minus back stress has the sum S = xx + yy, the difference D = xx - yy
         and the shear T; |xi|^2 = S^2 / 6 + D^2 / 2 + 2 T^2. With phi = dgam / (Y + H k_n) and the
@@ -235,7 +235,7 @@ class VonMises(Material):
 
     @staticmethod
     def output(state: Mapping[str, np.ndarray], p: SimpleNamespace) -> dict[str, np.ndarray]:
-        """Return the back stress a ep (q, components)."""
+        """Back stress a ep (q, components)."""
         return {"back_stress": p.a[:, None] * state["plastic_strain"]}
 
 

@@ -226,7 +226,7 @@ def _check_xml(what: str, text: Any) -> None:
 
 
 def field_keys(names: Iterable[str]) -> dict[str, str]:
-    """Return the name of each field in the HDF5 file: letters, digits and underscores.
+    """Name of each field in the HDF5 file: letters, digits and underscores.
 
     Raises:
         ValueError: if two names differ only in other characters or in case.
@@ -305,7 +305,7 @@ def insert(steps: Sequence[Step], new: Step, *, made: bool) -> list[Step]:
 
 
 def free_name(path: Path, steps: Iterable[Step]) -> Path:
-    """Return a new name for the HDF5 file.
+    """New name for the HDF5 file.
 
     >>> free_name(Path("out.xdmf"), [])
     PosixPath('out.h5')

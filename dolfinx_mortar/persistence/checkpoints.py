@@ -239,7 +239,7 @@ def _owned(f: fem.Function) -> Floats:
 
 
 def describe(state: ProblemState) -> dict[str, Any]:
-    """Return the identity of a problem on any ranks, by argument; collective.
+    """Identity of a problem on any ranks, by argument; collective.
 
     Without loads, supports and changing parameters. Laws are known by name, not by their code.
     """

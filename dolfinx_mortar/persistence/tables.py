@@ -68,7 +68,7 @@ def find_places(V: fem.FunctionSpace) -> Floats:
 
 
 def import_h5py() -> Any:
-    """Return the module h5py, or raise an ImportError with the remedy."""
+    """Module h5py, or raise an ImportError with the remedy."""
     try:
         import h5py
     except ImportError as error:
@@ -223,7 +223,7 @@ def read_about(comm: MPI.Comm, path: Path) -> dict[str, Any]:
 def read_tables(
     comm: MPI.Comm, path: Path, about: Mapping[str, Any], places: Mapping[str, Floats], size: float
 ) -> tuple[dict[str, dict[str, Floats]], dict[str, str]]:
-    """Return the values at the places of this rank; collective.
+    """Values at the places of this rank; collective.
 
     Args:
         about: result of `read_about`.

@@ -104,7 +104,7 @@ class PointFields:
         return list(dict.fromkeys(["von_mises", *stored, *ALIASES, *of_tensors]))
 
     def values(self, name: str) -> np.ndarray:
-        """Return a field on the owned cells: (cells, points) or (cells, points, components).
+        """Field on the owned cells: (cells, points) or (cells, points, components).
 
         Args:
             name: a stored field ("stress", "plastic_strain", an internal variable or output of a
