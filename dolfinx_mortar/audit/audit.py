@@ -63,16 +63,13 @@ def create_audit(
     at: fem.Function | None,
     increment: float,
 ) -> Audit:
-    """Audit bodies and paired interfaces; collective.
+    """Audit bodies and paired interfaces; a ValueError for a body that can move freely; collective.
 
     Args:
         x: (n,) X + u.
         springs: relative resistance of the potential to a motion.
         at: displacement of the contacts, None for X.
         increment: largest prescribed one of the next step.
-
-    Raises:
-        ValueError: if a body can move rigidly without resistance.
     """
     links, empty = system.links, supports.warnings()
     loose, by_contact = find_free_motions(bodies, system, supports, springs)

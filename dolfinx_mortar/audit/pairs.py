@@ -116,20 +116,18 @@ def find_pairs(
         mesh: of all bodies.
         cell_tags: tags of all cells; names of `Tags` become those of the bodies.
         within: largest distance of a pair; default the diameter of the larger facet.
-        surface: of all contacts, as the next ones, see `Contact`.
+        surface: see `Contact`, as the next ones.
         feature_angle: degrees between facets from which on an edge is sharp.
         friction: Coulomb's coefficient.
         tresca: limit of the tangential traction.
         show: whether rank 0 prints the table.
 
     Returns:
-        A record that unpacks as facet tags, such as "disc to block", and contacts, independent of
-        the ranks.
+        A record that unpacks as facet tags, such as "disc to block", and contacts.
 
     Raises:
-        ValueError: on all ranks, for an invalid mesh; tags of another mesh or not of all cells;
-            invalid options; a single connected body; and if there is no pair, with the nearest
-            distance or least overlap.
+        ValueError: on all ranks, for an invalid mesh, tags or options; a single connected body; and
+            if there is no pair, with the nearest distance or least overlap.
     """
     if not isinstance(mesh, Mesh):
         raise ValueError(f"mesh is {mesh!r}: give a dolfinx.mesh.Mesh of all bodies")

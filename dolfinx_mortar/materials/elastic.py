@@ -30,8 +30,6 @@ def bulk_modulus(p: Any) -> Any:
 class Elastic(Material):
     """Hooke's law, sigma = lambda tr(eps) I + 2 mu eps, isotropic.
 
-    lambda = E nu / ((1 + nu) (1 - 2 nu)), mu = E / (2 (1 + nu)).
-
     Raises:
         ValueError: if E <= 0, nu is outside (-1, 0.5) or a number is not finite.
     """
@@ -121,7 +119,7 @@ class Orthotropic(Material):
 
     @staticmethod
     def elastic_stress(strain: Expr, p: Any) -> Expr:
-        """Return C : strain, computed in the axes of the material."""
+        """Return C : strain."""
         R = _axes(p)
         e = R.T * strain * R
         nu21, nu31, nu32 = p.nu12 * p.E2 / p.E1, p.nu13 * p.E3 / p.E1, p.nu23 * p.E3 / p.E2

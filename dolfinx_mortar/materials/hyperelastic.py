@@ -180,10 +180,7 @@ class Ogden(PointwiseLaw):
     def update(
         F: Floats, state: Mapping[str, Floats], p: SimpleNamespace
     ) -> tuple[Floats, Floats, dict[str, Floats]]:
-        """P (q, 3, 3), dP/dF (q, 3, 3, 3, 3) and no state.
-
-        From the principal Kirchhoff stresses T_a = d psi / d ln lambda_a and L = dT / d ln lambda.
-        """
+        """P (q, 3, 3) and dP/dF (q, 3, 3, 3, 3) from the principal Kirchhoff stresses."""
         q = len(F)
         x, logs, *tensors = np.empty((q, 3)), np.empty((q, 3)), *np.empty((3, q, 3, 3))
         logarithms.decompose(F - np.eye(3), np.zeros((1, 3, 3)), True, x, logs, *tensors)

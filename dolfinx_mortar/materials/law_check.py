@@ -29,8 +29,7 @@ SIZES = tuple(np.geomspace(1e-5, 1.0, 6))  # factors of the strains
 # Largest errors: laws that iterate to 1e-6 pass; finite strain has 7e-8 near kinks.
 RTOL = 1e-5
 FINITE_RTOL = 1e-7
-# Relative lengths of differences: the longest survives cancellation, the shortest stays elastic up
-# to E / Y = 1e6.
+# Relative lengths of differences: against cancellation, and to stay elastic up to E / Y = 1e6.
 LENGTHS = tuple(EPS**power for power in (1 / 5, 1 / 3, 0.45))
 WEIGHTS = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}  # central differences of sixth order
 STRETCHES = (  # scaled to a volume before use
@@ -99,22 +98,21 @@ def check(
     """Compare stress, energy, tangent and state of a law at random strains and states.
 
     At small strains, on random paths from the virgin state with steps that grow over five decades
-    up to `size`; at finite strain, at stretches and J from .3 to 3, from the virgin and a changed
-    state.
+    up to `size`; at finite strain, at stretches and J from .3 to 3.
 
     * The virgin state must be free of stress.
-    * d energy / d strain must be the stress, where there is an energy, and d stress / d strain the
-      tangent, by differences of sixth order to 1e-5, at finite strain to 1e-7.
+    * d energy / d strain must be the stress, d stress / d strain the tangent, by differences of
+      sixth order to 1e-5, at finite strain to 1e-7.
     * At finite strain energy and stress must rotate with F.
     * With `linear`, the tangent must be the same everywhere.
     * The tangent should be positive, or the potential is not convex (reported, no error).
-    * At small strains the internal variables at the end of the step, once committed, must give the
-      same stress at the same strain, and remain unchanged.
-    * With `isotropic`, the rotated elastic strain must give the rotated stress, the same scalars
-      and the rotated increment of the plastic strain.
+    * At small strains a commit must change neither stress nor internal variables at the same
+      strain.
+    * With `isotropic`, rotations of the elastic strain must rotate stress and increment of the
+      plastic strain, and keep scalars.
 
     Args:
-        law: a material such as ``VonMises(...)``, with parameters of a real problem.
+        law: a material with parameters of a real problem.
         size: Frobenius norm of the largest small strain.
         seed: of the random strains.
         rate_independent: False omits the check after a commit, for laws that depend on time.
@@ -264,7 +262,6 @@ def _of_ufl(law: Law, given: Mapping[str, float]) -> Callable[[Floats, State], P
         law, e, dict(zip(law.state, rest, strict=True)), p, z if law.condensed else None
     )
     psi = ufl.as_ufl(0.0) if response.energy is None else response.energy
-    # one by one: UFL compares the subexpressions of a compiled unit
     parts = [_entries(response.change(D)), _entries(response.stress), _entries(psi)]
     parts += [_entries(response.updated[name]) for name in law.state]
     if law.condensed:

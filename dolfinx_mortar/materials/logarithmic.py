@@ -85,15 +85,12 @@ class LogarithmicLaw:
         dimension: int = 3,
         jit: Callable[[Expr], Kernel] = compile_kernel,
     ) -> None:
-        """Compile a law in UFL.
+        """Compile a law in UFL; a ValueError if it raises, or returns a wrong shape or name.
 
         Args:
             parameters: their names.
             dimension: 2 if H is in the plane but for H_zz.
             jit: compiler of an expression.
-
-        Raises:
-            ValueError: for a law that raises, or returns a wrong shape or name.
         """
         self.law, self.multiplicative = law, law.isotropic
         self.has_energy = law.energy is not None and law.update is None
@@ -126,7 +123,7 @@ class LogarithmicLaw:
             H: displacement gradient (q, 3, 3).
             P: d psi / dF, the k `components` (q, k).
             A: dP / dF, its upper triangle row by row (q, k (k + 1) / 2).
-            psi: (q,), per volume of the undeformed body; unchanged without a potential.
+            psi: (q,), per volume at X; unchanged without a potential.
         """
         for some in _chunks(len(H)):
             parts = self._decompose(start, H[some], some)
@@ -243,7 +240,7 @@ def _answers(
 
 
 class _InUFL:
-    """A law in UFL, compiled as a function of numbers."""
+    """A law in UFL, compiled."""
 
     def __init__(
         self, law: Law, parameters: list[str], size: int, jit: Callable[[Expr], Kernel]
@@ -280,11 +277,10 @@ class _InUFL:
         return np.ascontiguousarray(np.hstack(columns))
 
     def moduli(self, start: Start, some: slice, logs: Floats, N: Floats) -> Floats:
-        """T and L, see `logarithms`, and psi last if there is a potential."""
+        """T, L and (if any) psi, see `logarithms`."""
         return tabulate(self._moduli, self._at(start, some, logs, N))
 
     def update(self, start: Start, some: slice, logs: Floats, N: Floats) -> dict[str, Floats]:
-        """New internal variables; plastic strains in the eigenvectors (q, 3)."""
         assert self._state is not None
         found, first = tabulate(self._state, self._at(start, some, logs, N)), 0
         new = {}

@@ -11,14 +11,14 @@ With T = d psi / d E, L = dT / dE, y_a = F G N_a and m_a = G N_a,
     P = d psi / d F = sum_ab S_ab y_a (x) m_b,         S_ab = 2 f_ab T_ab,
     dP_iJ / dF_kM   = sum M_ab,cd Z_ab,iJ Z_cd,kM + delta_ik sum_ab S_ab m_a,J m_b,M,
 
-where Z_ab = y_a (x) m_b + y_b (x) m_a is the derivative of C_ab, and M that of S_ab / 2 by C_cd,
-with the divided differences f_ab, f_abc of 1/2 ln at the eigenvalues (power series for close ones):
+with Z_ab = dC_ab = y_a (x) m_b + y_b (x) m_a, and M = d(S_ab / 2) / dC_cd from the divided
+differences f_ab, f_abc of 1/2 ln at the eigenvalues (power series for close ones):
 
     M_ab,cd = f_ab L_ab,cd f_cd + terms of f_abc T.
 
-For an isotropic psi(E), T is diagonal in the eigenvectors; L couples normal strains, and each shear
-with itself. Components are stored as in `tensor.INDEX`: in the plane four pairs ab and five
-components xx, xy, yx, yy, zz of F and P, in space six and nine.
+If psi is isotropic, T is diagonal in the eigenvectors; L couples normal strains, and each shear
+with itself. Components are stored as in `tensor.INDEX`: in the plane xx, xy, yx, yy, zz of F and P,
+in space nine.
 
 Source: C. Miehe, M. Lambrecht, Commun. Numer. Meth. Engng 17 (2001) 337-353.
 """

@@ -153,18 +153,18 @@ class Material(Protocol):
     `dolfinx_mortar.materials.check` tests a law without a mesh.
 
     Optional methods, inherited only together with energy and stress: `tangent(strain, state, p,
-    direction)`, d stress / d strain : direction, where UFL should not differentiate the stress; and
-    `normal_strain(strain, state, p)`, the strain out of the plane in plane stress, None (or a
-    property that is None) where it has no closed form, and each integration point solves for it.
+    direction)`, d stress / d strain : direction, where UFL should not differentiate the stress;
+    `normal_strain(strain, state, p)`, the closed form of the strain out of the plane in plane
+    stress, or None.
 
     A law may inherit from this class, or just have its methods.
 
-    **Finite strain.** A law with ``strain = "finite"`` gets the deformation gradient F (3x3, det F
-    > 0) in place of the strain: `energy(F, state, p)` is psi per volume at X, objective, psi(Q F) =
-    psi(F) for rotations Q; `stress(F, state, p)` the first Piola-Kirchhoff stress P = d psi / dF;
-    `tangent` dP/dF : direction. Only `elastic_stress` takes a small strain, at F = I. A part of psi
-    that depends on J = det F alone may be `volumetric(J, p)`, in UFL, for ``volumetric="reduced"``.
-    Such a law needs ``Solid(.., strain="finite")``, which transforms all other laws to F itself.
+    **Finite strain.** A law with ``strain = "finite"``, for ``Solid(.., strain="finite")``, gets
+    the deformation gradient F (3x3, det F > 0) in place of the strain: `energy(F, state, p)` is psi
+    per volume at X, objective, psi(Q F) = psi(F) for rotations Q; `stress` is the first
+    Piola-Kirchhoff stress P = d psi / dF, `tangent` dP/dF : direction. Only `elastic_stress` takes
+    a small strain, at F = I. A part of psi that depends on J = det F alone may be `volumetric(J,
+    p)`, in UFL, for ``volumetric="reduced"``. All other laws are transformed to F.
 
     Attributes:
         strain: "small" or "finite", the first argument of the law.
@@ -177,11 +177,11 @@ class Material(Protocol):
             such a law takes the multiplicative form, see `logarithmic`. May be a property.
             Optional.
         ranges: of the parameters, name -> (lower end, upper end, is the lower end allowed); others
-            may be any number. Checked in every cell, and after changes of a parameter.
+            may be any number. Checked in every cell, and after changes.
 
     Rules for several parameters are a static method `conditions(p)`, rule in words -> whether or
-    where it is satisfied, of numbers or arrays. `check_fields`, called in ``__post_init__``, checks
-    numbers when a law is made.
+    where it is satisfied. `check_fields`, called in ``__post_init__``, checks numbers when a law is
+    made.
     """
 
     state: ClassVar[Mapping[str, tuple[int, ...]]]

@@ -164,18 +164,15 @@ class Response:
     # sigma_zz, C_zzzz, the elastic C_zzzz and |sigma| in plane stress, see `solve_normal_strain`
     equation: tuple[Expr, Expr, Expr, Expr] | None = None
     normal_strain: Expr | None = None  # root of the equation in closed form, if known
-    start: Expr | None = None  # elastic root of the equation
+    start: Expr | None = None  # elastic root
 
 
 def respond(
     law: Law, strain: Expr, state: Mapping[str, Expr], p: Any, z: Expr | None = None
 ) -> Response:
-    """Stress, energy and new internal variables of a law in UFL.
+    """Stress, energy and new internal variables of a law in UFL; a ValueError if the law fails.
 
     z is the strain out of the plane if `law.condensed`; F_zz = 1 + z at finite strain.
-
-    Raises:
-        ValueError: for a method that raises, or returns a wrong shape or name.
     """
     equation = root = start = None
     finite = law.strain == "finite"
@@ -340,10 +337,10 @@ class PointValues:
 def values_at_points(
     law: Law, strain: Floats, state: Mapping[str, Floats], p: SimpleNamespace
 ) -> PointValues:
-    """Values of a law of arrays at q points.
+    """Values of a law of arrays at q points; a ValueError for a wrong form, name or shape.
 
     `strain` symmetric (q, 3, 3), or F; committed internal variables (q,) or (q, 3, 3); parameters
-    (q,). ValueError if the law raises, or returns a wrong form, name or shape.
+    (q,).
     """
     z, finite = None, law.strain == "finite"
     if law.plane_stress:

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A disc or a ball on a block: disconnected bodies in one mesh, made on rank 0 and distributed.
-
-Each has its own gmsh model, so that touching bodies share no node; halves are mirrored.
-"""
+"""A disc or a ball on a block: disconnected bodies in one mesh, made on rank 0 and distributed."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -68,22 +65,22 @@ def hertz(
     """Mesh a half disc above a block, non-matching where they touch (collective).
 
     The block is [-w/2, w/2] x [-t, 0] with (w, t) = ``block``. The disc has its lowest point at (0,
-    ``gap``) and its flat face on top at y = ``radius + gap``. The mesh is symmetric in x; (0, 0)
-    and (0, ``gap``) are nodes. Bodies: "block", "disc". Sides: "bottom", "top", "flat", "arc", and
-    "axis", which is x = 0 in the half.
+    ``gap``) and its flat face at y = ``radius + gap``. The mesh is symmetric in x; (0, 0) and (0,
+    ``gap``) are nodes. Bodies: "block", "disc". Sides: "bottom", "top", "flat", "arc", and "axis",
+    which is x = 0 in the half.
 
     Args:
         comm: communicator; gmsh runs on its rank 0 only.
-        kind: "paper": about 1200 cells in the disc and 2720 in the block (as triangles, for any
-            ``radius`` and ``block``); "graded": element size ``h`` within ``core`` of the first
-            contact point and h (1 + r - core), at most ``limit`` h, at distance r mm.
-        h: element size of the graded mesh [mm]; a pair gives (block, disc) separately.
+        kind: "paper": about 1200 cells in the disc and 2720 in the block (as triangles); "graded":
+            element size ``h`` within ``core`` of the first contact point and h (1 + r - core), at
+            most ``limit`` h, at distance r mm.
+        h: element size [mm]; a pair gives (block, disc) separately.
         radius: of the disc [mm].
         block: width and thickness [mm].
-        gap: initial vertical gap between the bodies [mm]; negative for an overlap.
+        gap: initial gap [mm], negative for an overlap.
         cell: "triangle" or "quadrilateral".
         half: leave out x < 0; the rest is also the section of a ball on a round plate.
-        limit: largest size of the graded mesh over h, greater than 1.
+        limit: largest size over h, greater than 1.
         core: distance at which the graded mesh begins to coarsen [mm].
 
     Raises:
@@ -165,23 +162,21 @@ def sphere(
     """Mesh a quarter of a half ball above a block, non-matching where they touch (collective).
 
     The whole block is [-w/2, w/2] x [-l/2, l/2] x [-t, 0] with (w, l, t) = ``block``. The half ball
-    has its lowest point at (0, 0, ``gap``) and its flat face on top at z = ``radius + gap``. The
-    quarter x, y >= 0 of both is meshed; (0, 0, 0) and (0, 0, ``gap``) are nodes. Bodies: "block",
-    "ball". Sides: "bottom", "top", "flat", "sphere", and "symmetry_x" and "symmetry_y", on x = 0
-    and y = 0.
+    has its lowest point at (0, 0, ``gap``) and its flat face at z = ``radius + gap``. The quarter
+    x, y >= 0 of both is meshed; (0, 0, 0) and (0, 0, ``gap``) are nodes. Bodies: "block", "ball".
+    Sides: "bottom", "top", "flat", "sphere", and "symmetry_x" and "symmetry_y", on x = 0 and y = 0.
 
     Args:
         comm: communicator; the mesh is created on rank 0 and distributed.
         cell: "hexahedron" or "tetrahedron" (which needs gmsh).
         h: element size at the first contact point [mm]; a pair gives (block, ball) separately. The
-            ball's hexahedra are one more along the edge of the core, so that they do not match.
+            ball has one hexahedron more along the edge of the core, so that meshes do not match.
         radius: of the ball [mm].
-        block: width, length and thickness of the whole block [mm].
+        block: width, length and thickness [mm].
         gap: initial gap [mm], negative for an overlap.
-        core: distance from the contact point within which the size is ``h`` [mm], by default an
-            eighth of the radius; beyond, sizes grow in proportion to the distance.
-        half: whether to mesh the half y >= 0 of both instead, for loads along x, without
-            "symmetry_x".
+        core: distance from the contact point with size ``h`` [mm], by default an eighth of the
+            radius; beyond, sizes grow in proportion to the distance.
+        half: whether to mesh the half y >= 0 instead, without "symmetry_x".
 
     Raises:
         ValueError: on all ranks, if an argument is out of range or differs between ranks.
@@ -271,14 +266,14 @@ def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], 
     """Mesh an octant x, y, z >= 0 by hexahedra, its outer boundary star-shaped about the origin.
 
     The cube at the origin has n^3 equal cells; each shell around it repeats the 3 n^2 facets of its
-    three outer faces, larger in proportion to the distance.
+    outer faces, larger in proportion to the distance.
 
     Args:
         edge: edge of the cube.
         n: cells along it.
-        radius: typical distance of the outer boundary, which sets the number of shells.
-        outer: maps points (p, 3) on the three far faces of the unit cube to the outer boundary;
-            zero coordinates remain zero.
+        radius: typical distance of the outer boundary, for the number of shells.
+        outer: maps points (p, 3) on the far faces of the unit cube to the outer boundary; zero
+            coordinates remain zero.
 
     Returns:
         Nodes (p, 3) and cells (m, 8) in the order of dolfinx.
@@ -396,10 +391,7 @@ def distribute(
 ) -> tuple[dmesh.Mesh, int]:
     """Mesh of the two bodies that ``create`` returns on rank 0; collective.
 
-    Also the number of input cells of the first body, which come first.
-
-    Raises:
-        RuntimeError: if gmsh is missing or fails, on all ranks.
+    Also the number of input cells of the first body, which come first. RuntimeError without gmsh.
     """
     d = np.asarray(basix.geometry(basix.CellType[cell])).shape[1]
     element = basix.ufl.element("Lagrange", cell, degree, shape=(d,))

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The writer of results: each step is one grid with the mesh and all fields.
-
-Numbers are written in parallel; points are the nodes of the displacement space.
-"""
+"""The writer of results: each step is one grid with the mesh and all fields."""
 
 from __future__ import annotations
 

@@ -74,8 +74,8 @@ class File:
         """Reserve both files, and remove earlier ones except an XDMF file that is resumed.
 
         Raises:
-            ValueError: on all ranks, if rank 0 cannot create them, another `File` has them, no such
-                file can be resumed, or notes are no texts and no JSON values.
+            ValueError: on all ranks, if rank 0 cannot create or resume them, another `File` has
+                them, or notes are neither text nor JSON.
         """
         self.comm, self.path = comm, path
         with raised_together(comm):
@@ -94,11 +94,7 @@ class File:
             del _OPEN[self.path.resolve()]
 
     def replace(self, steps: Sequence[Step]) -> None:
-        """Replace the XDMF file by one with these steps, atomically.
-
-        Raises:
-            OSError: on all ranks, naming the file.
-        """
+        """Replace the XDMF file by one with these steps, atomically; an OSError on all ranks."""
         self._collection[:] = [one.grid for one in steps]
         with raised_together(self.comm):
             if self.comm.rank == 0:
@@ -116,12 +112,8 @@ class File:
     def numbers(self, mode: str, size: int = 0, fields: int = 0) -> Iterator[PETSc.Viewer]:
         """Open the HDF5 file within a ``with`` block, if the disk has space for the data.
 
-        A disk that is full during a parallel write leaves a broken file and a deadlock.
-
-        Args:
-            mode: "w" or "a".
-            size: bytes of the values of this rank.
-            fields: number of fields.
+        A full disk during a parallel write leaves a broken file and a deadlock. `mode`: "w" or "a";
+        `size`: bytes of this rank.
         """
         total = space_for(fields, self.comm.allreduce(size))
         with raised_together(self.comm):
@@ -279,8 +271,8 @@ def insert(steps: Sequence[Step], new: Step, *, made: bool) -> list[Step]:
     """Insert a step in order of time, and drop steps of an earlier run that it replaces.
 
     A load step `made` by this run replaces itself and all later ones, one restored from a
-    checkpoint only itself. Before the first load step, steps without load steps are replaced from
-    the new time on.
+    checkpoint only itself; before the first load step, the new one replaces steps without load
+    steps from its time on.
 
     Raises:
         ValueError: if times would not rise.

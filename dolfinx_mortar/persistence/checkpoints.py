@@ -75,10 +75,9 @@ def read(state: ProblemState, path: str | os.PathLike[str]) -> "Saved":
     """Read a checkpoint of this problem, from any number of ranks; collective.
 
     Raises:
-        OSError: on all ranks, if there is no such file, or it cannot be read.
-        ValueError: on all ranks, if it is no checkpoint, truncated or damaged, of another version
-            or another problem, with all differences in the message; or if a later problem uses one
-            of the interfaces.
+        OSError: on all ranks, if it cannot be read.
+        ValueError: on all ranks, if it is no checkpoint, damaged, of another version or problem,
+            with all differences; or if a later problem uses one of the interfaces.
     """
     file, comm = check_path(state.comm, path), state.comm
     check_owned(state.interfaces, state.supports)

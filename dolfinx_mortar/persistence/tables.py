@@ -8,14 +8,14 @@ r"""One HDF5 file of values at places, written by any number of ranks and read b
     about            JSON: what the caller gives; columns of each table, rows and box of each rank
     NAME    (N, c)   a table: in each row a place, and the values there
 
-Node numbers depend on the ranks, and nodes of both sides may coincide. So the place of a node, or
-of an integration point, is
+Node numbers depend on the ranks, and nodes of both sides may coincide, so places of nodes and
+integration points are
 
     (x, c),    c the mean of the midpoints of its cells.
 
-Rank 0 writes, and receives the rows of one rank at a time. The file is renamed once complete, so a
-killed program leaves the old or the new one. A rank reads the rows of ranks whose boxes meet its
-own, and takes the nearest place. HDF5 may crash on a damaged file, so the checksum is tested first.
+Rank 0 receives the rows of one rank at a time. The file is renamed once complete: a killed program
+leaves the old or the new one. A rank reads rows of ranks whose boxes meet its own, and takes the
+nearest place. HDF5 may crash on a damaged file, so the checksum is tested first.
 """
 
 import errno
@@ -68,7 +68,7 @@ def find_places(V: fem.FunctionSpace) -> Floats:
 
 
 def import_h5py() -> Any:
-    """Module h5py, or raise an ImportError with the remedy."""
+    """The module h5py, or an ImportError with the remedy."""
     try:
         import h5py
     except ImportError as error:
@@ -105,12 +105,7 @@ def write(
     places: Mapping[str, Floats],
     values: Values,
 ) -> None:
-    """Write a file and replace an older one of this name; collective.
-
-    Args:
-        about: JSON values, the same on all ranks.
-        places: (n, k) of this rank, by table.
-        values: at these places.
+    """Write values at places (n, k) by table, and `about`, to a new file; collective.
 
     Raises:
         OSError: on all ranks, if rank 0 cannot write; an older file stays.
@@ -204,13 +199,7 @@ def seal(file: Path) -> None:
 
 
 def read_about(comm: MPI.Comm, path: Path) -> dict[str, Any]:
-    """Return the JSON part of a file; collective.
-
-    Raises:
-        OSError: on all ranks, if there is no such file, or it cannot be read.
-        ValueError: on all ranks, if it is no checkpoint, has another format or version, or is
-            damaged.
-    """
+    """JSON part of a file; an OSError or ValueError on all ranks; collective."""
     about: Any = {}
     with raised_together(comm):
         if comm.rank == 0:

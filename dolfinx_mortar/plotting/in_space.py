@@ -25,11 +25,7 @@ BODIES = ("#6f9bc4", "#cf9650", "#7fae69", "#a583bd", "#b5a53c", "#909090")  # a
 
 
 def begin(file: Any, ax: Any, panes: int) -> Any:
-    """Return a plotter, off-screen for a file or without a screen.
-
-    Raises:
-        RuntimeError: if nothing can be drawn.
-    """
+    """A plotter, off-screen for a file or without a screen; perhaps a RuntimeError."""
     find_screen()
     plotter: Any = pyvista.Plotter(
         off_screen=pyvista.OFF_SCREEN or file is not None,
@@ -140,12 +136,9 @@ def _finish_pane(plotter: Any) -> None:
 
 
 def find_screen() -> None:
-    """Make sure that VTK can draw; set ``pyvista.OFF_SCREEN`` without a screen.
+    """Make sure that VTK can draw, off-screen if necessary, or raise a RuntimeError.
 
     A VTK before 9.4, as in Debian 13, ends the program without an X server: then Xvfb is started.
-
-    Raises:
-        RuntimeError: if there is neither.
     """
     display = os.environ.get("DISPLAY", "")
     if sys.platform in ("darwin", "win32") or _connect(display):

@@ -101,8 +101,7 @@ def create_certificate(
 
     Args:
         residual: at the final geometry.
-        balances: of forces and moments of the two sides, from `set_results`.
-        sliders: with friction.
+        balances: of forces and moments, from `set_results`.
         left_out: small-strain error, computed if None, as are the next ones.
         overlaps: see `find_overlaps`.
         pull: of `find_pull`.
@@ -206,8 +205,7 @@ def set_results(
     """Set the interfaces' resultants and Functions; collective.
 
     Returns the slips, and the largest imbalances of forces and moments. Reactions of equalities are
-    residual forces, of contacts D_jj times the multipliers; tractions are per present area, see
-    `growth`.
+    residual forces, of contacts D_jj times the multipliers; tractions are per present area.
     """
     d, n = problem.d, problem.n
     moved = problem.X + problem.u.x.array[: d * n].reshape(-1, d)

@@ -70,13 +70,7 @@ class EnergyLedger:
     """
 
     def __init__(self, problem: ContactProblem, inertia: Inertia, *, conserve: bool) -> None:
-        """Begin, or continue from the last step of the problem's history; collective.
-
-        Args:
-            problem: between steps.
-            inertia: one of its terms.
-            conserve: whether contact restores energy.
-        """
+        """Begin or continue; contact restores energy if `conserve`; collective."""
         self.problem, self.inertia, self.conserve = problem, inertia, conserve
         history = problem.history
         last = history[-1].report.ledger if history else None
@@ -142,12 +136,8 @@ class EnergyLedger:
     def start(self, begin: float, end: float, sides: Floats) -> None:
         """Find the acceleration M a = P^T (f - F + c) under the loads of the start; collective.
 
-        P^T moves the forces of massless nodes to the nodes that they move with.
-
-        Args:
-            begin: time of the start.
-            end: time of the first step's end, for terms that read it.
-            sides: (owned nodes, d) forces of rigid sides on their nodes.
+        P^T moves forces from massless nodes. `begin` and `end` are times of the first step, `sides`
+        (owned nodes, d) the forces of rigid sides.
         """
         problem, inertia = self.problem, self.inertia
         problem.terms.prepare(self._still, begin, end)
@@ -196,12 +186,7 @@ class EnergyLedger:
         )
 
     def commit(self, report: StepReport, linear: LinearSolver) -> None:
-        """Commit a converged step, and add its ledger to the report; collective.
-
-        Args:
-            report: of the step; gets a note on energy that was not restored.
-            linear: solver of the responses.
-        """
+        """Commit a converged step, and report its ledger, perhaps with a note; collective."""
         problem, inertia, before = self.problem, self.inertia, self._before
         assert before is not None
         after, motion = self._end(), inertia.end()
@@ -332,7 +317,7 @@ class EnergyLedger:
     ) -> tuple[Motion, float, float, float, float]:
         """Motion after an impulse of the contact forces that adds an energy; collective.
 
-        Also the works of tools and of friction, the missing energy, and the time of the forces.
+        Also the works of tools and friction, the missing energy, and the time of the forces.
         """
         if responses is None:
             return motion, 0.0, 0.0, energy, 0.0

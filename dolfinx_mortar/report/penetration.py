@@ -83,10 +83,7 @@ def notes_on_overlaps(
 ) -> list[str]:
     """Note for each contact whose sides overlap deeply at some point; collective.
 
-    Args:
-        found: see `find_overlaps`.
-        closed: (owned nodes,) contact; None for a stricter check.
-        rtol: overlap allowed by the step, in facet lengths.
+    `closed` (owned nodes,), None for a stricter check; `rtol`: allowed overlap in facet lengths.
     """
     notes, links = list[str](), problem.system.links
     for k, link in enumerate(links):
@@ -170,7 +167,7 @@ def _in_tool(link: Link, tool: Tool, u: fem.Function) -> Overlap | None:
 
 
 def _deviations(surface: Surface, u: fem.Function, feature_angle: float) -> Floats:
-    """Largest deviations (n,) of a surface from its facets; collective."""
+    """Largest deviations (n,) of a smooth surface from its facets; collective."""
     # nodal sagittas are means, perhaps half of the largest
     return 2.0 * nodal_sagittas(surface, coordinates(surface, u), feature_angle)
 

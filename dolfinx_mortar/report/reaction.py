@@ -55,7 +55,7 @@ def reaction(
         dm.newton(problem)
         dm.reaction(problem, base).force
 
-    R = sum r_i and M = sum (x_i - about) x r_i over the prescribed dofs i, with r = F(u) - f - c:
+    R = sum r_i and M = sum (x_i - about) x r_i over the prescribed dofs i, r = F(u) - f - c:
     internal forces minus loads minus forces of contacts and ties. R acts on the bodies: in half a
     model half the force, in the plane per thickness, of rings that of the whole ring. x is X + u
     with a contact in updated geometry or at finite strain, otherwise X.

@@ -100,10 +100,9 @@ def note_on_facets(
 
     Errors h_j of gaps are, with facets, the height of smooth surfaces, minus its mean over loaded
     nodes; with smooth surfaces of degree 1 `missed_gaps`. K^_jj h_j, with both sides in series, is
-    compared with the contact forces z_j, at loaded nodes and those with gaps below h_j; it
-    overestimates a uniform h_j two to four times. Uniform facets on a tool: forces F of an overlap
-    w store Psi = F w / 2, and -z.h is 2 Psi (1 - F'/F), F' the force of the smooth surface
-    (accurate to 1 % on rings of 64 facets).
+    compared with the contact forces z_j, at loaded nodes and those with gaps below h_j. Uniform
+    facets on a tool: forces F of an overlap w store Psi = F w / 2, and -z.h is 2 Psi (1 - F'/F), F'
+    the force of the smooth surface.
 
     Args:
         x: (n,) X + u.
@@ -194,9 +193,8 @@ def _in_series(link: Link, k: Floats, diagonal: PETSc.Vec) -> Floats:
 def notes_on_resolution(link: Link, contacts: Contacts) -> list[str]:
     """Notes on pressures that are not resolved, or that oscillate; collective.
 
-    Patches up to the ends of sides are excluded: pressures may be singular. On a slave side finer
-    and stiffer than the master the multiplier space is larger than the trace space of the compliant
-    displacements, and pressures oscillate.
+    Not of patches up to the ends of sides, with singular pressures. Pressures oscillate where the
+    multiplier space of a fine, stiff slave side exceeds the trace space of the master.
     """
     count, ends = _peak_patch(link, contacts)
     if not ends:
@@ -231,7 +229,7 @@ def oscillation(link: Link, contacts: Contacts) -> float:
 
     sum_j D_jj |d_j - (M d)_j| / 4 over sum_j D_jj p_j, d = p - M p, p_j the multipliers, M the mean
     over the other nodes of the facets of j; d_j = 0 next to nodes without multiplier. In the plane
-    p (1 +- a) gives a, a smooth p a fourth-order difference.
+    p (1 +- a) gives a.
     """
     slave, nodes, comm = link.sides.slave, link.nodes, link.sides.V.mesh.comm
     own = np.zeros((len(slave.nodes), 2))

@@ -110,10 +110,10 @@ def _in_space(x: Floats) -> Floats:
 
 
 def create_tree(corners: Floats, bends: Floats) -> tuple[Floats, Longs, Floats]:
-    """Boxes (2 k, 2, 3) of a binary tree, indices (k,) at its leaves, and bulges (m,).
+    """Boxes (2 k, 2, 3) of a binary tree, indices (k,) at its leaves, and bulges (m,) of bends.
 
     Boxes 2 i and 2 i + 1 halve box i across its longest side, from the root 1; box k + i is leaf i;
-    the last leaf is repeated up to a power of two. Bulges bound the bends.
+    the last leaf is repeated up to a power of two.
     """
     half = (corners + np.roll(corners, -1, axis=1))[:, : bends.shape[1]] / 2
     net = np.hstack([corners, half + bends[:, :, 0] / 2, half - bends[:, :, 1] / 2])

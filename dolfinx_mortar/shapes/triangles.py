@@ -278,11 +278,7 @@ def _check_arrays(surface: Any) -> tuple[Floats, Longs]:
 
 
 def read_stl(path: str | os.PathLike[str]) -> tuple[Floats, Longs]:
-    """Points (n, 3) and triangles (m, 3) of a file; corners are merged, normals ignored.
-
-    Raises:
-        ValueError: for unreadable, invalid or truncated files, NaN and infinity.
-    """
+    """Points (n, 3), merged, and triangles (m, 3) of a file; a ValueError if it is damaged."""
     try:
         content = Path(path).read_bytes()
     except OSError as error:

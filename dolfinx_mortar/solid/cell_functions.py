@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Functions of one cell each: constants, or N = (1, x - x_c), x_c the middle of the cell.
-
-The affine ones keep the rate of convergence and stable pressures on cells of second order.
+"""Functions N of each cell: 1, or (1, x - x_c) for cells of second order, x_c their middle.
 
 Source: D. Boffi, L. Gastaldi, Int. J. Numer. Methods Fluids 39 (2002) 1001-1011.
 """

@@ -201,11 +201,7 @@ def create_responses(
     state: Mapping[str, fem.Function],
     found: Mapping[Law, PointValuesOfRegion],
 ) -> list[Response]:
-    """Response of each region to a 3x3 strain, in UFL; collective.
-
-    Raises:
-        ValueError: on all ranks, if a law raises or returns something wrong on any.
-    """
+    """Response of each region to a 3x3 strain, in UFL; a ValueError on all ranks; collective."""
     responses = []
     with raised_together(regions[0].mesh.comm):
         for region in regions:

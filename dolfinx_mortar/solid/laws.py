@@ -179,11 +179,7 @@ class Region:
         }
 
     def output(self, state: Mapping[str, Floats], cells: Ints, points: int) -> dict[str, Floats]:
-        """Output fields of the law, (q,) or (q, components), q points cell by cell.
-
-        Raises:
-            ValueError: naming a law that raises or returns something wrong.
-        """
+        """Output (q,) or (q, components), cell by cell; a ValueError names a failing law."""
         if self.law.output is None:
             return {}
         where, q = f"{self.law.name}.output", len(cells) * points
@@ -215,8 +211,7 @@ def create_regions(
     """Group the cells by law and store the parameters; collective.
 
     Raises:
-        ValueError: if a law lacks a part, tags and materials do not cover the cells exactly, or a
-            parameter is invalid.
+        ValueError: for wrong laws, tags or parameters, and cells without a law.
     """
     how = kinematics.plane_stress
     given, choice = _material_of_cells(u.function_space.mesh, materials, cell_tags, how)
@@ -250,11 +245,7 @@ def create_regions(
 def create_state(
     regions: Sequence[Region], domain: mesh.Mesh, degree: int
 ) -> dict[str, fem.Function]:
-    """Create the internal variables, shared by laws that use the same name.
-
-    Raises:
-        ValueError: for one name with two shapes.
-    """
+    """Create the internal variables, shared by name; a ValueError for two shapes."""
     shapes: dict[str, tuple[int, ...]] = {}
     owner: dict[str, str] = {}
     for region in regions:

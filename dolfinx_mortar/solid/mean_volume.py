@@ -63,11 +63,7 @@ TRACED = (plane_strain, axisymmetric, spatial)
 def create_dilatation(
     u: fem.Function, given: Any, integral: Integral, eigenstrain: Eigenstrain | None
 ) -> MeanDilatation | MeanVolume | None:
-    """Reduced volumetric part, None for "full"; collective.
-
-    Raises:
-        ValueError: for another choice, and where nothing can be reduced.
-    """
+    """Reduced volumetric part, None for "full"; perhaps a ValueError; collective."""
     if check("volumetric", given, one_of("full", "reduced")) == "full":
         return None
     kinematics = integral.kinematics

@@ -49,7 +49,7 @@ class PointValuesOfRegion(ABC):
         inputs: Sequence[fem.Function],
         degree: int,
     ) -> None:
-        """Create the Functions to be filled by functions of the inputs; collective."""
+        """Create the Functions, which depend on the inputs; collective."""
         self.region = region
         self._mesh = region.mesh
         self._committed = {name: state[name] for name in region.law.state}
@@ -90,7 +90,7 @@ class PointValuesOfRegion(ABC):
         return np.asarray(f.function_space.dofmap.list[self.region.cells].ravel())
 
     def _set(self, f: fem.Function, values: Floats) -> None:
-        """Set a Function at the points: (q,), (q, components) or (q, 3, 3)."""
+        """Set a Function at the points from values or tensors (q, 3, 3)."""
         size = f.function_space.dofmap.bs
         values = stored(values, size) if values.ndim == 3 else values.reshape(-1, size)
         f.x.array.reshape(-1, size)[self._rows(f)] = values
@@ -288,7 +288,6 @@ class LogarithmicFields(PointwiseFields):
         return np.empty((len(rows), table.shape[1]))
 
     def _copies(self, now: list[Floats]) -> list[Floats]:
-        """The last inputs are those of the start of the step."""
         assert self._start is not None
         kept = self._start[0]
         return [*(values.copy() for values in now[: len(now) - len(kept)]), *kept]
@@ -345,11 +344,7 @@ def create_point_values(
 def fill_point_values(
     comm: MPI.Comm, found: Mapping[Law, PointValuesOfRegion], *, at_end: bool = False
 ) -> None:
-    """Evaluate where an input has changed, and at the end of a step its own values; collective.
-
-    Raises:
-        ValueError: on all ranks, if a law fails on any.
-    """
+    """Evaluate changed ones, `at_end` completely; a ValueError on all ranks; collective."""
     if found:
         with raised_together(comm):
             for values in found.values():

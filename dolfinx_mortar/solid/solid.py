@@ -103,19 +103,18 @@ class Solid(Term):
                 coordinates; or a dictionary of such by cell tag or name, zero at other tags. Its
                 data may change between steps, in ``on_time`` of `load_steps`.
             volumetric: "full", or "reduced" (mean dilatation) against volumetric locking of
-                quadrilaterals and hexahedra, see `mean_volume`. For laws that split into a deviator
-                and a trace, see `Material`; at finite strain also for other cells of degree 2.
+                quadrilaterals and hexahedra, see `mean_volume`; at finite strain also for other
+                cells of degree 2. For laws that split, see `Material`.
             strain: "small", or "finite" for large rotations and strains of more than a few percent:
-                laws are functions of F = I + grad u, and the internal virtual work is int P : dF[v]
-                dX. Without eigenstrain.
-            energies: whether stored and dissipated energies are evaluated at the end of each step,
-                for `energies` and the fields "stored_energy" and "dissipated_energy". All laws need
-                a potential.
+                laws are functions of F = I + grad u, the internal virtual work is int P : dF[v] dX.
+                Without eigenstrain.
+            energies: whether stored and dissipated energies are evaluated in each step, for
+                `energies` and the fields "stored_energy" and "dissipated_energy"; all laws need a
+                potential.
 
         Raises:
             ValueError: on all ranks, naming an argument that is wrong or differs between ranks; for
-                a mesh beyond the axis; for a law that lacks a part, raises, or returns a wrong name
-                or shape, with law and part.
+                a mesh beyond the axis; for a law with missing or wrong parts.
         """
         check("u", u, instance(fem.Function, "give the displacement, a dolfinx.fem.Function"))
         # before any collective call

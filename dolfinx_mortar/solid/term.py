@@ -132,10 +132,9 @@ def assemble(form: fem.Form, vector: la.Vector) -> Floats:
 
 
 class MatrixForm:
-    """A bilinear form with the same matrix each time, to the last bit.
+    """A bilinear form with the same matrix each time, to the last bit: messages summed by rank.
 
-    PETSc sums messages of other ranks in order of arrival, dolfinx in order of the ranks. `form` is
-    Any because dolfinx annotates one overload only.
+    `form` is Any because dolfinx annotates one overload only.
     """
 
     def __init__(self, form: Any) -> None:

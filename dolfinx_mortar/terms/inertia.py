@@ -2,13 +2,13 @@
 """Inertia and damping.
 
 With the forces G = f + c + R - F(u) - C v of loads, contacts, supports, bodies and damping, a step
-of the generalised alpha method solves
+of the generalised alpha method,
 
     M ((1 - am) a + am a_n) = (1 - af) G + af G_n,
     u = u_n + dt v_n + dt^2 ((1/2 - beta) a_n + beta a),
     v = v_n + dt ((1 - gamma) a_n + gamma a).
 
-Divided by 1 - af, it is a static step with a term of potential
+is, divided by 1 - af, a static step with a term of potential
 
     Pi(u) = kappa/2 |u - p|^2_M + g.u,      kappa = (1 - am) / ((1 - af) beta dt^2),
     p = u_n + dt v_n + dt^2 (1/2 - beta) a_n,      g = (am M a_n - af G_n) / (1 - af).
@@ -496,7 +496,7 @@ def create_density(solid: Solid, density: Any, cell_tags: Any) -> Any:
 
 
 def set_velocity(target: fem.Function, given: Any, cell_tags: Any) -> None:
-    """Set the initial velocity; a ValueError on all ranks naming a wrong one; collective."""
+    """Set the initial velocity; a ValueError on all ranks; collective."""
     V, d = target.function_space, target.function_space.dofmap.index_map_bs
     wanted = f"give {d} finite numbers, a Function on solid.V, or a function of the coordinates"
     if given is None:

@@ -37,11 +37,10 @@ class Pressure(WeakForm):
     edges of the surface are fixed or slide in planes through the origin: p then has the potential p
     V, V the enclosed volume, and Newton's method is quadratic, with a line search. Otherwise whole
     steps converge linearly, at a rate of about p over the moduli, except with the exact tangent of
-    closed contacts, which includes the antisymmetric part. For dead loads see ``loads`` of the
-    problem.
+    closed contacts. For dead loads see ``loads`` of the problem.
 
     In plane stress cof F has the factor of the stretch through the thickness, extrapolated from the
-    integration points of the adjacent cell; the tangent omits its derivative.
+    adjacent cell; the tangent omits its derivative.
 
     Args:
         solid: the bodies, with ``strain="finite"``.
@@ -51,8 +50,8 @@ class Pressure(WeakForm):
         closed: whether it has the potential p V; not in plane stress.
 
     Raises:
-        ValueError: naming a wrong argument, as a tag of facets inside the mesh, or ``closed`` in
-            plane stress; at the start of a step, for a p that is NaN or infinite.
+        ValueError: naming a wrong argument; at the start of a step, for a p that is NaN or
+            infinite.
     """
 
     def __init__(
@@ -344,11 +343,7 @@ def _is_semidefinite(k: Floats) -> bool:
 
 
 def find_node(V: fem.FunctionSpace, point: Floats, name: str) -> Ints:
-    """The node at a point, empty on ranks that do not own it; collective.
-
-    Raises:
-        ValueError: on all ranks, unless there is exactly one.
-    """
+    """The node at a point, or a ValueError; empty on ranks that do not own it; collective."""
     comm, n = V.mesh.comm, V.dofmap.index_map.size_local
     X = V.tabulate_dof_coordinates()[:n, : len(point)]
     distance = np.linalg.norm(X - point, axis=1)

@@ -236,11 +236,7 @@ class Terms:
         return K
 
     def begin(self, start: float, end: float) -> None:
-        """Prepare a step between two load levels; collective.
-
-        Raises:
-            ValueError: on all ranks, if forces or the energy of a term are NaN or infinite.
-        """
+        """Prepare a step; a ValueError for infinite or NaN forces or energies; collective."""
         self.prepare(self._every, start, end)
         self.check_energies()
 
