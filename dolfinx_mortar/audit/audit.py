@@ -29,7 +29,6 @@ from dolfinx_mortar.mortar.surface import (
 from dolfinx_mortar.supports.bodies import Bodies, Motion, find_free, name_of
 from dolfinx_mortar.supports.dirichlet import Dirichlet
 
-# for ties with a pretension
 PRETENSION_HINT = (
     ". A tie with a pretension does not hold its sides against its direction: supports, other ties "
     "or contacts have to, at both ends of the bolt"
@@ -171,7 +170,6 @@ def facet_angle(surface: Surface, feature_angle: float, comm: MPI.Comm) -> float
 
 
 def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec, increment: float) -> None:
-    """Raise a ValueError on all ranks if two sides face each other only through their bodies."""
     interface, kept = link.interface, link.coupling.kept.all(axis=1)
     normal = -link.gaps(x)
     shallowest, deepest, some, joined, facing, reached = maximum(
@@ -226,7 +224,6 @@ def _nearest(rows: Floats) -> Floats:
 
 
 def _coupled(bodies: Bodies, system: InterfaceSystem) -> Bools:
-    """Mask (bodies, bodies) of coupled ones; collective."""
     found = np.zeros((bodies.count, bodies.count))
     n = len(bodies.label)
     for sides in system.sides:

@@ -79,14 +79,12 @@ def jacobians(x: Floats, kind: str, points: Floats, degree: int = 1) -> Floats:
 
 
 def _points(kind: str, degree: int) -> Floats:
-    """Reference points (q, d), two per edge, three for degree 2."""
     exact = 3 * degree - 2 if kind in SIMPLICES else 2 * degree + 1
     points, _ = basix.make_quadrature(basix.CellType[kind], exact)
     return np.asarray(points)
 
 
 def _determinants(vectors: list[Floats]) -> Floats:
-    """Determinants (.., n) of d vectors (.., d, n)."""
     components = [np.moveaxis(v, -2, 0) for v in vectors]
     if len(vectors) == 2:
         (a, b), (c, d) = components

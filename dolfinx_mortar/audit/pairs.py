@@ -282,7 +282,7 @@ def _common_nodes(V: fem.FunctionSpace, sets: Sequence[Ints]) -> Longs:
         nodes = layout.local_to_global(np.unique(local).astype(np.int32)).astype(np.int64)
         found = sums_at_nodes(comm, layout, nodes, np.ones((len(nodes), 1)))[:, 0] > 0.0
         on.append(scipy.sparse.csr_array(found.astype(np.int64)[None]))
-    rows = scipy.sparse.vstack(on)  # one long row per set
+    rows = scipy.sparse.vstack(on)
     return np.asarray(comm.allreduce((rows @ rows.T).toarray(), op=MPI.SUM))
 
 
@@ -303,7 +303,6 @@ def _ordered_parts(V: fem.FunctionSpace) -> tuple[Longs, int]:
 
 
 def _names(known: Longs, cell_tags: MeshTags | None) -> list[str]:
-    """Names of bodies (tag, part), numbered if several have one tag."""
     if cell_tags is None:
         return [f"body {k + 1}" for k in range(len(known))]
     called = {tag: name for name, tag in names_of(cell_tags).items()}

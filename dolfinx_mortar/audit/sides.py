@@ -25,8 +25,8 @@ from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import mean_facet_length
 
 Cost = tuple[float, ...]
-# Ratio of slave to master facets for accurate pressures, half of 4 for small patches: the peak of a
-# disc on a block is wrong by .7 % up to 4, 6 % at 8.
+# Ratio of slave to master facets without a warning, half of that where the peak of a disc on a
+# block is still right to .7 % (6 % at 8).
 COARSE = 2.0
 
 
@@ -304,7 +304,6 @@ def _count_facing_away(pairing: Pairing) -> int:
 
 
 def _measure_reach(link: Link) -> TieReach | None:
-    """Measure a tie; None for others; collective."""
     if link.unilateral or link.pairing is None:
         return None
     pairing, segments = link.mortar[0], link.mortar[1].segments  # ties stay at X
@@ -354,7 +353,6 @@ def _remedy(link: Link) -> str:
 
 
 def _warnings_on_reach(link: Link, reach: TieReach) -> list[str]:
-    """Warn of separated points that are tied or left out by default."""
     plain = np.tan(np.radians(link.interface.feature_angle / 4))
     told = []
     if reach.share > plain:
@@ -441,7 +439,6 @@ def warnings_on_straight_facets(link: Link, u: fem.Function | None = None) -> li
 
 
 def _mirrors(link: Link) -> list[str]:
-    """Warn for each side whose normals at mirrors deviate by over 5 %; collective."""
     warnings = []
     names = ("slave",) if link.sides.meet_themselves else ("slave", "master")
     judged = link.sides.judged

@@ -23,9 +23,9 @@ from ufl.core.expr import Expr
 
 
 class _Return(NamedTuple):
-    s: Expr  # trial deviator, 3x3
+    s: Expr
     norm: Expr
-    p: Expr  # trial mean stress
+    p: Expr
     g: Expr  # |dev dep| on the cone
     yields: Expr
     apex: Expr  # condition: return to the apex

@@ -194,7 +194,7 @@ class Ogden(PointwiseLaw):
             T += power - power.mean(axis=1, keepdims=True)
             slope = alpha[:, None, None] * (np.eye(3) * power[:, None] - power[..., None] / 3)
             L += slope - slope.mean(axis=1, keepdims=True)
-            # divided differences of T, exact for coincident stretches too
+            # exact for coincident stretches
             t = alpha[:, None] * apart
             share = np.where(t == 0.0, 1.0, np.expm1(t) / np.where(t == 0.0, 1.0, t))
             G += alpha[:, None] / 2 * power[:, second] * share

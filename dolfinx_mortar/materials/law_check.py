@@ -24,8 +24,8 @@ from dolfinx_mortar.materials.response import (
 from dolfinx_mortar.materials.tensor import INDEX, mean_of_shears
 from ufl.core.expr import Expr
 
-PATHS = 8  # random paths of small strains
-SIZES = tuple(np.geomspace(1e-5, 1.0, 6))  # factors of the strains
+PATHS = 8
+SIZES = tuple(np.geomspace(1e-5, 1.0, 6))
 # Largest errors: laws that iterate to 1e-6 pass; finite strain has 7e-8 near kinks.
 RTOL = 1e-5
 FINITE_RTOL = 1e-7
@@ -152,7 +152,6 @@ def check(
 
 
 def _gradients(rng: np.random.Generator, size: float) -> Iterator[Floats]:
-    """Small and large deformation gradients, also with coincident stretches."""
     for share in SIZES:
         yield np.eye(3) + share * size * rng.uniform(-1.0, 1.0, (3, 3))
     for J in VOLUMES:
@@ -177,7 +176,7 @@ class Point(NamedTuple):
 
     energy: float
     stress: Floats
-    tangent: Floats  # (3, 3, 3, 3)
+    tangent: Floats
     state: dict[str, Floats]
 
 
@@ -244,7 +243,6 @@ def law_at_point(material: Any, law: Law, strain: str | None = None) -> LawAtPoi
 
 
 def _numbers_of(material: Any) -> dict[str, float]:
-    """Parameters as numbers; a ValueError if one varies in space."""
     numbers = {}
     for name, value in named_parameters(material).items():
         if isinstance(value, Expr) and not isinstance(value, ufl.Constant):
@@ -312,7 +310,6 @@ def _of_arrays(
 
 
 def _symbols(given: Mapping[str, float], *shapes: tuple[int, ...]) -> list[Any]:
-    """`constants` as scalars and tensors, then the parameters."""
     sizes = [int(np.prod(shape)) for shape in shapes]
     numbers = iter(list(constants(sum(sizes) + len(given))))
     found: list[Any] = []
@@ -323,7 +320,6 @@ def _symbols(given: Mapping[str, float], *shapes: tuple[int, ...]) -> list[Any]:
 
 
 def _entries(value: Expr) -> Expr:
-    """Entries of a tensor, row by row, or of a scalar."""
     entries = [value[i, j] for i in range(3) for j in range(3)] if value.ufl_shape else [value]
     return ufl.as_vector(entries)
 
@@ -332,15 +328,15 @@ class _Errors(NamedTuple):
     """Errors at one sample, NaN without a check."""
 
     changed: bool
-    on_kink: bool  # where differences mean nothing
+    on_kink: bool
     energy: float
     tangent: float
     skew: float
-    kept: float = 0.0  # stress after the commit
+    kept: float = 0.0
     objectivity: float = np.nan
     isotropy: float = np.nan
-    lowest: float = 0.0  # smallest eigenvalue of the tangent
-    highest: float = 1.0  # largest absolute eigenvalue
+    lowest: float = 0.0
+    highest: float = 1.0
 
 
 class _Judge:
@@ -438,7 +434,7 @@ class _Sample:
     strain: Floats
     state: State
     here: Point
-    scale: float  # unit of errors
+    scale: float
 
     def demand(
         self, what: str, given: Any, wanted: Any, other: str, scale: float, **places: Floats
@@ -521,7 +517,6 @@ class _Sample:
 
 
 def _extreme_moduli(tangent: Floats) -> tuple[float, float]:
-    """Smallest eigenvalue of the symmetric part, and largest absolute one."""
     roots = np.sqrt([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])  # Mandel's notation
     rows, columns = zip(*INDEX, strict=True)
     matrix = roots[:, None] * tangent[rows, columns][:, rows, columns] * roots

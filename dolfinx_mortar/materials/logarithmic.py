@@ -53,7 +53,7 @@ class Start:
     """Data of q points at the start of a step."""
 
     state: Mapping[str, Floats]  # committed, (q,) or (q, 3, 3)
-    parameters: Mapping[str, Floats]  # (q,) of a law of arrays
+    parameters: Mapping[str, Floats]
     roots: Floats | None  # C_pn^-1/2 - I (q, 3, 3), if not zero
     numbers: Floats  # (q, n) arguments of a law in UFL, with space for the strain
 
@@ -231,7 +231,6 @@ def _chunks(q: int) -> list[slice]:
 def _answers(
     law: Law, size: int
 ) -> tuple[Sequence[tuple[int, int]], list[tuple[int, int, int, int]]]:
-    """Entries of T and L for `logarithms`: principal ones if isotropic."""
     pairs = INDEX[:size]
     if not law.isotropic:
         return pairs, [(*pairs[a], *pairs[b]) for a, b in _upper(size)]

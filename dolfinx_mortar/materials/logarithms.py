@@ -228,7 +228,6 @@ def _isotropic_moduli(pairs, law, x, logs, S, M):  # type: ignore[no-untyped-def
 
 @numba.njit(**SETTINGS)
 def _moduli(pairs, law, x, logs, N, S, M, f, h, T, R, L):  # type: ignore[no-untyped-def]
-    """Fill S (3, 3) and M (s, s) from T and L (upper triangle); the rest is work space."""
     s = len(pairs)
     _differences(s, x, logs, f, h)
     _turn(s, N, R)
@@ -296,7 +295,6 @@ def _add_curvature(s, T, h, M):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def _differences(s, x, logs, f, h):  # type: ignore[no-untyped-def]
-    """Fill f_ab and f_abc of the stored pairs."""
     for a in range(3):
         f[a, a] = 1 / (2 * (1 + x[a]))
         h[a, a, a] = -f[a, a] / (2 * (1 + x[a]))
@@ -346,7 +344,6 @@ def _fill_stress(pairs, y, m, S, Z, P):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def _couple(pairs, isotropic, M, Z, W):  # type: ignore[no-untyped-def]
-    """Set W (s, k) to M Z; isotropic laws couple normal strains only."""
     s = len(pairs)
     k = s + 1 if s == 4 else s + 3
     for p in range(s):

@@ -362,7 +362,6 @@ def _check_parameters(law: Law, material: Any) -> None:
 
 
 def _is_isotropic(name: str, material: Any, state: Any) -> bool:
-    """Whether a law is isotropic; a ValueError if its state is not."""
     isotropic = bool(getattr(material, "isotropic", False))
     tensors = [variable for variable, shape in state.items() if shape and variable != PLASTIC]
     if isotropic and tensors:
@@ -380,7 +379,6 @@ def _method(kind: type, name: str) -> Callable[..., Any] | None:
 
 
 def _fitting(material: Any, part: str) -> Callable[..., Any] | None:
-    """A derivative of the stress, if defined together with energy and stress."""
     places = [
         next((i for i, kind in enumerate(type(material).__mro__) if name in vars(kind)), math.inf)
         for name in (part, "energy", "stress")

@@ -157,13 +157,13 @@ def _kept_between(low, high, new, instead):  # type: ignore[no-untyped-def]
 class Response:
     """Response of a law in UFL to a strain."""
 
-    stress: Expr  # (3, 3)
+    stress: Expr
     energy: Expr | None  # the incremental potential, if the law has one
     updated: dict[str, Expr]  # internal variables at the end of the step, () or (3, 3)
     change: Callable[[Expr], Expr]  # direction, 3x3 -> d stress / d strain : direction
     # sigma_zz, C_zzzz, the elastic C_zzzz and |sigma| in plane stress, see `solve_normal_strain`
     equation: tuple[Expr, Expr, Expr, Expr] | None = None
-    normal_strain: Expr | None = None  # root of the equation in closed form, if known
+    normal_strain: Expr | None = None
     start: Expr | None = None  # elastic root
 
 
@@ -241,7 +241,6 @@ def _equation(
 
 
 def _elastic_root(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-    """Elastic z with sigma_zz = 0."""
     elastic = with_normal_strain(strain, 0.0)
     if law.state.get(PLASTIC) == (3, 3):
         elastic = elastic - state[PLASTIC]
@@ -275,7 +274,6 @@ def _check_state(law: Law, where: str, new: Any) -> None:
 
 
 def _call(law: Law, method: str, shape: tuple[int, ...], *arguments: Any) -> Any:
-    """Result of a method, as UFL or an array of the right shape."""
     return _shaped(f"{law.name}.{method}", _guarded(law, method, *arguments), shape)
 
 

@@ -18,7 +18,6 @@ GRADIENT = {
     2: ((0, 0), (0, 1), (1, 0), (1, 1), (2, 2)),
     3: tuple((i, j) for i in range(3) for j in range(3)),
 }
-# Row and column of each stored component.
 INDEX = tuple(("xyz".index(name[0]), "xyz".index(name[1])) for name in COMPONENTS[3])
 
 

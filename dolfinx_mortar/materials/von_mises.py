@@ -179,7 +179,6 @@ class VonMises(Material):
 
     @staticmethod
     def _memory(state: Mapping[str, Expr], p: Any) -> tuple[Any, Any]:
-        """k_n and H, zeros without isotropic hardening."""
         return (state[ACCUMULATED], p.H) if ACCUMULATED in state else (0.0, 0.0)
 
     @staticmethod
@@ -368,7 +367,7 @@ class VonMisesVoce(Material):
         """Return xi, |xi|, the increment g of k and dg / d|xi|."""
         xi, norm = shifted_stress(strain, state, p)
         k = state[ACCUMULATED]
-        rest = p.Q * ufl.exp(-p.b * k)  # remaining saturation
+        rest = p.Q * ufl.exp(-p.b * k)
         radius = p.Y + p.H * k + p.Q - rest
         M = 2 * shear_modulus(p) + p.a + p.H
         # split: one part is the same at all points of a cell

@@ -36,8 +36,8 @@ class Group:
     """Physical groups of one name, on one rank."""
 
     dim: int
-    tag: int  # of the first
-    name: str  # empty if it has none
+    tag: int
+    name: str
     elements: Longs  # (m,) numbers of its elements
     nodes: dict[int, Longs]  # (elements, nodes of an element) by Gmsh's number of their kind
 
@@ -175,7 +175,6 @@ def _read_group(model: Any, dim: int, tag: int, name: str, entities: list[int]) 
 
 
 def _create_model(gmsh: Any, groups: list[Group]) -> Any:
-    """New model with one entity per group, one kind of elements, and contiguous nodes."""
     tags, x, _ = gmsh.model.mesh.getNodes()
     parts = [nodes.ravel() for g in groups for nodes in g.nodes.values()]
     used = np.unique(np.concatenate(parts))
@@ -194,7 +193,6 @@ def _create_model(gmsh: Any, groups: list[Group]) -> Any:
 
 
 def _check(model: Any, groups: list[Group], path: str) -> list[Group]:
-    """Bodies and sides; a ValueError if they make no valid mesh."""
     if not groups:
         raise ValueError(
             f"{path} has no physical groups, so that nothing tells bodies and sides apart: in "
@@ -227,14 +225,13 @@ def _check(model: Any, groups: list[Group], path: str) -> list[Group]:
 
 
 def _check_cells(model: Any, bodies: list[Group], path: str) -> None:
-    """Raise a ValueError unless all cells are of one known kind, and in a group."""
     dim = bodies[0].dim
     if dim < 2:
         raise ValueError(
             f"{path}: the physical groups are of dimension {dim}; bodies are surfaces in 2D or "
             "volumes in 3D: add a physical surface or volume for each."
         )
-    every = {d: model.mesh.getElements(d)[1] for d in range(dim, 4)}  # partitions repeat cells
+    every = {d: model.mesh.getElements(d)[1] for d in range(dim, 4)}
     left = {d: len(np.unique(np.concatenate([*tags, []]))) for d, tags in every.items()}
     left[dim] -= len(np.unique(np.concatenate([g.elements for g in bodies])))
     for d, n in reversed(left.items()):
@@ -305,7 +302,6 @@ def _check_plane(model: Any, bodies: list[Group], path: str) -> None:
 
 
 def _check_apart(groups: list[Group], path: str) -> None:
-    """Raise a ValueError for elements in two groups of one dimension."""
     for kind in sorted({kind for g in groups for kind in g.nodes}):
         parts = [(g, g.nodes[kind]) for g in groups if kind in g.nodes]
         owner = np.concatenate([np.full(len(n), i) for i, (_, n) in enumerate(parts)])

@@ -25,7 +25,6 @@ Arrays = tuple[Floats, Longs]  # nodes (n, d), cells (m, k)
 PAPER_DIVISIONS = (34, 20)  # half block: 34 x 20 rectangles, 2720 triangles in the whole block
 PAPER_DISC_SIZE = 0.45 / 8.0  # element size over radius that gives about 1200 triangles
 
-# All options of gmsh that are set here, with their defaults.
 GMSH_OPTIONS = {
     "General.Terminal": 0.0,
     "Mesh.Algorithm": 6.0,
@@ -44,7 +43,7 @@ GMSH_OPTIONS = {
 class TaggedMesh(NamedTuple):
     """A mesh with names of its bodies and their sides."""
 
-    mesh: dmesh.Mesh  # of all bodies
+    mesh: dmesh.Mesh  # all bodies
     cell_tags: Tags  # bodies
     facet_tags: Tags  # sides and supports
 
@@ -205,7 +204,7 @@ def sphere(
     mesh, first = distribute(comm, create, cell)
     mesh.name = "sphere"
     of = {"thickness": block[2], "radius": radius, "gap": gap}
-    planes = ("symmetry_x", "symmetry_y")  # the first is no side of the half
+    planes = ("symmetry_x", "symmetry_y")
     return name_sides(mesh, first, **of, names=("ball", "sphere"), planes=planes)
 
 
@@ -230,7 +229,7 @@ def _ball_of_hexahedra(radius: float, gap: float, core: float, h: float) -> Arra
     return x, cells
 
 
-HXT = {"Mesh.Algorithm3D": 10.0}  # a fast Delaunay algorithm
+HXT = {"Mesh.Algorithm3D": 10.0}
 
 
 def _block_of_tetrahedra(corner: Floats, core: float, h: float) -> Arrays:
@@ -284,14 +283,14 @@ def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], 
     """
     lattice = np.stack(np.meshgrid(*[np.arange(n + 1)] * 3, indexing="ij"), axis=-1)
     lattice = lattice.reshape(-1, 3)
-    far = np.flatnonzero(lattice.max(axis=1) == n)  # nodes on the three far faces
+    far = np.flatnonzero(lattice.max(axis=1) == n)
     shells = max(1, round(n * np.log(radius / edge)))
     radii = edge * (radius / edge) ** (np.arange(1, shells + 1) / shells)
     s = ((radii - edge) / (radius - edge))[:, None, None]
     inner, boundary = edge * lattice[far] / n, outer(lattice[far] / n)
     x = np.concatenate([edge * lattice / n, ((1.0 - s) * inner + s * boundary).reshape(-1, 3)])
     nodes = np.arange(len(lattice)).reshape([n + 1] * 3)
-    ends = slice(0, n), slice(1, n + 1)  # of the cells along an edge
+    ends = slice(0, n), slice(1, n + 1)
     cube = [nodes[i, j, k].ravel() for i in ends for j in ends for k in ends]
     faces = [np.take(nodes, n, axis=axis) for axis in range(3)]
     quads = np.concatenate(

@@ -36,7 +36,7 @@ TOPOLOGY = {  # XDMF names by (cell, nodes per cell); nodes in VTK order
     ("hexahedron", 8): "Hexahedron",
     ("hexahedron", 27): "Hexahedron_27",
 }
-KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}  # XDMF attribute types by components
+KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}
 
 
 class Writer:
@@ -101,7 +101,7 @@ class Writer:
                 raise ValueError(f"problem: {cell[0]} cells with {cell[1]} nodes: no XDMF name.")
         notes = {} if notes is None else notes
         self._open = True
-        self._tools: _ToolFile | None = None  # on rank 0
+        self._tools: _ToolFile | None = None
         self._file = File(self.comm, self.path, notes, resume=resume)
         try:
             self._grid_head = self._write_mesh(V, TOPOLOGY[cell])
@@ -189,7 +189,6 @@ class Writer:
             self._leave()
 
     def _outlines(self) -> Sequence[tuple[Any, Floats]]:
-        """See `ContactProblem.output_tools`; collective."""
         find = getattr(self.problem, "output_tools", None)
         return () if find is None else find()
 
@@ -285,7 +284,7 @@ class _ToolFile(File):
     written = 0  # steps, by this run, also those that the results lack
     boxes: Sequence[tuple[Floats, Floats]] = ()  # of the last cuts
     points: Sequence[Floats] = ()
-    head: Sequence[ET.Element] = ()  # references to their cells
+    head: Sequence[ET.Element] = ()
 
     def write_step(
         self, steps: Sequence[Step], new: Step, tools: Sequence[tuple[Any, Floats]]
@@ -322,7 +321,6 @@ class _ToolFile(File):
         self.replace(sorted([*kept, step], key=lambda one: one.time))
 
     def _write_cells(self, number: int, cells: Longs, of: Floats) -> list[ET.Element]:
-        """Write lines or triangles (m, d), and the tool (m, 1) of each."""
         about = {"TopologyType": "Triangle", "NumberOfElements": str(len(cells))}
         if cells.shape[1] == 2:
             about |= {"TopologyType": "Polyline", "NodesPerElement": "2"}

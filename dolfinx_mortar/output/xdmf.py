@@ -44,7 +44,7 @@ class Step:
     done: int  # load steps completed before
     time: float
     mesh: str  # digest of the mesh with its numbering of nodes
-    earlier: bool = False  # written by an earlier run
+    earlier: bool = False
 
     @property
     def files(self) -> set[str]:
@@ -148,7 +148,6 @@ class File:
         return self._item(key, shape, "Int", np.dtype(PETSc.IntType).itemsize)
 
     def _view(self, viewer: PETSc.Viewer, key: str, of_petsc: Any) -> int:
-        """Write a vector or an index set, and return its size."""
         of_petsc.setName(key)
         self._together(lambda: of_petsc.view(viewer))
         size = int(of_petsc.getSize())

@@ -106,7 +106,7 @@ class Saved:
     state: ProblemState
     about: Mapping[str, Any]
     tables: Values
-    steps: list[LoadStep]  # the history
+    steps: list[LoadStep]
 
     @property
     def walk(self) -> list[float]:
@@ -211,7 +211,6 @@ def _at_nodes(state: ProblemState) -> dict[str, Floats]:
 
 
 def _at_points(state: ProblemState) -> dict[str, Floats]:
-    """Fields at the owned points, shown ones unless committed as well."""
     fields = {name: _owned(f) for name, f in state.solid.points.lasting_fields().items()}
     for name in [name for name in fields if name.startswith("shown/")]:
         differs = not np.array_equal(fields[name], fields[name.replace("shown/", "committed/")])
@@ -292,7 +291,7 @@ def differences(saved: Mapping[str, Any], present: Mapping[str, Any]) -> list[st
         before, now = saved.get(name, "missing"), present.get(name, "missing")
         a, b = as_numbers(before), as_numbers(now)
         if isinstance(now, list) and a is not None and b is not None and a.shape == b.shape:
-            off = float(np.abs(a - b).max(initial=0.0))  # beyond round-off
+            off = float(np.abs(a - b).max(initial=0.0))
             if off > SAME * np.abs(b).max(initial=0.0):
                 told.append(f"{name} is off by up to {off:.3g} from the checkpoint")
         elif before != now:

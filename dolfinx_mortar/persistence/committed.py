@@ -33,7 +33,7 @@ class SupportForces:
 class Walk:
     """A call of `load_steps` or `time_steps`."""
 
-    start: float  # level at which it began
+    start: float
     ramp: list[list[list[float]]]  # tables, see `steps.ramp`
     settings: dict[str, Any]  # of its steps by name
 
@@ -61,8 +61,8 @@ class StepOutcome:
 
     at: Floats  # (n,) displacement at the end of the step
     active: Bools  # (owned nodes,) closed contacts
-    sliding: Floats | None  # (owned nodes, d) slip directions of closed nodes, 0 if stuck
-    paired: Floats | None  # (n,) displacement of the pairing; empty for X
+    sliding: Floats | None
+    paired: Floats | None
     slips: Slips | None  # with friction
     # (owned nodes, d) normal contact forces on both sides
     normal: Floats | None = None
@@ -82,10 +82,10 @@ class Committed:
     slid: Floats  # (interfaces, owned nodes), see `Slips`
     dissipated: Floats  # (interfaces, owned nodes), see `Slips`
     begun: bool = False  # a step has been committed
-    sliding: Floats | None = None  # (owned nodes, d) slip directions of closed nodes, 0 if stuck
-    paired: Floats | None = None  # (n,) displacement of the pairing; empty for X
+    sliding: Floats | None = None
+    paired: Floats | None = None
     level: float = 0.0  # load level, of the last step of `load_steps`
-    history: list[LoadStep] = field(default_factory=list)  # all steps of `load_steps`
+    history: list[LoadStep] = field(default_factory=list)
     brought: int = 0  # of them, number restored by a checkpoint
     walked: int = 0  # of them, number of the last call
     walk: Walk | None = None  # the last call of `load_steps`, which may continue
@@ -120,7 +120,7 @@ class ProblemState:
     supports: Dirichlet
     geometry: str
     committed: Committed
-    terms: Sequence[tuple[str, Term]]  # other terms, by name
+    terms: Sequence[tuple[str, Term]]
 
     @property
     def u(self) -> fem.Function:

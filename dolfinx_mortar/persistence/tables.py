@@ -138,7 +138,6 @@ def _rows(comm: MPI.Comm, columns: list[Floats]) -> Iterator[Floats]:
 
 
 def _write_file(path: Path, about: Mapping[str, Any], rows: Iterator[tuple[str, Floats]]) -> None:
-    """Write tables, part by part, and replace the file; on rank 0."""
     draft = draft_of(path)
     try:
         text = np.frombuffer(json.dumps(about, default=_plain).encode(), dtype=np.uint8)
@@ -258,7 +257,6 @@ def _read_table(
 
 
 def _difference(comm: MPI.Comm, own: Floats, hits: Longs, there: int) -> str:
-    """Differences of places from those of the file, in words."""
     total = comm.allreduce(len(own), op=MPI.SUM)
     if total != there:
         return f"there are {total}, in the checkpoint {there}"

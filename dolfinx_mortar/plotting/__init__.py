@@ -207,7 +207,6 @@ def _values_of(solid: Any, name: str) -> tuple[Floats, bool]:
 
 
 def _moved(V: fem.FunctionSpace, u: fem.Function, scale: float) -> Floats:
-    """Local nodes (n, 3) at X + scale u."""
     x = V.tabulate_dof_coordinates().copy()
     d = V.mesh.geometry.dim
     x[:, :d] += scale * u.x.array.reshape(-1, d)
@@ -312,7 +311,6 @@ def _gather_facets(
     tag: int | None = None,
     values: Floats | None = None,
 ) -> Parts | None:
-    """Facets of all tags or one, with values at nodes or their tags."""
     chosen = tags.indices < V.mesh.topology.index_map(tags.dim).size_local
     if tag is not None:
         chosen &= tags.values == tag

@@ -119,7 +119,6 @@ def _add_values(plotter: Any, parts: Parts, title: str) -> None:
 
 
 def _add_facets(plotter: Any, facets: Parts, **style: Any) -> None:
-    """Draw facets, shaded ones in triangles, with edges in front."""
     surface: Any = pyvista.PolyData.from_regular_faces
     around = surface(facets.x, facets.polygons)
     drawn = surface(facets.x, facets.triangles) if facets.at_nodes else around

@@ -36,7 +36,7 @@ def operator_errors(link: Link, X: Floats, facet_length: float) -> tuple[float, 
     the gap plus a facet length, for each direction of a tie. Rows of D - M sum to zero.
     """
     sides, coupling = link.sides, link.coupling
-    judged = coupling.kept.T & coupling.normals.any(axis=1)  # some lack a normal
+    judged = coupling.kept.T & coupling.normals.any(axis=1)
     normals = coupling.normals if coupling.operators is None else coupling.operators.normals
     v = link.Q.createVecRight()
     v.set(1.0)
@@ -69,7 +69,6 @@ def find_pull(problem: ContactProblem, contacts: Contacts, least: float = 0.0) -
 
 
 def _pull_of_patches(link: Link, forces: Floats) -> float:
-    """Largest tension of a patch over the sum of forces (n, d); collective."""
     d, n = forces.shape[1], link.coupling.normals
     area, exerted = link.coupling.weight[:, :1] * n, link.transpose(forces)[0][link.nodes]
     size = np.linalg.norm(exerted, axis=1)
@@ -246,7 +245,7 @@ def _set_sliding(
     assert contacts.sliding is not None
     slides = np.asarray(limits.along(contacts.sliding[limits.nodes]).any(axis=1))
     resisting, known = contacts.tangential_reactions(limits), limits.known(contacts.multipliers)
-    slips = np.where(slides[:, None], limits.slip, 0.0)  # else round-off
+    slips = np.where(slides[:, None], limits.slip, 0.0)
     aside = limits.slides & known.any(axis=1)
     beside = np.where(aside[:, None], limits.beside, 0.0)
     traction[limits.nodes] = -(limits.vectors(resisting) + known) / limits.weight[:, None]

@@ -96,7 +96,6 @@ class EnergyLedger:
         ]
 
     def _impulses(self, restored: float) -> list[list[float] | None]:
-        """Impulses of the contacts until the end of the step."""
         before, self._acting = self._acting, self._resultants()
         time = 0.5 * self.inertia.start.dt + restored
         return [
@@ -116,7 +115,7 @@ class EnergyLedger:
         return -self._forces(self._still)
 
     def _damping(self, velocity: Floats | None = None) -> Floats:
-        """Forces of damping, by default at the velocity of the end of the step."""
+        """Forces of damping, by default at the end of the step."""
         terms = [term for _, term in self.problem.terms.named if isinstance(term, Damping)]
         found = [t.times(t.velocity() if velocity is None else velocity) for t in terms]
         return sum(found, np.zeros(self.inertia.mass.X.shape))
@@ -195,7 +194,6 @@ class EnergyLedger:
             name: self._sum(0.5 * (getattr(before, name) + getattr(after, name)) * du)
             for name in ("contact", "friction", "supports", "loads", "damping")
         }
-        # the work of a moving tool is no gain of contact
         way = self._tool_way(before.u, after.u)
         tools = {
             name: self._sum(0.5 * (getattr(before, name) + getattr(after, name)) * way)
@@ -253,7 +251,6 @@ class EnergyLedger:
     def _in_bodies(
         self, before: Ends, after: Ends, potential: float | None
     ) -> tuple[float, float, float]:
-        """Stored and dissipated energy, and the work of changing data."""
         inner, start = 0.0, self._potential
         if before.internal is not None and after.internal is not None:
             mean = 0.5 * (before.internal + after.internal)
@@ -276,7 +273,6 @@ class EnergyLedger:
         return on
 
     def _contacts_have_mass(self) -> bool:
-        """Whether nodes of contacts have mass; collective."""
         bare, links = self.inertia.mass.massless, self.problem.system.unilateral
         heavy = any((~bare[k.nodes] & k.coupling.kept[:, 0]).any() for k in links)
         return bool(any_rank(self.problem.comm, heavy)[0])

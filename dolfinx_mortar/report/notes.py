@@ -59,7 +59,6 @@ def note_partners(end: StepEnd) -> list[str]:
 
 
 def _missed_tools(end: StepEnd) -> list[str]:
-    """Notes on tools that meet no node."""
     notes, links = list[str](), end.problem.system.links
     why = (
         "Either no facet of the side faces the tool (its normal has to point out of the tool, "
@@ -75,7 +74,6 @@ def _missed_tools(end: StepEnd) -> list[str]:
 
 
 def _frozen(end: StepEnd) -> list[str]:
-    """Notes on slides and rotations beyond frozen geometry; collective."""
     notes, problem, length = list[str](), end.problem, end.problem.system.facet_length
     for link in end.problem.system.unilateral:
         slip = slipped(link, problem.vector(problem.owned_u))
@@ -106,7 +104,6 @@ def _turn(problem: ContactProblem, link: Link, contacts: Contacts) -> float:
 
 
 def _turned_tools(end: StepEnd) -> list[str]:
-    """Notes on tool rotations that make slips (arcs or chords) wrong; collective."""
     notes, sliding = list[str](), end.contacts.sliding
     for link in end.problem.system.links:
         tool = link.interface.tool

@@ -141,7 +141,6 @@ def _point(x: Iterable[float]) -> str:
 
 
 def _in_tool(link: Link, tool: Tool, u: fem.Function) -> Overlap | None:
-    """Deepest point of a side between nodes, in a tool; collective."""
     assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
     side, pose, x = link.pattern.side, tool.pose(), coordinates(link.sides.slave, u)
     facing = find_facing(side, pose, tool.asked, x)
@@ -167,7 +166,6 @@ def _in_tool(link: Link, tool: Tool, u: fem.Function) -> Overlap | None:
 
 
 def _deviations(surface: Surface, u: fem.Function, feature_angle: float) -> Floats:
-    """Largest deviations (n,) of a smooth surface from its facets; collective."""
     # nodal sagittas are means, perhaps half of the largest
     return 2.0 * nodal_sagittas(surface, coordinates(surface, u), feature_angle)
 
@@ -186,10 +184,10 @@ def _deepest(comm: MPI.Comm, group: Longs, *columns: Any) -> dict[int, Any]:
 class _Skin:
     """Flat facets near other bodies, or on surfaces in self-contact."""
 
-    body: Longs  # (m,)
+    body: Longs
     sides: Bools  # (m, 2, interfaces) on its slave and master side
     on: Bools  # (m, 2, interfaces) on or next to these
-    x: Floats  # (m, d, d)
+    x: Floats
     off: Floats  # (m,) deviation of smooth interface sides from the facets
     size: Floats  # (m,) of whole facets, in space root of the area
 

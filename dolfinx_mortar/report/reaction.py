@@ -169,7 +169,6 @@ def _find(problem: ContactProblem, support: Any, facet_tags: Any) -> Bools:
 
 
 def _tagged(problem: ContactProblem, support: int | str, facet_tags: Any) -> Bools:
-    """Mask (n, d) of owned components at the nodes of a tag."""
     mesh, V = problem.V.mesh, problem.V
     with raised_together(problem.comm):
         tags = _tags_of(problem) if facet_tags is None else facet_tags

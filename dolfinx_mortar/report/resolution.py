@@ -51,7 +51,6 @@ Find = Callable[
 
 
 def _means(link: Link, u: fem.Function | None, find: Find) -> Floats:
-    """Nodal means (n,) of point values of ``find``; collective."""
     (pairing, operators), sides = link.mortar, link.sides
     smooth = link.pattern.smooth or link.pattern.nearby
     assert smooth is not None, "of contacts only"
@@ -145,7 +144,6 @@ def note_on_facets(
 
 
 def _missed(link: Link, u: fem.Function | None) -> Floats | None:
-    """Excess (n,) of gaps, None if unknown; collective."""
     if link.pairing is None:
         faceted = link.pattern.faceted if isinstance(link.pattern, SidePattern) else None
         if faceted is None:

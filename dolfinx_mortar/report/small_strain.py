@@ -37,9 +37,9 @@ class LeftOut:
     """Term that the small strain neglects; zero for other measures."""
 
     felt: int  # number of bodies above the limits
-    strain: float  # largest |H^T H| / 2
-    largest: float  # largest strain
-    rotation: float  # largest rotation, radians
+    strain: float
+    largest: float
+    rotation: float
     work: float  # error of forces: share of the stress work, of the worst body
     lengths: float  # mean |H^T H| / 2 of that body
     told: int  # body of the note: the worst above the limits, else the one of `steepest`
@@ -81,7 +81,7 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
     """Measure strain and rotation at u, given the stress of `Solid.evaluate`; collective."""
     solid, comm, count = problem.solid, problem.comm, problem.bodies.count
     body, weights = problem.bodies.of_cells, solid.fields.weights
-    many = CHUNK // weights.shape[1]  # limits the memory
+    many = CHUNK // weights.shape[1]
     chunks = [slice(i, i + many) for i in range(0, len(body), many)]
     parts = [_measure(solid, weights, cells) for cells in chunks]
     columns = np.concatenate([np.zeros((9, 0)), *parts], axis=1)

@@ -234,7 +234,6 @@ def _from_flat(x, p):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _on_one(x, p, bends):  # type: ignore[no-untyped-def]
-    """Distance squared, location of the nearest point, and its coordinates."""
     where, s, t, least = FACE, 0.0, 0.0, np.inf
     if len(p) == 3:
         s, t, least = _in_face(x, p, bends[:, 0])

@@ -125,7 +125,6 @@ class SignedDistance(Shape):
 
 
 def _compile(phi: Expr, d: int) -> Kernel:
-    """Kernel of phi, gradient and Hessian, (1 + d + d^2,), at x (d,)."""
     known = ufl.SpatialCoordinate, ConstantValue, ufl.classes.MultiIndex
     if phi.ufl_shape != () or phi.ufl_free_indices:
         raise ValueError(f"phi is {phi}, of shape {phi.ufl_shape}: give a scalar expression")
@@ -152,7 +151,6 @@ def _compile(phi: Expr, d: int) -> Kernel:
 
 
 def _returned(name: str, function: Function, x: Floats, shape: tuple[int, ...]) -> Floats:
-    """Checked result (n, ..) at points x (n, d)."""
     n = len(x)
     if not n:
         return np.zeros((0, *shape))

@@ -91,7 +91,6 @@ class Triangulation:
         return x[:, [1, 2, 0]] - x, x[:, [2, 0, 1]] - x
 
     def _summed(self, group: Longs, parts: Floats) -> Floats:
-        """Sums (m, 3, 3) of parts at corners over groups (3 m,)."""
         total = np.zeros((int(group.max()) + 1, 3))
         np.add.at(total, group, parts.reshape(-1, 3))
         return np.asarray(total[group].reshape(-1, 3, 3))
@@ -258,7 +257,6 @@ class Triangles(Curved):
 
 
 def _bulges(x: Floats, normals: Floats) -> Floats:
-    """Bends a (m, 3, 3) of edges, see `curved`."""
     p, q, one, other = x[:, FIRST], x[:, SECOND], normals[:, FIRST], normals[:, SECOND]
     both = one + other
     turn = ((other - one) * (q - p)).sum(axis=2) / (both**2).sum(axis=2)

@@ -83,7 +83,7 @@ def _cross(simplices: Longs, inside: np.ndarray) -> tuple[Longs, Longs]:
     """Edges (n, 2) crossed by a surface, and lines or triangles (m, d) of these."""
     d = simplices.shape[1] - 1
     of = inside[simplices]
-    order = np.argsort(of, axis=1, kind="stable")  # nodes outside first
+    order = np.argsort(of, axis=1, kind="stable")
     nodes, count = np.take_along_axis(simplices, order, axis=1), of.sum(axis=1)
     parts = []
     for k in range(1, d + 1):
@@ -92,7 +92,7 @@ def _cross(simplices: Longs, inside: np.ndarray) -> tuple[Longs, Longs]:
         # two and two nodes: two triangles
         cut = [ends] if len(ends) == d else [ends[:3], ends[1:]]
         parts += [nodes[count == k][:, cell] for cell in cut]
-    crossed = np.concatenate(parts)  # (m, d, 2)
+    crossed = np.concatenate(parts)
     low, high = np.sort(crossed, axis=2).reshape(-1, 2).T
     keys, cells = np.unique(low * len(inside) + high, return_inverse=True)
     return np.stack(np.divmod(keys, len(inside)), axis=1), cells.reshape(-1, d).astype(np.int64)

@@ -83,7 +83,6 @@ class CellFunctions:
 
 
 def _create_basis(space: fem.FunctionSpace) -> Expr:
-    """Return (1, (x - x_c) / h), h the size of the cell, for unit-free round-off."""
     domain, m = space.mesh, space.dofmap.bs
     if m == 1:
         return ufl.as_vector([1.0])

@@ -92,7 +92,7 @@ class Eigenstrain(Followed):
             largest = maximum(V.mesh.comm, np.abs(values[~undefined]).max(initial=0.0))[0]
             terms = 5 if V.mesh.geometry.dim == 2 else 3
             zero = np.asarray(vanishing.eval(V.mesh, cells)).reshape(len(undefined), terms)
-            # half of the digits: derivatives of interpolated fields lose some
+            # derivatives of interpolated fields lose digits
             skew = (np.abs(zero[:, :3]) > HALF_OF_DIGITS * largest).any(axis=1)
             out_of_plane = (zero[:, 3:] != 0.0).any(axis=1) & ~undefined
         counts = np.array([part.sum() for part in (undefined, skew, out_of_plane)], dtype=int)
@@ -125,7 +125,6 @@ def create_eigenstrain(
 def _parts(
     domain: mesh.Mesh, given: Any, cell_tags: mesh.MeshTags | None
 ) -> list[tuple[str, Any, Ints]]:
-    """Name, value and local cells of each part; collective."""
     imap = domain.topology.index_map(domain.topology.dim)
     if not isinstance(given, Mapping):
         return [("eigenstrain", given, np.arange(imap.size_local + imap.num_ghosts, dtype="i4"))]

@@ -110,7 +110,6 @@ class Forms:
 
     @cached_property
     def _elastic(self) -> tuple[MatrixForm, fem.Constant]:
-        """Second derivative of `elastic_norm` with its factor; compiled at first use."""
         V, kinematics = self._u.function_space, self._integral.kinematics
         factor = fem.Constant(V.mesh, default_scalar_type(1.0))
         of_v, of_w = (
@@ -220,7 +219,6 @@ def _unturned(kinematics: Kinematics, u: fem.Function, v: Expr) -> Expr:
 
 
 def _from_energy(law: Law) -> bool:
-    """Whether UFL derives a symmetric tangent from an energy of F."""
     derived = law.update is None and law.stress is None and law.tangent is None
     return derived and law.strain == "finite"
 

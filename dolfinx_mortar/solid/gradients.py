@@ -110,7 +110,7 @@ TURNS = ((2, 1), (0, 2), (1, 0))
 class Gradients:
     """Values at the n integration points of some cells, cell by cell; tensors (n, 4 or 6)."""
 
-    strain: Floats  # measure of the kinematics
+    strain: Floats
     rotation: Floats  # (n, 1 or 3), axial vector of the skew part of grad u, radians; about z in 2D
     left_out: Floats  # H^T H / 2 at small strain, else zero
     turned: Floats  # W^T W / 2, W the skew part

@@ -38,7 +38,7 @@ class Kinematics:
     nearly_rigid: Callable[[Floats], dict[str, Floats]] | None = None
     # displacement -> deformation gradient F, 3x3; None without finite strain
     gradient: Callable[[Expr], Expr] | None = None
-    finite: bool = False  # whether the measure is F, see `of_finite_strain`
+    finite: bool = False  # whether the measure is F
 
     def of_finite_strain(self) -> "Kinematics":
         """These kinematics with the measure F, whose work-conjugate stress is P.

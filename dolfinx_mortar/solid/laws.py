@@ -141,7 +141,6 @@ class ParameterTable(Followed):
 
 
 def _extent(comm: MPI.Comm, values: Mapping[str, Floats], rule: str) -> str:
-    """Extent of the parameters of a rule, in words; collective."""
     parts = []
     for name in sorted(set(values) & set(re.findall(r"\w+", rule))):
         low = np.nanmin(values[name], initial=np.inf)
@@ -159,7 +158,7 @@ class Region:
     law: Law
     cells: np.ndarray  # int32 (m,), local cells, ghosts included
     parameters: ParameterTable
-    parts: tuple[tuple[Any, Ints], ...] = ()  # materials with their cells
+    parts: tuple[tuple[Any, Ints], ...] = ()
 
     @property
     def mesh(self) -> mesh.Mesh:
@@ -225,7 +224,7 @@ def create_regions(
     # the order of the dictionary does not change the forms
     alike: dict[Any, list[int]] = {}
     for i, (material, law) in enumerate(given):
-        form = kinematics.finite and law.isotropic  # see `materials.logarithmic`
+        form = kinematics.finite and law.isotropic
         names = tuple(named_parameters(material))  # tuples may differ in length
         way = form, law.normal_strain is None, names
         alike.setdefault((type(material), way, *law.state), []).append(i)
@@ -288,7 +287,6 @@ def _material_of_cells(
     cell_tags: mesh.MeshTags | None,
     plane_stress: bool,
 ) -> tuple[list[tuple[Any, Law]], np.ndarray]:
-    """Materials with their laws, and the material of each local cell; collective."""
     imap = domain.topology.index_map(domain.topology.dim)
     count = imap.size_local + imap.num_ghosts
     if not isinstance(materials, Mapping):
@@ -364,7 +362,7 @@ class Integral:
 
     regions: Sequence[Region]
     kinematics: Kinematics
-    degree: int  # of the quadrature
+    degree: int
 
     @property
     def weight(self) -> Expr:

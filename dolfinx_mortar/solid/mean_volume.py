@@ -56,7 +56,7 @@ from ufl.classes import Label, Variable
 from ufl.core.expr import Expr
 
 CELLS = ("quadrilateral", "hexahedron")
-# Kinematics with a trace that is linear in u, the change of volume.
+# Their trace is linear in u.
 TRACED = (plane_strain, axisymmetric, spatial)
 
 
@@ -186,7 +186,7 @@ class VolumeStep:
     energy: Floats  # (owned cells,) int U(j)
     slope: Floats  # (owned cells, m) int U'(j) N_k
     stiffness: Floats  # (owned cells, m, m) int U''(j) N_k N_l
-    inverse: Floats  # (owned cells, m, m) inverse of int N_k N_l
+    inverse: Floats  # (owned cells, m, m), of int N_k N_l
 
     def slope_at(self, t: float) -> Floats:
         """Integrals (owned cells, m) of p + t U'' dj times N_k."""

@@ -136,7 +136,6 @@ class PointFields:
         return shape == (len(self._components),) or PLASTIC_FIELDS.get(name, False)
 
     def _base(self, name: str) -> np.ndarray:
-        """Stored or derived field, zero where a law has none."""
         if name in self._stored:
             return self._at_points(self._stored[name])
         if name not in self.bases and name not in PLASTIC_FIELDS:
@@ -161,7 +160,6 @@ class PointFields:
         return values[..., 0] if dofmap.bs == 1 else values
 
     def _output(self, region: Region, cells: np.ndarray) -> dict[str, np.ndarray]:
-        """Derived fields of a region's law, cell by cell."""
         state = {}
         for name in region.law.state:
             values = self._at_points(self._stored[name])[cells]

@@ -180,13 +180,12 @@ class PointwiseFields(PointValuesOfRegion):
         return ufl.as_tensor(rows)
 
     def _change(self, direction: Expr) -> Expr:
-        """The tangent times a direction, 3x3."""
         number = {pair: k for k, pair in enumerate(_pairs(len(self._entries)))}
         sums = []
         for a in range(len(self._entries)):
             terms = []
             for b, (i, j) in enumerate(self._entries):
-                times = 1 if self._finite or i == j else 2  # a stored shear is two components
+                times = 1 if self._finite or i == j else 2
                 upper = self._tangent[number[min(a, b), max(a, b)]]
                 terms.append(upper * times * direction[i, j])
             sums.append(sum(terms))
@@ -215,7 +214,6 @@ class PointwiseFields(PointValuesOfRegion):
                 self._set(f, values)
 
     def _judge(self, bad: Bools, strain: Floats, what: str) -> None:
-        """Raise a ValueError naming the first invalid point."""
         wrong = np.flatnonzero(bad)
         if wrong.size:
             points = self._stress.function_space.dofmap.list.shape[1]
@@ -377,7 +375,7 @@ def _pairs(size: int) -> list[tuple[int, int]]:
 def packed(tangent: Floats, entries: Sequence[tuple[int, int]]) -> Floats:
     """Upper triangle of the symmetric part of tangents (q, 3, 3, 3, 3), row by row."""
     a, b = np.array(_pairs(len(entries))).T
-    at = np.array(entries) @ [3, 1]  # index among nine entries
+    at = np.array(entries) @ [3, 1]
     terms = np.stack([9 * at[a] + at[b], 9 * at[b] + at[a]], axis=1)
     return np.asarray(_means(np.ascontiguousarray(tangent).reshape(len(tangent), 81), terms))
 

@@ -46,7 +46,7 @@ from dolfinx_mortar.solid.pointwise import create_point_values, normal_strain
 from dolfinx_mortar.solid.term import Term, assemble
 from dolfinx_mortar.spaces import check_real, check_space
 
-# Written first; then all internal variables and the output of the laws.
+# Written first.
 OUTPUT_FIELDS = (
     *("stress", "von_mises", "plastic_strain", "plastic_strain_norm"),
     *("back_stress_norm", "hardening"),
@@ -152,7 +152,7 @@ class Solid(Term):
         dilatation = create_dilatation(u, self.volumetric, integral, self.eigenstrain)
         measured, points = self.kinematics.measure(u), self.points
         seen = measured if self.eigenstrain is None else measured - self.eigenstrain.tensor
-        if isinstance(dilatation, MeanDilatation):  # laws, pointwise ones too, get the deviator
+        if isinstance(dilatation, MeanDilatation):  # also pointwise laws get the deviator
             seen = ufl.dev(seen)
         inputs = [u] if self.eigenstrain is None else [u, self.eigenstrain.function]
         how = self.regions, seen, self.state
@@ -385,7 +385,6 @@ class Solid(Term):
 
 
 def _root(solid: Solid, share: float) -> float:
-    """Root of a sum over all ranks."""
     return math.sqrt(max(solid.mesh.comm.allreduce(share, op=MPI.SUM), 0.0))
 
 

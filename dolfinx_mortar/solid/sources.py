@@ -29,7 +29,7 @@ class Part:
     name: str  # of the user's argument, for messages
     function: fem.Function
     value: Expr  # scalar or vector of components
-    components: slice = slice(None)  # of the Function
+    components: slice = slice(None)
 
     @property
     def table(self) -> Floats:
@@ -48,10 +48,10 @@ class Part:
 class Source:
     """Values in some cells, filled by one expression into components of Functions."""
 
-    parts: Sequence[Part]  # all at the same points
+    parts: Sequence[Part]
     cells: Ints  # local cells, ghosts included
     expression: fem.Expression
-    inputs: tuple[Any, ...]  # its Constants and Functions
+    inputs: tuple[Any, ...]
 
     @property
     def _space(self) -> fem.FunctionSpace:

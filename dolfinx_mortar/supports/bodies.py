@@ -209,7 +209,6 @@ def find_free(
 def _name_free(
     bodies: Bodies, modes: Modes, held: Floats, touching: Floats, uneven: Floats
 ) -> list[str]:
-    """Names of modes in the null space of quadratic forms, see `free_motions`."""
     scale = max(float((held + touching).diagonal().max()), TINY)
     null = np.eye(len(modes))
     for form in (held, touching - uneven):
@@ -266,7 +265,6 @@ def _take_out(null: Floats, rest: Floats, motions: dict[str, Floats]) -> tuple[F
 
 
 def _groups(null: Floats, body: npt.NDArray[np.int_]) -> list[list[int]]:
-    """Sets of bodies that only move together."""
     linked = np.abs(null @ null.T) > QUARTER_OF_DIGITS
     _, label = scipy.sparse.csgraph.connected_components(
         linked | (body[:, None] == body), directed=False
@@ -275,7 +273,6 @@ def _groups(null: Floats, body: npt.NDArray[np.int_]) -> list[list[int]]:
 
 
 def _common_motions(bodies: Bodies, group: list[int]) -> dict[str, Floats]:
-    """Rigid motions of a group as one body, in terms of modes."""
     count, d = bodies.centre.shape
     middle = bodies.centre[group].mean(axis=0)
     probes = np.vstack([np.zeros(d), np.eye(d)])  # modes are affine

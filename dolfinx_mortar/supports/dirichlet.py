@@ -77,7 +77,6 @@ def prescribed_values(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> F
 
 
 def _check_unique(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC], target: Floats) -> None:
-    """Raise a ValueError on all ranks for values off the target; collective."""
     d, comm = V.dofmap.index_map_bs, V.mesh.comm
     chosen = la.vector(V.dofmap.index_map, d)
     chosen.array[: len(target)] = target

@@ -182,7 +182,7 @@ class Inertia(Term):
         set_velocity(self.velocity, velocity, cell_tags)
         self._start: Start | None = None
         self._end: Motion | None = None
-        self._added: tuple[int, float] | None = None  # last matrix, and its factor of M
+        self._added: tuple[int, float] | None = None
         self._met: tuple[Bools, Ints] | None = None  # of the last `meet`
 
     @property

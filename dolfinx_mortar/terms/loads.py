@@ -141,7 +141,6 @@ class Pressure(WeakForm):
 
 
 def _exterior(domain: Mesh, facet_tags: Any, tag: Any) -> tuple[MeshTags, int]:
-    """Ordered tags, and the number of a tag of exterior facets; collective."""
     check("Pressure: facet_tags", facet_tags, tags_of(domain, domain.topology.dim - 1))
     domain.topology.create_entities(facet_tags.dim)
     with raised_together(domain.comm):
@@ -336,7 +335,6 @@ class PointSpring(PointTerm):
 
 
 def _is_semidefinite(k: Floats) -> bool:
-    """Symmetric and positive semidefinite, to round-off."""
     k = np.atleast_2d(k)
     error = ROUND_OFF * np.abs(k).max()
     return bool(np.abs(k - k.T).max() <= error and np.linalg.eigvalsh(k)[0] >= -error)

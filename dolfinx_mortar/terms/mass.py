@@ -47,7 +47,7 @@ cubes: with 1 tetrahedra and triangles keep mass at corners and edges, with 2 to
 class Mass:
     """The mass matrix M* of each displacement component; values are (owned nodes, d)."""
 
-    matrix: PETSc.Mat  # AIJ, of nodes
+    matrix: PETSc.Mat
     X: Floats  # (owned nodes, d)
     extension: PETSc.Mat | None = None  # P, None for the identity
     bare: Bools | None = None  # (owned nodes,) massless; None for none
@@ -92,7 +92,7 @@ class Mass:
         b, x = solver.getOperators()[0].createVecs()
         b.array[:] = values[free]
         solver.solve(b, x)
-        if (reason := solver.getConvergedReason()) <= 0:  # the same on all ranks
+        if (reason := solver.getConvergedReason()) <= 0:
             raise RuntimeError(
                 f"Inertia: conjugate gradients found no initial acceleration along {along} for the "
                 f"forces at the start, whose norm is {b.norm():.3g} (PETSc reason {reason}, after "
@@ -171,7 +171,6 @@ def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
 
 
 def _create(like: PETSc.Mat, csr: Any) -> PETSc.Mat:
-    """Matrix with the layout of another one; collective."""
     indptr, columns, values = csr
     (n, N), _ = like.getSizes()
     arrays = (
@@ -183,7 +182,6 @@ def _create(like: PETSc.Mat, csr: Any) -> PETSc.Mat:
 
 
 def _sum_by_body(comm: MPI.Intracomm, body: Ints, count: int, values: Floats) -> Floats:
-    """Sums (count, m) over each body of values (owned nodes, m); collective."""
     sums = np.zeros((count, values.shape[1]))
     np.add.at(sums, body, values)
     return np.asarray(comm.allreduce(sums))
@@ -205,7 +203,6 @@ def _extension(plain: Mass, contact: Bools) -> tuple[PETSc.Mat, Bools]:
 
 
 def _find_weights(plain: Mass, contact: Bools) -> dict[int, tuple[Ints, Floats]]:
-    """Inner nodes of contact nodes, and their weights; collective."""
     M, n = plain.matrix, len(contact)
     first = M.getOwnershipRange()[0]
     weights: dict[int, tuple[Ints, Floats]] = {}
@@ -227,7 +224,6 @@ def _find_weights(plain: Mass, contact: Bools) -> dict[int, tuple[Ints, Floats]]
 def _inner_nodes(
     plain: Mass, near: PETSc.Mat, rows: Ints, contact: Bools
 ) -> Iterator[tuple[int, tuple[Ints, Floats]]]:
-    """Yield rows with their nearest inner nodes."""
     indptr, columns, _ = near.getValuesCSR()
     wanted, place = np.unique(columns, return_inverse=True)
     there = values_at(plain.matrix.comm, np.column_stack([plain.X, contact]), wanted)[place]

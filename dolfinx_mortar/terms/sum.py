@@ -36,7 +36,7 @@ NO_PLACE = (
     "global numbers for all that are coupled to each other"
 )
 OUT_OF_RANGE = 63  # PETSC_ERR_ARG_OUTOFRANGE
-CALLED_WITH = {  # optional methods of a term, with their arguments
+CALLED_WITH = {  # optional methods of a term
     "energy": (),
     "add_forces": ("F",),
     "add_tangent": ("K",),
@@ -351,7 +351,6 @@ def check_terms(comm: MPI.Comm, terms: Any, u: fem.Function) -> list[Term]:
 
 
 def _kind(term: Term) -> dict[str, Any]:
-    """Attributes that must agree on all ranks."""
     names = "linear", "has_tangent"
     return {name: getattr(term, name) for name in names} | {"state": sorted(term.state)}
 

@@ -147,7 +147,6 @@ class WeakForm(Term):
 
     @cached_property
     def _skew(self) -> tuple[MatrixForm, PETSc.Mat] | None:
-        """Form and matrix of the antisymmetric part, compiled at first use."""
         if self._asymmetric is None:
             return None
         half = 0.5 * (self._asymmetric - ufl.adjoint(self._asymmetric))
