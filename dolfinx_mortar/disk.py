@@ -53,12 +53,12 @@ def flush(path: Path) -> None:
 
 
 def space_for(arrays: int, size: int) -> int:
-    """Upper bound of an HDF5 file's growth by arrays of so many bytes."""
+    """Upper bound of an HDF5 file's growth."""
     return size + INDEX * (arrays + 1)
 
 
 def demand_space(file: Path, size: int) -> None:
-    """Raise an OSError unless an existing file, which is not changed, can grow by so many bytes."""
+    """Raise an OSError unless an existing file can grow by so many bytes."""
     if not hasattr(os, "posix_fallocate"):
         return
     with file.open("r+b") as stream:

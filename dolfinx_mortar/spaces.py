@@ -121,7 +121,7 @@ def find_positions(
 
 
 def check_real(name: str, *values: Any) -> None:
-    """Raise a ValueError unless Constants and Functions are dolfinx's, of type float64."""
+    """Raise a ValueError unless Constants and Functions are dolfinx's, of float64."""
     for value in values:
         if not isinstance(value, dolfinx.fem.Constant | dolfinx.fem.Function):
             raise ValueError(
@@ -137,7 +137,7 @@ def check_real(name: str, *values: Any) -> None:
 
 
 def mean_cell_sizes(V: dolfinx.fem.FunctionSpace) -> Floats:
-    """Mean size of the cells around the node of each owned dof (n,); collective."""
+    """Mean size of the cells around the node of each owned dof; collective."""
     domain, d, bs = V.mesh, V.mesh.topology.dim, V.dofmap.index_map_bs
     cells = np.arange(domain.topology.index_map(d).size_local, dtype=np.int32)
     sums, counts = (dolfinx.la.vector(V.dofmap.index_map, 1) for _ in range(2))
@@ -163,7 +163,7 @@ def with_values(V: dolfinx.fem.FunctionSpace, values: Floats) -> dolfinx.fem.Fun
 
 
 def connected_parts(V: dolfinx.fem.FunctionSpace) -> tuple[int, Ints]:
-    """Number of connected parts of a mesh, and the part (local nodes,) of each node; collective."""
+    """Number of connected parts, and part (local nodes,) of nodes; collective."""
     layout, comm = V.dofmap.index_map, V.mesh.comm
     n_owned, n_local = layout.size_local, layout.size_local + layout.num_ghosts
     cells = V.dofmap.list
@@ -189,7 +189,7 @@ def connected_parts(V: dolfinx.fem.FunctionSpace) -> tuple[int, Ints]:
 def check_nodal(
     name: str, function: dolfinx.fem.Function, shape: tuple[int, ...], wanted: str
 ) -> None:
-    """Raise a ValueError unless a Function has nodal values of a shape, () or (d,)."""
+    """Raise a ValueError unless values are nodal, of shape () or (d,)."""
     V = function.function_space
     element = V.ufl_element()
     if V.component():
@@ -206,7 +206,7 @@ def check_nodal(
 
 
 def check_mesh(name: str, value: Any, V: dolfinx.fem.FunctionSpace) -> None:
-    """Raise a ValueError for a value on another mesh than the displacement."""
+    """Raise a ValueError for a value on another mesh."""
     domain = None
     if isinstance(value, dolfinx.fem.Function):
         domain = value.function_space.mesh.ufl_domain()

@@ -211,7 +211,7 @@ class StepReport:
         self.linear_solver = ""
 
     def quote(self, number: int, text: str) -> None:
-        """Note a message of the QP backend in an iteration; equal ones are merged."""
+        """Note a message of the QP backend; equal ones are merged."""
         if not text:
             return
         for k, note in enumerate(self.notes):

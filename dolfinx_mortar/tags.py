@@ -64,7 +64,7 @@ class Tags(mesh.MeshTags):
 
 
 def in_order(tags: mesh.MeshTags) -> mesh.MeshTags:
-    """Tags with ascending entities, as dolfinx's ``ds`` needs; unchanged if they are."""
+    """Tags with ascending entities, as dolfinx's ``ds`` needs."""
     order = np.argsort(tags.indices, kind="stable")
     if (np.diff(order) == 1).all():
         return tags
@@ -75,7 +75,7 @@ def in_order(tags: mesh.MeshTags) -> mesh.MeshTags:
 
 
 def find_exterior(tags: mesh.MeshTags, tag: int, domain: mesh.Mesh) -> tuple[Ints, Ints]:
-    """Owned facets of a tag, and those of them on the boundary; collective."""
+    """Owned facets of a tag, and those on the boundary; collective."""
     topology = domain.topology
     topology.create_connectivity(tags.dim, topology.dim)
     marked = tags.find(tag)
@@ -84,7 +84,7 @@ def find_exterior(tags: mesh.MeshTags, tag: int, domain: mesh.Mesh) -> tuple[Int
 
 
 def tags_of(domain: mesh.Mesh, dim: int) -> Rule[mesh.MeshTags]:
-    """Rule for tags of the cells or facets of a mesh, by their dimension."""
+    """Rule for tags of cells or facets of a mesh."""
     sort = "cells" if dim == domain.topology.dim else "facets"
 
     def read(tags: Any) -> mesh.MeshTags | None:
@@ -135,7 +135,7 @@ def check_tag(name: str, tag: Any) -> None:
 
 
 def check_entities(name: str, tags: mesh.MeshTags) -> None:
-    """Raise a ValueError for tags of entities that this rank does not have."""
+    """Raise a ValueError for entities that this rank does not have."""
     layout = tags.topology.index_map(tags.dim)
     count = layout.size_local + layout.num_ghosts
     outside = tags.indices[(tags.indices < 0) | (tags.indices >= count)]
@@ -167,7 +167,7 @@ def tag_of(tags: Any, given: Any, argument: str) -> Any:
 
 
 def by_tag(tags: Any, given: Mapping[Any, Value], argument: str) -> dict[Any, Value]:
-    """Dictionary by name or tag as one by tag; a ValueError for unknown and repeated ones."""
+    """Dictionary by tag; a ValueError for unknown and repeated names."""
     found: dict[Any, Value] = {}
     for key, value in given.items():
         tag = tag_of(tags, key, f"{argument}: the key")

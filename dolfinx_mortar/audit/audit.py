@@ -104,7 +104,7 @@ def find_free_motions(
     supports: Dirichlet,
     springs: Callable[[PETSc.Vec], Floats],
 ) -> tuple[list[str], list[str]]:
-    """Free rigid motions, and names of bodies restrained only by contact; collective."""
+    """Free rigid motions, and bodies restrained only by contact; collective."""
     contacts = [link.constrained_motion for link in system.unilateral]
     facets = [_facet_motion(link) for link in system.unilateral]
     held = _held_motions(system, supports, springs)
@@ -198,7 +198,7 @@ def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec, increment: float) -> 
 def warnings_on_neighbours(
     bodies: Bodies, system: InterfaceSystem, at: fem.Function | None
 ) -> list[str]:
-    """Warning for each pair of near bodies (`find_pairs`) without an interface; collective."""
+    """Warning for each near pair (`find_pairs`) without an interface; collective."""
     coupled = _coupled(bodies, system)
     if (coupled | np.eye(bodies.count, dtype=bool)).all():
         return []

@@ -452,7 +452,7 @@ class _Sample:
         return float(errors[worst] / scale) if scale > 0.0 else 0.0
 
     def compare_differences(self, D: Floats, length: float, modulus: float) -> tuple[float, float]:
-        """Errors of stress and tangent against differences along D; NaN on a kink."""
+        """Errors of stress and tangent along D; NaN on a kink."""
         slopes, changes = [], []
         change: Floats
         for share in LENGTHS:
@@ -503,7 +503,7 @@ class _Sample:
         return self.demand("the stress", self.here.stress, after.stress, told, self.scale)
 
     def compare_isotropy(self, Q: Floats) -> float:
-        """Error of the response to the elastic strain rotated by Q."""
+        """Error for the elastic strain rotated by Q."""
         plastic = self.state.get(PLASTIC, np.zeros((3, 3)))
         state = {name: 0.0 * plastic if name == PLASTIC else v for name, v in self.state.items()}
         after = self.point(Q @ (self.strain - plastic) @ Q.T, state)

@@ -134,7 +134,7 @@ class LogarithmicLaw:
                 psi[some] = np.where(np.isnan(x[:, 0]), np.inf, found[:, -1])
 
     def find_normal(self, start: Start, H: Floats) -> None:
-        """Set H_zz for P_zz = 0, NaN if the law is undefined; a ValueError without a root."""
+        """Set H_zz for P_zz = 0, NaN if undefined; perhaps a ValueError."""
         k = len(self.components)
         c = self.components.index((2, 2))
         last = _upper(k).index((c, c))
@@ -151,7 +151,7 @@ class LogarithmicLaw:
         H[:, 2, 2] = solve_normal_strain(self.law.name, equation, (len(H), 1), finite=True)[:, 0]
 
     def condense(self, P: Floats, A: Floats) -> None:
-        """Convert stress and tangent of `respond` to plane stress, in place."""
+        """Convert stress and tangent to plane stress, in place."""
         k, c = len(self.components), self.components.index((2, 2))
         number = {pair: t for t, pair in enumerate(_upper(k))}
         with_normal = [A[:, number[min(a, c), max(a, c)]].copy() for a in range(k)]
@@ -162,7 +162,7 @@ class LogarithmicLaw:
         P[:, c] = 0.0
 
     def update(self, start: Start, H: Floats) -> dict[str, Floats]:
-        """Internal variables at the end of the step, (q,) or (q, 3, 3)."""
+        """New internal variables, (q,) or (q, 3, 3)."""
         new = {name: np.array(values) for name, values in start.state.items()}
         for some in _chunks(len(H)) if new else ():
             _, logs, N, _, _ = self._decompose(start, H[some], some)
@@ -175,7 +175,7 @@ class LogarithmicLaw:
         return new
 
     def values(self, F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> PointValues:
-        """All values at F (q, 3, 3), see `response.values_at_points`."""
+        """Values at F (q, 3, 3), see `response.values_at_points`."""
         q, k = len(F), len(self.components)
         H = np.ascontiguousarray(F - np.eye(3))
         P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
@@ -207,7 +207,7 @@ class LogarithmicLaw:
 def as_tensors(
     P: Floats, A: Floats, components: Sequence[tuple[int, int]]
 ) -> tuple[Floats, Floats]:
-    """Return P (q, 3, 3) and dP/dF (q, 3, 3, 3, 3) of components and the upper triangle."""
+    """P (q, 3, 3) and dP/dF (q, 3, 3, 3, 3) of components and the upper triangle."""
     stress, tangent = np.zeros((len(P), 3, 3)), np.zeros((len(P), 3, 3, 3, 3))
     for n, entry in enumerate(components):
         stress[:, *entry] = P[:, n]

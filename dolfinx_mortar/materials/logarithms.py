@@ -111,7 +111,7 @@ def congruent(G, A, B):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def first_difference(x, y, log_x, log_y):  # type: ignore[no-untyped-def]
-    """Divided difference of 1/2 ln(1 + .), from its values."""
+    """Divided difference of 1/2 ln(1 + .)."""
     t = (x - y) / (2 + x + y)
     if abs(t) < NEAR:
         q, total = t * t, 0.0
@@ -311,7 +311,7 @@ def _differences(s, x, logs, f, h):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def respond(pairs, isotropic, law, x, logs, N, y, m, P, A):  # type: ignore[no-untyped-def]
-    """Fill P (q, k) and the upper triangle of dP/dF, A (q, k (k + 1) / 2), row by row."""
+    """Fill P (q, k) and dP/dF, A (q, k (k + 1) / 2), upper triangle row by row."""
     S, M, B = np.zeros((3, 3)), np.zeros((6, 6)), np.empty((3, 3))
     Z, W = np.empty((6, 9)), np.empty((6, 9))
     f, h, T = np.empty((3, 3)), np.empty((3, 3, 3)), np.empty((3, 3))
@@ -394,7 +394,7 @@ def _entry(n, s):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SETTINGS)
 def roots(strain, g):  # type: ignore[no-untyped-def]
-    """Fill g (q, 3, 3) with exp(-strain) - I of symmetric tensors (q, 3, 3)."""
+    """Fill g with exp(-strain) - I, both (q, 3, 3)."""
     A, N, values = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     for q in range(len(g)):
         A[:] = strain[q]

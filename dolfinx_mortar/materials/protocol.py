@@ -64,7 +64,7 @@ def ungrouped(p: SimpleNamespace) -> dict[str, Any]:
 
 
 def check_fields(law: Any) -> None:
-    """Raise ValueError for numbers out of the ranges of a law; the `Solid` checks UFL."""
+    """Raise ValueError for numbers out of range; the `Solid` checks UFL."""
     kind = type(law)
     given = {name: (getattr(law, name), *limits) for name, limits in kind.ranges.items()}
     check_parameters(kind.__name__, **given)
@@ -78,7 +78,7 @@ def check_fields(law: Any) -> None:
 
 
 def check_parameters(law: str, **ranges: tuple[Parameter, float, float, bool]) -> None:
-    """Raise ValueError unless each parameter=(value, *`Range`) is a finite number in it, or UFL."""
+    """Raise ValueError unless parameter=(value, *`Range`) is a finite number in it, or UFL."""
     for name, (value, lower, upper, closed) in ranges.items():
         if not isinstance(value, Expr):
             above, least = (-np.inf, lower) if closed else (lower, -np.inf)
@@ -105,7 +105,7 @@ def wrong_values(
 def conditions(
     law: str, rules: Callable[..., Any] | None, values: Mapping[str, Any]
 ) -> dict[str, Bools]:
-    """Conditions on several parameters, in words, and whether or where they are satisfied."""
+    """Rules for several parameters, and whether or where they hold."""
     if rules is None:
         return {}
     shape = np.shape(next(iter(values.values()), 0.0))
@@ -191,15 +191,12 @@ class Material(Protocol):
 
     @staticmethod
     def elastic_stress(strain: Expr, p: Any) -> Expr:
-        """Return C : strain, the stress of a small elastic strain, in UFL.
-
-        It defines the energy norm and the stiffness in estimates.
-        """
+        """Return C : strain of a small strain, for energy norm and estimates."""
         raise NotImplementedError
 
     @staticmethod
     def updated_state(strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-        """Internal variables at the end of the step, one per name in `state`."""
+        """Internal variables at the end of the step, by name."""
         return {}
 
     @staticmethod
@@ -305,7 +302,7 @@ RESERVED = (
 
 
 def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
-    """Parts of a material's law, `name` in messages; a ValueError for a missing or wrong part."""
+    """Parts of a material's law; a ValueError, with `name`, for a missing or wrong part."""
     if not dataclasses.is_dataclass(material) or isinstance(material, type):
         raise ValueError(f"{name} = {material!r} is not a material such as Elastic(E, nu).")
     kind = type(material)

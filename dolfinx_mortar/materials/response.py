@@ -34,13 +34,13 @@ NORMAL = ufl.as_tensor([[0.0, 0, 0], [0, 0, 0], [0, 0, 1.0]])
 
 
 def with_normal_strain(strain: Expr, z: Any) -> Expr:
-    """The symmetrised in-plane part of a 3x3 tensor, with zz = z."""
+    """The symmetrised in-plane part, with zz = z."""
     shear = (strain[0, 1] + strain[1, 0]) / 2
     return ufl.as_tensor([[strain[0, 0], shear, 0], [shear, strain[1, 1], 0], [0, 0, z]])
 
 
 def with_normal_stretch(F: Expr, z: Any) -> Expr:
-    """The in-plane part of F, with F_zz = 1 + z."""
+    """The in-plane part, with F_zz = 1 + z."""
     return _with_normal(F, 1.0 + z)
 
 
@@ -50,7 +50,7 @@ def _with_normal(tensor: Expr, normal: Any) -> Expr:
 
 
 def in_plane(tensor: Expr) -> Expr:
-    """A 3x3 tensor with zeros out of the plane."""
+    """The in-plane part."""
     rows = [[tensor[i, j] for j in range(2)] for i in range(2)]
     return ufl.as_tensor([[*rows[0], 0], [*rows[1], 0], [0, 0, 0]])
 
@@ -216,10 +216,7 @@ def _change(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any, direction
 
 
 def without_variables(expression: Expr) -> Expr:
-    """An expression with the operands of its Variables.
-
-    UFL's `strip_variables` visits shared subexpressions repeatedly.
-    """
+    """Expression without Variables; UFL's `strip_variables` visits shared parts repeatedly."""
     return map_expr_dag(_VariableStripper(), expression)
 
 
@@ -249,7 +246,7 @@ def _elastic_root(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> 
 
 
 def elastic_response(law: Law, strain: Expr, p: Any) -> Expr:
-    """C : strain of a law, 3x3; its mistakes are ValueErrors."""
+    """C : strain, 3x3; mistakes of laws are ValueErrors."""
 
     def elastic(e: Expr) -> Expr:
         return _call(law, "elastic_stress", (3, 3), e, p)

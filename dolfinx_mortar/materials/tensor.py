@@ -2,8 +2,6 @@
 """Symmetric 3x3 tensors and their stored components.
 
 The stored shear is the tensor component (not the engineering strain), once.
-
-==== ===================
 """
 
 import numpy as np
@@ -22,14 +20,14 @@ INDEX = tuple(("xyz".index(name[0]), "xyz".index(name[1])) for name in COMPONENT
 
 
 def from_components(c: Expr) -> Expr:
-    """3x3 tensor with the stored components c (4 or 6)."""
+    """Tensor (3, 3) of stored components c (4 or 6)."""
     xx, yy, zz, xy = (c[i] for i in range(4))
     yz, xz = (c[4], c[5]) if c.ufl_shape == (6,) else (0, 0)
     return ufl.as_tensor([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def to_components(tensor: Expr, size: int) -> Expr:
-    """Vector of the first `size` (4 or 6) stored components of a 3x3 tensor."""
+    """The first `size` (4 or 6) stored components of a 3x3 tensor."""
     return ufl.as_vector([tensor[i, j] for i, j in INDEX[:size]])
 
 
@@ -85,7 +83,7 @@ def tensor_of(components: Floats) -> Floats:
 
 
 def stored(tensors: Floats, size: int = 6) -> Floats:
-    """The first `size` (4 or 6) stored components (q, size) of tensors (q, 3, 3)."""
+    """The first `size` (4 or 6) stored components of tensors (q, 3, 3)."""
     rows, columns = zip(*INDEX[:size], strict=True)
     return np.asarray((tensors[:, rows, columns] + tensors[:, columns, rows]) / 2)
 

@@ -119,7 +119,7 @@ def hertz(
         return p[0]
 
     def mesh_half(draw: Callable[[Any], int], size: float, uniform: float) -> Arrays:
-        """Mesh the surface, graded from the point that ``draw`` returns, or uniformly."""
+        """Mesh the surface, graded from the point of ``draw``, or uniformly."""
         # 6 = frontal Delaunay; 8 and 3 = its variant and blossom-full-quad recombination
         options = {
             "Mesh.Algorithm": 8.0 if cell == "quadrilateral" else 6.0,
@@ -304,7 +304,7 @@ def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], 
 
 @contextmanager
 def gmsh_model(options: Mapping[str, float] = MappingProxyType({})) -> Iterator[Any]:
-    """Yield gmsh with a new empty model and options; restore its state afterwards."""
+    """Yield gmsh with an empty model and options; then restore its state."""
     import gmsh
 
     started = not gmsh.isInitialized()
@@ -348,7 +348,7 @@ def set_graded_size(
 
 
 def read_cells(gmsh: Any, cell: str) -> Arrays:
-    """Nodes (n, 3) and cells (m, k) of the current gmsh model, all of one kind."""
+    """Nodes (n, 3) and cells (m, k) of the model, all of one kind."""
     tags, x, _ = gmsh.model.mesh.getNodes()
     _, (numbers,), (cells,) = gmsh.model.mesh.getElements(gmsh.model.getDimension())
     position = np.zeros(int(tags.max()) + 1, dtype=np.int64)
@@ -415,7 +415,7 @@ def distribute(
 
 
 def exterior_facets(mesh: dmesh.Mesh, in_first: Bools) -> tuple[Ints, Bools, Floats]:
-    """Exterior facets (m,), whether they bound the first body, and nodal coordinates (m, k, 3)."""
+    """Exterior facets (m,), whether of the first body, and nodes (m, k, 3)."""
     d = mesh.topology.dim
     mesh.topology.create_connectivity(d - 1, d)
     facets = dmesh.exterior_facet_indices(mesh.topology)

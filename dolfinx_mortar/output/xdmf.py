@@ -128,7 +128,7 @@ class File:
             self._together(viewer.destroy)
 
     def write(self, viewer: PETSc.Viewer, key: str, values: Floats) -> ET.Element:
-        """Write rows (n, components) of this rank, and return the reference to them."""
+        """Write rows (n, components) of this rank; return the reference."""
         n, components = values.shape
         vector = PETSc.Vec().createWithArray(
             np.ascontiguousarray(values, dtype=default_scalar_type).reshape(-1),
@@ -140,7 +140,7 @@ class File:
         return self._item(key, (rows, components) if components > 1 else (rows,), "Float", 8)
 
     def write_cells(self, viewer: PETSc.Viewer, key: str, cells: Ints | Longs) -> ET.Element:
-        """Write the nodes (n, k) of the cells of this rank, and return the reference to them."""
+        """Write the nodes (n, k) of cells of this rank; return the reference."""
         k = cells.shape[1]
         indices = PETSc.IS().createGeneral(cells.ravel().astype(PETSc.IntType), comm=self.comm)
         indices.setBlockSize(k)

@@ -114,11 +114,7 @@ class Saved:
         return [step.time for step in self.steps[len(self.steps) - self.about["walked"] :]]
 
     def put(self) -> None:
-        """Make it the state of the problem; collective.
-
-        Raises:
-            Exception: on all ranks, that of `Interface.restore`; nothing is changed.
-        """
+        """Restore it, or raise an error on all ranks and change nothing; collective."""
         before = Before(self.state, None)
         try:
             self._put()
@@ -276,7 +272,7 @@ def describe(state: ProblemState) -> dict[str, Any]:
 
 
 def material_numbers(solid: Solid) -> Floats:
-    """Number of the material (points, 1) at the owned integration points."""
+    """Number of the material (points, 1) at the owned points."""
     dofmap = solid.stress.function_space.dofmap
     numbers = np.zeros((dofmap.index_map.size_local + dofmap.index_map.num_ghosts, 1))
     for k, (_, cells) in enumerate(part for region in solid.regions for part in region.parts):
@@ -285,7 +281,7 @@ def material_numbers(solid: Solid) -> Floats:
 
 
 def differences(saved: Mapping[str, Any], present: Mapping[str, Any]) -> list[str]:
-    """Differences between the problem of a checkpoint and the present one, in words."""
+    """Differences of two problems in words."""
     told = []
     for name in {**present, **saved}:
         before, now = saved.get(name, "missing"), present.get(name, "missing")

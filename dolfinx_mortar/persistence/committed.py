@@ -129,7 +129,7 @@ class ProblemState:
 
     @property
     def states_of_terms(self) -> dict[str, fem.Function]:
-        """States of the terms by the name of their column in a checkpoint; collective."""
+        """States of the terms by column of a checkpoint; collective."""
         return {
             f"{COLUMN_OF_TERM} {k} {name}": f
             for k, state in enumerate(self.ask_terms("state"))
@@ -163,7 +163,7 @@ class Before:
         self._committed = vars(state.committed) | {"history": [*state.committed.history]}
 
     def restore(self) -> None:
-        """Restore the copy; not collective, perhaps on this rank only."""
+        """Restore the copy, perhaps on this rank only; not collective."""
         state = self.state
         for f, values in self._values:
             f.x.array[:] = values

@@ -260,7 +260,7 @@ class Parts:
 
     @property
     def polygons(self) -> Longs:
-        """The nodes (m, p) around the parts: vertices, with middles of edges between."""
+        """Nodes (m, p) around the parts."""
         k = self.nodes.shape[1]
         n = 3 if k in (3, 6) else 4
         return self.nodes if k == n else self.nodes[:, np.arange(2 * n).reshape(2, n).T.ravel()]

@@ -38,7 +38,7 @@ def begin(file: Any, ax: Any, panes: int) -> Any:
 
 
 def finish(plotter: Any, file: Any, view: Any) -> None:
-    """Set the direction of view, and write a picture if there is a file for it."""
+    """Set the view, and write a picture if there is a file."""
     if view is not None:
         _look(plotter, np.asarray(view, dtype=float))
     if file is not None:
@@ -52,7 +52,7 @@ def draw_mesh(
     cell_tags: dmesh.MeshTags | None,
     facet_tags: dmesh.MeshTags | None,
 ) -> None:
-    """Draw the bodies in one pane and the tagged sides in another one, with their names."""
+    """Draw bodies and tagged sides in two panes, with names."""
     panes: list[Any] = [(outside, cell_tags, BODIES, {"ambient": 0.4})]
     if facets is not None:
         panes.append((facets, facet_tags, SIDES, {"ambient": 0.6, "opacity": 0.5}))
@@ -72,13 +72,13 @@ def draw_mesh(
 
 
 def draw_field(plotter: Any, outside: Parts, name: str) -> None:
-    """Draw a field of cells (flat colours) or of nodes (shaded) with its scale."""
+    """Draw a field of cells (flat) or nodes (shaded) with its scale."""
     _add_values(plotter, outside, name)
     _finish_pane(plotter)
 
 
 def draw_tools(plotter: Any, tools: list[Any], low: Floats, high: Floats) -> None:
-    """Draw the transparent surfaces of tools, in the box from low to high (3,)."""
+    """Draw transparent tools, in the box from low to high (3,)."""
     for tool in tools:
         if tool.surface is not None:
             surface = pyvista.PolyData.from_regular_faces(*tool.surface)
@@ -94,7 +94,7 @@ def draw_tools(plotter: Any, tools: list[Any], low: Floats, high: Floats) -> Non
 
 
 def draw_pressure(plotter: Any, sides: list[tuple[str, Parts]], title: str) -> None:
-    """Draw pressures on the slave sides, seen along their direction of least extent."""
+    """Draw pressures on the slave sides, seen along their least extent."""
     for _, side in sides:
         _add_values(plotter, side, title)
     _finish_pane(plotter)

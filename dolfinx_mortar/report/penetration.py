@@ -120,7 +120,7 @@ def _on_prescribed_facets(link: Link, u: fem.Function) -> Overlap | None:
 
 
 def notes_on_crossings(problem: ContactProblem, found: Mapping[int, Overlap]) -> list[str]:
-    """Note on overlaps of boundaries without an interface; collective."""
+    """Note on overlaps without an interface; collective."""
     if (some := found.get(-1)) is None or some.share <= SUNK:
         return []
     one, other = (_point(x) for x in problem.bodies.centre[list(some.bodies)])
@@ -195,7 +195,7 @@ class _Skin:
         return _Skin(*(getattr(self, f.name)[which] for f in fields(self)))
 
     def received(self, comm: MPI.Comm) -> "_Skin":
-        """Facets of this rank and those of others in their box; collective."""
+        """Facets of this rank and others in their box; collective."""
         low, high = bounds(self.x)
         box = low.min(axis=0, initial=np.inf), high.max(axis=0, initial=-np.inf)
         sent = [

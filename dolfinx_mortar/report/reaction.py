@@ -85,13 +85,13 @@ def reaction(
 
 
 def reactions(problem: ContactProblem) -> list[Reaction]:
-    """Reaction of each Dirichlet condition after a step; collective."""
+    """Reaction of each Dirichlet condition; collective."""
     masks = [prescribed_dofs(problem.V, [bc])[: problem.n] for bc in problem.bcs]
     return resultants(problem, masks, np.zeros(problem.d))
 
 
 def support_forces(problem: ContactProblem, balance: Balance) -> SupportForces:
-    """Forces of supports and rigid sides after a step, and their points; collective."""
+    """Forces of supports and rigid sides, and their points; collective."""
     dofs, slots = support_slots(problem)
     forces = np.zeros(problem.d * problem.n)
     for link in problem.system.links:

@@ -260,7 +260,7 @@ def _peak_patch(link: Link, contacts: Contacts) -> tuple[int, bool]:
 
 
 def find_patches(link: Link, marked: Bools, *columns: Floats | Bools) -> list[Floats]:
-    """Tables of ``columns`` (n,) or (n, c) by patch of connected marked slave nodes; collective."""
+    """Tables of ``columns`` (n,) or (n, c) by patch of marked nodes; collective."""
     slave, comm, layout = link.sides.slave, link.sides.V.mesh.comm, link.sides.V.dofmap.index_map
     marks = np.zeros((len(slave.nodes), 1))
     marks[: slave.owned, 0] = marked

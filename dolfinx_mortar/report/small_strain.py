@@ -78,7 +78,7 @@ def _measure(solid: Solid, weights: Floats, cells: slice) -> Floats:
 
 
 def find_left_out(problem: ContactProblem) -> LeftOut:
-    """Measure strain and rotation at u, given the stress of `Solid.evaluate`; collective."""
+    """Measure strain and rotation at u, after `Solid.evaluate`; collective."""
     solid, comm, count = problem.solid, problem.comm, problem.bodies.count
     body, weights = problem.bodies.of_cells, solid.fields.weights
     many = CHUNK // weights.shape[1]
@@ -122,7 +122,7 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
 
 
 def notes_on_small_strain(problem: ContactProblem, found: LeftOut) -> list[str]:
-    """Note if the neglected term or any strain or rotation is large; collective."""
+    """Note if the neglected term, strain or rotation is large; collective."""
     solid, domain = problem.solid, problem.V.mesh
     large = solid.gradients.small and max(found.largest, found.rotation) > LARGE
     if not found.felt and not large:

@@ -250,7 +250,7 @@ def _on_one(x, p, bends):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def find_nearest(points, corners, bends, boxes, leaves, bulges):  # type: ignore[no-untyped-def]
-    """Nearest element (n,) of points (n, 3), location in it (n,), and s, t (n, 2)."""
+    """Nearest element (n,) of points (n, 3), location in it (n,), s and t (n, 2)."""
     n, k = len(points), len(leaves)
     nearest, where = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     at = np.zeros((n, 2))

@@ -121,7 +121,7 @@ class Forms:
 
     @cached_property
     def moduli(self) -> float:
-        """This rank's integral of |C : (e_x e_y + e_y e_x)|, an energy."""
+        """Integral (this rank) of |C : (e_x e_y + e_y e_x)|, an energy."""
         shear = ufl.as_tensor([[0, 1, 0], [1, 0, 0], [0, 0, 0]])
         integral = dataclasses.replace(self._integral, degree=1)
         moduli = [elastic_response(r.law, shear, r.symbols) for r in integral.regions]
@@ -131,7 +131,7 @@ class Forms:
 
 
 class CommittedData:
-    """Committed displacement, eigenstrain and parameters, for `add_first_forces`."""
+    """Committed displacement, eigenstrain and parameters."""
 
     def __init__(
         self,

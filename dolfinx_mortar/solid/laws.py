@@ -51,7 +51,7 @@ UNTAGGED = int(np.iinfo(np.int32).min)
 
 
 class ParameterTable(Followed):
-    """Parameters of a law per cell, or per integration point where one varies; `symbols` in UFL."""
+    """Parameters of a law, `symbols` in UFL, per cell or point."""
 
     def __init__(
         self,
@@ -103,7 +103,7 @@ class ParameterTable(Followed):
         self.symbols = grouped({name: function[i] for i, name in enumerate(names)})
 
     def values(self, cells: Ints, points: int) -> SimpleNamespace:
-        """Parameters by name at so many points of each cell, (cells * points,) each."""
+        """Parameters by name, (cells * points,) each."""
         return grouped(self._by_name(self._table(cells, points)))
 
     def _table(self, cells: Ints, points: int) -> Floats:
@@ -264,7 +264,7 @@ def create_evaluations(
     staged: Mapping[str, fem.Function],
     stress: fem.Function,
 ) -> list[Source]:
-    """Compile stress and new internal variables of all regions, in any order; collective."""
+    """Compile stress and new internal variables of all regions; collective."""
     size, evaluations = stress.function_space.dofmap.bs, []
     for region, response in zip(regions, responses, strict=True):
         given = [("stress", stress, response.stress)]
@@ -336,7 +336,7 @@ def by_cells(
 
 
 def tags_of_cells(domain: mesh.Mesh, cell_tags: mesh.MeshTags) -> Longs:
-    """Tags of the local cells, ghosts included, UNTAGGED without one; collective."""
+    """Tags of the local cells, UNTAGGED without one; collective."""
     check("cell_tags", cell_tags, tags_of(domain, domain.topology.dim))
     with raised_together(domain.comm):
         check_entities("cell_tags", cell_tags)
@@ -358,7 +358,7 @@ def measure(domain: mesh.Mesh, degree: int) -> ufl.Measure:
 
 @dataclass(frozen=True)
 class Integral:
-    """Integrals over bodies of one density per region, with the weight of the kinematics."""
+    """Integrals of a density per region, with the weight of the kinematics."""
 
     regions: Sequence[Region]
     kinematics: Kinematics

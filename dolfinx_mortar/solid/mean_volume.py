@@ -3,7 +3,7 @@
 
 **Small strain**, psi(eps) = psi(dev eps) + K/2 tr(eps)^2: the laws get the deviator, and
 
-**Small strain**, psi(eps) = psi(dev eps) + K/2 tr(eps)^2: the laws get the deviator, and
+    psi_vol = K/2 V t^2,    t = (B u - b) / V,    B_a = int tr eps(phi_a),  b = int tr eps_0,
 
 V the volume of the cell, with the weight of the kinematics. The forces are B^T p with the mean
 stress p = K t of the output, the tangent is B^T (K / V) B.
@@ -11,8 +11,7 @@ stress p = K t of the output, the tangent is B^T (K / V) B.
 **Finite strain**, psi(F) = psi_0(F) + U(J): theory.md, Finite strain. On quadrilaterals and
 hexahedra of second order, with M = int N N^T, B_ka = int N_k dJ/du_a, S = int U''(j) N N^T,
 
-**Finite strain**, psi(F) = psi_0(F) + U(J): derived in theory.md, Finite strain. On quadrilaterals
-and hexahedra of second order, with M = int N N^T, B_ka = int N_k dJ/du_a, S = int U''(j) N N^T,
+    psi_vol = int U(j),  j = N^T M^-1 int N J,  p = N^T M^-1 int N U'(j),  B^T M^-1 S M^-1 B.
 
 On triangles and tetrahedra of second order N would lock. Pressures of tetrahedra, and of hexahedra
 of first order, alternate.
@@ -21,10 +20,9 @@ Newton's method on u alone takes many short steps if U'' is far above the other 
 unknown: a step leaves it at p + U''(j) B du / V, the next tangent has p d2J/du2 with that p, the
 energy along a step its volumes (`VolumeStep`), and the forces U'(j(u)), with the same solution.
 
-Newton's method on u alone takes many short steps if U'' is far above the other moduli: a change of
-shears by e puts an error U'' e^2 into p. So p is an unknown: a step leaves it at p + U''(j) B du /
-V, the next tangent has p d2J/du2 with that p, the energy along a step its volumes (`VolumeStep`),
-and the forces U'(j(u)), with the same solution.
+Sources: Simo, Taylor, Pister, Comput. Methods Appl. Mech. Engrg. 51 (1985) 177-208; T. Sussman,
+K.-J. Bathe, Comput. Struct. 26 (1987) 357-409 (9/3); D. Magisano, L. Leonetti, G. Garcea, Comput.
+Methods Appl. Mech. Engrg. 313 (2017) 986-1005, for p as an unknown.
 """
 
 from __future__ import annotations
@@ -179,7 +177,7 @@ def bulk_modulus_of(region: Region) -> Expr:
 
 @dataclass(frozen=True)
 class VolumeStep:
-    """Volumes and pressures along a step u + t du, as linearised at u; N as in `cell_functions`."""
+    """Volumes and pressures along a step u + t du, linearised at u."""
 
     ratio: Floats  # (owned cells, m) coefficients of j at u
     change: Floats  # (owned cells, m) of its derivative along du

@@ -40,7 +40,7 @@ ALIASES = {"hardening": "back_stress_vector_norm"}
 
 
 class PointFields:
-    """Values of quadrature Functions and derived quantities on the owned cells."""
+    """Quadrature Functions and derived quantities on the owned cells."""
 
     def __init__(
         self,
@@ -63,7 +63,7 @@ class PointFields:
 
     @cached_property
     def bases(self) -> dict[str, tuple[int, ...]]:
-        """Shapes, (components,) or (), of stress, state and output, by name."""
+        """Shapes, (components,) or (), of stress, state and output."""
         shapes: dict[str, tuple[int, ...]] = {
             name: (len(self._components),) if f.function_space.dofmap.bs > 1 else ()
             for name, f in self._stored.items()
@@ -310,7 +310,7 @@ class EnergyDensities:
             self.stored.x.scatter_forward()
 
     def by_body(self, fields: PointFields) -> dict[int | str, Energies]:
-        """Energies of the cells of each tag, by its name if any; collective."""
+        """Energies by tag or name of cells; collective."""
         domain, named = self._mesh, self._cell_tags
         owned = domain.topology.index_map(domain.topology.dim).size_local
         tags = np.zeros(owned, dtype=np.int64)
@@ -363,14 +363,14 @@ class PointState:
         return any(one.varying for one in self.followed)
 
     def follow(self, dilatation: Callable[[], None] | None) -> None:
-        """Update changed data, then the mean dilatation, then the laws; collective."""
+        """Update data, then the mean dilatation, then the laws; collective."""
         follow_changed(self._comm, self.followed)
         if dilatation is not None:
             dilatation()
         fill_point_values(self._comm, self.found)
 
     def evaluate(self, follow: Callable[[], None]) -> None:
-        """Evaluate stress and internal variables; an error changes nothing; collective."""
+        """Evaluate stress and internal variables, or change nothing; collective."""
         fill_point_values(self._comm, self.found, at_end=True)
         if self.densities is None:
             fill_all(self._comm, self.evaluations)

@@ -66,7 +66,7 @@ class PointValuesOfRegion(ABC):
         """Fill the Functions; an error leaves them unchanged."""
 
     def fill(self) -> None:
-        """Evaluate the law if an input has changed, or raise a ValueError; not collective."""
+        """Evaluate the law if an input has changed; perhaps a ValueError; not collective."""
         now = [f.x.array for f in self._inputs]
         if len(self._seen) != len(now) or not all(map(np.array_equal, now, self._seen)):
             self._evaluate()
@@ -143,7 +143,7 @@ class NormalStrain(PointValuesOfRegion):
 
 
 class PointwiseFields(PointValuesOfRegion):
-    """Stress, upper triangle of the tangent and new state of a law of arrays; energy at F."""
+    """Stress, upper triangle of the tangent, state and energy of a law of arrays."""
 
     def _create(self, strain: Expr, degree: int) -> None:
         law, domain = self.region.law, self._mesh
@@ -232,7 +232,7 @@ INSIDE_OUT, UNDEFINED = "is not called where det F is not positive:", "gives NaN
 
 
 class LogarithmicFields(PointwiseFields):
-    """Energy, P, tangent and (at the end of a step) new state of a small-strain law at F."""
+    """Energy, P, tangent and, at the end, new state of a small-strain law at F."""
 
     def _create_law(self) -> tuple[bool, bool]:
         """Compile the law once for all ranks, or load it; collective."""
@@ -323,7 +323,7 @@ def create_point_values(
     *,
     finite: bool = False,
 ) -> dict[Law, PointValuesOfRegion]:
-    """Values computed at points before each assembly, by law; of F if `finite`; collective."""
+    """Values computed at points before each assembly; of F if `finite`; collective."""
     found: dict[Law, PointValuesOfRegion] = {}
     for region in regions:
         kind: type[PointValuesOfRegion]
@@ -373,7 +373,7 @@ def _pairs(size: int) -> list[tuple[int, int]]:
 
 
 def packed(tangent: Floats, entries: Sequence[tuple[int, int]]) -> Floats:
-    """Upper triangle of the symmetric part of tangents (q, 3, 3, 3, 3), row by row."""
+    """Upper triangle of tangents (q, 3, 3, 3, 3), symmetrised, row by row."""
     a, b = np.array(_pairs(len(entries))).T
     at = np.array(entries) @ [3, 1]
     terms = np.stack([9 * at[a] + at[b], 9 * at[b] + at[a]], axis=1)

@@ -46,7 +46,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Source:
-    """Values in some cells, filled by one expression into components of Functions."""
+    """Values in some cells, filled by one expression."""
 
     parts: Sequence[Part]
     cells: Ints  # local cells, ghosts included
@@ -90,7 +90,7 @@ class Source:
 
 
 def create_source(cells: Ints, *parts: Part) -> Source:
-    """Compile parts with the same points; a ValueError on all ranks if impossible; collective."""
+    """Compile parts with the same points; perhaps a ValueError on all ranks; collective."""
     V = parts[0].function.function_space
     value = ufl.as_vector([entry for part in parts for entry in part.entries])
     # a number alone has no mesh
@@ -110,7 +110,7 @@ def create_source(cells: Ints, *parts: Part) -> Source:
 def point_function(
     domain: mesh.Mesh, degree: int, size: tuple[int, ...] = (), name: str | None = None
 ) -> fem.Function:
-    """Create a Function of scalars, or of vectors of a size, at quadrature points."""
+    """Create a Function of scalars or vectors at quadrature points."""
     element = basix.ufl.quadrature_element(
         domain.basix_cell(), value_shape=size, scheme="default", degree=degree
     )
@@ -118,7 +118,7 @@ def point_function(
 
 
 def create_field(domain: mesh.Mesh, degree: int, shape: tuple[int, ...], name: str) -> fem.Function:
-    """Create a quadrature Function for a scalar, shape (), or a tensor, shape (3, 3)."""
+    """Create a quadrature Function of shape () or (3, 3)."""
     size = (len(COMPONENTS[domain.geometry.dim]),) if shape else ()
     return point_function(domain, degree, size, name)
 
@@ -130,7 +130,7 @@ def middle_of(domain: mesh.Mesh, cell: int) -> str:
 
 
 def check_source(u: fem.Function, name: str, value: Expr) -> None:
-    """Raise a ValueError if a value is not real, depends on u, or is on another mesh."""
+    """Raise a ValueError unless a value is real, on the mesh and independent of u."""
     check_real(name, *extract_coefficients(value), *extract_constants(value))
     if u in extract_coefficients(value):
         raise ValueError(
@@ -142,7 +142,7 @@ def check_source(u: fem.Function, name: str, value: Expr) -> None:
 
 
 class Followed(ABC):
-    """Values at points in `function`, evaluated again when data have changed, if `varying`."""
+    """Values at points in `function`, evaluated again if `varying`."""
 
     def __init__(self, function: fem.Function, sources: Sequence[Source]) -> None:
         self.function = function
@@ -151,7 +151,7 @@ class Followed(ABC):
         self._seen: list[Floats] | None = None
 
     def outdated(self) -> bool:
-        """Whether data on this rank have changed since the last evaluation."""
+        """Whether data have changed on this rank."""
         now = [numbers for source in self._sources for numbers in source.numbers()]
         return self._seen is None or not all(map(np.array_equal, now, self._seen))
 

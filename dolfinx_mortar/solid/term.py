@@ -124,7 +124,7 @@ def create_vector(V: fem.FunctionSpace) -> la.Vector:
 
 
 def assemble(form: fem.Form, vector: la.Vector) -> Floats:
-    """Assemble a linear form into a vector; return a view of its owned values; collective."""
+    """Assemble a linear form; return a view of owned values; collective."""
     vector.array[:] = 0.0
     fem.assemble_vector(vector.array, form)
     vector.scatter_reverse(la.InsertMode.add)
@@ -142,7 +142,7 @@ class MatrixForm:
         self._sums: Any = None
 
     def add_to(self, K: PETSc.Mat) -> None:
-        """Add the matrix to K, which has to be assembled afterwards; collective."""
+        """Add the matrix to K, to be assembled afterwards; collective."""
         alone = K.getType() == "seqaij" and K.isAssembled()
         if K.comm.size <= 2 and not alone:
             fem_petsc.assemble_matrix(K, self.form)

@@ -144,7 +144,7 @@ def find_bodies(
 
 
 def with_ties(bodies: Bodies, sides: Sequence[tuple[Bools, Bools]]) -> Bodies:
-    """Bodies with groups by ties, given masks (local nodes,) of both sides of each; collective."""
+    """Bodies grouped by ties, given masks (local nodes,) of their sides; collective."""
     n = len(bodies.label)
     touched = np.zeros((len(sides), bodies.count))
     for k, (slave, master) in enumerate(sides):

@@ -227,7 +227,7 @@ class Inertia(Term):
         self._added, self._met = None, (contact.copy(), body.copy())
 
     def check_met(self, contact: Bools, body: Ints) -> None:
-        """Raise a ValueError on all ranks unless the arguments are those of `meet`; collective."""
+        """Raise a ValueError on all ranks for other arguments than those of `meet`; collective."""
         same = self._met is not None and all(map(np.array_equal, self._met, (contact, body)))
         if any_rank(self.comm, not same)[0]:
             raise ValueError(
@@ -308,7 +308,7 @@ class Inertia(Term):
         self._end = motion
 
     def commit(self) -> None:
-        """Make the motion at the end of a step the start of the next one; collective."""
+        """Commit the motion at the end of a step; collective."""
         if self._start is None:
             return
         end = self._end or self.end()
@@ -459,7 +459,7 @@ class Damping(Term):
 
 
 def read_numbers(density: Any) -> None:
-    """Raise a ValueError unless densities are positive numbers or scalar Constants."""
+    """Raise a ValueError unless densities are positive numbers or Constants."""
     several = density.items() if isinstance(density, Mapping) else [(None, density)]
     remedy = (
         "give a positive number, mass per volume in the units of the model (N, mm, s: tonnes per "

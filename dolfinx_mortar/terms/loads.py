@@ -172,7 +172,7 @@ class _Thickness:
     """Stretch through the thickness in plane stress, on edges."""
 
     def __init__(self, solid: Solid) -> None:
-        """Compile its projection onto linear functions of each cell; collective."""
+        """Compile its projection onto linear functions of cells; collective."""
         assert solid.volumes is not None
         dx = measure(solid.mesh, solid.quadrature_degree)
         # linear functions take three points per cell
@@ -228,7 +228,7 @@ class PointTerm(Term):
 
     @property
     def _moved(self) -> Floats:
-        """Displacement (m, d) of the node, m = 1 on its rank and 0 on others."""
+        """Displacement (m, d) of the node, m = 1 on its rank, else 0."""
         if self._u is None:
             raise ValueError(f"{type(self).__name__}: it acts in a problem: ContactProblem(terms=)")
         return np.asarray(self._u.x.array.reshape(-1, self.V.mesh.geometry.dim)[self._node])

@@ -114,7 +114,7 @@ class Mass:
         return solver
 
     def couplings(self, plain: PETSc.Mat) -> list[Ints]:
-        """Blocks of dofs that M* couples beyond the pattern of the consistent mass, by rows."""
+        """Blocks of dofs that M* couples beyond the consistent mass."""
         d = self.X.shape[1]
         first = plain.getOwnershipRange()[0]
         indptr, columns, _ = self.matrix.getValuesCSR()
@@ -132,7 +132,7 @@ class Mass:
 
 
 def assemble_mass(V: fem.FunctionSpace, density: Any, weight: Any) -> Mass:
-    """Assemble int rho N_i N_j weight dx of one component, rho and weight in UFL; collective."""
+    """Assemble int rho N_i N_j weight dx; collective."""
     scalar = V.sub(0).collapse()[0]
     v, w = ufl.TrialFunction(scalar), ufl.TestFunction(scalar)
     matrix = fem_petsc.assemble_matrix(fem.form(density * weight * v * w * ufl.dx))

@@ -85,7 +85,7 @@ class Terms:
         return all(term.linear for term in self.every)
 
     def vary(self, K: PETSc.Mat) -> bool:
-        """Whether the tangent of this step may differ from K on any rank; collective."""
+        """Whether the tangent may differ from K on any rank; collective."""
         found = [self._ask(f"{n}: varies()", t, partial(t.varies, K)) for n, t in self._stiff]
         found += [region.parameters.varying for region in self.solid.regions]
         return bool(any_rank(self.comm, any(found))[0])
@@ -174,7 +174,7 @@ class Terms:
             )
 
     def skews(self) -> list[PETSc.Mat]:
-        """Antisymmetric parts of tangents, always of the same terms; collective."""
+        """Antisymmetric parts, always of the same terms; collective."""
         found = [self._ask(f"{n}: skew()", term, term.skew) for n, term in self.named]
         return [A for A in found if A is not None]
 
