@@ -59,7 +59,7 @@ def choose_roles(given: Candidates) -> Roles:
     """Roles with fine slaves and few lost constraints.
 
     A node is the slave in one contact only; contacts must not need each other's slave nodes in a
-    cycle (`interfaces.claims`). Minimised in this order: slaves `COARSE` times coarser than
+    cycle (`interfaces.basis`). Minimised in this order: slaves `COARSE` times coarser than
     masters; slave faces with two masters at a node; shares of slave sides lost by cycles; shares of
     other nodes with two masters; coarseness of slaves; number of the side.
     """
