@@ -340,7 +340,7 @@ def warn(link: Link, found: InterfaceAudit, u: fem.Function | None) -> list[str]
 
 
 def reach_hint(link: Link) -> str:
-    """Remedy for a body that a tie does not reach; perhaps ""."""
+    """Remedy for a body that a tie does not reach, or ""."""
     reach = _measure_reach(link)
     if reach is None or not reach.beyond:
         return ""

@@ -134,7 +134,7 @@ class LogarithmicLaw:
                 psi[some] = np.where(np.isnan(x[:, 0]), np.inf, found[:, -1])
 
     def find_normal(self, start: Start, H: Floats) -> None:
-        """Set H_zz for P_zz = 0, NaN if undefined; perhaps a ValueError."""
+        """Set H_zz for P_zz = 0, NaN if the law is undefined; a ValueError without a root."""
         k = len(self.components)
         c = self.components.index((2, 2))
         last = _upper(k).index((c, c))

@@ -25,7 +25,7 @@ BODIES = ("#6f9bc4", "#cf9650", "#7fae69", "#a583bd", "#b5a53c", "#909090")  # a
 
 
 def begin(file: Any, ax: Any, panes: int) -> Any:
-    """A plotter, off-screen for a file or without a screen; perhaps a RuntimeError."""
+    """A plotter, off-screen for a file or without a screen; a RuntimeError if VTK cannot draw."""
     find_screen()
     plotter: Any = pyvista.Plotter(
         off_screen=pyvista.OFF_SCREEN or file is not None,

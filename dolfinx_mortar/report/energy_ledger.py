@@ -185,7 +185,7 @@ class EnergyLedger:
         )
 
     def commit(self, report: StepReport, linear: LinearSolver) -> None:
-        """Commit a converged step, and report its ledger, perhaps with a note; collective."""
+        """Commit a converged step, and add its ledger to the report; collective."""
         problem, inertia, before = self.problem, self.inertia, self._before
         assert before is not None
         after, motion = self._end(), inertia.end()

@@ -61,7 +61,7 @@ TRACED = (plane_strain, axisymmetric, spatial)
 def create_dilatation(
     u: fem.Function, given: Any, integral: Integral, eigenstrain: Eigenstrain | None
 ) -> MeanDilatation | MeanVolume | None:
-    """Reduced volumetric part, None for "full"; perhaps a ValueError; collective."""
+    """Reduced volumetric part, None for "full"; a ValueError if there is none; collective."""
     if check("volumetric", given, one_of("full", "reduced")) == "full":
         return None
     kinematics = integral.kinematics

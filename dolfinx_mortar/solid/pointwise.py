@@ -66,7 +66,7 @@ class PointValuesOfRegion(ABC):
         """Fill the Functions; an error leaves them unchanged."""
 
     def fill(self) -> None:
-        """Evaluate the law if an input has changed; perhaps a ValueError; not collective."""
+        """Evaluate the law if an input has changed, or raise a ValueError; not collective."""
         now = [f.x.array for f in self._inputs]
         if len(self._seen) != len(now) or not all(map(np.array_equal, now, self._seen)):
             self._evaluate()

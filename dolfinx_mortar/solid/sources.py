@@ -90,7 +90,7 @@ class Source:
 
 
 def create_source(cells: Ints, *parts: Part) -> Source:
-    """Compile parts with the same points; perhaps a ValueError on all ranks; collective."""
+    """Compile parts with the same points; a ValueError on all ranks if invalid; collective."""
     V = parts[0].function.function_space
     value = ufl.as_vector([entry for part in parts for entry in part.entries])
     # a number alone has no mesh

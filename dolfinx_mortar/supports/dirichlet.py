@@ -139,7 +139,7 @@ class Dirichlet:
 
 
 def create_dirichlet(V: fem.FunctionSpace, bcs: list[fem.DirichletBC]) -> Dirichlet:
-    """Find the prescribed dofs; perhaps a ValueError; collective."""
+    """Find the prescribed dofs; a ValueError for invalid ones; collective."""
     supports = Dirichlet(V, bcs, prescribed_dofs(V, bcs))
     supports.values()
     return supports
