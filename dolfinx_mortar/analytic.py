@@ -276,7 +276,7 @@ class PartialSlip(_History):
     """A line contact of one material after a history of tangential forces, per unit thickness.
 
     The normal force P is constant. A tangential force Q makes the edges slip around a stick zone.
-    The solution of Cattaneo for a force in (0, mu P), with k = 1 - Q/(mu P) and c = a sqrt(k),
+    Cattaneo's solution for a force in (0, mu P), with k = 1 - Q/(mu P) and c = a sqrt(k),
 
         q_c(x) = mu p0 (sqrt(1 - x^2/a^2) - (c/a) sqrt(1 - x^2/c^2)),  the last term for |x| < c
 

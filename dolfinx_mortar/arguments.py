@@ -103,13 +103,7 @@ def array(
     finite: bool = True,
     holds: Callable[[Floats], object] = lambda found: True,
 ) -> Rule[Floats]:
-    """Rule for arrays of numbers.
-
-    Args:
-        *shapes: allowed ones, None for any size; default any.
-        remedy: default that of vectors.
-        holds: further condition.
-    """
+    """Rule for arrays of numbers, of any shape or given ones (None for any size)."""
     sizes = " or ".join(str(shape[0]) for shape in shapes if shape)
 
     def read(value: Any) -> Floats | None:

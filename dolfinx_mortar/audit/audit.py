@@ -64,11 +64,8 @@ def create_audit(
 ) -> Audit:
     """Audit bodies and paired interfaces; a ValueError for a body that can move freely; collective.
 
-    Args:
-        x: (n,) X + u.
-        springs: relative resistance of the potential to a motion.
-        at: displacement of the contacts, None for X.
-        increment: largest prescribed one of the next step.
+    `x` (n,) is X + u, `at` the displacement of the contacts (None for X), `springs` the relative
+    resistance of the potential to a motion, `increment` the largest prescribed one.
     """
     links, empty = system.links, supports.warnings()
     loose, by_contact = find_free_motions(bodies, system, supports, springs)

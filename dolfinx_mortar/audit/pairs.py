@@ -107,10 +107,9 @@ def find_pairs(
     Bodies are the connected parts of the mesh, divided by cell tags; common nodes join bodies. Two
     bodies are a pair if some facet of one, projected along its normal, meets an opposite facet of
     the other, with nothing between them, at most `within` apart; overlaps count up to half of the
-    thinner body. A side is the whole face of such facets, up to edges; faces that face several
-    bodies have one tag. The finer side is the slave, unless nodes would lose a constraint, as
-    slaves of two contacts or in a cycle; then the other side, if not more than twice as coarse. The
-    table lists remaining losses.
+    thinner body. A side is the whole face of such facets, up to edges. The finer side is the slave,
+    unless nodes would lose a constraint, as slaves of two contacts or in a cycle; then the other
+    side, if not more than twice as coarse. The table lists remaining losses.
 
     Args:
         mesh: of all bodies.

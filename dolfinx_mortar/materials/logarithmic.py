@@ -73,7 +73,6 @@ class LogarithmicLaw:
 
     Attributes:
         multiplicative: the form; else additive.
-        has_energy: whether there is a potential.
         components: row and column of the k entries of P that may differ from zero.
     """
 
@@ -102,12 +101,7 @@ class LogarithmicLaw:
         self._tensors = np.empty((3, CHUNK, 3, 3))
 
     def start(self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Start:
-        """Prepare a step of q points.
-
-        Args:
-            state: committed, by name, (q,) or (q, 3, 3).
-            parameters: by name, (q,); those of a tuple as name[0], name[1] ..
-        """
+        """Prepare a step of q points; state (q,) or (q, 3, 3), parameters (q,)."""
         roots = None
         if self.multiplicative and PLASTIC in self.law.state:
             roots = np.empty_like(state[PLASTIC])
@@ -186,10 +180,7 @@ class LogarithmicLaw:
         return PointValues(stress, tangent, self.update(start, H), energy=energy)
 
     def stress_lost(self, start: Start, H: Floats) -> Floats:
-        """Return 1 - |dev tau| / |dev T| (q,), tau Kirchhoff's stress and T that of the law.
-
-        The error of the yield stress in the additive form, else 0.
-        """
+        """Return 1 - |dev tau| / |dev T| (q,), 0 in the multiplicative form, T the law's stress."""
         share = np.zeros(len(H))
         for some in () if self.multiplicative else _chunks(len(H)):
             x, logs, N, _, _ = self._decompose(start, H[some], some)

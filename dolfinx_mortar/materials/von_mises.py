@@ -257,16 +257,10 @@ def wright_omega(y: Any) -> Expr:
 
 
 def increment(excess: Any, rest: Any, M: Any, b: Any, log_ratio: Any) -> tuple[Expr, Expr]:
-    """Root g of M g + rest (1 - exp(-b g)) = excess, and its slope dg / d excess.
+    """Root g of M g + rest (1 - exp(-b g)) = excess, and its slope dg / d excess; all positive.
 
-    One step of Chebyshev's method, of third order, corrects omega to round-off.
-
-    Args:
-        excess: positive.
-        rest: remaining saturation, positive.
-        M: slope of the linear term, positive.
-        b: rate of the exponential, positive.
-        log_ratio: ln(b rest / M).
+    `log_ratio` is ln(b rest / M). One step of Chebyshev's method, of third order, corrects omega to
+    round-off.
     """
     level = (excess - rest) / M
     y = log_ratio - b * level

@@ -63,16 +63,15 @@ def hertz(
 ) -> TaggedMesh:
     """Mesh a half disc above a block, non-matching where they touch (collective).
 
-    The block is [-w/2, w/2] x [-t, 0] with (w, t) = ``block``. The disc has its lowest point at (0,
-    ``gap``) and its flat face at y = ``radius + gap``. The mesh is symmetric in x; (0, 0) and (0,
-    ``gap``) are nodes. Bodies: "block", "disc". Sides: "bottom", "top", "flat", "arc", and "axis",
-    which is x = 0 in the half.
+    The block is [-w/2, w/2] x [-t, 0] with (w, t) = ``block``, the disc has its lowest point at (0,
+    ``gap``) and its flat face on top. The mesh is symmetric in x; (0, 0) and (0, ``gap``) are
+    nodes. Bodies: "block", "disc". Sides: "bottom", "top", "flat", "arc", and "axis", x = 0 in the
+    half.
 
     Args:
-        comm: communicator; gmsh runs on its rank 0 only.
         kind: "paper": about 1200 cells in the disc and 2720 in the block (as triangles); "graded":
-            element size ``h`` within ``core`` of the first contact point and h (1 + r - core), at
-            most ``limit`` h, at distance r mm.
+            size ``h`` within ``core`` of the first contact point and h (1 + r - core), at most
+            ``limit`` h, at distance r mm.
         h: element size [mm]; a pair gives (block, disc) separately.
         radius: of the disc [mm].
         block: width and thickness [mm].
@@ -160,13 +159,11 @@ def sphere(
 ) -> TaggedMesh:
     """Mesh a quarter of a half ball above a block, non-matching where they touch (collective).
 
-    The whole block is [-w/2, w/2] x [-l/2, l/2] x [-t, 0] with (w, l, t) = ``block``. The half ball
-    has its lowest point at (0, 0, ``gap``) and its flat face at z = ``radius + gap``. The quarter
-    x, y >= 0 of both is meshed; (0, 0, 0) and (0, 0, ``gap``) are nodes. Bodies: "block", "ball".
-    Sides: "bottom", "top", "flat", "sphere", and "symmetry_x" and "symmetry_y", on x = 0 and y = 0.
+    As `hertz`, with the quarter x, y >= 0 of the block [-w/2, w/2] x [-l/2, l/2] x [-t, 0], (w, l,
+    t) = ``block``. Bodies: "block", "ball". Sides: "bottom", "top", "flat", "sphere", and
+    "symmetry_x" and "symmetry_y", on x = 0 and y = 0.
 
     Args:
-        comm: communicator; the mesh is created on rank 0 and distributed.
         cell: "hexahedron" or "tetrahedron" (which needs gmsh).
         h: element size at the first contact point [mm]; a pair gives (block, ball) separately. The
             ball has one hexahedron more along the edge of the core, so that meshes do not match.
@@ -463,7 +460,7 @@ def name_sides(
 ) -> TaggedMesh:
     """Name the first cells a block with its top at height 0, the others a round body above it.
 
-    `names`: round body and its round side; `planes`: sides x = 0, y = 0 ..
+    `names`: round body and its side; `planes`: sides x = 0, y = 0 ..
     """
     in_block = mesh.topology.original_cell_index < first
     facets, of_block, x = exterior_facets(mesh, in_block)

@@ -46,11 +46,10 @@ class Writer:
             ...
             out.write(t)
 
-    The fields are ``problem.output_fields()``: Lagrange Functions on the problem's mesh, written at
-    the nodes of ``problem.solid.V`` (interpolated if their degree differs), and piecewise-constant
-    Functions (DG0), written per cell. Vectors are padded to three components, symmetric tensors
-    stored in four or six components (`materials.tensor`) to nine (xx, xy, xz, yx, ...); other
-    shapes are written as a flat row.
+    The fields are ``problem.output_fields()``: Lagrange Functions, written at the nodes of
+    ``problem.solid.V`` (interpolated if their degree differs), and piecewise-constant Functions
+    (DG0), written per cell. Vectors are padded to three components, stored symmetric tensors
+    (`materials.tensor`) to nine (xx, xy, xz, yx, ...); other shapes are written as a flat row.
 
     Surfaces of rigid tools near the sides are written to a second file, out.tools.xdmf with the
     same times, with the number of the tool in "tool".

@@ -211,15 +211,9 @@ def read_about(comm: MPI.Comm, path: Path) -> dict[str, Any]:
 def read_tables(
     comm: MPI.Comm, path: Path, about: Mapping[str, Any], places: Mapping[str, Floats], size: float
 ) -> tuple[dict[str, dict[str, Floats]], dict[str, str]]:
-    """Values at the places of this rank; collective.
+    """Values by column by table at places (n, k), up to round-off of `size`; collective.
 
-    Args:
-        about: result of `read_about`.
-        places: (n, k) of this rank, by table.
-        size: largest coordinate, scale of the tolerance of places.
-
-    Returns:
-        Values by column by table; and by table, in words, how places differ, if they do.
+    Also, by table, how places differ, in words.
     """
     found: dict[str, dict[str, Floats]] = {}
     hits: dict[str, Longs] = {}

@@ -98,12 +98,8 @@ def create_certificate(
 ) -> Certificate:
     """Certificate of the present state with its results; collective.
 
-    Args:
-        residual: at the final geometry.
-        balances: of forces and moments, from `set_results`.
-        left_out: small-strain error, computed if None, as are the next ones.
-        overlaps: see `find_overlaps`.
-        pull: of `find_pull`.
+    `residual` is that of the final geometry, `balances` are from `set_results`; the next ones are
+    computed if None.
     """
     left_out = left_out or find_left_out(problem)
     crossing = (find_overlaps(problem) if overlaps is None else overlaps).get(-1)

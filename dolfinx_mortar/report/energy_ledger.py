@@ -17,13 +17,10 @@ momentum are conserved (Laursen and Love 2002 correct node by node, with M alone
 s is taken; energy beyond its range is part of the defect. Below rtol of the largest energy the
 impulse is postponed.
 
-The work of moving tools counts as work of supports; w and K are relative to the tool. No impulse
-acts at tools driven by loads.
-
-Changes of eigenstrain or parameters do the work Psi - Psi_n - 1/2 (F + F_n).(u - u_n), F the
-internal forces, each with the data of its time; it counts as work of loads.
-
-At finite strain the moment of momentum has an error of third order in a step.
+Moving tools do work as supports; w and K are relative to the tool. No impulse acts at tools driven
+by loads. Changes of eigenstrain or parameters do the work Psi - Psi_n - 1/2 (F + F_n).(u - u_n), F
+the internal forces, which counts as work of loads. At finite strain the moment of momentum has an
+error of third order in a step.
 """
 
 from collections.abc import Sequence

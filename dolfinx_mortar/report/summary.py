@@ -73,8 +73,8 @@ def write_summary(
         more: further entries.
 
     Raises:
-        ValueError: for invalid arguments (on all ranks).
-        OSError: if the file cannot be written (on all ranks).
+        ValueError: on all ranks, for invalid arguments.
+        OSError: on all ranks, if the file cannot be written.
     """
     check_problem(problem, ContactProblem)
     path = check_path(problem.comm, path)

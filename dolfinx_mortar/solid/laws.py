@@ -306,10 +306,7 @@ def by_cells(
 ) -> tuple[dict[int, T], Longs]:
     """Entries of an argument by tag, and the tags of the local cells; collective.
 
-    Args:
-        given: entries by tag or by name.
-        name: of the argument, for messages.
-        cover: whether each cell must have an entry.
+    `given` by tag or name; `cover`: each cell must have an entry.
 
     Raises:
         ValueError: on all ranks, for tags of no cell, and cells without an entry.

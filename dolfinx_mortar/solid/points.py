@@ -287,8 +287,7 @@ class EnergyDensities:
     ) -> None:
         """Evaluate the stored energy, and add to the dissipated; collective.
 
-        `committed` and `staged` are internal variables at the start and end of the step; `follow`
-        updates data that have changed at the points.
+        `committed` and `staged`: internal variables at the start and end of the step.
         """
         fill_all(self._mesh.comm, self._sources)
         potential = self.stored.x.array.copy()
@@ -335,7 +334,6 @@ class PointState:
         staged: those of the last `evaluate`.
         shown: other Functions filled by `evaluate`, by name.
         followed: the parameters of the laws and the eigenstrain.
-        found: values computed before each assembly, by law.
         densities: energies, if requested.
     """
 

@@ -120,9 +120,8 @@ class Inertia(Term):
 
     Nodes of sides that can open are massless; their mass is moved to the nodes behind them. Mass,
     centre and moments of inertia of each body are conserved with four layers of nodes behind each
-    side, mass and centre with three; with one or two, nodes keep their mass, see
-    `dolfinx_mortar.terms.mass`. Mass, energy and momentum are those of the whole ring in
-    axisymmetry, per thickness in the plane.
+    side, mass and centre with three; with one or two, nodes keep their mass (`terms.mass`). All are
+    those of the whole ring in axisymmetry, per thickness in the plane.
 
     Attributes:
         scheme: of the steps; `time_steps` sets it.

@@ -142,15 +142,10 @@ def assemble_mass(V: fem.FunctionSpace, density: Any, weight: Any) -> Mass:
 
 
 def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
-    """The mass without contact nodes; collective.
+    """The mass without contact nodes (owned nodes,), given numbers of bodies; collective.
 
     With less than four layers of nodes, moments of inertia change; with one or two, all nodes keep
     their mass, as do nodes without an inner node within three cells.
-
-    Args:
-        plain: the consistent mass.
-        contact: (owned nodes,) of sides that can open.
-        body: (owned nodes,) numbers of the bodies.
     """
     comm = plain.matrix.comm.tompi4py()
     degree = np.full(comm.allreduce(int(body.max(initial=-1)), op=MPI.MAX) + 1, 2)

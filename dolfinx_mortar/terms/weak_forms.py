@@ -164,13 +164,9 @@ WANTED = (
 def check_form(
     u: fem.Function, name: str, form: Any, *, arguments: int = 0, dead: bool = False
 ) -> None:
-    """Raise a ValueError unless a form can be added; collective.
+    """Raise a ValueError unless a form over cells and exterior facets can be added; collective.
 
-    Args:
-        name: of the argument.
-        form: integrals over cells and exterior facets.
-        arguments: number of test functions.
-        dead: whether u is forbidden in it.
+    `arguments`: number of test functions; `dead`: u is forbidden.
     """
     wanted = WANTED[arguments + dead]
     if not isinstance(form, ufl.Form):  # its repr may fill pages
