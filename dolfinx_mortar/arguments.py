@@ -128,7 +128,7 @@ POISSON = number("Poisson's ratio, 0.499 for an incompressible body,", above=-1.
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a finite real number, no truth value.
+    """Whether a value is a finite real number, not a boolean.
 
     >>> [is_number(v) for v in (1, np.float32(2.5), True, np.nan, 10**400, 1j, "1", None)]
     [True, True, False, False, False, False, False, False]
@@ -140,7 +140,7 @@ def is_number(value: Any) -> bool:
 
 
 def is_integer(value: Any) -> bool:
-    """Whether a value is an integer, no truth value."""
+    """Whether a value is an integer, not a boolean."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 

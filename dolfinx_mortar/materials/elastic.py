@@ -30,6 +30,8 @@ def bulk_modulus(p: Any) -> Any:
 class Elastic(Material):
     """Hooke's law, sigma = lambda tr(eps) I + 2 mu eps, isotropic.
 
+    lambda = E nu / ((1 + nu) (1 - 2 nu)), mu = E / (2 (1 + nu)).
+
     Raises:
         ValueError: if E <= 0, nu is outside (-1, 0.5) or a number is not finite.
     """

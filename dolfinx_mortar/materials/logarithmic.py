@@ -7,9 +7,9 @@ laws (`Law.isotropic`), with C_p = F_p^T F_p and 1/2 ln C_p as the plastic strai
     E = 1/2 ln(C_p^-1/2 F^T F C_p^-1/2),         psi = psi(E; plastic strain 0, scalars),
     C_p^-1 = C_pn^-1/2 exp(-2 dep) C_pn^-1/2,    dep the plastic strain that the law gives.
 
-dep the plastic strain of the law. **Additive form**, for all others: the law of small strain at E =
-1/2 ln(F^T F), exact where the principal directions do not rotate; in simple shear by 1 perfect
-plasticity is 3 % too soft, by 2 17 %.
+**Additive form**, for all others: the law of small strain at E = 1/2 ln(F^T F), exact where the
+principal directions do not rotate; in simple shear by 1 perfect plasticity is 3 % too soft, by 2
+17 %.
 
 Sources: J. C. Simo, Comput. Methods Appl. Mech. Engrg. 99 (1992) 61-112; C. Miehe, N. Apel, M.
 Lambrecht, Comput. Methods Appl. Mech. Engrg. 191 (2002) 5383-5425.

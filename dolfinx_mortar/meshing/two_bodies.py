@@ -72,7 +72,7 @@ def hertz(
         kind: "paper": about 1200 cells in the disc and 2720 in the block (as triangles); "graded":
             size ``h`` within ``core`` of the first contact point and h (1 + r - core), at most
             ``limit`` h, at distance r mm.
-        h: element size [mm]; a pair gives (block, disc) separately.
+        h: element size of the graded mesh [mm]; a pair gives (block, disc) separately.
         radius: of the disc [mm].
         block: width and thickness [mm].
         gap: initial gap [mm], negative for an overlap.

@@ -20,7 +20,7 @@ class Distance:
     """Signed distances phi of points, their gradients and Hessians."""
 
     value: Floats  # (n,) positive outside
-    gradient: Floats  # (n, d) unit normals
+    gradient: Floats  # (n, d) outward unit normals
     hessian: Floats  # (n, d, d) curvatures, 1 / length
 
     def less(self, radius: float) -> Distance:

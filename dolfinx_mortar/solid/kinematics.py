@@ -29,8 +29,7 @@ class Kinematics:
     # (n, d) -> name: (n, d), affine, without strain; closed under changes of centre and unit
     rigid_motions: Callable[[Floats], dict[str, Floats]]
     dimension: int | None = None  # of its meshes, None for any
-    # index of the distance from the axis, never negative; at zero, this displacement must be
-    # prescribed
+    # index of the coordinate r >= 0; at r = 0 this displacement must be prescribed
     radius: int | None = None
     # whether the laws solve sigma_zz = 0 for the strain out of the plane
     plane_stress: bool = False

@@ -2,13 +2,13 @@
 """Inertia and damping.
 
 With the forces G = f + c + R - F(u) - C v of loads, contacts, supports, bodies and damping, a step
-of the generalised alpha method,
+of the generalised alpha method is
 
     M ((1 - am) a + am a_n) = (1 - af) G + af G_n,
     u = u_n + dt v_n + dt^2 ((1/2 - beta) a_n + beta a),
     v = v_n + dt ((1 - gamma) a_n + gamma a).
 
-is, divided by 1 - af, a static step with a term of potential
+Divided by 1 - af, it is a static step with a term of potential
 
     Pi(u) = kappa/2 |u - p|^2_M + g.u,      kappa = (1 - am) / ((1 - af) beta dt^2),
     p = u_n + dt v_n + dt^2 (1/2 - beta) a_n,      g = (am M a_n - af G_n) / (1 - af).
@@ -243,7 +243,7 @@ class Inertia(Term):
         dt = end - start
         if not (dt > 0.0 and has_square(dt)):
             raise ValueError(f"Inertia: the step goes from {start:g} to {end:g}; {NO_TIME}")
-        # 11 digits of equal steps agree, so that they share a matrix
+        # rounded, so that equal steps share a matrix
         dt = float(f"{dt:.11e}")
         s, mass = self.scheme, self.mass
         v, a = mass.extend(self.values("velocity")), self.values("acceleration")
