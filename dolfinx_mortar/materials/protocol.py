@@ -152,8 +152,9 @@ class Material(Protocol):
     With both, UFL only differentiates the stress. The tangent must be symmetric.
     `dolfinx_mortar.materials.check` tests a law without a mesh.
 
-    Optional methods, inherited only together with energy and stress: `tangent(strain, state, p,
-    direction)`, d stress / d strain : direction, where UFL should not differentiate the stress;
+    Optional methods, inherited only together with energy and stress:
+    `tangent(strain, state, p, direction)`, d stress / d strain : direction, where UFL should not
+    differentiate the stress;
     `normal_strain(strain, state, p)`, the closed form of the strain out of the plane in plane
     stress, or None.
 
@@ -163,8 +164,8 @@ class Material(Protocol):
     the deformation gradient F (3x3, det F > 0) in place of the strain: `energy(F, state, p)` is psi
     per volume at X, objective, psi(Q F) = psi(F) for rotations Q; `stress` is the first
     Piola-Kirchhoff stress P = d psi / dF, `tangent` dP/dF : direction. Only `elastic_stress` takes
-    a small strain, at F = I. A part of psi that depends on J = det F alone may be `volumetric(J,
-    p)`, in UFL, for ``volumetric="reduced"``. All other laws are transformed to F.
+    a small strain, at F = I. A part of psi that depends on J = det F alone may be
+    `volumetric(J, p)`, in UFL, for ``volumetric="reduced"``. All other laws are transformed to F.
 
     Attributes:
         strain: "small" or "finite", the first argument of the law.
