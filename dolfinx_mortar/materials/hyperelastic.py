@@ -14,7 +14,7 @@ import ufl
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.elastic import Elastic, lame_modulus, shear_modulus
-from dolfinx_mortar.materials.logarithmic import NORMAL, as_tensors
+from dolfinx_mortar.materials.logarithmic import as_tensors
 from dolfinx_mortar.materials.protocol import Material, Parameter, PointwiseLaw, Range, check_fields
 from dolfinx_mortar.materials.tensor import GRADIENT, INDEX
 from ufl.core.expr import Expr
@@ -198,10 +198,9 @@ class Ogden(PointwiseLaw):
             t = alpha[:, None] * apart
             share = np.where(t == 0.0, 1.0, np.expm1(t) / np.where(t == 0.0, 1.0, t))
             G += alpha[:, None] / 2 * power[:, second] * share
-        rows, columns = np.array(NORMAL).T
         P, A = np.empty((q, 9)), np.empty((q, 45))
-        law = np.hstack([T, L[:, rows, columns], G])
-        logarithms.respond(INDEX, True, law, x, logs, *tensors, P, A)
+        law = np.hstack([T, L[:, *np.triu_indices(3)], G])
+        logarithms.respond(GRADIENT[3], True, law, x, logs, *tensors, P, A)
         return (*as_tensors(P, A, GRADIENT[3]), {})
 
 

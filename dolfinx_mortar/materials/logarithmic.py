@@ -44,8 +44,7 @@ from dolfinx_mortar.materials.tensor import (
 )
 from ufl.core.expr import Expr
 
-CHUNK = 512  # points per chunk, for the cache
-NORMAL = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # ab of L_aabb
+CHUNK = 512  # points that are treated together, for the cache
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ class Start:
     roots: Floats | None  # C_pn^-1/2 - I (q, 3, 3), if not zero
     numbers: Floats  # (q, n) arguments of a law in UFL, with space for the strain
 
-    def at(self, points: Ints) -> "Start":
+    def at(self, points: Ints | slice) -> "Start":
         """Data of some points."""
         state, parameters = (
             {name: values[points] for name, values in of.items()}
@@ -123,7 +122,9 @@ class LogarithmicLaw:
             parts = self._decompose(start, H[some], some)
             x, logs, N = parts[:3]
             found = self._inner.moduli(start, some, logs, N)
-            logarithms.respond(self._pairs, self.multiplicative, found, *parts, P[some], A[some])
+            logarithms.respond(
+                self.components, self.multiplicative, found, *parts, P[some], A[some]
+            )
             if self.has_energy:
                 psi[some] = np.where(np.isnan(x[:, 0]), np.inf, found[:, -1])
 
@@ -136,9 +137,7 @@ class LogarithmicLaw:
         def equation(points: Ints, z: Floats) -> Floats:
             trial = H[points]
             trial[:, 2, 2] = z[:, 0]
-            q = len(points)
-            P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
-            self.respond(start.at(points), trial, P, A, psi)
+            P, A, _ = self._evaluate(start.at(points), trial)
             stiffest, norm = np.abs(A).max(axis=1, initial=0.0), np.linalg.norm(P, axis=1)
             return np.stack([P[:, c], A[:, last], stiffest, norm], axis=1)[:, None]
 
@@ -169,12 +168,10 @@ class LogarithmicLaw:
         return new
 
     def values(self, F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> PointValues:
-        """Values at F (q, 3, 3), see `response.values_at_points`."""
-        q, k = len(F), len(self.components)
+        """All values at F (q, 3, 3) as tensors, see `response.values_at_points`."""
         H = np.ascontiguousarray(F - np.eye(3))
-        P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
-        start = self.start(q, state, ungrouped(p))
-        self.respond(start, H, P, A, psi)
+        start = self.start(len(F), state, ungrouped(p))
+        P, A, psi = self._evaluate(start, H)
         stress, tangent = as_tensors(P, A, self.components)
         energy = psi if self.has_energy else None
         return PointValues(stress, tangent, self.update(start, H), energy=energy)
@@ -183,10 +180,21 @@ class LogarithmicLaw:
         """Return 1 - |dev tau| / |dev T| (q,), 0 in the multiplicative form, T the law's stress."""
         share = np.zeros(len(H))
         for some in () if self.multiplicative else _chunks(len(H)):
-            x, logs, N, _, _ = self._decompose(start, H[some], some)
-            found = self._inner.moduli(start, some, logs, N)
-            logarithms.lost(self._pairs, found, x, logs, N, share[some])
+            _, logs, N, _, _ = self._decompose(start, H[some], some)
+            T = tensor_of(self._inner.moduli(start, some, logs, N)[:, : len(self._pairs)])
+            P, A, _ = self._evaluate(start.at(some), H[some])
+            tau, _ = as_tensors(P, A, self.components)
+            tau += tau @ np.swapaxes(H[some], 1, 2)
+            inner, outer = (_deviator(stress) for stress in (T, tau))
+            share[some] = 1 - np.divide(outer, inner, out=np.ones_like(inner), where=inner > 0.0)
         return share
+
+    def _evaluate(self, start: Start, H: Floats) -> tuple[Floats, Floats, Floats]:
+        """P, A and psi of `respond`."""
+        q, k = len(H), len(self.components)
+        found = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
+        self.respond(start, H, *found)
+        return found
 
     def _decompose(self, start: Start, H: Floats, some: slice) -> list[Floats]:
         parts = [part[: len(H)] for part in (*self._vectors, *self._tensors)]
@@ -208,6 +216,12 @@ def as_tensors(
     return stress, tangent
 
 
+def _deviator(tensors: Floats) -> Floats:
+    """Norm (q,) of the deviators of tensors (q, 3, 3)."""
+    mean = np.trace(tensors, axis1=1, axis2=2)[:, None, None] / 3
+    return np.asarray(np.linalg.norm(tensors - mean * np.eye(3), axis=(1, 2)))
+
+
 _NONE = np.zeros((1, 3, 3))
 
 
@@ -223,10 +237,8 @@ def _answers(
     law: Law, size: int
 ) -> tuple[Sequence[tuple[int, int]], list[tuple[int, int, int, int]]]:
     pairs = INDEX[:size]
-    if not law.isotropic:
-        return pairs, [(*pairs[a], *pairs[b]) for a, b in _upper(size)]
-    ways = [(i, i, j, j) for i, j in NORMAL] + [(i, j, i, j) for i, j in pairs[3:]]
-    return INDEX[:3], ways
+    ways = [ab for ab in _upper(size) if not law.isotropic or ab[1] < 3 or ab[0] == ab[1]]
+    return pairs[: 3 if law.isotropic else size], [(*pairs[a], *pairs[b]) for a, b in ways]
 
 
 class _InUFL:
@@ -286,7 +298,7 @@ class _InUFL:
         if self._law.isotropic:
             numbers[:, :3] = logs
         else:
-            logarithms.compose_stored(N, logs, self._size, numbers)
+            numbers[:, : self._size] = stored(_composed(N, logs), self._size)
         return numbers
 
     def _response(self) -> Response:
@@ -343,8 +355,13 @@ class _OfArrays:
             if PLASTIC in state:
                 state[PLASTIC] = np.zeros_like(state[PLASTIC])
         else:
-            strain[:] = np.einsum("qia,qa,qja->qij", N, logs, N)
+            strain[:] = _composed(N, logs)
         return values_at_points(self._law, strain, state, p)
+
+
+def _composed(N: Floats, values: Floats) -> Floats:
+    """sum_a values_a N_a (x) N_a of eigenvectors (q, 3, 3)."""
+    return np.asarray((N * values[:, None]) @ np.swapaxes(N, 1, 2))
 
 
 def _unit(i: int, j: int) -> Expr:
