@@ -199,8 +199,7 @@ def warnings_on_neighbours(
     coupled = _coupled(bodies, system)
     if (coupled | np.eye(bodies.count, dtype=bool)).all():
         return []
-    comm = bodies.V.mesh.comm
-    facets = system.boundary.at(at)
+    comm, facets = bodies.V.mesh.comm, system.boundary.at(at)
     part = bodies.of_cells[system.boundary.cells].astype(np.int64)
     largest = comm.allreduce(float(facet_sizes(facets.x).max(initial=0.0)), op=MPI.MAX)
     boxes = boxes_of(comm, facets.x, part, bodies.count)
@@ -208,37 +207,28 @@ def warnings_on_neighbours(
     skin = Skin(facets, part, np.zeros((len(part), 0), dtype=np.int64))
     found = find_facing(comm, skin, near_others(facets.x, part, boxes))
     found = found[are_near(found, None)]
-    pairs = np.sort(found.part, axis=1)
-    rows: Floats = np.column_stack([pairs, found.distance, found.place])
-    rows = rows[~coupled[pairs[:, 0], pairs[:, 1]]]
-    nearest = _nearest(np.concatenate(comm.allgather(_nearest(rows))))
-    return [_warning(bodies, *map(int, row[:2]), *row[2:].tolist()) for row in nearest]
-
-
-def _nearest(rows: Floats) -> Floats:
-    rows = rows[np.lexsort(rows.T[::-1])]
-    return rows[np.unique(rows[:, :2], axis=0, return_index=True)[1]]
+    least = np.full(coupled.shape, np.inf)
+    np.minimum.at(least, tuple(np.sort(found.part, axis=1).T), found.distance)
+    comm.Allreduce(MPI.IN_PLACE, least, op=MPI.MIN)
+    near = zip(*np.nonzero(np.isfinite(least) & ~coupled), strict=True)
+    return [_warning(bodies, pair, float(least[pair])) for pair in near]
 
 
 def _coupled(bodies: Bodies, system: InterfaceSystem) -> Bools:
-    found = np.zeros((bodies.count, bodies.count))
-    n = len(bodies.label)
-    for sides in system.sides:
+    """Mask (bodies, bodies) of coupled bodies; collective."""
+    on = np.zeros((2, len(system.sides), bodies.count))
+    for k, sides in enumerate(system.sides):
         if sides.master is not None:
-            on = [np.unique(bodies.label[mark[:n]]) for mark in (sides.on_slave, sides.on_master)]
-            both = [
-                np.unique(np.concatenate(each))
-                for each in zip(*bodies.V.mesh.comm.allgather(on), strict=True)
-            ]
-            found[np.ix_(*both)] = 1.0
-    return np.asarray((found + found.T) > 0.0)
+            for at, mark in zip(on, (sides.on_slave, sides.on_master), strict=True):
+                at[k, bodies.label[mark[: len(bodies.label)]]] = 1.0
+    slave, master = bodies.V.mesh.comm.allreduce(on)
+    return np.asarray((slave.T @ master + master.T @ slave) > 0.0)
 
 
-def _warning(bodies: Bodies, one: int, other: int, distance: float, *place: float) -> str:
-    who = " and ".join(name_of(bodies, [k]) for k in (one, other))
-    where = f"({', '.join(f'{x:.4g}' for x in place)})"
+def _warning(bodies: Bodies, pair: tuple[int, ...], distance: float) -> str:
+    who = " and ".join(name_of(bodies, [k]) for k in pair)
     how = f"are {distance:.3g} apart" if distance >= 0.0 else f"overlap by {-distance:.3g}"
     return (
-        f"{who} {how} around {where}, and no interface couples them: give them a Contact if they "
+        f"{who} {how}, and no interface couples them: give them a Contact if they "
         "can touch (dm.find_pairs proposes one)"
     )

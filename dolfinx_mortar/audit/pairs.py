@@ -14,7 +14,7 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh, MeshTags, meshtags
 from dolfinx_mortar import compat
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.parallel import maximum, raised_together, sums_at_nodes
+from dolfinx_mortar.algebra.parallel import raised_together, sums_at_nodes
 from dolfinx_mortar.arguments import check, is_number
 from dolfinx_mortar.arrays import Ints, Longs
 from dolfinx_mortar.audit.mesh_audit import check_mesh
@@ -125,8 +125,9 @@ def find_pairs(
         A record that unpacks as facet tags, such as "disc to block", and contacts.
 
     Raises:
-        ValueError: on all ranks, for an invalid mesh, tags or options; a single connected body; and
-            if there is no pair, with the nearest distance or least overlap.
+        ValueError: on all ranks, for an invalid mesh; tags of another mesh or not of all cells;
+            invalid options; a single connected body; and if there is no pair, with the nearest
+            distance.
     """
     if not isinstance(mesh, Mesh):
         raise ValueError(f"mesh is {mesh!r}: give a dolfinx.mesh.Mesh of all bodies")
@@ -243,11 +244,7 @@ def _find(
     facing = find_facing(comm, Skin(facets, part_of_cell[cells], label))
     sides = _sides(comm, facing[are_near(facing, within)])
     if not sides:
-        deep = find_facing(comm, Skin(facets, part_of_cell[cells], label), deep=True)
-        deep = deep[deep.distance < 0.0]
-        least = float(maximum(comm, deep.distance.max(initial=-np.inf))[0])
-        deep = deep[deep.distance >= least]
-        _raise_none(_sides(comm, deep if np.isfinite(least) else facing), names, within, told)
+        _raise_none(_sides(comm, facing), names, within, told)
     numbers, common = entities.astype(np.int64), _facing_nodes(V, boundary.nodes, facing, sides)
     return _Found(names, numbers, faces, sides, joined, common)
 
@@ -338,14 +335,12 @@ def _raise_none(
     how = "a facet is long" if within is None else f"within={within:g}"
     none = f"find_pairs: no two bodies face each other at a distance of at most {how}"
     if not sides:
-        raise ValueError(f"{none}, or at all: check the mesh, or tag the sides by hand{told}")
+        raise ValueError(
+            f"{none}, or at all, or they overlap by more than half of the thinner one: check the "
+            f"mesh, or tag the sides by hand{told}"
+        )
     near = min(sides.values(), key=lambda side: (abs(side.distance), side.body, side.other))
     who = f"{names[near.body]!r} and {names[near.other]!r}"
-    if near.distance < 0.0:
-        raise ValueError(
-            f"{none}. {who} overlap by {-near.distance:.4g}, more than half of the thinner one: "
-            f"tag their sides by hand, or let them begin with less overlap{told}"
-        )
     raise ValueError(
         f"{none}. The nearest, {who}, are {near.distance:.4g} apart: give a larger within={told}"
     )

@@ -61,19 +61,16 @@ class Facing:
         return Facing(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
-def find_facing(
-    comm: MPI.Intracomm, skin: Skin, asked: Bools | None = None, *, deep: bool = False
-) -> Facing:
-    """Facets of other parts that facets of a skin face, at any distance; collective.
+def find_facing(comm: MPI.Intracomm, skin: Skin, asked: Bools | None = None) -> Facing:
+    """Return the facets of other parts that facets of a skin face, at any distance; collective.
 
-    Without those deeper in another body than half of the thinner one, unless `deep`; for the facets
-    `asked` (m,), or all.
+    Not those deeper in another body than half of the thinner body (`pairing.THROUGH`).
+
+    Args:
+        skin: all exterior facets of this rank.
+        asked: (m,) facets to project; all if None.
     """
-    depth = (
-        np.full(len(skin.part), np.inf)
-        if deep
-        else THROUGH * thickness_of_bodies(comm, skin.facets, skin.part, skin.facets, skin.part)
-    )
+    depth = THROUGH * thickness_of_bodies(comm, skin.facets, skin.part, skin.facets, skin.part)
     own = np.flatnonzero(np.ones(len(depth), dtype=bool) if asked is None else asked)
     facets = skin.facets[own]
     others, part, label, behind = _receive(comm, facets, skin, depth)

@@ -11,7 +11,6 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx import mesh
 from dolfinx_mortar.algebra.parallel import maximum, ratio
 from dolfinx_mortar.arrays import CHUNK, HALF_OF_DIGITS, Floats
 from dolfinx_mortar.materials.tensor import double_contraction, frobenius_norm
@@ -44,7 +43,6 @@ class LeftOut:
     lengths: float  # mean |H^T H| / 2 of that body
     told: int  # body of the note: the worst above the limits, else the one of `steepest`
     own: tuple[float, float]  # largest strain and rotation in it
-    steepest: tuple[float, int]  # larger of strain and rotation on this rank, and its cell
 
     @property
     def relative(self) -> float:
@@ -106,8 +104,6 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
     worst = int(np.argmax(felt))
     largest = float(maximum(comm, size.max(initial=0.0))[0])
     told = worst if felt[worst] >= 1.0 else int(np.argmax(np.maximum(strains, angles)))
-    steep = np.where(body == told, np.maximum(highest[0], highest[2]), -1.0)
-    cell = int(np.argmax(steep)) if len(steep) else -1
     return LeftOut(
         felt=int((felt >= 1.0).sum()),
         strain=largest,
@@ -117,26 +113,20 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
         lengths=float(means[worst]),
         told=told,
         own=(float(strains[told]), float(angles[told])),
-        steepest=(float(steep.max(initial=-1.0)), cell),
     )
 
 
 def notes_on_small_strain(problem: ContactProblem, found: LeftOut) -> list[str]:
-    """Note if the neglected term, strain or rotation is large; collective."""
-    solid, domain = problem.solid, problem.V.mesh
-    large = solid.gradients.small and max(found.largest, found.rotation) > LARGE
+    """Note if the neglected term or any strain or rotation is large; collective."""
+    large = problem.solid.gradients.small and max(found.largest, found.rotation) > LARGE
     if not found.felt and not large:
         return []
-    (strain, rotation), (value, cell) = found.own, found.steepest
-    cells = np.array([cell] if cell >= 0 else [], dtype=np.int32)
-    place = mesh.compute_midpoints(domain, domain.topology.dim, cells)[:, : problem.d]
-    *_, near = max(problem.comm.allgather((value, *place.tolist())))
-    at = [float(f"{x:.3g}") for x in near]
+    strain, rotation = found.own
     others = f" (and {found.felt - 1} more)" if found.felt > 1 else ""
     seen = (
         f"{name_of(problem.bodies, [found.told])}{others}: strains of up to {strain:.1%} "
-        f"and rotations of up to {np.degrees(rotation):.1f} degrees, near {at}"
-        f"{'' if found.felt else ', are no longer small'}; the small strain leaves out "
+        f"and rotations of up to {np.degrees(rotation):.1f} degrees"
+        f"{'' if found.felt else ' are no longer small'}; the small strain leaves out "
         f"up to {found.strain:.2g}, {found.work:.1%} of the work of the stresses and "
         f"{found.lengths:.2%} of lengths"
     )
