@@ -22,7 +22,7 @@ RANKS = "DOLFINX_MORTAR_TEST_RANKS"
 # the same for any number. The slow run has what stands on that, or pairs in space. The others know
 # little of ranks, as laws and meshes, or solve many problems: at night.
 ON_TWO = """
-    agreement arguments checkpoint_files errors friction_errors mesh_audit msh problem
+    agreement checkpoint_files errors friction_errors mesh_audit msh problem
     point_terms progress regions results summary tags terms written_results
 """.split()
 SLOW_ON_THREE = """
