@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Checkpoints: a run that was stopped ends in the same numbers, on any number of ranks."""
 
-import errno
-import os
 import shutil
 
 from mpi4py import MPI
@@ -60,20 +58,6 @@ def test_the_state_comes_back_as_it_was(folder):
     for name, field in expected.items():
         sums = [COMM.allreduce(np.abs(_owned(f)).sum()) for f in (fields[name], field)]
         assert sums[0] == pytest.approx(sums[1], rel=1e-12), name
-
-
-@pytest.mark.mpi
-def test_two_and_two_steps_are_four(folder, at_once):
-    press, fresh = Press("bodies"), Press("empty")
-    list(press.walk(LEVELS[:2]))
-    press.problem.save(folder / "half.h5")
-    fresh.problem.restore(folder / "half.h5")
-    list(fresh.walk(LEVELS[2:]))
-    found = fresh.numbers()
-    assert [row[0] for row in found["history"]] == [1, 2, 1, 2]
-    for row, number in zip(found["history"], (1, 2, 3, 4), strict=True):
-        row[0] = number
-    agree(found, at_once)
 
 
 @pytest.mark.mpi
@@ -163,33 +147,6 @@ def test_a_run_that_is_restored_pairs_where_the_other_has(folder):
 
 
 @pytest.mark.slow
-def test_sides_that_no_longer_face_each_other(folder):
-    """At the begin that is a mistake of tags, later it is not."""
-
-    def away(case):
-        return lambda t: case.top.value.put([0, 1], (3.0 * t, 0.1))
-
-    press, fresh = Press(), Press()
-    list(press.walk([1.0], on_time=away(press)))
-    press.problem.save(folder / "x.h5")
-    fresh.problem.restore(folder / "x.h5")
-    assert fresh.problem.system.faced and not Press().problem.system.faced
-    for case in (press, fresh):
-        list(case.walk([1.1], on_time=away(case)))
-    agree(fresh.numbers(), press.numbers())
-
-
-def test_a_problem_may_be_restored_before_its_walk(folder):
-    """As a program does that names its files by where it starts."""
-    file, press, fresh = folder / "x.h5", Press(), Press()
-    list(press.walk(LEVELS[:2], checkpoint=file))
-    fresh.problem.restore(file)
-    assert len(fresh.problem.history) == 2
-    assert [step.number for step in fresh.walk(LEVELS[:3], checkpoint=file)] == [3]
-    assert [step.time for step in fresh.problem.history] == LEVELS[:3]
-
-
-@pytest.mark.slow
 def test_how_often(folder, monkeypatch):
     press, written = Press(), []
     monkeypatch.setattr(
@@ -238,20 +195,6 @@ def test_a_step_that_fails_writes_nothing_twice(folder, monkeypatch, limit, ever
     assert [walked for walked, _ in saved] == steps
     COMM.barrier()
     assert file.exists() == bool(steps)
-
-
-def test_a_step_that_fails_and_a_disk_that_does(folder, monkeypatch):
-    """Both are told."""
-    press = Press()
-    tire(press, 0.8, monkeypatch)
-    monkeypatch.setattr(press.problem, "save", lambda file: write_nothing(file, errno.ENOSPC))
-    with pytest.raises(OSError, match="No space left") as caught:
-        list(press.walk(checkpoint=folder / "x.h5", every=10, cuts="none"))
-    assert "load step 3 to time 1 failed" in str(caught.value.__context__)
-
-
-def write_nothing(file, number):
-    raise OSError(number, os.strerror(number), str(file))
 
 
 def tire(press, limit, monkeypatch):
@@ -337,31 +280,3 @@ def test_a_state_without_results_takes_them_away(folder):
     assert solid.max("von_mises") == solid.max("plastic_strain_norm") == 0.0
     assert not press.problem.history and not press.problem.committed.active.any()
     assert [step.number for step in press.walk(LEVELS[:1])] == [1]
-
-
-def test_ties_and_spatial_bodies(folder):
-    """What is tied has multipliers in all directions; hexahedra have several points."""
-    from tests.cases.meshes_3d import two_boxes
-
-    pairs = []
-    for _ in range(2):
-        mesh, _, facets = two_boxes(COMM)
-        V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
-        top = fem.Constant(mesh, np.zeros(3))
-        dofs = [fem.locate_dofs_topological(V, 2, facets.find(tag)) for tag in (1, 2)]
-        bcs = [fem.dirichletbc(np.zeros(3), dofs[0], V), fem.dirichletbc(top, dofs[1], V)]
-        tie = dm.Tie(facets, slave=3, master=4)
-        law = dm.VonMises(E=1000.0, nu=0.3, Y=1.0, a=50.0)
-        problem = dm.ContactProblem(dm.Solid(fem.Function(V), law), [tie], bcs=bcs)
-        pairs.append((problem, tie, top))
-    problem, tie, top = pairs[0]
-    top.value[:] = (0.002, 0.0, 0.004)
-    list(dm.load_steps(problem, [1.0]))
-    problem.save(folder / "tie.h5")
-    other, its, _ = pairs[1]
-    other.restore(folder / "tie.h5")
-    assert np.allclose(its.force, tie.force, rtol=1e-14, atol=0.0)
-    assert its.multiplier.shape == tie.multiplier.shape
-    assert np.allclose(its.multiplier, tie.multiplier, rtol=1e-14, atol=0.0)
-    assert other.solid.max("von_mises") == problem.solid.max("von_mises") > 0.0
-    assert other.solid.max("plastic_strain_norm") == problem.solid.max("plastic_strain_norm") > 0
