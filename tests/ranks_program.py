@@ -17,7 +17,7 @@ from tests.cases.meshes import BOTTOM, TOP, two_blocks
 STEEL = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
 
 
-def gather(problem) -> list:
+def gather(problem):
     """Return the displacements (n, 2 d) of all nodes with their coordinates, ordered."""
     V = problem.V
     n = V.dofmap.index_map.size_local
@@ -29,7 +29,7 @@ def gather(problem) -> list:
     return table[np.lexsort(np.round(table, 9).T[::-1])].tolist()
 
 
-def hertz() -> dict:
+def hertz():
     """Press the disc on the block."""
     case = create_case(dm.meshing.hertz(MPI.COMM_WORLD, kind="paper"))
     case.press(0.2)
@@ -44,7 +44,7 @@ def hertz() -> dict:
     }
 
 
-def blocks(partition: str) -> dict:
+def blocks(partition):
     """Press two blocks with oblique load on each other, on a given partition."""
     mesh, cells, facets = two_blocks(
         MPI.COMM_WORLD, (8, 6), (9, 7), x_upper=(0.1, 0.8), jitter=0.4, partition=partition
@@ -67,7 +67,7 @@ def blocks(partition: str) -> dict:
     }
 
 
-def friction(cell: str, partition: str) -> dict:
+def friction(cell, partition):
     """Press a block and push it, until some of it slips, with updated geometry."""
     case = friction_case.create(
         cell, friction=0.3, geometry="updated", mesh_options={"partition": partition}

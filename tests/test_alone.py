@@ -20,7 +20,7 @@ WHILE = 0.05  # seconds in which a thread that may go on does so
 def test_who_is_alone_waits_for_others_and_they_for_it(tmp_path):
     """Tests that begin while somebody waits to be alone do not come first."""
     ranks, worker, late = (Machine(tmp_path) for _ in range(3))
-    order: list[Machine] = []
+    order = []
     in_test, may_end, had_it, came_late = (Event() for _ in range(4))
 
     def test():

@@ -167,14 +167,6 @@ def test_uncovered_nodes(beyond):
 
 
 @pytest.mark.mpi
-def test_the_one_node_that_carries_what_little_is_covered():
-    """A multiplier needs somebody even there; who has one faces the master."""
-    boxes = [(0.0, 1.0, -1.0, 0.0, 4, 3), (0.999, 1.0, 0.0, 1.0, 1, 3)]
-    (found,) = create(boxes).audit().interfaces
-    assert (found.kept_nodes, found.uncovered_nodes, found.removed_nodes) == (1, 4, 0)
-
-
-@pytest.mark.mpi
 def test_double_claims():
     """A node belongs to the interface whose master it faces; one that faces both, to the first."""
     boxes = [(0.0, 1.0, -1.0, 0.0, 4, 2), (0.0, 0.4, 0.0, 1.0, 2, 2), (0.6, 1.0, 0.0, 1.0, 2, 2)]
@@ -232,30 +224,11 @@ def test_inertia_holds_light_bodies():
 
 
 @pytest.mark.mpi
-def test_a_rigid_side_has_no_gap():
-    """It holds its nodes where they are, wherever the origin of the coordinates is."""
-    domain, _, facets = create_blocks(COMM, PAIR[:1])
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    side = dm.RigidSide(facets, 11, reference=(0.5, -1.0))
-    audit = dm.ContactProblem(dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3)), [side]).audit()
-    assert "overlap" not in str(audit) and "gap" not in str(audit)
-    assert np.isnan(audit.interfaces[0].least_gap)
-
-
-@pytest.mark.mpi
 def test_body_that_nothing_holds():
     with pytest.raises(ValueError, match=r"nothing holds.*translation x.*Prescribe"):
         create(supports=((11, None),)).audit()
     # a tie holds it altogether
     assert create(supports=((11, None),), kind=dm.Tie).audit().warnings == []
-
-
-def test_the_audit_comes_before_the_first_step():
-    """A problem that the audit rejects does not start."""
-    problem = create(supports=((11, None),))
-    with pytest.raises(ValueError, match="nothing holds"):
-        dm.newton(problem)
-    assert not problem.u.x.array.any()
 
 
 def test_units_do_not_matter():
@@ -347,13 +320,11 @@ def uneven_angles(rng, n):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("geometry", ["updated", "reference"])
-@pytest.mark.parametrize(("pin", "hole"), [(31, 24), (20, 37)])
-def test_a_pin_that_may_spin(pin, hole, geometry, rng):
+def test_a_pin_that_may_spin(rng):
     """Uneven facets resist the spin of a pin in its hole a little; still nothing holds it."""
     rings = (
-        create_ring(0.4, 0.98, uneven_angles(rng, pin)),
-        create_ring(1.0, 2.0, uneven_angles(rng, hole)),
+        create_ring(0.4, 0.98, uneven_angles(rng, 31)),
+        create_ring(1.0, 2.0, uneven_angles(rng, 24)),
     )
     domain, _ = distribute(COMM, lambda: rings, "quadrilateral")
     domain.topology.create_connectivity(1, 2)
@@ -367,7 +338,7 @@ def test_a_pin_that_may_spin(pin, hole, geometry, rng):
         contact = dm.Contact(tags, slave=slave, master=master)
         solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3))
         bcs = [condition(V, tags, 1)]
-        problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
+        problem = dm.ContactProblem(solid, [contact], bcs=bcs)
         with pytest.raises(ValueError, match=r"nothing holds.*rotation about z") as caught:
             problem.audit()
         assert "translation" not in str(caught.value)

@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Contact in 3D by conjugate gradients and multigrid: the basis, the answer, the failures."""
 
-import ctypes
-
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -37,12 +34,6 @@ def random_vector(problem):
     v = problem.K.createVecRight()
     v.array[:] = np.random.default_rng(COMM.rank).standard_normal(v.local_size)
     return v
-
-
-def test_default_is_multigrid_and_the_report_says_so(solved):
-    report = solved[2]
-    assert "cg" in report.linear_solver and "gamg" in report.linear_solver
-    assert report.factorisations == 1
 
 
 def test_change_of_basis_is_undone(released):
@@ -107,28 +98,6 @@ def test_iterative_and_direct_solvers_agree(slave):
     assert np.allclose(u[0], u[1], rtol=0, atol=1e-8 * size)
 
 
-def test_the_interior_point_agrees(solved):
-    problem, contact = create_problem()
-    dm.newton(problem, qp="interior-point")
-    assert np.allclose(contact.force, solved[1].force, rtol=1e-6, atol=1e-6)
-
-
-def test_iterations_do_not_grow_with_the_mesh():
-    counts = []
-    for h in (0.5, 0.25):
-        report = dm.newton(create_problem(h=h)[0])
-        counts.append((report.qp_iterations, report.iterations[0].linear_iterations))
-    assert counts[1][0] <= counts[0][0] + 2
-    assert counts[1][1] <= 1.6 * counts[0][1]
-
-
-def test_plastic_step_reuses_the_set_up():
-    law = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
-    report = dm.newton(create_problem(law=law)[0])
-    assert report.newton_iterations > 3
-    assert report.factorisations < report.newton_iterations
-
-
 def test_smoothers_serve_later_tangents():
     """Of plastic flow: eigenvalues beyond Chebyshev's interval would make them indefinite."""
     law = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
@@ -136,15 +105,6 @@ def test_smoothers_serve_later_tangents():
     dm.newton(problem)
     counts = problem.linear.counts
     assert (counts.breakdowns, counts.factorisations) == (0, 1)
-
-
-def test_stagnating_solver_is_named(monkeypatch):
-    """A preconditioner that does nothing within a few iterations gives an error, not an answer."""
-    problem, _ = create_problem(petsc_options={"pc_type": "none"})
-    monkeypatch.setitem(MULTIGRID, "ksp_max_it", 5)
-    with pytest.raises(dm.NewtonNotConverged, match=r"residual is .* iterations"):
-        dm.newton(problem)
-    assert np.abs(problem.u.x.array).max(initial=0.0) == 0.0
 
 
 # -- where multigrid fails -------------------------------------------------------------------------
@@ -201,18 +161,6 @@ def test_load_steps_factorise_what_multigrid_cannot(solved, monkeypatch, caplog)
     assert contact.force == pytest.approx(solved[1].force, rel=1e-6, abs=1e-5)
     assert not problem.linear.direct  # the problem has the solver of its options
     assert "gamg" in dm.newton(problem).linear_solver
-
-
-@pytest.mark.usefixtures("powerless")
-def test_factorised_steps_are_those_of_a_problem_that_factorises():
-    """To round-off: K is kept in blocks in one of them, so other sums are made."""
-    found = []
-    for options in ({}, {"pc_type": "cholesky"}):
-        problem, contact, levels = ramped(petsc_options=options)
-        list(dm.load_steps(problem, [0.5, 1.0], **levels))
-        found.append(np.append(problem.u.x.array, contact.force / np.linalg.norm(contact.force)))
-    difference = np.abs(found[0] - found[1]).max()
-    assert COMM.allreduce(difference, op=MPI.MAX) <= (1e-13 if COMM.size == 1 else 1e-9)
 
 
 @pytest.mark.parametrize("options", [{"pc_type": "gamg"}, {"ksp_max_it": 1}])
@@ -304,47 +252,6 @@ def test_the_finest_level_is_the_matrix_of_the_moment(moved):
     assert (B.getDiagonal() - finest.getDiagonal()).norm() == 0.0
 
 
-def test_of_the_matrix_of_a_set_up_its_diagonal_is_kept(moved):
-    inner = moved[0].linear.setup.preconditioner.multigrid.inner
-    assert inner.getOperators()[1].getType() == "diagonal"
-
-
-def test_a_set_up_frees_matrices_at_once(monkeypatch, capfd):
-    """On several ranks PETSc keeps those without references; products keep their factors."""
-    problem, seen = moving_problem()[0], []
-
-    def watch(owner, name):
-        method = getattr(owner, name)
-
-        def watched(*args, **options):
-            capfd.readouterr()
-            PETSc.garbage_view(problem.comm)
-            ctypes.CDLL(None).fflush(None)
-            seen.append((name, capfd.readouterr().out.count("| Mat ")))
-            return method(*args, **options)
-
-        monkeypatch.setattr(owner, name, watched)
-
-    for name in ("renew", "_release"):
-        watch(Multigrid, name)
-    dm.newton(problem)
-    assert seen[0] == ("renew", 0)
-    assert seen[1][1] <= 1  # B
-
-
-@pytest.mark.parametrize(
-    "options",
-    [{"mg_levels_pc_type": "sor"}, pytest.param({"pc_type": "bjacobi"}, marks=pytest.mark.slow)],
-)
-def test_other_smoothers_and_methods_get_a_matrix(options, moved):
-    """Of B itself, in AIJ: they read more of it than its diagonal."""
-    problem, contact = moving_problem(petsc_options={"pc_type": "gamg"} | options)
-    dm.newton(problem)
-    B = problem.linear.setup.preconditioner.multigrid.inner.getOperators()[1]
-    assert B.getType().endswith("aij") and "baij" not in B.getType()
-    assert contact.force == pytest.approx(moved[1].force, rel=1e-6, abs=1e-5)
-
-
 @pytest.fixture(scope="module")
 def renewed(moved):
     """PETSc's levels after a set-up with the last contacts, of SOR, so that B is kept."""
@@ -382,16 +289,6 @@ def test_number_of_iterations():
     report = dm.newton(problem)
     assert report.factorisations == 1
     assert sum(i.linear_iterations for i in report.iterations) <= 29
-
-
-def test_the_same_matrix_is_followed_once(moved, monkeypatch):
-    linear, asked = moved[0].linear, []
-    change = linear.unknowns.change
-    monkeypatch.setattr(linear.unknowns, "change", lambda held: asked.append(held) or change(held))
-    held = linear.setup.operator.held
-    for now in (held, held, held[:0], held[:0], held):
-        linear.setup.preconditioner.follow(now)
-    assert len(asked) == 2  # the last solve was of this set
 
 
 def test_the_set_up_survives_load_steps_and_searches():

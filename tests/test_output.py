@@ -26,18 +26,18 @@ CELLS = {name: mesh.CellType[name] for name in ("triangle", "quadrilateral")}
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     return Path(COMM.bcast(str(tmp_path)))
 
 
-def polynomial(x: np.ndarray) -> np.ndarray:
+def polynomial(x):
     return 1.0 + 2.0 * x[0] - 3.0 * x[1]
 
 
 class Problem:
     """Fields that are known functions of place and time."""
 
-    def __init__(self, cell: str, degree: int) -> None:
+    def __init__(self, cell, degree):
         """Make the mesh and all Functions."""
         m = mesh.create_rectangle(COMM, [[0.0, 0.0], [2.0, 1.0]], (5, 4), CELLS[cell])
         self.solid = SimpleNamespace(V=fem.functionspace(m, ("Lagrange", degree, (2,))))
@@ -53,7 +53,7 @@ class Problem:
             "spatial": fem.Function(fem.functionspace(m, ("DG", 0, (6,)))),
         }
 
-    def output_fields(self) -> dict[str, fem.Function]:
+    def output_fields(self):
         f = self.fields
         x = ufl.SpatialCoordinate(self.solid.V.mesh)
         f["displacement"].interpolate(lambda x: np.stack([self.t * polynomial(x), -x[1]]))
@@ -82,7 +82,7 @@ EXPECTED = {  # components over the scalar y at the cell centre
 }
 
 
-def check_step(path: Path, step: int, t: float, count: int) -> None:
+def check_step(path, step, t, count):
     """Compare one step with the functions it was made of."""
     with meshio.xdmf.TimeSeriesReader(path) as reader:
         points, cells = reader.read_points_cells()

@@ -10,7 +10,7 @@ import pytest
 from programs import from_arrays, gathered
 from test_qp_friction import INF, Problem, law_holds
 
-from dolfinx_mortar.qp import BoundQP, Friction, active_set, solve
+from dolfinx_mortar.qp import Friction, active_set, solve
 
 FORCE = 0.01
 
@@ -40,7 +40,7 @@ class Belt(Problem):
         self.gap, self.rest = np.zeros(nodes), np.zeros((nodes, 1))
         self.mu, self.cohesion = np.full(nodes, mu), np.zeros(nodes)
 
-    def spread(self, comm: MPI.Comm) -> BoundQP:
+    def spread(self, comm):
         """Return it with whole nodes on each rank."""
         n = len(self.b)
         upper = np.full(n, INF)
@@ -57,7 +57,7 @@ class Belt(Problem):
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("mu", [0.1, 0.3])
-def test_a_belt_on_a_drum(mu: float) -> None:
+def test_a_belt_on_a_drum(mu):
     """It slips from one node that sticks to both ends; its tension falls as the law says."""
     belt = Belt(96, mu)
     solution = solve(belt.spread(MPI.COMM_WORLD), rtol=1e-12)

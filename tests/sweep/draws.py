@@ -13,21 +13,21 @@ Draw = dict[str, Any]
 GEOMETRIES = ["updated", "reference"]
 
 
-def draw(kind: str, seed: int) -> Draw:
+def draw(kind, seed):
     """Return the data of a random problem."""
     return KINDS[kind](np.random.default_rng([seed, list(KINDS).index(kind)]))
 
 
-def _choice(rng: np.random.Generator, *values: float) -> float:
+def _choice(rng, *values):
     return float(rng.choice(values))
 
 
-def _laws(rng: np.random.Generator, tags: range) -> dict[int, dm.Elastic | dm.VonMises]:
+def _laws(rng, tags):
     """Draw moduli over two and a half decades, also auxetic; six of ten laws are plastic.
 
     Half of the plastic ones do not harden.
     """
-    laws: dict[int, dm.Elastic | dm.VonMises] = {}
+    laws = {}
     for tag in tags:
         E, nu = float(10 ** rng.uniform(3.0, 5.7)), float(rng.uniform(-0.2, 0.49))
         if rng.uniform() < 0.6:
@@ -39,7 +39,7 @@ def _laws(rng: np.random.Generator, tags: range) -> dict[int, dm.Elastic | dm.Vo
     return laws
 
 
-def _hertz(rng: np.random.Generator) -> Draw:
+def _hertz(rng):
     """Draw a half disc on a block, pressed and perhaps pushed aside."""
     radius = float(rng.uniform(3, 20))
     kind = str(rng.choice(["paper", "graded", "graded", "graded"]))
@@ -57,7 +57,7 @@ def _hertz(rng: np.random.Generator) -> Draw:
     return {"mesh": mesh, "slave": slave, "geometry": geometry, "laws": laws} | step
 
 
-def _sphere(rng: np.random.Generator) -> Draw:
+def _sphere(rng):
     """Draw a quarter of a half ball on a block."""
     radius = float(rng.uniform(4, 12))
     core = radius * float(rng.uniform(0.1, 0.25))
@@ -74,7 +74,7 @@ def _sphere(rng: np.random.Generator) -> Draw:
     return {"mesh": mesh, "slave": slave, "geometry": geometry, "laws": laws} | step
 
 
-def _pile(rng: np.random.Generator) -> Draw:
+def _pile(rng):
     """Draw two to four wavy blocks on each other, under a displacement or a traction."""
     count = int(rng.integers(2, 5))
     right = float(rng.uniform(1, 4))
@@ -105,7 +105,7 @@ def _pile(rng: np.random.Generator) -> Draw:
     return shape | sides | step
 
 
-def _boxes3(rng: np.random.Generator) -> Draw:
+def _boxes3(rng):
     """Draw two boxes with irregular grids and a wavy interface."""
     cell = str(rng.choice(["hexahedron", "tetrahedron"]))
     lower, upper = (tuple(int(v) for v in rng.integers(1, 6, 3)) for _ in range(2))
@@ -127,14 +127,14 @@ def _boxes3(rng: np.random.Generator) -> Draw:
     return {"mesh": mesh, "wave": wave, "slave": slave, "geometry": geometry, "laws": laws} | step
 
 
-def _ring(rng: np.random.Generator) -> Draw:
+def _ring(rng):
     """Draw the half sections of a half ball and a round plate."""
     data = _hertz(rng)
     mesh = data["mesh"] | {"half": True}
     return data | {"mesh": mesh, "tilt": 0.0, "kinematics": "axisymmetric"}
 
 
-def _heated(rng: np.random.Generator) -> Draw:
+def _heated(rng):
     """Draw rings that are heated while they are pressed; half of the quadrilaterals reduced.
 
     Cooled bodies would part, and forces of contact be the round-off of those of heat.
@@ -145,14 +145,14 @@ def _heated(rng: np.random.Generator) -> Draw:
     return data | {"heat": heat, "volumetric": "reduced" if reduced else "full"}
 
 
-def _second(rng: np.random.Generator) -> Draw:
+def _second(rng):
     """Draw discs on blocks, or balls on plates, of second order on coarser meshes."""
     data = _ring(rng) if rng.uniform() < 0.3 else _hertz(rng)
     mesh = data["mesh"] | {"h": tuple(min(1.5 * h, 0.9) for h in data["mesh"]["h"])}
     return data | {"mesh": mesh, "degree": 2}
 
 
-def _second3(rng: np.random.Generator) -> Draw:
+def _second3(rng):
     """Draw two boxes of second order."""
     data = _boxes3(rng)
     mesh = data["mesh"]
@@ -160,13 +160,13 @@ def _second3(rng: np.random.Generator) -> Draw:
     return data | {"mesh": mesh | coarse, "degree": 2}
 
 
-def _mixed(rng: np.random.Generator) -> Draw:
+def _mixed(rng):
     """Draw discs on blocks, or rings, each body of another one of the newer laws."""
     data = _ring(rng) if rng.uniform() < 0.3 else _hertz(rng)
     return data | {"laws": {tag: _newer_law(rng) for tag in data["laws"]}}
 
 
-def _newer_law(rng: np.random.Generator) -> Any:
+def _newer_law(rng):
     E, nu = float(10 ** rng.uniform(3.0, 5.7)), float(rng.uniform(-0.2, 0.49))
     Y, a, H, Q = (float(E * 10 ** rng.uniform(*ends)) for ends in _EXPONENTS)
     kind = str(rng.choice(["isotropic", "mixed", "voce", "cone", "wood"]))
@@ -183,7 +183,7 @@ def _newer_law(rng: np.random.Generator) -> Any:
     return dm.VonMises(E, nu, Y, 0.0 if kind == "isotropic" else a, H)
 
 
-def _friction(rng: np.random.Generator) -> Draw:
+def _friction(rng):
     """Draw bodies of all shapes and cells that are pressed, pushed aside and pushed back.
 
     "path" holds the way of the push (lateral, and across it in space) and the share of the depth
@@ -218,7 +218,7 @@ def _friction(rng: np.random.Generator) -> Draw:
     return data | {"law": law, "geometry": geometry} | walk
 
 
-def _finite(rng: np.random.Generator) -> Draw:
+def _finite(rng):
     """Draw bodies of all shapes and cells at finite strain, pressed far and perhaps dragged.
 
     Rubber and metals, also nearly incompressible; where the cells allow it, half of them reduced.
@@ -243,7 +243,7 @@ def _finite(rng: np.random.Generator) -> Draw:
     return data | step | {"laws": laws, "volumetric": "reduced" if reduced else "full"}
 
 
-def _law_of_finite(rng: np.random.Generator) -> Any:
+def _law_of_finite(rng):
     E, nu = float(10 ** rng.uniform(0.0, 3.0)), float(rng.uniform(-0.2, 0.49))
     Y, a, H = (float(E * 10 ** rng.uniform(*ends)) for ends in _EXPONENTS_OF_FINITE)
     mu, bulk = E / 3, float(E * 10 ** rng.uniform(0.0, 3.0))
