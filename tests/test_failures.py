@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 from xml.etree import ElementTree
 
-from petsc4py import PETSc
-
 import numpy as np
 import pytest
 
@@ -30,7 +28,6 @@ def case():
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("geometry", ["updated", "reference"])
 @pytest.mark.parametrize(
     ("supports", "words"),
     [
@@ -39,15 +36,10 @@ def case():
         ([BOTTOM], ("translation x of the body around [0.5, 0.5]",)),
     ],
 )
-def test_floating_bodies_with_contact(case, geometry, supports, words):
+def test_floating_bodies_with_contact(case, supports, words):
     """A contact holds neither of the two against sliding."""
     with rejected("bcs", "nothing holds", *words, "Prescribe"):
-        dm.newton(case.problem(bcs=[case.bc(tag) for tag in supports], geometry=geometry))
-
-
-def test_floating_bodies_without_interface(case):
-    with rejected("nothing holds", "translation x of the body around [0.5, 0.5]", "Prescribe"):
-        dm.newton(case.problem([], bcs=[case.bc(BOTTOM)]))
+        dm.newton(case.problem(bcs=[case.bc(tag) for tag in supports]))
 
 
 def test_body_that_may_turn(case):
@@ -63,9 +55,8 @@ def test_body_that_may_turn(case):
 @pytest.mark.mpi
 def test_body_pulled_off_its_contact(case):
     """Held by contact and pulled away: no minimum, and no answer of 1e11 either."""
-    x_only = fem.locate_dofs_topological(case.V.sub(0), 1, case.facets.find(TOP))
-    guide = fem.dirichletbc(default_scalar_type(0), x_only, case.V.sub(0))
-    problem = case.problem(bcs=[case.bc(BOTTOM), guide], loads=case.pull((0.0, 1.0)))
+    bcs = [case.bc(BOTTOM), case.roller(TOP, 0)]
+    problem = case.problem(bcs=bcs, loads=case.pull((0.0, 1.0)))
     words = ("contact alone holds the body around [0.5, 0.5]", "moves away", "rolls")
     with failing(problem, *words):
         dm.newton(problem)
@@ -75,9 +66,8 @@ def test_body_pulled_off_its_contact(case):
 
 def test_a_hint_only_where_contact_alone_holds(case):
     """Too few iterations: what holds the bodies is mentioned only if it may be the cause."""
-    x_only = fem.locate_dofs_topological(case.V.sub(0), 1, case.facets.find(TOP))
-    guide = fem.dirichletbc(default_scalar_type(0), x_only, case.V.sub(0))
-    push = plastic(case, bcs=[case.bc(BOTTOM), guide], loads=case.pull((0.0, -2.0)))
+    bcs = [case.bc(BOTTOM), case.roller(TOP, 0)]
+    push = plastic(case, bcs=bcs, loads=case.pull((0.0, -2.0)))
     for problem, expected in ((push, True), (plastic(case), False)):
         with failing(problem, "max_it=1"):
             dm.newton(problem, max_it=1)
@@ -88,22 +78,18 @@ def test_a_hint_only_where_contact_alone_holds(case):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"ksp_type": "preonly", "pc_type": "none"},
-        {"ksp_max_it": 1, "pc_type": "none", "ksp_type": "richardson"},
-    ],
-)
-def test_useless_linear_solver(case, options):
+def test_useless_linear_solver(case):
+    options = {"ksp_type": "preonly", "pc_type": "none"}
     with rejected("linear solver", error=dm.NewtonNotConverged) as caught:
         dm.newton(case.problem(petsc_options_prefix="bad_", petsc_options=options))
     assert not caught.value.report.converged
     assert not case.u.x.array.any()
 
 
-@pytest.mark.parametrize("nonsense", [np.nan, 1e11, 0.0])
-@pytest.mark.parametrize("qp", ["active-set", "interior-point"])
+@pytest.mark.parametrize(
+    ("nonsense", "qp"),
+    [(np.nan, "active-set"), (1e11, "interior-point"), (0.0, "active-set")],
+)
 def test_linear_solver_that_returns_nonsense(case, monkeypatch, nonsense, qp):
     problem = case.problem()
 
@@ -116,32 +102,18 @@ def test_linear_solver_that_returns_nonsense(case, monkeypatch, nonsense, qp):
     assert dm.newton(problem, qp=qp).converged
 
 
-def test_foreign_options_come_back(case):
-    """A failed solve, and options that are refused, leave PETSc's options as they were."""
-    before = PETSc.Options().getAll()
-    useless = {"ksp_type": "preonly", "pc_type": "none"}
-    with pytest.raises(dm.NewtonNotConverged):
-        dm.newton(case.problem(petsc_options_prefix="bad_", petsc_options=useless))
-    with pytest.raises(ValueError, match="no_such_type"):
-        case.problem(petsc_options_prefix="bad_", petsc_options={"pc_type": "no_such_type"})
-    assert PETSc.Options().getAll() == before
-
-
 # -- Newton that does not converge
 
 
 def plastic(case, **options):
     """Return the blocks with a soft law: pressing needs several iterations."""
-    solid = dm.Solid(case.u, dm.VonMises(1000.0, 0.3, 1.0, 100.0))
-    options = {"bcs": case.bcs()} | options
-    return dm.ContactProblem(solid, [case.contact()], **options)
+    return case.problem(law=dm.VonMises(1000.0, 0.3, 1.0, 100.0), **options)
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("geometry", ["updated", "reference"])
-def test_too_few_iterations(case, geometry, tmp_path):
+def test_too_few_iterations(case, tmp_path):
     """The exception has the report; nothing else has changed; smaller steps go on from there."""
-    problem = plastic(case, geometry=geometry)
+    problem = plastic(case)
     path = case.mesh.comm.bcast(str(tmp_path / "out.xdmf"))
     with dm.Writer(path, problem) as out:
         dm.newton(problem)
@@ -180,22 +152,6 @@ def times_in(path):
 
 
 @pytest.mark.mpi
-def test_a_failed_step_leaves_no_trace(case):
-    """Retrying gives what it would have given without the failure."""
-    problem = plastic(case)
-    case.top.value[:] = (0.0, -0.05)
-    with pytest.raises(dm.NewtonNotConverged):
-        dm.newton(problem, max_it=2)
-    dm.newton(problem, rtol=1e-11)
-    other = PressedBlocks()
-    other.top.value[:] = (0.0, -0.05)
-    fresh = plastic(other)
-    dm.newton(fresh, rtol=1e-11)
-    assert np.abs(case.u.x.array - other.u.x.array).max(initial=0.0) < 1e-12
-    assert problem.contacts[0].force == pytest.approx(fresh.contacts[0].force, rel=1e-9)
-
-
-@pytest.mark.mpi
 def test_stop_by_the_user(case, monkeypatch):
     """An interrupt inside a step leaves all as it was, also what a commit would take."""
     problem = plastic(case)
@@ -216,7 +172,7 @@ def test_stop_by_the_user(case, monkeypatch):
 
 
 @pytest.mark.parametrize("qp", ["active-set", "interior-point"])
-@pytest.mark.parametrize("gap", [0.0, 1e-17, -1e-17, 1e-13, -1e-15, -1e-13, -1e-11, 0.3])
+@pytest.mark.parametrize("gap", [0.0, 1e-17, -1e-15, -1e-11, 0.3])
 def test_rest(gap, qp):
     """No load: gaps and overlaps of round-off size are solved or ignored, and raise nothing."""
     case = PressedBlocks(gap=gap, n_lower=(5, 3), n_upper=(4, 3))
@@ -281,7 +237,7 @@ def test_steps_are_cut_where_newton_fails(case, monkeypatch):
     assert all(s.report is s.parts[-1] for s in steps)
 
 
-@pytest.mark.parametrize("solvable", [0.99, 0.6, 0.3])
+@pytest.mark.parametrize("solvable", [0.99, 0.3])
 def test_no_part_is_shorter_than_the_cuts_allow(case, monkeypatch, solvable):
     """A load that cannot go on is approached by parts of 1/8 at the least, in whatever order."""
     problem, tried = plastic(case), []
@@ -320,12 +276,11 @@ class Brittle:
 
 def test_a_law_that_becomes_no_number_is_approached(case):
     """NaN in the forces is a step that was too long: it is halved, and what fits is committed."""
-    case.solid = dm.Solid(case.u, Brittle(1000.0, 0.0))
-    problem = dm.ContactProblem(case.solid, [case.contact()], bcs=case.bcs())
+    problem = case.problem(law=Brittle(1000.0, 0.0))
     with rejected("cannot be used", "last level that converged", error=dm.NewtonNotConverged):
         list(dm.load_steps(problem, [0.05, 0.5], on_time=press(case, depth=1.0), max_cuts=4))
     assert problem.committed.level >= 0.05 + 0.45 / 16
-    assert np.isfinite(case.u.x.array).all() and np.isfinite(case.solid.stress.x.array).all()
+    assert np.isfinite(case.u.x.array).all() and np.isfinite(problem.solid.stress.x.array).all()
 
 
 def test_steps_that_cannot_be_cut_further(case):
@@ -344,27 +299,6 @@ def test_steps_that_cannot_be_cut_further(case):
         list(dm.load_steps(problem, [1.0], on_time=counting, start=0.1, max_it=1, max_cuts=2))
     assert tried == pytest.approx([1.0, 0.55, 0.325])
     assert np.array_equal(case.u.x.array, after)
-
-
-def test_levels_may_fall(case):
-    """Loading and unloading: contact opens, a plastic strain stays."""
-    problem = plastic(case)
-    steps = list(dm.load_steps(problem, [0.5, 1.0, 0.5, 0.0], on_time=press(case)))
-    assert [s.time for s in steps] == [0.5, 1.0, 0.5, 0.0]
-    assert steps[1].report.certificate.active_nodes > 0
-    assert steps[3].report.certificate.active_nodes == 0
-    assert problem.contacts[0].force == pytest.approx([0.0, 0.0], abs=1e-12)
-    assert problem.solid.max("plastic_strain_norm") > 1e-3
-
-
-def test_closing_the_generator_keeps_what_is_committed(case):
-    problem = plastic(case)
-    for step in dm.load_steps(problem, [0.2, 0.4, 0.6], on_time=press(case)):
-        if step.number == 2:
-            break
-    u = case.u.x.array.copy()
-    rest = list(dm.load_steps(problem, [0.6], on_time=press(case), start=0.4))
-    assert rest[0].report.converged and not np.array_equal(u, case.u.x.array)
 
 
 # -- what the backends say, and what the terminal shows

@@ -190,18 +190,3 @@ def test_names_are_texts_of_integers(names):
         dm.Tags(facet_tags, names)
     with pytest.raises(ValueError, match="MeshTags"):
         dm.Tags(names, {"ball": 3})
-
-
-def test_the_meshes_of_the_package_have_names():
-    for made, bodies, sides in (
-        (dm.meshing.hertz(COMM), "block disc", "bottom flat top arc axis"),
-        (
-            dm.meshing.sphere(COMM, h=1.0, core=2.0),
-            "block ball",
-            "bottom flat top sphere symmetry_x symmetry_y",
-        ),
-    ):
-        assert list(made.cell_tags.names) == bodies.split()
-        assert list(made.facet_tags.names) == sides.split()
-        assert set(known(made.cell_tags)) == set(made.cell_tags.names.values())
-        assert set(known(made.facet_tags)) <= set(made.facet_tags.names.values())

@@ -34,11 +34,18 @@ class PressedBlocks:
         dofs = fem.locate_dofs_topological(self.V, 1, self.facets.find(tag))
         return fem.dirichletbc(value, dofs, self.V)
 
+    def roller(self, tag, component, value=0.0):
+        W = self.V.sub(component)
+        return fem.dirichletbc(value, fem.locate_dofs_topological(W, 1, self.facets.find(tag)), W)
+
     def bcs(self):
         return [self.bc(BOTTOM), self.bc(TOP, self.top)]
 
     def contact(self, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER, facets=None):
         return dm.Contact(self.facets if facets is None else facets, slave=slave, master=master)
+
+    def tie(self, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER, **options):
+        return dm.Tie(self.facets, slave=slave, master=master, **options)
 
     def problem(self, interfaces=None, bcs=None, law=ELASTIC, **options):
         solid = dm.Solid(self.u, law)
