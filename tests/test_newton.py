@@ -13,7 +13,6 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.newton_method.contacts import Contacts, Scales, measure
 from dolfinx_mortar.newton_method.linearisation import (
-    count_changes,
     find_balance,
     linearise,
 )
@@ -22,7 +21,6 @@ from tests.cases.block_piles import ABOVE, BELOW, EAST, PILE, WEST, Blocks
 from tests.cases.hertz import ELASTIC, PLASTIC, create_case
 from tests.cases.meshes import BOTTOM, TOP
 from tests.cases.pressed_blocks import PressedBlocks
-from tests.choice import crosswise, quick
 
 COMM = MPI.COMM_WORLD
 
@@ -31,9 +29,7 @@ COMM = MPI.COMM_WORLD
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize(
-    ("geometry", "law"), crosswise(["reference", "updated"], [ELASTIC, PLASTIC])
-)
+@pytest.mark.parametrize(("geometry", "law"), [("reference", ELASTIC), ("updated", PLASTIC)])
 def test_approach_and_separation_in_the_plane(geometry, law):
     """Through a gap, into contact and back: every step without contact ends at once."""
     case = create_case(dm.meshing.hertz(COMM, kind="paper", gap=0.06), law, geometry=geometry)
@@ -51,37 +47,11 @@ def test_approach_and_separation_in_the_plane(geometry, law):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize(
-    ("geometry", "cell"), crosswise(["updated", "reference"], ["hexahedron", "tetrahedron"])
-)
-def test_approach_in_space(geometry, cell):
-    """The same with an iterative solver: no error of a loose QP may look like a load."""
-    mesh = dm.meshing.sphere(COMM, gap=0.06, h=0.5, core=1.0, cell=cell)
-    V = fem.functionspace(mesh.mesh, ("Lagrange", 1, (3,)))
-    top = fem.Constant(mesh.mesh, 0.0)
-    zero = fem.Constant(mesh.mesh, 0.0)
-    held = [(1, i, zero) for i in range(3)] + [(2, 0, zero), (2, 1, zero), (2, 2, top)]
-    bcs = []
-    for tag, i, value in [*held, (5, 0, zero), (6, 1, zero)]:
-        dofs = fem.locate_dofs_topological(V.sub(i), 2, mesh.facet_tags.find(tag))
-        bcs.append(fem.dirichletbc(value, dofs, V.sub(i)))
-    contact = dm.Contact(mesh.facet_tags, slave=3, master=4)
-    solid = dm.Solid(fem.Function(V), PLASTIC)
-    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
-    for depth in (0.02, 0.04):
-        top.value = -depth
-        assert dm.newton(problem).newton_iterations <= 2
-        problem.commit()
-        assert np.abs(contact.force).max() < 1e-9
-    assert problem.solid.max("von_mises") < 1e-6
-
-
-@pytest.mark.mpi
 @pytest.mark.parametrize("geometry", ["updated", "reference"])
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])  # no round-off in triangles
-def test_rigid_travel_ends_at_once(cell, geometry):
+def test_rigid_travel_ends_at_once(geometry):
     """A block travels in many small steps without stress; what is left is round-off of K u."""
-    b = Blocks([(0.0, 3.0, 0.0, 0.5, 30, 5), (0.5, 1.5, 1.5, 2.0, 13, 6)], cell=cell)
+    pile = [(0.0, 3.0, 0.0, 0.5, 30, 5), (0.5, 1.5, 1.5, 2.0, 13, 6)]
+    b = Blocks(pile, cell="quadrilateral")  # no round-off in triangles
     down = fem.Constant(b.mesh, default_scalar_type(0.0))
     contact = b.join(dm.Contact, (2, BELOW), (1, ABOVE))
     bcs = [b.fix(1, BELOW), b.fix(2, ABOVE, component=0), b.fix(2, ABOVE, 1, down)]
@@ -121,8 +91,7 @@ def test_a_load_that_vanishes(gap):
     ds = ufl.Measure("ds", case.mesh, subdomain_data=case.facets)
     q = fem.Constant(case.mesh, default_scalar_type(0.0))
     v = ufl.TestFunction(case.V)
-    guide = fem.locate_dofs_topological(case.V.sub(0), 1, case.facets.find(TOP))
-    bcs = [case.bc(BOTTOM), fem.dirichletbc(default_scalar_type(0), guide, case.V.sub(0))]
+    bcs = [case.bc(BOTTOM), case.roller(TOP, 0)]
     contact = case.contact()
     problem = case.problem([contact], bcs=bcs, loads=-q * v[1] * ds(TOP))
 
@@ -228,30 +197,11 @@ def test_weak_changes_are_not_counted():
         assert dm.newton(case.problem, rtol=rtol).iterations[0].changed == changed
 
 
-@pytest.mark.mpi
-def test_a_change_counts_from_a_force_on():
-    """Nodes that close carry their reaction; what is below the limit is left out."""
-    case = create_case(dm.meshing.hertz(COMM, kind="paper"), ELASTIC, geometry="reference")
-    case.press(0.05)
-    problem = case.problem
-    lin = linearise(problem, find_balance(problem, problem.begin_step()))
-    solved = dm.qp.solve(lin.qp, linear=problem.linear, rtol=1e-12)
-    z = solved.z.array_r[lin.balance.bounds.dofs]
-    every = np.sort(np.concatenate(COMM.allgather(z[solved.active > 0])))
-    none = np.zeros_like(solved.active)
-    limits = [0.0, *(every[:-1] + every[1:]) / 2, 2.0 * every[-1]]
-    counts = [count_changes(lin, solved, none, limit) for limit in limits]
-    assert counts == [int((every > limit).sum()) for limit in limits]
-    assert counts[0] == len(every) > 2 and counts[-1] == 0
-    assert count_changes(lin, solved, solved.active, 0.0) == 0
-
-
 # -- moving geometry -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("slave", ["block", "disc"])
-@pytest.mark.parametrize("steps", quick([1, 10], 1))
-def test_a_drag_beyond_the_search_margin(slave, steps):
+def test_a_drag_beyond_the_search_margin(slave):
     """Pressed by 0.05 and dragged by 2 mm over many facets: the force is that of a disc at x = 2.
 
     Measured with new pairings in every step, either side as slave and 1 to 40 steps: 2453 N/mm.
@@ -260,10 +210,9 @@ def test_a_drag_beyond_the_search_margin(slave, steps):
     case.press(0.05)
     dm.newton(case.problem)
     case.problem.commit()
-    for x in np.linspace(0.0, 2.0, steps + 1)[1:]:
-        case.top.value[:] = (x, -0.05)
-        dm.newton(case.problem)
-        case.problem.commit()
+    case.top.value[:] = (2.0, -0.05)
+    dm.newton(case.problem)
+    case.problem.commit()
     assert case.force == pytest.approx(2453.0, rel=5e-3)
     assert abs(case.contact.force[0]) < 0.02 * case.force
     assert case.problem.system.searches > 1

@@ -102,12 +102,8 @@ def check_step(path, step, t, count):
         assert np.allclose(cell[name][0], centre[:, None] * factors)
 
 
-@pytest.mark.parametrize("degree", [pytest.param(1, marks=pytest.mark.slow), 2])
-@pytest.mark.parametrize(
-    "cell", ["triangle", pytest.param("quadrilateral", marks=pytest.mark.slow)]
-)
-def test_every_field_is_read_back_after_each_step(folder, cell, degree):
-    problem, path = Problem(cell, degree), folder / "out.xdmf"
+def test_every_field_is_read_back_after_each_step(folder):
+    problem, path = Problem("triangle", 2), folder / "out.xdmf"
     with Writer(path, problem) as out:
         for step, t in enumerate((0.25, 0.5, 1.0)):
             problem.t = t
@@ -150,30 +146,6 @@ def test_a_reader_that_keeps_the_file_open_does_not_stop_the_writer(folder):
     check_step(path, 1, 1.0, 2)
 
 
-def test_an_error_between_steps_leaves_a_readable_file(folder):
-    problem, path = Problem("triangle", 1), folder / "out.xdmf"
-    with pytest.raises(ZeroDivisionError), Writer(path, problem) as out:
-        out.write(0.0)
-        raise ZeroDivisionError
-    COMM.Barrier()
-    check_step(path, 0, 0.0, 1)
-
-
-def test_notes_are_kept_and_escaped(folder):
-    problem, path = Problem("triangle", 1), folder / "out.xdmf"
-    with Writer(path, problem, notes={"units": "mm & MPa <N/mm>"}) as out:
-        out.write(0.0)
-    note = ET.parse(path).getroot().find("Domain/Information")
-    assert note is not None and note.attrib == {"Name": "units", "Value": "mm & MPa <N/mm>"}
-
-
-def test_bad_paths_are_named_on_all_ranks(folder):
-    problem = Problem("triangle", 1)
-    for path in (folder / "out.vtu", folder / "missing" / "out.xdmf"):
-        with pytest.raises(ValueError, match=r"^path is "):
-            Writer(path, problem)
-
-
 def test_field_of_another_mesh_is_refused(folder):
     problem, other = Problem("triangle", 1), Problem("triangle", 1)
     with Writer(folder / "out.xdmf", problem) as out:
@@ -182,20 +154,15 @@ def test_field_of_another_mesh_is_refused(folder):
             out.write(0.0)
 
 
-def notes_of(path):
-    """Return the notes of a file by name."""
-    found = ET.parse(path).getroot().findall("Domain/Information")
-    return {note.attrib["Name"]: note.attrib["Value"] for note in found}
-
-
 def test_notes_of_any_json_type(folder):
     """Texts are kept as they are, other values in JSON; what is neither is named."""
     problem, path = Problem("triangle", 1), folder / "out.xdmf"
-    notes = {"E": 206900, "nu": 0.29, "laws": {"1": ["steel", None, True]}, "text": "1"}
+    notes = {"E": 206900, "nu": 0.29, "laws": {"1": ["steel", None, True]}, "text": "<&1>"}
     with Writer(path, problem, notes=notes) as out:
         out.write(0.0)
-    found = notes_of(path)
-    assert found.pop("text") == "1"
+    said = ET.parse(path).getroot().findall("Domain/Information")
+    found = {note.attrib["Name"]: note.attrib["Value"] for note in said}
+    assert found.pop("text") == "<&1>"
     assert {name: json.loads(text) for name, text in found.items()} == {
         name: notes[name] for name in found
     }
@@ -211,29 +178,31 @@ def test_wrong_arguments_are_named_at_construction(folder):
     for wrong in (None, 3, problem.solid, SimpleNamespace(solid=problem.solid)):
         with pytest.raises(ValueError, match=r"^problem is .*give a ContactProblem"):
             Writer(folder / "out.xdmf", wrong)
-    for path in (None, 3, folder / "out"):
+    for path in (None, 3, folder / "out", "a\0b.xdmf", "\ud800.xdmf", "nu\0/x.xdmf"):
         with pytest.raises(ValueError, match=r"^path is .*give the name of a file"):
+            Writer(path, problem)
+    for path in (folder / "out.vtu", folder / "missing" / "out.xdmf"):
+        with pytest.raises(ValueError, match=r"^path is "):
             Writer(path, problem)
 
 
-@pytest.mark.parametrize("t", [0.5, 0.25, np.nan, np.inf, None])
-def test_times_rise(folder, t):
+def test_times_rise(folder):
     """ParaView and others take them for an order; what is refused can be written at another one."""
     problem, path = Problem("triangle", 1), folder / "out.xdmf"
     with Writer(path, problem) as out:
         problem.t = 0.5
         out.write(0.5)
-        words = "times have to rise" if t in (0.5, 0.25) else "finite number"
-        with pytest.raises(ValueError, match=rf"^t is .*{words}"):
-            out.write(t)
+        for t in (0.5, 0.25, np.nan, np.inf, None):
+            words = "times have to rise" if t in (0.5, 0.25) else "finite number"
+            with pytest.raises(ValueError, match=rf"^t is .*{words}"):
+                out.write(t)
         problem.t = 0.75
         out.write(0.75)
     check_step(path, 0, 0.5, 2)
     check_step(path, 1, 0.75, 2)
 
 
-@pytest.mark.parametrize("number", [np.nan, np.inf])
-@pytest.mark.parametrize("name", ["displacement", "von Mises"])
+@pytest.mark.parametrize(("name", "number"), [("displacement", np.nan), ("von Mises", np.inf)])
 def test_what_is_not_finite_is_not_written(folder, name, number):
     """Told with the name of the field on all ranks, wherever it is; the file stays as it was."""
     problem, path = Problem("triangle", 1), folder / "out.xdmf"
@@ -256,12 +225,6 @@ def test_what_is_not_finite_is_not_written(folder, name, number):
         problem.output_fields = fields
         out.write(1.0)
     check_step(path, 1, 1.0, 2)
-
-
-@pytest.mark.parametrize("name", ["a\0b.xdmf", "\ud800.xdmf", "nu\0/x.xdmf"])
-def test_names_that_no_file_can_have(name):
-    with pytest.raises(ValueError, match=r"^path is .*give the name of a file"):
-        Writer(name, Problem("triangle", 1))
 
 
 def test_a_closed_writer_writes_no_more(folder):
@@ -357,18 +320,6 @@ def test_a_full_disk_leaves_what_was_written(folder):
         out.write(1.0)
     check_step(path, 0, 0.0, 2)
     check_step(path, 1, 1.0, 2)
-
-
-def test_no_space_for_the_mesh(folder):
-    problem, path = Problem("triangle", 1), folder / "out.xdmf"
-    unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2**10, unlimited[1]))
-    try:
-        with pytest.raises(OSError, match=r"no space for .*out\.h5"):
-            Writer(path, problem)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
-    Writer(path, problem).close()
 
 
 @pytest.mark.parametrize("n", [4, 90])
