@@ -17,7 +17,7 @@ from dolfinx_mortar.newton_method.contacts import Contacts, Scales, measure
 from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.report.certificate import create_certificate, operator_errors, set_results
-from tests.cases.ball import STEEL, create_problem
+from tests.cases.ball import STEEL
 from tests.cases.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
 from tests.cases.close_fits import create_shrink_fit
 from tests.cases.hertz import ELASTIC, create_case
@@ -27,7 +27,7 @@ COMM = MPI.COMM_WORLD
 
 
 def press_boxes(cell="hexahedron"):
-    """Return the certificate and the problem of two flat boxes, apart at first, turned in space."""
+    """Return the certificate of two flat boxes, apart at first, turned in space."""
     turn = rotation((1.0, 2.0, 0.5), 0.7)
     options = {"gap": 0.05, "jitter": 0.4, "turn": turn, "cell": cell}
     mesh, _, facets = two_boxes(COMM, (3, 3, 2), (4, 4, 2), **options)
@@ -39,7 +39,7 @@ def press_boxes(cell="hexahedron"):
     contact = dm.Contact(facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
     solid = dm.Solid(fem.Function(V), STEEL)
     problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry="reference")
-    return dm.newton(problem).certificate, problem
+    return dm.newton(problem).certificate
 
 
 def create_wedge():
@@ -147,24 +147,11 @@ def test_balances_where_resultants_cancel():
     assert far[1:] == pytest.approx(near[1:], rel=1e-6, abs=1e-9)
 
 
-def press_ball(slave, h):
-    """Return the certificate of the quarter ball on the block."""
-    return dm.newton(create_problem(h=h, slave=slave, depth=0.05)[0]).certificate
-
-
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
 def test_flat_interfaces_reproduce_linear_fields(cell):
-    certificate, _ = press_boxes(cell)
+    certificate = press_boxes(cell)
     assert certificate.linear_field_error < 1e-12
     assert certificate.row_sum_error < 1e-12
-
-
-def test_a_curved_slave_shows_the_angle_of_its_facets():
-    """Far from the contact the ball is millimetres off; only the facets' angles may count."""
-    assert press_ball("block", 0.5).linear_field_error < 1e-12
-    errors = [press_ball("ball", h).linear_field_error for h in (0.25, 0.125)]
-    assert errors[0] < 0.3
-    assert errors[1] < 0.75 * errors[0]
 
 
 def broken(link, choice):
@@ -174,16 +161,6 @@ def broken(link, choice):
     for j in np.flatnonzero(link.coupling.kept[:, choice])[:1]:
         P[np.flatnonzero(of_M & (p.row == j))[[0, -1]], choice] += [0.1, -0.1]
     return replace(link, coupling=replace(link.coupling, P=P))
-
-
-def test_a_broken_operator_is_seen():
-    """The row sums do not change, linear fields do."""
-    problem = press_boxes()[1]
-    linear, sums = operator_errors(
-        broken(problem.system.links[0], 0), problem.X, problem.system.facet_length
-    )
-    assert linear > 0.01
-    assert sums < 1e-12
 
 
 @pytest.mark.parametrize("component", [0, 1])

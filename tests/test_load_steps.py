@@ -39,19 +39,6 @@ def test_cuts_can_be_forbidden_and_are_told():
     assert step.report.as_dict()["cuts"] == step.report.cuts
 
 
-def test_a_second_walk_starts_where_the_first_ended():
-    case, seen = create_case(dm.meshing.hertz(COMM, kind="paper")), []
-    list(dm.load_steps(case.problem, [1.0], on_time=on_top(case)))
-
-    def on_time(t):
-        seen.append(t)
-        on_top(case)(t)
-
-    with pytest.raises(dm.NewtonNotConverged):
-        list(dm.load_steps(case.problem, [3.0], on_time=on_time, max_it=1, max_cuts=1))
-    assert seen == [3.0, 2.0]
-
-
 def generator(t):
     yield t
 

@@ -26,16 +26,14 @@ pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD
 
 
-@pytest.mark.parametrize("law", [Softening(1000.0), dm.Elastic(1000.0, 0.3)])
-def test_a_step_that_fails_says_how_laws_of_ones_own_are_judged(law):
+def test_a_step_that_fails_says_how_laws_of_ones_own_are_judged():
     case = PressedBlocks()
     case.top.value[1] = -0.3
-    options = {} if isinstance(law, Softening) else {"max_it": 1}
-    problem = case.problem(law=law)
+    problem = case.problem(law=Softening(1000.0))
     with pytest.raises(dm.NewtonNotConverged):
-        dm.newton(problem, **options)
+        dm.newton(problem)
     told = "Softening: dolfinx_mortar.materials.check tells whether the potential of a law is"
-    assert (told in problem.diagnose()[-1]) == isinstance(law, Softening)
+    assert told in problem.diagnose()[-1]
 
 
 def test_a_step_that_fails_shows_what_was_before():
@@ -92,12 +90,11 @@ def test_a_step_that_fails_lets_nothing_flow_on():
     assert solid.max("viscous_strain_norm") == viscous > 0.0
 
 
-@pytest.mark.parametrize("volumetric", [pytest.param("full", marks=pytest.mark.slow), "reduced"])
-def test_a_first_step_that_fails_shows_nothing(volumetric):
+def test_a_first_step_that_fails_shows_nothing():
     """Not even the stress that an eigenstrain will make."""
     case = PressedBlocks(cell="quadrilateral")
     law, contact = dm.VonMises(1000.0, 0.3, 5.0, 10.0), case.contact()
-    solid = dm.Solid(case.u, law, eigenstrain=1e-2, volumetric=volumetric)
+    solid = dm.Solid(case.u, law, eigenstrain=1e-2, volumetric="reduced")
     problem = dm.ContactProblem(solid, [contact], bcs=case.bcs())
     with pytest.raises(dm.NewtonNotConverged):
         dm.newton(problem, max_it=1, rtol=1e-12)
@@ -107,7 +104,6 @@ def test_a_first_step_that_fails_shows_nothing(volumetric):
 @pytest.mark.parametrize(
     ("error", "where"),
     [
-        (KeyboardInterrupt, "create_certificate"),
         (ValueError, "create_certificate"),
         (KeyboardInterrupt, "support_forces"),
     ],
@@ -283,9 +279,9 @@ def in_forces_of_one_rank(case, patch):
     case.counter.alone = True
 
 
-@pytest.mark.parametrize("done", [0, 2])
 @pytest.mark.parametrize(
-    "stop", [in_ledger, in_history, in_commit, in_forces, in_forces_of_one_rank]
+    ("stop", "done"),
+    [(in_ledger, 0), (in_history, 2), (in_commit, 0), (in_forces, 2), (in_forces_of_one_rank, 0)],
 )
 def test_a_step_in_time_that_is_stopped_when_it_is_committed(monkeypatch, stop, done):
     """The state is that before, bit by bit, and going on is as if nothing had been."""
@@ -351,8 +347,10 @@ CALLED_BY_PETSC = {
 }
 
 
-@pytest.mark.parametrize("backend", CALLED_BY_PETSC)
-@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
+@pytest.mark.parametrize(
+    ("backend", "error"),
+    [("active-set", KeyboardInterrupt), ("interior-point", MemoryError)],
+)
 def test_what_is_stopped_while_petsc_calls_back(monkeypatch, backend, error):
     """Ctrl-C is raised as such, a lack of memory is told, and the next step is as without."""
     friction = 0.2 if backend == "active-set" else None

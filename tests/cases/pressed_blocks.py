@@ -48,7 +48,7 @@ class PressedBlocks:
         return dm.Tie(self.facets, slave=slave, master=master, **options)
 
     def problem(self, interfaces=None, bcs=None, law=ELASTIC, **options):
-        solid = dm.Solid(self.u, law)
+        solid = dm.Solid(self.u, law, self.cells if isinstance(law, dict) else None)
         interfaces = [self.contact()] if interfaces is None else interfaces
         return dm.ContactProblem(
             solid, interfaces, bcs=self.bcs() if bcs is None else bcs, **options
