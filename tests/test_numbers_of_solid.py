@@ -243,16 +243,3 @@ def test_half_and_double(module, name, factor):
 )
 def test_an_absurd_factor_shows(module, name, factor):
     assert not same(module, name, factor)
-
-
-@pytest.mark.slow
-def test_what_is_usual():
-    """Nothing flows twice; what fits is accepted, what does not is named; one x is no fit."""
-    assert usual("materials.law_check") == [
-        *(False, False),
-        *("differences", "commit", "mirrored", "zero"),
-    ]
-    fits = usual("analytic")
-    assert fits[:2] == pytest.approx([10.0, 0.5]) and np.isnan(fits[2:4]).all()
-    assert np.isfinite(fits[4:]).all() and np.isfinite(usual("materials.von_mises")).all()
-    assert not any(usual("materials.von_mises")[38::29])

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The data of random problems. The order of the draws is frozen, so that seeds keep theirs."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """From the data of a random problem to the problem itself, by the public API."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -5,19 +5,15 @@ Except for the heights of smooth surfaces over facets, which the gap is measured
 normals, of which those on planes of symmetry depend on supports.
 """
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, la
 from tests.sweep import slips
 
-Floats = npt.NDArray[np.float64]
 TINY = np.finfo(float).tiny
 ON_AXIS = 1e-12  # of the coordinates
 LEAST_NORMAL = 0.1

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Does a step obey the law of friction? Judged from tractions, pressures and displacements."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from mpi4py import MPI
