@@ -3,14 +3,12 @@
 
 import fcntl
 import os
-from contextlib import contextmanager
 from pathlib import Path
-from subprocess import CompletedProcess
 from threading import Event, Thread
 
 import pytest
 
-from tests import alone, jobs
+from tests import alone
 from tests.alone import Machine
 
 pytestmark = pytest.mark.serial
@@ -60,18 +58,3 @@ def test_workers_share_the_machine_during_each_test():
         other = Machine(Path(os.environ[alone.FOLDER]))
         with pytest.raises(BlockingIOError):
             fcntl.flock(other.machine, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-@pytest.mark.parametrize("ranks", [1, 2])
-def test_jobs_on_ranks_are_alone(ranks, monkeypatch):
-    inside = []
-
-    @contextmanager
-    def have():
-        inside.append(True)
-        yield
-        inside.pop()
-
-    monkeypatch.setattr(jobs, "alone", have)
-    monkeypatch.setattr(jobs, "_ended", lambda *_: CompletedProcess("", len(inside)))
-    assert jobs.run(ranks, "-c", "").returncode == ranks - 1

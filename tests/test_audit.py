@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The audit before the first step: it reports errors of the set-up, and nothing else."""
 
-import logging
 import re
 
 from mpi4py import MPI
@@ -80,19 +79,6 @@ def test_print(capsys):
     assert lines[1].startswith("Contact(slave=13, master=21): 4 slave and 3 master facets")
     assert lines[2].startswith("warning: ") and "contact alone" in lines[2]
     assert len(lines) == 3
-
-
-@pytest.mark.mpi
-def test_log(caplog):
-    """At the start of the first step, on rank 0, warnings as such; who looks logs nothing."""
-    problem = create(supports=((11, None), (22, 0)))
-    with caplog.at_level(logging.INFO, logger="dolfinx_mortar"):
-        problem.audit()
-        for _ in range(2):
-            dm.newton(problem)
-            problem.commit()
-    levels = [record.levelname for record in caplog.records if "problem" in record.name]
-    assert levels == (["INFO", "WARNING"] if COMM.rank == 0 else [])
 
 
 @pytest.mark.parametrize(
@@ -194,19 +180,6 @@ def test_body_held_by_contact_alone():
     # the interface bends a little, so the force may lean, but no more than that
     assert problem.contacts[0].force == pytest.approx([0.0, -5.0], abs=5e-3)
     assert problem.contacts[0].force[1] == pytest.approx(-5.0, rel=1e-6)
-
-
-@pytest.mark.mpi
-def test_a_body_that_contact_keeps_from_turning():
-    """Named once, though its motion about a corner is one of three parts."""
-    domain, _, facets = create_blocks(COMM, PAIR)
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    corner = fem.locate_dofs_geometrical(V, lambda x: (x[0] < 1e-9) & (x[1] > 1 - 1e-9))
-    bcs = [condition(V, facets, 11), fem.dirichletbc(np.zeros(2), corner, V)]
-    contact = dm.Contact(facets, slave=13, master=21)
-    solid = dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3))
-    audit = dm.ContactProblem(solid, [contact], bcs=bcs).audit()
-    assert audit.held_by_contact == ["the body around [0.5, 0.5]"]
 
 
 @pytest.mark.mpi

@@ -174,17 +174,6 @@ def test_transformation_of_second_order_in_space(cell, factors, kind, rng):
 
 
 @pytest.mark.mpi
-def test_independent_interfaces_share_one_factor():
-    b = Blocks(PILE)
-    interfaces = [b.join(dm.Contact, (k, ABOVE), (k + 1, BELOW)) for k in (1, 2)]
-    problem = b.problem(interfaces, [b.fix(k, WEST) for k in (1, 2, 3)])
-    problem.audit()
-    assert len(problem.system.transformation.factors) == 1
-    T = dense_transformation(problem)
-    assert np.abs(T - expected_transformation(problem)).max() < ROUND_OFF
-
-
-@pytest.mark.mpi
 def test_rigid_motions_are_kept():
     """A common translation of all bodies has no relative part: y = R^T u with w_n = 0."""
     _, problem = chain()
@@ -216,24 +205,6 @@ def test_relative_and_transpose_are_adjoint(rng):
 
 
 @pytest.mark.mpi
-def test_second_claims_and_cycles_are_removed_and_said():
-    b = Blocks(PILE)
-    up = b.join(dm.Contact, (1, ABOVE), (2, BELOW))
-    bcs = [b.fix(k, WEST) for k in (1, 2, 3)]
-    for later, why in (
-        (b.join(dm.Contact, (2, BELOW), (1, ABOVE)), "cycle"),
-        (b.join(dm.Tie, (1, ABOVE), (2, BELOW)), "claimed by an earlier interface"),
-    ):
-        problem = b.problem([up, later], bcs)
-        audit = problem.audit()
-        assert any(why in w and repr(later) in w for w in audit.warnings), audit
-        T = dense_transformation(problem)
-        assert np.abs(T - expected_transformation(problem)).max() < ROUND_OFF
-        assert np.linalg.matrix_rank(T) == len(T)
-        assert audit.interfaces[1].kept_nodes == 0 < audit.interfaces[0].kept_nodes
-
-
-@pytest.mark.mpi
 def test_removed_nodes_come_back_when_the_cycle_is_gone():
     """Two interfaces depend on each other's slave nodes until one body has slid away."""
     b = Blocks(PILE[:2])
@@ -253,26 +224,6 @@ def test_removed_nodes_come_back_when_the_cycle_is_gone():
         banned = problem.system.link(down).banned
         assert banned[everywhere].any() != gone or everywhere.size == 0
         assert any("cycle" in note for note in problem.system.notes) != gone
-
-
-@pytest.mark.mpi
-def test_sides_that_turn_away_have_no_pairs_for_a_while():
-    """No error in a search that another interface calls for: nothing is constrained meanwhile."""
-    b = Blocks(PILE[:2])
-    contact = b.join(dm.Contact, (1, ABOVE), (2, BELOW))
-    problem = b.problem([contact], [b.fix(1, BELOW), b.fix(2, ABOVE)])
-    problem.audit()
-    upper = fem.locate_dofs_topological(b.V, 2, b.cells.find(2))
-    x = b.V.tabulate_dof_coordinates()[upper, :2]
-    for turned in (True, False):
-        b.u.x.array.reshape(-1, 2)[upper] = turned * 2 * (np.array([0.5, 1.0]) - x)  # half a turn
-        problem.update_geometry()
-        (link,) = problem.system.links
-        kept = COMM.allreduce(int(link.coupling.kept.sum()))
-        assert kept == (0 if turned else 4)
-        T = dense_transformation(problem)
-        assert np.abs(T - expected_transformation(problem)).max() < ROUND_OFF
-        assert (np.abs(T - np.eye(len(T))).max() > 0.1) != turned
 
 
 @pytest.mark.mpi

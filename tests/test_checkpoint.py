@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.steps import walk as stepping
 from tests.cases.pressed_blocks import rejected
 from tests.checkpoint_program import LEVELS, Press
 from tests.checkpoint_runs import agree, numbers_at_once
-from tests.choice import quick
 
 COMM = MPI.COMM_WORLD
 
@@ -114,20 +112,6 @@ def test_a_walk_that_is_done_yields_nothing(folder, caplog):
             list(Press().walk(others, checkpoint=file))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("factor", quick([0.5, 1.0, 2.0], 0.5))
-def test_levels_are_the_same_up_to_round_off(factor, folder, monkeypatch):
-    """So that a walk goes farther with levels that are calculated in another way."""
-    monkeypatch.setattr("dolfinx_mortar.steps.walk.SAME", factor * 1e-12)
-    file, farther = folder / "x.h5", np.linspace(0.0, 1.0, 11)[1:5]
-    first = [0.1, 0.2, 0.3]
-    assert farther[2] != first[2]
-    list(Press().walk(first, checkpoint=file))
-    assert [step.number for step in Press().walk(farther, checkpoint=file)] == [4]
-    with rejected("times: level 3 is 0.300001"):
-        next(Press().walk([0.1, 0.2, 0.300001, 0.4], checkpoint=file))
-
-
 def test_a_run_that_is_restored_pairs_where_the_other_has(folder):
     """Pairs and claims depend on where the search was made, so a checkpoint says where."""
     press, fresh = Press(), Press()
@@ -144,17 +128,6 @@ def test_a_run_that_is_restored_pairs_where_the_other_has(folder):
     assert (press.problem.system.searches, fresh.problem.system.searches) == (before, 2)
     first, other = (case.problem.committed.paired for case in (press, fresh))
     assert np.array_equal(first, other)
-
-
-@pytest.mark.slow
-def test_how_often(folder, monkeypatch):
-    press, written = Press(), []
-    monkeypatch.setattr(
-        press.problem, "save", lambda file: written.append(press.problem.history[-1].time)
-    )
-    levels = [0.01, 0.02, 0.03, 0.04, 0.05]
-    list(press.walk(levels, checkpoint=folder / "x.h5", every=2, rtol=1e-6))
-    assert written == [0.02, 0.04, 0.05]
 
 
 def test_what_the_body_of_the_loop_has_not_done_is_done_again(folder):
@@ -229,39 +202,6 @@ def test_a_step_that_is_not_committed_is_not_saved(folder):
         press.problem.save(folder / "open.h5")
     press.problem.commit()
     press.problem.save(folder / "open.h5")
-
-
-def test_what_changes_between_steps_comes_from_the_program(folder):
-    """Temperature and stiffness: `on_time` sets them for the level of the checkpoint."""
-
-    class Heated(Press):
-        def __init__(self, partition="graph"):
-            super().__init__(partition)
-            self.E, self.a, self.heat = (
-                fem.Constant(self.mesh, default_scalar_type(v)) for v in (2e5, 10_000.0, 0.0)
-            )
-            law, heat = dm.VonMises(E=self.E, nu=0.29, Y=300.0, a=self.a), self.heat
-            solid = dm.Solid(self.problem.u, law, eigenstrain=heat)
-            self.problem = dm.ContactProblem(solid, [self.contact], bcs=self.problem.bcs)
-
-        def on_time(self, t):
-            super().on_time(t)
-            self.heat.value, self.E.value, self.a.value = 1e-3 * t, 2e5 - 5e4 * t, 1e4 + 1e4 * t
-
-        def numbers(self):
-            return super().numbers() | {"back": [self.problem.solid.max("back_stress_norm")]}
-
-    whole, part, rest = Heated(), Heated(), Heated("stripes")
-    list(whole.walk(LEVELS[:3]))
-    list(part.walk(LEVELS[:2], checkpoint=folder / "hot.h5"))
-    shown = part.numbers()
-    walk = rest.walk(LEVELS[:3], checkpoint=folder / "hot.h5")
-    assert next(walk).number == 3
-    agree(rest.numbers(), whole.numbers())
-    cold = Heated()
-    assert list(cold.walk(LEVELS[:2], checkpoint=folder / "hot.h5")) == []
-    assert shown["back"][0] > 0.0
-    agree(cold.numbers(), shown)
 
 
 @pytest.mark.mpi

@@ -11,7 +11,6 @@ import json
 import logging
 import re
 import sys
-import typing
 from pathlib import Path
 
 import pytest
@@ -190,38 +189,6 @@ def test_every_name_of_the_pages_exists():
     assert not missing(roles | spoken | described())
 
 
-OF_GLOSSARY = {
-    "contact": dm.Contact,
-    "mortar": assembly.Mortar,
-    "problem": dm.ContactProblem,
-    "report": dm.StepReport,
-    "solid": dm.Solid,
-    "step": dm.LoadStep,
-    "tie": dm.Tie,
-}
-
-
-def attributes_of(kind):
-    """Return the names that an object of a class has, by its methods, hints and __init__."""
-    if dataclasses.is_dataclass(kind):
-        return {*dir(kind), *typing.get_type_hints(kind)}
-    return {*dir(kind), *re.findall(r"self\.(\w+)\b", inspect.getsource(kind.__init__))}
-
-
-def test_every_name_of_the_glossary_exists():
-    """Attributes of the objects that it starts from, and arguments by their names."""
-    text = (DOCS / "glossary.md").read_text()
-    attributes = re.findall(r"`(\w+)\.(\w+)(?:\.(\w+))?`", text)
-    of_objects = [row for row in attributes if row[0] in OF_GLOSSARY]
-    assert len(of_objects) > 25
-    for thing, name, _ in of_objects:
-        assert name in attributes_of(OF_GLOSSARY[thing]), (thing, name)
-    makers = (dm.Contact, dm.Tie, dm.Solid, dm.ContactProblem, dm.newton, dm.load_steps)
-    known = {name for maker in makers for name in inspect.signature(maker).parameters}
-    arguments = set(re.findall(r"`(\w+)=[^`]*`", text))
-    assert len(arguments) > 8 and arguments <= known
-
-
 def test_files_and_tests_that_pages_name_exist():
     named = r"`((?:docs|tests|demos|benchmarks|containers|dolfinx_mortar|paper)/[\w./]*\w)"
     files = {f for p in SOURCES for f in re.findall(named, p.read_text())}
@@ -263,15 +230,6 @@ def test_the_verification_manual_is_of_this_version_and_close():
             assert abs(row["ours"] / row["reference"] - 1) < 0.05, row
     names = [f"{c['problem']}: {r['quantity']}" for c in found["cases"] for r in c["rows"]]
     assert len(names) == len(set(names)) >= 20
-
-
-def test_the_table_of_ranks_is_the_measured_one():
-    measured = json.loads((ROOT / "benchmarks" / "measured" / "scaling_3d.json").read_text())
-    said = (ROOT / "benchmarks" / "README.md").read_text()
-    for r in measured["weak"]:
-        row = [r["ranks"], r["unknowns"], f"{r['cpu']:.1f}", r["newton"], r["krylov"]]
-        row += [f"{r['messages']:.0f}", f"{r['bytes'] / 1e6:.0f}", f"{r['reductions']:.0f}"]
-        assert f"| {' | '.join(map(str, row))} |" in said
 
 
 # -- the build -------------------------------------------------------------------------------------
@@ -336,27 +294,6 @@ def test_a_notebook_is_flat_and_whole(demo, tmp_path):
         compile(text.partition("\n")[2] if text.startswith("%%") else text, demo, "exec")
     assert "parse_args([])" in "".join(code) and "def main(" not in "".join(code)
     assert "display(Image" in code[-1] and len(cells[-1]["outputs"]) == 1
-
-
-@pytest.mark.parametrize("example", sorted(path.stem for path in ROOT.glob("examples/*.py")))
-def test_an_example_is_shown_as_it_is(example, tmp_path):
-    """Page and notebook have its text and its lines, no function main(), and its picture."""
-    gallery = tool("gallery")
-    (shown,) = (one for one in gallery.EXAMPLES if one.name == example)
-    source = gallery.program(shown).read_text()
-    parts = gallery.paragraphs(gallery.text_of(shown))
-    code = "\n\n".join(lines for kind, lines in parts if kind == "code")
-    lines = [line for line in source.splitlines() if line and not line.startswith("#")]
-    assert [line for line in code.splitlines() if line] == lines
-    page = gallery.page(shown, tmp_path)
-    assert page.startswith("# ") and f"containers/run python3 examples/{example}.py" in page
-    (tmp_path / next(iter(shown.pictures))).write_bytes(b"drawn")
-    gallery.notebook(shown, tmp_path / "example.ipynb", tmp_path)
-    cells = json.loads((tmp_path / "example.ipynb").read_text())["cells"]
-    assert cells[0]["source"].startswith("# ") and len(cells[-1]["outputs"]) == 1
-    for cell in cells:
-        if cell["cell_type"] == "code":
-            compile(cell["source"], example, "exec")
 
 
 @pytest.mark.serial

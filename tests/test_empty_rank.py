@@ -9,9 +9,8 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from dolfinx_mortar.supports.bodies import find_bodies
 from dolfinx_mortar.terms.weak_forms import check_form
-from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, RIGHT, TOP, TOP_OF_LOWER, two_blocks
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
 from tests.cases.meshes_3d import two_boxes
 
 COMM = MPI.COMM_WORLD
@@ -68,14 +67,6 @@ def test_loads_with_the_displacement_are_refused_also_where_a_rank_has_no_values
     for inside in (u[1], u.sub(1)):
         with pytest.raises(ValueError, match=r"^loads contain the displacement"):
             check_form(u, "loads", -inside * v[1] * ds(TOP), arguments=1, dead=True)
-
-
-def test_bodies_are_counted_without_the_empty_rank():
-    mesh, _, facets = two_blocks(COMM, (5, 2), (7, 2), gap=0.1, partition="empty")
-    bodies = find_bodies(fem.functionspace(mesh, ("Lagrange", 1, (2,))))
-    assert bodies.count == 2
-    assert np.abs(np.sort(bodies.centre[:, 1]) - [-0.5, 0.6]).max() < 1e-12
-    assert COMM.allreduce(len(facets.find(LEFT)) + len(facets.find(RIGHT))) == 8
 
 
 def test_operators_with_a_rank_that_has_nothing():

@@ -212,31 +212,6 @@ def press(case, depth=0.05):
     return on_time
 
 
-@pytest.mark.mpi
-def test_steps_are_cut_where_newton_fails(case, monkeypatch):
-    """Newton gets one iteration in steps above 0.16: they fail, and are halved until they fit."""
-    problem, level, reached = plastic(case), [0.0], [0.0]
-
-    def on_time(t):
-        level[0] = t
-        press(case)(t)
-
-    solve = stepping.solve_step
-
-    def short_of_breath(problem, **options):
-        wide = abs(level[0] - reached[0]) > 0.16
-        report = solve(problem, **(options | {"max_it": 1} if wide else options))
-        reached[0] = level[0]
-        return report
-
-    monkeypatch.setattr(stepping, "solve_step", short_of_breath)
-    steps = list(dm.load_steps(problem, [0.1, 0.6, 0.0], on_time=on_time))
-    assert [(s.number, s.time) for s in steps] == [(1, 0.1), (2, 0.6), (3, 0.0)]
-    assert [len(s.parts) for s in steps] == [1, 4, 4]
-    assert all(part.converged for s in steps for part in s.parts)
-    assert all(s.report is s.parts[-1] for s in steps)
-
-
 @pytest.mark.parametrize("solvable", [0.99, 0.3])
 def test_no_part_is_shorter_than_the_cuts_allow(case, monkeypatch, solvable):
     """A load that cannot go on is approached by parts of 1/8 at the least, in whatever order."""

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Linear solves with held unknowns: options, reuse and renewal of factorisations, failures."""
 
-import weakref
-
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -15,7 +13,6 @@ from dolfinx_mortar.qp import (
     LinearSolveFailed,
     LinearSolver,
     check_options,
-    solve,
 )
 from dolfinx_mortar.qp.preconditioner import Renewal
 
@@ -244,12 +241,6 @@ def test_tolerances_of_the_iteration_are_of_no_use(qp, database):
     assert linear.options.unread() == ["ksp_atol", "ksp_divtol", "ksp_rtol"]
 
 
-def test_tolerances_of_the_iteration_reach_tao(qp):
-    linear = LinearSolver(COMM, prefix="within_", options={"ksp_rtol": 1e-9})
-    solve(qp, "interior-point", linear)
-    assert linear.options.unread() == []
-
-
 def test_options_of_methods_that_are_used_are_not_named(qp):
     """Also those that PETSc reads at a set-up only; our own defaults are nobody's mistake."""
     for in_space in (False, True):  # before anything is solved
@@ -261,13 +252,6 @@ def test_options_of_methods_that_are_used_are_not_named(qp):
     for linear in (direct, multigrid):
         solved(linear, qp, none())
         assert linear.options.unread() == []
-
-
-def test_an_option_that_the_database_overrides_is_not_named(qp, database):
-    database["over_pc_type"] = "jacobi"
-    linear = LinearSolver(COMM, prefix="over_", options={"pc_type": "lu"})
-    solved(linear, qp, none())
-    assert linear.options.unread() == []
 
 
 # -- when to renew
@@ -290,24 +274,6 @@ def test_multigrid_is_renewed_for_the_sum_of_what_an_old_one_has_cost():
 
 
 # -- what is left afterwards
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("pc", ["cholesky", "gamg"])
-def test_clear_frees_the_matrices_and_the_factorisation(qp, pc):
-    """Nobody but this test holds them afterwards: not the KSP's PC, nor that of multigrid."""
-    linear = LinearSolver(COMM, prefix="clear_", options={"pc_type": pc})
-    solved(linear, qp, qp.bounded)
-    preconditioner, operator = linear.setup.preconditioner, weakref.ref(linear.setup.operator)
-    outer, inner = linear.setup.ksp.getPC(), preconditioner.pc
-    matrices = {
-        "cholesky": lambda: (inner.getFactorMatrix(), inner.getOperators()[1]),
-        "gamg": lambda: (outer.getOperators()[0], inner.getOperators()[1]),
-    }[pc]()
-    linear.clear()
-    assert [matrix.getRefCount() for matrix in matrices] == [1, 1]
-    del preconditioner
-    assert operator() is None
 
 
 def test_a_description_outlives_its_matrix(qp):

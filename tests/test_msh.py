@@ -148,9 +148,8 @@ def cut(model):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("version", [2.2, 4.1])
-def test_partitions_of_a_file_are_left_out(version):
-    options = {"MshFileVersion": version, "PartitionCreateGhostCells": 1}
+def test_partitions_of_a_file_are_left_out():
+    options = {"PartitionCreateGhostCells": 1}
     with msh_file(squares) as file:
         whole = dm.meshing.read_msh(file)
     with msh_file(cut, **options) as file:
@@ -209,35 +208,6 @@ def test_version_2_without_tags_of_geometry():
     )
     assert sizes(mesh, cell_tags, "dx") == pytest.approx({"a": 1.0, "b": 2.0})
     assert sizes(mesh, facet_tags, "ds") == pytest.approx({"right of a": 1.0, "left of b": 1.0})
-
-
-@pytest.mark.mpi
-def test_a_contact_problem_in_names():
-    """Two bars under uniform pressure, E d / 2; gmsh is as it was found, and not running."""
-    with msh_file(squares, RecombineAll=1) as file:
-        mesh, cell_tags, facet_tags = dm.meshing.read_msh(file, COMM)
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    u = fem.Function(V)
-    laws = {"low": dm.Elastic(E=100.0, nu=0.0), 12: dm.Elastic(E=200.0, nu=0.0)}
-    solid = dm.Solid(u, laws, cell_tags, eigenstrain={"low": 0.0, "up": 0.0})
-    bcs = [
-        fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, facet_tags.find(side)), V)
-        for side, value in (("bottom", np.zeros(2)), (9, np.array([0.0, -0.01])))
-    ]
-    force = {}
-    for slave, master in (("slave", "master"), (5, 7), ("master", 5)):
-        u.x.array[:] = 0.0
-        contact = dm.Contact(facet_tags, slave=slave, master=master)
-        problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry="reference")
-        dm.newton(problem, rtol=1e-10)
-        force[slave] = contact.force[1]
-    assert force["slave"] == pytest.approx(force[5], rel=1e-12)
-    assert force["slave"] == pytest.approx(-force["master"], rel=0.05)
-    assert repr(contact) == "Contact(slave='master', master='slave')"
-    assert repr(dm.Tie(facet_tags, slave=9, master="slave")) == "Tie(slave=9, master='slave')"
-    assert "slave='master', master='slave'" in str(problem.audit())
-    D = dm.assemble_mortar(V, facet_tags, slave="slave", master="master").D
-    assert D.norm() == dm.assemble_mortar(V, facet_tags, slave=5, master=7).D.norm() > 0
 
 
 # -- files that are refused

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.algebra.congruence import Congruence
 from dolfinx_mortar.qp import MULTIGRID
 from dolfinx_mortar.qp.preconditioner import Multigrid
 from tests.cases.ball import create_problem
@@ -23,66 +22,10 @@ def solved():
     return problem, contact, dm.newton(problem)
 
 
-@pytest.fixture(scope="module", params=[("hexahedron", 1), ("tetrahedron", 2)])
-def released(request):
-    """The same, also with middles of facets that lean on their ends."""
-    problem, contact = create_problem(cell=request.param[0], degree=request.param[1])
-    return problem, contact, dm.newton(problem)
-
-
 def random_vector(problem):
     v = problem.K.createVecRight()
     v.array[:] = np.random.default_rng(COMM.rank).standard_normal(v.local_size)
     return v
-
-
-def test_change_of_basis_is_undone(released):
-    problem = released[0]
-    y = random_vector(problem)
-    u = y.duplicate()
-    problem.system.transformation.apply(y, u)
-    back = problem.system.transformation.inverse(u)
-    back.axpy(-1.0, y)
-    assert back.norm() < 1e-12 * y.norm()
-
-
-def test_released_basis_is_consistent(released):
-    """Energies in both unknowns agree for y = (I - E) v; motions are the same displacements."""
-    problem = released[0]
-    held = (3 * np.flatnonzero(problem.committed.active)).astype(np.int32)
-    motion = random_vector(problem)
-    T = problem.system.transformation
-    C, E = T.uncouple(held)
-    A, B = T.transform(problem.K), Congruence(problem.K, C).product
-    for v in (random_vector(problem), T.uncoupled(motion, E)):
-        y = v.copy()
-        y.axpy(-1.0, E * v)
-        assert v.dot(B * v) == pytest.approx(y.dot(A * y), rel=1e-11)
-    back = y.duplicate()
-    T.apply(y, back)
-    back.axpy(-1.0, motion)
-    assert back.norm() < 1e-12 * motion.norm()
-
-
-def test_near_null_space_strains_nothing(released):
-    """Rigid motions have no force in v at unknowns away from those that are held."""
-    problem = released[0]
-    unknowns = problem.linear.unknowns
-    T, held = problem.system.transformation, np.zeros(0, dtype=np.int32)  # all contacts are open
-    motions = unknowns.motions(unknowns.change(held))
-    decoupled = unknowns.operator.decoupled
-    A = Congruence(problem.K, T.uncouple(decoupled)[0]).product
-    mark = random_vector(problem)
-    mark.array[np.setdiff1d(np.arange(mark.local_size), decoupled)] = 0.0
-    far = (A * mark).array_r == 0.0
-    contact = problem.contacts[0]
-    slave = 3 * problem.system.link(contact).nodes
-    assert COMM.allreduce(int(far[slave].sum())) > 0
-    assert len(motions) == 6
-    for motion in motions:
-        force = A * motion
-        assert np.abs(force.array_r[far]).max(initial=0.0) < 1e-12 * A.norm() * motion.norm()
-        assert not motion.array_r[decoupled].any()
 
 
 @pytest.mark.parametrize("slave", ["block", "ball"])
@@ -96,15 +39,6 @@ def test_iterative_and_direct_solvers_agree(slave):
     assert np.allclose(forces[0], forces[1], rtol=0, atol=1e-7 * np.abs(forces[1]).max())
     size = COMM.allreduce(np.abs(u[1]).max(), op=MPI.MAX)
     assert np.allclose(u[0], u[1], rtol=0, atol=1e-8 * size)
-
-
-def test_smoothers_serve_later_tangents():
-    """Of plastic flow: eigenvalues beyond Chebyshev's interval would make them indefinite."""
-    law = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
-    problem, _ = create_problem(h=0.35, law=law)
-    dm.newton(problem)
-    counts = problem.linear.counts
-    assert (counts.breakdowns, counts.factorisations) == (0, 1)
 
 
 # -- where multigrid fails -------------------------------------------------------------------------
@@ -250,33 +184,6 @@ def test_the_finest_level_is_the_matrix_of_the_moment(moved):
     found = finest * v
     assert (found - expected).norm() < 1e-12 * found.norm()
     assert (B.getDiagonal() - finest.getDiagonal()).norm() == 0.0
-
-
-@pytest.fixture(scope="module")
-def renewed(moved):
-    """PETSc's levels after a set-up with the last contacts, of SOR, so that B is kept."""
-    problem, _ = moving_problem(petsc_options={"pc_type": "gamg", "mg_levels_pc_type": "sor"})
-    problem.u.x.array[:] = moved[0].u.x.array
-    problem.begin_step()
-    problem.terms.assemble_tangent(problem.K)
-    problem.follow_geometry()
-    held = moved[0].linear.setup.operator.held
-    assert COMM.allreduce(held.size) > 0
-    problem.linear.set_matrix(problem.operator.matrix)
-    problem.linear.factorise(held)
-    return problem, problem.linear.setup.preconditioner.multigrid.inner
-
-
-def test_coarse_matrices_are_galerkin_products(renewed):
-    """P^T A P, also of the entries between bodies."""
-    problem, inner = renewed
-    A = problem.linear.unknowns.operator.matrix.copy()
-    B = inner.getOperators()[1]
-    assert (A - B).norm() < 1e-13 * A.norm()
-    for level in range(inner.getMGLevels() - 1, 0, -1):
-        A = A.ptap(inner.getMGInterpolation(level))
-        found = inner.getMGSmoother(level - 1).getOperators()[0]
-        assert (A - found).norm() < 1e-12 * A.norm()
 
 
 def test_number_of_iterations():

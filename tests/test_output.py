@@ -134,18 +134,6 @@ def test_cells_have_their_area_and_vtk_order(folder, cell, degree):
     assert len(points) == (5 * degree + 1) * (4 * degree + 1)
 
 
-def test_a_reader_that_keeps_the_file_open_does_not_stop_the_writer(folder):
-    problem, path = Problem("triangle", 1), folder / "out.xdmf"
-    with Writer(path, problem) as out:
-        out.write(0.0)
-        with meshio.xdmf.TimeSeriesReader(path) as reader:
-            reader.read_points_cells()
-            COMM.Barrier()
-            problem.t = 1.0
-            out.write(1.0)
-    check_step(path, 1, 1.0, 2)
-
-
 def test_field_of_another_mesh_is_refused(folder):
     problem, other = Problem("triangle", 1), Problem("triangle", 1)
     with Writer(folder / "out.xdmf", problem) as out:

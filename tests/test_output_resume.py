@@ -15,7 +15,6 @@ import dolfinx_mortar as dm
 from dolfinx_mortar.output.xdmf import Step, insert
 from tests import checkpoint_program
 from tests.cases.pressed_blocks import rejected
-from tests.checkpoint_program import LEVELS
 
 meshio = pytest.importorskip("meshio")
 pytest.importorskip("h5py")
@@ -106,36 +105,6 @@ def test_who_begins_anew_mixes_nothing(folder, at_once):
     COMM.barrier()
     stopped(folder, stop=1)
     same(content(folder), at_once[:2])
-
-
-def two_walks(folder, stop=None):
-    """Run a program of two walks with a file each, which writes between them, too."""
-    press = Press()
-    with dm.Writer(folder / "out.xdmf", press.problem, resume=True) as out:
-        for name, levels in (("a.h5", LEVELS[:2]), ("b.h5", LEVELS[2:])):
-            for _ in press.walk(levels, checkpoint=folder / name, **OPTIONS):
-                out.write(len(press.problem.history))
-                if len(press.problem.history) == stop:
-                    sys.exit()
-            out.write(len(press.problem.history) + 0.5)
-    COMM.barrier()
-
-
-def test_what_is_written_between_two_walks(folder):
-    """In the second run first of a state that is not the last that the first one has saved."""
-    two_walks(folder)
-    expected = content(folder)
-    assert [time for time, _ in expected] == [1, 2, 2.5, 3, 4, 4.5]
-    COMM.barrier()
-    if COMM.rank == 0:
-        for file in folder.iterdir():
-            file.unlink()
-    COMM.barrier()
-    with pytest.raises(SystemExit):
-        two_walks(folder, stop=4)
-    COMM.barrier()
-    two_walks(folder)
-    same(content(folder), expected)
 
 
 @pytest.mark.mpi

@@ -18,7 +18,6 @@ from dolfinx_mortar.qp.linear import LinearSolveFailed
 from dolfinx_mortar.qp.preconditioner import set_apart
 
 COMM, COMM_SELF = MPI.COMM_WORLD, MPI.COMM_SELF
-INF = np.inf
 
 
 @pytest.mark.mpi

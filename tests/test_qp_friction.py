@@ -191,18 +191,6 @@ def test_what_friction_alone_holds(force, held):
             solve(p.qp())
 
 
-@pytest.mark.parametrize(("t", "drag"), [(1, 0.1), (2, 0.001)])
-def test_where_given_friction_is_all_that_acts(t, drag):
-    """Open nodes that have slipped are dragged by it: no other force tells what round-off is."""
-    p = Problem(3, 3, t, mu=0.0, cohesion=drag)
-    p.b[:], p.gap[:], p.rest[:] = 0.0, 5.0, -4.0
-    solution = solve(p.qp(), rtol=1e-12)
-    law_holds(p, solution.x.array_r, solution.z.array_r)
-    dragged = np.linalg.norm(solution.z.array_r[p.tangential], axis=1)
-    assert dragged == pytest.approx(drag, rel=1e-9)
-    assert solution.linearisation == "exact linearisation"
-
-
 @pytest.mark.mpi
 def test_ranks_agree_with_one():
     """Blocks of nodes on all ranks, coupled to each other."""

@@ -12,7 +12,6 @@ from programs import gathered, membrane
 
 from dolfinx_mortar import qp as qp_package
 from dolfinx_mortar.qp import LinearSolver, QPNotSolved, solve
-from dolfinx_mortar.qp.preconditioner import RENEWAL_COST, Renewal
 
 COMM = MPI.COMM_WORLD
 
@@ -98,18 +97,3 @@ def two_tangents(backend, pc):
     second = solve(qp, backend, linear, start_active=first.active, rtol=1e-11)
     costs = [first.updates, second.updates, linear.counts.iterations, linear.counts.factorisations]
     return gathered(second.z), costs
-
-
-def test_levels_of_an_elastic_tangent_serve_a_plastic_step():
-    """RENEWAL_COST: new levels of a flowing body take 20 iterations where it was elastic in 10.
-
-    So of the excess over 10 that old ones have, 24 iterations, a set-up would save a small part.
-    """
-    renewal = Renewal(RENEWAL_COST["iterative"], direct=False)
-    renewal.learn(np.logspace(0.0, -6.0, 1 + 10).tolist(), stale=False)
-    for _ in range(5):  # Newton iterations of a step
-        assert not renewal.is_far(0)
-        renewal.learn(np.logspace(0.0, -6.0, 1 + 24).tolist(), stale=True)
-    assert not renewal.is_far(0)
-    renewal.learn(np.logspace(0.0, -6.0, 1 + 24).tolist(), stale=True)
-    assert renewal.is_far(0)

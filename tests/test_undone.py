@@ -146,20 +146,6 @@ def test_a_step_that_is_stopped_when_its_results_are_set(monkeypatch, error, whe
     assert unchanged()
 
 
-def test_a_step_that_was_taken_back_is_never_committed():
-    """Its displacement reset, not even a second commit takes over its slips and contacts."""
-    case = friction_case.create(friction=0.3)
-    problem, committed = case.problem, case.problem.committed
-    case.solve(0.005, -0.01)
-    before, u = committed.slid.copy(), problem.u.x.array.copy()
-    case.push(0.02, -0.011)
-    dm.newton(problem)
-    problem.u.x.array[:] = u
-    for _ in range(2):
-        problem.commit()
-        assert np.array_equal(committed.slid, before)
-
-
 # -- steps that are stopped while they are committed ---------------------------------------------
 
 
