@@ -47,7 +47,7 @@ NUMBERS = {
 SHARED = {
     "analytic": {"HALF_OF_DIGITS": (1e8,)},  # without it polyfit warns
     # a smaller one costs an iteration
-    "materials.plane_stress": {"HALF_OF_DIGITS": (1e7,), "LIMIT": (0.02,)},
+    "materials.response": {"HALF_OF_DIGITS": (1e7,), "LIMIT": (0.02,)},
     "materials.von_mises": {"EPS": (0.0, 1e14), "SERIES_BELOW": (0.01, 100.0)},
     "solid.kinematics": {"ROUND_OFF": (0.0, 2e13)},
 }
@@ -194,7 +194,7 @@ OBSERVE = {
     "solid.kinematics": observe_axis,
     "materials.von_mises": lambda: [*observe_omega(), *observe_law()],
     "materials.law_check": observe_check,
-    "materials.plane_stress": observe_plane_stress,
+    "materials.response": observe_plane_stress,
     "analytic": observe_fit,
 }
 

@@ -36,10 +36,10 @@ LAYERS = (
 PACKAGE = Path(dm.__file__).parent
 NUMBERS = {
     "interfaces.link": ("OVERLAP",),
-    "audit.roles": ("COARSE",),
+    "audit.sides": ("COARSE",),
     "newton_method.failures": ("SOFT", "SQUEEZED"),
     "newton_method.line_search": ("ARMIJO",),
-    "newton_method.residuals": ("FORCING", "DIGIT"),
+    "newton_method.contacts": ("FORCING", "DIGIT"),
 }
 # judged below, in test_smooth_second, test_stand_off, test_resolution, in
 # test_edges, in those of checkpoints, in test_bolts, in test_friction_bodies, in
