@@ -50,19 +50,6 @@ def test_frames_are_orthonormal(d, rng):
         assert R[j, :, slot[j, i]] == pytest.approx(np.eye(d)[i], abs=ROUND_OFF)
 
 
-def test_tangents_turn_with_the_normal(rng):
-    """As little as it does: they do not swap where their axes have equal shares in it."""
-    even = np.ones((50, 2)) * rng.uniform(-0.5, 0.5, (50, 1))
-    turned = even + 1e-3 * rng.normal(size=(50, 2))
-    for axis in range(3):
-        some, others = (
-            create_frames(n / np.linalg.norm(n, axis=1, keepdims=True), np.zeros((50, 3), bool))[0]
-            for n in (np.insert(part, axis, 1.0, axis=1) for part in (even, turned))
-        )
-        turn = np.abs(some - others).max(axis=(1, 2))
-        assert (turn < 5.0 * np.linalg.norm(even - turned, axis=1)).all()
-
-
 # -- the change of basis
 
 
@@ -202,28 +189,6 @@ def test_relative_and_transpose_are_adjoint(rng):
         right = v.array_r @ sum(i.transpose(np.einsum("nij,nj->ni", i.coupling.R, f))).ravel()
         left, right = COMM.allreduce(np.array([left, right]))
         assert left == pytest.approx(right, rel=ROUND_OFF)
-
-
-@pytest.mark.mpi
-def test_removed_nodes_come_back_when_the_cycle_is_gone():
-    """Two interfaces depend on each other's slave nodes until one body has slid away."""
-    b = Blocks(PILE[:2])
-    up, down = (
-        b.join(dm.Contact, *s) for s in (((1, ABOVE), (2, BELOW)), ((2, BELOW), (1, ABOVE)))
-    )
-    problem = b.problem([up, down], [b.fix(1, BELOW), b.fix(2, ABOVE)])
-    problem.audit()
-    upper, lower = problem.system.links
-    everywhere = np.flatnonzero(lower.sides.on_slave)
-    assert lower.banned[everywhere].all() and not upper.banned.any()
-    x = b.V.tabulate_dof_coordinates()
-    for slide, gone in ((9.0, True), (0.0, False)):
-        b.u.x.array[::2] = np.where(x[:, 1] > 1.0 + 1e-9, slide, 0.0)
-        b.u.x.array[2 * everywhere] = slide
-        problem.update_geometry()
-        banned = problem.system.link(down).banned
-        assert banned[everywhere].any() != gone or everywhere.size == 0
-        assert any("cycle" in note for note in problem.system.notes) != gone
 
 
 @pytest.mark.mpi

@@ -16,9 +16,8 @@ from dolfinx_mortar.interfaces.link import nodal_gaps
 from dolfinx_mortar.newton_method.contacts import Contacts, Scales, measure
 from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
 from dolfinx_mortar.problem.step_data import StepData
-from dolfinx_mortar.report.certificate import create_certificate, operator_errors, set_results
+from dolfinx_mortar.report.certificate import create_certificate, set_results
 from tests.cases.ball import STEEL
-from tests.cases.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
 from tests.cases.close_fits import create_shrink_fit
 from tests.cases.hertz import ELASTIC, create_case
 from tests.cases.meshes_3d import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, rotation, two_boxes
@@ -152,33 +151,3 @@ def test_flat_interfaces_reproduce_linear_fields(cell):
     certificate = press_boxes(cell)
     assert certificate.linear_field_error < 1e-12
     assert certificate.row_sum_error < 1e-12
-
-
-def broken(link, choice):
-    """Return the link with a tenth of D_jj moved to another master node, at one slave node."""
-    P, p = link.coupling.P.copy(), link.pattern
-    of_M = np.arange(len(p.row)) >= p.split
-    for j in np.flatnonzero(link.coupling.kept[:, choice])[:1]:
-        P[np.flatnonzero(of_M & (p.row == j))[[0, -1]], choice] += [0.1, -0.1]
-    return replace(link, coupling=replace(link.coupling, P=P))
-
-
-@pytest.mark.parametrize("component", [0, 1])
-def test_the_operators_of_every_direction_are_judged(component):
-    """Where Dirichlet data leave a tied node one direction, each direction has operators.
-
-    The sides are apart; where the normal is taken, nobody can tell which part of that is a gap.
-    """
-    b = Blocks([PILE[0], (0.0, 1.0, 1.05, 2.0, 4, 2)])
-    tie = b.join(dm.Tie, (1, ABOVE), (2, BELOW))
-    fixed = b.fix(1, WEST, component=component)
-    problem = b.problem([tie], [b.fix(1, BELOW), b.fix(2, ABOVE), fixed])
-    problem.audit()
-    (link,), length = problem.system.links, problem.system.facet_length
-    counts = COMM.allreduce(link.coupling.kept.sum(axis=0))
-    assert counts.tolist() == [4 - (component == 0), 4 - (component == 1)]
-    assert max(operator_errors(link, problem.X, length)) < 1e-12
-    for choice in (0, 1):
-        linear, sums = operator_errors(broken(link, choice), problem.X, length)
-        assert linear > 0.01
-        assert sums < 1e-12

@@ -157,19 +157,6 @@ def test_a_step_that_fails_writes_what_is_committed(folder, monkeypatch):
     agree(found, expected)
 
 
-@pytest.mark.parametrize(("limit", "every", "steps"), [(0.8, 1, [1, 2]), (0.2, 9, [])])
-def test_a_step_that_fails_writes_nothing_twice(folder, monkeypatch, limit, every, steps):
-    """What is in the file already; and before anything is committed there is none."""
-    file, press = folder / "x.h5", Press()
-    tire(press, limit, monkeypatch)
-    saved = count_saves(press.problem, monkeypatch)
-    with pytest.raises(dm.NewtonNotConverged):
-        list(press.walk(checkpoint=file, every=every, cuts="none"))
-    assert [walked for walked, _ in saved] == steps
-    COMM.barrier()
-    assert file.exists() == bool(steps)
-
-
 def tire(press, limit, monkeypatch):
     """Let Newton fail beyond a level, as too few iterations make it."""
     solve = stepping.solve_step

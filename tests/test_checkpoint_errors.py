@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Checkpoints that are invalid or cannot be written: an error on all ranks, and no change."""
 
-import errno
 import os
 import re
 import shutil
@@ -173,16 +172,6 @@ def test_another_tool(folder, shape, options, word):
         problem.restore(folder / "tool.h5")
 
 
-@pytest.mark.mpi
-def test_results_that_belong_to_another_problem(good, folder):
-    """The interface has been taken over: what it shows is not of this problem."""
-    press = Press()
-    dm.ContactProblem(press.problem.solid, [press.contact], bcs=press.problem.bcs)
-    for action, file in ((press.problem.save, folder / "x.h5"), (press.problem.restore, good)):
-        with rejected("is also in a problem that was made later", "for each problem"):
-            action(file)
-
-
 # -- arguments
 
 
@@ -254,24 +243,6 @@ def test_a_folder_that_is_not_there(press, folder):
         with rejected(*words, error=OSError):
             press.problem.save(file)
     assert not press.problem.u.x.array.any()
-
-
-@pytest.mark.mpi
-def test_a_folder_that_has_become_read_only(good, monkeypatch):
-    """Told before the next step; a walk that is done may still be looked at."""
-    names = []
-
-    def refuse(path):
-        names.append(path.name)
-        raise PermissionError(errno.EACCES, "Permission denied", str(path))
-
-    monkeypatch.setattr(tables.Path, "touch", refuse)
-    press = Press()
-    with rejected("which cannot be written", "existing, writable folder", error=OSError):
-        next(press.walk([*LEVELS, 1.0], checkpoint=good))
-    assert not press.problem.history
-    assert list(press.walk(LEVELS, checkpoint=good)) == [] and len(press.problem.history) == 1
-    assert names == (["good.h5.part"] if COMM.rank == 0 else [])
 
 
 # -- what goes wrong while writing

@@ -121,14 +121,3 @@ def test_a_quarter_of_tubes(unit):
     for tag, end in ((7, 0.0), (8, LENGTH), (9, 0.0), (10, LENGTH)):
         mean = integral(x[2] * ds(tag)) / sides[tag - 1]
         assert mean == pytest.approx(unit * end, abs=1e-12 * unit)
-
-
-def test_nodes_lie_on_circles_and_on_the_symmetry_planes():
-    m = tubes(COMM, tuple(RADII), LENGTH, ((1, 2, 3), (1, 2, 4)))
-    x = m.mesh.geometry.x
-    r = np.hypot(x[:, 0], x[:, 1])
-    assert np.abs(r[:, None] - RADII).min(axis=1).max(initial=0.0) < 1e-14
-    for name, axis in (("on_y", 0), ("on_x", 1)):
-        V = fem.functionspace(m.mesh, ("Lagrange", 1))
-        dofs = fem.locate_dofs_topological(V, 2, m.facet_tags.find(name))
-        assert np.abs(V.tabulate_dof_coordinates()[dofs, axis]).max(initial=0.0) < 1e-14

@@ -241,40 +241,6 @@ def test_examples_of_the_tools(name):
     assert result.failed == 0 and (result.attempted or name == "links")
 
 
-def test_links_that_lead_nowhere_are_found(tmp_path):
-    wrong = tool("links").wrong_links
-    (tmp_path / "b.html").write_text('<h1 id="there">B</h1>')
-    good = '<a href="b.html#there"></a><a href="#here" id="here"></a>'
-    good += '<a href="https://example.org"></a>'
-    (tmp_path / "a.html").write_text(good)
-    assert wrong(tmp_path) == []
-    for bad, said in (
-        ('<a href="c.html"></a>', "no file c.html"),
-        ('<a href="b.html#gone"></a>', "no anchor b.html#gone"),
-        ('<script src="https://cdn.example.org/x.js"></script>', "from elsewhere"),
-    ):
-        (tmp_path / "a.html").write_text(good + bad)
-        (line,) = wrong(tmp_path)
-        assert said in line
-
-
-@pytest.mark.parametrize("demo", sorted(p.parent.name for p in ROOT.glob("demos/*/result.png")))
-def test_the_gallery_shows_every_demo(demo):
-    """With text and program, nothing of it left out but the command line."""
-    gallery = tool("gallery")
-    (shown,) = (d for d in gallery.DEMOS if d.name == demo)
-    source = gallery.program(shown).read_text()
-    parts = gallery.paragraphs(gallery.flat(source))
-    assert parts[0][0] == "text" and parts[0][1].startswith("# ")
-    code = re.sub(r"\s", "", "".join(lines for kind, lines in parts if kind == "code"))
-    before, _, end = source.partition('if __name__ == "__main__":')
-    assert "parse_args()" in end
-    lines = [line for line in before.splitlines() if not line.lstrip().startswith("#")]
-    main = next(k for k, line in enumerate(lines) if line.startswith("def main("))
-    del lines[main : main + 2]  # its docstring, too
-    assert all(re.sub(r"\s", "", line) in code for line in lines)
-
-
 @pytest.mark.parametrize("demo", sorted(path.name for path in ROOT.glob("demos/*")))
 def test_a_notebook_is_flat_and_whole(demo, tmp_path):
     """Each cell is a program of its own; what it imports it brings; the pictures are shown."""
@@ -294,21 +260,6 @@ def test_a_notebook_is_flat_and_whole(demo, tmp_path):
         compile(text.partition("\n")[2] if text.startswith("%%") else text, demo, "exec")
     assert "parse_args([])" in "".join(code) and "def main(" not in "".join(code)
     assert "display(Image" in code[-1] and len(cells[-1]["outputs"]) == 1
-
-
-@pytest.mark.serial
-def test_a_program_is_run_once_and_its_error_is_shown(tmp_path):
-    """Again in another state, or when it has failed; no page shows the machine's folders."""
-    run_once, folder, runs = tool("gallery").run_once, tmp_path / "kept", tmp_path / "runs"
-    program = f"print('words', file=open({str(runs)!r}, 'a')); print('said in', {str(folder)!r})"
-    for state, count in (("a", 1), ("a", 1), ("b", 2)):
-        run_once("docs/one.md", ["-c", program], folder, state, tmp_path)
-        assert len(runs.read_text().splitlines()) == count
-        assert (folder / "said.txt").read_text() == "said in results/kept\n"
-    wrong = ["-c", "raise ValueError('no such law')"]
-    for _ in range(2):
-        with pytest.raises(RuntimeError, match=r"(?s)docs/one.md failed.*no such law"):
-            run_once("docs/one.md", wrong, folder, "c", tmp_path)
 
 
 def test_the_gallery_leaves_out_nothing():

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-import ufl
 from dolfinx import fem
-from dolfinx_mortar.terms.weak_forms import check_form
 from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
 from tests.cases.meshes_3d import two_boxes
 
@@ -57,16 +55,6 @@ def test_same_force_with_a_rank_that_has_nothing(d, kind, law):
     assert certificate.force_balance < 1e-9
     for name in ("left_out_strain", "left_out_work", "left_out_lengths", "rotation"):
         assert getattr(certificate, name) == pytest.approx(getattr(expected, name), rel=1e-6)
-
-
-def test_loads_with_the_displacement_are_refused_also_where_a_rank_has_no_values():
-    mesh, _, facets = two_blocks(COMM, (5, 2), (7, 2), partition="empty")
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    u, v = fem.Function(V), ufl.TestFunction(V)
-    ds = ufl.Measure("ds", mesh, subdomain_data=facets)
-    for inside in (u[1], u.sub(1)):
-        with pytest.raises(ValueError, match=r"^loads contain the displacement"):
-            check_form(u, "loads", -inside * v[1] * ds(TOP), arguments=1, dead=True)
 
 
 def test_operators_with_a_rank_that_has_nothing():

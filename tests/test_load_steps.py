@@ -82,23 +82,6 @@ def test_an_error_of_the_users_function_reaches_all_ranks():
         list(dm.load_steps(case.problem, [1.0], on_time=on_time))
 
 
-@pytest.mark.slow
-def test_an_overlap_is_reduced_in_parts():
-    """Two plastic bodies overlap by more than one step of few iterations can push apart."""
-    case = create_case(dm.meshing.hertz(COMM, kind="paper", gap=-0.2))
-    with pytest.raises(dm.NewtonNotConverged):
-        dm.newton(case.problem, max_it=5)
-    (step,) = dm.load_steps(case.problem, [1.0], max_it=5)
-    assert len(step.parts) > 1 and step.report.certificate.gap < 1e-5
-    notes = [note for part in step.parts for note in part.notes]
-    assert any("overlap" in note for note in notes)
-    assert not any("deep in each other" in note for note in notes)  # no corner is lost
-    # the same depth by pressing, in as many steps or so
-    pressed = create_case(dm.meshing.hertz(COMM, kind="paper"))
-    list(dm.load_steps(pressed.problem, np.linspace(1, 4, 4), on_time=on_top(pressed)))
-    assert case.force == pytest.approx(pressed.force, rel=0.05)
-
-
 def test_a_limit_load_is_named():
     """A bar in tension without hardening carries its yield stress and no more."""
     b = Blocks(PILE[:1])

@@ -7,7 +7,6 @@ import pytest
 import basix.ufl
 import dolfinx_mortar as dm
 from dolfinx import mesh
-from dolfinx_mortar import compat
 from dolfinx_mortar.audit import mesh_audit
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from tests.cases.meshes import two_blocks
@@ -30,30 +29,6 @@ def move(domain, point, target):
     d = domain.geometry.dim
     x = domain.geometry.x
     x[np.abs(x[:, :d] - point).max(axis=1) < 1e-6, :d] = target
-
-
-def volumes(domain):
-    """Return the sum of the cells' volumes and the volume that the surface encloses, simplices.
-
-    The latter by the divergence theorem from the facets on the surface, with the normals that
-    point away from their cells.
-    """
-    d = domain.topology.dim
-    domain.topology.create_connectivity(d - 1, d)
-    domain.topology.create_connectivity(d - 1, 0)
-    owned = domain.topology.index_map(d).size_local
-    x = domain.geometry.x[compat.cell_nodes(domain)[:owned], :d]
-    size = {2: 2.0, 3: 6.0}[d]
-    total = np.abs(np.linalg.det(x[:, 1:] - x[:, :1])).sum() / size
-    enclosed = 0.0
-    for facet in mesh.exterior_facet_indices(domain.topology):
-        cell = domain.topology.connectivity(d - 1, d).links(facet)[0]
-        on = mesh.entities_to_geometry(domain, d - 1, np.array([facet], dtype=np.int32))[0]
-        f = domain.geometry.x[on, :d]
-        middle = domain.geometry.x[compat.cell_nodes(domain)[cell], :d].mean(axis=0)
-        outwards = np.sign(np.linalg.det([f[0] - middle, *(f[1:] - f[0])]))
-        enclosed += outwards * np.linalg.det(f) / size
-    return COMM.allreduce(total), COMM.allreduce(enclosed)
 
 
 @pytest.mark.mpi
@@ -113,24 +88,6 @@ def one_cell_numbered_around(d):
     points = corners if first else np.empty((0, d))
     element = basix.ufl.element("Lagrange", kind, 1, shape=(d,))
     return mesh.create_mesh(COMM, cells, x=points, e=element)
-
-
-@pytest.mark.parametrize("kind", ["triangle", "tetrahedron"])
-def test_refused_if_the_cells_do_not_fill_what_the_surface_encloses(kind):
-    """Every node is moved at random, more and more from case to case."""
-    refused = []
-    most = {"triangle": 0.2, "tetrahedron": 0.12}[kind]
-    for seed, size in enumerate(np.linspace(0.03, most, 16)):
-        shift = size * np.random.default_rng(seed).uniform(-1.0, 1.0, (2 * 5**3, 3))
-        domain = create(kind, transform=lambda x, shift=shift: x + shift[: len(x), : x.shape[1]])
-        total, enclosed = volumes(domain)
-        refused.append(abs(total - enclosed) > 1e-9 * total)
-        if refused[-1]:
-            with rejected("inverted or folded"):
-                check_mesh(domain)
-        else:
-            check_mesh(domain)
-    assert 4 <= sum(refused) <= 14
 
 
 @pytest.mark.mpi

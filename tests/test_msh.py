@@ -12,7 +12,7 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar.compat import cell_degree
 from tests.cases.integrals import integral
-from tests.cases.msh_files import boxes, disc, folder, msh_file, squares
+from tests.cases.msh_files import boxes, folder, msh_file, squares
 from tests.cases.pressed_blocks import rejected
 
 COMM = MPI.COMM_WORLD
@@ -62,17 +62,6 @@ def test_bodies_in_space(order, hexahedra):
     assert sizes(mesh, facet_tags, "ds") == pytest.approx({"ball": 1.0, "between": 2.0})
 
 
-def test_second_order_is_curved():
-    area = []
-    for order in (1, 2):
-        with msh_file(disc, ElementOrder=order, MeshSizeMax=0.25) as file:
-            mesh, cell_tags, facet_tags = dm.meshing.read_msh(file)
-        area.append(sizes(mesh, cell_tags, "dx")["disc"])
-        assert not facet_tags.names and not COMM.allreduce(len(facet_tags.values))
-    error = np.abs(np.array(area) - np.pi / 4)
-    assert error[1] < 1e-4 < 1e-3 < error[0]
-
-
 def test_numbers_of_nodes_may_have_gaps():
     def draw(model):
         model.occ.addRectangle(3.0, 0.0, 0.0, 1.0, 1.0)
@@ -85,32 +74,6 @@ def test_numbers_of_nodes_may_have_gaps():
     with msh_file(draw) as file:
         mesh, cell_tags, _ = dm.meshing.read_msh(file)
     assert sizes(mesh, cell_tags, "dx") == pytest.approx({"body": 1.0})
-
-
-@pytest.mark.mpi
-def test_ranks_that_own_nothing():
-    """Two cells in all, which a picture shows, too."""
-
-    def draw(model):
-        for k in (0, 1):
-            model.occ.addRectangle(0.0, 2.0 * k, 0.0, 1.0, 1.0)
-        model.occ.synchronize()
-        for _, curve in model.getEntities(1):
-            model.mesh.setTransfiniteCurve(curve, 2)
-        for k, name in ((1, "low"), (2, "up")):
-            model.mesh.setTransfiniteSurface(k)
-            model.addPhysicalGroup(2, [k], k, name)
-        model.addPhysicalGroup(1, [3], 3, "top")
-        model.mesh.generate(2)
-
-    with msh_file(draw, RecombineAll=1) as file:
-        mesh, cell_tags, facet_tags = dm.meshing.read_msh(file)
-    assert mesh.topology.index_map(2).size_global == 2
-    assert sizes(mesh, cell_tags, "dx") == pytest.approx({"low": 1.0, "up": 1.0})
-    assert sizes(mesh, facet_tags, "ds") == pytest.approx({"top": 1.0})
-    axes = dm.plotting.mesh(mesh, cell_tags, facet_tags)
-    if COMM.rank == 0:
-        assert [len(drawn.get_paths()) for drawn in axes.collections] == [1, 1, 1]
 
 
 @pytest.mark.mpi

@@ -22,12 +22,6 @@ def solved():
     return problem, contact, dm.newton(problem)
 
 
-def random_vector(problem):
-    v = problem.K.createVecRight()
-    v.array[:] = np.random.default_rng(COMM.rank).standard_normal(v.local_size)
-    return v
-
-
 @pytest.mark.parametrize("slave", ["block", "ball"])
 def test_iterative_and_direct_solvers_agree(slave):
     forces, u = [], []
@@ -115,24 +109,6 @@ def test_a_large_matrix_is_not_factorised(monkeypatch):
     assert "gamg" in caught.value.report.linear_solver
 
 
-def test_multigrid_stays_where_a_factorisation_fails_too(monkeypatch):
-    """Then the step was too large, or a body floats; the next ones shall not pay for it."""
-    asked, solve = [], dm.qp.solve
-
-    def refuse(qp, backend, linear, **options):
-        asked.append(linear.direct)
-        if len(asked) > 2:
-            return solve(qp, backend, linear, **options)
-        solve(qp, backend, linear, **options)
-        raise dm.qp.QPNotSolved("no solution")
-
-    problem, _, levels = ramped()
-    monkeypatch.setattr(dm.qp, "solve", refuse)
-    (step,) = dm.load_steps(problem, [1.0], **levels)
-    assert asked[:2] == [False, True] and not any(asked[2:])
-    assert step.report.cuts == 1 and "gamg" in step.report.linear_solver
-
-
 @pytest.mark.slow
 def test_a_step_that_stalls_asks_for_more_accurate_programs():
     """A soft block that flows: forces that a QP misses move it, otherwise 50 times and more."""
@@ -167,25 +143,6 @@ def test_one_set_up_serves_all_geometries(moved, monkeypatch):
     assert contact.force == pytest.approx(moved[1].force, rel=1e-6, abs=1e-5)
 
 
-def test_the_finest_level_is_the_matrix_of_the_moment(moved):
-    """(I - E)^T A (I - E) of the last set and geometry, not of the set-up; so its diagonal."""
-    linear = moved[0].linear.setup
-    multigrid, held = linear.preconditioner.multigrid, linear.operator.held
-    assert not linear.preconditioner.is_of(held)  # it is an old set-up
-    E, (finest, B) = multigrid.E, multigrid.inner.getOperators()
-    v = random_vector(moved[0])
-    v.array[moved[0].linear.unknowns.operator.decoupled] = 0.0
-    y = v - E * v
-    product = linear.operator.A * y
-    expected = product.copy()
-    E.multTranspose(product, expected)
-    expected.aypx(-1.0, product)
-    expected.array[moved[0].linear.unknowns.operator.decoupled] = 0.0
-    found = finest * v
-    assert (found - expected).norm() < 1e-12 * found.norm()
-    assert (B.getDiagonal() - finest.getDiagonal()).norm() == 0.0
-
-
 def test_number_of_iterations():
     """One set-up serves a step: 25 to 27 iterations on 1, 2 and 3 ranks.
 
@@ -204,42 +161,3 @@ def test_the_set_up_survives_load_steps_and_searches():
     steps = list(dm.load_steps(problem, np.linspace(0.2, 1.0, 5)))
     assert sum(step.report.factorisations for step in steps) <= 2
     assert problem.linear.counts.symbolic == 1
-
-
-def test_a_preconditioner_that_breaks_down_is_set_up_anew(moved, monkeypatch, caplog):
-    """An indefinite one makes conjugate gradients stop; the log says so."""
-    apply, renew, begun = Multigrid.apply, Multigrid.renew, {}
-
-    def noted(self, change, motions, held, **options):
-        begun[self] = held
-        renew(self, change, motions, held, **options)
-
-    def spoilt(self, pc, r, z):
-        apply(self, pc, r, z)
-        if COMM.allreduce(not np.array_equal(self.held, begun[self]), op=MPI.LOR):
-            z.array[::2] *= -1.0
-
-    monkeypatch.setattr(Multigrid, "renew", noted)
-    monkeypatch.setattr(Multigrid, "apply", spoilt)
-    problem, contact = moving_problem()
-    with caplog.at_level("INFO", logger="dolfinx_mortar"):
-        report = dm.newton(problem)
-    assert problem.linear.counts.breakdowns > 0
-    assert report.factorisations > moved[2].factorisations
-    assert COMM.rank > 0 or "an old preconditioner failed and is set up anew" in caplog.text
-    assert contact.force == pytest.approx(moved[1].force, rel=1e-6, abs=1e-5)
-
-
-@pytest.mark.serial
-def test_a_first_step_after_a_failure_is_that_without_to_the_last_bit():
-    """Products before the first set-up read all of K, later ones half of it, in another order."""
-    ends = []
-    for fails in (False, True):
-        case = create("boxes3", 2, "smooth")
-        case.on_time(case.levels[0])
-        if fails:
-            with pytest.raises(dm.NewtonNotConverged):
-                dm.newton(case.problem, max_it=1)
-        assert "gamg" in dm.newton(case.problem).linear_solver
-        ends.append(case.problem.u.x.array.copy())
-    assert np.array_equal(*ends)

@@ -61,19 +61,6 @@ def test_a_mesh_shows_bodies_and_sides_by_name():
         assert ends[:, :, 1] == pytest.approx(-10.0)
 
 
-def test_cells_without_a_tag_are_told():
-    mesh = create_mesh("graded", 0.5)
-    every = mesh.cell_tags
-    on = (every.values == 2) | (every.indices % 2 == 0)
-    some = meshtags(mesh.mesh, 2, every.indices[on], every.values[on])
-    ax = dm.plotting.mesh(mesh.mesh, dm.Tags(some, {"disc": 2}))
-    bare = dm.plotting.mesh(mesh.mesh)
-    if FIRST:
-        names = [text.get_text() for text in ax.get_legend().get_texts()]
-        assert names == ["no tag", "tag 1", "disc"]
-        assert bare.get_legend() is None and len(bare.collections) == 1
-
-
 @pytest.mark.mpi
 @pytest.mark.parametrize(("cell", "degree"), [("triangle", 2), ("quadrilateral", 1)])
 def test_a_field_of_cells_lies_on_the_deformed_bodies(cell, degree):

@@ -2,7 +2,6 @@
 """Bodies, problems of several interfaces and materials, results, reports."""
 
 import gc
-import json
 import weakref
 
 import numpy as np
@@ -146,39 +145,7 @@ def test_frozen_geometry_is_that_of_the_mesh(rng):
     assert np.array_equal(dense_transformation(again), at_rest)
 
 
-@pytest.mark.mpi
-def test_no_interface_is_plain_plasticity():
-    """Uniaxial tension in plane strain against the closed form of the elastic law."""
-    b = Blocks(PILE[:1])
-    bcs = [b.fix(1, BELOW, component=1), b.fix(1, WEST, component=0)]
-    problem = b.problem([], bcs, loads=b.traction(1, ABOVE, (0.0, 10.0)))
-    report = dm.newton(problem, rtol=1e-10)
-    x = b.V.tabulate_dof_coordinates()
-    strain = 10.0 / 1000.0 * np.array([-0.3 * 1.3, 1 - 0.3**2])
-    assert np.abs(b.u.x.array.reshape(-1, 2) - x[:, :2] * strain).max() < 1e-12
-    assert report.certificate.kept_nodes == 0
-    json.dumps(report.as_dict())
-
-
 # -- the report
-
-
-@pytest.mark.mpi
-def test_report():
-    """A table to read, plain numbers for JSON, and sums that agree with the iterations."""
-    _, problem = chain()
-    report = dm.newton(problem, qp="interior-point")
-    text = str(report)
-    for word in ("converged", "certificate", "equilibrium", "seconds", "interior-point"):
-        assert word in text
-    assert all(len(line) < 160 for line in text.splitlines() if not line.startswith("note"))
-    back = json.loads(json.dumps(report.as_dict()))
-    assert back["newton_iterations"] == len(back["iterations"]) == report.newton_iterations
-    assert back["residual_history"] == [i["increment"] for i in back["iterations"]]
-    assert back["qp_iterations"] == sum(i["updates"] for i in back["iterations"])
-    assert back["certificate"]["newton_iterations"] == back["newton_iterations"]
-    assert set(back["seconds"]) >= {"total", "assembly", "linear_solves", "mortar"}
-    assert back["certificate"]["smallest_coverage"] <= 1.0
 
 
 # -- Dirichlet data

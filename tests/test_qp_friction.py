@@ -101,22 +101,6 @@ def test_random_problems_against_a_fixed_point(t, mu, cohesion, seed, nodes):
     law_holds(p, solution.x.array_r, solution.z.array_r)
 
 
-@pytest.mark.parametrize("t", [1, 2])
-@hypothesis.given(seed=st.integers(0, 10**6))
-@hypothesis.settings(max_examples=15)
-def test_guesses_do_not_matter(t, seed):
-    """Whatever the first state: all open, all closed, stuck or slipping anywhere."""
-    p, rng = Problem(seed, 4, t), np.random.default_rng(seed)
-    qp = p.qp()
-    expected = solve(qp, rtol=1e-12).x.array_r.copy()
-    for active in (np.zeros(4), np.ones(4), rng.integers(0, 2, 4)):
-        d = rng.standard_normal((4, t))
-        d /= np.linalg.norm(d, axis=1, keepdims=True)
-        d[rng.random(4) < 0.3] = 0.0
-        start = {"start_active": active.astype(np.int8), "start_sliding": d}
-        np.testing.assert_allclose(solve(qp, rtol=1e-12, **start).x.array_r, expected, atol=EXACT)
-
-
 def slipping(seed=3):
     """Return a problem in space, all of whose nodes are closed and slip."""
     p = Problem(seed, 3, 2)

@@ -6,7 +6,7 @@ import pytest
 
 import basix.ufl
 import dolfinx_mortar as dm
-from dolfinx import default_scalar_type, fem
+from dolfinx import fem
 from dolfinx.mesh import create_mesh
 from tests.cases.meshes import BOTTOM, LEFT, _block
 from tests.cases.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected
@@ -102,30 +102,6 @@ def test_a_node_on_two_slave_sides_counts_once(kind):
         values = fields[name].x.array
         assert np.abs(values[slave] - expected).max(initial=0.0) < 1e-8
         assert not values[~slave].any()
-
-
-@pytest.mark.mpi
-def test_gap_of_a_node_that_faces_only_the_second_master():
-    """The first interface claims the node at x = 1, but its master ends at 0.8."""
-    mesh, tags = beside(np.linspace(0, 0.8, 5), np.linspace(1, 2, 4))
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    bcs = []
-    for component, tag in ((1, 1), (1, 2), (0, 5)):
-        dofs = fem.locate_dofs_topological(V.sub(component), 1, tags.find(tag))
-        value = default_scalar_type(-0.01 if tag == 2 else 0.0)
-        bcs.append(fem.dirichletbc(value, dofs, V.sub(component)))
-    contacts = [dm.Contact(tags, slave=s, master=m) for s, m in BESIDE["slave twice"]]
-    problem = dm.ContactProblem(
-        dm.Solid(fem.Function(V), ELASTIC), contacts, bcs=bcs, geometry="reference"
-    )
-    dm.newton(problem)
-    x = V.tabulate_dof_coordinates()[:, 0]
-    shared = np.logical_and(*(side.on_slave for side in problem.system.sides))
-    assert np.isnan(contacts[0].gap.x.array[shared]).all() and (np.abs(x[shared] - 1) < 1e-9).all()
-    fields = problem.output_fields()
-    assert np.isfinite(fields["gap"].x.array).all()
-    assert (fields["pressure"].x.array[shared] > 0.0).all()
-    assert COMM.allreduce(int(shared.sum())) > 0
 
 
 TIP = 0.5

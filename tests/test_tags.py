@@ -179,14 +179,3 @@ def test_a_body_has_one_law_and_one_eigenstrain():
         dm.Solid(fem.Function(V), SOFT, cell_tags, eigenstrain={"low": 0.1, low: 0.2})
     with pytest.raises(ValueError, match="eigenstrain: the key is 'lo': no such name"):
         dm.Solid(fem.Function(V), SOFT, cell_tags, eigenstrain={"lo": 0.1})
-
-
-@pytest.mark.parametrize(
-    "names", [{"ball": "3"}, {3: "ball"}, {"": 3}, {"ball": True}, {"ball": 1.0}, ["ball"]]
-)
-def test_names_are_texts_of_integers(names):
-    _, _, facet_tags = two_blocks(COMM, (2, 1), (1, 1))
-    with pytest.raises(ValueError, match="names"):
-        dm.Tags(facet_tags, names)
-    with pytest.raises(ValueError, match="MeshTags"):
-        dm.Tags(names, {"ball": 3})
