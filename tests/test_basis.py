@@ -16,7 +16,6 @@ from tests.cases.block_piles import (
     COMM,
     EAST,
     PILE,
-    STEEL,
     WEST,
     Blocks,
     chain,
@@ -24,8 +23,9 @@ from tests.cases.block_piles import (
     to_dense,
     to_global,
 )
-from tests.cases.meshes_3d import two_boxes
+from tests.cases.meshes import BOTTOM, LEFT, TOP
 from tests.cases.mortar import node_matrices
+from tests.cases.pressed_blocks import PressedBlocks
 
 ROUND_OFF = 1e-12
 
@@ -140,15 +140,11 @@ def test_transformation_follows_the_geometry():
 )
 def test_transformation_of_second_order_in_space(cell, factors, kind, rng):
     """Middles of six-node facets depend on their ends; some nodes are removed, some held."""
-    mesh, _, tags = two_boxes(COMM, (1, 1, 1), (2, 1, 1), upper=(0.0, 1.3, 0.0, 0.8), cell=cell)
-    V = fem.functionspace(mesh, ("Lagrange", 2, (3,)))
-    bcs = []
-    for tag, components in ((1, (0, 1, 2)), (2, (0, 1, 2)), (5, (0,))):
-        for i in components:
-            dofs = fem.locate_dofs_topological(V.sub(i), 2, tags.find(tag))
-            bcs.append(fem.dirichletbc(fem.Constant(mesh, 0.0), dofs, V.sub(i)))
-    solid = dm.Solid(fem.Function(V), STEEL)
-    problem = dm.ContactProblem(solid, [kind(tags, slave=3, master=4)], bcs=bcs)
+    case = PressedBlocks(
+        d=3, degree=2, n_lower=(1, 1, 1), n_upper=(2, 1, 1), upper=(0.0, 1.3, 0.0, 0.8), cell=cell
+    )
+    bcs = [case.bc(BOTTOM), case.bc(TOP), case.roller(LEFT, 0)]
+    problem = case.problem([kind(case.facets, slave=3, master=4)], bcs)
     problem.audit()
     T, basis = dense_transformation(problem), problem.system.transformation
     assert len(basis.factors) == factors

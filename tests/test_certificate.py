@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import ROUND_OFF
 from dolfinx_mortar.interfaces.link import nodal_gaps
@@ -19,8 +18,9 @@ from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.report.certificate import create_certificate, set_results
 from tests.cases.ball import STEEL
 from tests.cases.close_fits import create_shrink_fit
-from tests.cases.hertz import ELASTIC, create_case
-from tests.cases.meshes_3d import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, rotation, two_boxes
+from tests.cases.hertz import ELASTIC, paper
+from tests.cases.meshes_3d import rotation
+from tests.cases.pressed_blocks import PressedBlocks
 
 COMM = MPI.COMM_WORLD
 
@@ -29,25 +29,16 @@ def press_boxes(cell="hexahedron"):
     """Return the certificate of two flat boxes, apart at first, turned in space."""
     turn = rotation((1.0, 2.0, 0.5), 0.7)
     options = {"gap": 0.05, "jitter": 0.4, "turn": turn, "cell": cell}
-    mesh, _, facets = two_boxes(COMM, (3, 3, 2), (4, 4, 2), **options)
-    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
-    bcs = []
-    for tag, depth in ((BOTTOM, 0.0), (TOP, 0.06)):
-        dofs = fem.locate_dofs_topological(V, 2, facets.find(tag))
-        bcs.append(fem.dirichletbc(-depth * turn[:, 2], dofs, V))
-    contact = dm.Contact(facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
-    solid = dm.Solid(fem.Function(V), STEEL)
-    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry="reference")
+    case = PressedBlocks(d=3, n_lower=(3, 3, 2), n_upper=(4, 4, 2), **options)
+    case.top.value[:] = -0.06 * turn[:, 2]
+    problem = case.problem(law=STEEL, geometry="reference")
     return dm.newton(problem).certificate
 
 
 def create_wedge():
     """Return a solved problem in which some slave nodes are closed and some are open."""
-    mesh = dm.meshing.hertz(COMM, kind="paper")
-    case = create_case(mesh, ELASTIC, geometry="reference")
-    case.press(0.05)
-    report = dm.newton(case.problem, rtol=1e-10)
-    return case.problem, report
+    case = paper(ELASTIC, geometry="reference")
+    return case.problem, case.move(0.0, 0.05, rtol=1e-10)
 
 
 def judge(problem, report, active, multipliers):

@@ -18,7 +18,7 @@ from dolfinx_mortar.newton_method.linearisation import (
 from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.terms.sum import Terms
 from tests.cases.block_piles import ABOVE, BELOW, PILE, Blocks
-from tests.cases.hertz import ELASTIC, PLASTIC, create_case
+from tests.cases.hertz import ELASTIC, PLASTIC, paper
 from tests.cases.pressed_blocks import rejected
 from tests.sweep.problems import create
 
@@ -27,8 +27,7 @@ COMM = MPI.COMM_WORLD
 
 def test_a_step_too_long_is_halved():
     """One step far into plasticity overshoots, and the energies tell."""
-    mesh = dm.meshing.hertz(COMM, kind="paper")
-    case = create_case(mesh, PLASTIC, slave="disc", geometry="reference")
+    case = paper(slave="disc", geometry="reference")
     case.press(0.8)
     lengths = [i.step_length for i in dm.newton(case.problem).iterations]
     assert set(lengths) == {1.0, 0.5}
@@ -44,8 +43,7 @@ def test_energy_is_free_to_rise_where_supports_strain():
 
 def overlapping():
     """Return a case at equilibrium with half of its overlap left, and supports at rest."""
-    mesh = dm.meshing.hertz(COMM, kind="paper", gap=-0.1)
-    case = create_case(mesh, ELASTIC, geometry="reference")
+    case = paper(ELASTIC, gap=-0.1, geometry="reference")
     solve_step(case.problem, qp="active-set", rtol=1e-9, max_it=20, overlap=0.05)
     return case
 
