@@ -13,7 +13,7 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
-from tests.cases.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected
+from tests.cases.pressed_blocks import COMM, ELASTIC, Bare, PressedBlocks, rejected
 
 pytestmark = pytest.mark.mpi
 LAST = COMM.size - 1
@@ -41,21 +41,6 @@ def refused(name, make):
 
 def work(case, force, measure=ufl.dx):
     return ufl.inner(force, ufl.TestFunction(case.V)) * measure(case.mesh)
-
-
-class Bare(dm.Term):
-    """Adds nothing."""
-
-    linear, state = False, {}
-
-    def __init__(self, **given):
-        """Take some attributes."""
-        vars(self).update(given)
-
-    def add_forces(self, F):
-        """Do nothing."""
-
-    add_tangent = add_forces
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.steps.ramp import check_range, difference, read_ramps
-from tests.cases.pressed_blocks import PressedBlocks, rejected
+from tests.cases.pressed_blocks import Bare, PressedBlocks, rejected
 from tests.checkpoint_program import LEVELS, Press
 from tests.checkpoint_runs import agree
 
@@ -81,20 +81,8 @@ def test_a_table_that_nothing_reads_is_told_of():
     first, second = told()
     assert len(first) == 1 and first[0].startswith("ramp: table 7 ") and not second
     assert told(on_time=lambda t: None) == [[], []]
-    own = dm.ContactProblem(solid, [contact], bcs=case.bcs(), terms=[Nothing()])
+    own = dm.ContactProblem(solid, [contact], bcs=case.bcs(), terms=[Bare()])
     assert own.constants() is None
-
-
-class Nothing(dm.Term):
-    """A term of a user's own, which might read any Constant."""
-
-    has_tangent = False
-
-    def add_forces(self, F):
-        """Add none."""
-
-    def add_tangent(self, K):
-        """Add none."""
 
 
 def test_a_function_finds_the_values_of_the_tables():

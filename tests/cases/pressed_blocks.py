@@ -65,6 +65,21 @@ class PressedBlocks:
         return ufl.inner(value, v) * ds(TOP)
 
 
+class Bare(dm.Term):
+    """A term that adds nothing."""
+
+    linear, state, has_tangent = False, {}, False
+
+    def __init__(self, **given):
+        """Take some attributes."""
+        vars(self).update(given)
+
+    def add_forces(self, F):
+        """Do nothing."""
+
+    add_tangent = add_forces
+
+
 def rejected(*words, error=ValueError):
     """Expect an error on this rank (each rank asks for itself) whose message has all the words."""
     return pytest.raises(error, match="".join(f"(?=.*{re.escape(w)})" for w in words))
