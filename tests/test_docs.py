@@ -16,7 +16,6 @@ from pathlib import Path
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.mortar import assembly
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
