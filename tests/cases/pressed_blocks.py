@@ -41,7 +41,7 @@ class PressedBlocks:
         return dm.Contact(self.facets if facets is None else facets, slave=slave, master=master)
 
     def problem(self, interfaces=None, bcs=None, law=ELASTIC, **options):
-        solid = dm.Solid(self.u, law)
+        solid = law if isinstance(law, dm.Solid) else dm.Solid(self.u, law)
         interfaces = [self.contact()] if interfaces is None else interfaces
         return dm.ContactProblem(
             solid, interfaces, bcs=self.bcs() if bcs is None else bcs, **options
