@@ -32,6 +32,8 @@ class PressedBlocks:
         if isinstance(value, tuple):
             value = np.array(value, dtype=default_scalar_type)
         dofs = fem.locate_dofs_topological(self.V, 1, self.facets.find(tag))
+        if isinstance(value, fem.Function):
+            return fem.dirichletbc(value, dofs)
         return fem.dirichletbc(value, dofs, self.V)
 
     def bcs(self):
