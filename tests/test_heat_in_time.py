@@ -6,8 +6,8 @@ import pytest
 
 import dolfinx_mortar as dm
 import ufl
-from dolfinx import fem, mesh
-from tests.cases.pressed_blocks import COMM
+from dolfinx import fem
+from tests.cases.solid import COMM, create_displacement, hold, plane, rectangle
 
 pytestmark = pytest.mark.mpi
 
@@ -20,17 +20,13 @@ class Bar:
 
     def __init__(self, *, nu=0.0, bends=False):
         """Create the problem; heat stretches it along x, in proportion to y if it bends."""
-        kind = mesh.CellType.quadrilateral
-        shape = (20, 2)
-        self.mesh = mesh.create_rectangle(COMM, [(0, 0), (LENGTH, HEIGHT)], shape, kind)
-        V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
+        self.mesh = rectangle([(0, 0), (LENGTH, HEIGHT)], (20, 2))
+        u = create_displacement(self.mesh)
         self.heat, self.E = fem.Constant(self.mesh, 0.0), fem.Constant(self.mesh, E)
         along = ufl.as_matrix([[1, 0, 0], [0, 0, 0], [0, 0, 0]])
         strain = self.heat * (ufl.SpatialCoordinate(self.mesh)[1] if bends else 1.0) * along
         law = dm.Elastic(E=self.E, nu=nu)
-        self.solid = dm.Solid(fem.Function(V), law, eigenstrain=strain)
-        left = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0], 0.0))
-        bcs = [fem.dirichletbc(np.zeros(2), left, V)]
+        self.solid, bcs = dm.Solid(u, law, eigenstrain=strain), [hold(u.function_space, plane(0))]
         self.problem = dm.ContactProblem(self.solid, bcs=bcs, terms=[dm.Inertia(self.solid, RHO)])
 
     def tip(self):

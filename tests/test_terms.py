@@ -13,11 +13,11 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
-from dolfinx_mortar.materials import Elastic
 from dolfinx_mortar.steps import walk as stepping
+from tests.cases.pressed_blocks import rejected
+from tests.cases.solid import COMM, errors_of_derivatives, plane, set_wave, tag_facets, total
 
 pytestmark = pytest.mark.mpi
-COMM = MPI.COMM_WORLD
 GUIDE = Path(__file__).parent.parent / "docs" / "guide" / "terms.md"
 E, C = 1000.0, 40.0
 LEVELS = [0.5, 1.0, 2.0, 2.5]
@@ -41,11 +41,6 @@ def test_terms_of_the_guide_are_short():
     assert all(part.end_lineno - part.lineno < 30 for part in found)
 
 
-def total(value):
-    """Sum over all ranks."""
-    return COMM.allreduce(float(value), op=MPI.SUM)
-
-
 class Bar:
     """Bars of the unit height and width beside each other, pulled at the top, guided sideways."""
 
@@ -61,18 +56,15 @@ class Bar:
         self.mesh = mesh.create_mesh(COMM, cells, e=element, x=points)
         self.V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
         self.u = fem.Function(self.V)
-        self.solid = dm.Solid(self.u, Elastic(E, 0.0))
+        self.solid = dm.Solid(self.u, dm.Elastic(E, 0.0))
         self.push = fem.Constant(self.mesh, moved)
-        top = lambda x: np.isclose(x[1], 1.0)  # noqa: E731
-        last = shift * (count - 1) - 0.5
+        top, last = plane(1, 1.0), shift * (count - 1) - 0.5
         self.bcs = [self.fix(0, lambda x: np.full(x.shape[1], True), 0.0)] if count == 1 else []
         if count > 1:
             self.bcs += [self.fix(i, lambda x: top(x) & (x[0] < last), 0.0) for i in (0, 1)]
             self.bcs += [self.fix(0, lambda x: top(x) & (x[0] > last), 0.0)]
         self.bcs.append(self.fix(1, lambda x: top(x) & (x[0] > last), self.push))
-        facets = mesh.locate_entities_boundary(self.mesh, 1, lambda x: np.isclose(x[1], 0.0))
-        tags = mesh.meshtags(self.mesh, 1, np.sort(facets), np.full(len(facets), 1, np.int32))
-        self.ds = ufl.Measure("ds", self.mesh, subdomain_data=tags)(1)
+        self.ds = ufl.Measure("ds", self.mesh, subdomain_data=tag_facets(self.mesh, plane(1)))(1)
 
     def fix(self, i, where, value):
         """Prescribe a component."""
@@ -185,30 +177,21 @@ def test_a_cable(guide):
 
 
 def test_energy_forces_and_tangent_of_the_cable_fit(guide):
-    bars, h = Bar(count=2), 1e-6
+    bars = Bar(count=2)
     terms = bars.problem(guide["Cable"](bars.solid, (1.0, 0.0), (3.0, 0.0), 300.0)).terms
-    rng = np.random.default_rng(3)
-    size, (first, last) = bars.V.dofmap.index_map.size_global, bars.V.dofmap.index_map.local_range
-    start, along = 0.1 * rng.normal(size=(2, size, 2))
-    n = last - first
+    v = fem.Function(bars.V)
+    set_wave(bars.u, 0.1)
+    set_wave(v, 0.1, 0.5)
+    K = terms.create_matrix()
+    terms.assemble_tangent(K)
 
-    def at(t):
-        bars.u.x.array[: 2 * n] = (start + t * along)[first:last].ravel()
-        bars.u.x.scatter_forward()
+    def forces():
         F = bars.u.x.petsc_vec.duplicate()
         terms.assemble_forces(F)
-        return terms.energy().value, F.array.copy()
+        return F.array.copy()
 
-    (e1, f1), (e0, f0), (_, f) = at(h), at(-h), at(0.0)
-    K, w = terms.create_matrix(), bars.u.x.petsc_vec.duplicate()
-    terms.assemble_tangent(K)
-    w.array[:] = along[first:last].ravel()
-    product = K * w
-    assert np.isclose((e1 - e0) / (2 * h), total(f @ w.array), rtol=1e-6)
-    assert total(((f1 - f0) / (2 * h) - product.array).sum()) < 1e-5
-    assert (
-        np.sqrt(total((((f1 - f0) / (2 * h) - product.array) ** 2).sum())) < 1e-5 * product.norm()
-    )
+    energy = lambda: terms.energy().value / COMM.size  # noqa: E731
+    assert max(errors_of_derivatives(bars.u, energy, forces, K, v, 1e-3)) < 1e-8
 
 
 def test_a_cable_holds_a_body(guide):
@@ -219,9 +202,6 @@ def test_a_cable_holds_a_body(guide):
         bars.problem().audit()
     cable = guide["Cable"](bars.solid, (1.0, 0.0), (3.0, 1.0), 300.0)  # aslant
     bars.problem(cable).audit()
-
-
-# -- bad input -----------------------------------------------------------------------------------
 
 
 class Broken(dm.Term):
@@ -283,7 +263,6 @@ class Told(Broken):
     """Writes down what it is told."""
 
     def __init__(self):
-        """Begin with nothing."""
         super().__init__()
         self.calls = []
 
@@ -319,7 +298,6 @@ def test_what_a_term_is_told_in_the_course_of_a_walk(monkeypatch):
     [
         ({"energy": np.nan}, ValueError, r"terms\[0\], a Broken is nan at the present"),
         ({"energy": "x"}, ValueError, r"Broken\.energy\(\) is 'x'"),
-        ({"energy": KeyError("no table")}, Exception, "no table"),
         ({"add_forces": np.inf}, ValueError, r"terms\[0\], a Broken: add_forces gives NaN"),
         ({"add_forces": RuntimeError("of one rank")}, RuntimeError, "of one rank"),
         ({"add_tangent": np.nan}, ValueError, r"terms\[0\], a Broken: add_tangent gives NaN"),
@@ -329,7 +307,6 @@ def test_what_a_term_is_told_in_the_course_of_a_walk(monkeypatch):
         ({"add_tangent": [0.0, 1e3]}, ValueError, r"a Broken: add_tangent\(\) is not symmetric"),
         ({"meet": OSError("of one rank")}, OSError, r"a Broken: meet\(\): of one rank"),
         ({"stride": np.nan}, ValueError, r"a Broken: stride\(\): it is nan: give a finite length"),
-        ({"stride": "far"}, ValueError, r"a Broken: stride\(\): it is 'far': give a finite length"),
         ({"couplings": 5}, ValueError, r"a Broken: couplings: it is 5: give a list"),
         ({"state": OSError("of one rank")}, OSError, "of one rank"),
     ],
@@ -376,30 +353,18 @@ def test_commit_fails_on_all_ranks():
 
 
 class Timeless(Broken):
-    """Begins without the levels."""
-
     def begin(self):
-        """Do nothing."""
+        """Begins without the levels."""
 
 
-class Coupled(Broken):
-    """Couples what it is told to."""
+class Giving(Broken):
+    """Has couplings or a state."""
 
-    couplings = ()
+    couplings, state = (), {}
 
-
-class Keeping(Broken):
-    """Has a state."""
-
-    def __init__(self, state):
-        """Keep it."""
+    def __init__(self, name, value):
         super().__init__()
-        self.kept = state
-
-    @property
-    def state(self):
-        """What it was given."""
-        return self.kept
+        setattr(self, name, value)
 
 
 @pytest.mark.parametrize("name", ["add_forces", "add_tangent"])
@@ -410,31 +375,30 @@ def test_python_names_what_a_term_lacks(name):
 
 
 def test_what_is_no_term_is_refused():
-    bar, other = Bar(), Bar()
-    same, coupled = Broken(), Coupled()
-    coupled.couplings = [np.array([0, 10**6])]
-    elsewhere = fem.Function(other.V)
+    bar, same = Bar(), Broken()
+    elsewhere = fem.Function(Bar().V)
     cells = fem.Function(fem.functionspace(bar.mesh, ("DG", 0)))
-    for terms, message in (
-        ([Broken], r"terms\[0\] is <class .*give an instance"),
-        ([3.0], r"terms\[0\] is 3\.0: give an instance of a subclass"),
-        ([Timeless()], r"a Timeless: begin\(\) is called as begin\(start, end\)"),
-        ([same, same], "holds the same object .* twice"),
-        ([coupled], r"couplings: one is \[0, 1000000\]: give arrays of global dofs"),
-        ([Keeping({"a/b": bar.u})], "has the name 'a/b'"),
-        ([Keeping([bar.u])], "give a dictionary of Functions by name"),
-        ([Keeping({"u_n": elsewhere})], "'u_n' is .* give a Function on solid.V"),
-        ([Keeping({"cells": cells})], "'cells' is .* give a Function on solid.V"),
+    for terms, *words in (
+        ([Broken], "terms[0] is <class ", "give an instance"),
+        ([3.0], "terms[0] is 3.0: give an instance of a subclass"),
+        ([Timeless()], "a Timeless: begin() is called as begin(start, end)"),
+        ([same, same], "holds the same object ", " twice"),
+        (
+            [Giving("couplings", [np.array([0, 10**6])])],
+            "couplings: one is [0, 1000000]: give arrays of global dofs",
+        ),
+        ([Giving("couplings", None)], "couplings: it is None: give a list of arr"),
+        ([Giving("state", {"a/b": bar.u})], "has the name 'a/b'"),
+        ([Giving("state", [bar.u])], "give a dictionary of Functions by name"),
+        ([Giving("state", {"u_n": elsewhere})], "'u_n' is ", "give a Function on solid.V"),
+        ([Giving("state", {"cells": cells})], "'cells' is ", "give a Function on solid.V"),
     ):
-        with pytest.raises(ValueError, match=message):
+        with rejected(*words):
             bar.problem(*terms)
-    coupled.couplings = None
-    with pytest.raises(ValueError, match=r"a Coupled: couplings: it is None: give a list of arr"):
-        bar.problem(coupled)
     for terms in ("springs", same):
-        with pytest.raises(ValueError, match=r"^terms is .*: give a list"):
+        with rejected("terms is ", ": give a list"):
             dm.ContactProblem(bar.solid, bcs=bar.bcs, terms=terms)
-    with pytest.raises(ValueError, match=r"level is nan: give a finite number"):
+    with rejected("level is nan: give a finite number"):
         dm.newton(bar.problem(), level=np.nan)
 
 
@@ -444,14 +408,12 @@ def test_weak_forms_that_cannot_work_are_refused():
     for forms, message in (
         ({}, "give either energy= or residual="),
         ({"energy": u[0] * bar.ds, "residual": u[0] * v[0] * bar.ds}, "give either energy="),
-        ({"energy": u[0] * v[0] * bar.ds}, "energy has 1 test or trial functions"),
         ({"residual": u[0] ** 2 * bar.ds}, "residual has 0 test or trial functions"),
         ({"residual": v[0] * bar.ds}, "residual does not contain the displacement"),
-        ({"energy": 2.0}, "energy is a float"),
     ):
-        with pytest.raises(ValueError, match=message):
+        with rejected(message):
             dm.WeakForm(bar.solid, **forms)
-    with pytest.raises(ValueError, match="solid is 5: give the Solid of the bodies"):
+    with rejected("solid is 5: give the Solid of the bodies"):
         dm.WeakForm(5, energy=u[0] ** 2 * bar.ds)
 
 

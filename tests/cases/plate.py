@@ -9,6 +9,7 @@ import numpy as np
 import basix.ufl
 import ufl
 from dolfinx import fem, mesh
+from tests.cases.solid import plane, tag_facets
 
 
 def create_plate(comm: MPI.Comm, element: str, level: int) -> mesh.Mesh:
@@ -35,22 +36,9 @@ def create_plate(comm: MPI.Comm, element: str, level: int) -> mesh.Mesh:
     return mesh.create_mesh(comm, cells=cells.astype(np.int64), x=points, e=ufl.Mesh(coordinates))
 
 
-def roller_sides(V: fem.FunctionSpace) -> list[np.ndarray]:
-    """Return the local dofs of u_x on x = 0, and those of u_y on y = 0."""
-    fdim = V.mesh.topology.dim - 1
-    dofs = []
-    for i in range(2):
-        facets = mesh.locate_entities_boundary(V.mesh, fdim, lambda x, i=i: np.isclose(x[i], 0))
-        dofs.append(fem.locate_dofs_topological(V.sub(i), fdim, facets))
-    return dofs
-
-
 def top_traction(V: fem.FunctionSpace, traction: float | fem.Constant) -> ufl.Form:
     """Return the linear form of the traction (0, traction) on y = 10."""
-    fdim = V.mesh.topology.dim - 1
-    facets = mesh.locate_entities_boundary(V.mesh, fdim, lambda x: np.isclose(x[1], 10.0))
-    tags = mesh.meshtags(V.mesh, fdim, np.sort(facets), np.full(len(facets), 1, dtype=np.int32))
-    ds = ufl.Measure("ds", V.mesh, subdomain_data=tags)
+    ds = ufl.Measure("ds", V.mesh, subdomain_data=tag_facets(V.mesh, plane(1, 10.0)))
     return traction * ufl.TestFunction(V)[1] * ds(1)
 
 

@@ -11,9 +11,9 @@ import numpy as np
 
 import basix.ufl
 import dolfinx_mortar as dm
-from dolfinx import fem, mesh
+from dolfinx import mesh
 from tests.cases.meshes_3d import box_cells
-from tests.cases.moving_bodies import component
+from tests.cases.solid import create_displacement, rectangle, rollers
 
 COMM = MPI.COMM_WORLD
 LENGTH, RADIUS, SPEED = 32.4, 3.2, 227e3
@@ -37,9 +37,7 @@ def times(first):
 
 def cylinder(n, length=LENGTH, degree=1):
     """Return the displacement of a cylinder of n cells along r and z, and what holds it."""
-    corners = [[0.0, 0.0], [RADIUS, length]]
-    domain = mesh.create_rectangle(COMM, corners, n, cell_type=mesh.CellType.quadrilateral)
-    return held_by_planes(domain, degree)
+    return held_by_planes(rectangle([(0.0, 0.0), (RADIUS, length)], n), degree)
 
 
 def quarter(n, layers, degree):
@@ -76,10 +74,8 @@ def quarter(n, layers, degree):
 
 def held_by_planes(domain, degree):
     """Return a displacement, and conditions that no plane through the origin lets it through."""
-    d = domain.geometry.dim
-    V = fem.functionspace(domain, ("Lagrange", degree, (d,)))
-    held = [component(V, i, lambda x, i=i: np.isclose(x[i], 0.0)) for i in range(d)]
-    return fem.Function(V), held
+    u = create_displacement(domain, degree)
+    return u, rollers(u.function_space)
 
 
 def solid_of(u, **options):
