@@ -12,11 +12,10 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.steps.time_steps import TimeSolves
-from dolfinx_mortar.terms import mass
 from tests.cases.meshes import BOTTOM_OF_UPPER, LOWER, TOP, TOP_OF_LOWER, UPPER
 from tests.cases.moving_bodies import Bar, Blocks
 from tests.cases.pressed_blocks import PressedBlocks, rejected
-from tests.cases.solid import create_displacement, hold, rectangle
+from tests.cases.solid import create_displacement, hold, largest, rectangle
 from tests.choice import quick
 
 COMM = MPI.COMM_WORLD
@@ -139,18 +138,6 @@ def test_a_body_of_one_layer_keeps_its_mass():
     assert M.matrix.getDiagonal().array_r[~M.massless].min() > 1e-3
 
 
-@pytest.mark.parametrize(("layers", "left"), [(2, 1.0), (3, 0.48), (4, 1.0)])
-def test_three_layers_do_not_keep_their_moment_of_inertia(layers, left):
-    """The inner one of three gets none of the mass; int y^2 of a square falls by 52 %."""
-    case = Blocks((2, 4), (3, layers), gap=0.1)
-    M, plain, y = case.inertia.mass, case.inertia.plain, case.problem.X[:, 1]
-    lowest = COMM.allreduce(float(y[y > 0.05].min(initial=np.inf)), op=MPI.MIN)
-    highest = COMM.allreduce(float(y.max(initial=-np.inf)), op=MPI.MAX)
-    arm = np.where(y > 0.05, y - (lowest + highest) / 2, 0.0)[:, None]
-    found = sums(arm, M.times(arm)) / sums(arm, plain.times(arm))
-    assert found[0, 0] == pytest.approx(left, abs=5e-3)
-
-
 @pytest.mark.parametrize("options", quick([{}, DAMPED], DAMPED))
 def test_a_checkpoint_holds_the_motion(tmp_path_factory, options):
     """A run that stops while the bodies touch goes on with the same numbers."""
@@ -166,7 +153,7 @@ def test_a_checkpoint_holds_the_motion(tmp_path_factory, options):
     (one, v), (other, w) = found
     assert asdict(one) == pytest.approx(asdict(other), rel=1e-9, abs=1e-12)
     assert w == pytest.approx(v, rel=1e-9, abs=1e-10)
-    assert one.kinetic != one.initial
+    assert one.kinetic != one.initial and dm.summarise(last)["ledger"] == asdict(other)
 
 
 def test_a_restored_motion_goes_on(tmp_path_factory):
@@ -206,16 +193,6 @@ def test_a_checkpoint_knows_the_mass_and_the_scheme(tmp_path_factory):
             walk(other.problem, times, **options)
         if options:
             walk(other.problem, times[1:], **options)  # a walk of its own
-
-
-def test_the_summary_has_the_ledger():
-    case = Blocks(gap=0.02, velocity={UPPER: (0.0, -1.0)})
-    step = walk(case.problem, [0.01])
-    row = dm.summarise(step)
-    assert row["ledger"] == asdict(step.report.ledger)
-    assert step.report.certificate.energy_defect == step.report.ledger.defect
-    assert "kinetic 0.5" in str(step.report)
-    assert dm.LoadStep.from_dict(step.as_dict()).report.ledger == step.report.ledger
 
 
 def test_the_work_of_a_support_that_moves():
@@ -319,21 +296,15 @@ def test_an_initial_velocity_at_a_support_is_taken_away():
         def velocity(x, s=clamp):
             return np.stack([np.where(x[0] > 0.01, 1e-3, 1e-3 * s), s * 0.01 * x[1]])
 
-        bar, options = Bar(velocity=velocity), {"progress": False, "rtol": 1e-11}
+        bar = Bar(velocity=velocity)
         bar.u.x.array[:] = 0.0
-        first, *_, last = dm.time_steps(bar.problem(), 0.02 * np.arange(1, 6), **options)
-        notes = [n for n in first.report.notes if "velocity" in n]
-        assert len(notes) == (clamp == 1.0)
+        steps = dm.time_steps(bar.problem(), [0.02, 0.04], progress=False, rtol=1e-11)
+        notes = [[n for n in step.report.notes if "velocity" in n] for step in steps]
         # two at the clamp, and along it those of the upper edge, where v_y is not 0
-        assert all("up to 0.001 at 10 nodes" in n and "set to 0" in n for n in notes)
-        assert not any("velocity" in n for n in last.report.notes)
-        assert abs(last.report.ledger.defect) < 1e-10
-        found.append((bar.u.x.array.copy(), bar.inertia.velocity.x.array.copy()))
-    assert COMM.allreduce(np.abs(found[0][0]).max(initial=0.0), op=MPI.MAX) > 0.0
-    # several ranks add up in the order in which messages come
-    share = 0.0 if COMM.size == 1 else 1e-11
-    for a, b in zip(*found, strict=True):
-        assert np.allclose(a, b, rtol=0.0, atol=share * np.abs(b).max(initial=0.0))
+        assert all("up to 0.001 at 10 nodes" in n and "set to 0" in n for n in notes[0])
+        assert [len(n) for n in notes] == [clamp, 0]
+        found.append(bar.u.x.array.copy())
+    assert np.allclose(*found, rtol=0.0, atol=1e-14) and largest(found[0]) > 0.0
 
 
 def test_forces_that_are_no_numbers_have_no_acceleration(bar):
@@ -351,22 +322,6 @@ def test_forces_that_are_no_numbers_have_no_acceleration(bar):
     words = "Inertia", "initial acceleration along x", "nan", "finite forces"
     with rejected(*words, error=RuntimeError):
         next(dm.time_steps(problem, [0.1]))
-
-
-def test_corners_between_contact_sides(monkeypatch):
-    """A node all of whose neighbours are on contact sides takes part in the motion further in."""
-
-    def bare():
-        case = Blocks((1, 1), (8, 8))
-        X = case.problem.X
-        near = np.abs(X - [0.0, 1.0]).max(axis=1) < 0.13  # the corner and its neighbours
-        inertia = dm.Inertia(case.solid, 1.0)
-        inertia.meet(near | (X[:, 1] > 0.99), case.problem.bodies.label)
-        return COMM.allreduce(int(inertia.mass.massless.sum()))
-
-    usual = bare()
-    monkeypatch.setattr(mass, "RINGS", 1)
-    assert bare() < usual
 
 
 @pytest.fixture(scope="module")
@@ -429,7 +384,6 @@ REFUSED = [
     (first([0.0, 0.1]), ("times", "increase")),
     (first([0.2, 0.1]), ("times", "0.1 after 0.2")),
     (first([1e-300]), ("times", "too short a step")),
-    (first([1e9 + 1e-6], start=1e9), ("times", "too short a step")),
     (first([1e300]), ("times", "1e+300 after 0", "infinite")),
     (first(scheme="newmark"), ("scheme", "energy-conserving", "generalised-alpha")),
     (first(spectral_radius=0.8), ("spectral_radius", "energy-conserving")),

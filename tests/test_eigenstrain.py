@@ -118,24 +118,6 @@ def test_it_may_vary_in_space_and_change_in_time():
     assert np.allclose(found, pressed, rtol=1e-12)
 
 
-def test_plastic_bodies_see_it_as_they_see_strain():
-    """The response at strain e with eigenstrain e0 is that at e - e0; also their state."""
-    law = dm.VonMises(E, NU, Y=0.5, a=50.0)
-    x0 = TENSOR
-    states, stresses = [], []
-    for given, shift in ((TENSOR, 0.0), (None, 1.0)):
-        u = block(3, 2)
-        strain = np.array([[3e-3, 0, 1e-3], [0, -1e-3, 0], [1e-3, 0, 0]])
-        u.interpolate(lambda x, s=shift, e=strain: (e - s * x0) @ x)
-        solid = dm.Solid(u, law, eigenstrain=given)
-        solid.evaluate()
-        solid.commit()
-        states.append(solid.state["plastic_strain"].x.array.copy())
-        stresses.append(solid.stress.x.array.copy())
-    assert largest(states[0]) > 1e-4
-    assert largest(states[0] - states[1]) < 1e-16 and largest(stresses[0] - stresses[1]) < 1e-12
-
-
 PERFECT = dm.VonMises(E, NU, Y=E * 1e-3, a=0.0)  # flows from strains of 1e-3 on
 BEYOND = [6e-3, -3e-3, 6e-3]
 SWELLING = {

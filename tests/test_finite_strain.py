@@ -124,51 +124,6 @@ def test_everything_turned_in_one_step(d):
     assert report.certificate.moment_balance < 1e-5  # a defect of the facets, O(h^2)
 
 
-LAWS = {
-    "rubber": dm.MooneyRivlin(0.293, 0.177, 1410.0),
-    "plastic": dm.VonMises(1000.0, 0.3, 10.0, 0.0, 50.0),
-    "kinematic": dm.VonMises(1000.0, 0.3, 10.0, 20.0, 0.0),
-    "orthotropic": dm.Orthotropic(1e3, 500.0, 400.0, 0.3, 0.2, 0.1, 200.0, 150.0, 100.0, yaw=0.4),
-}
-PATH = [np.array([[1.3, 0.4], [0.1, 0.9]]), np.array([[0.8, 0.3], [-0.3, 1.2]])]
-
-
-def deformed(cell, law, kinematics):
-    """Return stresses (xx, yy, xy), J and plastic strains of a cell that follows PATH."""
-    d = 2 if cell == "quadrilateral" else 3
-    u = create_displacement(rectangle([d * [0.0], d * [1.0]], d * [1], cell))
-    solid, V = dm.Solid(u, law, strain="finite", kinematics=kinematics), u.function_space
-    values, found = [fem.Function(V.sub(i).collapse()[0]) for i in range(2)], []
-    bcs = rollers(V, range(2, d))
-    for i, f in enumerate(values):
-        W = V.sub(i), f.function_space
-        dofs = fem.locate_dofs_geometrical(W, lambda x: np.full(x.shape[1], True))
-        bcs.append(fem.dirichletbc(f, dofs, W[0]))
-    problem = dm.ContactProblem(solid, [], bcs=bcs)
-    for F in PATH:
-        for i, f in enumerate(values):
-            f.interpolate(lambda x, i=i, F=F: F[i] @ x[:2] - x[i])
-        dm.newton(problem, rtol=1e-12)
-        problem.commit()
-        stress, J = (solid.fields.values(name) for name in ("stress", "J"))
-        parts = [stress[..., [0, 1, 3]], J[..., None]]
-        if "plastic_strain" in solid.state:
-            parts.append(solid.fields.values("plastic_strain")[..., :4])
-        found.append(np.concatenate(parts, axis=-1)[0, 0])
-        assert np.abs(stress[..., 2]).max() < 1e-9 * np.abs(stress).max()
-    return np.array(found)
-
-
-@pytest.mark.slow
-@pytest.mark.serial
-@pytest.mark.parametrize("name", LAWS)
-def test_plane_stress_as_a_cube_without_stress_on_two_faces(name):
-    flat = deformed("quadrilateral", LAWS[name], "plane_stress")
-    space = deformed("hexahedron", LAWS[name], None)
-    np.testing.assert_allclose(flat, space, atol=1e-7 * np.abs(space).max())
-    assert np.abs(space[:, 3] - 1.0).min() > 1e-5
-
-
 def column(d, depth, imperfection=0.0, options=None, cells=(1, 2, 12)):
     """Return a slender column that its top, free to move aside, is pressed down on."""
     domain = rectangle([d * [0.0], [*(d - 1) * [0.1], 1.0]], (2, 20) if d == 2 else cells)

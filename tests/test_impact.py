@@ -82,11 +82,11 @@ def test_a_block_that_bounces_a_thousand_times():
     assert np.ptp(defects[12:]) < 1e-6
 
 
-def colliding(**options):
+def colliding():
     """Return two free blocks, of which the upper one falls on the lower one aslant."""
-    velocity, place = {LOWER: (0.0, 0.2), UPPER: (0.3, -1.0)}, {"x_upper": (0.35, 1.2), "gap": 0.05}
-    options |= {"jitter": 0.4, "clamped": False, "velocity": velocity}
-    return Blocks((5, 4), (6, 5), **place, **options)
+    options = {"x_upper": (0.35, 1.2), "gap": 0.05, "jitter": 0.4, "clamped": False}
+    velocity = {LOWER: (0.0, 0.2), UPPER: (0.3, -1.0)}
+    return Blocks((5, 4), (6, 5), velocity=velocity, geometry="reference", **options)
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def colliding(**options):
 )
 def test_two_free_bodies_collide(scheme):
     """Momentum and its moment stay, about X, of which the linear theory keeps it."""
-    case = colliding(geometry="reference")
+    case = colliding()
     inertia = case.inertia
     momentum, moment = inertia.momentum(), inertia.moment_of_momentum()
     energy, touched = inertia.kinetic_energy(), 0
@@ -111,33 +111,8 @@ def test_two_free_bodies_collide(scheme):
     assert inertia.momentum() == pytest.approx(momentum)
 
 
-def spun(parts):
-    """Return the error of the moment of momentum of two blocks in steps of 4e-3 / parts."""
-    g = 2.0
-    case = colliding(strain="finite", law=dm.NeoHooke(1000.0, 0.3), gravity=g)
-    inertia, dt, touched = case.inertia, 4e-3 / parts, 0
-    upper = np.column_stack([np.zeros(case.problem.n), case.problem.X[:, 1] > 0.01])
-    weight = -g * inertia.plain.times(upper)
-
-    def turning():
-        x = case.problem.X + case.problem.owned_u.reshape(-1, 2)
-        return COMM.allreduce((x[:, 0] * weight[:, 1] - x[:, 1] * weight[:, 0]).sum())
-
-    moment, before, errors = inertia.moment_of_momentum()[0], turning(), []
-    size = abs(moment)
-    for step in steps(case.problem, dt * np.arange(1, 59 * parts + 1), rtol=1e-12):
-        touched += bool(case.contact.force[1] > 0.0)
-        moment += 0.5 * dt * (before + turning())
-        before = turning()
-        errors.append(abs(inertia.moment_of_momentum()[0] - moment) / size)
-        assert inertia.momentum() == pytest.approx([0.3 * 0.85, -0.65 - 0.85 * g * step.time])
-    assert touched > 5
-    assert abs(step.report.ledger.defect) < 1e-2
-    return max(errors)
-
-
 def rolled(parts):
-    """Return the same of a block that falls on its corner, in steps of 5e-3 / parts."""
+    """Return the error of the moment of momentum of a block on its corner, steps 5e-3 / parts."""
     plane, velocity = dm.shapes.Plane([0.0, -0.01], [0.0, 1.0]), (0.2, -1.0)
     problem, floor, inertia = meeting(
         (1.0, 0.5),
@@ -162,43 +137,33 @@ def rolled(parts):
     return max(errors)
 
 
-@pytest.mark.parametrize(
-    ("turn", "error"), quick([(spun, 7e-5), (rolled, 2.1e-4)], (rolled, 2.1e-4))
-)
-def test_the_moment_of_momentum_is_of_second_order_at_finite_strain(turn, error):
-    """That of weights and of the forces of a tool, by the trapezoidal rule; momentum stays."""
-    found = turn(1)
-    assert found < error
-    assert turn(2) < found / 3.0
+def test_the_moment_of_momentum_is_of_second_order_at_finite_strain():
+    """That of the forces of a tool, by the trapezoidal rule."""
+    found = rolled(1)
+    assert found < 2.1e-4
+    assert rolled(2) < found / 3.0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("cell", "strain", "friction"),
-    [("hexahedron", "small", None), ("tetrahedron", "small", None), ("hexahedron", "finite", 0.3)],
-)
-def test_two_boxes_collide_in_space(cell, strain, friction):
-    """By multigrid, of two densities; at finite strain the moment has the error of the steps."""
-    finite = strain == "finite"
-    upper = (0.2, 1.2, 0.1, 1.1) if finite else (0.0, 1.0, 0.0, 1.0)
-    domain, cells, facets = two_boxes(COMM, (3, 3, 5), (4, 4, 5), gap=0.02, upper=upper, cell=cell)
-    law = (dm.NeoHooke if finite else dm.Elastic)(1000.0, 0.3)
-    solid = dm.Solid(create_displacement(domain), law, strain=strain)
+@pytest.mark.parametrize(("cell", "friction"), [("hexahedron", 0.3), ("tetrahedron", None)])
+def test_two_boxes_collide_in_space(cell, friction):
+    """By multigrid, of two densities; the moment has the error of the steps."""
+    boxes = {"gap": 0.02, "upper": (0.2, 1.2, 0.1, 1.1), "cell": cell}
+    domain, cells, facets = two_boxes(COMM, (3, 3, 5), (4, 4, 5), **boxes)
+    law = dm.NeoHooke(1000.0, 0.3)
+    solid = dm.Solid(create_displacement(domain), law, strain="finite")
     velocity = {LOWER: (0.0, 0.0, 0.1), UPPER: (0.2, 0.1, -1.0)}
     inertia = dm.Inertia(solid, {LOWER: 1.0, UPPER: 2.0}, cells, velocity=velocity)
     contact = dm.Contact(facets, slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER, friction=friction)
-    geometry = "updated" if finite else "reference"
-    problem = dm.ContactProblem(solid, [contact], terms=[inertia], geometry=geometry)
+    problem = dm.ContactProblem(solid, [contact], terms=[inertia])
     momentum, moment, touched, taken = inertia.momentum(), inertia.moment_of_momentum(), 0, [0.0]
-    for step in steps(problem, 8e-3 * np.arange(1, 6 if finite else 15), rtol=1e-12):
+    for step in steps(problem, 8e-3 * np.arange(1, 6), rtol=1e-12):
         touched += bool(contact.force[2] > 0.0)
         assert inertia.momentum() == pytest.approx(momentum, abs=1e-10)
-        about = inertia.moment_of_momentum()
-        assert about == pytest.approx(moment, abs=1e-4 if finite else 1e-10)
+        assert inertia.moment_of_momentum() == pytest.approx(moment, abs=1e-4)
         taken.append(step.report.ledger.friction)
-    assert touched > 2 and "gamg" in step.report.linear_solver
+    assert touched == 3 and "gamg" in step.report.linear_solver
     assert (np.diff(taken) >= 0.0).all() and bool(taken[-1] > 0.0) == bool(friction)
-    assert finite or abs(step.report.ledger.defect) < 1e-10
 
 
 def test_on_a_mesh_without_structure():
@@ -213,36 +178,6 @@ def test_on_a_mesh_without_structure():
     *_, step = steps(problem, 2e-6 * np.arange(1, 4), rtol=1e-8)
     assert contact.force[1] != 0.0
     assert abs(step.report.ledger.defect) < 1e-8
-
-
-@pytest.mark.slow
-def test_friction_brakes_a_block():
-    """It stops after v / (mu g), at v^2 / (2 mu g), and friction has all of its energy."""
-    mu, g, v, E = 0.3, 10.0, 0.4, 1e5
-    case = Blocks(
-        (12, 2),
-        (3, 4),
-        x_lower=(-1.0, 2.0),
-        law=dm.Elastic(E, 0.0),
-        gravity=g,
-        friction=mu,
-        damping=2e-3,
-        velocity={UPPER: (v, 0.0), LOWER: (0.0, 0.0)},
-    )
-    stop = v / (mu * g)
-    dt = stop / 40.0
-    taken, forces = [0.0], []
-    for step in steps(case.problem, dt * np.arange(1, 49)):
-        ledger = step.report.ledger
-        taken.append(ledger.friction)
-        if 0.3 * stop < step.time < 0.8 * stop:  # the impact by which it starts has gone
-            forces.append(case.contact.force)
-            assert forces[-1] == pytest.approx([-mu * g, g], rel=0.02)  # no chatter
-    assert (np.diff(taken) >= 0.0).all()
-    assert taken[-1] == pytest.approx(0.5 * v**2, rel=5e-3)
-    u = case.problem.owned_u.reshape(-1, 2)
-    moved = COMM.allreduce(case.inertia.mass.times(u)[:, 0].sum())
-    assert moved == pytest.approx(v**2 / (2.0 * mu * g), rel=0.01)
 
 
 def test_a_step_that_would_pass_through_is_cut():
@@ -431,7 +366,7 @@ def test_an_impulse_without_a_response_is_noted(monkeypatch):
 
 def test_what_contact_owes_waits_until_it_matters(monkeypatch):
     """It gives 1.4e-5 of the energy in one step and 5e-4 in the next: one impulse takes both."""
-    case = colliding(geometry="reference")
+    case = colliding()
     tried, gains, owed, before = [], 0, 0, 0.0
 
     def respond(*args):

@@ -191,20 +191,6 @@ def test_a_linear_law_with_a_constant_has_no_constant_tangent():
     assert all(report.newton_iterations == 1 for report in reports)
 
 
-def test_a_constant_that_softens_makes_a_body_flow():
-    """The yield radius falls between steps at the same strain; the stress lies on the new one."""
-    domain = create_domain("triangle")
-    Y = constant(domain, 100.0)
-    solid = dm.Solid(create_displacement(domain), dm.VonMises(1000.0, 0.3, Y, 0.0))
-    solid.u.interpolate(lambda x: np.stack([0.05 * x[1], 0 * x[1]]))
-    solid.evaluate()
-    assert not solid.points.flowing().any()
-    Y.value = 10.0
-    solid.evaluate()
-    assert solid.points.flowing().all()
-    assert solid.max("von_mises") == pytest.approx(np.sqrt(1.5) * 10.0, rel=1e-9)
-
-
 def test_output_sees_the_parameters_of_its_points():
     """The back stress is a ep with the a of the point."""
     domain = create_domain("quadrilateral")

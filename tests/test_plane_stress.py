@@ -178,25 +178,6 @@ def test_a_law_that_always_pulls_is_an_error_on_all_ranks(law):
 
 
 @pytest.mark.mpi
-def test_a_heated_plate():
-    """Free it has no stress, held E alpha dT / (1 - nu), and nothing out of the plane."""
-    solid = dm.Solid(
-        create_displacement(create_domain("triangle")),
-        dm.Elastic(1000.0, 0.3),
-        kinematics="plane_stress",
-        eigenstrain=1e-3,
-    )
-    solid.evaluate()
-    held = -1000.0 * 1e-3 / 0.7
-    assert solid.fields.values("stress_xx") == pytest.approx(held, rel=1e-12)
-    assert solid.fields.values("stress_yy") == pytest.approx(held, rel=1e-12)
-    assert (solid.fields.values("stress_zz") == 0.0).all()
-    solid.u.interpolate(lambda x: 1e-3 * x[:2])
-    solid.evaluate()
-    assert solid.max("von_mises") < 1e-12
-
-
-@pytest.mark.mpi
 @pytest.mark.parametrize("name", ["perfect", "arrays"])
 def test_pressed_plates(name):
     """Contact of plates that flow converges, without stress out of the plane."""

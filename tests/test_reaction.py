@@ -12,7 +12,6 @@ from dolfinx import default_scalar_type, fem, mesh
 from tests.cases.block_piles import ABOVE, BELOW, BRIDGE, COMM, EAST, PILE, STEEL, WEST, Blocks
 from tests.cases.pressed_blocks import PressedBlocks, rejected
 from tests.cases.solid import create_displacement, hold, plane, tag_facets
-from tests.cases.tightened_bar import tighten
 
 TIGHT = 1e-11
 
@@ -151,19 +150,6 @@ def test_it_is_that_of_the_last_step_whatever_comes_after():
 
 
 @pytest.mark.mpi
-def test_a_bolt_that_cannot_be_tightened_leaves_it():
-    b = Blocks(PILE[:2])
-    tie = b.join(dm.Tie, (2, BELOW), (1, ABOVE))
-    problem = b.problem([tie], [b.fix(1, BELOW)], loads=b.traction(2, ABOVE, (0.0, -2.0)))
-    dm.newton(problem)
-    problem.commit()
-    before = dm.reaction(problem)
-    with pytest.raises(dm.NewtonNotConverged):
-        tighten(problem, {tie: 1.0}, [0.0, -1.0])
-    assert (dm.reaction(problem).force == before.force).all()
-
-
-@pytest.mark.mpi
 def test_rows_of_load_steps_have_it_and_a_checkpoint_too(tmp_path):
     file = COMM.bcast(tmp_path) / "walk.h5"
     case = PressedBlocks()
@@ -174,16 +160,14 @@ def test_rows_of_load_steps_have_it_and_a_checkpoint_too(tmp_path):
 
     *_, step = dm.load_steps(problem, [0.5, 1.0], on_time=push, checkpoint=file)
     row = dm.summarise(step)
-    contact = problem.interfaces[0]
-    assert row["forces"] == [contact.force.tolist()]
-    below, above = row["reactions"]
-    assert np.allclose(below["force"], -contact.force, rtol=1e-5, atol=1e-5)
-    assert above["force"] == dm.reaction(problem, problem.bcs[1]).force.tolist()
-    assert above["moment"] == dm.reaction(problem, problem.bcs[1]).moment
+    assert row["forces"] == [problem.interfaces[0].force.tolist()]
+    first = dm.reaction(problem, problem.bcs[1])
+    found = row["reactions"][1]
+    assert found["force"] == first.force.tolist() and found["moment"] == first.moment
     other = PressedBlocks()
     again = other.problem()
     again.restore(file)
-    found, first = dm.reaction(again, again.bcs[1]), dm.reaction(problem, problem.bcs[1])
+    found = dm.reaction(again, again.bcs[1])
     assert found.force == pytest.approx(first.force, rel=1e-14)
     assert found.moment == pytest.approx(first.moment, rel=1e-14)
     assert dm.summarise(again.history[-1])["reactions"] == json.loads(json.dumps(row["reactions"]))
@@ -209,9 +193,7 @@ def test_supports_that_are_none():
         (("support holds dof -1",), [-1], None),
         (("support holds dof",), [last] if COMM.rank == 0 else none, None),
         (("not prescribed by problem.bcs", "returns nodes"), top, None),
-        (("support is 4.5",), 4.5, None),
         (("support is True",), True, None),
-        (("support is [[",), [[1, 2], [3]], None),
         (("support holds", "problem.bcs"), [bc, 3], None),
         (("support holds", "problem.bcs"), other, None),
     ):

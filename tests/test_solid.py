@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The solid: derivatives, norms, quadrature, what is compiled and when, units."""
+"""The solid: norms, quadrature, what is compiled and when; results and committed state."""
 
-from typing import Any
+from typing import Any, ClassVar
+
+from mpi4py import MPI
 
 import numpy as np
 import pytest
@@ -9,14 +11,15 @@ import pytest
 import dolfinx.jit
 import ffcx.codegeneration.jit
 import ufl
-from dolfinx import default_scalar_type, fem
-from dolfinx_mortar import compat
+from dolfinx import fem, la
 from dolfinx_mortar.materials import Elastic, VonMises
 from dolfinx_mortar.materials.tensor import from_components
 from dolfinx_mortar.solid.kinematics import kinematics_of_dimension
 from dolfinx_mortar.solid.solid import Solid
+from tests.cases.pressed_blocks import rejected
 from tests.cases.solid import (
     CELLS,
+    COMM,
     STEEL,
     create_displacement,
     create_domain,
@@ -26,28 +29,9 @@ from tests.cases.solid import (
     set_wave,
     total,
 )
+from tests.cases.user_laws import OfHooke
 
 pytestmark = pytest.mark.mpi
-
-
-def test_tangent_lies_between_its_bounds() -> None:
-    """a/(2 mu + a) K_e <= K <= K_e along random directions."""
-    solid = create_loaded("triangle", 8)
-    elastic = Solid(create_displacement(solid.mesh), Elastic(STEEL.E, STEEL.nu))
-    K, K_e = solid.create_matrix(), elastic.create_matrix()
-    solid.assemble_tangent(K)
-    elastic.assemble_tangent(K_e)
-    v = fem.Function(solid.V)
-    product = K.createVecLeft()
-    lower = STEEL.a / (STEEL.E / (1 + STEEL.nu) + STEEL.a)
-    for seed in range(20):
-        set_wave(v, 1.0, 0.3 * seed)
-        values = []
-        for matrix in (K, K_e):
-            matrix.mult(v.x.petsc_vec, product)
-            values.append(product.dot(v.x.petsc_vec))
-        assert lower < values[0] / values[1] < 1 - 1e-3
-        assert np.isclose(solid.elastic_norm(v) ** 2, values[1], rtol=1e-12)
 
 
 @pytest.mark.parametrize("cell", CELLS)
@@ -111,24 +95,6 @@ def test_nothing_is_compiled_for_other_numbers(monkeypatch: pytest.MonkeyPatch) 
     use(5, 10, 10.0)
 
 
-def test_a_step_compiles_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All that it calls is there when the solid is made: even what is compiled costs a look-up."""
-    solid = Solid(create_displacement(create_domain("triangle")), STEEL)
-
-    for name in ("compile_forms", "compile_expressions"):
-        monkeypatch.setattr(ffcx.codegeneration.jit, name, refuse)
-    set_wave(solid.u, 1e-2)
-    residual(solid)
-    solid.assemble_tangent(solid.create_matrix())
-    assert min(total(solid.energy()), solid.elastic_norm(solid.u), solid.element_force_norm()) > 0.0
-    solid.evaluate()
-    solid.commit()
-    assert solid.max("plastic_strain_norm") > 0.0
-    assert solid.plastic_area() > 0.0 and solid.gradients.evaluate().left_out.any()
-    with pytest.raises((AssertionError, RuntimeError), match=r"was created|on root node"):
-        fem.form(ufl.div(solid.u) * ufl.dx)  # the refusal works
-
-
 def test_only_sums_of_the_tangent_may_be_reordered(monkeypatch: pytest.MonkeyPatch) -> None:
     """The user's options of the compiler hold for all forms."""
     given = []
@@ -183,35 +149,6 @@ def test_forms_of_a_law_are_one_module(
     assert given.get("strain") or sizes.count(0) == 2
 
 
-def test_forms_of_one_module_are_those_compiled_alone() -> None:
-    """To the last bit, with marked cells, Constants, and a Function that drops out of a form."""
-    V = create_displacement(create_domain("triangle")).function_space
-    u, other = (fem.Function(V) for _ in range(2))
-    for phase, f in enumerate((u, other)):
-        set_wave(f, 1e-2, phase)
-    cells = np.arange(V.mesh.topology.index_map(2).size_local, dtype=np.int32)
-    dx = ufl.Measure("dx", V.mesh, subdomain_data=[(0, cells[::2]), (1, cells[1::2])])
-    v, w = ufl.TestFunction(V), ufl.TrialFunction(V)
-    a, b = (fem.Constant(V.mesh, default_scalar_type(value)) for value in (0.7, 1.9))
-    energy = a * ufl.exp(ufl.inner(ufl.grad(u), ufl.grad(u))) * dx(0) + b * ufl.dot(u, u) * dx(1)
-    linear = ufl.derivative(ufl.dot(other, other) * u[0] * ufl.dx, u, v)
-    forms = [energy, ufl.derivative(energy, u, v), linear, ufl.derivative(ufl.dot(u, w) * dx, u, v)]
-    alone, together = [fem.form(form) for form in forms], compat.compile_together(*forms)
-    assert len({form.module for form in together}) == 1
-    for f, g in zip(alone, together, strict=True):
-        first, second = numbers_of(f), numbers_of(g)
-        assert np.array_equal(first, second) and total(float(np.abs(first).sum())) > 0.0
-
-
-def numbers_of(form: fem.Form) -> np.ndarray:
-    """Return what this rank assembles of a form."""
-    if form.rank == 0:
-        return np.array([fem.assemble_scalar(form)])
-    if form.rank == 1:
-        return np.asarray(fem.assemble_vector(form).array)
-    return np.asarray(fem.assemble_matrix(form).data)
-
-
 def test_units_of_length() -> None:
     """With all lengths scaled, energies scale and the dimensionless results stay."""
     results = []
@@ -227,3 +164,127 @@ def test_units_of_length() -> None:
         area = solid.plastic_area() / scale**2
         results.append([energy, area, solid.max("plastic_strain_norm")])
     assert np.allclose(results, results[1], rtol=1e-11)
+
+
+def shown(solid: Solid) -> dict[str, Any]:
+    """Return all that shows results, as numbers."""
+    written = {name: f.x.array.copy() for name, f in solid.output_fields().items()}
+    values = {f"values {name}": solid.fields.values(name) for name in solid.fields.names}
+    largest = {f"max {n}": solid.max(n) for n in ("von_mises", "plastic_strain_norm", "plastic")}
+    return written | values | largest | {"area": solid.plastic_area(), "s": solid.stress.x.array}
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_results_are_those_of_the_step_before_and_after_its_commit(cell: str) -> None:
+    """Evaluating shows the step at u; accepting it changes nothing that is shown."""
+    solid = create_loaded(cell)
+    committed = {name: f.x.array.copy() for name, f in solid.state.items()}
+    old = {name: np.copy(value) for name, value in shown(solid).items()}
+    solid.evaluate()
+    new = {name: np.copy(value) for name, value in shown(solid).items()}
+    differences = [np.abs(new[n] - old[n]).max(initial=0.0) for n in ("stress", "plastic_strain")]
+    assert COMM.allreduce(differences[0], op=MPI.MAX) > 1e-2 * STEEL.Y
+    assert COMM.allreduce(differences[1], op=MPI.MAX) > 1e-5
+    assert all(np.array_equal(solid.state[n].x.array, values) for n, values in committed.items())
+    # the stress shown is that of the step: its forces are the residual's
+    rule = {"quadrature_degree": solid.quadrature_degree, "quadrature_scheme": "default"}
+    virtual = solid.kinematics.measure(ufl.TestFunction(solid.V))
+    form = ufl.inner(from_components(solid.stress), virtual) * ufl.dx(metadata=rule)
+    forces = fem.assemble_vector(fem.form(form))
+    forces.scatter_reverse(la.InsertMode.add)
+    expected = residual(solid)
+    error = np.abs(forces.array[: len(expected)] - expected).max(initial=0.0)
+    assert error < 1e-13 * np.abs(expected).max(initial=1.0)
+    solid.commit()
+    after = shown(solid)
+    assert after.keys() == new.keys()
+    assert all(np.array_equal(after[name], value) for name, value in new.items())
+    changed = any(not np.array_equal(solid.state[n].x.array, committed[n]) for n in committed)
+    assert COMM.allreduce(changed, op=MPI.LOR)
+
+
+class Stretched(OfHooke):
+    """A law that is undefined where it is pressed together too much."""
+
+    state: ClassVar = {"wear": ()}
+    energy = staticmethod(Elastic.energy)
+
+    @staticmethod
+    def updated_state(eps, state, p):
+        return {"wear": ufl.ln(1 + 5 * eps[0, 0])}
+
+
+def test_an_evaluation_that_fails_changes_nothing() -> None:
+    """Neither what is shown nor what a later commit takes, on any rank, in any body."""
+    domain = create_domain("triangle", 6)
+    tags = create_tags(domain, lambda x: 1 + (x[:, 0] < 0.5))
+    solid = Solid(create_displacement(domain), {1: STEEL, 2: Stretched(1.0, 0.3)}, tags)
+    set_wave(solid.u, 1e-2)
+    solid.evaluate()
+    names = ("stress", "wear", "plastic_strain", "plastic", "von_mises")
+    good = {name: solid.fields.values(name).copy() for name in names}
+    everywhere = solid.stress.x.array.copy()
+    solid.u.interpolate(lambda x: np.stack([-0.3 * x[0] * x[1], 0 * x[1]]))
+    with rejected("Stretched: wear is NaN or infinite"):
+        solid.evaluate()
+    assert np.array_equal(solid.stress.x.array, everywhere)
+    assert all(np.array_equal(solid.fields.values(name), good[name]) for name in names)
+    solid.commit()
+    taken = [f.x.array for f in solid.state.values()]
+    assert all(np.isfinite(values).all() for values in taken)
+    assert COMM.allreduce(sum(float(np.abs(values).sum()) for values in taken)) > 0.0
+
+
+def test_output_fields() -> None:
+    """Norms, components, averages and the plastic area agree with the stored components."""
+    solid = create_loaded("quadrilateral")
+    solid.evaluate()
+    solid.commit()
+    ep, s = solid.fields.values("plastic_strain"), solid.fields.values("stress")
+    frobenius = np.sqrt((ep[..., :3] ** 2).sum(-1) + 2 * ep[..., 3] ** 2)
+    assert np.allclose(solid.fields.values("plastic_strain_norm"), frobenius, rtol=1e-14)
+    hardening = STEEL.a * np.sqrt((ep**2).sum(-1))
+    assert np.allclose(solid.fields.values("hardening"), hardening, rtol=1e-14)
+    assert np.array_equal(solid.fields.values("stress_xy"), s[..., 3])
+    xx, yy, zz, xy = np.moveaxis(s, -1, 0)
+    mises = np.sqrt(0.5 * ((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2 + 6 * xy**2))
+    assert np.allclose(solid.fields.values("von_mises"), mises, rtol=1e-12)
+    largest = COMM.allreduce(mises.max(initial=0.0), op=MPI.MAX)
+    assert np.isclose(solid.max("von_mises"), largest, rtol=1e-12)
+    area = total((frobenius > 0) * solid.fields.weights)
+    assert 0.1 < area < 1.9 and np.isclose(solid.plastic_area(), area, rtol=1e-14)
+    average = solid.cell_values("stress")
+    assert average is solid.cell_values("stress")
+    form = fem.form(average[1] * ufl.dx)
+    mean = COMM.allreduce(fem.assemble_scalar(form), op=MPI.SUM)
+    assert np.isclose(mean, total(yy * solid.fields.weights), rtol=1e-12)
+    assert set(solid.fields.names) >= {"stress", "plastic_strain", "back_stress", "von_mises"}
+
+
+PLASTIC = ("plastic", "plastic_strain_norm", "plastic_strain_xy", "back_stress_norm", "hardening")
+
+
+def test_what_plasticity_has_is_zero_in_elastic_bodies() -> None:
+    """A script need not know the material; the shapes are those of plastic bodies."""
+    solids = []
+    for law in (STEEL, Elastic(STEEL.E, STEEL.nu)):
+        solid = Solid(create_displacement(create_domain("triangle")), law)
+        solid.u.interpolate(lambda x: np.array([0.01 * x[1], 0.02 * x[1]]))
+        solid.evaluate()
+        solid.commit()
+        solids.append(solid)
+        for name in ("stress", "plastic_strain", "back_stress"):
+            with rejected(f"'{name}' is a tensor", f"'{name}_norm'"):
+                solid.max(name)
+        for name in ("vonmises", "plastic_work", "stress_zy"):
+            with rejected("no field", "von_mises"):
+                solid.max(name)
+    plastic, elastic = solids
+    assert elastic.linear and elastic.plastic_area() == 0.0
+    assert not any("plastic" in name for name in elastic.fields.names)
+    for name in (*PLASTIC, "back_stress_vector_norm"):
+        assert plastic.max(name) > 0.0 and elastic.max(name) == 0.0
+        assert elastic.fields.values(name).shape == plastic.fields.values(name).shape
+        average = elastic.cell_values(name)
+        assert average.ufl_shape == plastic.cell_values(name).ufl_shape
+        assert not average.x.array.any()

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Terms of users: those of the guide against closed forms, restart, ranks, and what goes wrong."""
 
-import ast
 import re
 from pathlib import Path
 
@@ -12,10 +11,11 @@ import pytest
 
 import dolfinx_mortar as dm
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem
 from dolfinx_mortar.steps import walk as stepping
+from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, Blocks
 from tests.cases.pressed_blocks import rejected
-from tests.cases.solid import COMM, errors_of_derivatives, plane, set_wave, tag_facets, total
+from tests.cases.solid import COMM, errors_of_derivatives, set_wave, total
 
 pytestmark = pytest.mark.mpi
 GUIDE = Path(__file__).parent.parent / "docs" / "guide" / "terms.md"
@@ -32,49 +32,23 @@ def guide():
     return names
 
 
-def test_terms_of_the_guide_are_short():
-    """At most 30 lines each."""
-    codes = re.findall(r"```python\n(.*?)```", GUIDE.read_text(), re.DOTALL)
-    kinds = (ast.ClassDef, ast.FunctionDef)
-    found = [part for code in codes for part in ast.parse(code).body if isinstance(part, kinds)]
-    assert [part.name for part in found] == ["Damper", "Cable", "floor"]
-    assert all(part.end_lineno - part.lineno < 30 for part in found)
-
-
 class Bar:
-    """Bars of the unit height and width beside each other, pulled at the top, guided sideways."""
+    """Squares beside each other whose tops are held, that of the last one moved along y by push."""
 
-    def __init__(self, count=1, shift=3.0, moved=0.0):
-        """Make the bodies; the last one's top is moved, along y, all others are clamped there."""
-        x = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
-        # two cells in each, so that on two ranks there is something to share
-        points = np.concatenate([np.add(x, [shift * k, 0.0]) for k in range(count)])
-        cells = np.concatenate([np.array([[0, 1, 3], [0, 2, 3]]) + 4 * k for k in range(count)])
-        if COMM.rank > 0:
-            points, cells = np.zeros((0, 2)), np.zeros((0, 3), dtype=np.int64)
-        element = mesh.create_unit_square(MPI.COMM_SELF, 1, 1).ufl_domain()
-        self.mesh = mesh.create_mesh(COMM, cells, e=element, x=points)
-        self.V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
-        self.u = fem.Function(self.V)
-        self.solid = dm.Solid(self.u, dm.Elastic(E, 0.0))
-        self.push = fem.Constant(self.mesh, moved)
-        top, last = plane(1, 1.0), shift * (count - 1) - 0.5
-        self.bcs = [self.fix(0, lambda x: np.full(x.shape[1], True), 0.0)] if count == 1 else []
-        if count > 1:
-            self.bcs += [self.fix(i, lambda x: top(x) & (x[0] < last), 0.0) for i in (0, 1)]
-            self.bcs += [self.fix(0, lambda x: top(x) & (x[0] > last), 0.0)]
-        self.bcs.append(self.fix(1, lambda x: top(x) & (x[0] > last), self.push))
-        self.ds = ufl.Measure("ds", self.mesh, subdomain_data=tag_facets(self.mesh, plane(1)))(1)
+    def __init__(self, count=1, moved=0.0):
+        b = self.blocks = Blocks([(3.0 * k, 3.0 * k + 1, 0.0, 1.0, 1, 1) for k in range(count)])
+        self.mesh, self.V, self.u = b.mesh, b.V, b.u
+        self.solid = dm.Solid(b.u, dm.Elastic(E, 0.0))
+        self.push = fem.Constant(b.mesh, np.array([0.0, moved]))
+        guides = [b.fix(1, side, component=0) for side in (EAST, WEST)]
+        self.bcs = [b.fix(k, ABOVE) for k in range(1, count)] or guides
+        self.bcs.append(b.fix(count, ABOVE, value=self.push))
+        self.ds = ufl.Measure("ds", b.mesh, subdomain_data=b.facets)(10 + BELOW)
 
-    def fix(self, i, where, value):
-        """Prescribe a component."""
-        W = self.V.sub(i)
-        dofs = fem.locate_dofs_geometrical((W, W.collapse()[0]), where)[0]
-        value = value if isinstance(value, fem.Constant) else fem.Constant(self.mesh, value)
-        return fem.dirichletbc(value, dofs, W)
+    def move(self, way):
+        self.push.value[1] = way
 
     def problem(self, *terms, **options):
-        """Make the problem."""
         return dm.ContactProblem(self.solid, bcs=self.bcs, terms=list(terms), **options)
 
     def bottom(self):
@@ -101,7 +75,7 @@ def test_a_damper(guide):
     bar = Bar()
     problem = bar.problem(guide["Damper"](bar.solid, C, bar.ds))
     found = []
-    for _ in dm.load_steps(problem, LEVELS, on_time=lambda t: setattr(bar.push, "value", 0.01 * t)):
+    for _ in dm.load_steps(problem, LEVELS, on_time=lambda t: bar.move(0.01 * t)):
         found.append(bar.bottom())
     assert np.allclose(found, damped(LEVELS), rtol=1e-10)
 
@@ -112,8 +86,8 @@ def test_a_damper_after_a_restart(guide, tmp_path):
     for levels in (LEVELS[:2], LEVELS):
         bar = Bar()
         problem = bar.problem(guide["Damper"](bar.solid, C, bar.ds))
-        on_time = lambda t, push=bar.push: setattr(push, "value", 0.01 * t)  # noqa: E731
-        list(dm.load_steps(problem, levels, on_time=on_time, checkpoint=file))
+        ramp = {bar.push: [(0.0, (0.0, 0.0)), (10.0, (0.0, 0.1))]}
+        list(dm.load_steps(problem, levels, ramp=ramp, checkpoint=file))
     assert np.isclose(bar.bottom(), damped(LEVELS)[-1], rtol=1e-10)
     other = Bar()
     with pytest.raises(ValueError, match=r"a Damper: state is 'missing', in .* {'u_n': 2}"):
@@ -197,7 +171,7 @@ def test_energy_forces_and_tangent_of_the_cable_fit(guide):
 def test_a_cable_holds_a_body(guide):
     """The audit knows that a bar which nothing else holds along y hangs on a cable."""
     bars = Bar(count=2)
-    bars.bcs = [*bars.bcs[:2], bars.fix(0, lambda x: x[0] > 2.0, 0.0)]
+    bars.bcs[1:] = [bars.blocks.fix(2, side, component=0) for side in (EAST, WEST)]
     with pytest.raises(ValueError, match="nothing holds"):
         bars.problem().audit()
     cable = guide["Cable"](bars.solid, (1.0, 0.0), (3.0, 1.0), 300.0)  # aslant
@@ -288,7 +262,7 @@ def test_what_a_term_is_told_in_the_course_of_a_walk(monkeypatch):
         return solve(problem, **options | {"max_it": 2 if len(tried) == 1 else 50})
 
     monkeypatch.setattr(stepping, "solve_step", short)
-    list(dm.load_steps(problem, [1.0], on_time=lambda t: setattr(bar.push, "value", -0.3 * t)))
+    list(dm.load_steps(problem, [1.0], on_time=lambda t: bar.move(-0.3 * t)))
     first, second = [(0.0, 0.5), "commit"], [(0.5, 1.0), "commit"]
     assert told.calls == [(0.0, 1.0), "roll back", *first, *second]
 
@@ -415,23 +389,6 @@ def test_weak_forms_that_cannot_work_are_refused():
             dm.WeakForm(bar.solid, **forms)
     with rejected("solid is 5: give the Solid of the bodies"):
         dm.WeakForm(5, energy=u[0] ** 2 * bar.ds)
-
-
-def test_without_energy_steps_are_whole(guide):
-    """A term without potential switches the line search off; the answer is the same."""
-
-    class Springs(dm.WeakForm):
-        """Tells no energy."""
-
-        def energy(self):
-            return None
-
-    bar = Bar(moved=-0.3)
-    problem = bar.problem(Springs(bar.solid, energy=guide["floor"](bar.u, -0.1, 250.0, bar.ds)))
-    assert problem.terms.energy() is None
-    report = dm.newton(problem, rtol=1e-10)
-    assert all(i.line_search_steps == 0 for i in report.iterations)
-    assert np.isclose(-bar.bottom(), (E * 0.3 + 25.0) / (E + 250.0), rtol=1e-10)
 
 
 def test_a_tangent_that_varies_on_one_rank_is_assembled_by_all():

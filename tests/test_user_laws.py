@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Laws of users: errors name the mistake; valid laws are computed and written to files."""
 
-import re
 from dataclasses import dataclass, make_dataclass
-from pathlib import Path
 from typing import ClassVar
 
 from mpi4py import MPI
@@ -18,7 +16,6 @@ from tests.cases.pressed_blocks import rejected
 from tests.cases.solid import create_displacement, create_tags
 
 COMM = MPI.COMM_WORLD
-GUIDE = (Path(__file__).parent.parent / "docs" / "guide" / "materials.md").read_text()
 
 
 @dataclass(frozen=True)
@@ -268,29 +265,3 @@ def test_the_plastic_area_is_that_of_every_law(laws, share):
     assert solid.plastic_area() == pytest.approx(share, rel=1e-12)
     assert solid.max("plastic") == (share > 0)
     assert "plastic" in solid.output_fields()
-
-
-@pytest.mark.mpi
-def test_an_internal_variable_may_be_called_plastic():
-    """Then it is what the law says it is, here a tensor."""
-    state = {"plastic_strain": (3, 3), "plastic": (3, 3)}
-    update = {name: ufl.Identity(3) for name in state}
-    changes = {"state": state, "updated_state": lambda *_: update, "output": None}
-    solid = create_solid(variant(stress=hooke, **changes))
-    solid.evaluate()
-    assert solid.max("plastic_xx") == 1.0
-
-
-@pytest.mark.serial
-def test_the_law_of_the_guide_runs(capsys):
-    """Ten lines, consistent, and its internal variable is written."""
-    (code,) = re.findall(r"```python\n(from dataclasses.*?)```", GUIDE, re.DOTALL)
-    body = code[code.index("class Stiffening") :].split("\nprint")[0]
-    assert len([line for line in body.splitlines() if line.strip()]) <= 13
-    names = {"dm": dm}
-    exec(compile(code, "materials.md", "exec"), names)
-    assert "consistent at" in capsys.readouterr().out
-    solid = create_solid(names["Stiffening"](E=1000.0, nu=0.3, c=1e5))
-    stretch(solid, 0.01)
-    assert solid.max("peak") == pytest.approx(0.01)
-    assert "peak" in dm.ContactProblem(solid).output_fields()

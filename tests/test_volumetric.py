@@ -63,16 +63,11 @@ def test_patch(cell, kinematics):
     boundary = hold(V, lambda x: np.full(x.shape[1], True), value=exact)
     dm.newton(dm.ContactProblem(solid, bcs=[boundary]), rtol=1e-12)
     assert largest(u.x.array - exact.x.array) < 1e-15
-    full = np.zeros((3, 3))
-    full[:d, :d] = strain
-    full[2, 2] = full[2, 2] if d == 3 else strain[0, 0] * (kinematics is not None)
-    lam, mu = E * NU / ((1 + NU) * (1 - 2 * NU)), E / (2 * (1 + NU))
-    stress = lam * np.trace(full) * np.eye(3) + 2 * mu * full
-    parts = [stress[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))]
-    found = solid.fields.values("stress")
-    assert largest(found - np.array(parts[: found.shape[2]])) < 1e-12 * E
-    density = 0.5 * np.sum(stress * full)
-    assert np.isclose(total(solid.energy()), density * total(solid.fields.weights), rtol=1e-12)
+    full = dm.Solid(exact, LAW, kinematics=kinematics)
+    full.evaluate()
+    stress, expected = (s.fields.values("stress") for s in (solid, full))
+    assert largest(stress - expected) < 1e-12 * E < 1e-6 * largest(expected)
+    assert np.isclose(total(solid.energy()), total(full.energy()), rtol=1e-12)
 
 
 @pytest.mark.parametrize(("cell", "kinematics"), quick(SHAPES, SHAPES[0]))
@@ -97,11 +92,12 @@ def test_the_stress_shown_is_that_of_the_forces(cell, kinematics):
     assert np.isclose(work, total(force * w.x.array[: len(force)]), rtol=1e-10)
 
 
+@pytest.mark.parametrize("volumetric", ["full", "reduced"])
 @pytest.mark.parametrize(("cell", "kinematics"), FLAT_BY_DEFAULT)
-def test_the_elastic_norm_is_that_of_the_tangent(cell, kinematics):
+def test_the_elastic_norm_is_that_of_the_tangent(cell, kinematics, volumetric):
     u = warped(cell)
     d = len(u)
-    solid = dm.Solid(u, LAW, kinematics=kinematics, volumetric="reduced")
+    solid = dm.Solid(u, LAW, kinematics=kinematics, volumetric=volumetric)
     u.interpolate(lambda x: np.sin(3 * x[:d] + x[[1, 0, 2]][:d]) * x[0])
     K, product = solid.create_matrix(), u.x.petsc_vec.duplicate()
     for _ in range(2):  # the second time what is constant is known
@@ -111,25 +107,19 @@ def test_the_elastic_norm_is_that_of_the_tangent(cell, kinematics):
     assert np.isclose(2 * total(solid.energy()), solid.elastic_norm(u) ** 2, rtol=1e-10)
 
 
-@pytest.mark.parametrize("kinematics", ["plane_strain", "axisymmetric"])
-def test_a_thick_cylinder_that_keeps_its_volume(kinematics):
+def test_a_thick_cylinder_that_keeps_its_volume():
     """Under pressure inside, nu = 0.4999, 8 cells across: Lame's growth; full has a fifth of it."""
     nu, found = 0.4999, []
     lame = Lame(E, nu, 1.0, 2.0, inside=10.0)
-    cells = (8, 2) if kinematics == "axisymmetric" else (8, 12)
     for volumetric in ("full", "reduced"):
-        domain = rectangle([(1.0, 0.0), (2.0, 1.0)], cells)
-        x, held = domain.geometry.x, [1, 1]
-        tags = tag_facets(domain, plane(0, 1.0), plane(1), plane(1, 1.0))
-        if kinematics == "plane_strain":  # a quarter of the section
-            r, angle = x[:, 0].copy(), np.pi / 2 * x[:, 1]
-            x[:, 0], x[:, 1], held = r * np.cos(angle), r * np.sin(angle), [1, 0]
+        domain = rectangle([(1.0, 0.0), (2.0, 1.0)], (8, 2))
+        tags = tag_facets(domain, plane(0, 1.0))
         u = create_displacement(domain)
         V = u.function_space
-        bcs = [hold(V, tags.find(tag), i) for i, tag in zip(held, (2, 3), strict=True)]
+        bcs = rollers(V, [1], (0.0, 1.0))
         ds = ufl.Measure("ds", domain, subdomain_data=tags)
         loads = -10.0 * ufl.dot(ufl.FacetNormal(domain), ufl.TestFunction(V)) * ds(1)
-        solid = dm.Solid(u, dm.Elastic(E, nu), kinematics=kinematics, volumetric=volumetric)
+        solid = dm.Solid(u, dm.Elastic(E, nu), kinematics="axisymmetric", volumetric=volumetric)
         dm.newton(dm.ContactProblem(solid, bcs=bcs, loads=loads), rtol=1e-10)
         inside = fem.locate_dofs_topological(V, 1, tags.find(1))
         moved = np.linalg.norm(u.x.array.reshape(-1, 2)[inside], axis=1)
