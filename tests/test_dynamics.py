@@ -12,6 +12,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.steps.time_steps import TimeSolves
+from dolfinx_mortar.terms import mass
 from tests.cases.meshes import BOTTOM_OF_UPPER, LOWER, TOP, TOP_OF_LOWER, UPPER
 from tests.cases.moving_bodies import Bar, Blocks
 from tests.cases.pressed_blocks import PressedBlocks, rejected
@@ -153,6 +154,7 @@ def test_a_checkpoint_holds_the_motion(tmp_path_factory, options):
     (one, v), (other, w) = found
     assert asdict(one) == pytest.approx(asdict(other), rel=1e-9, abs=1e-12)
     assert w == pytest.approx(v, rel=1e-9, abs=1e-10)
+    assert "energy: kinetic" in str(last.report).replace("\n", " ")
     assert one.kinetic != one.initial and dm.summarise(last)["ledger"] == asdict(other)
 
 
@@ -329,6 +331,18 @@ def bar():
     return Bar()
 
 
+def test_corners_between_contact_sides(monkeypatch):
+    """A node all of whose neighbours are on contact sides takes part in the motion further in."""
+    case, counts = Blocks((1, 1), (8, 8)), []
+    X, inertia = case.problem.X, dm.Inertia(case.solid, 1.0)
+    near = np.abs(X - [0.0, 1.0]).max(axis=1) < 0.13  # the corner and its neighbours
+    for rings in (mass.RINGS, 1):
+        monkeypatch.setattr(mass, "RINGS", rings)
+        inertia.meet(near | (X[:, 1] > 0.99), case.problem.bodies.label)
+        counts.append(COMM.allreduce(int(inertia.mass.massless.sum())))
+    assert counts[1] < counts[0]
+
+
 def inertia(**options):
     """Return how to make an inertia of a bar."""
     return lambda bar: dm.Inertia(bar.solid, **{"density": 1.0} | options)
@@ -349,26 +363,22 @@ def first(times=(0.1,), **options):
     return lambda bar: next(dm.time_steps(bar.problem(), times, **options))
 
 
-def velocity_in(degree, shape=()):
-    """Return how to make an inertia with a velocity in a space."""
-    return lambda bar: dm.Inertia(
-        bar.solid,
-        1.0,
-        velocity=fem.Function(fem.functionspace(bar.mesh, ("Lagrange", degree, shape))),
-    )
+def with_scalar_velocity(bar):
+    velocity = fem.Function(fem.functionspace(bar.mesh, ("Lagrange", 1)))
+    dm.Inertia(bar.solid, 1.0, velocity=velocity)
 
 
 NEO_HOOKE = dm.NeoHooke(1.0, 0.3)
 REFUSED = [
-    *((inertia(density=d), ("density", "Inertia")) for d in (None, 0.0, np.nan, True, "steel", {})),
+    *((inertia(density=d), ("density", "Inertia")) for d in (None, 0.0, "steel")),
     (of_blocks({LOWER: 1.0}, False), ("density is a dictionary", "give an entry, and cell_tags")),
     (of_blocks({LOWER: 1.0}), ("density has no entry for", f"tags {UPPER}")),
     (of_blocks({LOWER: 1.0, UPPER: 1.0, 7: 1.0}), ("density", "7", "no cell")),
     (of_blocks({LOWER: 1.0, UPPER: -1.0}), ("density of 2", "-1")),
-    *((velocity_in(*space), ("velocity", "solid.V")) for space in ((1,), (2, (2,)))),
+    (with_scalar_velocity, ("velocity", "solid.V")),
     *(
         (inertia(velocity=v), ("velocity", "2 finite numbers"))
-        for v in (1.0, (1.0, 2.0, 3.0), (0.0, np.inf), "down")
+        for v in (1.0, (0.0, np.inf), "down")
     ),
     (
         inertia(velocity={1: (0.0, 0.0)}),
@@ -376,7 +386,7 @@ REFUSED = [
     ),
     *(
         (inertia(velocity=f), ("velocity(x) is", "for points x"))
-        for f in (lambda x: x[0], lambda x: 1j * x[:2], lambda x: None)
+        for f in (lambda x: x[0], lambda x: None)
     ),
     (lambda bar: dm.newton(bar.problem()), ("Inertia", "time_steps", "level=")),
     (lambda bar: next(dm.load_steps(bar.problem(), [0.1])), ("Inertia", "dm.time_steps")),

@@ -19,6 +19,7 @@ from tests.cases.solid import (
     plane,
     rectangle,
     rollers,
+    stand,
     total,
 )
 from tests.choice import quick
@@ -30,25 +31,33 @@ TENSOR = np.array([[1e-3, 4e-4, 0.0], [4e-4, -5e-4, 0.0], [0.0, 0.0, 2e-3]])
 
 
 def block(d, cells=3, cell=None):
-    """Return the displacement of a unit block."""
+    """Return a unit block."""
     cell = cell or ("triangle", "tetrahedron")[d - 2]
-    return create_displacement(rectangle([d * [0.0], d * [1.0]], d * [cells], cell))
+    return rectangle([d * [0.0], d * [1.0]], d * [cells], cell)
+
+
+def displacement(d):
+    return create_displacement(block(d))
 
 
 def test_a_free_body_takes_the_strain_and_has_no_stress():
     """Only rigid motions are held: at a point, and where a second and third one may go."""
-    u = block(3)
-    V, bcs = u.function_space, []
-    for axes, at in (((0, 1, 2), (0, 0, 0)), ((1, 2), (1, 0, 0)), ((2,), (0, 1, 0))):
-        for i in axes:
-            W = V.sub(i).collapse()[0]
-            dofs = fem.locate_dofs_geometrical(
-                (V.sub(i), W), lambda x, at=at: np.isclose(x, np.array(at)[:, None]).all(axis=0)
-            )
-            bcs.append(fem.dirichletbc(fem.Function(W), dofs, V.sub(i)))
-    solid = dm.Solid(u, LAW, eigenstrain=TENSOR.tolist())
-    dm.newton(dm.ContactProblem(solid, bcs=bcs), rtol=1e-13)
-    assert largest(solid.stress.x.array) < 1e-11 * E * 2e-3
+
+    def supports(V):
+        bcs = []
+        for axes, at in (((0, 1, 2), (0, 0, 0)), ((1, 2), (1, 0, 0)), ((2,), (0, 1, 0))):
+            for W in (V.sub(i) for i in axes):
+                f = fem.Function(W.collapse()[0])
+                dofs = fem.locate_dofs_geometrical(
+                    (W, f.function_space), lambda x, at=at: np.isclose(x.T, at).all(axis=1)
+                )
+                bcs.append(fem.dirichletbc(f, dofs, W))
+        return bcs
+
+    problem = stand(block(3), LAW, supports, eigenstrain=TENSOR.tolist())
+    dm.newton(problem, rtol=1e-13)
+    u = problem.u
+    assert largest(problem.solid.stress.x.array) < 1e-11 * E * 2e-3
     for (i, j), strain in np.ndenumerate(TENSOR):
         found = fem.assemble_scalar(fem.form(ufl.sym(ufl.grad(u))[i, j] * ufl.dx))
         assert COMM.allreduce(found) == pytest.approx(strain, rel=1e-10, abs=1e-14)
@@ -56,8 +65,7 @@ def test_a_free_body_takes_the_strain_and_has_no_stress():
 
 def test_a_tensor_that_is_not_symmetric():
     """No strain, such as a gradient whose skew part is a rotation; round-off is none."""
-    d = 3
-    u, tensor = block(d), 2e-3 * np.eye(3)
+    u, tensor = displacement(3), 2e-3 * np.eye(3)
     tensor[0, 1] = 1e-15
     value = fem.Constant(u.function_space.mesh, tensor)
     solid = dm.Solid(u, LAW, eigenstrain=value)
@@ -67,7 +75,7 @@ def test_a_tensor_that_is_not_symmetric():
     value.value[1, 0] = 1e-6
     solid.follow()
     w = fem.Function(u.function_space)
-    w.interpolate(lambda x: [x[1], *np.zeros((d - 1, x.shape[1]))])
+    w.interpolate(lambda x: [x[1], 0 * x[0], 0 * x[0]])
     gradient = ufl.grad(w)
     with rejected("eigenstrain is not symmetric"):
         dm.Solid(u, LAW, eigenstrain=gradient)
@@ -76,9 +84,9 @@ def test_a_tensor_that_is_not_symmetric():
 
 def test_plane_strain_holds_the_thickness():
     """Heated and free in the plane: sigma_zz = -E e0, u = (1 + nu) e0 x."""
-    u = block(2)
-    solid = dm.Solid(u, LAW, eigenstrain=2e-3)
-    dm.newton(dm.ContactProblem(solid, bcs=rollers(u.function_space)), rtol=1e-13)
+    problem = stand(block(2), LAW, rollers, eigenstrain=2e-3)
+    dm.newton(problem, rtol=1e-13)
+    u, solid = problem.u, problem.solid
     stress = solid.fields.values("stress")
     assert largest(stress - np.array([0.0, 0.0, -E * 2e-3, 0.0])) < 1e-12 * E
     expected = fem.Function(solid.V)
@@ -89,10 +97,9 @@ def test_plane_strain_holds_the_thickness():
 @pytest.mark.parametrize(("d", "volumetric"), [(2, "full"), (2, "reduced"), (3, "full")])
 def test_a_clamped_body_is_pressed_from_all_sides(d, volumetric):
     """-E e0 / (1 - 2 nu) in all directions, and the energy of that, in one iteration."""
-    u = block(d, 2, ("quadrilateral", "hexahedron")[d - 2])
-    solid = dm.Solid(u, LAW, eigenstrain=2e-3, volumetric=volumetric)
-    bcs = rollers(u.function_space, ends=(0.0, 1.0))
-    report = dm.newton(dm.ContactProblem(solid, bcs=bcs), rtol=1e-12)
+    domain, how = rectangle([d * [0], d * [1]], d * [2]), {"volumetric": volumetric}
+    problem = stand(domain, LAW, lambda V: rollers(V, ends=(0, 1)), eigenstrain=2e-3, **how)
+    report, u, solid = dm.newton(problem, rtol=1e-12), problem.u, problem.solid
     pressed = -E * 2e-3 / (1 - 2 * NU)
     stress = solid.fields.values("stress")
     assert largest(stress - pressed * (np.arange(stress.shape[2]) < 3)) < 1e-12 * E
@@ -102,7 +109,7 @@ def test_a_clamped_body_is_pressed_from_all_sides(d, volumetric):
 
 def test_it_may_vary_in_space_and_change_in_time():
     """UFL of coordinates, a Constant and a Function: followed at once, without compiling."""
-    u = block(2)
+    u = displacement(2)
     V = u.function_space
     T = fem.Function(fem.functionspace(V.mesh, ("Lagrange", 1)))
     T.interpolate(lambda x: 10 + 0 * x[0])
@@ -136,15 +143,17 @@ def test_what_does_not_harden_may_swell_beyond_yield(name, before):
     The tangent is singular where all flows: a step begins with that of the committed state.
     """
     d, law, strain, options = SWELLING[name]
-    u = block(d, 2, ("quadrilateral", "hexahedron")[d - 2])
-    V, domain = u.function_space, u.function_space.mesh
-    swollen, end = fem.Function(V), fem.Constant(domain, 0.0)
+    domain = rectangle([d * [0], d * [1]], d * [2])
+    heat, end = fem.Constant(domain, np.zeros((3, 3))), fem.Constant(domain, 0.0)
+
+    def supports(V):
+        pulled = [hold(V, plane(d - 1, 1.0), d - 1, end)] if before == "flowed" else []
+        return rollers(V) + pulled
+
+    options = options | {"eigenstrain": heat, "given": {"petsc_options": {"pc_type": "cholesky"}}}
+    problem = stand(domain, law, supports, **options)
+    u, solid, swollen = problem.u, problem.solid, fem.Function(problem.V)
     swollen.interpolate(lambda x: np.diag(strain[:d]) @ x[:d])
-    heat = fem.Constant(domain, np.zeros((3, 3)))
-    solid, bcs = dm.Solid(u, law, eigenstrain=heat, **options), rollers(V)
-    if before == "flowed":
-        bcs.append(hold(V, plane(d - 1, 1.0), d - 1, end))
-    problem = dm.ContactProblem(solid, bcs=bcs, petsc_options={"pc_type": "cholesky"})
     if before == "flowed":
         end.value = 3e-3
         dm.newton(problem, rtol=1e-12)
@@ -167,18 +176,11 @@ def test_a_shrink_fit_by_cooling(slave):
     Its strain is e0 (1 + nu) in the plane, which is an overlap of that times the radius.
     """
     radii = (1.0, 1.5, 2.5)
-    domain, cell_tags, tags = tubes(radii, ((6, 8), (9, 16)), cell="quadrilateral")
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    cooling = fem.Constant(domain, 0.0)
-    solid = dm.Solid(
-        fem.Function(V),
-        {LOWER: LAW, UPPER: LAW},
-        cell_tags,
-        kinematics="axisymmetric",
-        eigenstrain={UPPER: cooling},
-    )
+    domain, cells, tags = tubes(radii, ((6, 8), (9, 16)), cell="quadrilateral")
+    cooling, laws = fem.Constant(domain, 0.0), {LOWER: LAW, UPPER: LAW}
+    how = {"cell_tags": cells, "kinematics": "axisymmetric", "eigenstrain": {UPPER: cooling}}
     contact = dm.Contact(tags, slave=slave, master=TOP_OF_LOWER + BOTTOM_OF_UPPER - slave)
-    problem = dm.ContactProblem(solid, [contact], bcs=held_ends(V, tags))
+    problem = stand(domain, laws, lambda V: held_ends(V, tags), [contact], **how)
     steps = dm.load_steps(problem, [0.5, 1.0], on_time=lambda t: cooling.value.fill(-1e-6 * t))
     pressures = []
     for step in steps:
@@ -190,12 +192,11 @@ def test_a_shrink_fit_by_cooling(slave):
 
 def test_a_step_that_fails_shows_what_was_before():
     """Stress and state are those of the eigenstrain before, and the next try takes the new one."""
-    u = block(2, 6)
-    V = u.function_space
-    heat, x = fem.Constant(V.mesh, 1e-4), ufl.SpatialCoordinate(V.mesh)
+    domain = block(2, 6)
+    heat, x = fem.Constant(domain, 1e-4), ufl.SpatialCoordinate(domain)
     law = dm.VonMises(E, NU, Y=0.5, a=10.0)
-    solid = dm.Solid(u, law, eigenstrain=heat * ufl.sin(5 * x[0]) * x[1])
-    problem = dm.ContactProblem(solid, bcs=rollers(V))
+    problem = stand(domain, law, rollers, eigenstrain=heat * ufl.sin(5 * x[0]) * x[1])
+    solid = problem.solid
     dm.newton(problem)
     problem.commit()
     before = solid.stress.x.array.copy()
@@ -221,7 +222,7 @@ def test_a_step_that_fails_shows_what_was_before():
         (1j, "eigenstrain is 1j: give a scalar "),
         ({1: np.bool_(True)}, "eigenstrain[1] is a bool: give a scalar"),
         (lambda u: u[0], "depends on the displacement"),
-        (lambda u: block(2)[0], "another mesh"),
+        (lambda u: displacement(2)[0], "another mesh"),
         (lambda u: ufl.TestFunction(u.function_space)[0], ": give a scalar"),
     ],
 )
@@ -235,21 +236,21 @@ def test_what_is_no_eigenstrain_is_refused(given, said):
 
 def test_entries_by_tag_need_tags():
     with rejected("dictionary by cell tag: give an entry, and cell_tags"):
-        dm.Solid(block(2), LAW, eigenstrain={1: 1e-3})
+        stand(block(2), LAW, eigenstrain={1: 1e-3})
 
 
 def test_what_becomes_undefined_later_is_refused_and_nothing_changes():
-    u = block(2)
-    heat = fem.Constant(u.function_space.mesh, 1e-3)
-    solid = dm.Solid(u, LAW, eigenstrain=heat)
+    domain = block(2)
+    heat = fem.Constant(domain, 1e-3)
+    problem = stand(domain, LAW, rollers, eigenstrain=heat)
+    solid = problem.solid
     solid.evaluate()
     before = solid.stress.x.array.copy()
-    problem = dm.ContactProblem(solid, bcs=rollers(u.function_space))
     heat.value = np.nan
     for call in (solid.evaluate, lambda: dm.newton(problem)):
         with pytest.raises(ValueError, match="eigenstrain is NaN or infinite at"):
             call()
-    assert (u.x.array == 0.0).all() and (solid.stress.x.array == before).all()
+    assert (problem.u.x.array == 0.0).all() and (solid.stress.x.array == before).all()
     heat.value = 2e-3
     dm.newton(problem)
     assert np.isclose(solid.max("stress_zz"), -E * 2e-3)

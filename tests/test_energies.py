@@ -20,6 +20,7 @@ from tests.cases.solid import (
     plane,
     rectangle,
     set_wave,
+    stand,
     total,
 )
 from tests.cases.user_laws import Forces
@@ -61,11 +62,13 @@ class Push:
 
 def push(law, strain, **options):
     """Return a rectangle that its top shears and presses."""
-    u = create_displacement(rectangle([(0.5, 0.0), (1.5, 1.0)], (3, 3)))
-    V, top = u.function_space, fem.Constant(u.function_space.mesh, np.zeros(2))
-    solid = dm.Solid(u, law, strain=strain, energies=True, **options)
-    bcs = [hold(V, plane(1)), hold(V, plane(1, 1.0), value=top)]
-    return Push(dm.ContactProblem(solid, [], bcs=bcs), top)
+    domain = rectangle([(0.5, 0.0), (1.5, 1.0)], (3, 3))
+    top = fem.Constant(domain, np.zeros(2))
+
+    def ends(V):
+        return [hold(V, plane(1)), hold(V, plane(1, 1.0), value=top)]
+
+    return Push(stand(domain, law, ends, strain=strain, energies=True, **options), top)
 
 
 def loop(size, n):

@@ -17,6 +17,7 @@ from tests.cases.solid import (
     rectangle,
     rollers,
     set_wave,
+    stand,
     tag_facets,
 )
 
@@ -29,13 +30,13 @@ def quarter(kinematics, n):
     tags, x = tag_facets(domain, plane(0), plane(1), plane(1, 1.0)), domain.geometry.x
     r, a = INNER + (OUTER - INNER) * x[:, 0], np.pi / 2 * x[:, 1]
     x[:, 0], x[:, 1] = r * np.cos(a), r * np.sin(a)
-    u = create_displacement(domain)
-    bcs = rollers(u.function_space)
     how = {"kinematics": kinematics, "strain": "finite", "volumetric": "reduced"}
-    solid = dm.Solid(u, dm.MooneyRivlin(0.5, 0.0, 2000.0), **how)
-    p = fem.Constant(domain, default_scalar_type(0.0))
-    pressure = dm.Pressure(solid, tags, 1, p, closed=True)
-    return dm.ContactProblem(solid, [], bcs=bcs, terms=[pressure]), p
+    law, p = dm.MooneyRivlin(0.5, 0.0, 2000.0), fem.Constant(domain, default_scalar_type(0.0))
+
+    def pressure(solid):
+        return [dm.Pressure(solid, tags, 1, p, closed=True)]
+
+    return stand(domain, law, rollers, [], pressure, **how), p
 
 
 def exact_pressure(a, n):
@@ -171,11 +172,15 @@ def test_where_contact_is_closed_the_tangent_of_an_open_side_is_whole():
 def test_the_edge_of_a_plate_has_the_pressure_on_its_present_thickness(cell, degree, law):
     """Pressed along y alone, a plate has the stress -p in all of it, and thickens by 3 %."""
     domain = rectangle([(0, 0), (1, 1)], (3, 2), cell)
-    u, tags = create_displacement(domain, degree), tag_facets(domain, plane(1, 1.0))
-    solid = dm.Solid(u, law, kinematics="plane_stress", strain="finite")
-    bcs = rollers(solid.V)
-    pressure = dm.Pressure(solid, tags, 1, 1.0)
-    dm.newton(dm.ContactProblem(solid, [], bcs=bcs, terms=[pressure]), rtol=1e-9)
+    tags = tag_facets(domain, plane(1, 1.0))
+
+    def pressure(solid):
+        return [dm.Pressure(solid, tags, 1, 1.0)]
+
+    how = {"kinematics": "plane_stress", "strain": "finite", "degree": degree}
+    problem = stand(domain, law, rollers, [], pressure, **how)
+    dm.newton(problem, rtol=1e-9)
+    solid = problem.solid
     assert solid.max("stress_yy") == pytest.approx(-1.0, rel=1e-7)
     assert np.allclose(solid.fields.values("stress_yy"), -1.0, rtol=1e-7)
     assert np.abs(solid.fields.values("stress_xx")).max(initial=0.0) < 1e-7
@@ -215,12 +220,17 @@ def test_a_pressure_acts_on_all_of_a_side(rising):
 def flap(p, *, closed, held=False):
     """Return a strip, its left end held, perhaps the right one, with a pressure on its top."""
     domain = rectangle([(1, 1), (2, 1.05)], (10, 1))
-    u, tags = create_displacement(domain, 2), tag_facets(domain, plane(1, 1.05))
-    ends = (1.0, 2.0) if held else (1.0,)
-    support = hold(u.function_space, lambda x: np.isin(x[0].round(9), ends))
-    solid = dm.Solid(u, dm.NeoHooke(200.0, 0.3), strain="finite")
-    pressure = dm.Pressure(solid, tags, 1, p, closed=closed)
-    return dm.ContactProblem(solid, [], bcs=[support], terms=[pressure]), pressure
+    tags, ends = tag_facets(domain, plane(1, 1.05)), (1.0, 2.0) if held else (1.0,)
+
+    def support(V):
+        return [hold(V, lambda x: np.isin(x[0].round(9), ends))]
+
+    def pressure(solid):
+        return [dm.Pressure(solid, tags, 1, p, closed=closed)]
+
+    law, how = dm.NeoHooke(200.0, 0.3), {"degree": 2, "strain": "finite"}
+    problem = stand(domain, law, support, [], pressure, **how)
+    return problem, problem.terms.named[-1][1]
 
 
 @pytest.mark.mpi

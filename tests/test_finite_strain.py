@@ -19,6 +19,7 @@ from tests.cases.solid import (
     plane,
     rectangle,
     rollers,
+    stand,
     tag_facets,
 )
 from tests.choice import quick
@@ -129,11 +130,12 @@ def column(d, depth, imperfection=0.0, options=None, cells=(1, 2, 12)):
     domain = rectangle([d * [0.0], [*(d - 1) * [0.1], 1.0]], (2, 20) if d == 2 else cells)
     x = domain.geometry.x
     x[:, d - 2] += imperfection * np.sin(np.pi * x[:, d - 1] / 2)
-    u = create_displacement(domain)
-    V = u.function_space
-    bcs = [hold(V, plane(d - 1)), hold(V, plane(d - 1, 1.0), d - 1, -depth)]
-    solid = dm.Solid(u, RUBBER, strain="finite", volumetric="reduced")
-    return dm.ContactProblem(solid, [], bcs=bcs, petsc_options=options)
+
+    def ends(V):
+        return [hold(V, plane(d - 1)), hold(V, plane(d - 1, 1.0), d - 1, -depth)]
+
+    how = {"strain": "finite", "volumetric": "reduced", "given": {"petsc_options": options}}
+    return stand(domain, RUBBER, ends, **how)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -229,11 +231,13 @@ def test_loads_that_turn_a_limit_point():
 
 def pressed_cube(law, n, **options):
     """Return a cube whose bottom is held, and the displacement that is prescribed at its top."""
-    u = create_displacement(rectangle([(0, 0, 0), (1, 1, 1)], (n, n, n), "hexahedron"))
-    V = u.function_space
-    move = fem.Constant(V.mesh, np.zeros(3, dtype=default_scalar_type))
-    bcs = [hold(V, plane(2)), hold(V, plane(2, 1.0), value=move)]
-    return dm.ContactProblem(dm.Solid(u, law, strain="finite"), [], bcs=bcs, **options), move
+    domain = rectangle([(0, 0, 0), (1, 1, 1)], (n, n, n))
+    move = fem.Constant(domain, np.zeros(3, dtype=default_scalar_type))
+
+    def ends(V):
+        return [hold(V, plane(2)), hold(V, plane(2, 1.0), value=move)]
+
+    return stand(domain, law, ends, strain="finite", given=options), move
 
 
 @pytest.mark.serial
@@ -319,6 +323,5 @@ def test_a_metal_flattened_in_one_step():
     ],
 )
 def test_what_finite_strain_does_not_go_with(options, words):
-    u = create_displacement(create_domain("quadrilateral", 2))
     with rejected(*words):
-        dm.Solid(u, RUBBER, **options)
+        stand(create_domain("quadrilateral", 2), RUBBER, **options)

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.materials.tensor import INDEX
 from dolfinx_mortar.solid.pointwise import packed
 from tests.cases.pointwise_laws import UNIT, VOLUME, Compiled, OneSided, Radial, nan_last, spoilt
@@ -23,7 +22,6 @@ from tests.cases.solid import (
     STEEL,
     create_displacement,
     create_domain,
-    create_tags,
     residual,
     set_wave,
     total,
@@ -79,25 +77,6 @@ def test_the_law_in_numbers_is_the_law_in_ufl(law, cell, degree, options):
         dm.Solid(create_displacement(domain, degree), m, **options) for m in (law(*NUMBERS), STEEL)
     ]
     assert solids[0].energy() is None and solids[1].energy() is not None
-    compare(*solids)
-
-
-@pytest.mark.mpi
-@pytest.mark.slow
-def test_beside_laws_in_ufl_with_parameters_and_eigenstrain():
-    """Three laws by tag, a Constant and a Function as parameters, and a thermal strain."""
-    domain = create_domain("quadrilateral", 6)
-    tags = create_tags(domain, lambda x: (3 * x[:, 0] * 0.999).astype(int))
-    Y = fem.Constant(domain, default_scalar_type(300.0))
-    a = fem.Function(fem.functionspace(domain, ("Lagrange", 1)))
-    a.interpolate(lambda x: 5000.0 * (1 + x[0]))
-    rest = {0: dm.Elastic(STEEL.E, 0.2), 2: dm.VonMises(STEEL.E, 0.29, 400.0, 0.0, 1000.0)}
-    solids = []
-    for law in (Compiled, dm.VonMises):
-        laws, u = rest | {1: law(STEEL.E, 0.29, Y, a)}, create_displacement(domain)
-        solids.append(dm.Solid(u, laws, tags, eigenstrain={1: 1e-3}))
-    compare(*solids)
-    Y.value = 250.0
     compare(*solids)
 
 

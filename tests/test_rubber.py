@@ -26,6 +26,7 @@ from tests.cases.solid import (
     plane,
     rectangle,
     rollers,
+    stand,
     tag_facets,
     total,
 )
@@ -61,15 +62,15 @@ def test_the_rubber_cylinder():
 def test_what_nothing_loads_is_in_balance(volumetric):
     """A tool comes nearer, and does not touch yet: stresses are round-off of F, K times 1e-16."""
     square = rectangle([(0, 0), (1, 1)], (4, 4))
-    u, tags = create_displacement(square), tag_facets(square, plane(1, 1.0))
-    solid = dm.Solid(u, RUBBER, strain="finite", volumetric=volumetric)
-    tool = dm.Obstacle(tags, slave=1, shape=dm.shapes.Plane((0.0, 1.2), (0.0, -1.0)))
-    problem = dm.ContactProblem(solid, [tool], bcs=[hold(solid.V, plane(1))])
+    above = dm.shapes.Plane((0.0, 1.2), (0.0, -1.0))
+    tool = dm.Obstacle(tag_facets(square, plane(1, 1.0)), slave=1, shape=above)
+    how = {"strain": "finite", "volumetric": volumetric}
+    problem = stand(square, RUBBER, lambda V: [hold(V, plane(1))], [tool], **how)
     for height in (1.1, 1.05):
         tool.position.value[1] = height
         assert dm.newton(problem).newton_iterations == 1
         problem.commit()
-    assert np.abs(solid.u.x.array).max(initial=0.0) < 1e-12
+    assert np.abs(problem.u.x.array).max(initial=0.0) < 1e-12
 
 
 @pytest.mark.slow
@@ -118,15 +119,18 @@ def test_cells_of_second_order_bear_volumes_that_stay(cell):
 def test_cells_that_lose_their_stability_first_are_named(degree, volumetric, K, height, told):
     """A square between smooth plates; a continuum holds to .54, "reduced" of degree 2 to .62."""
     domain = mesh.create_unit_square(MPI.COMM_SELF, 2, 2, mesh.CellType.quadrilateral)
-    u = create_displacement(domain, degree)
-    bcs = [*rollers(u.function_space), hold(u.function_space, plane(1, 1.0), 1, height - 1)]
+
+    def pressed(V):
+        return [*rollers(V), hold(V, plane(1, 1.0), 1, height - 1)]
+
     law = dm.MooneyRivlin(1 / 3, 1 / 6, K)  # the shear modulus is 1
-    solid = dm.Solid(u, law, strain="finite", volumetric=volumetric)
-    problem = dm.ContactProblem(solid, [], bcs=bcs)
+    how = {"strain": "finite", "volumetric": volumetric, "degree": degree}
+    problem = stand(domain, law, pressed, **how)
     dm.newton(problem)
     last = [note for note in problem.diagnose() if "indefinite" in note][-1:]
     assert ["cells of degree 2" in note for note in last] == told
-    u.x.array[:] += 0.02 * np.random.default_rng(1).standard_normal(u.x.array.size)
+    u = problem.u.x.array
+    u += 0.02 * np.random.default_rng(1).standard_normal(u.size)
     with pytest.raises(dm.NewtonNotConverged):  # an error says the same
         dm.newton(problem, max_it=2)
     assert ["cells of degree 2" in problem.diagnose()[-1]] * len(told) == told

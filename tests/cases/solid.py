@@ -8,6 +8,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx import default_scalar_type, fem, mesh
+from dolfinx_mortar import ContactProblem
 from dolfinx_mortar.materials import VonMises
 from dolfinx_mortar.solid.solid import Solid
 
@@ -69,6 +70,20 @@ def tag_facets(domain: mesh.Mesh, *places: Any) -> mesh.MeshTags:
     facets = np.concatenate(found)
     order = np.argsort(facets)
     return mesh.meshtags(domain, d, facets[order], values[order])
+
+
+def stand(domain: mesh.Mesh, law: Any, supports: Any = None, *more: Any, **options: Any) -> Any:
+    """Return the problem of a body.
+
+    Supports are a function of the space, then interfaces and a function of the solid that returns
+    terms may follow; options are `degree`, `given` to the problem, and those of the solid.
+    """
+    degree, given = options.pop("degree", 1), options.pop("given", {})
+    solid = Solid(create_displacement(domain, degree), law, **options)
+    bcs = supports(solid.V) if supports else []
+    interfaces = more[0] if more else []
+    terms = more[1](solid) if len(more) > 1 else []
+    return ContactProblem(solid, interfaces, bcs=bcs, terms=terms, **given)
 
 
 def wave(size: float, phase: float = 0.0) -> Any:
