@@ -11,7 +11,6 @@ import pytest
 from scipy.linalg import expm
 
 import dolfinx_mortar as dm
-import ufl
 from dolfinx import fem
 from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
@@ -24,22 +23,6 @@ from tests.choice import quick
 E, NU, SIGMA_Y = 200e3, 0.3, 200.0
 Y = np.sqrt(2 / 3) * SIGMA_Y
 IDENTITY = np.eye(3)
-
-
-@dataclass(frozen=True)
-class Bare(dm.Material):
-    """A user's law without parameters."""
-
-    state: ClassVar = {}
-    linear: ClassVar = True
-
-    @staticmethod
-    def elastic_stress(strain, p):
-        return 100.0 * strain
-
-    @staticmethod
-    def energy(strain, state, p):
-        return 50.0 * ufl.inner(strain, strain)
 
 
 @dataclass(frozen=True)
@@ -59,7 +42,6 @@ LAWS = {
     "cone": dm.DruckerPrager(E, NU, Y, 0.4),
     "mixed": MIXED,
     "wood": WOOD,
-    "bare": Bare(),
     "one-sided arrays": OneSided(E, NU, Y, 500.0),
     "turning arrays": Turning(E, NU, Y, 0.0),
 }

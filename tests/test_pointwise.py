@@ -20,10 +20,10 @@ from tests.cases.solid import (
     CELLS,
     COMM,
     STEEL,
-    create_displacement,
     create_domain,
     residual,
     set_wave,
+    solid_on,
     total,
 )
 from tests.choice import quick
@@ -73,9 +73,7 @@ CASES = [
 def test_the_law_in_numbers_is_the_law_in_ufl(law, cell, degree, options):
     """NumPy and numba against UFL: forces, tangent, stress, state over two steps."""
     domain = create_domain(cell, 3)
-    solids = [
-        dm.Solid(create_displacement(domain, degree), m, **options) for m in (law(*NUMBERS), STEEL)
-    ]
+    solids = [solid_on(domain, m, degree=degree, **options) for m in (law(*NUMBERS), STEEL)]
     assert solids[0].energy() is None and solids[1].energy() is not None
     compare(*solids)
 
@@ -92,7 +90,7 @@ def test_the_law_is_asked_only_when_something_has_changed():
             calls.append(len(strain))
             return Radial.update(strain, state, p)
 
-    solid = dm.Solid(create_displacement(create_domain("triangle")), Counted(*NUMBERS))
+    solid = solid_on(create_domain("triangle"), Counted(*NUMBERS))
     K = solid.create_matrix()
     for step in range(3):
         set_wave(solid.u, 2e-3, float(step))
@@ -169,14 +167,14 @@ def test_a_cache_of_another_name_is_named(tmp_path):
 @pytest.mark.parametrize(("changes", "message"), MISTAKES)
 def test_mistakes_are_named_on_all_ranks(changes, message):
     with pytest.raises(ValueError, match=message):
-        solid = dm.Solid(create_displacement(create_domain("triangle")), spoilt(**changes))
+        solid = solid_on(create_domain("triangle"), spoilt(**changes))
         solid.evaluate()
 
 
 @pytest.mark.mpi
 def test_nan_on_one_rank_is_raised_on_all():
     law = spoilt(stress=nan_last) if COMM.rank == COMM.size - 1 else spoilt(stress=np.copy)
-    solid = dm.Solid(create_displacement(create_domain("triangle")), law)
+    solid = solid_on(create_domain("triangle"), law)
     for ask in (solid.evaluate, solid.element_force_norm):
         with pytest.raises(ValueError, match=r"Spoilt.update gives NaN or infinity at 1 integr"):
             ask()

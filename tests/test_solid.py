@@ -29,6 +29,7 @@ from tests.cases.solid import (
     create_tags,
     residual,
     set_wave,
+    solid_on,
     total,
 )
 from tests.cases.user_laws import OfHooke
@@ -57,10 +58,10 @@ def test_element_force_norm(cell: str) -> None:
 def test_default_quadrature() -> None:
     """One point on simplices, 2 x 2 and 2 x 2 x 2 elsewhere; weights sum to the volume."""
     for cell, points, volume in zip(CELLS, (1, 4, 1, 8), (2.0, 2.0, 3.0, 3.0), strict=True):
-        solid = Solid(create_displacement(create_domain(cell, 2)), STEEL)
+        solid = solid_on(create_domain(cell, 2), STEEL)
         assert solid.fields.weights.shape[1] == points
         assert np.isclose(total(solid.fields.weights), volume, rtol=1e-13)
-    richer = Solid(create_displacement(create_domain("triangle")), STEEL, quadrature_degree=2)
+    richer = solid_on(create_domain("triangle"), STEEL, quadrature_degree=2)
     assert richer.fields.weights.shape[1] == 3
 
 
@@ -77,7 +78,7 @@ def test_nothing_is_compiled_for_other_numbers(monkeypatch: pytest.MonkeyPatch) 
         hard = VonMises(scale * STEEL.E, 0.2, scale * STEEL.Y, 0.0)
         laws = {first: STEEL, first + 1: Elastic(scale, 0.1), first + 2: hard}
         for materials, cell_tags in ((laws, tags), (hard, None)):
-            solid = Solid(create_displacement(domain), materials, cell_tags)
+            solid = solid_on(domain, materials, cell_tags)
             K = solid.create_matrix()
             for size in (1e-4, 1e-2):
                 set_wave(solid.u, size)
@@ -108,7 +109,7 @@ def test_only_sums_of_the_tangent_may_be_reordered(monkeypatch: pytest.MonkeyPat
         return compile_forms(forms, *args, **others)
 
     monkeypatch.setattr(ffcx.codegeneration.jit, "compile_forms", look)
-    Solid(create_displacement(create_domain("triangle")), STEEL)
+    solid_on(create_domain("triangle"), STEEL)
     usual = set(dolfinx.jit.get_options()["cffi_extra_compile_args"])
     assert {arguments for arguments, _ in given} == {0, 1, 2} and usual
     sums = {"-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math", "-funroll-loops"}
@@ -163,7 +164,7 @@ def test_forms_of_a_law_are_one_module(
     compile_expressions = ffcx.codegeneration.jit.compile_expressions
     monkeypatch.setattr(ffcx.codegeneration.jit, "compile_forms", count)
     monkeypatch.setattr(ffcx.codegeneration.jit, "compile_expressions", count_expressions)
-    Solid(create_displacement(create_domain("quadrilateral")), STEEL, **given)  # type: ignore[arg-type]
+    solid_on(create_domain("quadrilateral"), STEEL, **given)  # type: ignore[arg-type]
     assert sorted(filter(None, sizes)) == modules
     # stress and state; strain and rotation, which all laws share
     assert given.get("strain") or sizes.count(0) == 2
@@ -174,7 +175,7 @@ def test_units_of_length() -> None:
     results = []
     for scale in (1e-6, 1.0, 1e6):
         domain = create_domain("triangle")
-        solid = Solid(create_displacement(domain), STEEL)
+        solid = solid_on(domain, STEEL)
         set_wave(solid.u, 1.5e-3)
         solid.u.x.array[:] *= scale
         domain.geometry.x[:] *= scale
@@ -229,7 +230,7 @@ def test_an_evaluation_that_fails_changes_nothing() -> None:
     """Neither what is shown nor what a later commit takes, on any rank, in any body."""
     domain = create_domain("triangle", 6)
     tags = create_tags(domain, lambda x: 1 + (x[:, 0] < 0.5))
-    solid = Solid(create_displacement(domain), {1: STEEL, 2: Stretched(1.0, 0.3)}, tags)
+    solid = solid_on(domain, {1: STEEL, 2: Stretched(1.0, 0.3)}, tags)
     set_wave(solid.u, 1e-2)
     solid.evaluate()
     names = ("stress", "wear", "plastic_strain", "plastic", "von_mises")
@@ -279,7 +280,7 @@ def test_what_plasticity_has_is_zero_in_elastic_bodies() -> None:
     """A script need not know the material; the shapes are those of plastic bodies."""
     solids = []
     for law in (STEEL, Elastic(STEEL.E, STEEL.nu)):
-        solid = Solid(create_displacement(create_domain("triangle")), law)
+        solid = solid_on(create_domain("triangle"), law)
         solid.u.interpolate(lambda x: np.array([0.01 * x[1], 0.02 * x[1]]))
         solid.evaluate()
         solid.commit()

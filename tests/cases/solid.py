@@ -30,6 +30,11 @@ def create_displacement(domain: mesh.Mesh, degree: int = 1) -> fem.Function:
     return fem.Function(fem.functionspace(domain, ("Lagrange", degree, (domain.geometry.dim,))))
 
 
+def solid_on(domain: mesh.Mesh, law: Any, *tags: Any, degree: int = 1, **options: Any) -> Solid:
+    """Create a solid that rests."""
+    return Solid(create_displacement(domain, degree), law, *tags, **options)
+
+
 def rectangle(ends: Any, cells: Any, cell: str | None = None) -> mesh.Mesh:
     """Create a rectangle or box between two corners."""
     kind = mesh.CellType[cell or ("quadrilateral", "hexahedron")[len(cells) - 2]]
@@ -78,8 +83,8 @@ def stand(domain: mesh.Mesh, law: Any, supports: Any = None, *more: Any, **optio
     Supports are a function of the space, then interfaces and a function of the solid that returns
     terms may follow; options are `degree`, `given` to the problem, and those of the solid.
     """
-    degree, given = options.pop("degree", 1), options.pop("given", {})
-    solid = Solid(create_displacement(domain, degree), law, **options)
+    given = options.pop("given", {})
+    solid = solid_on(domain, law, **options)
     bcs = supports(solid.V) if supports else []
     interfaces = more[0] if more else []
     terms = more[1](solid) if len(more) > 1 else []
@@ -104,7 +109,7 @@ def set_wave(f: fem.Function, size: float, phase: float = 0.0) -> None:
 
 def create_loaded(cell: str, n: int = 4) -> Solid:
     """Return a solid with some committed plastic strain, partly yielding at another u."""
-    solid = Solid(create_displacement(create_domain(cell, n)), STEEL)
+    solid = solid_on(create_domain(cell, n), STEEL)
     set_wave(solid.u, 1.0e-3)
     solid.evaluate()
     solid.commit()
