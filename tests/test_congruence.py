@@ -27,7 +27,6 @@ def matrices(request, rng):
 
 
 def create(kind, rng, d):
-    """Return K and C."""
     V = fem.functionspace(two_blocks(COMM)[0], ("Lagrange", 1, (d,)))
     layout = V.dofmap.index_map
     n, N = layout.size_local, layout.size_global

@@ -30,7 +30,6 @@ def walk(problem, times, **options):
 
 
 def sums(left, right):
-    """Return left^T right, of all ranks."""
     return COMM.allreduce(left.T @ right, op=MPI.SUM)
 
 
@@ -344,13 +343,10 @@ def test_corners_between_contact_sides(monkeypatch):
 
 
 def inertia(**options):
-    """Return how to make an inertia of a bar."""
     return lambda bar: dm.Inertia(bar.solid, **{"density": 1.0} | options)
 
 
 def of_blocks(density, tagged=True):
-    """Return how to make an inertia of blocks."""
-
     def make(bar):
         case = Blocks()
         dm.Inertia(case.solid, density, case.cells if tagged else None)
@@ -359,7 +355,6 @@ def of_blocks(density, tagged=True):
 
 
 def first(times=(0.1,), **options):
-    """Return how to make the first step of a bar."""
     return lambda bar: next(dm.time_steps(bar.problem(), times, **options))
 
 

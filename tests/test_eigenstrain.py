@@ -31,7 +31,6 @@ TENSOR = np.array([[1e-3, 4e-4, 0.0], [4e-4, -5e-4, 0.0], [0.0, 0.0, 2e-3]])
 
 
 def block(d, cells=3, cell=None):
-    """Return a unit block."""
     cell = cell or ("triangle", "tetrahedron")[d - 2]
     return rectangle([d * [0.0], d * [1.0]], d * [cells], cell)
 

@@ -35,7 +35,6 @@ SOIL = dm.DruckerPrager(E, NU, Y, 0.2)
 
 
 def spent(solid):
-    """Return stored and dissipated energy of all bodies."""
     found = solid.energies().values()
     return np.array([sum(e.stored for e in found), sum(e.dissipated for e in found)])
 
@@ -61,7 +60,6 @@ class Push:
 
 
 def push(law, strain, **options):
-    """Return a rectangle that its top shears and presses."""
     domain = rectangle([(0.5, 0.0), (1.5, 1.0)], (3, 3))
     top = fem.Constant(domain, np.zeros(2))
 
@@ -147,7 +145,6 @@ def test_densities_of_von_mises(strain):
 
 
 def create_blocks():
-    """Return two blocks in contact, the lower of which flows, and their problem."""
     case = PressedBlocks()
     laws, tags = {"lower": MIXED, "upper": dm.Elastic(E, NU)}, {"lower": 1, "upper": 2}
     solid = dm.Solid(case.u, laws, dm.Tags(case.cells, tags), energies=True)
@@ -155,7 +152,6 @@ def create_blocks():
 
 
 def step(case, problem, down):
-    """Push the top to a depth."""
     case.top.value[1] = -down
     dm.newton(problem)
     problem.commit()

@@ -83,7 +83,6 @@ def test_a_pressure_beyond_what_a_shell_bears():
 
 
 def skin(domain):
-    """Tag all of the surface."""
     return tag_facets(domain, lambda x: np.full(x.shape[1], True))
 
 

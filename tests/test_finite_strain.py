@@ -42,7 +42,6 @@ def compressed(b, free):
 
 
 def create_blocks(d, law=RUBBER, solid=None, **options):
-    """Return two blocks in contact, nothing held, and their facets."""
     domain, _, facets = (two_blocks if d == 2 else two_boxes)(COMM, **options)
     solid = dm.Solid(create_displacement(domain), law, strain="finite", **(solid or {}))
     return solid, facets, dm.Contact(facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)

@@ -30,11 +30,9 @@ class Bar:
         self.problem = dm.ContactProblem(self.solid, bcs=bcs, terms=[dm.Inertia(self.solid, RHO)])
 
     def tip(self):
-        """Return the largest displacement along the bar."""
         return max(COMM.allgather(self.solid.u.x.array[::2].max(initial=-np.inf)))
 
     def walk(self, times, ramp, **options):
-        """Return tips and ledgers of all steps."""
         steps = dm.time_steps(self.problem, times, ramp=ramp, progress=False, **options)
         return [(self.tip(), step.report.ledger) for step in steps]
 

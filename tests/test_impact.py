@@ -22,7 +22,6 @@ pytestmark = pytest.mark.mpi
 
 
 def steps(problem, times, **options):
-    """Walk to round-off, without lines."""
     return dm.time_steps(problem, times, **{"progress": False, "rtol": 1e-10} | options)
 
 
@@ -258,7 +257,6 @@ class Pushed:
     """A free block, and a tool above it that a force of 10 drives from the start."""
 
     def __init__(self, gap=0.0, shape=None):
-        """Make them, with a gap between them; the tool is plane if no shape is given."""
         shape = shape or dm.shapes.Plane([0.5, 1.0 + gap], [0.0, -1.0])
         self.force, top = fem.Constant(mesh.create_unit_square(COMM, 1, 1), -10.0), plane(1, 1.0)
         more = {"law": dm.Elastic(1000.0, 0.0), "load": {"y": self.force}}

@@ -41,13 +41,11 @@ GREEN = dataclasses.replace(plane_strain, name="finite", measure=green_lagrange)
 
 
 def body(d):
-    """Return a displacement in a box of d dimensions, beside the axis."""
     low = np.r_[1.0, np.zeros(d - 1)]
     return create_displacement(rectangle([low, low + [2.0, 1.0, 1.5][:d]], (4, 3, 2)[:d]))
 
 
 def weighing(weight):
-    """Return plane strain with another weight."""
     return dataclasses.replace(plane_strain, name="ring", weight=weight)
 
 
@@ -167,17 +165,14 @@ RING = {"kinematics": "axisymmetric"}
 
 
 def section(a, b, cells, cell="triangle"):
-    """Return the section of a ring a <= r <= b, 0 <= z <= 1."""
     return rectangle([(a, 0.0), (b, 1.0)], cells, cell)
 
 
 def ring(a, b, cells, supports=None, **options):
-    """Return the problem of a ring."""
     return stand(section(a, b, cells), LAW, supports, **RING, **options)
 
 
 def marked(domain, axis, at):
-    """Return the measure of the facets at x[axis] = at."""
     return ufl.Measure("ds", domain, subdomain_data=tag_facets(domain, plane(axis, at)))(1)
 
 

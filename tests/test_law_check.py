@@ -26,7 +26,6 @@ PLANE, FINITE = {"plane_stress": True}, {"strain": "finite"}
 
 
 def von_mises_stress(strain, state, p):
-    """Return the stress of the law in closed form."""
     ep = dm.VonMises.updated_state(strain, state, p)["plastic_strain"]
     return dm.Elastic.elastic_stress(strain - ep, p)
 
@@ -156,8 +155,6 @@ class OffInFlow(dm.VonMises):
 
 @dataclass(frozen=True)
 class OffAfterFlow(Radial):
-    """Right from the virgin state."""
-
     @staticmethod
     def update(strain, state, p):
         stress, tangent, new = Radial.update(strain, state, p)
@@ -167,8 +164,6 @@ class OffAfterFlow(Radial):
 
 @dataclass(frozen=True)
 class Short(Radial):
-    """Returns no tuple."""
-
     @staticmethod
     def update(strain, state, p):
         return strain
@@ -176,14 +171,10 @@ class Short(Radial):
 
 @dataclass(frozen=True)
 class Fibres(Cubic):
-    """Says that it is isotropic."""
-
     isotropic: ClassVar = True
 
 
 class Misspelt(OfHooke):
-    """Has a range of no parameter."""
-
     ranges: ClassVar = {"Emodulus": (0.0, 1.0, False)}
     energy = staticmethod(dm.Elastic.energy)
 

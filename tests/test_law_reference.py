@@ -43,7 +43,6 @@ def create_driver(solid: Solid) -> Step:
 
 
 def at_point(u: fem.Function, name: str) -> float:
-    """Return a displacement such as "u_A_y" (collective)."""
     _, point, component = name.split("_")
     V = u.function_space
     x = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local, :2]
@@ -53,21 +52,16 @@ def at_point(u: fem.Function, name: str) -> float:
 
 
 class Observer:
-    """The reference's quantities, from the solid before and after a commit."""
-
     def __init__(self, solid: Solid, load: PETSc.Vec) -> None:
-        """Start from the virgin state; load is that of zeta = 1."""
         self.solid, self.load = solid, load
         self.ep = solid.fields.values("plastic_strain")
         self.dissipation = 0.0
 
     def total(self, density: np.ndarray) -> float:
-        """Integrate values at the integration points."""
         weights = self.solid.fields.weights
         return self.solid.mesh.comm.allreduce(float(np.sum(density * weights)), op=MPI.SUM)
 
     def __call__(self) -> dict[str, float]:
-        """Commit, and return the columns of the reference."""
         solid = self.solid
         solid.evaluate()
         solid.commit()
@@ -98,13 +92,11 @@ class Observer:
 
 
 def reference_steps(run: dict) -> Iterator[dict[str, float]]:
-    """Yield the reference's steps as dictionaries."""
     for values in run["steps"]:
         yield dict(zip(REFERENCE["columns"], values, strict=True))
 
 
 def create_solid(run: dict) -> tuple[Solid, PETSc.Vec]:
-    """Return the plate and the load vector of zeta = 1."""
     domain = plate.create_plate(MPI.COMM_WORLD, run["element"], run["level"])
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
     assert V.dofmap.index_map.size_global == run["n_nodes"]

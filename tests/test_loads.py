@@ -21,7 +21,6 @@ def create_box(d):
 
 
 def at(u, height):
-    """Return the displacement along the last axis at a height."""
     d = len(u)
     dofs = hold(u.function_space, plane(d - 1, height), d - 1).dof_indices()[0]
     return u.x.array[dofs]
@@ -74,7 +73,6 @@ def of_loads(inside):
 
 
 def other(u):
-    """Return another function of the space."""
     return fem.Function(u.function_space)
 
 

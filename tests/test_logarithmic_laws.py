@@ -69,19 +69,16 @@ def given(material: Any, q: int, state: Any, dimension: int = 3) -> Any:
 
 
 def respond(material: Any, F: np.ndarray, state: Any = None, dimension: int = 3) -> Any:
-    """Return what a law gives at F (q, 3, 3)."""
     law, state, p = given(material, len(F), state, dimension)
     return law.values(F, state, SimpleNamespace(**p))
 
 
 def start(material: Any, q: int, state: Any = None, dimension: int = 3) -> Any:
-    """Return a compiled law, and it at points of a state."""
     law, state, p = given(material, q, state, dimension)
     return law, law.start(q, state, p)
 
 
 def rotations(rng: np.random.Generator, q: int) -> np.ndarray:
-    """Return random rotations (q, 3, 3)."""
     Q = np.linalg.qr(rng.standard_normal((q, 3, 3)))[0]
     return Q * np.sign(np.linalg.det(Q))[:, None, None]
 
@@ -96,7 +93,6 @@ def stretched(gap: float | None, J: float, seed: int = 1, q: int = 4) -> np.ndar
 
 
 def flowed(material: Any, q: int = 4) -> Any:
-    """Return internal variables after a random stretch."""
     return respond(material, stretched(0.2, 1.0, seed=2, q=q)).state
 
 

@@ -44,7 +44,6 @@ positive = st.floats(-3.0, 3.0).map(lambda power: 10.0**power)
 
 
 def point(name, law=None):
-    """Return a virgin point of a law, made once."""
     found = POINTS.setdefault(name, MaterialPoint(law or LAWS.get(name)))
     found.reset()
     return found
@@ -55,7 +54,6 @@ def set_parameters(p, *values):
 
 
 def rates(law):
-    """Return the rate equations of a law."""
     H, Q, b, a, beta = (getattr(law, name, 0.0) for name in ("H", "Q", "b", "a", "beta"))
 
     def radius(k):
@@ -65,7 +63,6 @@ def rates(law):
 
 
 def hardened(p):
-    """Return k."""
     return p.solid.fields.values("accumulated_plastic_strain")[0, 0]
 
 
@@ -80,7 +77,6 @@ def walk(p, path, steps):
 
 
 def symmetric(rng):
-    """Return a random symmetric tensor of entries about one."""
     tensor = rng.standard_normal((3, 3))
     return (tensor + tensor.T) / 2
 

@@ -47,7 +47,6 @@ def function(domain, value, element=("DG", 0)):
 
 
 def at_points(domain, value, degree=2):
-    """Return a Function at the integration points."""
     element = basix.ufl.quadrature_element(domain.basix_cell(), scheme="default", degree=degree)
     f = fem.Function(fem.functionspace(domain, element))
     f.x.array[:] = value

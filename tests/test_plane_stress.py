@@ -50,7 +50,6 @@ _POINTS: dict[tuple[str, int], MaterialPoint] = {}
 
 
 def point(name: str, d: int) -> MaterialPoint:
-    """Return a virgin point of a law, in plane stress (d = 2) or in space."""
     if (name, d) not in _POINTS:
         kinematics = "plane_stress" if d == 2 else None
         _POINTS[name, d] = MaterialPoint(LAWS[name], d, kinematics)

@@ -14,14 +14,12 @@ CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 
 
 def create_solid(cell="quadrilateral", degree=1):
-    """Return an elastic block from the origin to SIZE."""
     d = 2 if cell in CELLS[:2] else 3
     domain = rectangle([d * [0.0], SIZE[:d]], (4, 2) if d == 2 else (2, 2, 2), cell)
     return dm.Solid(create_displacement(domain, degree), dm.Elastic(E=100.0, nu=0.3))
 
 
 def moved(solid, point):
-    """Return the displacement of the node at a point, on all ranks."""
     n, d = solid.V.dofmap.index_map.size_local, len(point)
     at = np.isclose(solid.V.tabulate_dof_coordinates()[:n, :d], point).all(axis=1)
     found = np.where(at[:, None], solid.u.x.array.reshape(-1, d)[:n], 0.0).sum(axis=0)

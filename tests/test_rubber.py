@@ -38,7 +38,6 @@ SECOND = [{"degree": 2}]
 
 
 def squeeze(cylinder, steps):
-    """Return forces and Newton iterations of steps to an approach of 200."""
     forces, iterations = [], []
     for k in range(1, steps + 1):
         report = cylinder.approach(200.0 * k / steps, max_it=80)
@@ -138,7 +137,6 @@ def test_cells_that_lose_their_stability_first_are_named(degree, volumetric, K, 
 
 @cache
 def second_order(cell):
-    """Return a solid of cells of second order."""
     domain = create_domain(cell, 2)
     return dm.Solid(create_displacement(domain, 2), RUBBER, strain="finite", volumetric="reduced")
 

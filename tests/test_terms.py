@@ -185,11 +185,9 @@ class Broken(dm.Term):
     on = COMM.size - 1
 
     def __init__(self, **what):
-        """Keep the values to return, or the errors to raise, by method."""
         self.what = what
 
     def give(self, name):
-        """Return a value or raise an error on that rank."""
         value = self.what.get(name) if COMM.rank == self.on else None
         if isinstance(value, Exception):
             raise value
@@ -216,8 +214,6 @@ class Broken(dm.Term):
 
 
 class Told(Broken):
-    """Writes down what it is told."""
-
     def __init__(self):
         super().__init__()
         self.calls = []
@@ -314,8 +310,6 @@ class Timeless(Broken):
 
 
 class Giving(Broken):
-    """Has couplings or a state."""
-
     couplings, state = (), {}
 
     def __init__(self, name, value):

@@ -15,7 +15,6 @@ COMM = MPI.COMM_WORLD
 
 
 def component(V, i, where=lambda x: np.full(x.shape[1], True)):
-    """Return the condition that a component vanishes."""
     W = V.sub(i)
     dofs = fem.locate_dofs_geometrical((W, W.collapse()[0]), where)[0]
     return fem.dirichletbc(fem.Constant(V.mesh, 0.0), dofs, W)
@@ -25,7 +24,6 @@ class Bar:
     """A bar of the length 1, E = rho = 1, clamped at x = 0, without Poisson's ratio."""
 
     def __init__(self, n=8, **options):
-        """Make n cells along it, in its first eigenmode of the displacement 1e-3 at the end."""
         self.mesh = mesh.create_rectangle(
             COMM, [[0.0, 0.0], [1.0, 0.1]], [n, 1], cell_type=mesh.CellType.quadrilateral
         )
@@ -47,7 +45,6 @@ class Bar:
         return dm.ContactProblem(self.solid, bcs=self.bcs, terms=[self.inertia, *terms])
 
     def tip(self):
-        """Return the displacement of the end over that of the mode."""
         x = self.V.tabulate_dof_coordinates()
         end = np.isclose(x[:, 0], 1.0)
         own = self.u.x.array[::2][end]
@@ -75,7 +72,6 @@ class Blocks:
         geometry="updated",
         **options,
     ):
-        """Make them; the options are those of `two_blocks`."""
         options = {"cell": "quadrilateral"} | options
         self.mesh, self.cells, self.facets = two_blocks(COMM, n_lower, n_upper, **options)
         self.V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
@@ -137,7 +133,6 @@ class Rod(Blocks):
     touches, leaves, force = 4.946e-5, 1.4811e-4, 29923.0
 
     def __init__(self, n=100, **options):
-        """Make n cells along it."""
         super().__init__(
             (1, 1),
             (1, n),

@@ -43,7 +43,6 @@ def top_traction(V: fem.FunctionSpace, traction: float | fem.Constant) -> ufl.Fo
 
 
 def assemble_load(form: ufl.Form, V: fem.FunctionSpace) -> PETSc.Vec:
-    """Assemble a linear form into a Vec with the owned entries of V."""
     f = fem.Function(V)
     fem.assemble_vector(f.x.array, fem.form(form))
     f.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)

@@ -99,8 +99,6 @@ def radial(strain, ep, E, nu, Y, a):
 
 @dataclass(frozen=True)
 class Compiled(Radial):
-    """Radial return in numba."""
-
     @staticmethod
     def update(strain, state, p):
         stress, tangent, new = radial(strain, state["plastic_strain"], p.E, p.nu, p.Y, p.a)

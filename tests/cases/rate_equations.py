@@ -18,7 +18,6 @@ IDENTITY = np.eye(3)
 
 
 def deviator(tensor: np.ndarray) -> np.ndarray:
-    """Return the trace-free part."""
     return tensor - np.trace(tensor) / 3 * IDENTITY
 
 
@@ -34,7 +33,6 @@ class Rates:
     beta: float = 0.0
 
     def elastic(self, strain: np.ndarray) -> np.ndarray:
-        """Return C : strain."""
         mu, bulk = self.E / (2 * (1 + self.nu)), self.E / (3 * (1 - 2 * self.nu))
         return bulk * np.trace(strain) * IDENTITY + 2 * mu * deviator(strain)
 

@@ -20,8 +20,6 @@ RUBBER = dm.MooneyRivlin(0.293, 0.177, 1410.0)
 
 @dataclass
 class Cylinder:
-    """The problem, and what is moved."""
-
     problem: dm.ContactProblem
     contact: dm.Contact
     push: fem.Constant

@@ -26,17 +26,14 @@ def create_domain(cell: str, n: int = 4) -> mesh.Mesh:
 
 
 def create_displacement(domain: mesh.Mesh, degree: int = 1) -> fem.Function:
-    """Create a displacement."""
     return fem.Function(fem.functionspace(domain, ("Lagrange", degree, (domain.geometry.dim,))))
 
 
 def solid_on(domain: mesh.Mesh, law: Any, *tags: Any, degree: int = 1, **options: Any) -> Solid:
-    """Create a solid that rests."""
     return Solid(create_displacement(domain, degree), law, *tags, **options)
 
 
 def rectangle(ends: Any, cells: Any, cell: str | None = None) -> mesh.Mesh:
-    """Create a rectangle or box between two corners."""
     kind = mesh.CellType[cell or ("quadrilateral", "hexahedron")[len(cells) - 2]]
     create = mesh.create_rectangle if len(cells) == 2 else mesh.create_box
     return create(COMM, ends, cells, kind)
@@ -102,7 +99,6 @@ def wave(size: float, phase: float = 0.0) -> Any:
 
 
 def set_wave(f: fem.Function, size: float, phase: float = 0.0) -> None:
-    """Interpolate a wave in as many components as f has."""
     d = f.function_space.mesh.geometry.dim
     f.interpolate(lambda x: wave(size, phase)(x)[:d])
 
@@ -125,7 +121,6 @@ def residual(solid: Solid) -> np.ndarray:
 
 
 def total(values: np.ndarray) -> float:
-    """Sum over all ranks."""
     return COMM.allreduce(float(np.sum(values)), op=MPI.SUM)
 
 
@@ -138,7 +133,6 @@ def create_tags(domain: mesh.Mesh, values: Any) -> mesh.MeshTags:
 
 
 def largest(values: np.ndarray) -> float:
-    """Return the largest absolute value over all ranks."""
     return COMM.allreduce(float(np.abs(values).max(initial=0.0)), op=MPI.MAX)
 
 

@@ -38,13 +38,11 @@ def potential(form):
 
 
 def pressure(solid):
-    """Return a pressure on all of the surface."""
     tags = tag_facets(solid.mesh, lambda x: np.full(x.shape[1], True))
     return [dm.Pressure(solid, tags, 1, 2.0, closed=True)]
 
 
 def points(solid):
-    """Return a force and springs at nodes."""
     V, d = solid.V, solid.mesh.geometry.dim
     corner = np.r_[1.0, np.zeros(d - 1)]
     corner[-1] = SIZE[d - 1]
