@@ -189,24 +189,6 @@ def test_a_shrink_fit_by_cooling(slave):
     assert np.allclose(pressures, [0.5 * expected, expected], rtol=2e-3)
 
 
-def test_a_step_that_fails_shows_what_was_before():
-    """Stress and state are those of the eigenstrain before, and the next try takes the new one."""
-    domain = block(2, 6)
-    heat, x = fem.Constant(domain, 1e-4), ufl.SpatialCoordinate(domain)
-    law = dm.VonMises(E, NU, Y=0.5, a=10.0)
-    problem = stand(domain, law, rollers, eigenstrain=heat * ufl.sin(5 * x[0]) * x[1])
-    solid = problem.solid
-    dm.newton(problem)
-    problem.commit()
-    before = solid.stress.x.array.copy()
-    heat.value = 5e-3
-    with pytest.raises(dm.NewtonNotConverged):
-        dm.newton(problem, max_it=1)
-    assert largest(solid.stress.x.array - before) < 1e-12
-    assert solid.max("plastic_strain_norm") == 0.0
-    assert dm.newton(problem).converged and solid.max("plastic_strain_norm") > 1e-4
-
-
 @pytest.mark.parametrize(
     ("given", "said"),
     [

@@ -65,7 +65,8 @@ def test_a_cylinder_that_is_pressed_to_two_fifths():
 
 @pytest.mark.nightly
 @pytest.mark.slow
-def test_the_bar_of_second_order(n=3, first=0.05):
+@pytest.mark.parametrize(("n", "first"), [(3, 0.05), (4, 0.04)])
+def test_the_bar_of_second_order(n, first):
     """In the ranges of other codes."""
     (_, early, _), (_, radius, length), ledger = crash(
         *cylinder((n, 8 * n), degree=2), taylor_bar.times(first)

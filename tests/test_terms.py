@@ -85,22 +85,6 @@ def test_a_damper_after_a_restart(guide, tmp_path):
         other.problem().restore(file)
 
 
-def test_a_failed_step_leaves_no_trace_in_a_damper(guide):
-    """After a try that has not converged the next step is the same to the last bit."""
-    found = []
-    for fails in (True, False):
-        bar = Bar(moved=-0.3)
-        hardening = dm.WeakForm(bar.solid, energy=1e4 * bar.u[1] ** 4 * bar.ds)
-        problem = bar.problem(guide["Damper"](bar.solid, C, bar.ds), hardening)
-        if fails:
-            with pytest.raises(dm.NewtonNotConverged):
-                dm.newton(problem, level=7.0, max_it=2)
-            assert not bar.u.x.array.any()
-        dm.newton(problem, level=0.5)
-        found.append(bar.bottom())
-    assert found[0] == found[1] and found[0] < -0.05
-
-
 def test_a_floor(guide):
     """Pushed down by 0.3 onto a layer 0.1 below: E (0.3 - s) = k (s - 0.1)."""
     bar, k = Bar(moved=-0.3), 250.0

@@ -2,13 +2,12 @@
 """The square plate with a square hole of the reference computation."""
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 
 import basix.ufl
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import mesh
 from tests.cases.solid import plane, tag_facets
 
 
@@ -36,14 +35,6 @@ def create_plate(comm: MPI.Comm, element: str, level: int) -> mesh.Mesh:
     return mesh.create_mesh(comm, cells=cells.astype(np.int64), x=points, e=ufl.Mesh(coordinates))
 
 
-def top_traction(V: fem.FunctionSpace, traction: float | fem.Constant) -> ufl.Form:
-    """Return the linear form of the traction (0, traction) on y = 10."""
-    ds = ufl.Measure("ds", V.mesh, subdomain_data=tag_facets(V.mesh, plane(1, 10.0)))
-    return traction * ufl.TestFunction(V)[1] * ds(1)
-
-
-def assemble_load(form: ufl.Form, V: fem.FunctionSpace) -> PETSc.Vec:
-    f = fem.Function(V)
-    fem.assemble_vector(f.x.array, fem.form(form))
-    f.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-    return f.x.petsc_vec.copy()
+def top(domain: mesh.Mesh) -> ufl.Measure:
+    """Return the measure of y = 10."""
+    return ufl.Measure("ds", domain, subdomain_data=tag_facets(domain, plane(1, 10.0)))(1)
