@@ -15,7 +15,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx_mortar.interfaces.link import predict_active
 from dolfinx_mortar.newton_method.linearisation import find_balance
-from tests import test_audit, test_finite_in_space, test_line_search, test_multigrid
+from tests import test_audit, test_finite_strain, test_line_search, test_multigrid
 from tests.cases.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
 from tests.cases.hertz import ELASTIC, PLASTIC, create_case
 from tests.cases.meshes import TOP
@@ -58,7 +58,7 @@ OTHERS = {
     "report.small_strain",
     # in test_exact_tangent and test_failures
     "interfaces.moving_geometry",
-    "newton_method.subproblem",  # in test_finite_in_space, too
+    "newton_method.subproblem",  # in test_finite_strain, too
     "steps.newton",
     "report.energy_ledger",  # in test_dynamics
     "persistence.tables",  # in those of checkpoints
@@ -197,7 +197,7 @@ def closed_round_off():
 ROWS = (((13, 21), (23, 31)), dm.Tie, (), f"xyz of the bodies around {test_audit.ALL} together")
 PROBES = {
     "QUARTER_OF_DIGITS": lambda: test_audit.test_free_motions_by_simple_names(*ROWS),
-    "SQUEEZED": test_finite_in_space.test_cells_that_invert_in_space,
+    "SQUEEZED": test_finite_strain.test_cells_that_invert,
     "ARMIJO": test_line_search.test_a_step_too_long_is_halved,
     "arrays.ROUND_OFF": closed_round_off,
     "DIGIT": test_multigrid.test_a_step_that_stalls_asks_for_more_accurate_programs,

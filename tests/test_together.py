@@ -35,13 +35,6 @@ def test_all_ranks_raise(error, elsewhere, rank):
 
 
 @pytest.mark.mpi
-def test_no_error_is_no_error():
-    with raised_together(COMM):
-        done = True
-    assert done
-
-
-@pytest.mark.mpi
 @pytest.mark.parametrize(
     ("error", "code"),
     [
