@@ -539,7 +539,7 @@ def part(name, value):
         (lambda found, _: None, "Half.distance() is None: return a shapes.Distance"),
         (
             lambda found, _: replace(found, gradient=found.gradient[:, :1]),
-            "Half: the gradient of its distance is [[",
+            "Half: the gradient of its distance is [",
         ),
         (fails, "no such point"),
     ],

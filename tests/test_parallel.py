@@ -30,10 +30,10 @@ SLOW_ON_THREE = """
     mortar_3d pairs patch rigid_side same_sums slaves_on_rollers tangent
 """.split()
 AT_NIGHT = """
-    audit axisymmetric_contact axisymmetric_patch axisymmetry bending bolts bolts_restart
-    bolts_several certificate checkpoint checkpoint_damage checkpoint_errors checkpoint_whole
-    corners crossings curvature_jumps demo_meshes dynamics edges eigenstrain energies faceted_shapes failures
-    finite_in_space finite_loads finite_plane_stress folds friction_state heat_in_time impact jump
+    audit axisymmetric_contact axisymmetric_patch axisymmetry bending bolts
+    certificate checkpoint checkpoint_damage checkpoint_errors checkpoint_whole
+    corners crossings curvature_jumps demo_meshes dynamics edges eigenstrain energies failures
+    faceted_shapes finite_in_space finite_loads finite_plane_stress folds heat_in_time impact jump
     jump_errors kinematics law_contact linear linearisation loads locking logarithmic_solid
     looks_change_nothing margin measure near newton numbers_of_steps obstacle
     orthotropic output output_resume own_interface parameters passing patch_3d plane_stress plotting
