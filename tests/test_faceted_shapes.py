@@ -315,7 +315,7 @@ def test_a_file_that_ranks_lack(tmp_path, lacking):
     if COMM.size > 1 and lacking == "one":
         words = "shape.surface differs between the ranks", "not read, ", "give all ranks"
     with rejected(*words):
-        Box().press(shapes.Triangles(file))
+        Box().press(shapes.Triangles(file, [0.0, 0.0, 0.0]))
 
 
 def test_where_an_outline_fits():
