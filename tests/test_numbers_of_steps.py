@@ -42,10 +42,10 @@ NUMBERS = {
     "newton_method.contacts": ("FORCING", "DIGIT"),
 }
 # judged below, in test_smooth_second, test_stand_off, test_resolution, in
-# test_edges, in those of checkpoints, in test_bolts, in test_friction_bodies, in
+# test_edges, in those of checkpoints, in test_bolts, in test_friction_patch, in
 # test_tie_reach, in test_small_strain, and in test_ramp
 OTHERS = {
-    "interfaces.constraints",  # in test_friction_bodies
+    "interfaces.constraints",  # in test_friction_patch
     "interfaces.contact",
     "interfaces.obstacle",  # in test_obstacle
     "newton_method.driven_tools",  # in test_driven_tools

@@ -28,15 +28,16 @@ SLOW_ON_THREE = """
     mortar_3d pairs patch rigid_side same_sums slaves_on_rollers tangent
 """.split()
 AT_NIGHT = """
-    audit axisymmetric_contact axisymmetric_patch bending bolts bolts_restart bolts_several
-    certificate checkpoint checkpoint_damage checkpoint_errors checkpoint_whole corners crossings
-    curvature_jumps demo_meshes dynamics edges eigenstrain energies failures finite_loads
-    finite_strain folds friction_state impact jump jump_errors kinematics law_reference linear
-    linearisation loads looks_change_nothing margin materials measure near newton numbers_of_steps
-    obstacle output output_resume own_interface parameters passing patch_3d plane_stress plotting
-    plotting_space pointwise polyline pretension qp_belt qp_definite ramp reaction resolution
-    rubber skins small_strain smooth_3d smooth_contact smooth_second smooth_tie solid stack
-    stand_off sweep taylor_bar tie_reach tool_files tool_friction tool_pictures triangles
+    audit axisymmetric_contact axisymmetric_patch axisymmetry bending bolts
+    certificate checkpoint checkpoint_damage checkpoint_errors checkpoint_whole
+    corners crossings curvature_jumps demo_meshes dynamics edges eigenstrain energies failures
+    faceted_shapes finite_in_space finite_loads finite_plane_stress folds heat_in_time impact jump
+    jump_errors kinematics law_contact linear linearisation loads locking logarithmic_solid
+    looks_change_nothing margin measure near newton numbers_of_steps obstacle
+    orthotropic output output_resume own_interface parameters passing patch_3d plane_stress plotting
+    plotting_space pointwise pretension qp_belt qp_definite ramp reaction resolution
+    rubber skins small_strain smooth_3d smooth_contact smooth_second smooth_tie solid solid_state
+    stack stand_off stress_laws sweep taylor_bar tie_reach tool_files tool_friction
     turned_ties tying undone user_laws volumetric
 """.split()
 QUICK = "mpi and not slow and not serial"
@@ -67,7 +68,9 @@ def files_of(names):
 def other_files():
     """Return the test files that no list names; those of the lists have tests for ranks."""
     named = files_of([*ON_TWO, *SLOW_ON_THREE, *AT_NIGHT])
-    paths = [path for path in jobs.ROOT.glob("tests/test_*.py") if "mark.mpi" in path.read_text()]
+    paths = [
+        path for path in jobs.ROOT.glob("tests/**/test_*.py") if "mark.mpi" in path.read_text()
+    ]
     marked = {str(path.relative_to(jobs.ROOT)) for path in paths}
     assert named <= marked and len(named) == len(ON_TWO) + len(SLOW_ON_THREE) + len(AT_NIGHT)
     return marked - named
