@@ -18,7 +18,8 @@ from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
 from dolfinx_mortar.mortar.surface import create_surface
 from tests.cases.meshes import TOP_OF_LOWER, UPPER, two_blocks
 from tests.cases.meshes_3d import BOTTOM_OF_UPPER, two_boxes
-from tests.test_mortar import PARTITIONS, moving, operators
+from tests.cases.mortar import moving, operators
+from tests.test_mortar import PARTITIONS
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi
