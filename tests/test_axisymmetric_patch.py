@@ -154,11 +154,6 @@ def test_patch_of_second_order(radii, cell, slave, kind):
     assert largest(everywhere - P) < EXACT * P
 
 
-@pytest.mark.parametrize("slave", SIDES)
-def test_patch_of_quadrilaterals(slave):
-    check_patch(*solve_patch(slave, *RADII["disc"], cell="quadrilateral"), np.pi)
-
-
 @pytest.mark.parametrize("unit", [1e-6, 1e6])
 def test_patch_in_other_units_and_elsewhere_on_the_axis(unit):
     check_patch(*solve_patch("lower", *RADII["disc"], unit=unit, shift=30.0), np.pi * unit**2)

@@ -114,17 +114,6 @@ def test_what_is_coupled_does_not_cross(make):
 
 
 @pytest.mark.mpi
-def test_sides_that_face_each_other_do_not_cross():
-    """A bump of 45 degrees of the upper side is .1 in the lower one: their contact has seen it."""
-    for interfaces, depth in (([dm.Contact], 0.0), ([], 0.1)):
-        problem = sunk(interfaces=interfaces)
-        problem.u.interpolate(
-            lambda x: np.outer([0, -0.2], (abs(x[1] - 0.1) < 1e-9) & (abs(x[0] - 0.5) < 0.2))
-        )
-        assert find_crossing(problem).depth == pytest.approx(depth)
-
-
-@pytest.mark.mpi
 @pytest.mark.parametrize("depth", [0.01, 0.1])
 @pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
 def test_the_flank_of_a_block_in_contact(cell, depth):
@@ -231,24 +220,3 @@ def test_the_end_of_a_ring_on_a_shaft(down):
             lambda x: np.where(np.hypot(*x[:2]) > 0.499, move, 0.0), cells.find(2)
         )
     assert (find_crossing(problem).share > SUNK) is down
-
-
-@pytest.mark.serial
-@pytest.mark.parametrize("d", [2, 3])
-def test_boxes_that_meet(d):
-    """As by comparing all: facets of sizes apart by 100, flat ones, three bodies, long paths."""
-    rng = np.random.default_rng(5)
-    size = 10.0 ** rng.uniform(-2, 0, (300, 1, 1))
-    stretch = np.where(rng.random((300, 1, d)) < 0.2, 0.0, 1.0)  # flat in some directions
-    x = rng.random((300, 1, d)) * stretch + 0.3 * size * stretch * rng.random((300, d, d))
-    x = np.concatenate([x, x + 0.5 * np.eye(d)[0]], axis=1)  # of a slide
-    body = rng.integers(3, size=300)
-    low, high = x.min(axis=1), x.max(axis=1)
-    meet = ((low[:, None] <= high) & (high[:, None] >= low)).all(axis=2)
-    own = np.array([[False, True, True], [True, True, False], [True, False, False]])
-    for apart in (~np.eye(3, dtype=bool), own):
-        found = np.sort(near_pairs(x, body, apart), axis=1)
-        assert len(np.unique(found, axis=0)) == len(found)
-        every = np.triu(meet & apart[body[:, None], body], 1)
-        assert {*map(tuple, found.tolist())} == {*zip(*np.nonzero(every), strict=True)}
-        assert 0 < len(found) < meet.size // 4

@@ -186,21 +186,6 @@ def test_a_corner_of_either_side_is_seen_as_deep_as_it_is(slave, master):
         assert all(d < 0.5 for _, d, _ in found)
 
 
-@pytest.mark.parametrize(("times", "noted"), [(1.0, False), (5.0, False), (20.0, True)])
-def test_what_a_step_allows_is_no_overlap(times, noted):
-    """A corner on a side without a force, so many times rtol of its facet deep."""
-    b, rtol = PressedBlocks(n_lower=(3, 2), n_upper=(2, 2), gap=1.0, transform=on_a_corner), 1e-6
-    contact = b.contact(*SIDES, skins(b.mesh, b.cells, b.facets))
-    problem = b.problem([contact])
-    problem.audit()
-    depth = times * rtol / 3
-    b.u.interpolate(lambda x: np.stack([0.0 * x[0], 0.0 * x[0] - depth]), b.cells.find(2))
-    b.u.x.scatter_forward()
-    closed = np.zeros(problem.n, dtype=bool)
-    notes = notes_on_overlaps(problem, find_overlaps(problem), closed, rtol)
-    assert len(notes) == noted
-
-
 @SLAVES
 def test_a_bulge_between_vertices_is_seen(slave, master):
     """Curved sides lie in each other where neither has a vertex."""
@@ -267,66 +252,6 @@ def test_the_height_of_smooth_surfaces_is_no_overlap(slave, master):
     report = dm.newton(b.problem([contact]))
     assert contact.force[1] != 0.0
     assert not [note for note in report.notes if "deep in each other" in note]
-
-
-def near_an_end(x):
-    """Turn the upper block by 20 degrees, a corner down, so that little of its bottom is faced."""
-    upper, turned = x[:, 1] > 0.5, (x - [0.0, 1.0]) @ TURN_20.T
-    return np.where(upper[:, None], turned + np.array([0.9, 0.0]), x)
-
-
-TURN_20 = rotation((0, 0, 1), np.radians(20))[:2, :2]
-
-
-def rows_of(mortar):
-    """Return D - M between nodes (nodes of this rank, all nodes), the normals and the nodes."""
-    rows = [A.getValuesCSR() for A in (mortar.D, mortar.M)]
-    B = np.zeros((len(mortar.nodes), mortar.D.getSize()[1] // 2))
-    for sign, (start, columns, values) in zip((1.0, -1.0), rows, strict=True):
-        row = np.repeat(np.arange(len(start) - 1), np.diff(start))
-        x = row % 2 == 0  # the other component has the same entries
-        np.add.at(B, (row[x] // 2, columns[x] // 2), sign * values[x])
-    return B, mortar.N.getValuesCSR()[2].reshape(-1, 2), mortar.nodes
-
-
-def rows_of_solver(problem, contact):
-    """Return the same of a contact that is solved."""
-    link = problem.system.link(contact)
-    found, pattern, V = link.coupling, link.pattern, problem.V
-    kept = found.kept[:, 0]
-    nodes = V.dofmap.index_map.local_to_global(link.nodes)
-    weight, P = found.weight[:, 0], found.P[:, 0]
-    B = np.zeros((len(nodes), V.dofmap.index_map.size_global))
-    np.add.at(B, (pattern.row, pattern.column), -weight[pattern.row] * P)
-    B[np.arange(len(nodes)), nodes] += weight
-    return B[kept], found.normals[kept], nodes[kept]
-
-
-@pytest.mark.parametrize(("angle", "other"), [(40.0, 120.0), (120.0, 40.0), (120.0, None)])
-def test_matrices_of_the_paper_have_the_edges_of_the_contact(angle, other):
-    """D, M and N are the solver's if its feature angle is given, at 120 degrees without edges.
-
-    Then normals are those of all facets, not only of those that face the other side. If it is not
-    given, they leave out the master.
-    """
-    b = PressedBlocks(n_lower=(3, 2), n_upper=(2, 2), gap=1.0, transform=near_an_end)
-    tags, (master, slave) = skins(b.mesh, b.cells, b.facets), SIDES
-    contact = dm.Contact(tags, slave=slave, master=master, feature_angle=angle)
-    problem = b.problem([contact], geometry="reference")
-    dm.newton(problem)
-
-    def of_paper(degrees):
-        sides = {"slave": slave, "master": master}
-        return rows_of(dm.assemble_mortar(b.V, tags, **sides, feature_angle=degrees))
-
-    B, N, nodes = rows_of_solver(problem, contact)
-    D_minus_M, normals, rows = of_paper(angle)
-    assert (rows == nodes).all() and COMM.allreduce(len(nodes)) == 2
-    assert np.abs(D_minus_M - B).max(initial=0.0) < 1e-14
-    assert np.abs(normals - N).max(initial=0.0) < 1e-14
-    off = [(of_paper(other)[k] - old) for k, old in enumerate((B, N))]
-    far = [COMM.allreduce(np.abs(v).max(initial=0.0), op=MPI.MAX) for v in off]
-    assert far[0] < 1e-14 and far[1] > 0.01
 
 
 def test_a_corner_beside_a_clamped_node_is_noted():

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-import ufl
 from dolfinx import fem
 from tests.cases.block_piles import ABOVE, BELOW, create_blocks
 from tests.cases.glued_bar import CELLS, COMM, CONFINED, NU, Bar, E, largest
@@ -100,28 +99,6 @@ def test_curved_sides_jump_as_a_whole(cell, slave, gap):
     case.tie.jump = case.sign * J
     dm.newton(case.problem([case.hold(BOTTOM)]), rtol=1e-10)
     assert case.error(lambda x, upper: upper[:, None] * J) < EXACT * 1e-3
-
-
-@pytest.mark.parametrize(
-    ("slave", "cell"), crosswise(["upper", "lower"], ["quadrilateral", "tetrahedron"])
-)
-def test_jumps_and_loads_add_up(cell, slave):
-    """In elasticity displacements and forces of a jump, a load and supports are a sum."""
-    case = Bar(cell, slave=slave, degree=2)
-    last, found = case.d - 1, []
-    load = fem.Constant(case.mesh, np.zeros(case.d))
-    moved = fem.Constant(case.mesh, 0.0)
-    v, ds = ufl.TestFunction(case.V), ufl.Measure("ds", case.mesh, subdomain_data=case.facets)
-    bcs = [case.hold(BOTTOM), case.hold(TOP, last, moved)]
-    problem = case.problem(bcs, loads=ufl.inner(load, v) * ds(5))
-    for jump, pull, up in ((1.0, 0, 0), (0.0, 1, 0), (0.0, 0, 1), (1.0, 1, 1)):
-        case.tie.jump = lambda x, s=jump: 1e-3 * s * np.sin(x[: case.d] + 0.3)
-        load.value[:], moved.value[...] = 3.0 * pull, 2e-3 * up
-        dm.newton(problem, rtol=1e-11)
-        found.append((case.u.x.array.copy(), case.tie.force, case.tie.pressure.x.array.copy()))
-    for *parts, whole in zip(*found, strict=True):
-        assert largest(sum(parts) - whole) < 1e-8 * largest(whole)
-        assert all(largest(part) > 1e-2 * largest(whole) for part in parts)
 
 
 @pytest.mark.mpi
@@ -224,16 +201,3 @@ def test_a_jump_closes_a_gap_of_many_facets(slave):
     assert np.allclose(contact.force, [0.0, pressed], rtol=1e-7, atol=1e-7)
     assert np.allclose(tie.force, [0.0, -sign * pressed], rtol=1e-7, atol=1e-7)
     assert report.newton_iterations <= 4
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("slave", ["upper", "lower"])
-def test_what_a_jump_opens_is_an_increment_of_the_step(slave):
-    """It tells which contacts are near, as increments of supports do: the change, not the jump."""
-    case = Bar(slave=slave)
-    problem = case.problem([case.hold(BOTTOM)])
-    case.tie.jump = [0.3, -0.5]
-    assert problem.begin_step().increment == pytest.approx(0.5)
-    dm.newton(problem)
-    case.tie.jump = [0.3, -0.3]
-    assert problem.begin_step().increment == pytest.approx(0.2)

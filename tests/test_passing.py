@@ -15,7 +15,6 @@ from dolfinx_mortar.geometry.flat import find_passing
 from dolfinx_mortar.interfaces import tool as tool_poses
 from dolfinx_mortar.mortar import passing
 from dolfinx_mortar.mortar.passing import RigidMotion
-from dolfinx_mortar.newton_method import failures
 from dolfinx_mortar.newton_method.failures import describe_passing
 from tests.cases.close_fits import rings
 from tests.cases.hertz import create_mesh
@@ -49,18 +48,6 @@ def test_which_points_pass(d, carried):
     # the facet moves as fast as the points
     assert find_passing((start[:1], end[:1]), (x, x - 4 * up)).tolist() == []
     assert find_passing((start[3:4], start[3:4]), (x, x + 4 * up)).tolist() == [0]
-
-
-@pytest.mark.parametrize("d", [2, 3])
-def test_what_turns_as_one_body_does_not_pass(d):
-    """Points all around a facet, turned with it by up to 60 degrees."""
-    rng = np.random.default_rng(1)
-    p = rng.uniform(-1.5, 1.5, size=(300, d))
-    p[:, -1] += np.sign(p[:, -1]) * 0.3
-    for degrees in (-60.0, 10.0, 60.0):
-        R = rotation((0.0, 1.0, 0.0) if d == 3 else (0.0, 0.0, 1.0), np.radians(degrees))[:d, :d]
-        turned = triangle(d) @ R.T
-        assert find_passing((p, p @ R.T), (triangle(d), turned)).tolist() == []
 
 
 def test_many_facets_and_no_facet():
@@ -159,16 +146,6 @@ def test_a_body_that_is_prescribed_altogether(slave):
         assert not problem.u.x.array.any()
 
 
-def test_what_flows_on_the_other_side_is_no_cause(monkeypatch):
-    """Nor what floats there: the message says what has passed, and nothing else."""
-    pushed = Pushed()
-    monkeypatch.setattr(failures, "_flow", lambda problem: "limit load?")
-    pushed.move(0.0, -6.0)
-    with pytest.raises(dm.NewtonNotConverged, match=r"has passed through.*as before") as caught:
-        dm.newton(pushed.problem)
-    assert "limit load?" not in str(caught.value)
-
-
 @pytest.mark.mpi
 def test_cuts_find_the_way():
     """Cut where the disc would pass, the step ends where small ones do."""
@@ -246,20 +223,6 @@ def test_a_hub_may_turn_in_a_ring(degrees, slave):
 
 
 @pytest.mark.mpi
-def test_small_motions_do_not_look_at_facets(monkeypatch):
-    """What moves by less than half of the thinner body, and what both do, costs no search."""
-    pushed = Pushed()
-    looked = []
-    monkeypatch.setattr(failures, "find_passed", lambda *_: looked.append(1) or None)
-    pushed.move(0.0, -0.45)  # half of the strip is 0.5
-    dm.newton(pushed.problem)
-    pushed.problem.u.interpolate(lambda x: np.full_like(x[:2], 40.0))
-    assert not describe_passing(pushed.problem) and not looked
-    pushed.problem.u.interpolate(lambda x: np.stack([0 * x[0], np.where(x[1] > 0.2, -0.55, 0.0)]))
-    assert not describe_passing(pushed.problem) and looked
-
-
-@pytest.mark.mpi
 @pytest.mark.parametrize("partition", ["graph", "bodies", "empty"])
 def test_what_passes_is_counted_over_the_ranks(partition):
     """A block through a block: the middle behind each facet of its bottom, whoever owns it."""
@@ -298,42 +261,6 @@ def test_boxes_in_space(cell):
         problem.u.x.array.reshape(-1, 3)[on] = turn @ way
         problem.u.x.scatter_forward()
         assert bool(describe_passing(problem)) == passes
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("overlap", [0.0, 0.01])
-def test_bodies_end_at_their_own_skin(overlap):
-    """Behind the sides alone, and where another body lies in it: heights 0.5 and 0.75."""
-    mesh, _, facets = two_blocks(COMM, (4, 3), (5, 4), heights=(0.5, 0.75), gap=-overlap)
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    contact = dm.Contact(facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
-    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact])
-    assert not describe_passing(problem)
-    for side, height in zip(problem.system.middles[0], (0.5, 0.75), strict=True):
-        assert np.abs(side.depth - passing.THROUGH * height).max(initial=0.0) < 1e-12
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("far", [4.0, 9.0])
-def test_a_first_step_that_goes_too_far_is_cut(far):
-    """Sides that are no skins, beyond each other only by what the step prescribes: no mistake.
-
-    Or it ends at strains of 1000 % beside the other body, which its notes tell.
-    """
-    mesh, _, facets = two_blocks(COMM, heights=(0.5, 0.5), gap=far - 0.01)
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    top = fem.Constant(mesh, np.zeros(2))
-    dofs = [fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (BOTTOM, TOP)]
-    bcs = [fem.dirichletbc(np.zeros(2), dofs[0], V), fem.dirichletbc(top, dofs[1], V)]
-    contact = dm.Contact(facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
-    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact], bcs=bcs)
-    top.value[:] = 0.0, -2.0 * far
-    try:
-        notes = dm.newton(problem).notes
-    except dm.NewtonNotConverged:
-        return
-    assert far > 4.0 and any("deep in each other" in note for note in notes)
-    assert any("strains of up to 1" in note for note in notes)
 
 
 # -- tools -----------------------------------------------------------------------------------------
@@ -379,18 +306,6 @@ def test_a_tool_and_a_body_that_pass(d, n):
     for body, tool in ((2.0 * up, 0.0 * up), (40.0 * aside, 0.0 * up), (-40.0 * up, -40.0 * up)):
         assert not moved(body, tool)
     assert not moved(-2.0 * up + 2.0 * aside, 1.5 * aside - 2.0 * up)
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("tip", [0.95, 1.0, np.nextafter(1.0, 2.0)])
-@pytest.mark.parametrize("d", [2, 3])
-def test_a_tip_may_lie_a_bit_behind_a_coarse_facet(d, tip):
-    """Which approximates it: by a tenth of a facet, not by the half of the body."""
-    problem, ball = on_ball(d, 2, tip=tip)
-    start = ball.position.value.copy()
-    for up, passes in ((0.14, False), (0.37, True)):
-        ball.position.value[:] = start + up * np.eye(d)[-1]
-        assert ("passed through" in describe_passing(problem)) == passes
 
 
 @pytest.mark.mpi

@@ -13,7 +13,6 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.algebra.parallel import maximum
 from tests.cases.meshes import two_blocks
-from tests.choice import crosswise
 
 E, NU, P = 1000.0, 0.4, 10.0
 EXACT = 1e-10
@@ -169,18 +168,6 @@ def test_little_coverage(slave, covered, degree):
     c = covered  # shares of the integrals of the end's function, and of the middle's
     shares = [c**2] if degree == 1 else [4 * c**3 - 3 * c**2, 3 * c**2 - 2 * c**3]
     assert kept == degree * (len(long) - 1) + 1 - sum(share <= 0.05 for share in shares)
-
-
-@pytest.mark.parametrize(
-    ("slave", "cell"), crosswise(["lower", "upper"], ["triangle", "quadrilateral"])
-)
-@pytest.mark.parametrize("lengths", LENGTHS)
-@DEGREES
-def test_inclined(slave, cell, lengths, degree):
-    """The interface is inclined by 30 degrees."""
-    lower, upper = LENGTHS[lengths]
-    kind = {"angle": np.pi / 6, "cell": cell, "hold": "node", "degree": degree}
-    check(*solve_patch(slave, lower, upper, **kind))
 
 
 widths = st.lists(st.floats(0.2, 1.0), min_size=1, max_size=5)

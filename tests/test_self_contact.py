@@ -16,7 +16,7 @@ from dolfinx import fem
 from dolfinx_mortar.geometry.elements import LINE2
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.interfaces.coupling import relative_motions
-from dolfinx_mortar.mortar import passing, self_contact
+from dolfinx_mortar.mortar import passing
 from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
 from dolfinx_mortar.mortar.self_contact import REACH, _divide, distances_in_reach
 from dolfinx_mortar.mortar.surface import (
@@ -92,22 +92,6 @@ def test_of_nearest_facets_one_is_the_slave_whatever_their_numbers(seed, counts)
         nodes[keys][order], x[order], place[b[shuffled]], place[a[shuffled]], distance[shuffled]
     )
     assert np.array_equal(again, slave[order])
-
-
-def test_what_pairs_leave_open_follows_the_neighbours():
-    """Facets that face one other only: without neighbours each pair would choose by its sizes."""
-    keys, x, *_ = layers(np.random.default_rng(1), [6, 6])
-    size = np.linalg.norm(x[:, 1] - x[:, 0], axis=1)
-    assert len(set((size[:6] < size[6:]).tolist())) == 2
-    slave = _divide(keys, x, np.arange(6), np.arange(6, 12), np.full(6, 0.1))
-    assert slave[:6].all() != slave[6:].all() and slave.sum() == 6
-
-
-def test_the_finer_one_is_the_slave_wherever_it_lies():
-    """Four facets above one that begins farther left, first in the order of coordinates."""
-    keys, x, a, b, distance, layer = layers(np.random.default_rng(1), [1, 4])
-    x[0, :, 0] -= 0.5
-    assert np.array_equal(_divide(keys, x, a, b, distance), layer == 1)
 
 
 def straight(compression=0.0):
@@ -207,17 +191,6 @@ def test_moments_lack_what_turns_the_normals_and_nothing_else():
     assert fold.active > 0 and report.certificate.force_balance < 1e-12
     assert size > 1e-7 * np.linalg.norm(own.moment)
     assert np.abs(left - [0.0, 0.0, moment]).max() < 1e-6 * size
-
-
-def test_facets_of_one_role_that_come_nearer_ask_for_a_search(monkeypatch):
-    V, skin, at = two_blocks()
-    every = lambda keys, *_: np.ones(len(keys), dtype=bool)  # noqa: E731
-    with monkeypatch.context() as patch:
-        patch.setattr(self_contact, "_divide", every)
-        pairing = create_pairing(V, skin, skin, at(0.9))
-    assert len(pairing.pairs) == 0 and len(pairing.roles.seen) >= 16
-    assert not outside_margin(pairing, at(0.48))
-    assert outside_margin(pairing, at(0.42))
 
 
 # -- what is said ----------------------------------------------------------------------------------

@@ -79,24 +79,6 @@ def test_orders_of_hexahedra(transform):
     check_orders((1, 2, 3), "hexahedron", "upper", transform)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("transform", [None, to_sector], ids=["flat", "cylinder"])
-@pytest.mark.parametrize("slave", ["lower", "upper"])
-@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
-def test_orders(cell, slave, transform):
-    """L2 order 2 and H1 order 1, coarse or fine side as slave."""
-    check_orders((2, 4, 6), cell, slave, transform)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("slave", ["lower", "upper"])
-@pytest.mark.parametrize("curved", [False, True], ids=["flat", "cylinder"])
-def test_orders_of_second_order_hexahedra(slave, curved):
-    """L2 order 3 and H1 order 2, on flat sides and on isoparametric cells of a cylinder."""
-    shape = (to_sector, 2, 2) if curved else (None, 2, 1)
-    check_orders((1, 2), "hexahedron", slave, *shape, expected=(3.0, 2.0))
-
-
 @pytest.mark.parametrize("slave", quick(["lower", "upper"], "lower"))
 @pytest.mark.parametrize(
     "curved",
