@@ -9,8 +9,8 @@ from dolfinx import fem
 from tests.cases.block_piles import ABOVE, BELOW, create_blocks
 from tests.cases.glued_bar import CELLS, COMM, CONFINED, NU, Bar, E, largest
 from tests.cases.meshes import BOTTOM, TOP
+from tests.cases.shells import to_arc, to_sphere
 from tests.choice import crosswise
-from tests.test_smooth_tie import to_arc, to_sphere
 
 EXACT = 1e-9
 

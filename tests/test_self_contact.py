@@ -13,12 +13,10 @@ from hypothesis import strategies as st
 import dolfinx
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.geometry.elements import LINE2
-from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.interfaces.coupling import relative_motions
 from dolfinx_mortar.mortar import passing
 from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
-from dolfinx_mortar.mortar.self_contact import REACH, _divide, distances_in_reach
+from dolfinx_mortar.mortar.self_contact import REACH, _divide
 from dolfinx_mortar.mortar.surface import (
     create_surface,
 )
@@ -161,16 +159,6 @@ def test_parts_that_come_near_ask_for_a_search():
     assert outside_margin(near, at(0.1, aside=0.6))
 
 
-def test_facets_with_a_common_node_are_no_pair():
-    """A notch of 40 degrees: the same facets with nodes of their own would be."""
-    x = np.array([[[1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.75, -0.65]]])[:, ::-1]
-    facets = Facets(LINE2, x)
-    pairs, deep = np.array([[0, 1]], dtype=np.int32), np.array([np.inf])
-    one, other = np.array([[1, 0], [2, 1]]), np.array([[1, 0], [3, 2]])
-    found = [distances_in_reach(facets, facets, pairs, (n, n), deep)[0] for n in (one, other)]
-    assert found[0] == np.inf and found[1] == 0.0
-
-
 def test_moments_lack_what_turns_the_normals_and_nothing_else():
     """Forces lambda_j D_jj v_j.dn_j/du, of the exact derivative of the gap, have the moment left.
 
@@ -258,15 +246,6 @@ def test_the_middle_behind_the_end_of_a_bent_strip_passes_through_nothing():
     assert passing.find_passed(slave, other, half, straight) is None
     found = passing.find_passed(slave, master, half, closed)
     assert found is not None and found.depth < 0.2
-
-
-@pytest.mark.mpi
-def test_the_audit_counts_what_is_near_itself():
-    fold = create_hairpin()
-    found = fold.problem.audit()
-    (own,) = found.interfaces
-    assert own.meets_itself and own.slave_facets > 0 and own.master_facets > 0
-    assert "near each other" in str(own) and found.warnings == []
 
 
 def test_only_contacts_may_meet_themselves():

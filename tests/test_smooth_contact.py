@@ -11,8 +11,9 @@ from dolfinx import fem, mesh
 from tests.cases.close_fits import OVERLAP, create_pin, create_shrink_fit
 from tests.cases.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
 from tests.cases.pressed_blocks import PressedBlocks, rejected
+from tests.cases.shells import to_arc, to_sphere
 from tests.choice import crosswise
-from tests.test_smooth_tie import largest, sides, to_arc, to_sphere
+from tests.test_smooth_tie import largest, sides
 
 COMM = MPI.COMM_WORLD
 CELLS = ["tetrahedron", "hexahedron"]

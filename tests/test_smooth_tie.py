@@ -13,31 +13,17 @@ from dolfinx_mortar.algebra.parallel import maximum
 from tests.cases.close_fits import hold, rings
 from tests.cases.meshes import two_blocks
 from tests.cases.meshes_3d import two_boxes
-from tests.cases.shells import INNER, OUTER, lame_pressure, octants
+from tests.cases.shells import INNER, OUTER, RADIUS, lame_pressure, octants, to_arc, to_sphere
 from tests.choice import crosswise
 
 COMM = MPI.COMM_WORLD
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
-RADIUS = 2.0
 RADII = (1.0, 2.0, 3.0)
 ROUND_OFF = 1e-12
 SPIN = np.array([[0.0, -1.0, 0.5], [1.0, 0.0, 0.7], [-0.5, -0.7, 0.0]])  # W: u = W x
 
 
 # -- the operator: u_s = Q u_m ---------------------------------------------------------------------
-
-
-def to_sphere(x):
-    """Map (a, b, radius - 2), with a and b from 0 to 1, to a sector of a spherical shell."""
-    direction = np.column_stack([0.8 * (x[:, :2] - 0.5), np.ones(len(x))])
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    return (RADIUS + x[:, 2:]) * direction
-
-
-def to_arc(x):
-    """Map (a, .., radius - 2) to a sector of a ring, or of a tube."""
-    angle, radius = 0.8 * (x[:, 0] - 0.5), RADIUS + x[:, -1]
-    return np.column_stack([radius * np.sin(angle), *x[:, 1:-1].T, radius * np.cos(angle)])
 
 
 def sides(comm, cell, transform, n=3, **options):
