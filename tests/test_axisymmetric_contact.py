@@ -67,18 +67,6 @@ def test_shrink_fit(slave, cell):
 
 
 @pytest.mark.mpi
-def test_shrink_fit_does_not_see_units_and_shifts():
-    first, contact = fitted_tubes(4, "upper")
-    dm.newton(first, rtol=1e-11)
-    pressure = largest(contact.pressure.x.array)
-    for scale, shift in ((1e-6, 0.0), (1e3, 50.0)):
-        again, other = fitted_tubes(4, "upper", scale=scale, shift=shift)
-        dm.newton(again, rtol=1e-11)
-        assert abs(largest(other.pressure.x.array) / pressure - 1) < 1e-8
-        assert abs(other.force[0] / contact.force[0] / scale**2 - 1) < 1e-8
-
-
-@pytest.mark.mpi
 @pytest.mark.parametrize("slave", SIDES)
 def test_a_tied_tube_is_lames(slave):
     """Pressure inside two tied tubes: second order in u, and the pressure between them."""

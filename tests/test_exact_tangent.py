@@ -11,7 +11,6 @@ import pytest
 
 import dolfinx_mortar as dm
 import dolfinx_mortar.steps.newton as newton_module
-from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.interfaces.constraints import Constraints
 from dolfinx_mortar.newton_method.linearisation import Corrections, Linearisation
 from dolfinx_mortar.newton_method.residuals import Residuals
@@ -112,34 +111,6 @@ def test_newton_is_quadratic_with_friction(to):
     r = r[r < 0.03]
     assert len(r) >= 3
     assert (r[1:] < np.maximum(2.0 * r[:-1] ** 2, 1e-12)).all()  # .13 to 1.02 times the square
-
-
-def test_nothing_is_allocated_anew_within_a_step_nor_in_the_next(monkeypatch):
-    """Patterns and the symbolic factorisations of both tangents are made once a search."""
-    case = indentation(n=((24, 5), (16, 2)), radius=1.0, length=6.0, height=2.0)
-    made = []
-    for kind in (triplets.Triplets, congruence.ProductOfBases, congruence.Congruence):
-        init = kind.__init__
-
-        def noted(self, *args, init=init, **options):
-            made.append(type(self).__name__)
-            init(self, *args, **options)
-
-        monkeypatch.setattr(kind, "__init__", noted)
-
-    def counted(*push):
-        made.clear()
-        before = case.problem.linear.counts.symbolic
-        case.held.value[:] = push
-        report = dm.newton(case.problem, rtol=1e-10)
-        case.problem.commit()
-        assert sum(i.exact_tangent for i in report.iterations) > 1
-        return case.problem.linear.counts.symbolic - before
-
-    assert counted(0.0, -0.1) == 2
-    assert made.count("ProductOfBases") == 1
-    assert counted(0.01, -0.1) == 0
-    assert made == []
 
 
 @pytest.mark.parametrize("first", [False, True])

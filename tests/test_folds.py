@@ -6,11 +6,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-import dolfinx
-import dolfinx_mortar as dm
-from dolfinx import fem
-from tests.cases.block_piles import ABOVE, BELOW, create_blocks
-from tests.cases.folds import RUBBER, create_hairpin, create_ring
+from tests.cases.folds import create_hairpin, create_ring
 
 COMM = MPI.COMM_WORLD
 BAR = 1e-6
@@ -58,39 +54,3 @@ def test_a_ring_in_space():
     found = ring_in_space(COMM)
     alone = COMM.bcast(ring_in_space(MPI.COMM_SELF) if COMM.rank == 0 else None)
     np.testing.assert_allclose(found, alone, rtol=1e-7)
-
-
-@pytest.mark.mpi
-def test_one_tag_for_two_bodies_that_slide_is_as_good_as_two():
-    """Over eight facets, with friction: new parts come near and are found.
-
-    Pressed by .1, the leading flank leans so far that it faces the dent in front of it: a side of
-    the skin, not of the two bodies.
-    """
-    domain, _, facets = create_blocks(COMM, [(0, 4, -1, 0, 16, 4), (0.3, 1.3, 0.01, 1, 8, 4)])
-    domain.topology.create_connectivity(1, 2)
-    skin = np.sort(dolfinx.mesh.exterior_facet_indices(domain.topology))
-    one = dolfinx.mesh.meshtags(domain, 1, skin, np.full(len(skin), 1, dtype=np.int32))
-
-    def slide(contact):
-        V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-        push = fem.Constant(domain, np.zeros(2))
-        top, bottom = (
-            fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (20 + ABOVE, 10 + BELOW)
-        )
-        bcs = [fem.dirichletbc(push, top, V), fem.dirichletbc(np.zeros(2), bottom, V)]
-        solid = dm.Solid(fem.Function(V), RUBBER, strain="finite")
-        problem = dm.ContactProblem(solid, [contact], bcs=bcs)
-        forces = []
-        for k in range(9):
-            push.value[:] = 0.25 * k, -0.08
-            dm.newton(problem, rtol=1e-9)
-            problem.commit()
-            forces.append(contact.force)
-        assert problem.system.searches > 4
-        return np.array(forces)
-
-    itself = slide(dm.Contact(one, slave=1, master=1, friction=0.3))
-    two = slide(dm.Contact(facets, slave=20 + BELOW, master=10 + ABOVE, friction=0.3))
-    # corners of the skin have normals of both faces
-    assert np.abs(itself - two).max() < 1e-3 * np.abs(two).max()

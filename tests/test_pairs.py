@@ -15,7 +15,6 @@ from dolfinx_mortar.audit import pairs as pairs_module
 from dolfinx_mortar.audit.roles import assess, choose_roles
 from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, create_blocks
 from tests.cases.meshes_3d import rotation, two_boxes
-from tests.cases.msh_files import msh_file
 from tests.cases.pressed_blocks import rejected
 
 COMM = MPI.COMM_WORLD
@@ -284,41 +283,6 @@ def test_boxes_in_space_without_any_tag(cell, partition):
     assert np.isclose(pair.distance, 0.1) and np.isclose(pair.area, 1.0)
     on_top = set(facets.find(3).tolist()) | set(facets.find(4).tolist())
     assert set(pairs.tags.indices.tolist()) == on_top
-
-
-def ring_and_pins(model):
-    """Draw a plate with a hole, a pin in it, and a washer of two tags around it, all apart."""
-    occ = model.occ
-    plate = occ.cut([(2, occ.addRectangle(-2, -2, 0, 4, 4))], [(2, occ.addDisk(0, 0, 0, 1, 1))])[0]
-    pin = occ.addDisk(0, 0, 0, 0.6, 0.6)
-    outer = occ.cut([(2, occ.addDisk(0, 0, 0, 0.95, 0.95))], [(2, occ.addDisk(0, 0, 0, 0.8, 0.8))])
-    inner = occ.cut([(2, occ.addDisk(0, 0, 0, 0.8, 0.8))], [(2, occ.addDisk(0, 0, 0, 0.65, 0.65))])
-    joined, _ = occ.fragment(outer[0], inner[0])
-    occ.synchronize()
-    for k, (name, parts) in enumerate(
-        {"plate": plate, "pin": [(2, pin)], "bush": joined[:1], "liner": joined[1:]}.items()
-    ):
-        model.addPhysicalGroup(2, [p for _, p in parts], k + 1, name)
-    model.mesh.generate(2)
-
-
-@pytest.mark.mpi
-def test_assembly_of_gmsh_in_the_plane_without_sides():
-    """What is joined, bush and liner, is no contact; concentric sides are, each with the next."""
-    with msh_file(ring_and_pins, MeshSizeMax=0.25) as file:
-        domain, cells, _ = dm.meshing.read_msh(file, COMM)
-    pairs = dm.find_pairs(domain, cells, show=False)
-    assert sorted(map(sorted, ends(pairs))) == [["bush", "plate"], ["liner", "pin"]]
-    assert np.allclose([p.distance for p in pairs.found], 0.05, atol=0.02)
-    ((joined, nodes),) = pairs.joined.items()
-    assert sorted(joined) == ["bush", "liner"]
-    assert str(pairs).splitlines()[-1].startswith(f"'{joined[0]}' and '{joined[1]}' share {nodes}")
-    V = fem.functionspace(domain, ("Lagrange", 1))
-    x = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local]
-    assert nodes == COMM.allreduce(int(np.isclose(np.hypot(*x[:, :2].T), 0.8).sum()))
-    bodies = dm.find_pairs(domain, show=False)  # by connected parts: three
-    assert not bodies.joined and len(str(bodies).splitlines()) == 3
-    assert sorted(p.facets for p in bodies.found) == sorted(p.facets for p in pairs.found)
 
 
 @pytest.mark.mpi

@@ -14,7 +14,6 @@ from dolfinx.mesh import meshtags
 from dolfinx_mortar.geometry.flat import find_passing
 from dolfinx_mortar.interfaces import tool as tool_poses
 from dolfinx_mortar.mortar import passing
-from dolfinx_mortar.mortar.passing import RigidMotion
 from dolfinx_mortar.newton_method.failures import describe_passing
 from tests.cases.close_fits import rings
 from tests.cases.hertz import create_mesh
@@ -185,18 +184,6 @@ def test_bodies_may_turn_together(degrees):
     assert not describe_passing(pushed.problem)
     pushed.problem.u.interpolate(lambda x: np.stack([0 * x[0], np.where(x[1] > 0.2, -6.0, 0.0)]))
     assert "has passed through the other one" in describe_passing(pushed.problem)
-
-
-@pytest.mark.mpi
-def test_a_screw_is_made_in_equal_parts():
-    """Three thirds of a motion that turns and shifts along its axis are the whole, with its way."""
-    x, axis = np.array([[1.0, 0.0, 2.0], [0.0, -3.0, 1.0]]), np.array([1.0, 2.0, 2.0]) / 3.0
-    whole = RigidMotion(rotation(axis, 2.0), np.array([0.3, 0.1, -0.7]))
-    third, at = whole.part(1 / 3), [x]
-    for _ in range(3):
-        at.append(third.at(at[-1]))
-    assert np.allclose(at[-1], whole.at(x), atol=1e-12)
-    assert np.allclose(np.diff(np.array(at), axis=0) @ axis, whole.c @ axis / 3, atol=1e-12)
 
 
 @pytest.mark.parametrize("degrees", [45.0, 90.0, -150.0])

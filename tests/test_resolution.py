@@ -13,7 +13,7 @@ from dolfinx_mortar.report.resolution import _measure, _patches, oscillation
 from tests.cases.ball import create_problem
 from tests.cases.finite_sliding import indentation
 from tests.cases.hertz import ELASTIC, create_case, create_mesh
-from tests.cases.meshes import BOTTOM_OF_UPPER, LEFT, LOWER, TOP_OF_LOWER, UPPER
+from tests.cases.meshes import BOTTOM_OF_UPPER, LEFT, TOP_OF_LOWER
 from tests.cases.pressed_blocks import PressedBlocks
 from tests.choice import quick
 
@@ -112,17 +112,3 @@ def test_pressures_of_a_finer_and_stiffer_slave_oscillate(slave, oscillate):
     assert abs(case.contact.force[1]) == pytest.approx(0.0616, rel=0.01)
     if oscillate:
         assert amplitude(case.problem, case.contact) == pytest.approx(0.26, abs=0.01)
-
-
-def test_singular_pressures_of_a_punch_do_not_oscillate():
-    """Those at its ends are 2.4 times the mean, the others smooth, whatever the master's facets."""
-    blocks = PressedBlocks(
-        n_lower=(40, 16), n_upper=(8, 4), x_lower=(-1.0, 1.0), x_upper=(-0.2, 0.2),
-        cell="quadrilateral",
-    )  # fmt: skip
-    contact = blocks.contact(slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER)
-    laws = {LOWER: dm.Elastic(1e3, 0.3), UPPER: dm.Elastic(1e5, 0.3)}
-    solid = dm.Solid(blocks.u, laws, blocks.cells)
-    problem = dm.ContactProblem(solid, [contact], bcs=blocks.bcs())
-    assert not [note for note in dm.newton(problem).notes if "oscillate" in note]
-    assert amplitude(problem, contact) > 0.1

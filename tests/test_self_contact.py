@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """A surface that meets itself: roles, what is paired, folds that close, balances, ranks."""
 
-from dataclasses import replace
-
 from mpi4py import MPI
 
 import numpy as np
@@ -14,7 +12,6 @@ import dolfinx
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.interfaces.coupling import relative_motions
-from dolfinx_mortar.mortar import passing
 from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
 from dolfinx_mortar.mortar.self_contact import REACH, _divide
 from dolfinx_mortar.mortar.surface import (
@@ -24,7 +21,6 @@ from dolfinx_mortar.newton_method.failures import describe_passing
 from dolfinx_mortar.report.penetration import find_overlaps, notes_on_crossings
 from tests.cases.block_piles import create_blocks
 from tests.cases.folds import (
-    RUBBER,
     SKIN,
     closed_ring,
     create_fold,
@@ -214,38 +210,6 @@ def test_a_step_in_which_a_surface_passes_through_itself_is_told():
     assert not describe_passing(fold.problem)
     u.interpolate(lambda x: np.stack([0.0 * x[0], np.sign(x[1]) * np.clip(0.2 - x[0], 0, 9)]))
     assert not describe_passing(fold.problem)
-
-
-@pytest.mark.mpi
-def test_the_middle_behind_the_end_of_a_bent_strip_passes_through_nothing():
-    """It is 1 behind the end of a strip of 2 by 0.2, beside it where that is bent to 4 radians.
-
-    When the strip is straight again, it is back in it. The strip that bends on passes itself.
-    """
-    mesh, tags = create_sheet(COMM, (40, 2), lambda s: s * [2.0, 0.2] - [1.0, 0.1])
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    contact = dm.Contact(tags, slave=SKIN, master=SKIN)
-    problem = dm.ContactProblem(dm.Solid(fem.Function(V), RUBBER, strain="finite"), [contact])
-    assert not describe_passing(problem)
-    ((slave, master),) = problem.system.middles
-
-    def bent(angle):
-        u, radius = fem.Function(V), 2.0 / angle
-
-        def moved(x):
-            r, t = radius - x[1], x[0] / radius
-            return np.stack([r * np.sin(t) - x[0], radius - r * np.cos(t) - x[1]])
-
-        u.interpolate(moved)
-        return u
-
-    straight, half, closed = fem.Function(V), bent(4.0), bent(8.0)
-    assert passing.find_passed(slave, master, half, straight) is None
-    assert passing.find_passed(slave, master, straight, half) is None
-    other = replace(master, surface=create_surface(V, tags, SKIN, "skin"))  # as of another body
-    assert passing.find_passed(slave, other, half, straight) is None
-    found = passing.find_passed(slave, master, half, closed)
-    assert found is not None and found.depth < 0.2
 
 
 def test_only_contacts_may_meet_themselves():

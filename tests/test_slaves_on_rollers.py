@@ -129,31 +129,23 @@ def deg(*degrees):
 CONTACT, TIE, TOOL = dm.Contact, dm.Tie, dm.Obstacle
 ROUGH = {"friction": 0.4}
 CASES = {
-    "contact": (CONTACT, {}, {"slope": deg(30)}),
     "contact, quadrilaterals 2": (CONTACT, {}, {"slope": deg(-60), "cell": "quadrilateral"}),
-    "friction": (CONTACT, ROUGH, {"slope": deg(-20), "slave": "lower"}),
     "friction 2": (CONTACT, ROUGH, {"slope": deg(45), "degree": 2}),
     "both": (CONTACT, ROUGH, {"slope": deg(10), "both": True}),
     "given friction": (CONTACT, {"tresca": 1.0}, {"slope": deg(30), "slave": "lower"}),
-    "rings": (CONTACT, {}, {"slope": deg(30), "inside": 0.7}),
     "rings, friction 2": (CONTACT, ROUGH, {"slope": deg(-40), "inside": 0.7, "degree": 2}),
     "cone": (CONTACT, {}, {"slope": deg(30), "inside": 0.0, "slave": "lower", "both": True}),
     "space": (CONTACT, {}, {"slope": deg(20, -30)}),
-    "space, friction": (CONTACT, ROUGH, {"slope": deg(30, 20), "slave": "lower"}),
     "space, tetrahedra 2": (
         CONTACT,
         ROUGH,
         {"slope": deg(30, 0), "cell": "tetrahedron", "degree": 2},
     ),
     "space, hexahedra 2": (CONTACT, {}, {"slope": deg(15, 20), "degree": 2, "both": True}),
-    "tie": (TIE, {}, {"slope": deg(30)}),
     "tie 2": (TIE, {}, {"slope": deg(-60), "degree": 2, "slave": "lower"}),
     "tie in space": (TIE, {}, {"slope": deg(30, 20), "both": True}),
-    "tool": (TOOL, {}, {"slope": deg(30)}),
     "tool, degree 2": (TOOL, {}, {"slope": deg(-60), "degree": 2, "slave": "lower"}),
-    "tool, degree 2, 5 degrees": (TOOL, {}, {"slope": deg(5), "degree": 2}),
     "contact 2, 1 degree": (CONTACT, {}, {"slope": deg(-1), "degree": 2, "both": True}),
-    "tie, 1 degree": (TIE, {}, {"slope": deg(1), "slave": "lower", "both": True}),
     "tool, rings": (TOOL, {}, {"slope": deg(-20), "inside": 0.7}),
     "tool in space": (TOOL, {}, {"slope": deg(30, -20)}),
 }
@@ -183,10 +175,8 @@ def test_uniform_pressure(name, geometry):
 PAST = {
     "contact": (CONTACT, {"slope": deg(-30), "cell": "quadrilateral"}),
     "contact 2": (CONTACT, {"slope": deg(-20), "slave": "lower", "degree": 2}),
-    "contact 60": (CONTACT, {"slope": deg(-60)}),
     "space": (CONTACT, {"slope": deg(10, 20)}),
     "tool": (TOOL, {"slope": deg(30)}),
-    "tool, lower": (TOOL, {"slope": deg(20), "slave": "lower", "degree": 2}),
     "tool in space": (TOOL, {"slope": deg(-20, 0)}),
 }
 

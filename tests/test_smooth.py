@@ -24,8 +24,6 @@ from dolfinx_mortar.meshing.two_bodies import distribute
 from dolfinx_mortar.mortar.curvature_correction import _count_edges, smooth_normals
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
 from tests.cases.close_fits import create_ring
-from tests.cases.meshes import two_blocks
-from tests.cases.meshes_3d import two_boxes
 
 COMM = MPI.COMM_WORLD
 RADIUS = 8.0
@@ -169,35 +167,6 @@ def test_needles_and_collapsed_facets_have_a_curvature(element, rng):
         assert np.abs(curvatures(facets, c)).max() < 10.0 / RADIUS
 
 
-def cylinder(cell, cells, bend=0.0):
-    """Return the outer side of half a tube, with free ends all around; its nodes lie uneven."""
-    m = mesh.create_box(MPI.COMM_SELF, [(0, 0, 0), (1, 1, 1)], cells, mesh.CellType[cell])
-    r, t, z = m.geometry.x.T.copy()
-    t, z = t + bend * np.sin(2 * np.pi * t) / 7, z + bend * np.sin(2 * np.pi * z) / 9
-    outer = mesh.locate_entities_boundary(m, 2, lambda x: np.isclose(x[0], 1.0))
-    m.geometry.x[:, 0] = (0.9 + 0.1 * r) * np.cos(np.pi * t)
-    m.geometry.x[:, 1] = (0.9 + 0.1 * r) * np.sin(np.pi * t)
-    m.geometry.x[:, 2] = 2.0 * z
-    tags = mesh.meshtags(m, 2, np.sort(outer), np.full(len(outer), 3, dtype=np.int32))
-    return create_surface(fem.functionspace(m, ("Lagrange", 1, (3,))), tags, 3, "slave")
-
-
-@pytest.mark.parametrize("cell", CELLS)
-@pytest.mark.parametrize("bend", [0.0, 1.0])
-def test_heights_over_a_cylinder_with_free_ends(cell, bend):
-    surface = cylinder(cell, (1, 32, 20), bend)
-    facets = facets_at(surface, surface.X)
-    found = smooth_normals(surface, surface.X, np.zeros(surface.X.shape, dtype=bool), 40.0)
-    xi = facets.element.rule[0]
-    true = true_heights(facets, [0.0, 0.0, 0.0], 1.0, xi, slice(0, 2))
-    error = np.abs(found_heights(facets, found, surface.facets, xi) - true).max(axis=1)
-    error /= true.max(axis=1)
-    corners = found.open[surface.facets].sum(axis=1)
-    assert not found.sharp.any() and corners.max() == 3  # where two rims meet
-    exact = corners <= (1 if cell == "tetrahedron" else 2)
-    assert error[exact].max() < 0.01 and error.max() < 0.52
-
-
 @pytest.mark.mpi
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral", *CELLS])
 def test_flat_sides_and_sharp_edges_keep_their_facets(cell):
@@ -332,29 +301,3 @@ def test_opposite_facets_have_no_normal(cell):
     assert np.abs(c).max() < 1e-14
     fixed = np.zeros((len(surface.V.mesh.geometry.x), fixed.shape[1]), dtype=bool)
     assert edges_of(surface, fixed, 180.0).tolist() == [end.sum()] * 2
-
-
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral", "tetrahedron", "hexahedron"])
-def test_second_order_has_the_same_smooth_surface(cell):
-    """Normals of the vertices and what these are good for; middles lie on no edge."""
-    d = 2 if cell in ("triangle", "quadrilateral") else 3
-    create, n = (two_blocks, (5, 2)) if d == 2 else (two_boxes, (4, 3, 1))
-    domain, _, tags = create(MPI.COMM_SELF, n, n, cell=cell, jitter=0.3, transform=dome)
-    found = []
-    for degree in (1, 2):
-        V = fem.functionspace(domain, ("Lagrange", degree, (d,)))
-        surface = create_surface(V, tags, 3, "slave")
-        fixed = np.zeros((V.dofmap.index_map.size_local, d), dtype=bool)
-        assert (edges_of(surface, fixed, 40.0) == 0).all()
-        normals = smooth_normals(surface, surface.X, fixed[surface.nodes], 40.0)
-        vertices = np.unique(surface.facets[:, list(surface.element.vertices)])
-        order = vertices[np.lexsort(np.round(surface.X[vertices], 9).T)]
-        found.append((surface.X[order], normals.n[order], normals.open[order]))
-        assert np.linalg.norm(normals.n, axis=1) == pytest.approx(1.0, abs=1e-14)
-    for first, second in zip(*found, strict=True):
-        assert np.abs(first.astype(float) - second).max() < 1e-13
-
-
-def dome(x):
-    """Bend blocks upwards."""
-    return x - 0.2 * np.eye(x.shape[1])[-1] * ((x[:, :-1] - 0.5) ** 2).sum(axis=1)[:, None]

@@ -9,8 +9,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from tests.cases.close_fits import OVERLAP, create_pin, create_shrink_fit
-from tests.cases.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
-from tests.cases.pressed_blocks import PressedBlocks, rejected
+from tests.cases.pressed_blocks import rejected
 from tests.cases.shells import to_arc, to_sphere
 from tests.choice import crosswise
 from tests.test_smooth_tie import largest, sides
@@ -145,23 +144,6 @@ def test_heights_do_not_depend_on_the_ranks(cell):
         found.append(rows[np.lexsort(np.round(rows[:, :3], 9).T)])
     assert found[0] == pytest.approx(found[1], abs=1e-13)
     assert found[1][:, 3].max() > 1e-3
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("swap", [False, True])
-def test_an_edge_of_either_side_is_none_of_a_curve(swap):
-    """The upper block is tagged around its corners; what it says of them reaches the other side."""
-    case = PressedBlocks(n_lower=(5, 3), n_upper=(4, 3))
-    m, tags = case.mesh, case.facets
-    above = mesh.compute_midpoints(m, 1, tags.indices)[:, 1] > 1e-9
-    values = np.where(above & (tags.values != TOP), BOTTOM_OF_UPPER, tags.values)
-    around = mesh.meshtags(m, 1, tags.indices, values.astype(np.int32))
-    slave, master = (BOTTOM_OF_UPPER, TOP_OF_LOWER) if swap else (TOP_OF_LOWER, BOTTOM_OF_UPPER)
-    contact = dm.Contact(around, slave=slave, master=master, surface="smooth")
-    problem = case.problem([contact])
-    problem.audit()
-    heights = problem.system.links[0].coupling.heights
-    assert np.abs(heights).max(initial=0.0) < 1e-14
 
 
 @pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])

@@ -123,24 +123,6 @@ def test_heights_that_are_known_too_little_are_told_of(swap, pressure):
     assert not any("forces and moments are" in note for note in report.notes)
 
 
-def test_flat_sides_do_not_stand_off_a_tool():
-    """Pressed by the corners of a punch, at a light load; the tool is told of, not the facets."""
-    domain = mesh.create_rectangle(
-        COMM, [(-2.0, -1.0), (2.0, 0.0)], (16, 4), mesh.CellType.quadrilateral
-    )
-    top = mesh.locate_entities_boundary(domain, 1, lambda x: x[1] > -1e-9)
-    tags = mesh.meshtags(domain, 1, np.sort(top), np.ones(len(top), dtype=np.int32))
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    foot = fem.locate_dofs_geometrical(V, lambda x: x[1] < -1 + 1e-9)
-    outline = [(-0.52, 1.0), (-0.52, 0.02), (-0.5, 0.0), (0.58, 0.0), (0.6, 0.02), (0.6, 1.0)]
-    shape = dm.shapes.Polyline(np.array(outline) - [0.0, 1e-4], crease=0.0)
-    punch = dm.Obstacle(tags, slave=1, shape=shape)
-    solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3))
-    bcs = [fem.dirichletbc(np.zeros(2), foot, V)]
-    report = dm.newton(dm.ContactProblem(solid, [punch], bcs=bcs))
-    assert punch.force[1] < 0.0 and not any("facets" in note for note in report.notes)
-
-
 @pytest.mark.mpi
 @pytest.mark.parametrize("cell", ["ring", "tetrahedron", "hexahedron"])
 @pytest.mark.parametrize("swap", [False, True])
