@@ -25,7 +25,7 @@ ON_TWO = """
 """.split()
 SLOW_ON_THREE = """
     convected driven_tools exact_tangent_3d finite_sliding friction_path load_steps
-    mortar_3d pairs patch rigid_side same_sums slaves_on_rollers tangent
+    pairs patch rigid_side same_sums slaves_on_rollers tangent
 """.split()
 AT_NIGHT = """
     audit axisymmetric_contact axisymmetric_patch axisymmetry bending bolts
