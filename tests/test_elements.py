@@ -161,14 +161,14 @@ def test_parts_tile_their_facet(element):
     x = element.vertex_functions(element.points) @ corners
     facets, parts = Facets(element, x), parts_of(Facets(element, x))
     s = count(element)
-    assert len(plane.x) == s * len(x) and plane.element.degree == 1
+    assert len(parts.x) == s * len(x) and parts.element.degree == 1
     part = np.arange(3 * s, dtype=np.int32)
     xi = rng.uniform(0.0, 0.5, (3 * s, 2))
     of, both = {"xi_s": xi, "xi_m": xi, "weight": np.ones(3 * s)}, np.stack([part, part], axis=1)
-    on, back, weight = on_facets(facets, facets, create_planes(plane.x)[1], both, **of)
+    on, back, weight = on_facets(facets, facets, create_planes(parts.x)[1], both, **of)
     assert np.abs(points_of(facets, part // s, on) - points_of(parts, part, xi)).max() < 1e-14
     each = (scaled_normals(parts[part[[i]]], xi[[i]]) for i in range(3 * s))
-    jacobians = np.linalg.norm(np.concatenate(list(each))[:, 0], axis=1) / plane.element.size
+    jacobians = np.linalg.norm(np.concatenate(list(each))[:, 0], axis=1) / parts.element.size
     assert np.abs(back - on).max() < 1e-13 and np.abs(weight / jacobians - 1).max() < 1e-12
     areas = tributary_weights(parts).sum(axis=1).reshape(3, s).sum(axis=1)
     smooth = 1e-2 if element.bilinear else 1e-14  # the area of warped ones is no polynomial

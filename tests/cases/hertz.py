@@ -94,3 +94,9 @@ def create_case(
         contact = dm.Obstacle(sides, slave=side, shape=shape, **options)
     problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
     return HertzCase(problem, contact, top)
+
+
+def paper(materials=PLASTIC, *, gap: float = 0.0, **options) -> HertzCase:
+    """Return the case on a mesh like that of the paper."""
+    mesh = dm.meshing.hertz(MPI.COMM_WORLD, kind="paper", gap=gap)
+    return create_case(mesh, materials, **options)
