@@ -205,18 +205,7 @@ class VonMises(Material):
 
     @staticmethod
     def _normal_strain(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Strain zz with sigma_zz = 0.
-
-        In the plane, stress minus back stress has the sum S = xx + yy, the difference D = xx - yy
-        and the shear T; |xi|^2 = S^2 / 6 + D^2 / 2 + 2 T^2. With phi = dgam / (Y + H k_n) and the
-        trial values on the right,
-
-            S = S (1 + H phi) / (1 + (A + H) phi),     A = E / (3 (1 - nu)) + a,
-            D = D (1 + H phi) / (1 + (B + H) phi),     B = 2 mu + a,    T likewise,
-
-        where |xi| = Y + H k determines phi (`flow_in_plane_stress`). Source: J. C. Simo, R. L.
-        Taylor, Int. J. Numer. Methods Eng. 22 (1986) 649-670.
-        """
+        """Strain zz with sigma_zz = 0 (theory.md, Axisymmetry, plane stress ..)."""
         ep, (k, H) = state[PLASTIC], VonMises._memory(state, p)
         e, mu, bulk = strain - ep, shear_modulus(p), p.E / (1 - p.nu)
         S = bulk * (e[0, 0] + e[1, 1]) + 3 * p.a * ep[2, 2]

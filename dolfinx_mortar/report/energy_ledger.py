@@ -1,26 +1,11 @@
 # SPDX-License-Identifier: MIT
 """The ledger of energies of a motion, and the energy that contact restores.
 
-For linear bodies the trapezoidal rule conserves, from n to n+1,
-
-    K + Psi = K_n + Psi_n + 1/2 (q + q_n).(u - u_n)
-
-q the forces of loads, supports, damping and contacts. Opening and closing contacts lose 1/2 (lambda
-g_n - lambda_n g). So after a step an impulse s of the contact forces corrects the velocity: the
-work of the normal forces c becomes zero, and the work w of friction f not positive,
-
-    v <- v + s y,   (kappa M + K) y = c + c_n + f + f_n,
-    K(v + s y) = K(v) - 1/2 (c + c_n).(u - u_n) - <w> + s y_f.M (v + s y / 2),
-
-y_f the part of y due to f; the last term counts as work of friction. Momentum and moment of
-momentum are conserved (Laursen and Love 2002 correct node by node, with M alone). The smaller root
-s is taken; energy beyond its range is part of the defect. Below rtol of the largest energy the
-impulse is postponed.
-
-Moving tools do work as supports; w and K are relative to the tool. No impulse acts at tools driven
-by loads. Changes of eigenstrain or parameters do the work Psi - Psi_n - 1/2 (F + F_n).(u - u_n), F
-the internal forces, which counts as work of loads. At finite strain the moment of momentum has an
-error of third order in a step.
+The impulse s of the contact forces is that of theory.md, Motion in time; it is postponed until more
+than rtol of the largest energy is to be restored. Moving tools do work as supports; w and the
+kinetic energy are relative to the tool. No impulse acts at tools driven by loads. Changes of
+eigenstrain or parameters do the work Psi - Psi_n - 1/2 (F + F_n).(u - u_n), F the internal forces,
+which counts as work of loads.
 """
 
 from collections.abc import Sequence

@@ -6,23 +6,12 @@
     psi_vol = K/2 V t^2,    t = (B u - b) / V,    B_a = int tr eps(phi_a),  b = int tr eps_0,
 
 V the volume of the cell, with the weight of the kinematics. The forces are B^T p with the mean
-stress p = K t of the output, the tangent is B^T (K / V) B.
-
-**Finite strain**, psi(F) = psi_0(F) + U(J): theory.md, Finite strain. On quadrilaterals and
-hexahedra of second order, with M = int N N^T, B_ka = int N_k dJ/du_a, S = int U''(j) N N^T,
-
-    psi_vol = int U(j),  j = N^T M^-1 int N J,  p = N^T M^-1 int N U'(j),  B^T M^-1 S M^-1 B.
-
-On triangles and tetrahedra of second order N would lock. Pressures of tetrahedra, and of hexahedra
-of first order, alternate.
-
-Newton's method on u alone takes many short steps if U'' is far above the other moduli, so p is an
-unknown: a step leaves it at p + U''(j) B du / V, the next tangent has p d2J/du2 with that p, the
-energy along a step its volumes (`VolumeStep`), and the forces U'(j(u)), with the same solution.
+stress p = K t of the output, the tangent is B^T (K / V) B. **Finite strain**, psi(F) = psi_0(F) +
+U(J), with p as an unknown: theory.md, Finite strain. On triangles and tetrahedra of second order N
+would lock. Pressures of tetrahedra, and of hexahedra of first order, alternate.
 
 Sources: Simo, Taylor, Pister, Comput. Methods Appl. Mech. Engrg. 51 (1985) 177-208; T. Sussman,
-K.-J. Bathe, Comput. Struct. 26 (1987) 357-409 (9/3); D. Magisano, L. Leonetti, G. Garcea, Comput.
-Methods Appl. Mech. Engrg. 313 (2017) 986-1005, for p as an unknown.
+K.-J. Bathe, Comput. Struct. 26 (1987) 357-409 (9/3).
 """
 
 from __future__ import annotations

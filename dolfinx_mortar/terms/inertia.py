@@ -1,18 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Inertia and damping.
-
-With the forces G = f + c + R - F(u) - C v of loads, contacts, supports, bodies and damping, a step
-of the generalised alpha method is
-
-    M ((1 - am) a + am a_n) = (1 - af) G + af G_n,
-    u = u_n + dt v_n + dt^2 ((1/2 - beta) a_n + beta a),
-    v = v_n + dt ((1 - gamma) a_n + gamma a).
-
-Divided by 1 - af, it is a static step with a term of potential
-
-    Pi(u) = kappa/2 |u - p|^2_M + g.u,      kappa = (1 - am) / ((1 - af) beta dt^2),
-    p = u_n + dt v_n + dt^2 (1/2 - beta) a_n,      g = (am M a_n - af G_n) / (1 - af).
-"""
+"""Inertia and damping, with the letters of theory.md, Motion in time."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

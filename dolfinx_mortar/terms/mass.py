@@ -1,16 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The mass matrix, with massless nodes on sides that can open.
-
-Mass at contact nodes makes contact forces oscillate, and impacts change the energy (Khenous,
-Laborde, Renard 2008, "Mass redistribution method for finite element contact problems in
-elastodynamics"). With the consistent mass M of one displacement component,
-
-    M* = D P^T M P D,     (P v)_c = mean of v at the inner nodes nearest to c,   (P v)_i = v_i,
-
-so that the layer moves with the nodes next to it. D = 1 + s is diagonal, s a polynomial of degree
-two in each body, of order h^2 in a layer of width h, such that sum_ij p_i M*_ij q_j is that of M
-for p and q in {1, x, y, z}: mass, centre and moments of inertia.
-"""
+"""The mass matrix M* = D P^T M P D, with massless contact nodes (theory.md, Motion in time)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
