@@ -61,9 +61,9 @@ class LineContact:
     """Hertz line contact of two parallel cylinders, plane strain."""
 
     force: float  # per unit thickness
-    radius: float  # effective, 1/R = 1/R1 + 1/R2
-    E_star: float  # effective modulus, 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2
-    half_width: float  # a = sqrt(4 F R/(pi E*))
+    radius: float  # effective
+    E_star: float  # effective
+    half_width: float  # a
     peak_pressure: float  # p0 = 2 F/(pi a)
 
     def pressure(self, x: npt.ArrayLike) -> Floats:
@@ -76,11 +76,11 @@ class PointContact:
     """Hertz point contact of two spheres."""
 
     force: float
-    radius: float  # effective, 1/R = 1/R1 + 1/R2
+    radius: float  # effective
     E_star: float  # effective modulus
-    contact_radius: float  # a = (3 F R/(4 E*))^(1/3)
-    peak_pressure: float  # p0 = 3 F/(2 pi a^2)
-    approach: float  # of distant points, delta = a^2/R
+    contact_radius: float  # a
+    peak_pressure: float  # p0
+    approach: float  # delta, of distant points
 
     def pressure(self, r: npt.ArrayLike) -> Floats:
         """Return p0 sqrt(1 - r^2/a^2), zero outside the contact, at distances r from the middle."""
@@ -216,10 +216,9 @@ def first_yield_line(
     """Find the load at which the first body of a line contact starts to yield (von Mises).
 
     The von Mises stress is largest on the axis, below the surface at half to 0.8 half-widths, or
-    for nu below about 0.194 on it, where it is (1 - 2 nu) p0.
-
-    The yield stress is the uniaxial one, sqrt(3/2) Y for the Frobenius norm Y of the deviator;
-    other arguments and errors as for `hertz_line`.
+    for nu below about 0.194 on it, where it is (1 - 2 nu) p0. The yield stress is uniaxial,
+    sqrt(3/2) Y for the Frobenius norm Y of the deviator; other arguments and errors as for
+    `hertz_line`.
 
     >>> y = first_yield_line(450.0, 8.0, 206_900.0, 0.29, 206_900.0, 0.29)
     >>> round(y.peak_pressure, 1), round(y.half_width, 5), round(y.force, 1), round(y.depth, 4)
@@ -235,7 +234,7 @@ def first_yield_line(
         return float(np.sqrt(0.5 * np.sum((s - np.roll(s, 1)) ** 2)))
 
     found = minimize_scalar(lambda z: -von_mises(z), bounds=(0.2, 2.0), options={"xatol": 1e-10})
-    # from the surface it falls at first, for every nu: the end is a second maximum
+    # from the surface it falls at first: the end is a second maximum
     ratio, depth = max((-float(found.fun), float(found.x)), (von_mises(0.0), 0.0))
     p0 = yield_stress / ratio
     a = 2.0 * p0 * R / E_star  # from p0 = 2 F/(pi a) and a^2 = 4 F R/(pi E*)
@@ -354,8 +353,8 @@ def cattaneo_line(contact: LineContact, friction: float, force: Force) -> Partia
 class PartialSlipPoint(_History):
     """A point contact after a history of tangential forces, see `PartialSlip`.
 
-    With c = a k^(1/3), and r in place of x; the displacement of distant points is finite. Slip
-    across the force is neglected, right to some per cent (Johnson eqs. 7.40 to 7.42).
+    With c = a k^(1/3), r in place of x, and a finite displacement. Slip across the force is
+    neglected, right to some per cent (Johnson eqs. 7.40 to 7.42).
     """
 
     nu: float  # Poisson's ratio of both
@@ -425,10 +424,9 @@ FORCES = array((), (None,), remedy="give a finite number, or several in a sequen
 
 
 def _legs_of(force: Force, limit: float) -> Legs:
-    """Forces of a history, the weights of its legs, and k of each.
+    """Forces of a history, weights of its legs (1, then 2, signed), and k of each.
 
-    The weight is 1 for the first leg, 2 for the others, signed; 1 - k, the change of the force over
-    weight times mu P, is in [0, 1]. Else a ValueError.
+    1 - k, the change of the force over weight times mu P, is in [0, 1], else a ValueError.
     """
     path = np.atleast_1d(check("force", force, FORCES))
     changes = np.diff(path, prepend=0.0)
@@ -486,7 +484,7 @@ def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
     # the farthest nodes may be at the edge, the others predict it
     farthest = squares[0].max(initial=0.0)
     c0, c1 = _fit_line(*squares, squares[0] <= (1.0 - EDGE) * farthest)
-    c0, c1 = _fit_line(*squares, ~(c0 + c1 * squares[0] < EDGE * c0))  # all, if that is no line
+    c0, c1 = _fit_line(*squares, ~(c0 + c1 * squares[0] < EDGE * c0))
     if not (c1 < 0.0 < c0):
         return np.nan, np.nan
     return float(np.sqrt(c0)), float(np.sqrt(-c0 / c1))

@@ -57,7 +57,7 @@ class Tags(mesh.MeshTags):
         return int(tag)
 
     def find(self, value: int | str) -> npt.NDArray[np.int32]:
-        """Local cells or facets (n,) of a tag or name, see `tag`."""
+        """Local cells or facets (n,) of a tag or name."""
         tag = tag_of(self, value, "value")
         check_tag("value", tag)
         return np.asarray(super().find(int(tag)))

@@ -213,7 +213,7 @@ class InterfaceAudit:
     facing_away: int  # slave facets that touch master facets from behind
     size_ratio: float  # mean facet lengths, slave over master; 1 without a master
     least_gap: float  # of kept nodes, negative in an overlap
-    largest_gap: float  # not-a-number without a master or tool, as the least
+    largest_gap: float  # not-a-number without a master or tool
     edges: Edges | None = None  # of smooth surfaces
     reach: TieReach | None = None
     unheld: str | None = None  # slave facets whose multipliers Dirichlet data prevent

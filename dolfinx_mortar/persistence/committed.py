@@ -29,7 +29,7 @@ class SupportForces:
     points: Floats  # (owned nodes, d) at which they act
 
 
-@dataclass(frozen=True, eq=False)  # compared by identity: two calls may have the same levels
+@dataclass(frozen=True, eq=False)  # two calls may have the same levels
 class Walk:
     """A call of `load_steps` or `time_steps`."""
 

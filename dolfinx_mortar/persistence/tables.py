@@ -8,14 +8,13 @@ r"""One HDF5 file of values at places, written by any number of ranks and read b
     about            JSON: what the caller gives; columns of each table, rows and box of each rank
     NAME    (N, c)   a table: in each row a place, and the values there
 
-Node numbers depend on the ranks, and nodes of both sides may coincide, so places of nodes and
-integration points are
+Node numbers depend on the ranks, and nodes of both sides may coincide, so places are
 
     (x, c),    c the mean of the midpoints of its cells.
 
-Rank 0 receives the rows of one rank at a time. The file is renamed once complete: a killed program
-leaves the old or the new one. A rank reads rows of ranks whose boxes meet its own, and takes the
-nearest place. HDF5 may crash on a damaged file, so the checksum is tested first.
+Rank 0 receives the rows of one rank at a time. The file is renamed once complete. A rank reads rows
+of ranks whose boxes meet its own, and takes the nearest place. HDF5 may crash on a damaged file, so
+the checksum is tested first.
 """
 
 import errno

@@ -107,7 +107,7 @@ def note_on_facets(
         x: (n,) X + u.
         u: displacement of the facets, None for X.
         forces: (owned nodes,) of contact.
-        stiffness: (owned nodes,) force per gap, K^_jj.
+        stiffness: (owned nodes,) K^_jj.
         diagonal: of K, of the bodies alone.
         potential: see `Solid.potential`.
     """

@@ -181,7 +181,7 @@ def _on_edge(x, p, q, bend):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _in_face(x, p, a):  # type: ignore[no-untyped-def]
-    """Coordinates s, t of the foot of x, and distance squared, inf without foot."""
+    """Coordinates s, t of the foot of x, and distance squared, inf without one."""
     s, t, bend = 0.0, 0.0, 0.0 * a
     for k in range(LIMIT):
         foot, js, jt = _compiled_face(p, bend, s, t)

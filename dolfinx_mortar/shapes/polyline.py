@@ -2,9 +2,9 @@
 """Tools in the plane by points of their outline.
 
 Edges are cubics of `curved` with unit tangents t_p and t_q, a = |c| t_p - c and b = |c| t_q - c. A
-tangent is the mean of the two closest of five: the edges before and after the point, and the
-circles through the point and both neighbours, or the next two on one side. Lines are exact,
-distances from arcs of order 4. Corners beyond ``crease`` are sharp, with edges as arcs.
+tangent is the mean of the two closest of five: edges before and after the point, and circles
+through it and both neighbours, or the next two on one side. Lines are exact, distances from arcs of
+order 4. Corners beyond ``crease`` are sharp, with edges as arcs.
 """
 
 from __future__ import annotations

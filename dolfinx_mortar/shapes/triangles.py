@@ -5,9 +5,9 @@ A triangle of `curved` with corners p_i and smooth normals n_i has
 
     a_ij = (n_i + n_j) (n_j - n_i).(p_j - p_i) / |n_i + n_j|^2,
 
-four times the offset of the edge's middle: the surface of T. Nagata, Simple local interpolation of
-surfaces using normal vectors (2005), except for straight S-shaped edges. Neighbours share a
-parabola. Creases are straight, faces without smooth edges flat.
+four times the offset of the edge's middle: T. Nagata, Simple local interpolation of surfaces using
+normal vectors (2005), except for straight S-shaped edges. Creases are straight, faces without
+smooth edges flat.
 """
 
 from __future__ import annotations
@@ -178,8 +178,8 @@ class Triangles(Curved):
     """The body enclosed by triangles, counterclockwise as seen from outside; in space.
 
     Args:
-        surface: path of an STL file, binary or text, read by every rank (errors are raised on all
-            ranks at the first use of the shape); or points (n, 3) and triangles (m, 3).
+        surface: path of an STL file, binary or text, read by every rank at the first use (errors
+            are raised on all ranks); or points (n, 3) and triangles (m, 3).
         point: 3 coordinates of the tool's reference point; default the middle of its box.
         crease: angle of normals in degrees, 0 to 90, above which an edge is sharp. With 0 all
             triangles are flat.

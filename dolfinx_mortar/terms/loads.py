@@ -113,8 +113,8 @@ class Pressure(WeakForm):
     def has_potential(self, free: Bools) -> bool:
         """Whether p V is a potential of the present forces; collective.
 
-        By differences of p V along a random displacement of components `free` (owned nodes, d),
-        exact for the cubic p V.
+        By differences of p V, which is cubic, along random values of components `free` (owned
+        nodes, d).
         """
         if self._energy is None:
             return False
