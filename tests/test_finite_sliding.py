@@ -5,16 +5,12 @@ That program (2D, JAX; plane strain, neo-Hooke, four-node cells, the same mortar
 facets) has solved the same meshes; its forces and numbers of iterations are quoted.
 """
 
-from itertools import pairwise
-
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.interfaces import mortar_interface
-from tests.cases.finite_sliding import COMM, averaged, indentation, soft_block, turning_hub, walk
+from tests.cases.finite_sliding import COMM, averaged, indentation, turning_hub, walk
 from tests.cases.hertz import create_case
 
 
@@ -119,32 +115,6 @@ def test_ironing_ends_with_the_forces_of_the_independent_program(slave, force, m
     assert np.abs(np.abs(steps[-1][1]) - force).max() < 2e-6
 
 
-@pytest.mark.slow
-def test_without_friction_the_work_of_the_tool_is_stored():
-    """H ds + V dz = dE, so that H is no error where the energy depends on the place.
-
-    On its way to the middle the tool leaves the end of the block, which is softer: E grows there by
-    3 % and decreases again behind the middle. The trapezoidal rule needs steps as short as facets.
-    """
-    for k, error in ((1, 0.03), (2, 0.005)):
-        case = indentation(n=((48 * k, 10 * k), (32 * k, 4 * k)), slave="tool")
-        places = [(0.0, -0.075 * n) for n in range(11)]
-        places += [(0.15 * n, -0.75) for n in range(1, 41)]
-        work, stored, force = [0.0], [0.0], np.zeros(2)
-        for before, place in pairwise(places):
-            case.held.value[:] = place
-            dm.newton(case.problem, rtol=1e-8)
-            case.problem.commit()
-            last, force = force, case.contact.master_force.copy()
-            work.append(work[-1] + (last + force) @ np.subtract(place, before) / 2)
-            stored.append(sum(body.stored for body in case.problem.solid.energies().values()))
-        W, E = np.array(work), np.array(stored)
-        assert W[10] == pytest.approx(E[10], rel=3e-3)  # pressed
-        rise, off = E[30] - E[10], (W - W[10]) - (E - E[10])
-        assert rise == pytest.approx(0.0057, rel=0.02)  # the same on both meshes
-        assert np.abs(off[10:]).max() < error * rise
-
-
 @pytest.mark.mpi
 @pytest.mark.parametrize("slave", ["tool", "block"])
 def test_the_force_on_a_flat_side_is_normal_to_it(slave):
@@ -226,24 +196,6 @@ def test_a_step_slides_by_ten_facets_with_friction():
     assert report.iterations[-1].exact_tangent
 
 
-@pytest.mark.slow
-def test_a_hub_that_turns_in_a_pressed_ring_needs_no_torque():
-    """Two iterations a step, 90 degrees in 30 steps; the independent program takes 63 as well.
-
-    The facets do not match: normals of both sides are as radial as that, the same all the way.
-    """
-    case, total, moments = turning_hub(slave="outer"), 0, []
-    for step in dm.load_steps(
-        case.problem, np.linspace(1, 2, 31), on_time=lambda t: case.turn((t - 1) * np.pi / 2)
-    ):
-        total += step.report.newton_iterations
-        moments.append(case.contact.moment[2])
-    assert max(map(abs, moments)) < 1e-7 and np.ptp(moments) < 1e-10
-    pressure = case.contact.pressure.x.array.max(initial=0.0)
-    assert COMM.allreduce(pressure, op=MPI.MAX) > 0.01
-    assert total <= 63
-
-
 def test_a_stuck_pair_that_turns_keeps_its_traction():
     """A torque that friction carries: the same to 1e-9 after all has turned by 90 degrees."""
     case = turning_hub(friction=2.0)
@@ -279,25 +231,3 @@ def test_flanks_of_a_dent_do_not_turn_a_contact():
     ramp = {case.top: [(0.0, (0.0, 0.0)), (1.5, (0.0, -1.5))]}
     for step in dm.load_steps(case.problem, [0.5, 1.0, 1.5], ramp=ramp, progress=False):
         assert not any("has turned by" in note for note in step.report.notes)
-
-
-@pytest.mark.slow
-def test_soft_block_pressed_on_a_round_support(monkeypatch):
-    """Half its modulus in ten steps, where the fixed point fails; that program takes 57.
-
-    With its normals as many; with those of both sides the tangent has no derivatives of spreads.
-    """
-    for normals, most in ((mortar_interface.common_normals, 80), (averaged, 60)):
-        monkeypatch.setattr(mortar_interface, "common_normals", normals)
-        problem, contact, p = soft_block()
-
-        def load(t, p=p):
-            p.value = 0.5 * t
-
-        steps = [
-            (step.time, contact.force.copy(), step.report)
-            for step in dm.load_steps(problem, np.arange(1, 11) / 10, on_time=load, rtol=1e-10)
-        ]
-        assert len(steps) == 10
-        assert iterations(steps).sum() <= most
-        assert abs(np.abs(contact.force[1]) - 0.5 * 1.6) < 1e-9

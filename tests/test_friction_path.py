@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Friction over several steps: energy, limits that change, slips as state, how steps begin."""
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 
@@ -48,41 +46,6 @@ def test_sliding_turns_work_into_dissipation(cell, slave):
     assert work == pytest.approx(-MU * case.forces[1] * 0.02, rel=1e-9)
 
 
-def loop(steps):
-    """Push back and forth in so many steps; return work, change of energy, and dissipation.
-
-    The work is that of the top by the trapezoidal rule.
-    """
-    case = create("triangle", friction=MU)
-    case.solve(0.0, -PRESS)
-    start = stored(case)
-    spent, work, last = case.contact.dissipation, 0.0, 0.0
-    force = case.forces[0]
-    path = np.concatenate([np.linspace(a, b, steps + 1)[1:] for a, b in ((0, 0.03), (0.03, 0.0))])
-    for way in path:
-        case.solve(way, -PRESS)
-        work += 0.5 * (force + case.forces[0]) * (way - last)
-        force, last = case.forces[0], way
-    return work, stored(case) - start, case.contact.dissipation - spent
-
-
-def test_the_balance_of_energy_in_a_loop():
-    """Work = stored + dissipated, up to what steps of finite length lose, which is never gained.
-
-    In a step with closed contacts work - stored = 1/2 sum (T_0 + T_1) . slip, the dissipation is
-    sum T_1 . slip, and (T_1 - T_0) . slip >= 0: work <= stored + dissipated. Halving the steps
-    halves the difference or better.
-    """
-    lost = []
-    for steps in (4, 8, 16):
-        work, energy, spent = loop(steps)
-        assert spent > 0.0 and work > 0.0
-        lost.append((energy + spent - work) / spent)
-    assert min(lost) > -1e-9
-    assert lost[1] < 0.6 * lost[0] and lost[2] < 0.6 * lost[1]
-    assert lost[2] < 0.02
-
-
 # -- limits of the user
 
 
@@ -113,29 +76,6 @@ def test_a_coefficient_that_varies_in_space():
     assert largest(nodes["traction"][left]) < EXACT * nodes["pressure"].max()
     assert (np.abs(nodes["step_slip"][left, 0]) > 1e-5).all()
     assert (np.abs(nodes["traction"][~left, 0]) > 0.0).all()
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize(
-    ("cell", "degree", "other"), [("triangle", 1, 2), ("triangle", 2, 1), ("hexahedron", 2, 1)]
-)
-def test_a_coefficient_of_another_degree_than_the_displacement(cell, degree, other):
-    """Zeros stay zeros, which interpolation makes -1e-17; only its owned values need be set."""
-    case = create(cell, degree=degree)
-    V = case.problem.V
-    mu = fem.Function(fem.functionspace(V.mesh, ("Lagrange", other)))
-    case = case.again(friction=mu)
-    own = mu.function_space.dofmap.index_map.size_local
-    x = mu.function_space.tabulate_dof_coordinates()[:own]
-    mu.x.array[own:] = np.nan
-    mu.x.array[:own] = 0.5 + 0.1 * x[:, 0]
-    expected = 0.5 + 0.1 * V.tabulate_dof_coordinates()[: case.problem.n, 0]
-    assert largest(case.contact.law.values(case.contact.gap.function_space) - expected) < 1e-14
-    # 0, 0.17 and 0.3 in turns, so that zeros have all kinds of neighbours
-    kind = np.round(7 * x[:, :2].sum(axis=1)).astype(int) % 3
-    mu.x.array[:own] = np.array([0.0, 0.17, 0.3])[kind]
-    found = case.contact.law.values(case.contact.gap.function_space)
-    assert (found >= 0.0).all() and COMM.allreduce(int((found == 0.0).sum())) > 0
 
 
 @pytest.mark.parametrize("geometry", ["reference", "updated"])
@@ -177,17 +117,6 @@ def test_tresca_with_the_limits_of_coulomb(cell, geometry):
     a, b = case.closed(), other.closed()
     assert largest(a["traction"] - b["traction"]) < 1e-8 * a["pressure"].max()
     assert np.array_equal(a["status"], b["status"])
-
-
-def test_tresca_knows_no_pressure():
-    """Full slip resists with s times the closed length, however hard it is pressed."""
-    s = 1.0
-    for press in (PRESS, 2 * PRESS):
-        case = create("quadrilateral", tresca=s, mesh_options={"x_lower": (0.0, 1.0)})
-        walk(case, [0.0, 0.05], press)
-        assert np.abs(case.closed()["traction"][:, 0]) == pytest.approx(s, rel=EXACT)
-    assert (case.closed()["status"] == 2.0).all() and len(case.closed()["status"]) == 8
-    assert case.forces[0] == pytest.approx(s, rel=EXACT)
 
 
 # -- slips are state
@@ -297,31 +226,6 @@ def test_later_tries_leave_no_trace(fails):
     agree(numbers(case), numbers(other))
 
 
-def test_sliding_over_many_facets():
-    """Pushed by four facets of the master: every node has slipped as far as the top has moved."""
-    case = create(friction=MU, slave="upper", geometry="updated")
-    follow(case, [(0.0, -0.02), *((0.05 + 0.1 * k, -0.02) for k in range(5))])
-    before = case.contact.slip.x.array.copy()
-    follow(case, [(0.55, -0.02)])
-    nodes = case.contact.gather(case.problem.u)
-    assert (nodes["status"] == 2.0).all() and nodes["slip"].min() > 0.5
-    on = case.contact.status.x.array > 0.0
-    assert case.contact.slip.x.array[on] - before[on] == pytest.approx(0.1, rel=1e-2)
-
-
-def test_what_is_shown():
-    """Before a step, in output fields, and in the certificate."""
-    case = create(friction=MU)
-    assert not case.contact.slip.x.array.any() and case.contact.dissipation == 0.0
-    follow(case, PATH[:3])
-    fields = case.problem.output_fields()
-    assert np.array_equal(fields["traction"].x.array, case.contact.traction.x.array)
-    assert set(np.unique(fields["status"].x.array)) <= {0.0, 1.0, 2.0}
-    certificate = dm.newton(case.problem).certificate
-    assert certificate.friction_cone <= 1e-9 and certificate.friction_gain <= 1e-12
-    assert "slip" not in create().problem.output_fields()
-
-
 # -- a step begins with the slips of the last one
 
 
@@ -373,16 +277,3 @@ def test_it_costs_few_sets_to_go_on(cell, most):
             (costs[way, forget],) = walk(case, [way], 2 * PRESS)
     assert costs[0.07, False][0] <= most < costs[0.07, True][0]
     assert costs[0.04, False] == costs[0.04, True]
-
-
-def test_what_opens_has_no_direction():
-    """Nor has what sticks; unit vectors along the surface where it slips."""
-    case = create("triangle", friction=MU)
-    walk(case, [0.0, 0.03, 0.05], 2 * PRESS)
-    size = np.linalg.norm(case.problem.committed.sliding, axis=1)
-    status = case.contact.status.x.array[: case.problem.n]
-    assert size[status == 2.0] == pytest.approx(1.0, rel=1e-12)
-    assert not size[status != 2.0].any()
-    assert COMM.allreduce(int((status == 2.0).sum()), op=MPI.SUM) > 0
-    walk(case, [0.07], press=-PRESS)
-    assert not case.problem.committed.sliding.any()

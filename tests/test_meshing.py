@@ -271,19 +271,6 @@ def test_bad_input_of_one_rank_is_an_error_on_all():
             meshing.hertz(COMM, radius=9.0 if last else 8.0)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"h": np.float32(0.5)},
-        {"h": np.array([0.5, 0.6])},
-        {"radius": 8, "block": [30, 10], "gap": np.int64(0), "h": [0.5, 1]},
-    ],
-)
-def test_numbers_of_any_kind_are_welcome(arguments):
-    m = meshing.hertz(COMM, kind="graded", **arguments)
-    assert m.mesh.topology.index_map(2).size_global > 0
-
-
 @pytest.mark.parametrize("factor", [0.0, 0.5, 2.0, 1e8])
 def test_tags_do_not_hang_on_a_tolerance(factor, monkeypatch):
     """Half and twice as much change nothing; none at all, or the size of a body, does."""

@@ -26,8 +26,8 @@ ON_TWO = """
     point_terms progress regions results summary tags terms written_results
 """.split()
 SLOW_ON_THREE = """
-    convected driven_tools exact_tangent_3d finite_sliding friction_path load_steps
-    mortar_3d pairs patch rigid_side same_sums slaves_on_rollers tangent
+    contracts/interfaces convected driven_tools exact_tangent_3d finite_sliding friction_path
+    load_steps mortar_3d pairs patch rigid_side same_sums slaves_on_rollers tangent
 """.split()
 AT_NIGHT = """
     audit axisymmetric_contact axisymmetric_patch axisymmetry bending bolts
@@ -64,14 +64,15 @@ def test_ranks_form_one_job() -> None:
 
 def files_of(names: Iterable[str]) -> set[str]:
     """Return the paths of test files."""
-    return {f"tests/test_{name}.py" for name in names}
+    places = (name.rpartition("/") for name in names)
+    return {f"tests/{folder}{slash}test_{name}.py" for folder, slash, name in places}
 
 
 def other_files() -> set[str]:
     """Return the test files that no list names; those of the lists have tests for ranks."""
     named = files_of([*ON_TWO, *SLOW_ON_THREE, *AT_NIGHT])
-    paths = [path for path in jobs.ROOT.glob("tests/**/test_*.py") if "mark.mpi" in path.read_text()]
-    marked = {str(path.relative_to(jobs.ROOT)) for path in paths}
+    paths = jobs.ROOT.glob("tests/**/test_*.py")
+    marked = {str(p.relative_to(jobs.ROOT)) for p in paths if "mark.mpi" in p.read_text()}
     assert named <= marked and len(named) == len(ON_TWO) + len(SLOW_ON_THREE) + len(AT_NIGHT)
     return marked - named
 

@@ -174,13 +174,6 @@ def test_a_failed_step_may_be_written_again(folder, monkeypatch):
     assert heights == pytest.approx({1.0: 0.1, 2.0: 0.2})
 
 
-def test_without_tools_there_is_no_file(folder):
-    with dm.Writer(folder / "out.xdmf", Block(n=2).problem([])) as out:
-        out.write(0.0)
-    COMM.barrier()
-    assert not list(folder.glob("*tools*"))
-
-
 @pytest.mark.serial
 @pytest.mark.parametrize(
     ("shape", "measure"),

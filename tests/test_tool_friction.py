@@ -124,21 +124,6 @@ def test_a_turning_tool_carries_a_body():
     assert np.abs(tool.step_slip.x.array).max() < 1e-9
 
 
-def test_a_second_try_has_the_friction_of_the_first():
-    """Where the supports of nodes prescribe their slips, these count from the last commit alone."""
-    case = Block(n=6)
-    tool = case.tool(dm.shapes.Plane([0.0, 0.02], [0.0, -1.0]), friction=0.2)
-    problem, forces = case.problem([tool]), []
-    for place, tries in (((0.01, 0.0), 1), ((0.02, -0.01), 3)):
-        tool.position.value[:] = place
-        for _ in range(tries):
-            dm.newton(problem, rtol=1e-10)
-            forces.append(tool.force.copy())
-        problem.commit()
-    assert forces[2] == pytest.approx(forces[1], rel=1e-8)
-    assert forces[3] == pytest.approx(forces[1], rel=1e-8) and forces[1][0] > 0.0
-
-
 @pytest.mark.parametrize("early", [False, True])
 def test_a_step_ends_where_the_tool_was(early):
     """Set for the next step before the commit of this one: its slip counts all of that motion."""
@@ -151,27 +136,6 @@ def test_a_step_ends_where_the_tool_was(early):
     position[0] += 0.04 * (not early)
     pressed.step()
     assert np.abs(pressed.slips()) == pytest.approx(0.04, rel=1e-2)
-
-
-def test_slips_on_a_tool_that_turns_and_slides_in_one_step():
-    """On frozen surfaces they are those of the rigid motion, of the turn to third order.
-
-    It turns about the middle of the side, but its point is far away and goes far.
-    """
-    case, turn, far = Held(n=3, size=1.0, fine=0.8), 0.01, 100.0
-    plane = dm.shapes.Plane([0.4, 0.0], [0.0, -1.0])
-    tool = case.tool(plane, friction=1e-9, reference=[0.5 + far, 0.0])
-    _, problem, _ = case.press(tool, law=SOFT, geometry="reference")
-    problem.commit()
-    before = case.u.x.array.copy()
-    tool.position.value[:] += far * np.array([np.cos(turn) - 1.0, np.sin(turn)])
-    tool.rotation.value = turn
-    dm.newton(problem, rtol=1e-10)
-    closed = tool.active.x.array > 0.0
-    way = (case.u.x.array - before).reshape(-1, 2) - tool.tool.way(case.X, case.X)
-    slip = tool.step_slip.x.array.reshape(-1, 2)
-    assert slip[closed, 0] == pytest.approx(way[closed, 0], abs=far * turn**3)
-    assert COMM.allreduce(int(closed.sum())) > 0
 
 
 def test_held_nodes_have_friction_with_a_tool_that_moves():
@@ -198,19 +162,6 @@ def roller(n, depth, **options):
     """Return a disc pressed on the middle of a block."""
     disc = dm.shapes.Cylinder([4.0, R], R)
     return Pressed(Held(n=n, fine=8.0), disc, depth, law=ELASTIC, **options)
-
-
-def test_a_roller_that_turns_in_place():
-    """All of its contact slips: mu N along the surface, a moment of mu N R about its axis."""
-    pressed = roller(40, 3 * DEPTH)
-    tool = pressed.tool
-    tool.rotation.value[...] = 0.05  # the side under it goes to the right
-    pressed.step()
-    assert tool.force[0] > 0.0
-    total = float(np.linalg.norm(tool.force)) / np.sqrt(1.0 + MU**2)
-    # normals pass through the axis, nodes within their gaps of the surface
-    assert tool.tool_moment[2] == pytest.approx(-MU * total * R, rel=5e-3)
-    assert (tool.status.x.array[tool.active.x.array > 0.0] == 2.0).all()
 
 
 @GEOMETRIES

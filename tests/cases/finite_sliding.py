@@ -12,7 +12,6 @@ from mpi4py import MPI
 import numpy as np
 
 import dolfinx_mortar as dm
-import ufl
 from dolfinx import default_scalar_type, fem, mesh
 from dolfinx_mortar.meshing.two_bodies import distribute
 from dolfinx_mortar.mortar import common_normals
@@ -200,41 +199,3 @@ def turning_hub(
     solid = dm.Solid(u, laws, cells, strain="finite")
     problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
     return TurningHub(problem, contact, turned, tuple(circles))
-
-
-def soft_block():
-    """Return a problem, its contact and the Constant of a dead load on a soft block.
-
-    It lies on a round support (radius 1.5) that is a thousand times stiffer, and its middle line
-    keeps its place along x.
-    """
-    half, radius = 0.8, 1.5
-
-    def support(s, t):
-        x = 2.4 * half * (2 * s - 1)
-        return x, 1.5 * (t - 1) - t * x * x / (2 * radius)
-
-    def tag(body, x):
-        at_top = x[:, 1] > -0.5 - x[:, 0] ** 2 / (2 * radius)
-        ends = np.abs(x[:, 0]) > 2.4 * half - 1e-9
-        below = np.select([x[:, 1] < 1e-9 - 1.5, at_top & ~ends], [BASE, TOP], 0)
-        above = np.select([x[:, 1] > 1 - 1e-9, x[:, 1] < 1e-9], [HELD, ARC], 0)
-        return np.where(body == TOOL, above, below)
-
-    lower, upper = grid(15, 1, support), grid(12, 6, lambda s, t: (half * (2 * s - 1), t))
-    bodies = Bodies.of((lower, upper), tag)
-    V = fem.functionspace(bodies.mesh, ("Lagrange", 1, (2,)))
-    W, p = V.sub(0), fem.Constant(bodies.mesh, default_scalar_type(0.0))
-    base = fem.locate_dofs_topological(V, 1, bodies.facets.find(BASE))
-    middle = fem.locate_dofs_geometrical(
-        (W, W.collapse()[0]), lambda x: (np.abs(x[0]) < 1e-9) & (x[1] > -1e-9)
-    )[0]
-    own = V.dofmap.list[bodies.cells.find(TOOL)]
-    bcs = [fem.dirichletbc(np.zeros(2, dtype=default_scalar_type), base, V)]
-    bcs.append(fem.dirichletbc(default_scalar_type(0.0), middle[np.isin(middle // 2, own)], W))
-    laws = {BLOCK: dm.NeoHooke(1000.0, 0.3), TOOL: dm.NeoHooke(1.0, 0.3)}
-    contact = dm.Contact(bodies.facets, slave=ARC, master=TOP, surface="facets")
-    ds = ufl.Measure("ds", bodies.mesh, subdomain_data=bodies.facets)
-    load = -p * ufl.TestFunction(V)[1] * ds(HELD)
-    solid = dm.Solid(fem.Function(V), laws, bodies.cells, strain="finite")
-    return dm.ContactProblem(solid, [contact], bcs=bcs, loads=load), contact, p
