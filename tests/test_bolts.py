@@ -24,17 +24,6 @@ def tension(case):
     return float(case.tie.force @ outwards(case))
 
 
-def test_what_a_tightening_before_has_moved_across_stays():
-    """Sheared first, then pulled: the second direction adds to the first one's jump."""
-    case, problem = loaded()
-    tighten(problem, {case.tie: 3.0}, [1.0, 0.0])
-    across = case.tie.tightening[0]
-    tighten(problem, {case.tie: 30.0}, 1e300 * outwards(case))  # whose square is none
-    assert abs(across) > 1e-4 and case.tie.tightening[0] == across
-    assert tension(case) == pytest.approx(30.0, rel=SOUGHT)
-    assert case.tie.force[0] == pytest.approx(3.0, rel=0.05)
-
-
 # -- a bolted joint
 
 
@@ -123,17 +112,6 @@ def test_a_walk_that_was_stopped_goes_on(create, folder):
     assert walk(first, LEVELS[:1], file) == going_on(1)[:1]
     assert walk(second, LEVELS, file) == going_on(2)
     assert np.array_equal(second.bolt.tightening, first.bolt.tightening)
-
-
-@pytest.mark.mpi
-def test_what_is_restored_is_tightened_from_where_it_is(folder):
-    joint, fresh = tightened(), Joint()
-    joint.problem.save(folder / "tight.h5")
-    fresh.problem.restore(folder / "tight.h5")
-    assert tighten(fresh.problem, {fresh.bolt: F0}, fresh.direction).newton_iterations == 1
-    assert np.allclose(fresh.bolt.tightening, joint.bolt.tightening, rtol=1e-7, atol=0.0)
-    tighten(fresh.problem, {fresh.bolt: 2.0 * F0}, fresh.direction)
-    assert np.allclose(fresh.bolt.tightening, 2.0 * joint.bolt.tightening, rtol=1e-4, atol=0.0)
 
 
 # -- what cannot be

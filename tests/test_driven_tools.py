@@ -178,10 +178,7 @@ METAL = dm.VonMises(E=10.0, nu=0.3, Y=0.5, a=1.0)
 
 
 def pressed_stack(load, law=RUBBER):
-    """Press a block with bulging sides onto another one by a plane; return tool and problem.
-
-    The interface has no friction, and supports hold the middle line along x, below also along y.
-    """
+    """Press a block with bulging sides onto another one by a plane; return tool and problem."""
 
     def bulge(points):
         x, y = points.T

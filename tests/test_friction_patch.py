@@ -33,7 +33,6 @@ class Patch:
     """Blocks in a homogeneous state of stress."""
 
     def __init__(self, cell, share, *, d=2, slave="lower", angle=0.0, **options):
-        """Put pressure P and shear share * MU * P on the interface, by tractions all around."""
         case = create(cell, friction=MU, slave=slave, angle=angle, mesh_options=ALIKE[d], **options)
         V, facets, turn = case.problem.V, case.contact.facet_tags, case.turn
         way = turn[:, 0] if d == 2 else turn[:, :2] @ (0.8, 0.6)
@@ -159,57 +158,7 @@ def test_blocks_that_meet_in_a_corner_shrink_without_slip():
 # -- many bodies
 
 
-STACK = [
-    (0.0, 1.0, float(k), k + 1.0, n, m) for k, (n, m) in enumerate(((4, 2), (5, 2), (3, 3), (6, 2)))
-]
-FLAT = [(a, b, c / 5, d / 5, n, 1) for a, b, c, d, n, _ in STACK]  # which do not tip
 WIDE = [(-0.5, 1.5, -1.0, 0.0, 8, 2), (0.0, 1.0, 0.0, 1.0, 5, 2), (-0.5, 1.5, 1.0, 2.0, 7, 2)]
-
-
-class Stack:
-    """Blocks on each other, pressed and pushed by the uppermost; the lowest one is held."""
-
-    def __init__(self, kinds, ways, *, boxes=STACK, swap=(), cell="triangle"):
-        """Join block k to the one above by kinds[k], a coefficient or a kind; move the top."""
-        b = Blocks(boxes, cell=cell)
-        self.interfaces = []
-        for k, kind in enumerate(kinds, start=1):
-            sides = {"slave": 10 * k + ABOVE, "master": 10 * (k + 1) + BELOW}
-            if k in swap:
-                sides = {"slave": sides["master"], "master": sides["slave"]}
-            options = sides | ({"friction": kind} if isinstance(kind, float) else {})
-            make = dm.Contact if isinstance(kind, float) else kind
-            self.interfaces.append(make(b.facets, surface="facets", **options))
-        top = fem.Constant(b.mesh, np.zeros(2))
-        bcs = [b.fix(1, BELOW), b.fix(len(boxes), ABOVE, value=top)]
-        self.problem = b.problem(self.interfaces, bcs, geometry="reference")
-        for top.value[:] in ways:
-            dm.newton(self.problem, rtol=1e-12)
-            self.problem.commit()
-        on = [10 * k + ABOVE for k in range(1, len(boxes))]  # forces on the block above
-        self.upward = np.array(
-            [
-                i.master_force if i.slave == s else i.force
-                for i, s in zip(self.interfaces, on, strict=True)
-            ]
-        )
-
-    def status(self, k):
-        """Return the status of the closed nodes of an interface."""
-        nodes = self.interfaces[k].gather(self.problem.u)
-        return nodes["status"][nodes["pressure"] > 0.0]
-
-
-@pytest.mark.parametrize(("weak", "swap"), [(0, (1, 2, 3)), (1, ()), (2, (1, 2, 3))])
-def test_the_weakest_interface_slides(weak, swap):
-    """Of three coefficients the smallest is the limit of all that is passed on."""
-    mu = [0.9, 0.9, 0.9]
-    mu[weak] = 0.2
-    ways = [(0.0, -0.01), (0.05, -0.01)]
-    stack = Stack(mu, ways, boxes=FLAT, swap=swap, cell="quadrilateral")
-    ratios = -stack.upward[:, 0] / stack.upward[:, 1]
-    assert np.abs(ratios) == pytest.approx(0.2, rel=1e-9)
-    assert [bool((stack.status(k) == 2.0).all()) for k in range(3)] == [k == weak for k in range(3)]
 
 
 # -- prescribed nodes
@@ -218,10 +167,7 @@ def test_the_weakest_interface_slides(weak, swap):
 @pytest.mark.mpi
 @pytest.mark.parametrize("swap", [False, True])
 def test_prescribed_nodes_have_their_friction(swap):
-    """A block pushed by its side face, whose corner slides as prescribed: T = mu N for any slave.
-
-    It sticks like a spring, and keeps its friction where nothing moves.
-    """
+    """A block pushed by its side face, whose corner slides as prescribed: T = mu N."""
     b = Blocks(WIDE[:2], cell="quadrilateral")
     sides = (10 + ABOVE, 20 + BELOW)[:: 1 if swap else -1]
     contact = dm.Contact(b.facets, slave=sides[0], master=sides[1], friction=0.3)
@@ -267,10 +213,7 @@ def test_nodes_on_a_plane_of_symmetry_have_no_friction(swap):
     [(0.0, 0.0, None), (0.123, 0.0, 0.3), (-1e3, -1e-3, 0.3), (-1e3, 0.0, None)],
 )
 def test_where_nothing_acts_nothing_happens(height, gap, friction):
-    """Contact alone holds the upper block at level 0, where round-off must not open it.
-
-    That of coordinates is larger than any force; an overlap goes by a motion without strain.
-    """
+    """Contact alone holds the upper block at level 0, where round-off must not open it."""
     y = height + 2.0
     b = Blocks([(0.0, 4.0, height, y, 8, 4), (0.0, 3.0, y + gap, y + 2.0, 7, 5)])
     sides = {"slave": 20 + BELOW, "master": 10 + ABOVE}

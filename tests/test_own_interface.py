@@ -29,7 +29,6 @@ class Plane(Interface):
     unilateral = True
 
     def __init__(self, facet_tags, *, slave, point, normal):
-        """Keep a point of the plane, and its normal towards the body."""
         super().__init__(facet_tags, slave=slave)
         self.point, self.normal = np.array(point), np.array(normal) / np.linalg.norm(normal)
 
@@ -68,7 +67,6 @@ class Pressed(PressedBlocks):
     """Two tied blocks, turned by an angle, between a plane and a moved top."""
 
     def __init__(self, angle=0.0, law=BAR, **options):
-        """Let the plane touch the lower block."""
         super().__init__(angle=angle, jitter=0.2, **options)
         c, s = np.cos(angle), np.sin(angle)
         self.turned = np.array([[c, -s], [s, c]])
@@ -98,10 +96,7 @@ class Pressed(PressedBlocks):
     ("angle", "geometry", "held"), [(0.4, "reference", False), (0.4, "updated", True)]
 )
 def test_uniform_pressure(angle, geometry, held):
-    """A bar of two blocks of height 1, no Poisson's ratio: p = E depth / 2 everywhere.
-
-    Also where its nodes are held along an axis: frames are those of whole normals.
-    """
+    """A bar of two blocks of height 1, no Poisson's ratio: p = E depth / 2 everywhere."""
     case, depth = Pressed(angle), 0.02
     problem = case.problem(geometry=geometry, held=held)
     case.press(depth)

@@ -8,7 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.cases.tool import BASE, DEPTH, ELASTIC, TOP, Block, Box, R
+from tests.cases.tool import BASE, DEPTH, ELASTIC, Block, Box, R
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi
@@ -21,7 +21,6 @@ class Held(Block):
     """A block whose base moves as a rigid body: by a vector, and by an angle about the origin."""
 
     def __init__(self, **options):
-        """Create it."""
         super().__init__(**options)
         self.base = fem.Function(self.V)
         self.X = self.V.tabulate_dof_coordinates()[:, :2]
@@ -42,7 +41,6 @@ class Pressed:
     """A body pressed by a tool; further steps are committed."""
 
     def __init__(self, case, shape, depth, mu=MU, law=SOFT, **options):
-        """Solve the first step."""
         self.case, self.tool = case, case.tool(shape, friction=mu)
         _, self.problem, _ = case.press(self.tool, depth, law=law, **options)
         self.problem.commit()
@@ -89,24 +87,6 @@ def test_a_tool_drags_the_side_along(geometry):
     assert tool.dissipation - spent == pytest.approx(0.05 * tool.force[0], rel=2e-3)
 
 
-@GEOMETRIES
-def test_what_is_carried_along_keeps_its_traction(geometry):
-    """Body and tool move alike, by far more than what would slip."""
-    pressed = bar(geometry=geometry)
-    tool = pressed.tool
-    tool.position.value[0] += 0.002
-    pressed.step()
-    force, status = tool.force.copy(), tool.status.x.array.copy()
-    step = np.array([0.3, -0.1 if geometry == "updated" else 0.0])
-    tool.position.value[:] += step
-    pressed.case.carry(by=step)
-    pressed.step()
-    assert tool.force == pytest.approx(force, rel=1e-7)
-    assert tool.status.x.array == pytest.approx(status)
-    assert np.abs(tool.step_slip.x.array).max() < 1e-9
-    assert tool.dissipation == pytest.approx(0.0, abs=1e-10)
-
-
 def test_a_turning_tool_carries_a_body():
     """Both turn by 40 degrees in a step, at finite strain: the forces turn with them."""
     pressed = bar(law=dm.NeoHooke(100.0, 0.3), strain="finite")
@@ -138,23 +118,6 @@ def test_a_step_ends_where_the_tool_was(early):
     assert np.abs(pressed.slips()) == pytest.approx(0.04, rel=1e-2)
 
 
-def test_held_nodes_have_friction_with_a_tool_that_moves():
-    """They stand still, the tool slides over them: T = mu N; where both move alike, it stays."""
-    case = Held(n=3, size=1.0, fine=0.8)
-    given = fem.Constant(case.mesh, 0.0)
-    bcs = [*case.bcs(), case.hold(TOP, 0, given)]
-    case.bcs = lambda: bcs
-    pressed = Pressed(case, dm.shapes.Plane([0.4, 0.0], [0.0, -1.0]), 0.02)
-    tool = pressed.tool
-    assert np.abs(tool.force[0]) < 1e-12 * np.abs(tool.force[1])
-    tool.position.value[0] += 0.3
-    for alike in (0.0, 0.1):
-        given.value, tool.position.value[0] = alike, tool.position.value[0] + alike
-        pressed.step()
-        assert tool.force[0] == pytest.approx(MU * np.abs(tool.force[1]), rel=1e-9)
-        assert tool.tool_force == pytest.approx(-tool.force, rel=1e-14)
-
-
 # -- rollers
 
 
@@ -167,11 +130,7 @@ def roller(n, depth, **options):
 @GEOMETRIES
 @pytest.mark.parametrize(("angle", "noted"), [(2.5, False), (4.0, True)])
 def test_a_roller_that_turns_far_in_a_step(angle, noted, geometry):
-    """All of it slips, by arcs: R times the angle to round-off, less what the side has moved.
-
-    Friction would act the other way beyond half a turn: noted, but on frozen surfaces, where slips
-    have no limit.
-    """
+    """All of it slips, by arcs: R times the angle to round-off, less what the side has moved."""
     pressed = roller(12, 6 * DEPTH, geometry=geometry)
     case, tool = pressed.case, pressed.tool
     before = case.u.x.array.copy()
@@ -196,10 +155,7 @@ def test_a_roller_that_turns_far_in_a_step(angle, noted, geometry):
 
 
 def test_in_space_a_disc_of_slip():
-    """A plane that turns about its normal drags a box around, without a resultant.
-
-    There slips are chords: noted where these are too short.
-    """
+    """A plane that turns about its normal drags a box around, without a resultant."""
     case = Box()
     pressed = Pressed(case, dm.shapes.Plane([0.5, 0.5, 1.0], [0.0, 0.0, -1.0]), 0.02)
     tool = pressed.tool
