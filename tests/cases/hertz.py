@@ -36,6 +36,13 @@ class HertzCase:
         """Prescribe the displacement (0, -depth) of the flat face."""
         self.top.value[:] = (0.0, -depth)
 
+    def move(self, x: float, depth: float, **options) -> dm.StepReport:
+        """Prescribe the displacement (x, -depth) of the flat face, solve and commit."""
+        self.top.value[:] = (x, -depth)
+        report = dm.newton(self.problem, **options)
+        self.problem.commit()
+        return report
+
     def fit(self) -> tuple[float, float]:
         """Return half-width and peak pressure of p^2 = p0^2 (1 - x^2/b^2), least squares.
 
@@ -87,3 +94,9 @@ def create_case(
         contact = dm.Obstacle(sides, slave=side, shape=shape, **options)
     problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
     return HertzCase(problem, contact, top)
+
+
+def paper(materials=PLASTIC, *, gap: float = 0.0, **options) -> HertzCase:
+    """Return the case on a mesh like that of the paper."""
+    mesh = dm.meshing.hertz(MPI.COMM_WORLD, kind="paper", gap=gap)
+    return create_case(mesh, materials, **options)
