@@ -96,7 +96,6 @@ def indentation(
     apart=False,
     strain="finite",
     surface="facets",
-    unit=1.0,
     **options,
 ):
     """Create the case of n cells (along, deep) of the block and of the half ring.
@@ -121,7 +120,6 @@ def indentation(
         return np.where(body == TOOL, tool, block)
 
     bodies = Bodies.of((lower, upper), tag)
-    bodies.mesh.geometry.x[:] *= unit
     V = fem.functionspace(bodies.mesh, ("Lagrange", 1, (2,)))
     u = fem.Function(V)
     held, base = (fem.Constant(bodies.mesh, default_scalar_type((0.0, 0.0))) for _ in range(2))
@@ -129,7 +127,7 @@ def indentation(
     bcs = [fem.dirichletbc(base, dofs[BASE], V), fem.dirichletbc(held, dofs[HELD], V)]
     make = dm.NeoHooke if strain == "finite" else dm.Elastic
     laws = {BLOCK: make(moduli[0], 0.3), TOOL: make(moduli[1], 0.3)}
-    solid = dm.Solid(u, laws, bodies.cells, strain=strain, energies=strain == "finite")
+    solid = dm.Solid(u, laws, bodies.cells, strain=strain)
     tops = [TOP + 10 * k for k in range(len(blocks))] if apart else [TOP]
     sides = [(ARC, top) if slave == "tool" else (top, ARC) for top in tops]
     contacts = [
@@ -168,18 +166,14 @@ class TurningHub:
             u[nodes] = X[nodes] @ (np.array([[c, s], [-s, c]]) - np.eye(2))
 
 
-def turning_hub(
-    *,
-    overlap=0.05,
-    moduli=(10.0, 1.0),
-    slave="inner",
-    surface="facets",
-    geometry="updated",
-    **options,
-):
-    """Create the case: radii .4, 1 + overlap in 1, 1.8; 40 and 36 facets; inner modulus first."""
+def turning_hub(**options):
+    """Create the case: radii .4, 1.05 in 1, 1.8; 40 and 36 facets; the inner one ten times stiffer.
+
+    The options are those of the contact, and the geometry.
+    """
+    geometry = options.pop("geometry", "updated")
     counts, shift = (40, 36), (0.0, 0.03)
-    radii = (0.4, 1.0 + overlap), (1.0, 1.8)
+    radii = (0.4, 1.05), (1.0, 1.8)
     parts = [
         create_ring(*r, 2 * np.pi * np.arange(n) / n + s, layers=3)
         for r, n, s in zip(radii, counts, shift, strict=True)
@@ -193,9 +187,8 @@ def turning_hub(
     u, turned = fem.Function(V), fem.Function(V)
     circles = [fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (1, 4)]
     bcs = [fem.dirichletbc(turned, dofs) for dofs in circles]
-    laws = {k + 1: dm.NeoHooke(E, 0.3) for k, E in enumerate(moduli)}
-    sides = (2, 3) if slave == "inner" else (3, 2)
-    contact = dm.Contact(facets, slave=sides[0], master=sides[1], surface=surface, **options)
+    laws = {1: dm.NeoHooke(10.0, 0.3), 2: dm.NeoHooke(1.0, 0.3)}
+    contact = dm.Contact(facets, slave=2, master=3, surface="facets", **options)
     solid = dm.Solid(u, laws, cells, strain="finite")
     problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
     return TurningHub(problem, contact, turned, tuple(circles))
