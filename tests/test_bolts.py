@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx import fem
 from dolfinx_mortar.interfaces import pretension
 from dolfinx_mortar.problem import step_data
 from tests.cases.bolted_joint import Joint
@@ -46,33 +45,6 @@ def test_the_diagram_of_a_bolted_joint(slave):
         assert abs(joint.tension() - joint.clamping() - pull) < 1e-8 * F0
         closed = joint.problem.committed.active.any()
         assert COMM.allreduce(int(closed)) > 0 if pull < 1.5 * F0 else not closed
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("geometry", ["reference", "updated"])
-def test_a_walk_under_a_force_and_then_with_the_jump(geometry):
-    """The force is a Constant of the walk; set to None it is the jump that is held."""
-    joint = Joint(geometry=geometry)
-    force = fem.Constant(joint.mesh, 0.0)
-    joint.bolt.pretension = force
-
-    def set_force(t):
-        force.value = F0 * t
-        joint.pull.value = 0.1 * t
-
-    for step in dm.load_steps(joint.problem, [0.5, 1.0], on_time=set_force, progress=False):
-        assert joint.tension() == pytest.approx(F0 * step.time, rel=1e-6)
-    jump = joint.bolt.tightening.copy()
-    joint.bolt.pretension = None
-    joint.pull.value = 3.1
-    dm.newton(joint.problem, rtol=1e-9)
-    assert joint.tension() == pytest.approx(F0 + 1.0, rel=1e-4)
-    assert np.array_equal(joint.bolt.tightening, jump)
-    other = Joint(geometry=geometry)
-    other.pull.value = 0.1
-    tighten(other.problem, {other.bolt: F0}, other.direction, rtol=1e-10)
-    assert other.problem.committed.level == 0.0 and not other.problem.history
-    assert np.allclose(jump, other.bolt.tightening, rtol=1e-5, atol=1e-12)
 
 
 # -- runs that were stopped

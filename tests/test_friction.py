@@ -72,22 +72,6 @@ def test_it_slides_at_the_limit(cell, degree, slave, geometry, surface):
     assert (back[1] > slides[1] + 0.01).all()  # the length of the way grows either way
 
 
-@pytest.mark.parametrize(("cell", "degree"), [("triangle", 2), ("tetrahedron", 1)])
-def test_a_turned_block_has_the_turned_answer(cell, degree):
-    """Turned by 37 degrees, in space about an oblique axis; some nodes stick, some slip."""
-    plain, turned = (
-        pushed(cell, 0.015, *rest(cell, -0.005), degree=degree, angle=np.radians(angle))
-        for angle in (0.0, 37.0)
-    )
-    size = largest(plain.forces)
-    assert turned.forces == pytest.approx(plain.forces, rel=EXACT, abs=EXACT * size)
-    a, b = (case.closed() for case in (plain, turned))
-    order = [np.lexsort(np.round(c["X"], 9).T) for c in (a, b)]
-    for name in ("traction", "step_slip", "slip", "status", "pressure"):
-        first, second = a[name][order[0]], b[name][order[1]]
-        assert largest(first - second) < 1e-17 + EXACT * largest(first), name
-
-
 @pytest.mark.parametrize(
     ("cell", "degree", "slave"),
     [

@@ -17,7 +17,7 @@ E = 1000.0
 class Joint:
     """A bolt between two plates under a stiff yoke that is pulled: springs side by side."""
 
-    def __init__(self, *, gap=0.0, slave="upper", comm=COMM, geometry="updated"):
+    def __init__(self, *, gap=0.0, slave="upper", comm=COMM):
         boxes = [(1, 2, 0, 1, 3, 3), (1, 2, 1, 2, 4, 3), (0, 1, 0, 2 - gap, 3, 5)]
         boxes += [(2, 3, 0, 2 - gap, 3, 5), (0, 3, 2, 3, 10, 3)]
         self.mesh, cells, tags = create_blocks(comm, boxes, cell="quadrilateral")
@@ -41,7 +41,6 @@ class Joint:
             [self.bolt, head, *self.plates],
             bcs=bcs,
             loads=self.pull / 3.0 * v[1] * ds(50 + ABOVE),
-            geometry=geometry,
         )
 
     def clamping(self):
