@@ -26,10 +26,8 @@ from dolfinx_mortar.mortar.pairing import create_pairing
 from dolfinx_mortar.mortar.surface import create_surface
 from tests.cases.meshes import two_blocks
 from tests.cases.meshes_3d import two_boxes
-from tests.cases.mortar import node_matrices
+from tests.cases.mortar import bend, curved, node_matrices
 from tests.cases.surfaces import assemble, grid, joined, ring
-from tests.test_mortar import bend
-from tests.test_mortar_3d import curved
 
 MODULES = [
     import_module(f"dolfinx_mortar.{layer}.{file.stem}")

@@ -14,9 +14,6 @@ along r and free faces are int D / r dr = 0, which yields r_1, and the moment pe
 There is no force, so that M is the same about any point. Cells leave some force, and the centre of
 the circles is an arm of 1/c away: about it a force of 2 % of the plastic one made 90 % of the
 moment of a metal. So moments are taken about the middle of the section.
-
-Laws that flow have D at each x after the whole path of c. Directions of strain turn with the body,
-so that each fibre is a problem of its own, in logarithmic strains.
 """
 
 from mpi4py import MPI
@@ -31,81 +28,34 @@ from dolfinx import fem, mesh
 pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD
 THICKNESS, HALF, WIDTH = 1.0, 2.0, 0.5
-MU, K, NU = 1.0, 5000.0, 0.4999
+MU, NU = 1.0, 0.4999
 E = 2.0 * MU * (1.0 + NU)
-CHOLESKY = {"pc_type": "cholesky"}
-OGDEN = (1.2, -0.2), (1.5, -2.0)
 POINTS, WEIGHTS = np.polynomial.legendre.leggauss(200)
 FIBRES = THICKNESS / 2 * (1 + POINTS)
 
 
-class Fibres:
-    """Fibres of a law without state, by D(ln(c r))."""
+def exact_bending(c):
+    """Return the inner radius and the moment per width at a curvature c."""
 
-    def __init__(self, difference):
-        self.difference, self.r1, self.moment = difference, 0.0, 0.0
+    def strain(r1):
+        return np.log(c * np.sqrt(r1**2 + 2 * FIBRES / c))
 
-    def bend(self, c):
-        """Go on to a curvature c; set the inner radius and the moment per width."""
+    def difference(r1):
+        return 2 * MU * np.sinh(2 * strain(r1))
 
-        def strain(r1):
-            return np.log(c * np.sqrt(r1**2 + 2 * FIBRES / c))
+    def out_of_balance(r1):
+        return WEIGHTS @ (difference(r1) / (r1**2 + 2 * FIBRES / c))
 
-        def out_of_balance(r1):
-            return WEIGHTS @ (self.difference(strain(r1)) / (r1**2 + 2 * FIBRES / c))
-
-        middle = 1 / c - THICKNESS / 2
-        self.r1 = brentq(out_of_balance, 0.9 * middle, 1.1 * middle, xtol=1e-14)
-        self.strain = strain(self.r1)
-        self.moment = THICKNESS / 2 * WEIGHTS @ self.difference(self.strain) / (2 * c)
+    middle = 1 / c - THICKNESS / 2
+    r1 = brentq(out_of_balance, 0.9 * middle, 1.1 * middle, xtol=1e-14)
+    return r1, THICKNESS / 2 * WEIGHTS @ difference(r1) / (2 * c)
 
 
-class FlowingFibres(Fibres):
-    """Fibres that flow and harden: s = 2 mu (e - p), 2^1/2 |s - a p| <= Y."""
-
-    def __init__(self, Y, a):
-        super().__init__(lambda e: 2 * (2 * MU * (e - self.flow(e))))
-        self.Y, self.a, self.p = Y, a, np.zeros(len(FIBRES))
-
-    def flow(self, e):
-        trial = 2 * MU * e - (2 * MU + self.a) * self.p
-        beyond = np.maximum(np.sqrt(2) * np.abs(trial) - self.Y, 0.0)
-        return self.p + np.sign(trial) * beyond / np.sqrt(2) / (2 * MU + self.a)
-
-    def bend(self, c):
-        super().bend(c)
-        self.p = self.flow(self.strain)
-
-
-def power(stretch):
-    return stretch**2 - stretch**-2
-
-
-NEO = dm.NeoHooke(E, NU), lambda: Fibres(lambda e: MU * power(np.exp(e)))
-MOONEY = dm.MooneyRivlin(0.35 * MU, 0.15 * MU, K), lambda: Fibres(lambda e: MU * power(np.exp(e)))
-STRETCHED = (
-    dm.Ogden(*OGDEN, K),
-    lambda: Fibres(lambda e: sum(m * 2 * np.sinh(a * e) for m, a in zip(*OGDEN, strict=True))),
-)
-METAL = dm.VonMises(E, NU, Y=0.02 * MU, a=0.2 * MU), lambda: FlowingFibres(0.02 * MU, 0.2 * MU)
-
-
-def bent(
-    case,
-    n=(4, 8, 1),
-    degree=1,
-    *,
-    cell="hexahedron",
-    volumetric="reduced",
-    end=0.5,
-    steps=5,
-    petsc_options=None,
-):
+def bent(volumetric="reduced", end=0.5, steps=5):
     """Bend half of a block; return moments over exact ones, error of u, iterations of each step."""
-    law, fibres = case[0], case[1]()
     corners = [(0.0, 0.0, 0.0), (THICKNESS, HALF, WIDTH)]
-    domain = mesh.create_box(COMM, corners, n, mesh.CellType[cell])
-    V = fem.functionspace(domain, ("Lagrange", degree, (3,)))
+    domain = mesh.create_box(COMM, corners, (4, 8, 1), mesh.CellType.hexahedron)
+    V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
     u, exact = fem.Function(V), fem.Function(V)
 
     def dofs(space, where):
@@ -120,92 +70,40 @@ def bent(
         (2, lambda x: np.isclose(x[2], 0.0) | np.isclose(x[2], WIDTH)),
     ):
         bcs.append(fem.dirichletbc(still, dofs(V.sub(i), where), V.sub(i)))
-    solid = dm.Solid(u, law, strain="finite", volumetric=volumetric)
-    problem = dm.ContactProblem(solid, bcs=bcs, petsc_options=petsc_options)
+    solid = dm.Solid(u, dm.NeoHooke(E, NU), strain="finite", volumetric=volumetric)
+    # by multigrid, where nothing locks
+    options = None if volumetric == "reduced" else {"pc_type": "cholesky"}
+    problem = dm.ContactProblem(solid, bcs=bcs, petsc_options=options)
 
-    def place(c):
-        def displacement(x):
-            r, angle = np.sqrt(fibres.r1**2 + 2 * x[0] / c), c * x[1]
-            return r * np.cos(angle) - fibres.r1 - x[0], r * np.sin(angle) - x[1], 0.0 * x[2]
-
-        exact.interpolate(lambda x: np.stack(displacement(x)))
+    def displacement(x, r1, c):
+        r, angle = np.sqrt(r1**2 + 2 * x[0] / c), c * x[1]
+        return np.stack([r * np.cos(angle) - r1 - x[0], r * np.sin(angle) - x[1], 0.0 * x[2]])
 
     ratios, iterations = [], []
     for c in end * np.arange(1, steps + 1) / steps:
-        fibres.bend(c)
-        place(c)
+        r1, expected = exact_bending(c)
+        exact.interpolate(lambda x, r1=r1, c=c: displacement(x, r1, c))
         iterations.append(dm.newton(problem).newton_iterations)
         problem.commit()
         r = u.x.petsc_vec.duplicate()
         solid.assemble_residual(r)
         own = at_end[at_end < r.local_size // 3]
         x, F = V.tabulate_dof_coordinates()[own], r.array.reshape(-1, 3)[own]
-        x = x + u.x.array.reshape(-1, 3)[own] + [fibres.r1, 0.0, 0.0]
-        middle, angle = np.sqrt(fibres.r1**2 + THICKNESS / c), c * HALF
+        x = x + u.x.array.reshape(-1, 3)[own] + [r1, 0.0, 0.0]
+        middle, angle = np.sqrt(r1**2 + THICKNESS / c), c * HALF
         x = x - middle * np.array([np.cos(angle), np.sin(angle), 0.0])
         moment = COMM.allreduce(float(np.sum(x[:, 0] * F[:, 1] - x[:, 1] * F[:, 0])), op=MPI.SUM)
-        ratios.append(moment / WIDTH / fibres.moment)
+        ratios.append(moment / WIDTH / expected)
     off = COMM.allreduce(float(np.abs(u.x.array - exact.x.array).max()), op=MPI.MAX)
     return np.array(ratios), off, iterations
 
 
-def check(found, ratio, off, most=6):
-    """Compare moments and displacements with exact ones, and count the iterations of steps."""
-    ratios, error, iterations = found
-    assert np.abs(ratios - 1).max() < ratio and error < off
-    assert max(iterations) <= most
-
-
-@pytest.mark.parametrize(
-    "case",
-    [NEO, *(pytest.param(case, marks=pytest.mark.slow) for case in (MOONEY, STRETCHED))],
-    ids=["neo", "mooney", "ogden"],
-)
-def test_rubber_does_not_lock(case):
+def test_rubber_does_not_lock():
     """Four cells across the thickness, K/mu = 5000: 1.6 to 2.6 %; by multigrid."""
-    check(bent(case), 0.0265, 2.5e-3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", [NEO, MOONEY, STRETCHED], ids=["neo", "mooney", "ogden"])
-def test_what_is_missing_is_of_second_order(case):
-    check(bent(case, n=(8, 16, 1)), 0.0265 / 3.9, 2.5e-3 / 3.9)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", [NEO, STRETCHED], ids=["neo", "ogden"])
-def test_second_order_does_not_lock(case):
-    """Two cells across the thickness."""
-    check(bent(case, n=(2, 4, 1), degree=2), 1.1e-3, 5e-4)
-
-
-@pytest.mark.slow
-def test_tetrahedra_of_second_order_converge():
-    """With a constant volume ratio in each: the order of hexahedra of degree 1, 3 times the error.
-
-    The displacement's error falls by 2.8.
-    """
-    for n, ratio, off in (((2, 4, 1), 0.063, 0.017), ((4, 8, 1), 0.063 / 3.9, 0.017 / 2.7)):
-        check(bent(NEO, n, degree=2, cell="tetrahedron"), ratio, off)
-
-
-@pytest.mark.slow
-def test_metal_does_not_lock():
-    """In plastic flow, which changes no volume either; the middle of the section is elastic."""
-    check(bent(METAL), 0.028, 2e-3)
+    ratios, error, iterations = bent()
+    assert np.abs(ratios - 1).max() < 0.0265 and error < 2.5e-3 and max(iterations) <= 6
 
 
 def test_without_mean_volumes_it_locks():
     """The reference tells: thirty times the moment."""
-    ratios, _, _ = bent(NEO, volumetric="full", end=0.1, steps=2, petsc_options=CHOLESKY)
-    assert np.abs(ratios).min() > 30.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", [NEO, METAL], ids=["neo", "metal"])
-def test_multigrid_takes_the_iterations_of_a_factorisation(case):
-    """Inexact solves leave shears wrong where the bulk modulus is large."""
-    found = [bent(case, petsc_options=options) for options in (None, CHOLESKY)]
-    (_, _, some), (_, _, fewest) = found
-    assert sum(some) <= 1.4 * sum(fewest)
-    assert np.allclose(*(ratios[-1] for ratios, _, _ in found), rtol=1e-3)
+    assert np.abs(bent("full", end=0.1, steps=2)[0]).min() > 30.0

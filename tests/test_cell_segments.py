@@ -14,7 +14,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
-from dolfinx_mortar.mortar import cell_segments
+from dolfinx_mortar.mortar import assembly
 from tests.cases import meshes, meshes_3d
 from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LOWER, TOP, TOP_OF_LOWER, UPPER
 from tests.cases.pressed_blocks import rejected
@@ -387,52 +387,6 @@ def test_two_bars_in_series_with_a_resistance_between_them(cell, degree):
             assert largest(flux / q - 1) < 1e-10
 
 
-def linear(V, cells):
-    """Return a temperature linear in each body, whose flux does not jump at the interface."""
-    d = V.mesh.geometry.dim
-    slopes = {tag: np.append(np.arange(1.0, d), 100 / k) for tag, k in K.items()}
-    return bodywise(V, cells, {t: lambda x, g=g: g @ x[:d] for t, g in slopes.items()})
-
-
-@pytest.mark.parametrize("sides", [SIDES, SWAPPED], ids=["lower", "upper"])
-@pytest.mark.parametrize(("cell", "degree"), crosswise(CELLS, [1, 2]))
-def test_nitsches_method_passes_the_patch_test(cell, degree, sides):
-    mesh, cells, tags = blocks(cell, partition="stripes")
-    exact = linear(scalars(mesh, degree), cells)
-    s = dm.segments(exact.function_space, tags, **sides)
-    (dofs, jump), w = jumps(s), s.weight[:, None, None]
-    k = [K[LOWER], K[UPPER]] if sides is SIDES else [K[UPPER], K[LOWER]]
-    gradients = s.slave_gradients, s.master_gradients
-    flux = [c / 2 * np.einsum("nki,ni->nk", g, s.normal) for c, g in zip(k, gradients, strict=True)]
-    mixed = w * np.hstack(flux)[:, :, None] * jump[:, None]
-    entries = 1e3 * w * jump[:, :, None] * jump[:, None] - mixed - np.swapaxes(mixed, 1, 2)
-    T = temperatures(cells, tags, exact, interface_matrix(exact.function_space, dofs, entries))
-    assert largest(T - everywhere(exact.function_space, exact.x.array)) < 1e-10
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("sides", [SIDES, SWAPPED], ids=["lower", "upper"])
-@pytest.mark.parametrize(("cell", "degree"), crosswise(CELLS, [1, 2]))
-def test_scalar_fields_are_tied_by_D_and_M(cell, degree, sides):
-    mesh, cells, tags = blocks(cell, partition="stripes")
-    exact = linear(scalars(mesh, degree), cells)
-    V = exact.function_space
-    mortar = dm.assemble_mortar(V, tags, **sides)
-    B = dense(mortar.D, V, mortar.nodes) - dense(mortar.M, V, mortar.nodes)
-    B = B[np.concatenate(COMM.allgather(mortar.nodes))]
-    A, b = conduction(cells, tags, exact)
-    first, n = V.dofmap.index_map.local_range[0], V.dofmap.index_map.size_global
-    A = dense(A, V, first + np.arange(V.dofmap.index_map.size_local))
-    fixed = np.concatenate(COMM.allgather(first + owned_ends(V, tags)))
-    free, T = np.setdiff1d(np.arange(n), fixed), everywhere(V, exact.x.array)
-    right = np.concatenate([*COMM.allgather(b.array), np.zeros(len(B))])
-    whole = np.block([[A, B.T], [B, np.zeros((len(B), len(B)))]])
-    kept = np.concatenate([free, np.arange(n, len(right))])
-    right = (right - whole[:, fixed] @ T[fixed])[kept]
-    found = np.linalg.solve(whole[np.ix_(kept, kept)], right)
-    assert len(B) >= 4 and largest(found[: len(free)] - T[free]) < 1e-10
-
-
 # -- bad input
 
 
@@ -512,7 +466,7 @@ def test_nodes_with_numbers_of_their_own(monkeypatch):
 @pytest.mark.mpi
 def test_points_without_a_partner(monkeypatch):
     """Which the kernels mark by NaN, where curved facets are folded, on one rank perhaps."""
-    kernel = cell_segments.find_segments
+    kernel = assembly.find_segments
 
     def fold(pairing, u):
         points, normals = kernel(pairing, u)
@@ -520,7 +474,7 @@ def test_points_without_a_partner(monkeypatch):
         xi[: COMM.rank == 0] = np.nan
         return dataclasses.replace(points, xi_m=xi), normals
 
-    monkeypatch.setattr(cell_segments, "find_segments", fold)
+    monkeypatch.setattr(assembly, "find_segments", fold)
     with rejected("1 points of slave=3", "opposite on master=4", "at X + u; check mesh and u"):
         dm.segments(**given())
 

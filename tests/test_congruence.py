@@ -11,9 +11,8 @@ import pytest
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.congruence import Congruence, CongruentOperator, as_aij
-from dolfinx_mortar.algebra.csr import add_blocks, csr_of, set_csr
+from dolfinx_mortar.algebra.csr import BlockMatrix, add_blocks, csr_of, set_csr
 from dolfinx_mortar.algebra.parallel import free_unused
-from dolfinx_mortar.algebra.triplets import BlockMatrix
 from tests.cases.meshes import two_blocks
 
 COMM = MPI.COMM_WORLD

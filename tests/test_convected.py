@@ -85,22 +85,6 @@ def test_it_saves_iterations_and_changes_no_answer(slave, monkeypatch):
     assert count(steps) + 3 <= count(rigid)
 
 
-def test_units():
-    """Bodies of some micrometres take the same iterations in metres."""
-    found = []
-    for m, pa in ((1.0, 1.0), (1e-6, 1e9)):
-        options = dict(n=((24, 5), (16, 2)), moduli=(pa, 10.0 * pa), friction=0.1, unit=m)
-        case = indentation(**options, **SIZES)
-        path = lambda t, m=m: (0.6 * m * max(t - 1.0, 0.0), -0.3 * m)  # noqa: E731
-        steps = walk(case, path, [1.0, 2.0], rtol=1e-8, progress=False)
-        forces = [force / (m * pa) for _, force, _ in steps]
-        costs = [[i.updates for i in report.iterations] for _, _, report in steps]
-        found.append((np.array(forces), costs))
-    (expected, costs), (forces, same) = found
-    assert same == costs
-    assert np.abs(forces - expected).max() < 1e-9 * np.abs(expected).max()
-
-
 def ironed_by_tool(law, *, friction=0.0, way=0.6, degree=1, angle=0.0, turning=0.0):
     """Turn a block with a rigid cylinder and drag this by facets; return iterations and forces.
 
@@ -141,16 +125,6 @@ def test_turned_bodies_slide_like_others():
     turned, same = ironed_by_tool(dm.NeoHooke(1.0, 0.3), angle=np.pi / 2)
     assert np.abs(same - force).max() < 1e-7 * np.abs(force).max()
     assert turned <= few + 1
-
-
-@pytest.mark.mpi
-def test_it_follows_rigid_tools(monkeypatch):
-    """A tool is one of two sides: its way counts like that of a body."""
-    few, force = ironed_by_tool(dm.NeoHooke(1.0, 0.3))
-    monkeypatch.setattr(predictors, "find_slides", lambda *_: [])
-    many, same = ironed_by_tool(dm.NeoHooke(1.0, 0.3))
-    assert np.abs(same - force).max() < 1e-7 * np.abs(force).max()
-    assert few + 3 <= many
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.geometry.curvature import edge_sagittas, edges
-from dolfinx_mortar.mortar import curvature_correction as smooth
 from dolfinx_mortar.mortar.curvature_correction import smooth_normals
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
 from tests.cases.close_fits import nested
@@ -112,15 +111,6 @@ def test_what_varies_smoothly_does_not_jump(aspect, count, spread):
     if aspect == 1.0:
         c = edge_sagittas(facets, normals, surface.facets)[:, 0]
         assert c == pytest.approx((edges(facets)[:, 0] ** 2).sum(axis=1), rel=1e-9)
-
-
-@pytest.mark.parametrize(("ratio", "found"), [(0.5, True), (np.inf, False)])
-def test_the_ratio_decides_what_jumps(monkeypatch, ratio, found):
-    """Moved so far that an ellipse has jumps, and a flat that meets a fillet none."""
-    monkeypatch.setattr(smooth, "JUMP", ratio)
-    nodes = ellipse(2.0, 40, 0.0) if found else outline(rectangle(), (4, 3, 7, 5) * 2)
-    jumps = normals_of(nodes)[2].jumps
-    assert jumps is not None and COMM.allreduce(bool(jumps.any()), op=MPI.LOR) == found
 
 
 @pytest.mark.mpi

@@ -14,14 +14,13 @@ from dolfinx_mortar.geometry.facets import unit
 from dolfinx_mortar.mortar.common_normals import _mean
 from dolfinx_mortar.report.penetration import find_overlaps, notes_on_overlaps
 from tests.cases.ball import create_problem
-from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER, skins, two_blocks
-from tests.cases.meshes_3d import rotation, two_boxes
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP
+from tests.cases.meshes_3d import rotation
 from tests.cases.moving_bodies import Blocks
-from tests.cases.pressed_blocks import ELASTIC, PressedBlocks
+from tests.cases.two_bodies import SIDES, TwoBodies
 
 COMM = MPI.COMM_WORLD
-SIDES = TOP_OF_LOWER, BOTTOM_OF_UPPER
-SLAVES = pytest.mark.parametrize(("slave", "master"), [SIDES, SIDES[::-1]])
+SLAVES = pytest.mark.parametrize("slave", SIDES)
 pytestmark = pytest.mark.mpi
 
 
@@ -36,30 +35,15 @@ def crossing(x):
 
 
 @SLAVES
-def test_forces_of_crossing_edges_are_normal_to_both(slave, master):
+def test_forces_of_crossing_edges_are_normal_to_both(slave):
     """Without friction: horizontal forces of averaged normals are a fifth of the vertical one."""
-    mesh, cells, facets = two_boxes(
-        COMM, (2, 2, 2), (2, 2, 2), gap=1.0, cell="hexahedron", transform=crossing
-    )
-    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
-    dofs = [fem.locate_dofs_topological(V, 2, facets.find(tag)) for tag in (BOTTOM, TOP)]
-    moves = np.zeros(3), np.array([0.0, 0.0, -0.08])
-    bcs = [fem.dirichletbc(move, at, V) for move, at in zip(moves, dofs, strict=True)]
-    contact = dm.Contact(skins(mesh, cells, facets), slave=slave, master=master)
-    dm.newton(dm.ContactProblem(dm.Solid(fem.Function(V), ELASTIC), [contact], bcs=bcs))
+    n = (2, 2, 2)
+    case = TwoBodies("hexahedron", whole=True, n_lower=n, n_upper=n, gap=1.0, transform=crossing)
+    contact = case.interface(slave=slave)
+    dm.newton(case.problem([contact], case.bcs(0.0, 0.0, -0.08)))
     *across, along = contact.force
     assert abs(along) > 1.0
     assert np.hypot(*across) < 0.01 * abs(along)
-
-
-@pytest.mark.parametrize("width", [0.0, 0.3])
-@pytest.mark.parametrize("d", [2, 3])
-def test_the_normal_of_equal_sides_is_the_mean(d, width):
-    """Two faces, or two edges that are parallel."""
-    n = np.array([[0.0, 0.6, 0.8], [0.0, -0.8, 0.6]])[:, None, -d:]
-    S = (width + 1e-8) * np.eye(d)[None]
-    found = _mean(*n, S, S)
-    assert np.allclose(unit(found), unit(n[0] + n[1]), atol=1e-12)
 
 
 def test_the_normal_is_that_of_a_face_and_normal_to_crossing_edges():
@@ -99,38 +83,37 @@ STACKS = {
 
 @SLAVES
 @pytest.mark.parametrize("name", STACKS)
-def test_whole_skins_do_what_their_sides_do(name, slave, master):
+def test_whole_skins_do_what_their_sides_do(name, slave):
     """In no more iterations, with the same force; averaged normals take five times as many."""
     found = []
     for whole in (False, True):
-        b = PressedBlocks(**STACKS[name])
-        b.top.value[:] = 0.005, -0.01
-        tags = skins(b.mesh, b.cells, b.facets) if whole else b.facets
-        contact = b.contact(slave, master, tags)
-        report = dm.newton(b.problem([contact]))
+        case = TwoBodies(whole=whole, **STACKS[name])
+        contact = case.interface(slave=slave)
+        report = dm.newton(case.problem([contact], case.bcs(0.005, -0.01)))
         found.append((report.newton_iterations, contact.force))
     (expected, force), (iterations, of_skins) = found
     assert iterations <= expected
     assert np.abs(of_skins - force).max() < 1e-3 * np.abs(force).max()
 
 
-def on_a_corner(x):
-    """Turn the upper block so that it stands on a corner, in the middle of the lower one."""
-    upper, turned = x[:, 1] > 0.5, (x - [0.0, 1.0]) @ TURN.T
-    return np.where(upper[:, None], turned + np.array([0.5, 0.0]), x)
+def on_a_corner(n_lower=(3, 2), n_upper=(2, 2)):
+    """Return a block that stands on a corner, in the middle of the lower one."""
 
+    def turned(x):
+        upper = (x - [0.0, 1.0]) @ rotation((0, 0, 1), np.pi / 4)[:2, :2].T + [0.5, 0.0]
+        return np.where(x[:, 1:] > 0.5, upper, x)
 
-TURN = np.sqrt(0.5) * np.array([[1.0, -1.0], [1.0, 1.0]])
+    options = {"n_lower": n_lower, "n_upper": n_upper, "gap": 1.0, "transform": turned}
+    return TwoBodies(whole=True, **options)
 
 
 @pytest.mark.parametrize("pressed", [-1e-4, 1e-4, 0.04])
 @SLAVES
-def test_a_corner_that_no_node_sees_is_noted(slave, master, pressed):
+def test_a_corner_that_no_node_sees_is_noted(slave, pressed):
     """However little it is pressed, as there is no force; facets are 1/3 long at least."""
-    b = PressedBlocks(n_lower=(3, 2), n_upper=(2, 2), gap=1.0, transform=on_a_corner)
-    b.top.value[:] = 0.0, -pressed
-    contact = b.contact(slave, master, skins(b.mesh, b.cells, b.facets))
-    report = dm.newton(b.problem([contact]))
+    case = on_a_corner()
+    contact = case.interface(slave=slave)
+    report = dm.newton(case.problem([contact], case.bcs(0.0, -pressed)))
     found = [note for note in report.notes if "deep in each other" in note]
     if slave == BOTTOM_OF_UPPER:
         assert found == [] and (contact.force[1] > 0.01) == (pressed > 0.0)
@@ -166,55 +149,33 @@ def test_an_overlap_where_supports_hold_the_slave_is_said_to_be_that():
 
 
 @SLAVES
-def test_a_corner_of_either_side_is_seen_as_deep_as_it_is(slave, master):
+def test_a_corner_of_either_side_is_seen_as_deep_as_it_is(slave):
     """A vertex of the slave or of the master, moved into the other side after the solution.
 
     Beyond half of the thickness of a body it is the far side's.
     """
-    b = PressedBlocks(n_lower=(3, 2), n_upper=(2, 2), gap=1.0, transform=on_a_corner)
-    b.top.value[:] = 0.0, 0.001
-    contact = b.contact(slave, master, skins(b.mesh, b.cells, b.facets))
-    problem = b.problem([contact])
+    case = on_a_corner()
+    contact = case.interface(slave=slave)
+    problem = case.problem([contact], case.bcs(0.0, 0.001))
     dm.newton(problem)
     assert lost(contact, problem) == []
     for depth in (0.04, 0.6):
-        b.u.interpolate(lambda x, y=-depth: np.stack([0.0 * x[0], 0.0 * x[0] + y]), b.cells.find(2))
-        b.u.x.scatter_forward()
+        case.raise_upper(0.0, -depth)
         found = lost(contact, problem)
         if depth < 0.5:
             assert found == [(pytest.approx([0.5, -depth]), depth, 12)]
         assert all(d < 0.5 for _, d, _ in found)
 
 
-@pytest.mark.parametrize(("times", "noted"), [(1.0, False), (5.0, False), (20.0, True)])
-def test_what_a_step_allows_is_no_overlap(times, noted):
-    """A corner on a side without a force, so many times rtol of its facet deep."""
-    b, rtol = PressedBlocks(n_lower=(3, 2), n_upper=(2, 2), gap=1.0, transform=on_a_corner), 1e-6
-    contact = b.contact(*SIDES, skins(b.mesh, b.cells, b.facets))
-    problem = b.problem([contact])
-    problem.audit()
-    depth = times * rtol / 3
-    b.u.interpolate(lambda x: np.stack([0.0 * x[0], 0.0 * x[0] - depth]), b.cells.find(2))
-    b.u.x.scatter_forward()
-    closed = np.zeros(problem.n, dtype=bool)
-    notes = notes_on_overlaps(problem, find_overlaps(problem), closed, rtol)
-    assert len(notes) == noted
-
-
 @SLAVES
-def test_a_bulge_between_vertices_is_seen(slave, master):
+def test_a_bulge_between_vertices_is_seen(slave):
     """Curved sides lie in each other where neither has a vertex."""
-    mesh, cells, facets = two_blocks(COMM, (1, 1), (1, 1), gap=0.01)
-    V = fem.functionspace(mesh, ("Lagrange", 2, (2,)))
-    bottom = fem.locate_dofs_topological(V, 1, facets.find(BOTTOM))
-    bcs = [fem.dirichletbc(np.zeros(2), bottom, V)]
-    top = fem.locate_dofs_topological(V, 1, facets.find(TOP))
-    bcs.append(fem.dirichletbc(np.zeros(2), top, V))
-    contact = dm.Contact(facets, slave=slave, master=master)
-    u = fem.Function(V)
-    problem = dm.ContactProblem(dm.Solid(u, ELASTIC), [contact], bcs=bcs)
+    case = TwoBodies(degree=2, n_lower=(1, 1), n_upper=(1, 1), gap=0.01)
+    contact, u = case.interface(slave=slave), case.u
+    problem = case.problem([contact])
     dm.newton(problem)
-    u.interpolate(lambda x: np.stack([0.0 * x[0], -0.4 * x[0] * (1.0 - x[0])]), cells.find(2))
+    bulge = lambda x: np.stack([0.0 * x[0], -0.4 * x[0] * (1.0 - x[0])])  # noqa: E731
+    u.interpolate(bulge, case.cells.find(2))
     u.x.scatter_forward()
     ((place, depth, share),) = lost(contact, problem)
     assert 0.07 < depth <= 0.09 and 0.2 < place[0] < 0.8 and share == round(100.0 * depth)
@@ -230,20 +191,16 @@ def ridges(x):
 
 @pytest.mark.parametrize(("n", "degree", "noted"), [(2, 1, False), (3, 1, True), (3, 2, True)])
 @SLAVES
-def test_edges_that_cross_between_nodes_are_noted(slave, master, n, degree, noted):
+def test_edges_that_cross_between_nodes_are_noted(slave, n, degree, noted):
     """Facets are 1/n long, and edges lost by 0.06 of them; where they cross at nodes, none is.
 
     Where they do on tetrahedra, slivers of a far side lie over the other body, half of it deep.
     """
     cell = "hexahedron" if noted else "tetrahedron"
-    n_cells = (n, n, n)
-    mesh, cells, facets = two_boxes(COMM, n_cells, n_cells, gap=1.0, cell=cell, transform=ridges)
-    V = fem.functionspace(mesh, ("Lagrange", degree, (3,)))
-    dofs = [fem.locate_dofs_topological(V, 2, facets.find(tag)) for tag in (BOTTOM, TOP)]
-    moves = np.zeros(3), np.array([0.0, 0.0, -0.02])
-    bcs = [fem.dirichletbc(move, at, V) for move, at in zip(moves, dofs, strict=True)]
-    contact = dm.Contact(skins(mesh, cells, facets), slave=slave, master=master)
-    problem = dm.ContactProblem(dm.Solid(fem.Function(V), ELASTIC), [contact], bcs=bcs)
+    options = {"n_lower": (n, n, n), "n_upper": (n, n, n), "gap": 1.0, "transform": ridges}
+    case = TwoBodies(cell, degree, whole=True, **options)
+    contact = case.interface(slave=slave)
+    problem = case.problem([contact], case.bcs(0.0, 0.0, -0.02))
     notes = dm.newton(problem).notes
     assert any("deep in each other" in note for note in notes) is noted
     if noted and degree == 1:
@@ -259,95 +216,30 @@ def arcs(x):
 
 
 @SLAVES
-def test_the_height_of_smooth_surfaces_is_no_overlap(slave, master):
+def test_the_height_of_smooth_surfaces_is_no_overlap(slave):
     """Facets of 2/3 of a radian stand off the arc by 0.11, 8 % of their length; of 1/2, by 0.06."""
-    b = PressedBlocks(n_lower=(3, 2), n_upper=(4, 2), gap=0.0, transform=arcs)
-    b.top.value[:] = 0.0, -0.001
-    contact = b.contact(slave, master)
-    report = dm.newton(b.problem([contact]))
+    case = TwoBodies(n_lower=(3, 2), n_upper=(4, 2), transform=arcs)
+    contact = case.interface(slave=slave)
+    report = dm.newton(case.problem([contact], case.bcs(0.0, -0.001)))
     assert contact.force[1] != 0.0
     assert not [note for note in report.notes if "deep in each other" in note]
 
 
-def near_an_end(x):
-    """Turn the upper block by 20 degrees, a corner down, so that little of its bottom is faced."""
-    upper, turned = x[:, 1] > 0.5, (x - [0.0, 1.0]) @ TURN_20.T
-    return np.where(upper[:, None], turned + np.array([0.9, 0.0]), x)
-
-
-TURN_20 = rotation((0, 0, 1), np.radians(20))[:2, :2]
-
-
-def rows_of(mortar):
-    """Return D - M between nodes (nodes of this rank, all nodes), the normals and the nodes."""
-    rows = [A.getValuesCSR() for A in (mortar.D, mortar.M)]
-    B = np.zeros((len(mortar.nodes), mortar.D.getSize()[1] // 2))
-    for sign, (start, columns, values) in zip((1.0, -1.0), rows, strict=True):
-        row = np.repeat(np.arange(len(start) - 1), np.diff(start))
-        x = row % 2 == 0  # the other component has the same entries
-        np.add.at(B, (row[x] // 2, columns[x] // 2), sign * values[x])
-    return B, mortar.N.getValuesCSR()[2].reshape(-1, 2), mortar.nodes
-
-
-def rows_of_solver(problem, contact):
-    """Return the same of a contact that is solved."""
-    link = problem.system.link(contact)
-    found, pattern, V = link.coupling, link.pattern, problem.V
-    kept = found.kept[:, 0]
-    nodes = V.dofmap.index_map.local_to_global(link.nodes)
-    weight, P = found.weight[:, 0], found.P[:, 0]
-    B = np.zeros((len(nodes), V.dofmap.index_map.size_global))
-    np.add.at(B, (pattern.row, pattern.column), -weight[pattern.row] * P)
-    B[np.arange(len(nodes)), nodes] += weight
-    return B[kept], found.normals[kept], nodes[kept]
-
-
-@pytest.mark.parametrize(("angle", "other"), [(40.0, 120.0), (120.0, 40.0), (120.0, None)])
-def test_matrices_of_the_paper_have_the_edges_of_the_contact(angle, other):
-    """D, M and N are the solver's if its feature angle is given, at 120 degrees without edges.
-
-    Then normals are those of all facets, not only of those that face the other side. If it is not
-    given, they leave out the master.
-    """
-    b = PressedBlocks(n_lower=(3, 2), n_upper=(2, 2), gap=1.0, transform=near_an_end)
-    tags, (master, slave) = skins(b.mesh, b.cells, b.facets), SIDES
-    contact = dm.Contact(tags, slave=slave, master=master, feature_angle=angle)
-    problem = b.problem([contact], geometry="reference")
-    dm.newton(problem)
-
-    def of_paper(degrees):
-        sides = {"slave": slave, "master": master}
-        return rows_of(dm.assemble_mortar(b.V, tags, **sides, feature_angle=degrees))
-
-    B, N, nodes = rows_of_solver(problem, contact)
-    D_minus_M, normals, rows = of_paper(angle)
-    assert (rows == nodes).all() and COMM.allreduce(len(nodes)) == 2
-    assert np.abs(D_minus_M - B).max(initial=0.0) < 1e-14
-    assert np.abs(normals - N).max(initial=0.0) < 1e-14
-    off = [(of_paper(other)[k] - old) for k, old in enumerate((B, N))]
-    far = [COMM.allreduce(np.abs(v).max(initial=0.0), op=MPI.MAX) for v in off]
-    assert far[0] < 1e-14 and far[1] > 0.01
-
-
 def test_a_corner_beside_a_clamped_node_is_noted():
     """Its gap is a mean up to that node, over a facet that stands open: it lies .014 deep."""
-    b = PressedBlocks(n_lower=(6, 3), n_upper=(2, 1), gap=1.0, transform=on_a_corner)
-    b.top.value[:] = 0.0, -0.02
-    contact = b.contact(*SIDES[::-1], skins(b.mesh, b.cells, b.facets))
-    report = dm.newton(b.problem([contact]))
+    case = on_a_corner((6, 3), (2, 1))
+    report = dm.newton(case.problem([case.interface(swap=True)], case.bcs(0.0, -0.02)))
     assert any("deep in each other" in note for note in report.notes)
 
 
 @SLAVES
-def test_pressure_is_constant_beside_a_clamped_node(slave, master):
+def test_pressure_is_constant_beside_a_clamped_node(slave):
     """Uniaxial strain, given on the left as well: facets share out, one of them in all."""
-    b = PressedBlocks(n_lower=(2, 2), n_upper=(1, 2))
-    exact = fem.Function(b.V)
+    case = TwoBodies(whole=True, n_lower=(2, 2), n_upper=(1, 2))
+    exact = fem.Function(case.V)
     exact.interpolate(lambda x: np.stack([0.0 * x[0], -0.01 * (x[1] + 1.0)]))
-    dofs = [fem.locate_dofs_topological(b.V, 1, b.facets.find(t)) for t in (BOTTOM, TOP, LEFT)]
-    bcs = [fem.dirichletbc(exact, at) for at in dofs]
-    contact = b.contact(slave, master, skins(b.mesh, b.cells, b.facets))
-    dm.newton(b.problem([contact], bcs, law=dm.Elastic(1000.0, 0.0)), rtol=1e-11)
-    assert np.abs(b.u.x.array - exact.x.array).max(initial=0) < 1e-12
-    pressure = contact.gather(b.u)["pressure"]
+    contact, bcs = case.interface(slave=slave), [case.held(t, exact) for t in (BOTTOM, TOP, LEFT)]
+    dm.newton(case.problem([contact], bcs, dm.Elastic(1000.0, 0.0)), rtol=1e-11)
+    assert np.abs(case.u.x.array - exact.x.array).max(initial=0) < 1e-12
+    pressure = contact.gather(case.u)["pressure"]
     assert np.abs(pressure[pressure > 0] - 10.0).max() < 1e-8

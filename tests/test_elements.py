@@ -1,16 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Types of facets: their data are consistent, and no other module depends on the type."""
 
-import ast
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import basix
 import dolfinx
-import dolfinx_mortar
-from dolfinx_mortar.geometry import parts as parts_module
+from dolfinx_mortar.geometry import plane as parts_module
 from dolfinx_mortar.geometry.elements import FACETS_OF, LINE2, LINE3, QUAD4, QUAD9, TRI3, TRI6
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -23,16 +19,15 @@ from dolfinx_mortar.geometry.facets import (
     surface_gradients,
     tributary_weights,
 )
-from dolfinx_mortar.geometry.parts import (
+from dolfinx_mortar.geometry.plane import (
     coefficients,
     count,
+    create_planes,
     first_order,
     meet,
     on_facets,
-    pairs_of_parts,
     parts_of,
 )
-from dolfinx_mortar.geometry.plane import create_planes
 from dolfinx_mortar.spaces import CELLS, HIGHEST
 
 FIRST_ORDER, SECOND_ORDER = [LINE2, TRI3, QUAD4], [LINE3, TRI6, QUAD9]
@@ -43,7 +38,6 @@ def parametrize(elements):
 
 
 ELEMENTS = parametrize(FIRST_ORDER + SECOND_ORDER)
-PACKAGE = Path(dolfinx_mortar.__file__).parent
 
 
 def nodes(element):
@@ -59,18 +53,12 @@ def nodes(element):
 @ELEMENTS
 def test_functions_are_nodal_in_dolfinx_order(element):
     """N_i(xi_j) = delta_ij where node i on the way around is dolfinx's node order[i]."""
-    assert np.abs(element.points - nodes(element)).max() < 1e-15
-    assert np.abs(element.shape_functions(nodes(element)) - np.eye(element.nodes)).max() < 1e-15
-
-
-@ELEMENTS
-def test_partition_of_unity_and_linear_fields(element):
-    xi = nodes(element).mean(axis=0) + 0.1 * np.random.default_rng(0).uniform(
-        -1, 1, (7, len(nodes(element)[0]))
-    )
-    N = element.shape_functions(xi)
-    assert np.abs(N.sum(axis=1) - 1).max() < 1e-15
-    assert np.abs(N @ nodes(element) - xi).max() < 1e-15
+    x = nodes(element)
+    assert np.abs(element.points - x).max() < 1e-15
+    assert np.abs(element.shape_functions(x) - np.eye(element.nodes)).max() < 1e-15
+    v = list(element.vertices)
+    assert v == list(range(len(v)))
+    assert np.abs(element.vertex_functions(x[v]) - np.eye(len(v))).max() < 1e-15
 
 
 @ELEMENTS
@@ -114,25 +102,6 @@ MEANS = {  # Simpson's, and nothing at the vertices of a triangle
 
 
 @ELEMENTS
-def test_vertices_come_first_and_their_functions_are_nodal(element):
-    v = list(element.vertices)
-    assert v == list(range(len(v)))
-    assert np.abs(element.vertex_functions(nodes(element)[v]) - np.eye(len(v))).max() < 1e-15
-    size = {"interval": 2.0, "triangle": 0.5, "quadrilateral": 4.0}[element.cell]
-    assert element.size == size
-
-
-@parametrize(FIRST_ORDER)
-def test_vertices_and_linear_parts(element):
-    """First-order facets are clipped as they are."""
-    assert element.vertices == tuple(range(element.nodes))
-    assert element.sub_facets == (element.vertices,)
-    x = np.random.default_rng(1).uniform(-1, 1, (5, element.nodes, 3))
-    assert (parts_of(Facets(element, x)).x == x).all()
-    assert parts_of(Facets(element, x[:0])).x.shape == (0, element.nodes, 3)
-
-
-@ELEMENTS
 def test_mirrored_facets_have_the_opposite_normal(element):
     d = nodes(element).shape[1] + 1
     x = np.random.default_rng(2).uniform(-1, 1, (5, element.nodes, d))
@@ -173,17 +142,12 @@ def test_nodes_off_the_middle_spoil_a_facet(at, quality):
     assert found == pytest.approx(quality, abs=1e-14) if quality >= 0 else found < 0
 
 
-@pytest.mark.parametrize("cell, degree", sorted(FACETS_OF))
-def test_every_cell_has_the_facets_of_dolfinx(cell, degree):
-    kind = dolfinx.mesh.to_type(cell)
-    facet = dolfinx.cpp.mesh.cell_entity_type(kind, dolfinx.cpp.mesh.cell_dim(kind) - 1, 0)
-    assert facet.name == FACETS_OF[cell, degree].cell
-    assert degree == FACETS_OF[cell, degree].degree
-
-
-def test_every_cell_that_u_may_have_has_facets():
-    expected = {(cell, degree) for cell in CELLS for degree in range(1, HIGHEST + 1)}
-    assert expected == FACETS_OF.keys()
+def test_every_cell_that_u_may_have_has_the_facets_of_dolfinx():
+    assert FACETS_OF.keys() == {(c, degree) for c in CELLS for degree in range(1, HIGHEST + 1)}
+    for (cell, degree), facet in FACETS_OF.items():
+        kind = dolfinx.mesh.to_type(cell)
+        expected = dolfinx.cpp.mesh.cell_entity_type(kind, dolfinx.cpp.mesh.cell_dim(kind) - 1, 0)
+        assert (expected.name, degree) == (facet.cell, facet.degree)
 
 
 @parametrize([TRI3, QUAD4, TRI6, QUAD9])
@@ -227,85 +191,27 @@ def test_straight_facets_need_no_parts(element):
     assert first_order(simple) is simple
 
 
-def lines(facets, at, x, n):
-    """Return where lines through x (q, 3) along n (q, 3) meet the first facet, found from `at`."""
-    found = np.empty(at.shape)
-    for q in range(len(at)):
-        tangents = np.linalg.svd(n[q, None])[2][1:]
-        P = (tangents @ coefficients(facets)[0])[None]
-        found[q] = parts_module.meet(P, *(tangents @ x[q]), *at[q])
-    return found
-
-
-@parametrize([TRI6, QUAD9])
-def test_lines_meet_curved_facets(element):
-    """The point above (x, y) on a paraboloid over a flat grid of nodes is known."""
-    xi = element.points if element.bilinear else element.points - 0.3
-    height = 0.1 * xi[:, 0] ** 2 - 0.07 * xi[:, 0] * xi[:, 1]
-    facets = Facets(element, np.column_stack([xi, height])[None])
-    at = np.random.default_rng(8).uniform(0.0, 0.3, (6, 2))
-    shift = 0.0 if element.bilinear else 0.3
-    x = np.column_stack([at - shift, np.full(6, -2.0)])
-    which, n = np.zeros(6, dtype=np.int32), np.tile([0.0, 0.0, 1.0], (6, 1))
-    assert np.abs(lines(facets, at + 0.05, x, n) - at).max() < 1e-13
-    slanted = x + np.array([0.3, 0.0, 0.0])
-    n = slanted - points_of(facets, which, at)
-    assert np.abs(lines(facets, at, slanted, n) - at).max() < 1e-13
-
-
 @parametrize([TRI6, QUAD9])
 def test_newton_reaches_curved_facets_or_says_so(element, monkeypatch):
     """To round-off from a tenth away, also where facets turn by 90 degrees; else NaN."""
     xi = element.points if element.bilinear else element.points - 0.3
     at = np.random.default_rng(8).uniform(0.0, 0.3, (6, 2))
-    x = np.column_stack([at + 0.5, np.full(6, -1.0)])  # lines aslant, off by a tenth
-    which = np.zeros(6, dtype=np.int32)
+    x = np.column_stack([at + 0.5, np.full(6, -1.0)])  # lines aslant
+
+    def found(facets, x, n):
+        for a, point, way in zip(at + 0.1, x, n, strict=True):
+            tangents = np.linalg.svd(way[None])[2][1:]
+            P = (tangents @ coefficients(facets)[0])[None]
+            yield parts_module.meet(P, *(tangents @ point), *a)
+
     for bend in (1.0, 10.0):
         height = bend * (0.1 * xi[:, 0] ** 2 - 0.07 * xi[:, 0] * xi[:, 1])
         facets = Facets(element, np.column_stack([xi, height])[None])
-        n = x - points_of(facets, which, at)
-        assert np.abs(lines(facets, at + 0.1, x, n) - at).max() < 1e-13
-        for steps in (0, 1, 2):  # too few: the kernel as Python sees the number
-            monkeypatch.setattr(parts_module, "LIMIT", steps)
-            monkeypatch.setattr(parts_module, "meet", meet.py_func)
-            assert np.isnan(lines(facets, at + 0.1, x, n)).all()
-            monkeypatch.undo()
+        n = x - points_of(facets, np.zeros(6, dtype=np.int32), at)
+        assert np.abs(np.array([*found(facets, x, n)]) - at).max() < 1e-13
+        monkeypatch.setattr(parts_module, "LIMIT", 2)  # as Python sees the number
+        monkeypatch.setattr(parts_module, "meet", meet.py_func)
+        assert np.isnan([*found(facets, x, n)]).all()
+        monkeypatch.undo()
     aside = x + np.array([100.0, 0.0, -1e3])
-    assert np.isnan(lines(facets, at, aside, np.tile([0.1, 0.0, 1.0], (6, 1)))).all()  # none there
-
-
-def test_pairs_of_parts_are_ordered_and_complete():
-    pairs = np.array([[0, 1], [0, 2], [3, 2]], dtype=np.int32)
-    of_parts, of = pairs_of_parts(pairs, QUAD9, TRI6)
-    assert (np.diff(of_parts[:, 0]) >= 0).all()
-    assert (of_parts // 4 == pairs[of]).all()
-    assert len(np.unique(of_parts, axis=0)) == 16 * 3
-
-
-def counts(tree):
-    """Yield comparisons that tell a type from a count, such as x.shape[1] == 3 or n > 3.
-
-    Fewer than three vertices are no polygon: that is no type.
-    """
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Compare):
-            sides = [node.left, *node.comparators]
-            texts = [ast.unparse(side) for side in sides]
-            size = any(".shape[0]" in text or ".shape[1]" in text for text in texts)
-            name = any(isinstance(side, ast.Name) for side in sides)
-            empty = isinstance(node.ops[0], ast.Lt) and texts[1] == "3"
-            if (size and {"1", "3", "4", "6", "8"} & set(texts)) or (
-                name and not empty and {"3", "4", "6", "8"} & set(texts)
-            ):
-                yield ast.unparse(node)
-
-
-def test_types_told_from_counts_are_found():
-    text = "x.shape[1] == 3; kept.shape[1] == 1; n > 3; k == 4; n < 3; len(x) > 0; x.shape[2] == 2"
-    assert list(counts(ast.parse(text))) == text.split("; ")[:4]
-
-
-@pytest.mark.parametrize("layer", ["geometry", "mortar", "interfaces"])
-def test_no_type_is_told_from_a_number_of_nodes(layer):
-    for file in sorted((PACKAGE / layer).glob("*.py")):
-        assert not list(counts(ast.parse(file.read_text()))), file
+    assert np.isnan([*found(facets, aside, np.tile([0.1, 0.0, 1.0], (6, 1)))]).all()

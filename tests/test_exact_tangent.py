@@ -11,10 +11,9 @@ import pytest
 
 import dolfinx_mortar as dm
 import dolfinx_mortar.steps.newton as newton_module
-from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.interfaces.constraints import Constraints
+from dolfinx_mortar.newton_method.contacts import Residuals
 from dolfinx_mortar.newton_method.linearisation import Corrections, Linearisation
-from dolfinx_mortar.newton_method.residuals import Residuals
 from dolfinx_mortar.newton_method.subproblem import Subproblem
 from dolfinx_mortar.qp import BoundQP
 from tests.cases.finite_sliding import indentation, walk
@@ -57,25 +56,6 @@ def test_newton_is_quadratic_at_the_end_and_the_answer_the_same(degree, monkeypa
     assert not any(i.exact_tangent for i in slow.iterations)
     assert slow.newton_iterations >= report.newton_iterations + 3
     assert np.abs(case.contact.force - force).max() < 1e-8 * np.abs(force).max()
-
-
-def test_what_lumped_rows_neglect_is_corrected(monkeypatch):
-    """Each further solution of a QP changes its bounds by less than a tenth of the one before."""
-    changes, correct = [], Corrections.apply
-
-    def noted(self, lin, solved):
-        changes.append(correct(self, lin, solved))
-        return changes[-1]
-
-    monkeypatch.setattr(Corrections, "apply", noted)
-    rolled()
-    first, second = (left for _, left in changes[:2])
-    assert 0.0 < second < 0.1 * first
-    changes.clear()
-    case = indentation(n=((24, 5), (16, 2)), radius=1.0, length=6.0, height=2.0, friction=0.3)
-    walk(case, lambda t: (0.0, -t), [0.1])
-    first, second = (left for _, left in changes[:2])
-    assert 0.0 < second < 0.01 * first  # with the rows of T 0.08
 
 
 def test_corrections_of_a_node_that_opens_and_closes_in_turns_lie_between():
@@ -133,34 +113,6 @@ def test_newton_is_quadratic_with_friction(to):
     assert (r[1:] < np.maximum(2.0 * r[:-1] ** 2, 1e-12)).all()  # .13 to 1.02 times the square
 
 
-def test_nothing_is_allocated_anew_within_a_step_nor_in_the_next(monkeypatch):
-    """Patterns and the symbolic factorisations of both tangents are made once a search."""
-    case = indentation(n=((24, 5), (16, 2)), radius=1.0, length=6.0, height=2.0)
-    made = []
-    for kind in (triplets.Triplets, congruence.ProductOfBases, congruence.Congruence):
-        init = kind.__init__
-
-        def noted(self, *args, init=init, **options):
-            made.append(type(self).__name__)
-            init(self, *args, **options)
-
-        monkeypatch.setattr(kind, "__init__", noted)
-
-    def counted(*push):
-        made.clear()
-        before = case.problem.linear.counts.symbolic
-        case.held.value[:] = push
-        report = dm.newton(case.problem, rtol=1e-10)
-        case.problem.commit()
-        assert sum(i.exact_tangent for i in report.iterations) > 1
-        return case.problem.linear.counts.symbolic - before
-
-    assert counted(0.0, -0.1) == 2
-    assert made.count("ProductOfBases") == 1
-    assert counted(0.01, -0.1) == 0
-    assert made == []
-
-
 @pytest.mark.parametrize("first", [False, True])
 @pytest.mark.parametrize("finite", [False, True])
 @pytest.mark.parametrize("slow", [False, True])
@@ -183,22 +135,6 @@ def test_where_the_exact_tangent_serves(finite, slow, before, first):
     assert not is_exact(step, old, residuals)
     old.shift, qps.may_be_exact = 0.0, False
     assert not is_exact(step, old, residuals)
-
-
-@pytest.mark.parametrize(
-    ("rejected", "exact", "missed", "barred"),
-    [
-        (True, False, 0.5, 0.1),  # the exact tangent has failed: a tenth of what it began with
-        (False, False, 0.5, 0.2),  # the fixed point goes on,
-        (False, False, 2.0, np.inf),  # or has failed, too: sweep finite, seed 5013
-        (False, True, 2.0, 0.2),
-    ],
-)
-def test_how_long_the_exact_tangent_is_not_used(rejected, exact, missed, barred):
-    """Until residuals are a tenth of those at which it failed, or the fixed point raises them."""
-    found = SimpleNamespace(rejected=rejected, exact=exact)
-    step = SimpleNamespace(missed=lambda residual: residual)
-    assert newton_module._Step.barred(step, found, 0.2, missed, [3.0, 1.0]) == barred
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.algebra import congruence, triplets
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.newton_method.subproblem import Subproblem
 from tests.cases import meshes_3d
@@ -83,38 +82,6 @@ def test_newton_is_fast_at_the_end_and_the_answer_the_same(slave, surface, monke
     assert np.abs(case.contact.force - force).max() < 1e-8 * np.abs(force).max()
 
 
-@pytest.mark.slow
-def test_newton_is_fast_in_second_order():
-    """As in first order."""
-    case = Sliding("ball", degree=2, h=1.0)
-    case.step(0.0)
-    ratios = np.exp(np.diff(np.log(residuals(case.step(0.6)))))
-    assert ratios[1] < 0.1 * ratios[0]
-    assert ratios[2:].max() < 0.02
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("cell", "slave"), [("tetrahedron", "block"), ("hexahedron", "ball")])
-def test_strains_in_heights_slow_newton_down_by_little(cell, slave, monkeypatch):
-    """In second order: left out, they leave a linear tail with a factor of less than a fiftieth.
-
-    The answer is that of the fixed point, which takes five iterations more at least.
-    """
-    case = Sliding(slave, surface="smooth", cell=cell, degree=2, h=1.0)
-    case.step(0.0)
-    report = case.step(0.6)
-    r = residuals(report)
-    ratios = r[1:] / r[:-1]
-    assert ratios[1] < 0.1 * ratios[0]
-    assert ratios[2:].max() < 0.02
-    force = case.contact.force
-    monkeypatch.setattr(Subproblem, "may_be_exact", False)
-    case = Sliding(slave, surface="smooth", cell=cell, degree=2, h=1.0)
-    case.step(0.0)
-    assert case.step(0.6).newton_iterations >= report.newton_iterations + 5
-    assert np.abs(case.contact.force - force).max() < 1e-8 * np.abs(force).max()
-
-
 @pytest.mark.mpi
 def test_multigrid_of_the_symmetric_matrix_serves(monkeypatch):
     """GMRES takes at most 15 iterations more than conjugate gradients; the answer is the same."""
@@ -134,19 +101,6 @@ def test_multigrid_of_the_symmetric_matrix_serves(monkeypatch):
     assert max(i.linear_iterations for i in fast if i.exact_tangent) <= most + 15
     assert sum(i.factorisations for i in fast) <= sum(i.factorisations for i in slow)
     assert np.abs(force - expected).max() < 1e-8 * np.abs(expected).max()
-
-
-def test_nothing_is_allocated_anew_in_the_next_step(monkeypatch):
-    """Patterns and symbolic factorisations serve until the surfaces are paired anew."""
-    case, made = Sliding(), []
-    case.step(0.0)
-    assert any(i.exact_tangent for i in case.step(0.6).iterations)
-    for kind in (triplets.Triplets, congruence.ProductOfBases, congruence.Congruence):
-        monkeypatch.setattr(kind, "__init__", lambda self, *args: made.append(type(self)))
-    before = case.problem.linear.counts.symbolic
-    assert sum(i.exact_tangent for i in case.step(0.65).iterations) > 1
-    assert case.problem.linear.counts.symbolic == before
-    assert made == []
 
 
 class Stuck:

@@ -6,11 +6,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-import dolfinx
-import dolfinx_mortar as dm
-from dolfinx import fem
-from tests.cases.block_piles import ABOVE, BELOW, create_blocks
-from tests.cases.folds import RUBBER, closed_ring, create_hairpin, create_ring
+from tests.cases.folds import create_hairpin, create_ring
 
 COMM = MPI.COMM_WORLD
 BAR = 1e-6
@@ -21,60 +17,6 @@ pytestmark = pytest.mark.slow
 def close(fold, ways, **options):
     """Return the reports of steps."""
     return [fold.close(way, **options) for way in ways]
-
-
-def pairing_of(fold):
-    """Return the pairs of a fold."""
-    return fold.problem.system.links[0].pairing
-
-
-@pytest.mark.mpi
-def test_a_ring_closes_on_itself_where_a_rank_owns_nothing():
-    found = closed_ring(COMM, "empty")
-    alone = COMM.bcast(closed_ring(MPI.COMM_SELF, "graph") if COMM.rank == 0 else None)
-    np.testing.assert_allclose(found, alone, rtol=1e-8, atol=1e-12)
-
-
-def test_roles_given_by_hand_have_the_same_answer():
-    """A hairpin whose inner faces have two tags, with the slave that the division chooses."""
-    fold = create_hairpin()
-    close(fold, (0.3, 0.42, 0.46), rtol=1e-10)
-    pairing = pairing_of(fold)
-    mesh = fold.problem.V.mesh
-    slaves = pairing.slave.entities[pairing.roles.slave]
-    y = dolfinx.mesh.compute_midpoints(mesh, 1, slaves)[:, 1]
-    side = np.sign(y[0])
-    assert len(y) > 5 and (np.sign(y) == side).all()
-
-    def inner(side):
-        def where(x):
-            near = np.hypot(np.maximum(x[0], 0.0), x[1]) < 0.2 + 1e-9
-            return near & (side * x[1] > -1e-9)
-
-        return dolfinx.mesh.locate_entities_boundary(mesh, 1, where)
-
-    facets = [inner(side), inner(-side)]
-    values = np.repeat(np.array([2, 3], dtype=np.int32), [len(f) for f in facets])
-    both = np.concatenate(facets)
-    order = np.argsort(both)
-    tags = dolfinx.mesh.meshtags(mesh, 1, both[order], values[order])
-    by_hand = create_hairpin(sheet=(mesh, tags), contact=dm.Contact(tags, slave=2, master=3))
-    close(by_hand, (0.3, 0.42, 0.46), rtol=1e-10)
-    assert fold.active == by_hand.active >= 5
-    np.testing.assert_allclose(fold.contact.force, by_hand.contact.force, rtol=0, atol=1e-9)
-    u, v = fold.problem.u.x.array, by_hand.problem.u.x.array
-    assert np.abs(u - v).max() < 1e-8
-
-
-@pytest.mark.mpi
-def test_a_step_that_closes_from_afar():
-    """The parts are far apart at its beginning and meet in its course; no parts lie in others."""
-    fold = create_ring()
-    reports = close(fold, (1.2, CLOSED), rtol=1e-9, max_it=60)
-    assert reports[-1].certificate.crossing == 0.0
-    stepwise = create_ring()
-    close(stepwise, (1.0, 1.3, 1.5, CLOSED), rtol=1e-9)
-    np.testing.assert_allclose(fold.contact.force[1], stepwise.contact.force[1], rtol=1e-6)
 
 
 @pytest.mark.mpi
@@ -112,51 +54,3 @@ def test_a_ring_in_space():
     found = ring_in_space(COMM)
     alone = COMM.bcast(ring_in_space(MPI.COMM_SELF) if COMM.rank == 0 else None)
     np.testing.assert_allclose(found, alone, rtol=1e-7)
-
-
-@pytest.mark.mpi
-def test_one_tag_for_two_bodies_that_slide_is_as_good_as_two():
-    """Over eight facets, with friction: new parts come near and are found.
-
-    Pressed by .1, the leading flank leans so far that it faces the dent in front of it: a side of
-    the skin, not of the two bodies.
-    """
-    domain, _, facets = create_blocks(COMM, [(0, 4, -1, 0, 16, 4), (0.3, 1.3, 0.01, 1, 8, 4)])
-    domain.topology.create_connectivity(1, 2)
-    skin = np.sort(dolfinx.mesh.exterior_facet_indices(domain.topology))
-    one = dolfinx.mesh.meshtags(domain, 1, skin, np.full(len(skin), 1, dtype=np.int32))
-
-    def slide(contact):
-        V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-        push = fem.Constant(domain, np.zeros(2))
-        top, bottom = (
-            fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (20 + ABOVE, 10 + BELOW)
-        )
-        bcs = [fem.dirichletbc(push, top, V), fem.dirichletbc(np.zeros(2), bottom, V)]
-        solid = dm.Solid(fem.Function(V), RUBBER, strain="finite")
-        problem = dm.ContactProblem(solid, [contact], bcs=bcs)
-        forces = []
-        for k in range(9):
-            push.value[:] = 0.25 * k, -0.08
-            dm.newton(problem, rtol=1e-9)
-            problem.commit()
-            forces.append(contact.force)
-        assert problem.system.searches > 4
-        return np.array(forces)
-
-    itself = slide(dm.Contact(one, slave=1, master=1, friction=0.3))
-    two = slide(dm.Contact(facets, slave=20 + BELOW, master=10 + ABOVE, friction=0.3))
-    # corners of the skin have normals of both faces
-    assert np.abs(itself - two).max() < 1e-3 * np.abs(two).max()
-
-
-def test_a_restored_run_has_the_same_roles(tmp_path):
-    fold = create_hairpin()
-    close(fold, (0.3, 0.42))
-    fold.problem.save(tmp_path / "fold.h5")
-    fold.close(0.45)
-    again = create_hairpin()
-    again.problem.restore(tmp_path / "fold.h5")
-    again.close(0.45)
-    assert np.array_equal(fold.contact.force, again.contact.force)
-    assert np.array_equal(pairing_of(fold).roles.slave, pairing_of(again).roles.slave)

@@ -5,13 +5,12 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-import ufl
 from dolfinx import fem
-from tests.cases.block_piles import ABOVE, BELOW, create_blocks
-from tests.cases.glued_bar import CELLS, COMM, CONFINED, NU, Bar, E, largest
+from tests.cases.block_piles import ABOVE, BELOW, Blocks
+from tests.cases.glued_bar import CELLS, CONFINED, NU, Bar, E, largest
 from tests.cases.meshes import BOTTOM, TOP
+from tests.cases.shells import to_arc, to_sphere
 from tests.choice import crosswise
-from tests.test_smooth_tie import to_arc, to_sphere
 
 EXACT = 1e-9
 
@@ -58,13 +57,16 @@ def test_a_free_end_goes_along(cell, degree, slave):
     assert case.solid.max("von_mises") < 1e-8 * E * 1e-3
 
 
+@pytest.mark.mpi
 @pytest.mark.parametrize(
-    "kind",
-    [pytest.param("callable", marks=pytest.mark.mpi), "function", "function of another space"],
+    ("cell", "degree", "slave", "kind"),
+    [
+        ("triangle", 1, "upper", "callable"),
+        ("quadrilateral", 2, "lower", "function of degree 1"),
+        ("tetrahedron", 2, "upper", "function"),
+        ("hexahedron", 1, "lower", "callable"),
+    ],
 )
-@pytest.mark.parametrize("slave", ["upper", pytest.param("lower", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("cell", CELLS)
-@pytest.mark.parametrize("degree", [1, 2])
 def test_a_linear_jump_turns_the_body(cell, degree, slave, kind):
     """A jump that is linear along flat sides turns the upper body.
 
@@ -79,10 +81,8 @@ def test_a_linear_jump_turns_the_body(cell, degree, slave, kind):
     if kind == "callable":
         case.tie.jump = values
     else:
-        space = (
-            case.V if kind == "function" else fem.functionspace(case.mesh, ("Lagrange", 1, (d,)))
-        )
-        given = fem.Function(space)
+        own = kind == "function"
+        given = fem.Function(case.V if own else fem.functionspace(case.mesh, ("Lagrange", 1, (d,))))
         given.interpolate(values)
         case.tie.jump = given
     dm.newton(case.problem([case.hold(BOTTOM)]), rtol=1e-10)
@@ -100,28 +100,6 @@ def test_curved_sides_jump_as_a_whole(cell, slave, gap):
     case.tie.jump = case.sign * J
     dm.newton(case.problem([case.hold(BOTTOM)]), rtol=1e-10)
     assert case.error(lambda x, upper: upper[:, None] * J) < EXACT * 1e-3
-
-
-@pytest.mark.parametrize(
-    ("slave", "cell"), crosswise(["upper", "lower"], ["quadrilateral", "tetrahedron"])
-)
-def test_jumps_and_loads_add_up(cell, slave):
-    """In elasticity displacements and forces of a jump, a load and supports are a sum."""
-    case = Bar(cell, slave=slave, degree=2)
-    last, found = case.d - 1, []
-    load = fem.Constant(case.mesh, np.zeros(case.d))
-    moved = fem.Constant(case.mesh, 0.0)
-    v, ds = ufl.TestFunction(case.V), ufl.Measure("ds", case.mesh, subdomain_data=case.facets)
-    bcs = [case.hold(BOTTOM), case.hold(TOP, last, moved)]
-    problem = case.problem(bcs, loads=ufl.inner(load, v) * ds(5))
-    for jump, pull, up in ((1.0, 0, 0), (0.0, 1, 0), (0.0, 0, 1), (1.0, 1, 1)):
-        case.tie.jump = lambda x, s=jump: 1e-3 * s * np.sin(x[: case.d] + 0.3)
-        load.value[:], moved.value[...] = 3.0 * pull, 2e-3 * up
-        dm.newton(problem, rtol=1e-11)
-        found.append((case.u.x.array.copy(), case.tie.force, case.tie.pressure.x.array.copy()))
-    for *parts, whole in zip(*found, strict=True):
-        assert largest(sum(parts) - whole) < 1e-8 * largest(whole)
-        assert all(largest(part) > 1e-2 * largest(whole) for part in parts)
 
 
 @pytest.mark.mpi
@@ -203,37 +181,16 @@ def test_a_radial_jump_shrinks_a_ring_on_another_one():
 def test_a_jump_closes_a_gap_of_many_facets(slave):
     """A body that a jump lifts meets another one: what it is too long by strains the pile."""
     heights, gap, J = (1.0, 1.0, 0.6), 0.4, 0.5
-    mesh, _, tags = create_blocks(
-        COMM,
-        [(0, 1, 0, 1, 7, 3), (0, 1, 1, 2, 20, 20), (0, 1, 2 + gap, 2.6 + gap, 24, 12)],
-        cell="quadrilateral",
-    )
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    u = fem.Function(V)
-    sides = {"slave": 20 + BELOW, "master": 10 + ABOVE}
-    sign = 1.0
-    if slave == "lower":
-        sides, sign = {"slave": 10 + ABOVE, "master": 20 + BELOW}, -1.0
-    tie = dm.Tie(tags, **sides, jump=[0.0, sign * J])
-    contact = dm.Contact(tags, slave=20 + ABOVE, master=30 + BELOW)
-    dofs = [fem.locate_dofs_topological(V, 1, tags.find(tag)) for tag in (10 + BELOW, 30 + ABOVE)]
-    bcs = [fem.dirichletbc(np.zeros(2), np.concatenate(dofs), V)]
-    problem = dm.ContactProblem(dm.Solid(u, dm.Elastic(E, 0.0)), [contact, tie], bcs=bcs)
+    boxes = [(0, 1, 0, 1, 7, 3), (0, 1, 1, 2, 20, 20), (0, 1, 2 + gap, 2.6 + gap, 24, 12)]
+    b = Blocks(boxes, cell="quadrilateral")
+    faces = [(2, BELOW), (1, ABOVE)][:: 1 if slave == "upper" else -1]
+    sign = 1.0 if slave == "upper" else -1.0
+    tie, contact = b.join(dm.Tie, *faces), b.join(dm.Contact, (2, ABOVE), (3, BELOW))
+    tie.jump = [0.0, sign * J]
+    bcs = [b.fix(1, BELOW), b.fix(3, ABOVE)]
+    problem = b.problem([contact, tie], bcs, dm.Elastic(E, 0.0))
     report = dm.newton(problem, rtol=1e-9)
     pressed = -E * (J - gap) / sum(heights)
     assert np.allclose(contact.force, [0.0, pressed], rtol=1e-7, atol=1e-7)
     assert np.allclose(tie.force, [0.0, -sign * pressed], rtol=1e-7, atol=1e-7)
     assert report.newton_iterations <= 4
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("slave", ["upper", "lower"])
-def test_what_a_jump_opens_is_an_increment_of_the_step(slave):
-    """It tells which contacts are near, as increments of supports do: the change, not the jump."""
-    case = Bar(slave=slave)
-    problem = case.problem([case.hold(BOTTOM)])
-    case.tie.jump = [0.3, -0.5]
-    assert problem.begin_step().increment == pytest.approx(0.5)
-    dm.newton(problem)
-    case.tie.jump = [0.3, -0.3]
-    assert problem.begin_step().increment == pytest.approx(0.2)

@@ -10,15 +10,13 @@ import pytest
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.geometry import segments as segments_module
-from dolfinx_mortar.mortar import pairing as pairing_module
-from dolfinx_mortar.mortar.duals import _best_nodes
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
 from dolfinx_mortar.mortar.surface import create_surface
 from tests.cases.meshes import TOP_OF_LOWER, UPPER, two_blocks
 from tests.cases.meshes_3d import BOTTOM_OF_UPPER, two_boxes
-from tests.test_mortar import PARTITIONS, moving, operators
+from tests.cases.mortar import moving, operators
+from tests.test_mortar import PARTITIONS
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi
@@ -107,26 +105,6 @@ def test_margin_of_sliding(partition):
         assert not outside_margin(create_pairing(V, pairing.slave, pairing.master, u), u)
 
 
-@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
-@pytest.mark.parametrize("partition", ["stripes", "bodies"])
-def test_margin_of_sliding_in_space(cell, partition):
-    """Within the margin the pattern still holds all segments; beyond it, the search is due."""
-    mesh, cells, tags = two_boxes(
-        COMM, (5, 4, 1), (6, 5, 2), cell=cell, partition=partition, gap=0.01, jitter=0.3
-    )
-    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
-    pairing, upper = pair_sides(V, tags), fem.locate_dofs_topological(V, 3, cells.find(UPPER))
-    h = 1 / 5
-    for distance, outside in ((0.25, False), (0.45, None), (3.0, True)):
-        u = slide(pairing, upper, distance * h * np.array([0.8, 0.6, 0.0]))
-        if outside is not None:
-            assert outside_margin(pairing, u) == outside
-        if not outside_margin(pairing, u):
-            fresh = create_pairing(V, pairing.slave, pairing.master, u)
-            for A, B in zip(operators(pairing, u)[:2], operators(fresh, u)[:2], strict=True):
-                assert (A - B).norm() < 1e-12
-
-
 def test_margin_where_a_rank_has_no_master_facet():
     """The upper block jumps over slave facets whose rank has not received any of its facets."""
     mesh, cells, tags = two_blocks(
@@ -158,44 +136,3 @@ def test_margin_is_conservative(partition):
         for A, B in zip(operators(pairing, u)[:2], operators(again, u)[:2], strict=True):
             assert (A - B).norm() < 1e-14
     assert 0 < held < 12
-
-
-@CELLS
-@pytest.mark.parametrize("size", [1, 1000])
-def test_groups_of_facets_only_cost(cell, size, monkeypatch):
-    """However many cones tell the others what a rank needs: the same candidates."""
-
-    def groups(x):
-        return [np.arange(a, min(a + size, len(x)), dtype=np.int32) for a in range(0, len(x), size)]
-
-    usual = pair_up(cell)[0]
-    facets = len(usual.slave.facets)
-    assert np.array_equal(np.sort(np.concatenate([*usual.groups, []])), np.arange(facets))
-    assert len(usual.groups) <= np.ceil(np.sqrt(facets))
-    monkeypatch.setattr("dolfinx_mortar.mortar.pairing.create_groups", groups)
-    other = pair_up(cell)[0]
-    assert len(other.groups) == -(-facets // size)
-    assert candidates(other) == candidates(usual)
-
-
-def test_equally_covered_nodes_are_chosen_by_place():
-    """The one at the largest x, then y; differences of round-off decide nothing."""
-    X = np.array([[[0.0, 0, 0], [1 + 1e-15, 0, 0], [1, 1, 0], [0, 1, 0]]])
-    noise = np.array([0, 1e-15, -1e-15, 0])
-    assert _best_nodes(np.full((1, 4), 0.3) + noise, X)[0] == 2
-    assert _best_nodes(np.full((1, 4), 0.3) - noise, 1e-9 * X)[0] == 2
-    assert _best_nodes(np.array([[0.3, 0.3, 0.2, 0.1]]), X)[0] == 1
-    assert _best_nodes(np.array([[0.3, 0.1, 0.2, 0.301]]), X)[0] == 3
-    assert len(_best_nodes(np.zeros((0, 4)), np.zeros((0, 4, 3)))) == 0
-
-
-@pytest.mark.skipif(COMM.size > 1, reason="what ranks send each other is sorted, too")
-def test_the_master_is_sorted_once(monkeypatch):
-    """Its facets have an order in space, which serves while the sides move."""
-    pairing, nodes = pair_up("triangle")
-    calls, sort = [], segments_module.sort_in_space
-    for module in (segments_module, pairing_module):
-        monkeypatch.setattr(module, "sort_in_space", lambda x: (calls.append(x), sort(x))[1])
-    for shift in (0.0, 1e-3, 2e-3):
-        assert not outside_margin(pairing, slide(pairing, nodes, (shift, 0.0)))
-    assert len(calls) == 1

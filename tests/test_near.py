@@ -12,27 +12,11 @@ from dolfinx_mortar import meshing, newton
 from dolfinx_mortar.interfaces import link as links
 from dolfinx_mortar.interfaces.mortar_interface import MortarInterface
 from tests.cases.bolted_joint import Joint
-from tests.cases.hertz import ELASTIC, create_case, create_mesh
-from tests.choice import quick
+from tests.cases.hertz import ELASTIC, create_case
 
 COMM = MPI.COMM_WORLD
 
 pytestmark = pytest.mark.mpi
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("slave", quick(["block", "disc"], "block"))
-def test_a_step_of_many_facets_needs_one_search(slave):
-    """Partners are taken where the supports move the body, not where it starts."""
-    mesh = create_mesh("graded", 0.1, gap=0.5)
-    case = create_case(mesh, slave=slave)
-    case.press(0.7)
-    newton(case.problem)
-    assert case.problem.system.searches == 1
-    touching = create_case(create_mesh("graded", 0.1), slave=slave)
-    touching.press(0.2)
-    newton(touching.problem)
-    assert case.force == pytest.approx(touching.force, rel=1e-3)
 
 
 @pytest.fixture

@@ -12,10 +12,10 @@ import basix.ufl
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.audit import pairs as pairs_module
-from dolfinx_mortar.audit.roles import assess, choose_roles
+from dolfinx_mortar.audit.sides import assess, choose_roles
 from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, create_blocks
 from tests.cases.meshes_3d import rotation, two_boxes
-from tests.cases.msh_files import msh_file
+from tests.cases.pressed_blocks import rejected
 
 COMM = MPI.COMM_WORLD
 STEEL = dm.Elastic(200e3, 0.3)
@@ -61,7 +61,7 @@ def test_disc_on_block_has_the_sides_that_its_author_has_tagged(capsys):
 @pytest.mark.mpi
 @pytest.mark.parametrize("partition", ["graph", "bodies", "empty"])
 def test_pile_has_the_same_pairs_on_any_ranks(partition):
-    pairs, domain, _ = create(PILE, partition, show=False)
+    pairs, *_ = create(PILE, partition, show=False)
     found = [(p.slave, p.facets[0], p.master, p.facets[1]) for p in pairs.found]
     assert found == [
         ("block 2 to block 1", 5, "block 1 to block 2, block 3", 8),
@@ -74,47 +74,20 @@ def test_pile_has_the_same_pairs_on_any_ranks(partition):
     assert np.allclose(distances, [0.0, 0.0, 0.1, 0.05, 0.05], rtol=0, atol=1e-12)
     # over 1.9 and 2 of the base, the heights of 1, 1.4 and 1.5 of the lid
     assert np.allclose([p.area for p in pairs.found], [1.9, 2.0, 1.0, 1.4, 1.5])
-    for name in pairs.tags.names:
-        assert (
-            count(pairs.tags, name)
-            == dict(
-                [(p.slave, p.facets[0]) for p in pairs.found]
-                + [(p.master, p.facets[1]) for p in pairs.found]
-            )[name]
-        )
+    counts = [c for p in pairs.found for c in zip((p.slave, p.master), p.facets, strict=True)]
+    assert {name: count(pairs.tags, name) for name in pairs.tags.names} == dict(counts)
     assert len(pairs.contacts) == 5
     # block 2 is the slave of all three others, so its upper and lower corner are slaves twice
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    claimed = np.zeros(V.dofmap.index_map.size_global)
-    numbers = [
-        V.dofmap.index_map.local_to_global(
-            fem.locate_dofs_topological(V, 1, pairs.tags.find(contact.slave))
-        )
-        for contact in pairs.contacts
-    ]
-    for own in numbers:
-        for node in set(np.concatenate(COMM.allgather(own)).tolist()):
-            claimed[node] += 1
-    assert claimed.max() == 2 and (claimed == 2).sum() == 2
     assert [text.partition(",")[0] for text in pairs.lost] == [
         "'block 2' as slave of 'block 3' loses 1 node to its contact with 'block 1'",
         "'block 2' as slave of 'block 4' loses 1 node to its contact with 'block 3'",
     ]
     assert str(pairs).splitlines()[-2:] == pairs.lost
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("partition", ["graph", "bodies", "empty"])
-def test_bodies_without_tags_are_numbered_by_their_places(partition):
-    domain, *_ = create_blocks(COMM, PILE[::-1], partition=partition)
-    pairs = dm.find_pairs(domain, show=False)
-    assert [(p.slave, p.master) for p in pairs.found] == [
-        ("body 2 to body 1", "body 1 to body 2, body 4"),
-        ("body 1 to body 2, body 4", "body 4 to body 1"),
-        ("body 2 to body 3", "body 3 to body 2, body 4"),
-        ("body 2 to body 4", "body 4 to body 2"),
-        ("body 3 to body 2, body 4", "body 4 to body 3"),
+    # bodies without tags are numbered by their places
+    one = dm.find_pairs(create_blocks(COMM, PILE[::-1], partition=partition)[0], show=False).found[
+        0
     ]
+    assert (one.slave, one.master) == ("body 2 to body 1", "body 1 to body 2, body 4")
 
 
 def create_squares(bodies, n=2):
@@ -148,8 +121,6 @@ def test_a_body_whose_sides_to_two_others_share_a_face():
 # Walls of blocks. Chosen pair by pair, contacts lose all slave nodes to cycles: bodies pass.
 WALLS = [
     [(0, 4, 0, 1, 8, 1), (0, 2.5, 1, 2, 7, 3), (2.5, 3, 1, 2, 1, 3), (3, 4, 1, 2, 2, 1),
-     (0, 4, 2, 3, 4, 2)],
-    [(0, 4, 0, 1, 4, 2), (0, 0.5, 1, 2, 1, 1), (0.5, 2, 1, 2, 1, 1), (2, 4, 1, 2, 6, 2),
      (0, 4, 2, 3, 4, 2)],
     [(0, 2, 0, 1, 4, 1), (2, 3, 0, 1, 3, 1), (3, 4, 0, 1, 1, 1), (0, 4, 1, 3, 4, 2)],
 ]  # fmt: skip
@@ -208,7 +179,7 @@ def test_slaves_of_many_blocks(monkeypatch):
 
 def test_blocks_that_touch_in_an_edge_are_no_pair_in_any_direction():
     """Their projections overlap by what coordinates in a file are rounded to."""
-    for angle in np.linspace(0.1, 1.5, 15):
+    for angle in (0.1, 0.8, 1.5):
         domain, *_ = create_blocks(MPI.COMM_SELF, [(0, 1, 0, 1, 3, 3), (1 - 1e-10, 2, 1, 2, 2, 2)])
         c, s = np.cos(angle), np.sin(angle)
         domain.geometry.x[:, :2] = domain.geometry.x[:, :2] @ np.array([[c, s], [-s, c]])
@@ -216,37 +187,32 @@ def test_blocks_that_touch_in_an_edge_are_no_pair_in_any_direction():
             dm.find_pairs(domain, show=False)
 
 
+FLOOR, WALL, ONES = (
+    (0, 1, -1, 0, 2, 2),
+    (1, 2, 0.1, 1, 2, 2),
+    [(0, 2, 0, 1, 2, 2), (2, 4, 0, 1, 2, 2)],
+)
+TWICE = "'block 2' as slave of 'block 3' loses 1 node to its contact with 'block 1'"
+ROLES = {  # blocks, slaves and masters of the first pairs, what is lost
+    "finer than twice: claimed twice": ([(0, 4, -1, 0, 16, 2), *ONES], "12 13", None),
+    "a little finer": ([(0, 4, -1, 0, 6, 2), *ONES], "12 31", None),
+    "in a corner": ([FLOOR, (0, 1, 0, 1, 3, 3), WALL], "21 32", []),
+    "beside a wall that is too coarse": ([FLOOR, (0, 1, 0, 1, 7, 7), WALL], "21 23", [TWICE]),
+    "as much is lost: the finer ones": (
+        [(0, 2, -1, 0, 6, 2), (0, 1, 0, 1, 3, 2), (1, 2, 0, 1, 2, 2)],
+        "21 13",
+        None,
+    ),
+}
+
+
 @pytest.mark.mpi
-def test_a_side_that_is_finer_than_twice_is_the_slave_of_two_masters():
-    """Rather claimed twice, where both masters are faced, than with a coarse slave."""
-    boxes = [(0, 4, -1, 0, 16, 2), (0, 2, 0, 1, 2, 2), (2, 4, 0, 1, 2, 2)]
+@pytest.mark.parametrize("case", ROLES)
+def test_who_is_the_slave(case):
+    boxes, expected, lost = ROLES[case]
     pairs, *_ = create(boxes, show=False)
-    assert ends(pairs)[:2] == [("block 1", "block 2"), ("block 1", "block 3")]
-    boxes[0] = (0, 4, -1, 0, 6, 2)
-    pairs, *_ = create(boxes, show=False)
-    assert ends(pairs)[:2] == [("block 1", "block 2"), ("block 3", "block 1")]
-
-
-@pytest.mark.mpi
-def test_a_block_in_a_corner_is_the_slave_of_one_side():
-    """Its edge node has one constraint, so the wall is the slave, though it is a little coarser."""
-    floor, wall = (0, 1, -1, 0, 2, 2), (1, 2, 0.1, 1, 2, 2)
-    pairs, *_ = create([floor, (0, 1, 0, 1, 3, 3), wall], show=False)
-    assert ends(pairs) == [("block 2", "block 1"), ("block 3", "block 2")] and not pairs.lost
-    pairs, *_ = create([floor, (0, 1, 0, 1, 7, 7), wall], show=False)  # more than twice as coarse
-    assert ends(pairs) == [("block 2", "block 1"), ("block 2", "block 3")]
-    assert [text.partition(",")[0] for text in pairs.lost] == [
-        "'block 2' as slave of 'block 3' loses 1 node to its contact with 'block 1'"
-    ]
-
-
-@pytest.mark.mpi
-def test_of_two_choices_that_lose_as_much_the_finer_slaves_are_taken():
-    """A base is to be the slave of one of two blocks only: of that which is coarser than it."""
-    pairs, *_ = create([(0, 2, -1, 0, 6, 2), (0, 1, 0, 1, 3, 2), (1, 2, 0, 1, 2, 2)], show=False)
-    assert ends(pairs)[:2] == [("block 2", "block 1"), ("block 1", "block 3")]
-    pairs, *_ = create([(0, 2, -1, 0, 6, 2), (0, 1, 0, 1, 2, 2), (1, 2, 0, 1, 3, 2)], show=False)
-    assert ends(pairs)[:2] == [("block 1", "block 2"), ("block 3", "block 1")]
+    assert ends(pairs)[:2] == [tuple(f"block {k}" for k in pair) for pair in expected.split()]
+    assert lost is None or [text.partition(",")[0] for text in pairs.lost] == lost
 
 
 @pytest.mark.mpi
@@ -295,7 +261,7 @@ def test_overlaps_are_pairs():
             pairs, *_ = create(boxes, show=False)
             assert np.isclose(pairs.found[0].distance, -depth, atol=1e-12)
             continue
-        with pytest.raises(ValueError, match=f"overlap by {depth}, more than half"):
+        with pytest.raises(ValueError, match="overlap by more than half"):
             create(boxes, show=False)
     pairs, *_ = create([(0, 1, 0, 1, 2, 2), (0, 1, 1, 2, 3, 2)], friction=0.25, show=False)
     assert [c.friction for c in pairs.contacts] == [0.25]
@@ -319,133 +285,14 @@ def test_boxes_in_space_without_any_tag(cell, partition):
     assert set(pairs.tags.indices.tolist()) == on_top
 
 
-def ring_and_pins(model):
-    """Draw a plate with a hole, a pin in it, and a washer of two tags around it, all apart."""
-    occ = model.occ
-    plate = occ.cut([(2, occ.addRectangle(-2, -2, 0, 4, 4))], [(2, occ.addDisk(0, 0, 0, 1, 1))])[0]
-    pin = occ.addDisk(0, 0, 0, 0.6, 0.6)
-    outer = occ.cut([(2, occ.addDisk(0, 0, 0, 0.95, 0.95))], [(2, occ.addDisk(0, 0, 0, 0.8, 0.8))])
-    inner = occ.cut([(2, occ.addDisk(0, 0, 0, 0.8, 0.8))], [(2, occ.addDisk(0, 0, 0, 0.65, 0.65))])
-    joined, _ = occ.fragment(outer[0], inner[0])
-    occ.synchronize()
-    for k, (name, parts) in enumerate(
-        {"plate": plate, "pin": [(2, pin)], "bush": joined[:1], "liner": joined[1:]}.items()
-    ):
-        model.addPhysicalGroup(2, [p for _, p in parts], k + 1, name)
-    model.mesh.generate(2)
-
-
-@pytest.mark.mpi
-def test_assembly_of_gmsh_in_the_plane_without_sides():
-    """What is joined, bush and liner, is no contact; concentric sides are, each with the next."""
-    with msh_file(ring_and_pins, MeshSizeMax=0.25) as file:
-        domain, cells, _ = dm.meshing.read_msh(file, COMM)
-    pairs = dm.find_pairs(domain, cells, show=False)
-    assert sorted(map(sorted, ends(pairs))) == [["bush", "plate"], ["liner", "pin"]]
-    assert np.allclose([p.distance for p in pairs.found], 0.05, atol=0.02)
-    ((joined, nodes),) = pairs.joined.items()
-    assert sorted(joined) == ["bush", "liner"]
-    assert str(pairs).splitlines()[-1].startswith(f"'{joined[0]}' and '{joined[1]}' share {nodes}")
-    V = fem.functionspace(domain, ("Lagrange", 1))
-    x = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local]
-    assert nodes == COMM.allreduce(int(np.isclose(np.hypot(*x[:, :2].T), 0.8).sum()))
-    bodies = dm.find_pairs(domain, show=False)  # by connected parts: three
-    assert not bodies.joined and len(str(bodies).splitlines()) == 3
-    assert sorted(p.facets for p in bodies.found) == sorted(p.facets for p in pairs.found)
-
-
-def nested_pipes(model):
-    """Draw two pipes, .005 apart, turned so that facets of one cross those of the other."""
-    occ = model.occ
-    for k, (outer, turn) in enumerate(((1.0, 0.0), (0.965, 0.07))):
-        disc, hole = (occ.addDisk(0, 0, 0, r, r) for r in (outer, outer - 0.03))
-        part, _ = occ.cut([(2, disc)], [(2, hole)])
-        occ.rotate(part, 0, 0, 0, 0, 0, 1, turn)
-        occ.synchronize()
-        model.addPhysicalGroup(2, [part[0][1]], k + 1)
-    model.mesh.generate(2)
-
-
-@pytest.mark.mpi
-def test_curved_sides_that_fit_more_closely_than_facets():
-    """Facets stand off the arcs by .011, so that all of them cross others, beside their middles."""
-    with msh_file(nested_pipes, MeshSizeMax=0.3, MeshSizeMin=0.3) as file:
-        domain, cells, _ = dm.meshing.read_msh(file, COMM)
-    (pair,) = dm.find_pairs(domain, cells, show=False).found
-    assert pair.distance == 0.0 and pair.area == pytest.approx(6.05, abs=0.05)
-
-
-def bolted(model):
-    """Draw a bolt with a head through a plate with a hole, on a block."""
-    occ = model.occ
-    hole = occ.addCylinder(0, 0, -1, 0, 0, 3, 0.55)
-    occ.cut([(3, occ.addBox(-1.5, -1.5, 0, 3, 3, 1))], [(3, hole)])
-    shank, head = occ.addCylinder(0, 0, 0, 0, 0, 1.2, 0.5), occ.addCylinder(0, 0, 1, 0, 0, 0.5, 1)
-    occ.fuse([(3, shank)], [(3, head)])
-    occ.addBox(-1.5, -1.5, -1, 3, 3, 1)
-    occ.synchronize()
-    volumes = [tag for _, tag in model.getEntities(3)]
-    tops = {model.getBoundingBox(3, v)[5]: v for v in volumes}
-    for k, (name, top) in enumerate({"plate": 1.0, "bolt": 1.5, "block": 0.0}.items()):
-        near = min(tops, key=lambda z: abs(z - top))
-        model.addPhysicalGroup(3, [tops[near]], k + 1, name)
-    model.mesh.generate(3)
-
-
-@pytest.mark.mpi
-def test_bolt_in_a_hole_in_space():
-    with msh_file(bolted, MeshSizeMax=0.4) as file:
-        domain, cells, _ = dm.meshing.read_msh(file, COMM)
-    pairs = dm.find_pairs(domain, cells, show=False)
-    assert sorted(map(sorted, ends(pairs))) == [
-        *(["block", "bolt"], ["block", "plate"], ["bolt", "plate"]),
-    ]
-    # facets of the shank may cut those of the hole, but the head beside the hole is no overlap
-    assert max(abs(p.distance) for p in pairs.found) < 0.06
-    names = sorted(pairs.tags.names)
-    assert names[0].startswith("block to ") and "plate to bolt" in names
-    # head and shank: underside and cylinder, but neither the top nor the side of the head
-    own = pairs.tags.find("bolt to plate")
-    x = mesh.compute_midpoints(domain, 2, own)
-    assert (x[:, 2] < 1.0 + 1e-9).all() and (np.hypot(x[:, 0], x[:, 1]) < 1.0).all()
-    assert COMM.allreduce(int((np.hypot(x[:, 0], x[:, 1]) > 0.55).sum())) > 0
-    assert COMM.allreduce(int((x[:, 2] < 0.9).sum())) > 0
-
-
-@pytest.mark.mpi
-def test_step_with_proposed_contacts_is_that_with_sides_tagged_by_hand():
-    def solve(by_hand):
-        domain, cells, facets = create_blocks(
-            COMM, [(0, 2, -1, 0, 4, 2), (0.5, 1.5, 0.02, 1, 3, 2)]
-        )
-        interfaces = [dm.Contact(facets, slave=20 + BELOW, master=10 + ABOVE)]
-        if not by_hand:
-            _, interfaces = dm.find_pairs(domain, cells, show=False)
-        V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-        bcs = [
-            fem.dirichletbc(
-                np.array([0.0, v]), fem.locate_dofs_topological(V, 1, facets.find(tag)), V
-            )
-            for tag, v in ((10 + BELOW, 0.0), (20 + ABOVE, -0.04))
-        ]
-        problem = dm.ContactProblem(dm.Solid(fem.Function(V), STEEL), interfaces, bcs=bcs)
-        dm.newton(problem, rtol=1e-10)
-        return interfaces[0].force[1]
-
-    expected = solve(True)
-    assert expected > 100.0 and np.isclose(solve(False), expected, rtol=1e-9)
-
-
 @pytest.mark.mpi
 def test_audit_names_bodies_that_come_near_without_a_contact():
     domain, cells, facets = create_blocks(COMM, PILE)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    bottom = fem.locate_dofs_topological(V, 1, facets.find(10 + BELOW))
     held = [
         fem.dirichletbc(np.zeros(2), fem.locate_dofs_topological(V, 1, facets.find(tag)), V)
         for tag in (10 + BELOW, 20 + 2, 30 + 2, 40 + ABOVE)
     ]
-    assert COMM.allreduce(len(bottom)) > 0
     solid = dm.Solid(fem.Function(V), STEEL)
     joins = [(21, 13), (31, 13), (43, 41)]
 
@@ -455,7 +302,7 @@ def test_audit_names_bodies_that_come_near_without_a_contact():
 
     told = warnings([dm.Contact(facets, slave=s, master=m) for s, m in joins[:1]])
     assert len(told) == 4
-    assert all(word in told[0] for word in ("the body around", "apart around", "find_pairs"))
+    assert all(word in told[0] for word in ("the body around", "apart, and", "find_pairs"))
     assert sum("are 0.05 apart" in w for w in told) == 2
     assert sum("are 0.1 apart" in w for w in told) == 1
     _, contacts = dm.find_pairs(domain, cells, show=False)
@@ -472,37 +319,31 @@ def test_audit_names_bodies_that_come_near_without_a_contact():
 def test_errors_name_the_argument_and_the_remedy():
     boxes = [(0, 1, 0, 1, 2, 2), (0, 1, 1, 2, 3, 2)]
     domain, cells, facets = create_blocks(COMM, boxes)
-    _, others, _ = create_blocks(COMM, boxes)
     if COMM.size > 1:  # before a rank leaves the others alone
-        with pytest.raises(ValueError, match="within differs between the ranks"):
+        with rejected("within differs between the ranks"):
             dm.find_pairs(domain, within=-1.0 if COMM.rank else None)
-    for within in (0.0, -1.0, np.nan, "far", True):
-        with pytest.raises(ValueError, match=r"within is .*positive distance"):
-            dm.find_pairs(domain, within=within)
-    with pytest.raises(ValueError, match="cell_tags belong to another mesh"):
-        dm.find_pairs(domain, others)
-    with pytest.raises(ValueError, match=r"cell_tags is .*MeshTags of cells"):
-        dm.find_pairs(domain, facets)
     own = cells.find(1)
     some = mesh.meshtags(domain, 2, own, np.ones(len(own), dtype=np.int32))
-    with pytest.raises(ValueError, match=r"leave out .* cells"):
-        dm.find_pairs(domain, some)
-    with pytest.raises(ValueError, match="mesh is 3"):
-        dm.find_pairs(3)
     one = mesh.create_unit_square(COMM, 4, 4)
     halves = mesh.locate_entities(one, 2, lambda x: x[0] > -1)
     values = (mesh.compute_midpoints(one, 2, halves)[:, 0] > 0.5).astype(np.int32)
     tags = mesh.meshtags(one, 2, halves, values)
-    with pytest.raises(ValueError, match=r"one connected body.*its own nodes"):
-        dm.find_pairs(one)
-    with pytest.raises(ValueError, match=r"'body 0' and 'body 1' share 5 nodes.*do not fragment"):
-        dm.find_pairs(one, tags)
-    with pytest.raises(ValueError, match="cells of type prism"):
-        dm.find_pairs(mesh.create_unit_cube(COMM, 2, 2, 2, mesh.CellType.prism))
-    for wrong, text in (
-        ({"friction": -1.0}, "friction"),
-        ({"surface": "rough"}, "surface"),
-        ({"feature_angle": 0}, "feature_angle"),
+    for given, options, *words in (
+        *(
+            ((domain,), {"within": w}, "within is ", "positive distance")
+            for w in (0.0, "far", True)
+        ),
+        ((domain, create_blocks(COMM, boxes)[1]), {}, "cell_tags belong to another mesh"),
+        ((domain, facets), {}, "cell_tags is ", "MeshTags of cells"),
+        ((domain, some), {}, "leave out ", " cells"),
+        ((3,), {}, "mesh is 3"),
+        ((one,), {}, "one connected body", "its own nodes"),
+        ((one, tags), {}, "'body 0' and 'body 1' share 5 nodes", "do not fragment"),
+        ((mesh.create_unit_cube(COMM, 2, 2, 2, mesh.CellType.prism),), {}, "cells of type prism"),
+        *(((domain, cells), {name: bad}, name) for name, bad in WRONG.items()),
     ):
-        with pytest.raises(ValueError, match=text):
-            dm.find_pairs(domain, cells, **wrong)
+        with rejected(*words):
+            dm.find_pairs(*given, **options)
+
+
+WRONG = {"friction": -1.0, "surface": "rough", "feature_angle": 0}

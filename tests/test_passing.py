@@ -14,17 +14,15 @@ from dolfinx.mesh import meshtags
 from dolfinx_mortar.geometry.flat import find_passing
 from dolfinx_mortar.interfaces import tool as tool_poses
 from dolfinx_mortar.mortar import passing
-from dolfinx_mortar.mortar.passing import RigidMotion
-from dolfinx_mortar.newton_method import failures
 from dolfinx_mortar.newton_method.failures import describe_passing
 from tests.cases.close_fits import rings
 from tests.cases.hertz import create_mesh
-from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, UPPER, skins, two_blocks
-from tests.cases.meshes_3d import rotation, two_boxes
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP_OF_LOWER, UPPER, skins
+from tests.cases.meshes_3d import rotation
 from tests.cases.triangles import box
+from tests.cases.two_bodies import TwoBodies, create_problem, held
 
 COMM = MPI.COMM_WORLD
-LAW = dm.Elastic(1000.0, 0.3)
 
 
 # -- points and facets -----------------------------------------------------------------------------
@@ -49,18 +47,6 @@ def test_which_points_pass(d, carried):
     # the facet moves as fast as the points
     assert find_passing((start[:1], end[:1]), (x, x - 4 * up)).tolist() == []
     assert find_passing((start[3:4], start[3:4]), (x, x + 4 * up)).tolist() == [0]
-
-
-@pytest.mark.parametrize("d", [2, 3])
-def test_what_turns_as_one_body_does_not_pass(d):
-    """Points all around a facet, turned with it by up to 60 degrees."""
-    rng = np.random.default_rng(1)
-    p = rng.uniform(-1.5, 1.5, size=(300, d))
-    p[:, -1] += np.sign(p[:, -1]) * 0.3
-    for degrees in (-60.0, 10.0, 60.0):
-        R = rotation((0.0, 1.0, 0.0) if d == 3 else (0.0, 0.0, 1.0), np.radians(degrees))[:d, :d]
-        turned = triangle(d) @ R.T
-        assert find_passing((p, p @ R.T), (triangle(d), turned)).tolist() == []
 
 
 def test_many_facets_and_no_facet():
@@ -89,7 +75,7 @@ class Pushed:
         mesh, cells, facets = create_mesh(
             "graded", 0.4, radius=2.0, block=(16.0, 1.0), gap=0.5, limit=3.0
         )
-        self.V = V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+        V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
         tags = skins(mesh, cells, facets, keep=())
         if top != "skin":
             disc = facets.find("arc")
@@ -99,13 +85,11 @@ class Pushed:
             tags = meshtags(mesh, 1, marked, values.astype(np.int32))
         self.way = fem.Constant(mesh, np.zeros(2))
         clamped = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0], -8.0))
-        flat = fem.locate_dofs_topological(V, 1, facets.find("flat"))
-        bcs = [fem.dirichletbc(np.zeros(2), clamped, V), fem.dirichletbc(self.way, flat, V)]
+        bcs = [fem.dirichletbc(np.zeros(2), clamped, V), held(V, facets, "flat", self.way)]
         sides = {"strip": TOP_OF_LOWER, "disc": BOTTOM_OF_UPPER}
         master = next(name for name in sides if name != slave)
         self.contact = dm.Contact(tags, slave=sides[slave], master=sides[master])
-        solid = dm.Solid(fem.Function(V), LAW)
-        self.problem = dm.ContactProblem(solid, [self.contact], bcs=bcs)
+        self.problem = create_problem(V, [self.contact], bcs)
 
     def move(self, *way):
         """Prescribe the displacement of the flat face."""
@@ -136,37 +120,23 @@ def test_a_disc_through_a_strip_is_no_step(slave, top):
 @pytest.mark.parametrize("slave", [TOP_OF_LOWER, BOTTOM_OF_UPPER])
 def test_a_body_that_is_prescribed_altogether(slave):
     """As master it presses; as slave it would pass without a force, which no cut can mend."""
-    mesh, cells, facets = two_blocks(COMM, (8, 4), (5, 3), x_upper=(0.2, 0.8))
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    mesh.topology.create_connectivity(2, 2)
-    body = fem.locate_dofs_topological(V, 2, cells.find(UPPER))
-    base = fem.locate_dofs_topological(V, 1, facets.find(BOTTOM))
-    way = fem.Constant(mesh, np.array([0.0, -0.02]))
-    bcs = [fem.dirichletbc(np.zeros(2), base, V), fem.dirichletbc(way, body, V)]
-    master = TOP_OF_LOWER + BOTTOM_OF_UPPER - slave
-    contact = dm.Contact(facets, slave=slave, master=master)
-    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact], bcs=bcs)
+    case = TwoBodies(n_lower=(8, 4), n_upper=(5, 3), x_upper=(0.2, 0.8))
+    case.mesh.topology.create_connectivity(2, 2)
+    body = fem.locate_dofs_topological(case.V, 2, case.cells.find(UPPER))
+    way = fem.Constant(case.mesh, np.array([0.0, -0.02]))
+    bcs = [case.held(BOTTOM), fem.dirichletbc(way, body, case.V)]
+    problem = case.problem([case.interface(slave=slave)], bcs)
     if slave == TOP_OF_LOWER:
         dm.newton(problem, rtol=1e-10)
         carried = dm.reaction(problem, bcs[0]).force
         np.testing.assert_allclose(dm.reaction(problem, bcs[1]).force, -carried, atol=1e-8)
-        assert carried[1] > 0.5 * 0.02 * LAW.E * 0.6
+        assert carried[1] > 0.5 * 0.02 * 1000.0 * 0.6
         return
     way.value[1] = -0.6
     for solve in (lambda: dm.newton(problem), lambda: list(dm.load_steps(problem, [1.0]))):
         with pytest.raises(ValueError, match=r"prescribe all nodes of slave=.* be the slave$"):
             solve()
         assert not problem.u.x.array.any()
-
-
-def test_what_flows_on_the_other_side_is_no_cause(monkeypatch):
-    """Nor what floats there: the message says what has passed, and nothing else."""
-    pushed = Pushed()
-    monkeypatch.setattr(failures, "_flow", lambda problem: "limit load?")
-    pushed.move(0.0, -6.0)
-    with pytest.raises(dm.NewtonNotConverged, match=r"has passed through.*as before") as caught:
-        dm.newton(pushed.problem)
-    assert "limit load?" not in str(caught.value)
 
 
 @pytest.mark.mpi
@@ -216,18 +186,6 @@ def test_bodies_may_turn_together(degrees):
     assert "has passed through the other one" in describe_passing(pushed.problem)
 
 
-@pytest.mark.mpi
-def test_a_screw_is_made_in_equal_parts():
-    """Three thirds of a motion that turns and shifts along its axis are the whole, with its way."""
-    x, axis = np.array([[1.0, 0.0, 2.0], [0.0, -3.0, 1.0]]), np.array([1.0, 2.0, 2.0]) / 3.0
-    whole = RigidMotion(rotation(axis, 2.0), np.array([0.3, 0.1, -0.7]))
-    third, at = whole.part(1 / 3), [x]
-    for _ in range(3):
-        at.append(third.at(at[-1]))
-    assert np.allclose(at[-1], whole.at(x), atol=1e-12)
-    assert np.allclose(np.diff(np.array(at), axis=0) @ axis, whole.c @ axis / 3, atol=1e-12)
-
-
 @pytest.mark.parametrize("degrees", [45.0, 90.0, -150.0])
 @pytest.mark.parametrize("slave", [2, 3])
 def test_a_hub_may_turn_in_a_ring(degrees, slave):
@@ -235,7 +193,7 @@ def test_a_hub_may_turn_in_a_ring(degrees, slave):
     domain, facets = rings(COMM, (0.4, 1.0), (1.0, 1.8), (40, 36), (3, 3))
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
     contact = dm.Contact(facets, slave=slave, master=5 - slave)
-    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact])
+    problem = create_problem(V, [contact])
     X, R = problem.X, rotation((0.0, 0.0, 1.0), np.radians(degrees))[:2, :2]
     moves = problem.bodies.label == problem.bodies.radius.argmax()
     u = problem.u.x.array[: 2 * problem.n].reshape(-1, 2)
@@ -246,36 +204,18 @@ def test_a_hub_may_turn_in_a_ring(degrees, slave):
 
 
 @pytest.mark.mpi
-def test_small_motions_do_not_look_at_facets(monkeypatch):
-    """What moves by less than half of the thinner body, and what both do, costs no search."""
-    pushed = Pushed()
-    looked = []
-    monkeypatch.setattr(failures, "find_passed", lambda *_: looked.append(1) or None)
-    pushed.move(0.0, -0.45)  # half of the strip is 0.5
-    dm.newton(pushed.problem)
-    pushed.problem.u.interpolate(lambda x: np.full_like(x[:2], 40.0))
-    assert not describe_passing(pushed.problem) and not looked
-    pushed.problem.u.interpolate(lambda x: np.stack([0 * x[0], np.where(x[1] > 0.2, -0.55, 0.0)]))
-    assert not describe_passing(pushed.problem) and looked
-
-
-@pytest.mark.mpi
 @pytest.mark.parametrize("partition", ["graph", "bodies", "empty"])
 def test_what_passes_is_counted_over_the_ranks(partition):
     """A block through a block: the middle behind each facet of its bottom, whoever owns it."""
-    mesh, cells, facets = two_blocks(
-        COMM, (6, 3), (5, 4), heights=(0.5, 0.75), gap=0.1, partition=partition
+    case = TwoBodies(
+        n_lower=(6, 3), n_upper=(5, 4), heights=(0.5, 0.75), gap=0.1, partition=partition
     )
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    tags = skins(mesh, cells, facets, keep=())
-    contact = dm.Contact(tags, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
-    dofs = [fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (BOTTOM, TOP)]
-    bcs = [fem.dirichletbc(np.zeros(2), on, V) for on in dofs]
-    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact], bcs=bcs)
+    case.tags = skins(case.mesh, case.cells, case.facets, keep=())
+    problem = case.problem()
     assert not describe_passing(problem)
     slave, master = problem.system.middles[0]
-    problem.u.interpolate(lambda x: np.stack([0 * x[0], np.where(x[1] > 0.05, -2.0, 0.0)]))
-    found = passing.find_passed(slave, master, fem.Function(V), problem.u)
+    case.raise_upper(0.0, -2.0)
+    found = passing.find_passed(slave, master, fem.Function(case.V), case.u)
     # 6 facets of the top and of the bottom, 3 of each flank have the middle in the way
     assert found.surface is master.surface and found.count == 18
     assert min(abs(found.depth - depth) for depth in (0.25, 0.5)) < 1e-12
@@ -287,59 +227,19 @@ def test_what_passes_is_counted_over_the_ranks(partition):
 def test_boxes_in_space(cell):
     """Obliquely through each other, the sides alone; and the same way back."""
     turn = rotation((1.0, 2.0, 3.0), 0.7)
-    mesh, cells, facets = two_boxes(
-        COMM, (3, 3, 2), (2, 3, 2), cell=cell, turn=turn, heights=(0.5, 0.75), gap=0.05
+    case = TwoBodies(
+        cell, n_lower=(3, 3, 2), n_upper=(2, 3, 2), turn=turn, heights=(0.5, 0.75), gap=0.05
     )
-    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
-    contact = dm.Contact(facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
-    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact])
-    on = fem.locate_dofs_topological(V, 3, cells.find(UPPER))
+    problem = case.problem(bcs=[])
     for way, passes in (((0.1, 0.2, -1.8), True), ((0.1, 0.2, 1.8), False), ((3, 0, 0), False)):
-        problem.u.x.array.reshape(-1, 3)[on] = turn @ way
-        problem.u.x.scatter_forward()
+        case.raise_upper(*(turn @ way))
         assert bool(describe_passing(problem)) == passes
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("overlap", [0.0, 0.01])
-def test_bodies_end_at_their_own_skin(overlap):
-    """Behind the sides alone, and where another body lies in it: heights 0.5 and 0.75."""
-    mesh, _, facets = two_blocks(COMM, (4, 3), (5, 4), heights=(0.5, 0.75), gap=-overlap)
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    contact = dm.Contact(facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
-    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact])
-    assert not describe_passing(problem)
-    for side, height in zip(problem.system.middles[0], (0.5, 0.75), strict=True):
-        assert np.abs(side.depth - passing.THROUGH * height).max(initial=0.0) < 1e-12
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("far", [4.0, 9.0])
-def test_a_first_step_that_goes_too_far_is_cut(far):
-    """Sides that are no skins, beyond each other only by what the step prescribes: no mistake.
-
-    Or it ends at strains of 1000 % beside the other body, which its notes tell.
-    """
-    mesh, _, facets = two_blocks(COMM, heights=(0.5, 0.5), gap=far - 0.01)
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    top = fem.Constant(mesh, np.zeros(2))
-    dofs = [fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (BOTTOM, TOP)]
-    bcs = [fem.dirichletbc(np.zeros(2), dofs[0], V), fem.dirichletbc(top, dofs[1], V)]
-    contact = dm.Contact(facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
-    problem = dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [contact], bcs=bcs)
-    top.value[:] = 0.0, -2.0 * far
-    try:
-        notes = dm.newton(problem).notes
-    except dm.NewtonNotConverged:
-        return
-    assert far > 4.0 and any("deep in each other" in note for note in notes)
-    assert any("strains of up to 1" in note for note in notes)
 
 
 # -- tools -----------------------------------------------------------------------------------------
 
 
-def on_ball(d, n, radius=0.2, tip=None):
+def on_ball(d, n, radius=0.2):
     """Return a problem of the box [0, 1]^(d-1) x [0, .5] above a ball, and the ball."""
     ends = [[0.0] * d, [1.0] * (d - 1) + [0.5]]
     create = {2: dolfinx.mesh.create_rectangle, 3: dolfinx.mesh.create_box}[d]
@@ -348,13 +248,9 @@ def on_ball(d, n, radius=0.2, tip=None):
     tags = meshtags(domain, d - 1, np.sort(facets), np.full(len(facets), 1, dtype=np.int32))
     below = np.array([0.5] * (d - 1) + [-0.3])
     shape = dm.shapes.Cylinder(below, radius) if d == 2 else dm.shapes.Sphere(below, radius)
-    if tip is not None:
-        point = below + tip * radius * np.eye(d)[-1]
-        phi = lambda x: np.linalg.norm(x - below[:, None], axis=0) - radius  # noqa: E731
-        shape = dm.shapes.SignedDistance(phi, point, length=radius)
     ball = dm.Obstacle(tags, slave=1, shape=shape)
     V = fem.functionspace(domain, ("Lagrange", 1, (d,)))
-    return dm.ContactProblem(dm.Solid(fem.Function(V), LAW), [ball]), ball
+    return create_problem(V, [ball]), ball
 
 
 @pytest.mark.mpi
@@ -379,30 +275,6 @@ def test_a_tool_and_a_body_that_pass(d, n):
     for body, tool in ((2.0 * up, 0.0 * up), (40.0 * aside, 0.0 * up), (-40.0 * up, -40.0 * up)):
         assert not moved(body, tool)
     assert not moved(-2.0 * up + 2.0 * aside, 1.5 * aside - 2.0 * up)
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("tip", [0.95, 1.0, np.nextafter(1.0, 2.0)])
-@pytest.mark.parametrize("d", [2, 3])
-def test_a_tip_may_lie_a_bit_behind_a_coarse_facet(d, tip):
-    """Which approximates it: by a tenth of a facet, not by the half of the body."""
-    problem, ball = on_ball(d, 2, tip=tip)
-    start = ball.position.value.copy()
-    for up, passes in ((0.14, False), (0.37, True)):
-        ball.position.value[:] = start + up * np.eye(d)[-1]
-        assert ("passed through" in describe_passing(problem)) == passes
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("degrees", [90.0, -170.0])
-def test_a_body_may_turn_around_a_tool(degrees):
-    """On arcs: the chords of its middles lead through the ball."""
-    problem, ball = on_ball(2, 8)
-    R = rotation((0.0, 0.0, 1.0), np.radians(degrees))[:2, :2]
-    for aside, passes in ((0.0, False), (np.sign(degrees) * 0.55, True)):
-        centre = ball.reference + np.array([aside, 0.0])
-        problem.u.interpolate(lambda x, c=centre: (R - np.eye(2)) @ (x[:2] - c[:, None]))
-        assert ("passed through" in describe_passing(problem)) == passes
 
 
 def blade(d):

@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import brentq
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.materials import plane_stress
+from dolfinx_mortar.materials import response
 from dolfinx_mortar.materials.protocol import create_law
 from dolfinx_mortar.materials.von_mises import LEAST_RATIO
 from tests.cases.material_point import MaterialPoint
@@ -170,7 +170,7 @@ class SlackArrays(dm.materials.PointwiseLaw):
 def test_a_law_that_always_pulls_is_an_error_on_all_ranks(law):
     """No strain out of the plane leaves no stress: that is noticed, not a number."""
     solid = dm.Solid(create_displacement(create_domain("triangle")), law, kinematics="plane_stress")
-    after = f"after {plane_stress.LIMIT} iter"
+    after = f"after {response.LIMIT} iter"
     for ask in (solid.evaluate, solid.element_force_norm):
         with rejected(type(law).__name__, "no strain out of the plane was found", after):
             ask()

@@ -3,8 +3,6 @@
 
 import re
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 
@@ -13,14 +11,11 @@ from dolfinx import fem
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.report.resolution import _measure, _patches, oscillation
 from tests.cases.ball import create_problem
-from tests.cases.close_fits import create_pin, create_shrink_fit
 from tests.cases.finite_sliding import indentation
 from tests.cases.hertz import ELASTIC, create_case, create_mesh
-from tests.cases.meshes import BOTTOM_OF_UPPER, LEFT, LOWER, TOP_OF_LOWER, UPPER
+from tests.cases.meshes import BOTTOM_OF_UPPER, LEFT, TOP_OF_LOWER
 from tests.cases.pressed_blocks import PressedBlocks
 from tests.choice import quick
-
-COMM = MPI.COMM_WORLD
 
 
 def said(report):
@@ -82,11 +77,6 @@ def test_a_roller_is_no_plane_of_symmetry(slope, times):
     assert active > 2 and said(report) == [1 + times * (active - 1)]
 
 
-def test_a_pin():
-    assert said(create_pin((16, 24), False, force=500.0).solve()[0])
-    assert not said(create_pin((64, 96), False).solve()[0])
-
-
 def test_only_the_patch_with_the_peak_counts():
     """Numbers, multipliers, prescribed components, open neighbours: 1-2-3 and 10-11 are apart."""
     table = np.array(
@@ -97,26 +87,6 @@ def test_only_the_patch_with_the_peak_counts():
     table[4, 1] = 9.0
     assert _measure(_patches(table, pairs)) == (2, True)
     assert _measure(_patches(table, pairs[:2])) == (1, True)
-
-
-@pytest.mark.mpi
-def test_sides_that_touch_altogether_have_nothing_to_resolve():
-    """Five nodes over the whole width of a block, and all nodes of a coarse ring."""
-    assert not said(dm.newton(PressedBlocks().problem()))
-    assert not said(dm.newton(create_shrink_fit((48, 40), True).problem))
-
-
-@pytest.mark.mpi
-def test_forces_of_round_off_have_no_peak():
-    """A block on a wider one is lifted, and put down again without a force."""
-    blocks = PressedBlocks(
-        n_lower=(12, 3), n_upper=(5, 4), x_lower=(0.0, 4.0), cell="quadrilateral"
-    )
-    problem = blocks.problem([blocks.contact(slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER)])
-    for depth in (1e-3, 0.0, -1e-3, 0.0):
-        blocks.top.value[1] = -depth
-        assert not dm.newton(problem).notes
-        problem.commit()
 
 
 def amplitude(problem, contact):
@@ -142,17 +112,3 @@ def test_pressures_of_a_finer_and_stiffer_slave_oscillate(slave, oscillate):
     assert abs(case.contact.force[1]) == pytest.approx(0.0616, rel=0.01)
     if oscillate:
         assert amplitude(case.problem, case.contact) == pytest.approx(0.26, abs=0.01)
-
-
-def test_singular_pressures_of_a_punch_do_not_oscillate():
-    """Those at its ends are 2.4 times the mean, the others smooth, whatever the master's facets."""
-    blocks = PressedBlocks(
-        n_lower=(40, 16), n_upper=(8, 4), x_lower=(-1.0, 1.0), x_upper=(-0.2, 0.2),
-        cell="quadrilateral",
-    )  # fmt: skip
-    contact = blocks.contact(slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER)
-    laws = {LOWER: dm.Elastic(1e3, 0.3), UPPER: dm.Elastic(1e5, 0.3)}
-    solid = dm.Solid(blocks.u, laws, blocks.cells)
-    problem = dm.ContactProblem(solid, [contact], bcs=blocks.bcs())
-    assert not [note for note in dm.newton(problem).notes if "oscillate" in note]
-    assert amplitude(problem, contact) > 0.1

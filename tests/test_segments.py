@@ -33,23 +33,6 @@ def split(low, high):
     return inner.map(lambda s: low + (high - low) * np.unique(np.round([0, *s, 1], 6)))
 
 
-def test_facet_normals_of_the_polyline():
-    x = np.array([[0.0, 0.0], [4.0, 3.0], [7.0, 7.0]])
-    normals = nodal_normals(x, chain(3))
-    expected = np.array([[3 / 5, -4 / 5], [1 / np.sqrt(2), -1 / np.sqrt(2)], [4 / 5, -3 / 5]])
-    assert np.abs(normals - expected).max() < 1e-15
-
-
-def test_half_covered_facet_has_exact_points():
-    o = assemble([[1, 2], [3, 2]], [[2, 2], [0, 2]])
-    assert o.covered == pytest.approx([1.0], abs=1e-15)
-    N = LINE2.shape_functions(o.points.xi_s)
-    L = LINE2.shape_functions(o.points.xi_m)
-    w = o.points.weight
-    assert 24 * np.einsum("q,qi,qj->ij", w, N, N) == pytest.approx(np.array([[14, 4], [4, 2]]))
-    assert 24 * np.einsum("q,qi,qj->ij", w, N, L) == pytest.approx(np.array([[13, 5], [5, 1]]))
-
-
 @settings(deadline=None)
 @given(split(0, 1), split(-0.3, 0.7), st.floats(-3, 3), st.floats(0, 7), st.floats(-1, 1))
 def test_covered_length_and_projection_on_flat_sides(slave, master, shift, angle, gap):
@@ -70,15 +53,6 @@ def test_covered_length_and_projection_on_flat_sides(slave, master, shift, angle
     assert (np.diff(p.slave) >= 0).all()
 
 
-@pytest.mark.parametrize("t", [0.5, 1e-3, 1e-6])
-@pytest.mark.parametrize("distance", [0.0, 1e-3, 1e3, -0.1])
-def test_any_coverage_at_any_distance(t, distance):
-    o = assemble([[0, 0], [1, 0]], [[t, -distance], [-1, -distance]])
-    assert o.covered[0] == pytest.approx(t, rel=1e-9)
-    assert o.points.xi_m.max() < 1
-    assert o.points.slave.flags.c_contiguous  # as where there are none: compiled once
-
-
 def test_coincident_nodes_leave_neither_holes_nor_slivers():
     x = np.array([0.0, 0.1, 0.35, 0.7, 1.0])
     noise = 1e-15 * np.array([0, 1, -1, 1, 0])
@@ -88,41 +62,24 @@ def test_coincident_nodes_leave_neither_holes_nor_slivers():
         assert np.abs(o.covered - np.diff(x)).max() < 1e-14
 
 
-def test_touching_ends_share_nothing():
-    o = assemble(flat([0, 0.5, 1]), flat([1, 1.5], up=True))
-    assert len(o.points.weight) == 0
+LAYERS = {  # heights of sides that face the slave, or show it their back, and what they cover
+    "the nearer": ([(0.6, 0.2, -0.1), (1.0, 0.0, -0.5)], [0.4, 0.6]),
+    "in another order": ([(1.0, 0.0, -0.5), (0.6, 0.2, -0.1)], [0.6, 0.4]),
+    "the one that overlaps": ([(1.0, 0.0, 0.1), (1.0, 0.0, -0.2)], [1.0, 0.0]),
+    "not the back of a thin one": ([(1.0, 0.0, -0.1), (0.0, 1.0, -0.05)], [1.0, 0.0]),
+    "not what is parallel": ([(0.0, 1.0, -0.1)], [0.0]),
+    "not what is beside": ([(1.5, 1.0, 0.0)], [0.0]),
+}
 
 
-def test_nearest_of_two_masters_covers():
-    """Two facing sides behind each other, the nearer one shorter: no point is covered twice."""
-    x_m = np.array([[0.6, -0.1], [0.2, -0.1], [1.0, -0.5], [0.0, -0.5]])
-    for order in ([[0, 1], [2, 3]], [[2, 3], [0, 1]]):
-        o = assemble(flat([0, 1]), x_m, facets_m=order)
-        assert o.covered == pytest.approx([1.0], abs=1e-15)
-        near = order.index([0, 1])
-        weights = np.bincount(o.points.master, o.points.weight)
-        assert weights[near] == pytest.approx(0.4, abs=1e-14)
-        assert weights[1 - near] == pytest.approx(0.6, abs=1e-14)
-
-
-def test_overlap_counts_as_distance():
-    """The side at -0.1 (bodies overlap) is nearer than the one at 0.2."""
-    x_m = np.array([[1, 0.1], [0, 0.1], [1, -0.2], [0, -0.2]], dtype=float)
-    o = assemble(flat([0, 1]), x_m, facets_m=[[0, 1], [2, 3]])
-    assert (o.points.master == 0).all()
-
-
-def test_back_of_a_thin_master_is_ignored():
-    x_m = np.array([[1, -0.1], [0, -0.1], [0, -0.05], [1, -0.05]], dtype=float)
-    front_and_back = [[0, 1], [2, 3]]
-    o = assemble(flat([0, 1]), x_m, facets_m=front_and_back)
-    assert (o.points.master == 0).all()
-    assert o.covered == pytest.approx([1.0], abs=1e-15)
-
-
-def test_nothing_faces_a_parallel_side():
-    o = assemble(flat([0, 1]), flat([0, 1], -0.1))
-    assert len(o.points.weight) == 0
+@pytest.mark.parametrize("case", LAYERS)
+def test_the_nearest_side_that_faces_the_slave_covers(case):
+    ends, expected = LAYERS[case]
+    x_m = [(x, y) for first, last, y in ends for x in (first, last)]
+    o = assemble(flat([0, 1]), x_m, facets_m=np.arange(len(x_m)).reshape(-1, 2))
+    weights = np.bincount(o.points.master, o.points.weight, minlength=len(ends))
+    assert weights == pytest.approx(expected, abs=1e-14)
+    assert o.points.facet_weights.sum() == pytest.approx(1.0)
 
 
 def arc(radius, centre, first, last, n):
@@ -169,24 +126,6 @@ def test_points_lie_on_the_master_between_its_ends():
     assert len(xi_m) == 5 and np.abs(xi_m).max() <= 1.0
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_segments_end_where_the_normal_meets_a_node(seed):
-    """(x_s(xi) - x_m) x n(xi) = 0 at the ends inside a slave facet; it is quadratic in xi."""
-    o = assemble(random_side(seed, 6, False), random_side(seed + 9, 15, True))
-    facets = chain(6)
-    xi = o.points.xi_s.reshape(-1, 3)
-    half = (xi[:, 2] - xi[:, 0]) / (2 * np.sqrt(0.6))
-    ends = (xi[:, 1:2] + half[:, None] * np.array([-1, 1])).reshape(-1, 1)
-    inside = np.abs(ends[:, 0]) < 1 - 1e-6
-    slave = np.repeat(o.points.slave[::3], 2)[inside]
-    N = LINE2.shape_functions(ends[inside])
-    p = np.einsum("ek,eki->ei", N, o.x_s[facets][slave])[:, None] - o.x_m
-    n = np.einsum("ek,eki->ei", N, nodal_normals(o.x_s, facets)[facets][slave])[:, None]
-    cross = np.abs(p[..., 0] * n[..., 1] - p[..., 1] * n[..., 0])
-    assert inside.sum() >= 4
-    assert cross.min(axis=1).max() < 1e-13
-
-
 def test_long_master_beyond_a_corner():
     """The far end of the master has no projection at all; the facet is covered nonetheless."""
     x_s = [[-1, 0], [0, 0], [1, 0], [1, 1]]
@@ -227,39 +166,12 @@ def test_broad_phase_is_selective():
     assert np.bincount(wide[:, 0], minlength=200).max() <= 7
 
 
-def test_any_order_in_space_finds_the_same_pairs(rng):
-    """That of the places before the sides have moved, and none at all."""
-    for seed in range(20):
-        x_s, x_m = (polyline(random_side(seed + k, 30, k > 0)) for k in range(2))
-        normals = np.broadcast_to([0.0, -1.0], x_s.x.shape)
-        found = segments.find_candidates(x_s, normals, x_m, np.zeros(len(x_s.x)))
-        for order in (np.arange(len(x_m.x)), rng.permutation(len(x_m.x))):
-            again = segments.find_candidates(x_s, normals, x_m, np.zeros(len(x_s.x)), order)
-            assert np.array_equal(again, found)
-
-
 def test_every_facet_may_be_a_candidate_of_every_other():
     """Far away and provided for rotation: more pairs than the first allocation holds."""
     grid = np.linspace(0, 1, 61)
     x_s, x_m = polyline(flat(grid)), polyline(flat(grid, -99, up=True))
     pairs = segments.find_candidates(x_s, np.full_like(x_s.x, (0, -1)), x_m, np.ones(60))
     assert (pairs == np.stack(np.divmod(np.arange(3600), 60), axis=1)).all()
-
-
-@pytest.mark.parametrize("scale", [1e-6, 1e6])
-def test_units_do_not_matter(scale):
-    x_s, x_m = random_side(3, 9, False), random_side(4, 7, True)
-    one, other = assemble(x_s, x_m), assemble(scale * x_s, scale * x_m)
-    assert (one.points.slave == other.points.slave).all()
-    assert np.abs(one.points.xi_m - other.points.xi_m).max() < EXACT
-    assert np.abs(one.D - other.D / scale).max() < EXACT
-
-
-def test_no_pairs_at_all():
-    o = assemble(flat([0, 0.4, 1]), flat([7, 8], up=True), pairs=np.empty((0, 2), dtype=np.int32))
-    assert len(o.points.weight) == 0
-    assert (o.D == 0).all()
-    assert o.points.facet_weights.sum() == pytest.approx(1.0)
 
 
 # -- facets of three nodes
@@ -275,51 +187,6 @@ def bent(rng, m):
     return facets, n / np.linalg.norm(n, axis=2, keepdims=True)
 
 
-def test_normals_of_bent_facets_meet_the_point_that_is_projected(rng):
-    """Whatever Newton does: the root lies where the sign changes."""
-    facets, n = bent(rng, 500)
-    x, n = (line_of_xi(facets, v) for v in (facets.x, n))
-    found = 0
-    for a, b, y in zip(x, n, rng.uniform(-0.6, 1.6, (500, 2)), strict=True):
-        ends = [line._moment(a, b, *y, xi)[0] for xi in (-1.0, 1.0)]
-        xi = line._project_node(a, b, *y)
-        if ends[0] > 0 > ends[1]:
-            found += 1
-            assert -1 <= xi <= 1
-            assert abs(line._moment(a, b, *y, xi)[0]) < 1e-13
-        elif ends[0] <= 0 <= ends[1]:
-            assert np.isnan(xi)
-        else:
-            assert xi == (-1.0 if ends[0] <= 0 else 1.0)
-    assert found > 100
-
-
-def test_roots_are_found_up_to_the_centre_of_curvature(rng):
-    """There the moment is flat: Newton's steps leave the facet, and the interval is halved."""
-    facets, n = bent(rng, 300)
-    x, n = (line_of_xi(facets, v) for v in (facets.x, n))
-    halved = 0
-    for a, b, at, share in zip(
-        x, n, *rng.uniform([[-1], [0.7]], [[1], [1.2]], (2, 300)), strict=True
-    ):
-        powers = at ** np.arange(3)
-        bend = (
-            line._moment(a, b, *(powers @ a), at)[1],
-            line._moment(a, b, *(powers @ (a + b)), at)[1],
-        )
-        y = powers @ (a + share * bend[0] / (bend[0] - bend[1]) * b)  # slope zero at share 1
-        f = np.array([line._moment(a, b, *y, xi) for xi in np.linspace(-1, 1, 41)])
-        if f[0, 0] > 0 > f[-1, 0]:
-            xi = line._project_node(a, b, *y)
-            assert abs(line._moment(a, b, *y, xi)[0]) < 1e-13 * max(1, np.abs(y).max())
-            halved += (f[:, 1] >= 0).any()  # Newton's method alone need not converge
-    assert halved > 10
-
-
-def line_of_xi(facets, v):
-    return line._polynomials(facets.element, v)
-
-
 def test_cones_hold_the_normals_between_the_nodes(rng):
     """Those of three nodes turn further than any of these; the facet stays near its nodes."""
     facets, n = bent(rng, 200)
@@ -330,3 +197,27 @@ def test_cones_hold_the_normals_between_the_nodes(rng):
     cosine = np.einsum("mqi,mi->mq", between, cones.axis) / np.linalg.norm(between, axis=2)
     assert (np.sqrt(1 - np.minimum(cosine, 1) ** 2) / cosine <= cones.slope[:, None] + 1e-9).all()
     assert (np.linalg.norm(x - cones.centre[:, None], axis=2) <= cones.radius[:, None]).all()
+
+
+def test_normals_of_bent_facets_meet_the_point_that_is_projected(rng):
+    """The root lies where the sign changes, also near the centre of curvature (bisection)."""
+    facets, n = bent(rng, 300)
+    x, n = (line._polynomials(facets.element, v) for v in (facets.x, n))
+    found = halved = 0
+    for a, b, at, share in zip(
+        x, n, *rng.uniform([[-1], [0.3]], [[1], [1.2]], (2, 300)), strict=True
+    ):
+        powers = at ** np.arange(3)
+        slopes = [line._moment(a, b, *(powers @ v), at)[1] for v in (a, a + b)]
+        y = powers @ (a + share * slopes[0] / (slopes[0] - slopes[1]) * b)  # slope 0 at share 1
+        f = np.array([line._moment(a, b, *y, xi) for xi in np.linspace(-1, 1, 41)])
+        xi, first, last = line._project_node(a, b, *y), f[0, 0], f[-1, 0]
+        if first > 0 > last:
+            found += 1
+            assert abs(line._moment(a, b, *y, xi)[0]) < 1e-13 * max(1, np.abs(y).max())
+            halved += (f[:, 1] >= 0).any()  # Newton's method alone need not converge
+        elif first <= 0 <= last:
+            assert np.isnan(xi)
+        else:
+            assert xi == (-1.0 if first <= 0 else 1.0)
+    assert found > 100 and halved > 10

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """A surface that meets itself: roles, what is paired, folds that close, balances, ranks."""
 
-from dataclasses import replace
-
 from mpi4py import MPI
 
 import numpy as np
@@ -13,12 +11,9 @@ from hypothesis import strategies as st
 import dolfinx
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.geometry.elements import LINE2
-from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.interfaces.coupling import relative_motions
-from dolfinx_mortar.mortar import passing, self_contact
 from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
-from dolfinx_mortar.mortar.self_contact import REACH, _divide, distances_in_reach
+from dolfinx_mortar.mortar.self_contact import REACH, _divide
 from dolfinx_mortar.mortar.surface import (
     create_surface,
 )
@@ -26,7 +21,6 @@ from dolfinx_mortar.newton_method.failures import describe_passing
 from dolfinx_mortar.report.penetration import find_overlaps, notes_on_crossings
 from tests.cases.block_piles import create_blocks
 from tests.cases.folds import (
-    RUBBER,
     SKIN,
     closed_ring,
     create_fold,
@@ -92,22 +86,6 @@ def test_of_nearest_facets_one_is_the_slave_whatever_their_numbers(seed, counts)
         nodes[keys][order], x[order], place[b[shuffled]], place[a[shuffled]], distance[shuffled]
     )
     assert np.array_equal(again, slave[order])
-
-
-def test_what_pairs_leave_open_follows_the_neighbours():
-    """Facets that face one other only: without neighbours each pair would choose by its sizes."""
-    keys, x, *_ = layers(np.random.default_rng(1), [6, 6])
-    size = np.linalg.norm(x[:, 1] - x[:, 0], axis=1)
-    assert len(set((size[:6] < size[6:]).tolist())) == 2
-    slave = _divide(keys, x, np.arange(6), np.arange(6, 12), np.full(6, 0.1))
-    assert slave[:6].all() != slave[6:].all() and slave.sum() == 6
-
-
-def test_the_finer_one_is_the_slave_wherever_it_lies():
-    """Four facets above one that begins farther left, first in the order of coordinates."""
-    keys, x, a, b, distance, layer = layers(np.random.default_rng(1), [1, 4])
-    x[0, :, 0] -= 0.5
-    assert np.array_equal(_divide(keys, x, a, b, distance), layer == 1)
 
 
 def straight(compression=0.0):
@@ -177,16 +155,6 @@ def test_parts_that_come_near_ask_for_a_search():
     assert outside_margin(near, at(0.1, aside=0.6))
 
 
-def test_facets_with_a_common_node_are_no_pair():
-    """A notch of 40 degrees: the same facets with nodes of their own would be."""
-    x = np.array([[[1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.75, -0.65]]])[:, ::-1]
-    facets = Facets(LINE2, x)
-    pairs, deep = np.array([[0, 1]], dtype=np.int32), np.array([np.inf])
-    one, other = np.array([[1, 0], [2, 1]]), np.array([[1, 0], [3, 2]])
-    found = [distances_in_reach(facets, facets, pairs, (n, n), deep)[0] for n in (one, other)]
-    assert found[0] == np.inf and found[1] == 0.0
-
-
 def test_moments_lack_what_turns_the_normals_and_nothing_else():
     """Forces lambda_j D_jj v_j.dn_j/du, of the exact derivative of the gap, have the moment left.
 
@@ -207,17 +175,6 @@ def test_moments_lack_what_turns_the_normals_and_nothing_else():
     assert fold.active > 0 and report.certificate.force_balance < 1e-12
     assert size > 1e-7 * np.linalg.norm(own.moment)
     assert np.abs(left - [0.0, 0.0, moment]).max() < 1e-6 * size
-
-
-def test_facets_of_one_role_that_come_nearer_ask_for_a_search(monkeypatch):
-    V, skin, at = two_blocks()
-    every = lambda keys, *_: np.ones(len(keys), dtype=bool)  # noqa: E731
-    with monkeypatch.context() as patch:
-        patch.setattr(self_contact, "_divide", every)
-        pairing = create_pairing(V, skin, skin, at(0.9))
-    assert len(pairing.pairs) == 0 and len(pairing.roles.seen) >= 16
-    assert not outside_margin(pairing, at(0.48))
-    assert outside_margin(pairing, at(0.42))
 
 
 # -- what is said ----------------------------------------------------------------------------------
@@ -253,47 +210,6 @@ def test_a_step_in_which_a_surface_passes_through_itself_is_told():
     assert not describe_passing(fold.problem)
     u.interpolate(lambda x: np.stack([0.0 * x[0], np.sign(x[1]) * np.clip(0.2 - x[0], 0, 9)]))
     assert not describe_passing(fold.problem)
-
-
-@pytest.mark.mpi
-def test_the_middle_behind_the_end_of_a_bent_strip_passes_through_nothing():
-    """It is 1 behind the end of a strip of 2 by 0.2, beside it where that is bent to 4 radians.
-
-    When the strip is straight again, it is back in it. The strip that bends on passes itself.
-    """
-    mesh, tags = create_sheet(COMM, (40, 2), lambda s: s * [2.0, 0.2] - [1.0, 0.1])
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    contact = dm.Contact(tags, slave=SKIN, master=SKIN)
-    problem = dm.ContactProblem(dm.Solid(fem.Function(V), RUBBER, strain="finite"), [contact])
-    assert not describe_passing(problem)
-    ((slave, master),) = problem.system.middles
-
-    def bent(angle):
-        u, radius = fem.Function(V), 2.0 / angle
-
-        def moved(x):
-            r, t = radius - x[1], x[0] / radius
-            return np.stack([r * np.sin(t) - x[0], radius - r * np.cos(t) - x[1]])
-
-        u.interpolate(moved)
-        return u
-
-    straight, half, closed = fem.Function(V), bent(4.0), bent(8.0)
-    assert passing.find_passed(slave, master, half, straight) is None
-    assert passing.find_passed(slave, master, straight, half) is None
-    other = replace(master, surface=create_surface(V, tags, SKIN, "skin"))  # as of another body
-    assert passing.find_passed(slave, other, half, straight) is None
-    found = passing.find_passed(slave, master, half, closed)
-    assert found is not None and found.depth < 0.2
-
-
-@pytest.mark.mpi
-def test_the_audit_counts_what_is_near_itself():
-    fold = create_hairpin()
-    found = fold.problem.audit()
-    (own,) = found.interfaces
-    assert own.meets_itself and own.slave_facets > 0 and own.master_facets > 0
-    assert "near each other" in str(own) and found.warnings == []
 
 
 def test_only_contacts_may_meet_themselves():

@@ -6,7 +6,6 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.geometry.elements import LINE2, QUAD4
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
@@ -14,12 +13,11 @@ from dolfinx_mortar.geometry.segments import create_segments
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing, received_facets
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
-from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP, TOP_OF_LOWER, skins, two_blocks
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, skins, two_blocks
 from tests.cases.meshes_3d import rotation, two_boxes
-from tests.cases.pressed_blocks import ELASTIC, PressedBlocks
+from tests.cases.two_bodies import SIDES, TwoBodies
 
 COMM = MPI.COMM_WORLD
-SIDES = TOP_OF_LOWER, BOTTOM_OF_UPPER
 CELLS = pytest.mark.parametrize("cell", ["triangle", "tetrahedron", "hexahedron"])
 HEIGHTS = 0.5, 0.75
 
@@ -119,13 +117,9 @@ def test_what_lies_across_a_body_hides_nothing():
 @pytest.mark.parametrize("cells", [2, 4])
 def test_clamped_bodies_are_held(cells):
     """What edges seem to take from the contact is no part of what clamps hold."""
-    mesh, tags, facets = two_boxes(COMM, (3, 3, 2), (cells, cells, 2), upper=(0.2, 0.8, 0.2, 0.8))
-    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
-    dofs = [fem.locate_dofs_topological(V, 2, facets.find(tag)) for tag in (BOTTOM, TOP)]
-    bcs = [fem.dirichletbc(np.zeros(3), at, V) for at in dofs]
-    solid = dm.Solid(fem.Function(V), ELASTIC)
-    contact = dm.Contact(skins(mesh, tags, facets), slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER)
-    audit = dm.ContactProblem(solid, [contact], bcs=bcs).audit()
+    sizes = {"n_lower": (3, 3, 2), "n_upper": (cells, cells, 2), "upper": (0.2, 0.8, 0.2, 0.8)}
+    case = TwoBodies("tetrahedron", whole=True, **sizes)
+    audit = case.problem([case.interface(swap=True)]).audit()
     assert not audit.held_by_contact
     assert audit.interfaces[0].least_gap == audit.interfaces[0].largest_gap == 0.0
 
@@ -133,12 +127,10 @@ def test_clamped_bodies_are_held(cells):
 @pytest.mark.mpi
 def test_a_tall_block_stands_on_a_plate():
     """It cannot tilt: edges are no facets of a curved side, along which a body may slide."""
-    b = PressedBlocks(n_lower=(4, 2), n_upper=(3, 6), heights=(1.0, 4.0))
-    tags = skins(b.mesh, b.cells, b.facets)
-    V = b.V.sub(0)
+    case = TwoBodies(whole=True, n_lower=(4, 2), n_upper=(3, 6), heights=(1.0, 4.0))
+    V = case.V.sub(0)
     corner = fem.locate_dofs_geometrical(
         (V, V.collapse()[0]), lambda x: np.isclose(x[0], 0.0) & np.isclose(x[1], 4.0)
     )
     slide = fem.dirichletbc(fem.Function(V.collapse()[0]), corner, V)
-    problem = b.problem([b.contact(*SIDES, tags)], [b.bc(BOTTOM), slide])
-    assert problem.audit().held_by_contact
+    assert case.problem(bcs=[case.held(BOTTOM), slide]).audit().held_by_contact

@@ -18,7 +18,7 @@ from tests.cases import meshes, meshes_3d
 from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, LOWER, RIGHT, TOP, TOP_OF_LOWER, UPPER
 from tests.cases.meshes_3d import BACK, FRONT
 from tests.cases.pressed_blocks import failing
-from tests.cases.rings import SIDES, largest, tubes
+from tests.cases.rings import largest
 from tests.choice import crosswise
 
 COMM = MPI.COMM_WORLD
@@ -129,31 +129,23 @@ def deg(*degrees):
 CONTACT, TIE, TOOL = dm.Contact, dm.Tie, dm.Obstacle
 ROUGH = {"friction": 0.4}
 CASES = {
-    "contact": (CONTACT, {}, {"slope": deg(30)}),
     "contact, quadrilaterals 2": (CONTACT, {}, {"slope": deg(-60), "cell": "quadrilateral"}),
-    "friction": (CONTACT, ROUGH, {"slope": deg(-20), "slave": "lower"}),
     "friction 2": (CONTACT, ROUGH, {"slope": deg(45), "degree": 2}),
     "both": (CONTACT, ROUGH, {"slope": deg(10), "both": True}),
     "given friction": (CONTACT, {"tresca": 1.0}, {"slope": deg(30), "slave": "lower"}),
-    "rings": (CONTACT, {}, {"slope": deg(30), "inside": 0.7}),
     "rings, friction 2": (CONTACT, ROUGH, {"slope": deg(-40), "inside": 0.7, "degree": 2}),
     "cone": (CONTACT, {}, {"slope": deg(30), "inside": 0.0, "slave": "lower", "both": True}),
     "space": (CONTACT, {}, {"slope": deg(20, -30)}),
-    "space, friction": (CONTACT, ROUGH, {"slope": deg(30, 20), "slave": "lower"}),
     "space, tetrahedra 2": (
         CONTACT,
         ROUGH,
         {"slope": deg(30, 0), "cell": "tetrahedron", "degree": 2},
     ),
     "space, hexahedra 2": (CONTACT, {}, {"slope": deg(15, 20), "degree": 2, "both": True}),
-    "tie": (TIE, {}, {"slope": deg(30)}),
     "tie 2": (TIE, {}, {"slope": deg(-60), "degree": 2, "slave": "lower"}),
     "tie in space": (TIE, {}, {"slope": deg(30, 20), "both": True}),
-    "tool": (TOOL, {}, {"slope": deg(30)}),
     "tool, degree 2": (TOOL, {}, {"slope": deg(-60), "degree": 2, "slave": "lower"}),
-    "tool, degree 2, 5 degrees": (TOOL, {}, {"slope": deg(5), "degree": 2}),
     "contact 2, 1 degree": (CONTACT, {}, {"slope": deg(-1), "degree": 2, "both": True}),
-    "tie, 1 degree": (TIE, {}, {"slope": deg(1), "slave": "lower", "both": True}),
     "tool, rings": (TOOL, {}, {"slope": deg(-20), "inside": 0.7}),
     "tool in space": (TOOL, {}, {"slope": deg(30, -20)}),
 }
@@ -183,10 +175,8 @@ def test_uniform_pressure(name, geometry):
 PAST = {
     "contact": (CONTACT, {"slope": deg(-30), "cell": "quadrilateral"}),
     "contact 2": (CONTACT, {"slope": deg(-20), "slave": "lower", "degree": 2}),
-    "contact 60": (CONTACT, {"slope": deg(-60)}),
     "space": (CONTACT, {"slope": deg(10, 20)}),
     "tool": (TOOL, {"slope": deg(30)}),
-    "tool, lower": (TOOL, {"slope": deg(20), "slave": "lower", "degree": 2}),
     "tool in space": (TOOL, {"slope": deg(-20, 0)}),
 }
 
@@ -248,80 +238,3 @@ def test_a_tool_that_a_force_presses():
     F, n = tool.force, case.normal
     assert F[1] == pytest.approx(case.force[1], rel=1e-8)
     assert np.linalg.norm(F - (F @ n) * n) == pytest.approx(mu * (F @ n), rel=1e-8)
-
-
-class PressFit:
-    """Shaft and hub, one end of each prescribed, with a node of the slave side."""
-
-    def __init__(self, slave, mu=0.25):
-        """Mesh them; the shaft moves along the axis by `push`."""
-        self.mesh, self.cells, self.tags = tubes((0.4, 1.0, 2.0), ((4, 2), (5, 3)), overlap=0.004)
-        V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
-        self.push, held = (fem.Constant(self.mesh, 0.0) for _ in range(2))
-        self.bcs = []
-        for body, tag, value in ((LOWER, LEFT, self.push), (UPPER, RIGHT, held)):
-            dofs = fem.locate_dofs_topological(V.sub(1), 1, facets_of(self, tag, body))
-            self.bcs.append(fem.dirichletbc(value, dofs, V.sub(1)))
-        side, master = SIDES[slave]
-        self.contact = dm.Contact(self.tags, slave=side, master=master, friction=mu)
-        solid = dm.Solid(fem.Function(V), dm.Elastic(E, NU), kinematics="axisymmetric")
-        self.problem = dm.ContactProblem(solid, [self.contact], bcs=self.bcs, geometry="reference")
-
-    def push_by(self, way):
-        """Solve at a displacement of the shaft's end; return the reactions of both ends."""
-        self.push.value = way
-        dm.newton(self.problem, rtol=1e-10)
-        return [dm.reaction(self.problem, bc).force[1] for bc in self.bcs]
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("slave", ["lower", "upper"])
-def test_press_fit_is_pushed_out(slave):
-    """F = mu N."""
-    case, mu = PressFit(slave), 0.25
-    for way in (0.0, 0.01, 0.1, 0.11):
-        ends = case.push_by(way)
-        case.problem.commit()
-        N, F = np.abs(case.contact.force)
-        assert ends == pytest.approx([-ends[1], ends[1]], rel=1e-8, abs=1e-8 * N)
-        assert F == pytest.approx(np.abs(ends[0]), rel=1e-8, abs=1e-8 * N)
-    assert F == pytest.approx(mu * N, rel=1e-9)
-
-
-def push_cone(n, slave, sign, degree):
-    """Return the axial force of a shaft of 3 degrees that its foot pushes .05 mm into a ring."""
-
-    def revolved(x):
-        inner = 5.0 + sign * np.tan(np.radians(3.0)) * 10.0 * x[:, 0]
-        wall = np.where(x[:, 1] > 0.0, 9.0 - inner, inner - 1.0)
-        return np.column_stack([inner + x[:, 1] * wall, 10.0 * x[:, 0]])
-
-    options = {"cell": "quadrilateral", "transform": revolved}
-    blocks, cells, tags = meshes.two_blocks(COMM, (2 * n, n), (2 * n + 3, n), **options)
-    V = fem.functionspace(blocks, ("Lagrange", degree, (2,)))
-    feet, axial = tags.find(LEFT), V.sub(1)
-    link = blocks.topology.connectivity(1, 2)
-    pushed = np.isin(link.array[link.offsets[feet]], cells.find(LOWER))
-    bcs = []
-    for facets, value in ((feet[pushed], -0.05 * sign), (feet[~pushed], 0.0)):
-        dofs = fem.locate_dofs_topological(axial, 1, facets)
-        bcs.append(fem.dirichletbc(value, dofs, axial))
-    sides = (TOP_OF_LOWER, BOTTOM_OF_UPPER)[:: 1 if slave == "shaft" else -1]
-    contact = dm.Contact(tags, slave=sides[0], master=sides[1])
-    solid = dm.Solid(fem.Function(V), dm.Elastic(2e5, 0.3), kinematics="axisymmetric")
-    problem = dm.ContactProblem(solid, [contact], bcs=bcs)
-    assert not dm.newton(problem).notes
-    force = abs(contact.force[1])
-    assert abs(dm.reaction(problem, bcs[0]).force[1]) == pytest.approx(force, rel=1e-5)
-    return force
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("degree", [1, 2])
-def test_a_cone_whose_end_is_pushed(sign, degree):
-    """Frictionless, with both ends on supports; errors on the coarsest mesh are 1.4 and .05 %."""
-    coarse, other, fine = (
-        push_cone(n, slave, sign, degree) for n, slave in ((3, "shaft"), (3, "ring"), (6, "ring"))
-    )
-    assert coarse == pytest.approx(other, rel=1e-4)
-    assert coarse == pytest.approx(fine, rel=0.01)

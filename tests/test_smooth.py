@@ -22,11 +22,8 @@ from dolfinx_mortar.geometry.elements import LINE2, LINE3, QUAD4, QUAD9, TRI3, T
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.meshing.two_bodies import distribute
 from dolfinx_mortar.mortar.curvature_correction import _count_edges, smooth_normals
-from dolfinx_mortar.mortar.mirrors import find_mirrors
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
 from tests.cases.close_fits import create_ring
-from tests.cases.meshes import two_blocks
-from tests.cases.meshes_3d import two_boxes
 
 COMM = MPI.COMM_WORLD
 RADIUS = 8.0
@@ -121,27 +118,6 @@ def test_heights_over_curved_facets(element, axes, rng):
     assert left[0] < 0.03 and left[1] < 0.3 * left[0]
 
 
-def test_changes_of_curvature_along_curved_facets(rng):
-    """Where curvatures at the ends are known heights are right to third order, however nodes lie.
-
-    Not beside a flat line, whose curvature does not change.
-    """
-    s, xi = scattered(LINE3, rng, 0.5, 0.1)[..., 0], LINE3.rule[0]
-    for size in (0.02, 0.01):
-        a = 1.0 + size * s  # angles on an ellipse
-        facets = Facets(LINE3, np.stack([1.5 * np.cos(a), np.sin(a)], axis=2))
-        speed = np.hypot(1.5 * np.sin(a), np.cos(a))[:, :2]
-        ends = 1.5 / speed[:, :, None, None] ** 3 * np.eye(2)
-        p = facets.x.swapaxes(1, 2) @ LINE3.shape_functions(xi).T
-        level = (p[:, 0] / 1.5) ** 2 + p[:, 1] ** 2
-        true = (1 - level) / (2 * np.hypot(p[:, 0] / 1.5**2, p[:, 1]))
-        found = at_points(facets, curved_sagittas(facets, own_curvatures(facets), ends), xi)
-        assert np.abs(found - true).max() < 3.0 * size * np.abs(true).max()
-    straight = Facets(LINE3, facets.x * [1.0, 0.0])
-    beside = np.stack([np.zeros((20, 2, 2)), 0.5 * ends[:, 0]], axis=1)
-    assert not curved_sagittas(straight, own_curvatures(straight), beside).any()
-
-
 def scattered(element, rng, size, spread=0.3):
     """Return facets (20,) near the origin of the plane, with their nodes off any grid."""
     d = element.points.shape[1] + 1
@@ -189,48 +165,6 @@ def test_needles_and_collapsed_facets_have_a_curvature(element, rng):
         c = (edges(facets) ** 2).sum(axis=2) / RADIUS
         c *= 1.0 + 1e-13 * rng.standard_normal(c.shape)
         assert np.abs(curvatures(facets, c)).max() < 10.0 / RADIUS
-
-
-@pytest.mark.parametrize("cell", CELLS)
-def test_heights_over_a_ball(cell):
-    """On a mesh of very different sizes; at the free rim the normals lean."""
-    surface, fixed = ball(MPI.COMM_SELF, 0.5, cell)
-    facets, nodes = facets_at(surface, surface.X), surface.facets
-    found = smooth_normals(surface, surface.X, fixed, 40.0)
-    xi = facets.element.rule[0]
-    true = true_heights(facets, [0.0, 0.0, RADIUS], RADIUS, xi)
-    error = np.abs(found_heights(facets, found, nodes, xi) - true).max(axis=1) / true.max(axis=1)
-    rim = found.open[nodes].sum(axis=1) > 1
-    assert rim.any() and error[~rim].max() < 0.02 and error[rim].max() < 0.2
-
-
-def cylinder(cell, cells, bend=0.0):
-    """Return the outer side of half a tube, with free ends all around; its nodes lie uneven."""
-    m = mesh.create_box(MPI.COMM_SELF, [(0, 0, 0), (1, 1, 1)], cells, mesh.CellType[cell])
-    r, t, z = m.geometry.x.T.copy()
-    t, z = t + bend * np.sin(2 * np.pi * t) / 7, z + bend * np.sin(2 * np.pi * z) / 9
-    outer = mesh.locate_entities_boundary(m, 2, lambda x: np.isclose(x[0], 1.0))
-    m.geometry.x[:, 0] = (0.9 + 0.1 * r) * np.cos(np.pi * t)
-    m.geometry.x[:, 1] = (0.9 + 0.1 * r) * np.sin(np.pi * t)
-    m.geometry.x[:, 2] = 2.0 * z
-    tags = mesh.meshtags(m, 2, np.sort(outer), np.full(len(outer), 3, dtype=np.int32))
-    return create_surface(fem.functionspace(m, ("Lagrange", 1, (3,))), tags, 3, "slave")
-
-
-@pytest.mark.parametrize("cell", CELLS)
-@pytest.mark.parametrize("bend", [0.0, 1.0])
-def test_heights_over_a_cylinder_with_free_ends(cell, bend):
-    surface = cylinder(cell, (1, 32, 20), bend)
-    facets = facets_at(surface, surface.X)
-    found = smooth_normals(surface, surface.X, np.zeros(surface.X.shape, dtype=bool), 40.0)
-    xi = facets.element.rule[0]
-    true = true_heights(facets, [0.0, 0.0, 0.0], 1.0, xi, slice(0, 2))
-    error = np.abs(found_heights(facets, found, surface.facets, xi) - true).max(axis=1)
-    error /= true.max(axis=1)
-    corners = found.open[surface.facets].sum(axis=1)
-    assert not found.sharp.any() and corners.max() == 3  # where two rims meet
-    exact = corners <= (1 if cell == "tetrahedron" else 2)
-    assert error[exact].max() < 0.01 and error.max() < 0.52
 
 
 @pytest.mark.mpi
@@ -317,57 +251,6 @@ def test_only_what_may_be_a_symmetry_completes_the_normal(components, completed)
     assert not completed or found.n[top] == pytest.approx([0.0, 1.0], abs=1e-14)
 
 
-def upper_side(points):
-    """Return the side of a body through points (n, 2) above it, and what x = 0 prescribes."""
-    count = len(points)
-    X = np.concatenate([points, points - [0.0, 2.0]])
-    cells = np.array([[count + i, count + i + 1, i, i + 1] for i in range(count - 1)])
-    bodies = (X, cells), (X + 9.0, cells)
-    domain, _ = distribute(MPI.COMM_SELF, lambda: bodies, "quadrilateral")
-    domain.topology.create_connectivity(1, 2)
-    facets = mesh.exterior_facet_indices(domain.topology)
-    middle = mesh.compute_midpoints(domain, 1, facets)[:, None, :2]
-    gap = np.linalg.norm(middle - (points[1:] + points[:-1]) / 2, axis=2).min(axis=1)
-    on = facets[gap < 1e-9]
-    tags = mesh.meshtags(domain, 1, on, np.full(len(on), 3, dtype=np.int32))
-    surface = create_surface(fem.functionspace(domain, ("Lagrange", 1, (2,))), tags, 3, "slave")
-    fixed = np.zeros(surface.X.shape, dtype=bool)
-    fixed[np.abs(surface.X[:, 0]) < 1e-9, 0] = True
-    return surface, fixed
-
-
-def arc(n, oblique, growth=1.0):
-    """Return n chords of an arc of 57 degrees that ends oblique at x = 0, by so many degrees."""
-    angle = np.concatenate([[0.0], np.cumsum(growth ** np.arange(n))])
-    angle = angle / angle[-1] + np.radians(oblique)
-    points = np.column_stack([np.sin(angle), np.cos(angle)])
-    return points - [points[0, 0], 0.0]
-
-
-def straight(n, degrees):
-    """Return n facets of a flat side that is inclined by so many degrees."""
-    x = np.linspace(0.0, 1.0, n + 1)
-    return np.column_stack([x, np.tan(np.radians(degrees)) * x])
-
-
-MIRRORS = [(arc(n, 0.0, growth), True) for n in (2, 3, 6) for growth in (0.7, 1.0, 2.0)]
-MIRRORS += [(arc(n, oblique), False) for n in (6, 24) for oblique in (-20.0, -5.0, 5.0, 20.0)]
-MIRRORS += [(straight(n, a), False) for n in (1, 2, 6) for a in (-60.0, -1.0, 1e-3, 20.0)]
-MIRRORS += [(straight(n, 0.0), True) for n in (1, 6)] + [(arc(1, 0.0), False)]
-
-
-@pytest.mark.parametrize(("points", "mirror"), MIRRORS)
-def test_the_curvature_tells_mirrors_from_other_supports(points, mirror):
-    """Whatever the sign of the component, and the units; the normal leans where it is none."""
-    for turned, size in ((1.0, 1.0), (-1.0, 1e-3)):
-        surface, fixed = upper_side(size * points[:: int(turned)] * [turned, 1.0])
-        found = find_mirrors(surface, fixed, 40.0)
-        assert found.sum() == mirror and not (found & ~fixed).any()
-        end = int(np.argmin(np.abs(surface.X[:, 0])))
-        n = smooth_normals(surface, surface.X, fixed, 40.0).n[end]
-        assert (n[0] == 0.0) == mirror and np.linalg.norm(n) == pytest.approx(1.0, abs=1e-14)
-
-
 # -- where there is no normal ----------------------------------------------------------------------
 
 
@@ -418,47 +301,3 @@ def test_opposite_facets_have_no_normal(cell):
     assert np.abs(c).max() < 1e-14
     fixed = np.zeros((len(surface.V.mesh.geometry.x), fixed.shape[1]), dtype=bool)
     assert edges_of(surface, fixed, 180.0).tolist() == [end.sum()] * 2
-
-
-@pytest.mark.parametrize(("second", "none"), [((1.0, 1e-9), True), ((0.8, 0.6), False)])
-def test_a_cusp_has_no_normal(second, none):
-    """Two sides of a wedge of no angle; with an angle, the edge has one."""
-    X = np.array([[0.0, 0.0], second, [1.0, 1.0], [0.0, 1.0]])
-    X = np.concatenate([X, [[1.0, 0.0], [1.0, -1.0], [0.0, -1.0]]])
-    cells = np.array([[3, 2, 0, 1], [6, 5, 0, 4]])
-    bodies = (X, cells), (X + 9.0, cells)
-    domain, _ = distribute(MPI.COMM_SELF, lambda: bodies, "quadrilateral")
-    domain.topology.create_connectivity(1, 2)
-    facets = mesh.exterior_facet_indices(domain.topology)
-    middle = mesh.compute_midpoints(domain, 1, facets)
-    lips = facets[(np.abs(middle[:, 0] - 0.45) < 0.1) & (np.abs(middle[:, 1]) < 0.45)]
-    tags = mesh.meshtags(domain, 1, lips, np.full(2, 3, dtype=np.int32))
-    surface = create_surface(fem.functionspace(domain, ("Lagrange", 1, (2,))), tags, 3, "slave")
-    fixed = np.zeros((len(surface.V.mesh.geometry.x), 2), dtype=bool)
-    assert edges_of(surface, fixed, 40.0).tolist() == [1, int(none)]
-
-
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral", "tetrahedron", "hexahedron"])
-def test_second_order_has_the_same_smooth_surface(cell):
-    """Normals of the vertices and what these are good for; middles lie on no edge."""
-    d = 2 if cell in ("triangle", "quadrilateral") else 3
-    create, n = (two_blocks, (5, 2)) if d == 2 else (two_boxes, (4, 3, 1))
-    domain, _, tags = create(MPI.COMM_SELF, n, n, cell=cell, jitter=0.3, transform=dome)
-    found = []
-    for degree in (1, 2):
-        V = fem.functionspace(domain, ("Lagrange", degree, (d,)))
-        surface = create_surface(V, tags, 3, "slave")
-        fixed = np.zeros((V.dofmap.index_map.size_local, d), dtype=bool)
-        assert (edges_of(surface, fixed, 40.0) == 0).all()
-        normals = smooth_normals(surface, surface.X, fixed[surface.nodes], 40.0)
-        vertices = np.unique(surface.facets[:, list(surface.element.vertices)])
-        order = vertices[np.lexsort(np.round(surface.X[vertices], 9).T)]
-        found.append((surface.X[order], normals.n[order], normals.open[order]))
-        assert np.linalg.norm(normals.n, axis=1) == pytest.approx(1.0, abs=1e-14)
-    for first, second in zip(*found, strict=True):
-        assert np.abs(first.astype(float) - second).max() < 1e-13
-
-
-def dome(x):
-    """Bend blocks upwards."""
-    return x - 0.2 * np.eye(x.shape[1])[-1] * ((x[:, :-1] - 0.5) ** 2).sum(axis=1)[:, None]

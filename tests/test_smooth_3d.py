@@ -14,13 +14,10 @@ from dolfinx import fem, mesh
 from dolfinx_mortar.mortar import curvature_correction as smooth
 from dolfinx_mortar.mortar.mirrors import find_mirrors
 from dolfinx_mortar.mortar.surface import create_surface
-from tests.cases import lug as lug_case
 from tests.choice import crosswise
 
 CELLS = ["tetrahedron", "hexahedron"]
-MESHES = [(1.5, 1.0), (1.0, 1.5), (1.0, 0.7), (0.7, 1.0)]
-# N and MPa: of a socket of 120 thousand unknowns, a lug of 220 thousand, of hexahedra
-SOCKET, LUG = (67_810.0, 766.7), (101_765.0, 649.0)
+SOCKET = 67_810.0, 766.7  # N and MPa, of 120 thousand unknowns, hexahedra
 
 
 def press_ball(cell, h, slave):
@@ -40,54 +37,39 @@ def press_ball(cell, h, slave):
     return report, 4.0 * abs(contact.force[2]), contact.gather(problem.u)["pressure"].max()
 
 
-def check(found, refined):
-    """Forces within 2 % and peaks within 8 % of each other and, where fine enough, of the limit."""
-    reports, forces, peaks = zip(*found, strict=True)
-    assert all(r.newton_iterations <= 4 and not r.notes for r in reports)
-    print(forces, peaks)
-    assert max(forces) < 1.02 * min(forces) and max(peaks) < 1.08 * min(peaks)
-    for force, peak in zip(forces[4:], peaks[4:], strict=True):
-        assert force == pytest.approx(refined[0], rel=0.02)
-        assert peak == pytest.approx(refined[1], rel=0.08)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("cell", CELLS)
-def test_a_ball_in_its_socket(cell):
-    check([press_ball(cell, h, s) for h in MESHES for s in ("socket", "ball")], SOCKET)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("cell", CELLS)
-def test_a_pin_in_a_lug(cell):
-    found = []
-    for h in MESHES:
-        mesh = lug_case.create_lug(cell, h)
-        found += [lug_case.press(*mesh, slave) for slave in ("lug", "pin")]
-    check(found, LUG)
-
-
 @pytest.mark.mpi
 def test_a_ball_in_its_socket_on_the_coarsest_mesh():
     """What takes a second: facets give 152 and 200 kN, 1627 and 6497 MPa here."""
     for slave in ("socket", "ball"):
-        report, force, peak = press_ball("tetrahedron", MESHES[0], slave)
+        report, force, peak = press_ball("tetrahedron", (1.5, 1.0), slave)
         assert report.newton_iterations <= 4
         assert force == pytest.approx(SOCKET[0], rel=0.035)
         assert peak == pytest.approx(SOCKET[1], rel=0.08)
+
+
+def uneven_cylinder(h):
+    """Return the side of half a cylinder on the plane x = 0, its facets about h long."""
+    n = int(np.ceil(np.pi / h))
+    m = mesh.create_box(MPI.COMM_WORLD, [(0, 0, 0), (1, 1, 1)], (1, n, n // 4))
+    r, t, z = m.geometry.x.T.copy()
+    side = mesh.locate_entities_boundary(m, 2, lambda x: np.isclose(x[0], 1.0))
+    wave = np.sin(np.pi * t) / n
+    t, z = t + 0.2 * wave * np.sin(9 * n * t + 7 * z), z + 0.2 * wave * np.cos(5 * n * t + 8 * z)
+    angle, r = np.pi * (t - 0.5), 0.7 + 0.3 * r
+    m.geometry.x[:] = np.column_stack([r * np.cos(angle), r * np.sin(angle), 0.8 * z])
+    tags = mesh.meshtags(m, 2, np.sort(side), np.full(len(side), 3, dtype=np.int32))
+    return create_surface(fem.functionspace(m, ("Lagrange", 1, (3,))), tags, 3, "slave")
 
 
 @pytest.mark.mpi
 def test_normals_of_a_cylinder_on_uneven_triangles(monkeypatch):
     """Third order in the size of facets, instead of the sums' first."""
     error = {}
-    for h in (1.0, 0.5):
-        domain, tags = lug_case.create_lug("tetrahedron", (h, 2.0))
-        V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
-        surface = create_surface(V, tags, 3, "slave")
+    for h in (0.1, 0.05):
+        surface = uneven_cylinder(h)
         fixed = np.abs(surface.X) < 1e-9
         fixed[:, 1] = False
-        exact = surface.X * [-0.1, -0.1, 0.0]
+        exact = surface.X * [1.0, 1.0, 0.0]
         for count in (0, smooth.PROJECTIONS, 2 * smooth.PROJECTIONS):
             monkeypatch.setattr(smooth, "PROJECTIONS", count)
             found = smooth.smooth_normals(surface, surface.X, fixed, 40.0)
@@ -98,9 +80,9 @@ def test_normals_of_a_cylinder_on_uneven_triangles(monkeypatch):
             square = ((found.n - exact)[found.regular] ** 2).sum()
             regular = MPI.COMM_WORLD.allreduce(found.regular.sum())
             error[h, count] = np.sqrt(MPI.COMM_WORLD.allreduce(square) / regular)
-    assert error[0.5, 2] < 0.02 * error[0.5, 0]
-    assert error[1.0, 2] > 4.0 * error[0.5, 2]
-    assert error[0.5, 4] > 0.7 * error[0.5, 2]
+    assert error[0.05, 2] < 0.02 * error[0.05, 0]
+    assert error[0.1, 2] > 4.0 * error[0.05, 2]
+    assert error[0.05, 4] > 0.7 * error[0.05, 2]
 
 
 # -- supports at the ends of sides -----------------------------------------------------------------

@@ -9,13 +9,12 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from tests.cases.close_fits import OVERLAP, create_pin, create_shrink_fit
-from tests.cases.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
-from tests.cases.pressed_blocks import PressedBlocks, rejected
+from tests.cases.pressed_blocks import rejected
+from tests.cases.shells import to_arc, to_sphere
 from tests.choice import crosswise
-from tests.test_smooth_tie import largest, sides, to_arc, to_sphere
+from tests.test_smooth_tie import largest, sides
 
 COMM = MPI.COMM_WORLD
-RADIUS = 8.0
 CELLS = ["tetrahedron", "hexahedron"]
 # facets of the pin and the hole, 1 to 0.09 mm long
 PAIRS = [(60, 88), (88, 60), (60, 60), (124, 176), (176, 124)]
@@ -147,57 +146,6 @@ def test_heights_do_not_depend_on_the_ranks(cell):
     assert found[1][:, 3].max() > 1e-3
 
 
-def test_the_audit_shows_the_choice():
-    case = PressedBlocks()
-    contacts = [
-        dm.Contact(case.facets, slave=3, master=4, surface=surface, feature_angle=30.0)
-        for surface in ("smooth", "facets")
-    ]
-    shown = [str(case.problem([contact]).audit()) for contact in contacts]
-    assert "feature_angle=30" in shown[0] and "surface" not in shown[0]
-    assert "surface='facets'" in shown[1] and "feature_angle" not in shown[1]
-    assert repr(dm.Contact(case.facets, slave=3, master=4)) == "Contact(slave=3, master=4)"
-
-
-def test_flat_sides_are_the_same_either_way():
-    """To round-off, in the forces of a step with frozen surfaces."""
-    found = []
-    for surface in ("smooth", "facets"):
-        case = PressedBlocks(n_lower=(5, 3), n_upper=(4, 3))
-        contact = dm.Contact(case.facets, slave=3, master=4, surface=surface)
-        dm.newton(case.problem([contact], geometry="reference"), rtol=1e-11)
-        found.append(contact.gather(case.u)["pressure"])
-    assert found[0] == pytest.approx(found[1], rel=1e-10, abs=1e-10)
-
-
-@pytest.mark.mpi
-def test_curvatures_are_those_before_the_deformation():
-    """Flat sides stay facets when they bend, so that Newton does not have to follow curvatures."""
-    case = PressedBlocks(n_lower=(5, 3), n_upper=(4, 3))
-    case.u.interpolate(lambda x: np.stack([0.01 * x[0] ** 2, -0.01 * x[0] ** 2]))
-    problem = case.problem([case.contact()])
-    problem.audit()
-    heights = problem.system.links[0].coupling.heights
-    assert np.abs(heights).max(initial=0.0) < 1e-14
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("swap", [False, True])
-def test_an_edge_of_either_side_is_none_of_a_curve(swap):
-    """The upper block is tagged around its corners; what it says of them reaches the other side."""
-    case = PressedBlocks(n_lower=(5, 3), n_upper=(4, 3))
-    m, tags = case.mesh, case.facets
-    above = mesh.compute_midpoints(m, 1, tags.indices)[:, 1] > 1e-9
-    values = np.where(above & (tags.values != TOP), BOTTOM_OF_UPPER, tags.values)
-    around = mesh.meshtags(m, 1, tags.indices, values.astype(np.int32))
-    slave, master = (BOTTOM_OF_UPPER, TOP_OF_LOWER) if swap else (TOP_OF_LOWER, BOTTOM_OF_UPPER)
-    contact = dm.Contact(around, slave=slave, master=master, surface="smooth")
-    problem = case.problem([contact])
-    problem.audit()
-    heights = problem.system.links[0].coupling.heights
-    assert np.abs(heights).max(initial=0.0) < 1e-14
-
-
 @pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
 @pytest.mark.parametrize("bad", ["spline", None, 1])
 def test_bad_surface(bad, kind):
@@ -210,13 +158,6 @@ def test_bad_surface(bad, kind):
 def test_bad_feature_angle(bad, kind):
     with rejected("feature_angle is", "degrees"):
         kind(polygon_tags(), slave=1, master=2, feature_angle=bad)
-
-
-def test_bad_feature_angle_of_the_matrices():
-    case, sides = PressedBlocks(), {"slave": TOP_OF_LOWER, "master": BOTTOM_OF_UPPER}
-    for bad in (np.nan, "x", 0.0):
-        with rejected("feature_angle is", "degrees"):
-            dm.assemble_mortar(case.V, case.facets, **sides, feature_angle=bad)
 
 
 def polygon_tags():

@@ -12,8 +12,9 @@ from dolfinx_mortar.mortar.surface import create_surface, thickness_stretches
 from tests.cases.close_fits import create_shrink_fit
 from tests.cases.hertz import create_case
 from tests.cases.meshes import TOP_OF_LOWER
+from tests.cases.shells import to_arc, to_sphere
 from tests.choice import quick
-from tests.test_smooth_tie import CELLS, largest, sides, to_arc, to_sphere
+from tests.test_smooth_tie import CELLS, largest, sides
 
 COMM = MPI.COMM_WORLD
 SPIN = np.array([[0.8, -0.6, 0.0], [0.36, 0.48, -0.8], [0.48, 0.64, 0.6]])  # by 65 degrees

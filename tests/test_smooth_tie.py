@@ -10,36 +10,20 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import maximum
-from dolfinx_mortar.audit.sides import warnings_on_straight_facets
-from dolfinx_mortar.mortar import operators
 from tests.cases.close_fits import hold, rings
 from tests.cases.meshes import two_blocks
 from tests.cases.meshes_3d import two_boxes
-from tests.cases.shells import INNER, OUTER, lame_pressure, octants
+from tests.cases.shells import INNER, OUTER, RADIUS, lame_pressure, octants, to_arc, to_sphere
 from tests.choice import crosswise
 
 COMM = MPI.COMM_WORLD
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
-RADIUS = 2.0
 RADII = (1.0, 2.0, 3.0)
 ROUND_OFF = 1e-12
 SPIN = np.array([[0.0, -1.0, 0.5], [1.0, 0.0, 0.7], [-0.5, -0.7, 0.0]])  # W: u = W x
 
 
 # -- the operator: u_s = Q u_m ---------------------------------------------------------------------
-
-
-def to_sphere(x):
-    """Map (a, b, radius - 2), with a and b from 0 to 1, to a sector of a spherical shell."""
-    direction = np.column_stack([0.8 * (x[:, :2] - 0.5), np.ones(len(x))])
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    return (RADIUS + x[:, 2:]) * direction
-
-
-def to_arc(x):
-    """Map (a, .., radius - 2) to a sector of a ring, or of a tube."""
-    angle, radius = 0.8 * (x[:, 0] - 0.5), RADIUS + x[:, -1]
-    return np.column_stack([radius * np.sin(angle), *x[:, 1:-1].T, radius * np.cos(angle)])
 
 
 def sides(comm, cell, transform, n=3, **options):
@@ -150,21 +134,6 @@ def test_flat_sides_have_the_operator_of_the_paper(cell, surface):
     assert largest(COMM, coupling.blocks - scalar) <= (0.0 if surface == "facets" else 1e-14)
 
 
-def test_facets_are_the_papers_on_curved_sides():
-    mesh, tags = sides(COMM, "hexahedron", to_sphere)
-    coupling = couple(mesh, tags, surface="facets").coupling
-    assert (coupling.blocks == coupling.P[:, :, None] * np.eye(3)).all()
-
-
-def test_points_in_parts_add_up_to_the_same(monkeypatch):
-    """To round-off: points of one part are summed in any order, parts one after the other."""
-    mesh, tags = sides(COMM, "tetrahedron", to_sphere)
-    whole = couple(mesh, tags).coupling.blocks
-    monkeypatch.setattr(operators, "CHUNK", 7)
-    scale = np.abs(whole).max(initial=0.0)  # of this rank, which may have none
-    assert np.allclose(couple(mesh, tags).coupling.blocks, whole, rtol=0.0, atol=1e-14 * scale)
-
-
 @pytest.mark.mpi
 @pytest.mark.parametrize("partition", ["stripes", "bodies", "shared_facet"])
 @pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
@@ -222,13 +191,6 @@ def test_a_rotation_strains_nothing(cell, slave):
     assert turned_strain(cell, 1, "smooth", slave) < 1e-12
 
 
-@pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])
-def test_facets_resist_a_rotation(cell):
-    """By a strain of the sagitta over the width of the layer that it reaches: order 1.5 in h."""
-    strains = [turned_strain(cell, k, "facets", 3) for k in (1, 2)]
-    assert np.log2(strains[0] / strains[1]) == pytest.approx(1.5, abs=0.2) and strains[1] > 1e-7
-
-
 def pressure_errors(cell, sizes, surface, slave):
     """Return the largest errors of the pressure, relative to Lame's, and its spreads."""
     found = []
@@ -260,22 +222,6 @@ def test_the_pressure_of_tied_rings_is_lames(slave):
     assert orders[-1].min() > 1.8 and errors[-1, 0] < 4e-4
 
 
-def test_the_pressure_of_tied_facets_is_of_first_order():
-    """With the finer side as slave; ten times less right than that of smooth sides."""
-    errors = pressure_errors("quadrilateral", (2, 4), "facets", 3)
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(1.0, abs=0.2)
-    assert errors[1, 0] > 8 * pressure_errors("quadrilateral", (4,), "smooth", 3)[0, 0]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("slave", [2, 3])
-def test_the_pressure_of_tied_spheres_is_lames(slave):
-    errors = pressure_errors("hexahedron", (1, 2), "smooth", slave)
-    assert np.log2(errors[0] / errors[1]).min() > 1.6 and errors[1, 0] < 9e-4
-    facets = pressure_errors("hexahedron", (2,), "facets", slave)
-    assert (errors[1] < facets[0]).all()
-
-
 @pytest.mark.mpi
 @pytest.mark.parametrize("cell", CELLS)
 def test_moments_balance_across_a_gap(cell):
@@ -295,16 +241,6 @@ def test_moments_balance_across_a_gap(cell):
         )
         imbalance.append(dm.newton(problem).certificate.moment_balance)
     assert imbalance[0] < 1e-12 and imbalance[1] > 0.05
-
-
-def test_a_tie_says_what_is_tied():
-    """Smooth surfaces if not told otherwise, which is not worth a word."""
-    _, tags = sides(COMM, "triangle", None)
-    shown = [repr(dm.Tie(tags, slave=3, master=4, **o)) for o in ({}, {"surface": "facets"})]
-    assert shown == [
-        "Tie(slave=3, master=4)",
-        "Tie(slave=3, master=4, surface='facets')",
-    ]
 
 
 @pytest.mark.mpi
@@ -339,13 +275,3 @@ def test_straight_facets_of_curved_sides_spoil_second_order(degree, order):
     mean = COMM.allreduce(own.sum()) / COMM.allreduce(own.size)
     scatter = np.sqrt(COMM.allreduce(((own - mean) ** 2).sum()) / COMM.allreduce(own.size))
     assert (scatter > 0.01 * abs(mean)) == spoilt
-
-
-def test_flat_sides_are_not_called_curved():
-    """Also where they meet in an edge."""
-    mesh, tags = sides(COMM, "hexahedron", None)
-    V = fem.functionspace(mesh, ("Lagrange", 2, (3,)))
-    tie = dm.Tie(tags, slave=3, master=4)
-    problem = dm.ContactProblem(dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3)), [tie])
-    problem.update_geometry()
-    assert warnings_on_straight_facets(problem.system.links[0]) == []

@@ -8,16 +8,13 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
-from dolfinx_mortar.audit import sides as of_sides
-from dolfinx_mortar.interfaces import mortar_interface
 from dolfinx_mortar.mortar.curvature_correction import (
     find_parting,
     find_smooth_sides,
     missed_heights,
 )
 from dolfinx_mortar.report import resolution
-from tests.cases.close_fits import create_pin, create_shrink_fit, hold, lame_pressure, rings
-from tests.cases.hertz import ELASTIC, create_case
+from tests.cases.close_fits import create_pin, create_shrink_fit
 from tests.cases.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
 from tests.cases.pressed_blocks import PressedBlocks
 from tests.cases.shells import MASTER, SLAVE, octants
@@ -99,33 +96,6 @@ def test_a_note_is_logged_once(caplog):
     assert len(told) == (COMM.rank == 0)
 
 
-@pytest.mark.parametrize(("factor", "told"), [(0.1, True), (10.0, False)])
-def test_the_share_that_is_told_of(factor, told, monkeypatch):
-    """The forces of the sagittas are 0.1 and 1 of the contact forces in between."""
-    monkeypatch.setattr(resolution, "SPOILT", factor * resolution.SPOILT)
-    for counts, swap in (((64, 96), True), ((64, 96), False)):
-        report, _ = create_pin(counts, swap, surface="facets").solve()
-        assert any("facets of curved" in note for note in report.notes) == told
-
-
-@pytest.mark.mpi
-def test_smooth_surfaces_are_found_once_a_search(monkeypatch):
-    """They are those at X, for the notes after each step, too."""
-    found = []
-    for module in (of_sides, mortar_interface):
-        monkeypatch.setattr(
-            module,
-            "find_smooth_sides",
-            lambda *given: found.append(given) or find_smooth_sides(*given),
-        )
-    case = create_case(dm.meshing.hertz(COMM, kind="paper"), ELASTIC, surface="facets")
-    for depth in (0.02, 0.021, 0.022):
-        case.press(depth)
-        dm.newton(case.problem)
-        case.problem.commit()
-    assert 0 < len(found) <= case.problem.system.searches
-
-
 @pytest.mark.mpi
 @pytest.mark.parametrize(("pressure", "told"), [(10.0, True), (-10.0, False)])
 def test_facets_that_keep_sides_apart_are_told_of(pressure, told):
@@ -151,49 +121,6 @@ def test_heights_that_are_known_too_little_are_told_of(swap, pressure):
         any("smooth surfaces through the nodes are known to" in n for n in report.notes) == spoilt
     )
     assert not any("forces and moments are" in note for note in report.notes)
-
-
-def test_heights_of_a_stiff_ring_in_a_soft_sleeve():
-    """What heights are worth is given by both sides in series: nothing here, though E is 2e5."""
-    a, b, c, overlap = 10.0, 20.0, 30.0, 0.05
-    domain, tags = rings(COMM, (a, b + overlap), (b, c), (48, 64), (8, 8))
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    count = domain.topology.index_map(2).size_local
-    cells = np.arange(count, dtype=np.int32)
-    middle = np.hypot(*mesh.compute_midpoints(domain, 2, cells)[:, :2].T)
-    of_body = mesh.meshtags(domain, 2, cells, np.where(middle < b, 1, 2).astype(np.int32))
-    stiff, soft = (210e3, 0.3), (5.0, 0.45)
-    solid = dm.Solid(fem.Function(V), {1: dm.Elastic(*stiff), 2: dm.Elastic(*soft)}, of_body)
-    contact = dm.Contact(tags, slave=2, master=3)
-    report = dm.newton(dm.ContactProblem(solid, [contact], bcs=[*hold(V, a), *hold(V, c)]))
-    right = lame_pressure(a, b, c, overlap, stiff, soft)
-    found = contact.gather(solid.u)["pressure"] / right
-    assert np.abs(found - 1.0).max() < 0.03 and not report.notes
-
-
-def test_flat_sides_do_not_stand_off_a_tool():
-    """Pressed by the corners of a punch, at a light load; the tool is told of, not the facets."""
-    domain = mesh.create_rectangle(
-        COMM, [(-2.0, -1.0), (2.0, 0.0)], (16, 4), mesh.CellType.quadrilateral
-    )
-    top = mesh.locate_entities_boundary(domain, 1, lambda x: x[1] > -1e-9)
-    tags = mesh.meshtags(domain, 1, np.sort(top), np.ones(len(top), dtype=np.int32))
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    foot = fem.locate_dofs_geometrical(V, lambda x: x[1] < -1 + 1e-9)
-    outline = [(-0.52, 1.0), (-0.52, 0.02), (-0.5, 0.0), (0.58, 0.0), (0.6, 0.02), (0.6, 1.0)]
-    shape = dm.shapes.Polyline(np.array(outline) - [0.0, 1e-4], crease=0.0)
-    punch = dm.Obstacle(tags, slave=1, shape=shape)
-    solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3))
-    bcs = [fem.dirichletbc(np.zeros(2), foot, V)]
-    report = dm.newton(dm.ContactProblem(solid, [punch], bcs=bcs))
-    assert punch.force[1] < 0.0 and not any("facets" in note for note in report.notes)
-
-
-def test_forces_that_are_missing_for_want_of_heights():
-    """An overlap that is less than what 16 and 24 facets know: no node carries."""
-    case = create_shrink_fit((16, 24), True, overlap=0.002)
-    (note,) = dm.newton(case.problem).notes
-    assert not case.contact.pressure.x.array.any() and "forces may be missing" in note
 
 
 @pytest.mark.mpi

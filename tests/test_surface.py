@@ -8,7 +8,6 @@ import pytest
 
 import basix.ufl
 import dolfinx
-import dolfinx_mortar as dm
 from dolfinx_mortar.geometry.elements import QUAD4
 from dolfinx_mortar.geometry.facets import Facets, distortions, facet_normals
 from dolfinx_mortar.mortar.surface import (
@@ -20,15 +19,13 @@ from dolfinx_mortar.mortar.surface import (
     nodal_normals,
 )
 from tests.cases.meshes import two_blocks
-from tests.test_results import TIP, cracked
+from tests.cases.meshes_3d import two_boxes
+from tests.cases.mortar import space
+from tests.cases.pressed_blocks import rejected
 
 COMM = MPI.COMM_WORLD
 PARTITIONS = ["graph", "shared_facet", "stripes", "bodies", "empty"]
 pytestmark = pytest.mark.mpi
-
-
-def space(mesh, degree=1):
-    return dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (mesh.geometry.dim,)))
 
 
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
@@ -65,34 +62,11 @@ def test_nodes_are_those_of_the_surface(partition):
     assert np.abs(owned - np.stack([np.linspace(0, 1, 9), np.zeros(9)], axis=1)).max() < 1e-14
     used = np.unique(surface.facets)
     assert set(range(surface.owned, len(surface.nodes))) <= set(used.tolist())
-
-
-@pytest.mark.parametrize("partition", PARTITIONS)
-def test_sums_over_ranks(partition):
-    """Each node gets the number of its facets, whoever integrates them."""
-    mesh, _, tags = two_blocks(COMM, (8, 2), (5, 2), partition=partition)
-    surface = create_surface(space(mesh), tags, 3, "slave")
+    # sums over ranks: each node gets the number of its facets, whoever integrates them
     count = np.bincount(surface.facets.ravel(), minlength=len(surface.nodes))
     expected = np.where(np.abs(surface.X[:, 0] - 0.5) > 0.499, 1.0, 2.0)
-    assert (accumulate(surface, count) == expected).all()
     both = accumulate(surface, np.stack([count, -count], axis=1))
     assert (both == np.stack([expected, -expected], axis=1)).all()
-
-
-def test_nodal_normals_of_the_polyline():
-    """Unweighted averages: facets of the same length here, but see the next test."""
-    points = np.array([[0.0, 0.0], [4.0, 3.0], [7.0, 7.0], [0.0, 9.0]])
-    cells = np.array([[0, 1, 3], [1, 2, 3]])
-    element = basix.ufl.element("Lagrange", "triangle", 1, shape=(2,))
-    mesh = dolfinx.mesh.create_mesh(MPI.COMM_SELF, cells, x=points, e=element)
-    mesh.topology.create_entities(1)
-    below = dolfinx.mesh.locate_entities_boundary(mesh, 1, lambda x: x[1] < 7.5)
-    tags = dolfinx.mesh.meshtags(mesh, 1, below, np.full(len(below), 5, dtype=np.int32))
-    surface = create_surface(space(mesh), tags, 5, "slave")
-    normals = nodal_normals(surface, surface.X)[np.argsort(surface.X[:, 0])]
-    expected = np.array([[3 / 5, -4 / 5], [1 / np.sqrt(2), -1 / np.sqrt(2)], [4 / 5, -3 / 5]])
-    assert len(below) == 2
-    assert np.abs(normals - expected).max() < 1e-15
 
 
 @pytest.mark.parametrize("partition", PARTITIONS)
@@ -119,22 +93,6 @@ def test_nodal_normals_of_the_deformed_surface(partition):
     where = np.searchsorted(lines, surface.X[:, 0] - 1e-9)
     assert np.abs(x - line[where]).max(initial=0) < 1e-14
     assert np.abs(nodal_normals(surface, x) - total[where]).max(initial=0) < 1e-13
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.1, 0.4, 0.7, 1.1])
-def test_normals_that_cancel_are_zero(angle):
-    """At the tip of a crack of which both faces are marked the rest is round-off, no direction."""
-    mesh, tags = cracked()
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    mesh.geometry.x[:, :2] = (mesh.geometry.x[:, :2] + [3.0, 7.0]) @ turn.T
-    both = np.sort(np.concatenate([tags.find(20), tags.find(11)]))
-    tags = dolfinx.mesh.meshtags(mesh, 1, both, np.full(len(both), 3, dtype=np.int32))
-    surface = create_surface(space(mesh), tags, 3, "slave")
-    tip = np.linalg.norm(surface.X - turn @ [3.0 + TIP, 7.0], axis=1) < 1e-9
-    length = np.linalg.norm(nodal_normals(surface, surface.X), axis=1)
-    assert (length[tip] == 0.0).all()
-    assert np.abs(length[~tip] - 1.0).max(initial=0.0) < 1e-14
-    assert COMM.allreduce(int(tip[: surface.owned].sum())) == 1
 
 
 def test_tags_given_by_one_rank_only():
@@ -170,87 +128,59 @@ def interior_tags(mesh):
     return dolfinx.mesh.meshtags(mesh, 1, facets, np.full(len(facets), 3, dtype=np.int32))
 
 
-def test_bad_tags_raise_on_all_ranks():
-    mesh, cell_tags, tags = two_blocks(COMM, (4, 2), (3, 2))
-    other_mesh, _, other_tags = two_blocks(COMM, (4, 2), (3, 2))
-    V = space(mesh)
-    with pytest.raises(ValueError, match=r"slave=17 marks no facet.*\[1, 2, 3, 4, 5, 6\]"):
-        create_surface(V, tags, 17, "slave")
-    with pytest.raises(ValueError, match=r"master=3.*inside the mesh"):
-        create_surface(V, interior_tags(mesh), 3, "master")
-    with pytest.raises(ValueError, match=r"slave=3.*another mesh"):
-        create_surface(V, other_tags, 3, "slave")
-    with pytest.raises(ValueError, match="dimension 2"):
-        create_surface(V, cell_tags, 1, "slave")
-    assert other_mesh is not mesh
+P1 = basix.ufl.element("Lagrange", "triangle", 1)
+ELEMENTS = [("Lagrange", 1), ("Lagrange", 3, (2,)), ("Lagrange", 1, (3,)), ("DG", 1, (2,))]
+ELEMENTS += [("N1curl", 1), basix.ufl.mixed_element([P1, P1])]
 
 
-def test_bad_spaces():
-    mesh, _, tags = two_blocks(COMM, (4, 2), (3, 2))
-    P1 = basix.ufl.element("Lagrange", "triangle", 1)
-    elements = [
-        ("Lagrange", 1),
-        ("Lagrange", 3, (2,)),
-        ("Lagrange", 1, (3,)),
-        ("DG", 1, (2,)),
-        ("N1curl", 1),
-        basix.ufl.mixed_element([P1, P1]),
-    ]
-    for element in elements:
-        with pytest.raises(ValueError, match="continuous vector Lagrange element of degree 1"):
-            create_surface(dolfinx.fem.functionspace(mesh, element), tags, 3, "slave")
+def test_bad_arguments_raise_on_all_ranks():
+    (mesh, cells, tags), (_, _, others) = (two_blocks(COMM, (4, 2), (3, 2)) for _ in range(2))
+    V, no_space = space(mesh), ["continuous vector Lagrange element of degree 1"]
+    prisms = dolfinx.mesh.create_unit_cube(COMM, 2, 2, 2, dolfinx.mesh.CellType.prism)
+    prisms.topology.create_entities(2)
+    none = dolfinx.mesh.meshtags(prisms, 2, *np.zeros((2, 0), dtype=np.int32))
+    curved, _, of_curved = two_blocks(COMM, (4, 2), (3, 2), order=2)
+    lost, _, of_lost = two_blocks(COMM, (4, 2), (3, 2))
+    lost.geometry.x[:, 0] = np.nan
+    for given, tag, words in (
+        ((V, tags), 17, ["slave=17 marks no facet", "[1, 2, 3, 4, 5, 6]"]),
+        ((V, interior_tags(mesh)), 3, ["slave=3", "inside the mesh"]),
+        ((V, others), 3, ["slave=3", "another mesh"]),
+        ((V, cells), 1, ["dimension 2"]),
+        ((space(prisms), none), 3, ["prism in 3D are not supported"]),
+        ((space(curved), of_curved), 3, ["cells of the mesh are of degree 2"]),
+        ((space(lost), of_lost), 3, ["not finite"]),
+        *(((dolfinx.fem.functionspace(mesh, e), tags), 3, no_space) for e in ELEMENTS),
+        *(((V, tags), t, [f"slave is {t!r}: "]) for t in (2**31, -(2**40), True, 3.0, "3", None)),
+    ):
+        with rejected(*words):
+            create_surface(*given, tag, "slave")
+    assert create_surface(V, tags, np.int64(3), "slave").tag == 3
 
 
-def test_cells_not_supported():
-    mesh = dolfinx.mesh.create_unit_cube(COMM, 2, 2, 2, dolfinx.mesh.CellType.prism)
-    mesh.topology.create_entities(2)
-    facets = np.zeros(0, dtype=np.int32)
-    tags = dolfinx.mesh.meshtags(mesh, 2, facets, facets)
-    with pytest.raises(ValueError, match="prism in 3D are not supported"):
-        create_surface(space(mesh), tags, 3, "slave")
+@pytest.mark.parametrize(
+    ("cell", "order", "node", "to", "words"),
+    [
+        ("hexahedron", 1, (0.5, 0.5, 0), (0.95, 0.95, 0), ["inverted or badly warped"]),
+        ("hexahedron", 1, (0.5, 0.5, 0), (0.5, 0.5, 2.5), ["inverted or badly warped"]),
+        ("tetrahedron", 1, (0.5, 0.5, 0), (0.5, 0, 0), ["degenerate"]),
+        *(
+            (cell, 2, (0.25, 0.5, 0), to, ["2 facets are ", "middle node lies", "one around (0."])
+            for cell in ("tetrahedron", "hexahedron")
+            for to in ((0.38, 0.5, 0), (0.55, 0.5, 0), (0.25, 0.5, 0.6))
+        ),
+    ],
+)
+def test_facets_that_are_folded_or_warped(cell, order, node, to, words):
+    """By one node beyond the opposite diagonal, far out of the plane, or off its middle."""
 
+    def move(x):
+        return np.where((np.linalg.norm(x - node, axis=1) < 1e-9)[:, None], to, x)
 
-def test_coordinates_that_are_not_finite():
-    mesh, _, tags = two_blocks(COMM, (4, 2), (3, 2))
-    if COMM.rank == 0:
-        mesh.geometry.x[:, 0] = np.nan
-    with pytest.raises(ValueError, match="not finite"):
-        for tag in (3, 4):
-            create_surface(space(mesh), tags, tag, "slave")
-
-
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
-def test_curved_cells_are_refused(cell):
-    """A space of degree 1 on cells of degree 2: the surface would be taken for straight."""
-    element = basix.ufl.element("Lagrange", cell, 2, shape=(2,))
-    kind = getattr(dolfinx.mesh.CellType, cell)
-    nodes = basix.create_element(basix.ElementFamily.P, getattr(basix.CellType, cell), 2,
-                                 basix.LagrangeVariant.equispaced).points  # fmt: skip
-    cells = np.arange(len(nodes), dtype=np.int64)[None]
-    first = COMM.rank == 0
-    mesh = dolfinx.mesh.create_mesh(
-        COMM, cells if first else cells[:0], x=nodes if first else nodes[:0], e=element
-    )
-    assert mesh.topology.cell_name() == kind.name
-    mesh.topology.create_connectivity(1, 2)
-    facets = dolfinx.mesh.exterior_facet_indices(mesh.topology)
-    tags = dolfinx.mesh.meshtags(mesh, 1, facets, np.full(len(facets), 3, dtype=np.int32))
-    with pytest.raises(ValueError, match="cells of the mesh are of degree 2"):
-        create_surface(space(mesh), tags, 3, "slave")
-
-
-@pytest.mark.parametrize("tag", [2**40, -(2**31) - 1, 2**31, True, False, 3.0, "3", None])
-def test_tags_that_no_mesh_can_hold(tag):
-    mesh, _, tags = two_blocks(COMM, (4, 2), (3, 2))
-    with pytest.raises(ValueError, match=f"slave is {tag!r}: "):
-        create_surface(space(mesh), tags, tag, "slave")
-    with pytest.raises(ValueError, match=f"master is {tag!r}: "):
-        dm.Contact(tags, slave=3, master=tag)
-
-
-def test_tags_of_numpy():
-    mesh, _, tags = two_blocks(COMM, (4, 2), (3, 2))
-    assert create_surface(space(mesh), tags, np.int64(3), "slave").tag == 3
+    n = (2, 2, 1)
+    mesh, _, tags = two_boxes(COMM, n, n, cell=cell, gap=3.0, order=order, transform=move)
+    with rejected("slave=3: ", *words):
+        create_surface(space(mesh, order), tags, 3, "slave")
 
 
 @pytest.mark.parametrize("cosine", [0.29, 0.31])

@@ -9,16 +9,12 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx import fem
-from dolfinx_mortar.interfaces import tie as of_ties
 from dolfinx_mortar.persistence.checkpoints import describe, differences
-from tests.cases.block_piles import ABOVE, BELOW, create_blocks
-from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_blocks
-from tests.cases.meshes_3d import two_boxes
+from tests.cases.block_piles import ABOVE, BELOW, Blocks
+from tests.cases.two_bodies import TwoBodies
 
 COMM = MPI.COMM_WORLD
 NEAREST = 0.01
-SIDES = {"slave": TOP_OF_LOWER, "master": BOTTOM_OF_UPPER}
 
 
 def lifted(x, slope=0.5):
@@ -30,18 +26,9 @@ def lifted(x, slope=0.5):
 
 def tied(cell="quadrilateral", *, gap=NEAREST, transform=lifted, held=(1, 2), **options):
     """Return a problem of two bodies with four and six facets along; tags of what is held."""
-    options = SIDES | options
-    if cell == "quadrilateral":
-        made = two_blocks(COMM, (4, 1), (6, 1), cell=cell, gap=gap, transform=transform)
-    else:
-        made = two_boxes(COMM, (4, 4, 1), (6, 6, 1), cell=cell, gap=gap, transform=transform)
-    mesh, cells, facets = made
-    d = mesh.geometry.dim
-    V = fem.functionspace(mesh, ("Lagrange", 1, (d,)))
-    dofs = [fem.locate_dofs_topological(V, d - 1, facets.find(tag)) for tag in held]
-    solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3), cells)
-    bcs = [fem.dirichletbc(np.zeros(d), each, V) for each in dofs]
-    return dm.ContactProblem(solid, [dm.Tie(facets, **options)], bcs=bcs)
+    n = ((4, 1), (6, 1)) if cell == "quadrilateral" else ((4, 4, 1), (6, 6, 1))
+    case = TwoBodies(cell, n_lower=n[0], n_upper=n[1], gap=gap, transform=transform)
+    return case.problem([case.interface(dm.Tie, **options)], [case.held(tag) for tag in held])
 
 
 def kept(problem):
@@ -116,15 +103,11 @@ def test_a_body_that_no_tie_reaches():
 def test_who_is_out_of_reach_claims_no_node():
     """A node below two bodies belongs to the one that touches it, though the other comes first."""
     boxes = [(0.0, 1.0, -1.0, 0.0, 4, 2), (0.0, 0.5, 0.3, 1.0, 2, 2), (0.5, 1.0, 0.0, 1.0, 2, 2)]
-    mesh, cells, facets = create_blocks(COMM, boxes)
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    b = Blocks(boxes)
     sides = {"slave": 10 + ABOVE}
-    ties = [dm.Tie(facets, master=10 * k + BELOW, within=0.2, **sides) for k in (2, 3)]
-    held = [fem.locate_dofs_topological(V, 1, facets.find(10 * k + ABOVE)) for k in (2, 3)]
-    held.append(fem.locate_dofs_topological(V, 1, facets.find(10 + BELOW)))
-    bcs = [fem.dirichletbc(np.zeros(2), dofs, V) for dofs in held]
-    solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3), cells)
-    found = dm.ContactProblem(solid, ties, bcs=bcs).audit().interfaces
+    ties = [dm.Tie(b.facets, master=10 * k + BELOW, within=0.2, **sides) for k in (2, 3)]
+    bcs = [b.fix(2, ABOVE), b.fix(3, ABOVE), b.fix(1, BELOW)]
+    found = b.problem(ties, bcs).audit().interfaces
     assert [i.kept_nodes for i in found] == [0, 3] and found[1].removed_nodes == 0
 
 
@@ -153,14 +136,3 @@ def test_what_a_tie_says():
 def test_ranks_that_differ():
     with pytest.raises(ValueError, match=r"within differs between the ranks: 1.0 on rank 0"):
         tied(within=1.0 + COMM.rank)
-
-
-@pytest.mark.parametrize("factor", [0.9, 1.2])
-def test_the_number(monkeypatch, factor):
-    """Smooth sides and deliberate gaps are far from it on either side: it does not decide them."""
-    monkeypatch.setattr(of_ties, "WITHIN", of_ties.WITHIN * factor)
-    arc = lambda x: np.column_stack(  # noqa: E731
-        [(2.0 + x[:, 1]) * np.sin(0.8 * x[:, 0]), (2.0 + x[:, 1]) * np.cos(0.8 * x[:, 0])]
-    )
-    for gap in (0.0, 0.2):
-        assert tied(gap=gap, transform=arc).audit().interfaces[0].kept_nodes == 5

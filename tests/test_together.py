@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from tests.cases.pointwise_laws import Radial
 from tests.cases.pressed_blocks import PressedBlocks
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The exact tangent of contact with a rigid tool: Newton's rate."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -50,21 +48,3 @@ def test_newton_is_quadratic(friction, monkeypatch):
             r = np.array(forces[-4:])  # 0.7 to 1.2 times the square, down to a tenth of rtol
             assert (r[1:] < np.maximum(2.0 * r[:-1] ** 2, 1e-11)).all()
     assert counts[0] < counts[1]
-
-
-@pytest.mark.slow
-def test_without_curvature_it_is_not(monkeypatch):
-    """Hess phi belongs to it: without it the iterations are as many as with frozen normals."""
-    shape = dm.shapes.Cylinder([0.0, 2.0], 2.0)
-    options = {"law": dm.NeoHooke(1.0, 0.3), "strain": "finite"}
-    case = Block(n=16, fine=4.0)
-    whole = tail(monkeypatch, case, case.tool(shape), True, **options)[0]
-    distance = shape.distance
-
-    def flat(x):
-        found = distance(x)
-        return replace(found, hessian=0.0 * found.hessian)
-
-    monkeypatch.setattr(shape, "distance", flat)
-    case = Block(n=16, fine=4.0)
-    assert tail(monkeypatch, case, case.tool(shape), True, **options)[0] > whole

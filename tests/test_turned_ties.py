@@ -12,9 +12,11 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
+from tests.cases.meshes import BOTTOM, TOP
+from tests.cases.meshes_3d import rotation as space_rotation
 from tests.cases.pressed_blocks import COMM
 from tests.cases.tightened_bar import tighten
+from tests.cases.two_bodies import TwoBodies
 
 pytestmark = pytest.mark.mpi
 
@@ -22,9 +24,7 @@ RUBBER = dm.NeoHooke(E=10.0, nu=0.3)
 
 
 def rotation(angle):
-    """Return the matrix that turns by an angle."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]])
+    return space_rotation((0, 0, 1), angle)[:2, :2]
 
 
 class Turned:
@@ -32,14 +32,11 @@ class Turned:
 
     def __init__(self, *, held=(BOTTOM, TOP), strain="finite", law=RUBBER, tie=None, **options):
         """Create the problem; the other options are those of `two_blocks`."""
-        self.mesh, cells, tags = two_blocks(COMM, cell="quadrilateral", **options)
-        V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
-        self.solid = dm.Solid(fem.Function(V), law, cells, strain=strain)
-        self.ends = fem.Function(V)
-        dofs = [fem.locate_dofs_topological(V, 1, tags.find(tag)) for tag in held]
-        self.tie = dm.Tie(tags, slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER, **(tie or {}))
-        bcs = [fem.dirichletbc(self.ends, d) for d in dofs]
-        self.problem = dm.ContactProblem(self.solid, [self.tie], bcs=bcs)
+        case = TwoBodies("quadrilateral", **options)
+        self.ends, self.tie = fem.Function(case.V), case.interface(dm.Tie, swap=True, **(tie or {}))
+        bcs = [case.held(tag, self.ends) for tag in held]
+        self.problem = case.problem([self.tie], bcs, law, strain=strain)
+        self.solid = self.problem.solid
 
     def turn(self, angle):
         """Prescribe the ends at a rotation from X."""

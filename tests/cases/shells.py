@@ -9,6 +9,20 @@ from dolfinx import mesh as dmesh
 from dolfinx_mortar.meshing.two_bodies import distribute, exterior_facets
 
 INNER, SLAVE, MASTER, OUTER = 1, 2, 3, 4  # circles or spheres from inside; 5, 6, 7: x, y, z = 0
+RADIUS = 2.0  # of the interface of sectors
+
+
+def to_sphere(x):
+    """Map (a, b, radius - 2), with a and b from 0 to 1, to a sector of a spherical shell."""
+    direction = np.column_stack([0.8 * (x[:, :2] - 0.5), np.ones(len(x))])
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return (RADIUS + x[:, 2:]) * direction
+
+
+def to_arc(x):
+    """Map (a, .., radius - 2) to a sector of a ring, or of a tube."""
+    angle, radius = 0.8 * (x[:, 0] - 0.5), RADIUS + x[:, -1]
+    return np.column_stack([radius * np.sin(angle), *x[:, 1:-1].T, radius * np.cos(angle)])
 
 
 def _octant(n):
