@@ -129,14 +129,17 @@ def test_the_mass_off_the_contact_nodes(cell):
 
 
 @pytest.mark.serial
-def test_a_body_of_one_layer_keeps_its_mass():
+def test_a_body_of_one_layer_keeps_its_mass(monkeypatch):
     """All mass on the far side would be that of another body."""
     case = Blocks((1, 1), (3, 3))
     M, X, body = case.inertia.mass, case.problem.X, case.problem.bodies.label
     lower = body == body[np.argmin(X[:, 1])]
     assert not M.massless[lower].any() and M.massless[(np.abs(X[:, 1]) < 1e-9) & ~lower].all()
-    # of three layers of inner nodes the middle one would have no mass
+    # of three layers of inner nodes the middle one would have no mass without a least factor
     assert M.matrix.getDiagonal().array_r[~M.massless].min() > 1e-3
+    monkeypatch.setattr(mass, "LEAST_FACTOR", -1.0)
+    M = Blocks((1, 1), (3, 3)).inertia.mass
+    assert M.matrix.getDiagonal().array_r[~M.massless].min() < 1e-9
 
 
 @pytest.mark.parametrize("options", quick([{}, DAMPED], DAMPED))

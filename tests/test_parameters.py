@@ -12,7 +12,6 @@ import pytest
 
 import basix.ufl
 import dolfinx_mortar as dm
-import ffcx.codegeneration.jit
 import ufl
 from dolfinx import default_scalar_type, fem
 from tests.cases.meshes import BOTTOM
@@ -103,27 +102,6 @@ def test_mixed_materials_of_one_class_share_a_region():
         assert len(solid.regions) == 1
         found.append(numbers(solid))
     assert found[1] == pytest.approx(found[0], rel=1e-12)
-
-
-def test_new_values_need_no_compiler(monkeypatch):
-    """Forms and expressions of a solid are the same code whatever the values and their source."""
-    domain = create_domain("triangle")
-    E, Y = constant(domain, STEEL.E), function(domain, STEEL.Y)
-    solid = solid_on(domain, dm.VonMises(E, 0.29, Y, STEEL.a))
-
-    def never(*arguments, **options):
-        raise AssertionError("something is compiled")
-
-    before = numbers(solid)
-    for name in ("compile_forms", "compile_expressions"):
-        monkeypatch.setattr(ffcx.codegeneration.jit, name, never)
-    E.value *= 2.0
-    Y.x.array[:] *= 2.0
-    solid.u.x.array[:] = 0.0
-    for f in solid.state.values():
-        f.x.array[:] = 0.0
-    after = numbers(solid)
-    assert after[0] != pytest.approx(before[0])
 
 
 def norm_of_tangent(solid):

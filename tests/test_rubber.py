@@ -17,7 +17,6 @@ import dolfinx_mortar as dm
 from dolfinx import mesh
 from dolfinx_mortar.materials.law_check import law_at_point
 from dolfinx_mortar.materials.protocol import create_law
-from dolfinx_mortar.solid.mean_volume import VolumeStep
 from tests.cases.rubber_cylinder import RUBBER, create_cylinder
 from tests.cases.solid import (
     create_displacement,
@@ -139,22 +138,3 @@ def test_cells_that_lose_their_stability_first_are_named(degree, volumetric, K, 
 def second_order(cell):
     domain = create_domain(cell, 2)
     return dm.Solid(create_displacement(domain, 2), RUBBER, strain="finite", volumetric="reduced")
-
-
-def test_the_energy_along_a_step():
-    """Equal to U(j) to the second order of what is missed, with its derivative at the start."""
-    rng = np.random.default_rng(1)
-    n, m, K = 5, 3, 7.0
-    ratio, change, missed = (rng.normal(size=(n, m)) * (0.1, 1.0, 0.01)[i] for i in range(3))
-    root = rng.normal(size=(n, m, m))
-    mass = root @ root.transpose(0, 2, 1)
-
-    def energy(j):
-        return K / 2 * np.einsum("ck,ckl,cl->c", j, mass, j)
-
-    slope = K * np.einsum("ckl,cl->ck", mass, ratio)
-    step = VolumeStep(ratio, change, energy(ratio), slope, K * mass, np.linalg.inv(mass))
-    at = ratio + 0.3 * change + missed
-    below = energy(at) - step.energy_at(0.3, at)
-    np.testing.assert_allclose(below, energy(missed), rtol=1e-8, atol=1e-13)
-    np.testing.assert_allclose(step.pressure_at(0.3), K * (at - missed), rtol=1e-9)

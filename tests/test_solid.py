@@ -135,41 +135,6 @@ def test_loops_on_cells_of_products_are_unrolled(monkeypatch: pytest.MonkeyPatch
         assert given[-1] == used
 
 
-@pytest.mark.parametrize(
-    ("given", "modules"),
-    [
-        # weights, tangent; forces, two norms and energy
-        ({}, [1, 1, 4]),
-        # B, volumes and moduli of the cells
-        ({"volumetric": "reduced"}, [1, 1, 3, 4]),
-        # products of the functions of a cell; B, volumes, moduli, energy and two derivatives
-        ({"volumetric": "reduced", "strain": "finite"}, [1, 1, 1, 4, 6]),
-    ],
-)
-def test_forms_of_a_law_are_one_module(
-    given: dict[str, str], modules: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The compiler starts once for what a law, the strain and the element determine together."""
-    sizes = []
-    compile_forms = ffcx.codegeneration.jit.compile_forms
-
-    def count(forms: list[ufl.Form], *args: Any, **others: Any) -> Any:
-        sizes.append(len(forms))
-        return compile_forms(forms, *args, **others)
-
-    def count_expressions(*args: Any, **others: Any) -> Any:
-        sizes.append(0)
-        return compile_expressions(*args, **others)
-
-    compile_expressions = ffcx.codegeneration.jit.compile_expressions
-    monkeypatch.setattr(ffcx.codegeneration.jit, "compile_forms", count)
-    monkeypatch.setattr(ffcx.codegeneration.jit, "compile_expressions", count_expressions)
-    solid_on(create_domain("quadrilateral"), STEEL, **given)  # type: ignore[arg-type]
-    assert sorted(filter(None, sizes)) == modules
-    # stress and state; strain and rotation, which all laws share
-    assert given.get("strain") or sizes.count(0) == 2
-
-
 def test_units_of_length() -> None:
     """With all lengths scaled, energies scale and the dimensionless results stay."""
     results = []
