@@ -44,7 +44,7 @@ def test_the_state_comes_back_as_it_was(folder):
     press.problem.save(folder / "state.h5")
     fresh.problem.restore(folder / "state.h5")
     agree(fresh.numbers(), press.numbers())
-    assert fresh.problem.committed.level == LEVELS[2]
+    assert fresh.problem.committed.level == LEVELS[2] and fresh.problem.system.faced
     closed = [COMM.allreduce(int(c.problem.committed.active.sum())) for c in (fresh, press)]
     assert closed[0] == closed[1] > 0
     reports = [step.as_dict() for step in press.problem.history]

@@ -66,15 +66,6 @@ def test_body_pulled_off_its_contact(case):
 # -- solvers that fail
 
 
-@pytest.mark.mpi
-def test_useless_linear_solver(case):
-    options = {"ksp_type": "preonly", "pc_type": "none"}
-    with rejected("linear solver", error=dm.NewtonNotConverged) as caught:
-        dm.newton(case.problem(petsc_options_prefix="bad_", petsc_options=options))
-    assert not caught.value.report.converged
-    assert not case.u.x.array.any()
-
-
 @pytest.mark.parametrize(
     ("nonsense", "qp"),
     [(np.nan, "active-set"), (1e11, "interior-point"), (0.0, "active-set")],

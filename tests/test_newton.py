@@ -66,22 +66,6 @@ def test_rigid_travel_ends_at_once(geometry):
 
 
 @pytest.mark.mpi
-def test_what_an_iterative_solver_leaves_is_no_load():
-    """A block turned by its support has no stress: as exact as one linear solve will do."""
-    b = Blocks([(0.0, 3.0, 0.0, 0.5, 30, 5), (0.5, 1.5, 1.5, 2.0, 13, 6)])
-    turned = fem.Function(b.V)
-    turned.interpolate(lambda x: 0.01 * np.stack([2.0 - x[1], x[0] - 1.0]))
-    top = fem.locate_dofs_topological(b.V, 1, b.facets.find(20 + ABOVE))
-    bcs = [b.fix(1, BELOW), fem.dirichletbc(turned, top)]
-    contact = b.join(dm.Contact, (2, BELOW), (1, ABOVE))
-    options = {"geometry": "reference", "petsc_options": {"pc_type": "gamg"}}
-    assert dm.newton(b.problem([contact], bcs, **options)).newton_iterations == 1
-    own = b.V.tabulate_dof_coordinates()[:, 1] > 1.0
-    error = (b.u.x.array - turned.x.array).reshape(-1, 2)[own]
-    assert np.abs(error).max(initial=0.0) < 1e-9 and not contact.force.any()
-
-
-@pytest.mark.mpi
 @pytest.mark.parametrize("gap", [0.0, 0.01])
 def test_a_load_that_vanishes(gap):
     """A block rests on another one by contact alone; at zero load nothing moves."""

@@ -19,6 +19,7 @@ from dolfinx_mortar.report.energy_ledger import EnergyLedger
 from dolfinx_mortar.steps import walk
 from tests.cases import tool as tool_case
 from tests.cases.pressed_blocks import PressedBlocks
+from tests.cases.states import state_of
 from tests.cases.user_laws import Softening
 
 pytestmark = pytest.mark.mpi
@@ -138,26 +139,8 @@ class Stopped:
     def at_time(self, time):
         self.tool.position.value[:] = 0.2 * time, 0.02 - 0.3 * time
 
-    def state(self):
-        """Return all that a step changes, to be compared bit by bit."""
-        problem, tool, committed = self.problem, self.tool, self.problem.committed
-        fields = [problem.u, *problem.state.states_of_terms.values(), *tool.nodal.values()]
-        fields += [*problem.solid.state.values(), problem.solid.stress]
-        found = [f.x.array.copy() for f in fields] + [committed.active, committed.displacement]
-        found += [
-            committed.slid,
-            committed.dissipated,
-            tool.tool.began.position,
-            tool.dissipated,
-            committed.level,
-        ]
-        found += [len(problem.history), committed.walked]
-        found += [] if tool.resultants is None else [tool.force, tool.moment, tool.master_force]
-        return [np.array(values) for values in found]
-
     def __eq__(self, other):
-        pairs = zip(self.state(), other.state(), strict=True)
-        return all(np.array_equal(*pair, equal_nan=True) for pair in pairs)
+        return state_of(self.problem) == state_of(other.problem)
 
 
 def in_ledger(case, patch):
@@ -240,25 +223,6 @@ def test_a_step_in_time_is_tried_again_from_the_last_commit(tmp_path):
     dm.newton(case.problem, level=0.1)
     with pytest.raises(ValueError, match="is not committed"):
         case.problem.save(tmp_path / "half.h5")
-
-
-def test_a_load_step_that_is_stopped_when_it_is_committed():
-    """Plastic strains, slips, and where a tool was, are those of the last commit, as is u."""
-    case = Stopped(in_time=False)
-    problem, position = case.problem, case.tool.position.value
-    position[1] = -0.05
-    dm.newton(problem)
-    problem.commit()
-    before = case.state()
-    position[:] = 0.02, -0.1
-    for _ in range(2):  # a second try, which begins at the u of the first
-        dm.newton(problem)
-    case.counter.fails = "commit"
-    with pytest.raises(OSError, match="no licence"):
-        problem.commit()
-    now = case.state()
-    assert all(np.array_equal(*pair, equal_nan=True) for pair in zip(before, now, strict=True))
-    assert problem.solid.max("plastic_strain_norm") > 0.0
 
 
 CALLED_BY_PETSC = {
