@@ -140,7 +140,7 @@ class Stopped:
         self.tool.position.value[:] = 0.2 * time, 0.02 - 0.3 * time
 
     def __eq__(self, other):
-        return state_of(self.problem) == state_of(other.problem)
+        return state_of(self.problem)[:-1] == state_of(other.problem)[:-1]  # but for the walk
 
 
 def in_ledger(case, patch):

@@ -12,7 +12,7 @@ def fields_of(problem):
 
 
 def state_of(problem):
-    """Return the bits of fields and of what is committed, the history, and where it has led."""
+    """Return the bits of fields and of what is committed, the history, and the walk at last."""
     committed = problem.committed
     arrays = [f.x.array for f in fields_of(problem)]
     arrays += [committed.active, committed.displacement, committed.slid, committed.dissipated]
@@ -23,6 +23,6 @@ def state_of(problem):
         arrays += [getattr(interface, name, 0.0) for name in ("tightening", "dissipated")]
         if tool := getattr(interface, "tool", None):
             arrays += [tool.began.position]
-    steps = [(step.number, step.time, step.forces) for step in committed.history], committed.walk
-    reached = committed.begun, committed.level, committed.walked
+    steps = [(step.number, step.time, step.forces) for step in committed.history]
+    reached = committed.begun, committed.level, committed.walked, repr(committed.walk)
     return [np.asarray(array).tobytes() for array in arrays], repr(steps), *reached
