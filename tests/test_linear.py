@@ -145,10 +145,7 @@ def test_a_singular_matrix_is_an_error(pc):
 
 
 def test_multigrid_after_a_set_up_that_failed():
-    """Levels of an indefinite matrix cannot be set up, those of a definite one can, afterwards.
-
-    PETSc keeps the reason of the failure, so that all later set-ups were taken for failed.
-    """
+    """Levels of an indefinite matrix cannot be set up, those of a definite one can, afterwards."""
     A = PETSc.Mat().createAIJ((64, 64), nnz=3, comm=MPI.COMM_SELF)
     for i in range(64):
         columns = [j for j in (i - 1, i, i + 1) if 0 <= j < 64]

@@ -164,11 +164,7 @@ def test_one_set_up_serves_all_geometries(moved, monkeypatch):
 
 
 def test_number_of_iterations():
-    """One set-up serves a step: 25 to 27 iterations on 1, 2 and 3 ranks.
-
-    They are 31 to 34 where tangents of frames swap when normals turn a little, so that old coarse
-    levels fit no more, and where the near-null space is that of other unknowns.
-    """
+    """One set-up serves a step: 25 to 27 iterations on 1, 2 and 3 ranks."""
     problem, _ = create_problem(cell="tetrahedron", h=0.2, geometry="updated")
     report = dm.newton(problem)
     assert report.factorisations == 1

@@ -117,10 +117,7 @@ def test_energy_and_forces_agree(rng):
 
 @pytest.mark.mpi
 def test_no_vector_of_petsc_is_made_of_a_displacement(monkeypatch):
-    """It would be destroyed where Python deletes u, which ranks do at different times.
-
-    The next one of its space, as of a second problem on the same mesh, would then wait for ever.
-    """
+    """It would be destroyed where Python deletes u, which ranks do at different times."""
 
     def refuse(_):
         raise AssertionError("u.x.petsc_vec was asked for")

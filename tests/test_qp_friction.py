@@ -19,13 +19,9 @@ EXACT = 1e-9
 
 
 class Problem:
-    """Random nodes of a normal and t tangential unknowns, with some that nothing limits.
-
-    A is as far from diagonal as `coupling` says.
-    """
+    """Random nodes of a normal and t tangential unknowns, with some that nothing limits."""
 
     def __init__(self, seed, nodes, t, *, mu=0.3, cohesion=0.0, coupling=0.6):
-        """Draw the data."""
         rng = np.random.default_rng([seed, nodes, t])
         self.d, self.t, n = t + 1, t, nodes * (t + 1) + 2
         root = rng.standard_normal((n, 2 * n))

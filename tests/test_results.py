@@ -108,10 +108,7 @@ TIP = 0.5
 
 
 def cracked():
-    """Return a block with a closed crack from its left side to x = TIP, and the tags.
-
-    20 and 11 are the lower and the upper face; their nodes match at the tip only, which they share.
-    """
+    """Return a block with a closed crack from its left side to x = TIP, and the tags."""
     ahead = [TIP, 0.75, 1.0]
     lower = _block(np.array([0.0, 0.2, 0.35, *ahead]), np.linspace(-1, 0, 4), "triangle")
     upper = _block(np.array([0.0, 0.1, 0.2, 0.4, *ahead]), np.linspace(0, 1, 4), "triangle")

@@ -203,10 +203,7 @@ def test_a_step_in_time_that_is_stopped_when_it_is_committed(monkeypatch, stop, 
 
 
 def test_a_step_in_time_is_tried_again_from_the_last_commit(tmp_path):
-    """As in statics; what is committed has the level of the step, from which the next one goes on.
-
-    Without contact a step of `time_steps` is one of `newton`.
-    """
+    """As in statics; what is committed has the level of the step, where the next one begins."""
     case, other = Stopped(tool_case.ELASTIC), Stopped(tool_case.ELASTIC)
     for each, times in ((case, [0.02]), (other, [0.02, 0.04, 0.07])):
         each.tool.position.value[1] = 1.0

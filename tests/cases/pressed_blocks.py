@@ -23,7 +23,6 @@ class PressedBlocks:
     """Mesh, tags, space and displacement, and the parts of a problem on them."""
 
     def __init__(self, *, degree=1, d=2, comm=COMM, **options):
-        """Create the blocks; the other options are those of `two_blocks` or `two_boxes`."""
         create = two_blocks if d == 2 else two_boxes
         self.mesh, self.cells, self.facets = create(comm, **options)
         self.V = fem.functionspace(self.mesh, ("Lagrange", degree, (d,)))
@@ -72,7 +71,6 @@ class Bare(dm.Term):
     linear, state, has_tangent = False, {}, False
 
     def __init__(self, **given):
-        """Take some attributes."""
         vars(self).update(given)
 
     def add_forces(self, F):

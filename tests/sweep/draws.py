@@ -22,10 +22,7 @@ def _choice(rng, *values):
 
 
 def _laws(rng, tags):
-    """Draw moduli over two and a half decades, also auxetic; six of ten laws are plastic.
-
-    Half of the plastic ones do not harden.
-    """
+    """Draw moduli over two and a half decades, also auxetic; six of ten laws are plastic."""
     laws = {}
     for tag in tags:
         E, nu = float(10 ** rng.uniform(3.0, 5.7)), float(rng.uniform(-0.2, 0.49))
@@ -132,11 +129,7 @@ def _second3(rng):
 
 
 def _friction(rng):
-    """Draw bodies of all shapes and cells that are pressed, pushed aside and pushed back.
-
-    "path" holds the way of the push (lateral, and across it in space) and the share of the depth
-    at the end of each step.
-    """
+    """Draw bodies of all shapes and cells that are pressed, pushed aside and pushed back."""
     base = (_hertz, _boxes3, _ring, _second, _second3)[int(rng.choice(5, p=_SHAPES))]
     data = base(rng)
     name = str(rng.choice(["friction", "friction", "friction", "tresca"]))
@@ -167,11 +160,7 @@ def _friction(rng):
 
 
 def _finite(rng):
-    """Draw bodies of all shapes and cells at finite strain, pressed far and perhaps dragged.
-
-    Rubber and metals, also nearly incompressible; where the cells allow it, half of them reduced.
-    Frictionless, with updated geometry.
-    """
+    """Draw bodies of all shapes and cells at finite strain, pressed far and perhaps dragged."""
     base = (_hertz, _boxes3, _ring, _second, _second3)[int(rng.choice(5, p=_SHAPES_OF_FINITE))]
     data = base(rng) | {"geometry": "updated", "strain": "finite"}
     ring, d = "kinematics" in data, 3 if "jitter" in data["mesh"] else 2

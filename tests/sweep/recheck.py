@@ -75,22 +75,14 @@ def largest_force(case):
 
 
 def _length(case):
-    """Return the largest circumference of rings, 1 of others; collective.
-
-    Forces of rings are those of the whole circumference, of plane problems per thickness: modulus
-    times displacement is a force of the latter only.
-    """
+    """Return the largest circumference of rings, 1 of others; collective."""
     mesh = case.problem.V.mesh
     largest = 2 * np.pi * float(mesh.geometry.x[:, 0].max(initial=0.0)) if is_ring(case) else 1.0
     return float(mesh.comm.allreduce(largest, op=MPI.MAX))
 
 
 def _travel(case):
-    """Return the largest displacement, at most the size of the mesh.
-
-    It makes a scale for steps without forces. A body that has flown away must not make a larger one
-    and so excuse whatever force is left.
-    """
+    """Return the largest displacement, at most the size of the mesh."""
     mesh = case.problem.V.mesh
     local = (np.abs(case.problem.u.x.array), np.abs(mesh.geometry.x))
     return min(mesh.comm.allreduce(float(a.max(initial=0.0)), op=MPI.MAX) for a in local)
@@ -221,10 +213,7 @@ def _contact(
 
 
 def _growth(case, contact, nodes):
-    """Return how much longer the circumference is than at X, 1 for held geometry; see D's weight.
-
-    On the axis it is that of the nearest slave node.
-    """
+    """Return how much longer the circumference is than at X, 1 for held geometry."""
     if case.problem.geometry == "reference":
         return np.ones(len(nodes))
     every = contact.gather(case.problem.u)
@@ -253,10 +242,7 @@ def _heights(case, contact):
 
 
 def _complementarity(comm, pressure, gap, size, d, floor):
-    """Return the violations of gap >= 0, pressure >= 0, pressure gap = 0.
-
-    The sizes are those of what belongs to the nodes, lengths or areas; the floor is a pressure.
-    """
+    """Return the violations of gap >= 0, pressure >= 0, pressure gap = 0."""
     sizes = np.concatenate(comm.allgather(size))
     facet = float(np.median(sizes)) ** (1.0 / (d - 1)) if len(sizes) else 1.0
     local = (np.abs(pressure), -gap, -pressure, np.abs(pressure * gap))
