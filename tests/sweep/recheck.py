@@ -41,7 +41,7 @@ def residuals(case, before=None, begun=0.0):
         begun: largest force at the begin of the step: of bodies that part nothing else is left.
     """
     comm = case.problem.V.mesh.comm
-    internal, external = _stress_forces(case), _loads(case)
+    internal = _stress_forces(case)
     free = ~_fixed(case)
     contact_forces = np.zeros_like(internal)
     found = {"gap": 0.0, "sign": 0.0, "complementarity": 0.0, "force": 0.0}
@@ -49,9 +49,9 @@ def residuals(case, before=None, begun=0.0):
         forces, worst = _contact(case, contact, sides, free, before, begun)
         contact_forces += forces
         found = {name: max(value, found.get(name, 0.0)) for name, value in worst.items()}
-    sizes = [np.abs(a).max(initial=0.0) for a in (internal, external, contact_forces)]
+    sizes = [np.abs(a).max(initial=0.0) for a in (internal, contact_forces)]
     sizes += [begun, 1e-9 * _stiffest(case) * _travel(case) * _length(case)]
-    rest = np.abs((internal + contact_forces - external)[free]).max(initial=0.0)
+    rest = np.abs((internal + contact_forces)[free]).max(initial=0.0)
     scale, rest = (comm.allreduce(float(a), op=MPI.MAX) for a in (max(sizes), rest))
     return {"equilibrium": rest / max(scale, TINY)} | found
 
@@ -141,10 +141,6 @@ def is_ring(case):
 
 def _circumference(x):
     return 2 * np.pi * x[:, 0]
-
-
-def _loads(case):
-    return np.zeros(_owned(case)) if case.loads is None else _assembled(case, case.loads)
 
 
 def _fixed(case):
