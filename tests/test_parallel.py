@@ -21,7 +21,7 @@ RANKS = "DOLFINX_MORTAR_TEST_RANKS"
 # little of ranks, as laws and meshes, or solve many problems: at night.
 ON_TWO = """
     agreement checkpoint_files errors friction_errors mesh_audit msh problem
-    point_terms progress regions results summary tags terms written_results
+    point_terms progress regions results summary tags terms
 """.split()
 SLOW_ON_THREE = """
     convected driven_tools exact_tangent_3d finite_sliding friction_path load_steps
