@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Checkpoints: a run that was stopped ends in the same numbers, on any number of ranks."""
 
-import shutil
-
 from mpi4py import MPI
 
 import numpy as np
@@ -81,16 +79,6 @@ def test_one_rank_writes_and_all_go_on(folder, at_once):
     COMM.barrier()
     press = Press()
     assert [step.number for step in press.walk(checkpoint=folder / "one.h5")] == [3, 4]
-    agree(press.numbers(), at_once)
-
-
-@pytest.mark.mpi
-def test_all_ranks_write_and_each_goes_on_alone(folder, at_once):
-    list(Press("stripes").walk(LEVELS[:2], checkpoint=folder / "all.h5"))
-    own = folder / f"{COMM.rank}.h5"
-    shutil.copy(folder / "all.h5", own)
-    press = Press(comm=MPI.COMM_SELF)
-    assert [step.number for step in press.walk(checkpoint=own)] == [3, 4]
     agree(press.numbers(), at_once)
 
 

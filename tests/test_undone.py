@@ -18,7 +18,7 @@ from dolfinx_mortar.qp.operator import FreePart
 from dolfinx_mortar.report.energy_ledger import EnergyLedger
 from dolfinx_mortar.steps import walk
 from tests.cases import tool as tool_case
-from tests.cases.pressed_blocks import PressedBlocks
+from tests.cases.pressed_blocks import Bare, PressedBlocks
 from tests.cases.states import state_of
 from tests.cases.user_laws import Softening
 
@@ -84,20 +84,10 @@ def test_a_first_step_that_fails_shows_nothing():
 # -- steps that are stopped while they are committed ---------------------------------------------
 
 
-class Counter(dm.Term):
+class Counter(Bare):
     """Adds nothing, and counts its commits; may fail when it is asked the next time."""
 
-    has_tangent = False
-    linear = True
-
-    def __init__(self, V):
-        self.count = fem.Function(V)
-        self.fails = ""  # in which method
-        self.alone = False  # on the last rank
-
-    @property
-    def state(self):
-        return {"count": self.count}
+    linear, fails, alone = True, "", False  # in which method, on the last rank
 
     def energy(self):
         return 0.0
@@ -106,11 +96,8 @@ class Counter(dm.Term):
         if self.fails == "add_forces" and (not self.alone or COMM.rank == COMM.size - 1):
             raise OSError("no licence")
 
-    def add_tangent(self, K):
-        pass
-
     def commit(self):
-        self.count.x.array[:] += 1.0
+        self.state["count"].x.array[:] += 1.0
         if self.fails == "commit":
             raise OSError("no licence")
 
@@ -126,7 +113,7 @@ class Stopped:
     def __init__(self, law=METAL, *, in_time=True, friction=0.2):
         block = tool_case.Block(n=4)
         solid = dm.Solid(block.u, law)
-        self.counter = Counter(block.V)
+        self.counter = Counter(state={"count": fem.Function(block.V)})
         self.inertia = dm.Inertia(solid, 1e-3, velocity=(0.0, -0.5))
         terms = [self.counter, self.inertia][: 1 + in_time]
         self.tool = block.tool(dm.shapes.Plane([0.0, 0.02], [0.0, -1.0]), friction=friction)
