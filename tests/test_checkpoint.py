@@ -57,22 +57,6 @@ def test_the_state_comes_back_as_it_was(folder):
 
 
 @pytest.mark.mpi
-def test_the_step_after_a_restart_slips_as_far(folder):
-    """Its slips count from the partners at the last commit; in a first step the supports move."""
-    press, fresh = Press(friction=0.1), Press("stripes", friction=0.1)
-    list(press.walk(LEVELS[:1], checkpoint=folder / "x.h5"))
-    COMM.barrier()
-    assert [step.number for step in fresh.walk(LEVELS[:2], checkpoint=folder / "x.h5")] == [2]
-    list(press.walk(LEVELS[1:2]))
-    found, expected = (case.contact.gather(case.problem.u) for case in (fresh, press))
-    for name in ("step_slip", "slip", "traction"):
-        scale = np.abs(expected[name]).max()
-        assert scale > 0.0 and np.abs(found[name] - expected[name]).max() <= 1e-10 * scale, name
-    dissipated = press.contact.dissipation
-    assert fresh.contact.dissipation == pytest.approx(dissipated, rel=1e-10) and dissipated > 0.0
-
-
-@pytest.mark.mpi
 def test_one_rank_writes_and_all_go_on(folder, at_once):
     if COMM.rank == 0:
         list(Press(comm=MPI.COMM_SELF).walk(LEVELS[:2], checkpoint=folder / "one.h5"))
