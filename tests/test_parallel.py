@@ -38,7 +38,7 @@ AT_NIGHT = """
     looks_change_nothing margin measure near newton numbers_of_steps obstacle
     orthotropic output output_resume own_interface parameters passing patch_3d plane_stress plotting
     plotting_space pointwise polyline pretension qp_belt qp_definite ramp reaction resolution
-    rubber skins small_strain smooth_3d smooth_contact smooth_second smooth_tie solid solid_state
+    rubber skins small_strain smooth_3d smooth_contact smooth_tie solid solid_state
     stack stand_off stress_laws sweep taylor_bar tie_reach tool_files tool_friction tool_pictures
     triangles turned_ties tying undone user_laws volumetric
 """.split()

@@ -147,3 +147,12 @@ def test_what_heights_miss(cell, swap):
     # but for the next order, facets being 1/8 and 2/5 of the radius long
     error = (0.04 if cell == "ring" else 0.15) * np.abs(of_heights).max()
     assert np.abs(missed - gaps).max() < error < np.abs(of_heights - gaps).max() / 2
+
+
+@pytest.mark.parametrize(("factor", "told"), [(0.1, True), (10.0, False)])
+def test_the_share_that_is_told_of(factor, told, monkeypatch):
+    """The forces of the sagittas are 0.1 and 1 of the contact forces in between."""
+    monkeypatch.setattr(resolution, "SPOILT", factor * resolution.SPOILT)
+    for counts, swap in (((64, 96), True), ((64, 96), False)):
+        report, _ = create_pin(counts, swap, surface="facets").solve()
+        assert any("facets of curved" in note for note in report.notes) == told
