@@ -8,12 +8,12 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-import basix.ufl
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.audit import pairs as pairs_module
 from dolfinx_mortar.audit.roles import assess, choose_roles
 from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, create_blocks
+from tests.cases.meshes import create_distributed
 from tests.cases.meshes_3d import rotation, two_boxes
 from tests.cases.pressed_blocks import rejected
 
@@ -101,11 +101,7 @@ def create_squares(bodies, n=2):
                 cells.append([at.setdefault(c, len(points) + len(at)) for c in corners])
         points += list(at)
     x, e = np.array(points) / n, np.array(cells)
-    mine, own = (
-        slice(*(len(a) * np.array([COMM.rank, COMM.rank + 1]) // COMM.size)) for a in (e, x)
-    )
-    element = basix.ufl.element("Lagrange", "quadrilateral", 1, shape=(2,))
-    return mesh.create_mesh(COMM, e[mine], x=np.ascontiguousarray(x[own]), e=element)
+    return create_distributed(COMM, x, e, "quadrilateral")
 
 
 @pytest.mark.mpi
