@@ -12,8 +12,9 @@ from dolfinx import fem
 from dolfinx_mortar.mortar import duals
 from dolfinx_mortar.mortar.duals import LEAST_WEIGHT
 from dolfinx_mortar.mortar.integrals import find_segments
-from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
 from tests.cases.rings import SIDES, held_axis, largest
+from tests.cases.two_bodies import TwoBodies
 from tests.choice import crosswise
 
 COMM = MPI.COMM_WORLD
@@ -60,44 +61,31 @@ def solve_patch(
 ):
     """Press a disc or ring on another one with the pressure P; return all that is compared.
 
-    Args:
-        slave: "lower" or "upper".
-        lower: radii of the nodes of the lower one.
-        upper: those of the upper one.
-        cell: of the mesh.
-        degree: of the displacement.
-        kind: of the interface.
-        shift: of everything along the axis.
-        unit: factor of all lengths.
-        geometry: of the problem.
+    Radii are those of nodes; `shift` moves everything along the axis, `unit` scales all lengths.
     """
-    domain, _, tags = two_blocks(
-        COMM,
-        (len(lower) - 1, 3),
-        (len(upper) - 1, 4),
+    case = TwoBodies(
+        cell,
+        degree,
+        n_lower=(len(lower) - 1, 3),
+        n_upper=(len(upper) - 1, 4),
         splits_lower=lower,
         splits_upper=upper,
-        cell=cell,
         transform=lambda x: unit * (x + np.array([0.0, shift])),
     )
-    V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
-    exact = fem.Function(V)
+    exact = fem.Function(case.V)
     exact.interpolate(lambda x: P / E * np.stack([NU * x[0], shift * unit - x[1]]))
-    solid = dm.Solid(fem.Function(V), dm.Elastic(E, NU), kinematics="axisymmetric")
-    v, ds = ufl.TestFunction(V)[1], ufl.Measure("ds", domain, subdomain_data=tags)
+    v, ds = ufl.TestFunction(case.V)[1], ufl.Measure("ds", case.mesh, subdomain_data=case.facets)
     loads = -P * v * ds(TOP)
     ends = ((TOP_OF_LOWER, lower, upper[-1], -P), (BOTTOM_OF_UPPER, upper, lower[-1], P))
     for tag, lines, cut, pressure in ends:
-        share = beyond(domain, unit * np.asarray(lines), unit * cut)
+        share = beyond(case.mesh, unit * np.asarray(lines), unit * cut)
         if share is not None:
             loads += pressure * share * v * ds(tag)
-    bottom = fem.locate_dofs_topological(V.sub(1), 1, tags.find(BOTTOM))
-    bcs = [fem.dirichletbc(P / E * unit, bottom, V.sub(1))]
-    bcs += [held_axis(V)] if min(lower[0], upper[0]) == 0.0 else []
-    side, master = SIDES[slave]
-    interface = kind(tags, slave=side, master=master)
-    problem = dm.ContactProblem(solid, [interface], bcs=bcs, loads=loads, geometry=geometry)
-    return problem, interface, exact
+    bcs = [case.held(BOTTOM, P / E * unit, 1)]
+    bcs += [held_axis(case.V)] if min(lower[0], upper[0]) == 0.0 else []
+    interface = case.interface(kind, swap=slave == "upper")
+    options = {"kinematics": "axisymmetric", "loads": loads, "geometry": geometry}
+    return case.problem([interface], bcs, dm.Elastic(E, NU), **options), interface, exact
 
 
 def check_patch(problem, interface, exact, area):
@@ -192,17 +180,12 @@ def test_friction_of_discs(degree, lift):
     The node on the axis does as its neighbours do: it sticks, or is open with all of them.
     """
     mu, (lower, upper) = 0.05, RADII["disc"]
-    domain, cells, tags = two_blocks(
-        COMM, (3, 3), (5, 4), splits_lower=lower, splits_upper=upper, cell="quadrilateral"
-    )
-    V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
-    laws = {1: dm.Elastic(E, 0.0), 2: dm.Elastic(E, 0.45)}
-    solid = dm.Solid(fem.Function(V), laws, cells, kinematics="axisymmetric")
-    ends = [fem.locate_dofs_topological(V.sub(1), 1, tags.find(tag)) for tag in (BOTTOM, TOP)]
-    values = [fem.Constant(domain, value) for value in (0.0, lift)]
-    bcs = [fem.dirichletbc(v, dofs, V.sub(1)) for v, dofs in zip(values, ends, strict=True)]
-    contact = dm.Contact(tags, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER, friction=mu)
-    problem = dm.ContactProblem(solid, [contact], bcs=[*bcs, held_axis(V)])
+    sizes = {"n_lower": (3, 3), "n_upper": (5, 4), "splits_lower": lower, "splits_upper": upper}
+    case = TwoBodies("quadrilateral", degree, **sizes)
+    laws, contact = {1: dm.Elastic(E, 0.0), 2: dm.Elastic(E, 0.45)}, case.interface(friction=mu)
+    bcs = [case.held(BOTTOM, 0.0, 1), case.held(TOP, lift, 1), held_axis(case.V)]
+    options = {"cells": case.cells, "kinematics": "axisymmetric"}
+    problem = case.problem([contact], bcs, laws, **options)
     dm.newton(problem, rtol=1e-11)
     found = contact.gather(problem.u)
     closed = lift < 0.0

@@ -9,7 +9,6 @@ import numpy as np
 
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
-from dolfinx_mortar.algebra.parallel import maximum
 from tests.cases.meshes import (
     BOTTOM,
     BOTTOM_OF_UPPER,
@@ -20,14 +19,12 @@ from tests.cases.meshes import (
     TOP_OF_LOWER,
     two_blocks,
 )
+from tests.cases.mortar import largest
+from tests.cases.two_bodies import create_problem, held
 
+__all__ = ["largest"]
 COMM = MPI.COMM_WORLD
 SIDES = {"lower": (TOP_OF_LOWER, BOTTOM_OF_UPPER), "upper": (BOTTOM_OF_UPPER, TOP_OF_LOWER)}
-
-
-def largest(values):
-    """Return the largest absolute value over all ranks."""
-    return float(maximum(COMM, np.abs(values).max(initial=0.0))[0])
 
 
 @dataclass(frozen=True)
@@ -96,8 +93,7 @@ def tubes(radii, cells, *, overlap=0.0, cell="triangle", shift=0.0, scale=1.0, *
 
 def held_ends(V, tags):
     """Return conditions that keep the ends of tubes from moving along the axis."""
-    dofs = [fem.locate_dofs_topological(V.sub(1), 1, tags.find(tag)) for tag in (LEFT, RIGHT)]
-    return [fem.dirichletbc(0.0, d, V.sub(1)) for d in dofs]
+    return [held(V, tags, tag, 0.0, 1) for tag in (LEFT, RIGHT)]
 
 
 def held_axis(V):
@@ -164,13 +160,10 @@ def pressed_ball(mesh_and_tags, law, depth, *, slave="upper", rigid=False, degre
     """
     domain, cell_tags, tags = mesh_and_tags
     V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
-    solid = dm.Solid(fem.Function(V), law, kinematics="axisymmetric")
-    low = fem.locate_dofs_topological(V, 1, tags.find(BOTTOM))
     if rigid:
-        low = fem.locate_dofs_topological(V, 2, cell_tags.find(LOWER))
-    high = fem.locate_dofs_topological(V, 1, tags.find(TOP))
-    bcs = [held_axis(V), fem.dirichletbc(np.zeros(2), low, V)]
-    bcs.append(fem.dirichletbc(np.array([0.0, -depth]), high, V))
+        domain.topology.create_connectivity(2, 2)
+    bcs = [held_axis(V), held(V, cell_tags, LOWER) if rigid else held(V, tags, BOTTOM)]
+    bcs.append(held(V, tags, TOP, (0.0, -depth)))
     side, master = SIDES[slave]
     contact = dm.Contact(tags, slave=side, master=master)
-    return dm.ContactProblem(solid, [contact], bcs=bcs, **options), contact
+    return create_problem(V, [contact], bcs, law, kinematics="axisymmetric", **options), contact
