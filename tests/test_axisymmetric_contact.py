@@ -103,39 +103,31 @@ def profile(problem, contact):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize(("cell", "at_the_pole"), [("quadrilateral", 0.015), ("triangle", 0.08)])
-def test_ball_on_a_rigid_flat(cell, at_the_pole):
+@pytest.mark.parametrize(
+    ("cell", "degree", "facets", "within", "at_the_pole"),
+    [
+        ("quadrilateral", 1, (20, 24), 0.015, 0.015),
+        ("triangle", 1, (20, 24), 0.015, 0.08),
+        ("triangle", 2, (8, 6), 0.02, 0.05),
+    ],
+)
+def test_ball_on_a_rigid_flat(cell, degree, facets, within, at_the_pole):
     """Force, radius and pressure are Hertz', and so is the pressure at the pole, on the axis.
 
-    There triangles are of first order: 10 % off with 16 facets in contact, 5 % with 32.
+    There triangles of degree 1 are of first order: 10 % off with 16 facets in contact, 5 % with 32.
     """
-    law = dm.Elastic(E, NU)
-    mesh_and_tags = ball_on_flat(RADIUS, (20, 24), cell=cell)
-    problem, contact = pressed_ball(mesh_and_tags, law, RADIUS**2, rigid=True)
-    dm.newton(problem)
+    law, mesh_and_tags = dm.Elastic(E, NU), ball_on_flat(RADIUS, facets, cell=cell)
+    problem, contact = pressed_ball(mesh_and_tags, law, RADIUS**2, rigid=True, degree=degree)
+    assert dm.newton(problem).newton_iterations <= 6
     force, peak = hertz(RADIUS**2, E / (1 - NU**2))
     r, p, found = profile(problem, contact)
     assert abs(found / force - 1) < 5e-3
     inner = (r > 1e-9) & (r < 0.8 * RADIUS)
     exact = peak * np.sqrt(1 - (r[inner] / RADIUS) ** 2)
-    assert np.abs(p[inner] - exact).max() < 0.015 * peak
+    assert np.abs(p[inner] - exact).max() < within * peak
     assert r[0] < 1e-15 and abs(p[0] / peak - 1) < at_the_pole
     fitted, radius = dm.analytic.fit_pressure(np.r_[-r, r], np.r_[p, p])
     assert abs(fitted / peak - 1) < 0.01 and abs(radius / RADIUS - 1) < 0.015
-
-
-@pytest.mark.mpi
-def test_either_side_of_an_elastic_contact_may_be_the_slave():
-    """The force is Hertz', less that of the finite bodies, and hardly depends on the slave."""
-    mesh_and_tags, forces = ball_on_flat(RADIUS, (14, 17)), []
-    for slave in SIDES:
-        problem, contact = pressed_ball(mesh_and_tags, dm.Elastic(E, NU), RADIUS**2, slave=slave)
-        report = dm.newton(problem)
-        assert report.certificate.force_balance < 1e-9
-        assert report.certificate.moment_balance < 1e-9
-        forces.append(profile(problem, contact)[2])
-    assert abs(forces[1] / forces[0] - 1) < 1e-3
-    assert abs(forces[0] / hertz(RADIUS**2, E / 2 / (1 - NU**2))[0] - 1) < 5e-3
 
 
 @pytest.mark.mpi
@@ -172,23 +164,6 @@ def test_a_pole_that_touches_alone_is_noted(slave):
         if noted:
             found = float(notes[0].partition("the sides lie ")[2].partition(" deep")[0])
             assert found == pytest.approx(depth, rel=0.05) and "an axis" in notes[0].why
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("cell", quick(["triangle", "quadrilateral"], "triangle"))
-def test_a_ball_of_second_order(cell):
-    """Hertz with six facets in contact; at the pole the pressure is that of its neighbours."""
-    mesh_and_tags = ball_on_flat(RADIUS, (8, 6), cell=cell)
-    problem, contact = pressed_ball(
-        mesh_and_tags, dm.Elastic(E, NU), RADIUS**2, rigid=True, degree=2
-    )
-    report = dm.newton(problem)
-    assert report.newton_iterations <= 5
-    r, p, found = profile(problem, contact)
-    force, peak = hertz(RADIUS**2, E / (1 - NU**2))
-    assert abs(found / force - 1) < 5e-3
-    inner = (r > 1e-9) & (r < 0.8 * RADIUS)
-    assert np.abs(p[inner] - peak * np.sqrt(1 - (r[inner] / RADIUS) ** 2)).max() < 0.02 * peak
 
 
 # Of an independent solver of second order, each with its uncertainty: benchmarks of the sphere;

@@ -12,6 +12,7 @@ from dolfinx_mortar.geometry.curvature import edge_sagittas, edges
 from dolfinx_mortar.mortar.curvature_correction import smooth_normals
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
 from tests.cases.close_fits import nested
+from tests.cases.two_bodies import create_problem, held
 
 COMM = MPI.COMM_WORLD
 FIT = 0.01
@@ -122,13 +123,11 @@ def test_a_press_fit_presses_everywhere(slave):
     """
     counts = {"peg": (6, 6, 12, 6) * 2, "hole": (8, 8, 14, 8) * 2}
     V, tags = fit(outline(rectangle(FIT), counts["peg"]), outline(rectangle(), counts["hole"]), 4)
-    u = fem.Function(V)
-    held = [fem.locate_dofs_topological(V, 1, tags.find(tag)) for tag in (1, 4)]
-    bcs = [fem.dirichletbc(np.zeros(2), dofs, V) for dofs in held]
     contact = dm.Contact(tags, slave=slave, master=5 - slave)
-    problem = dm.ContactProblem(dm.Solid(u, dm.Elastic(70e3, 0.3)), [contact], bcs=bcs)
+    bcs = [held(V, tags, tag) for tag in (1, 4)]
+    problem = create_problem(V, [contact], bcs, dm.Elastic(70e3, 0.3))
     dm.newton(problem)
-    nodes = contact.gather(u)
+    nodes = contact.gather(problem.u)
     assert (nodes["active"] == 1.0).all()
     least, most = (f(nodes["pressure"]) for f in (np.min, np.max))
     assert 107.0 < least < 112.0 and 180.0 < most < 200.0

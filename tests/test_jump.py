@@ -144,19 +144,6 @@ def test_a_jump_makes_bodies_flow(slave):
     assert np.allclose(case.sign * np.array(forces), [loaded, unloaded], rtol=1e-6)
 
 
-@pytest.mark.parametrize("slave", ["upper", "lower"])
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
-def test_a_jump_along_the_axis_of_a_ring(cell, slave):
-    """The force is E J / L times the section of the whole ring."""
-    J, radii = 1e-3, {"x_lower": (1.0, 2.0), "x_upper": (1.0, 2.0)}
-    law = dm.Elastic(E, 0.0)
-    case = Bar(cell, slave=slave, law=law, kinematics="axisymmetric", **radii)
-    case.tie.jump = [0.0, case.sign * J]
-    dm.newton(case.problem([case.hold(BOTTOM, 1), case.hold(TOP, 1)]), rtol=1e-10)
-    expected = case.sign * E * J / 2 * np.pi * (2.0**2 - 1.0**2)
-    assert np.allclose(case.tie.force, [0.0, expected], rtol=1e-8, atol=1e-8 * abs(expected))
-
-
 def test_a_radial_jump_shrinks_a_ring_on_another_one():
     """The pressure of a shrink fit of equal materials (Lame), in plane strain of rings."""
     a, b, c, J = 1.0, 2.0, 3.0, 1e-3

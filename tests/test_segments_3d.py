@@ -133,19 +133,6 @@ def test_crossing_masters_cover_once(k_s, k_m):
     assert np.abs(assemble(slave, master).covered - areas(slave)).max() < EXACT
 
 
-@PAIRS
-def test_one_of_two_coincident_masters_covers(k_s, k_m, rng):
-    """Facets that differ in the order of their nodes alone are one of them behind the other."""
-    slave = grid([0, 1], [0, 1], k=k_s)
-    one = grid([-0.2, 0.7], [0.1, 1.3], k=k_m).reversed().moved(shift=(0, 0, 0.1))
-    for _ in range(50):
-        other = Side(one.x, np.roll(one.facets, rng.integers(k_m), axis=1))
-        tilt = np.array([[1, 0, 0], [0, 1, 0], rng.uniform(-0.3, 0.3, 3)])
-        turn = rotation(rng.normal(size=3), rng.uniform(0, 7))
-        o = assemble(slave.moved(turn), joined(one, other).moved(turn @ tilt))
-        assert o.covered.sum() == pytest.approx(0.7 * 0.9, abs=EXACT)
-
-
 @pytest.mark.parametrize("count", [8, 40, 100])
 @pytest.mark.parametrize("k_s", [3, 4])
 def test_polygons_of_many_corners(k_s, count):
