@@ -21,6 +21,7 @@ from tests.cases.rings import (
     shrink_fit_pressure,
     tubes,
 )
+from tests.cases.two_bodies import create_problem, held
 from tests.choice import crosswise, quick
 
 COMM = MPI.COMM_WORLD
@@ -39,12 +40,12 @@ def fitted_tubes(
     cells = ((n + 1, n), (n + 3, 2 * n))
     domain, _, tags = tubes(TUBE, cells, overlap=overlap, cell=cell, **options)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    solid = dm.Solid(fem.Function(V), dm.Elastic(E, NU), kinematics="axisymmetric")
     side, master = SIDES[slave]
-    interface = kind(tags, slave=side, master=master)
+    interface, bcs = kind(tags, slave=side, master=master), held_ends(V, tags)
     ds = ufl.Measure("ds", domain, subdomain_data=tags)
     pushed = None if loads is None else loads * ufl.TestFunction(V)[0] * ds(BOTTOM)
-    problem = dm.ContactProblem(solid, [interface], bcs=held_ends(V, tags), loads=pushed)
+    own = {"kinematics": "axisymmetric", "loads": pushed}
+    problem = create_problem(V, [interface], bcs, dm.Elastic(E, NU), **own)
     return problem, interface
 
 
@@ -176,14 +177,10 @@ def test_the_sphere_of_the_3d_benchmark(geometry, slave):
     """A ball of radius 8 on a block, pressed in by 0.05: its section has the force of the whole."""
     domain, _, tags = dm.meshing.hertz(COMM, kind="graded", cell="quadrilateral", half=True)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    law = dm.Elastic(206_900.0, 0.29)
-    solid = dm.Solid(fem.Function(V), law, kinematics="axisymmetric")
-    bcs = [held_axis(V)]
-    for tag, value in (("bottom", 0.0), ("flat", -0.05)):
-        dofs = fem.locate_dofs_topological(V, 1, tags.find(tag))
-        bcs.append(fem.dirichletbc(np.array([0.0, value]), dofs, V))
+    bcs = [held_axis(V), held(V, tags, "bottom"), held(V, tags, "flat", (0.0, -0.05))]
     contact = dm.Contact(tags, slave=slave, master=7 - slave)
-    dm.newton(dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry))
+    options = {"kinematics": "axisymmetric", "geometry": geometry}
+    dm.newton(create_problem(V, [contact], bcs, dm.Elastic(206_900.0, 0.29), **options))
     assert abs(contact.force[1]) == pytest.approx(SPHERE[geometry, slave], rel=5e-4)
 
 

@@ -79,21 +79,3 @@ def test_common_part_and_difference(P, Q, first, mirrored):
     assert rest == pytest.approx(whole - exact, abs=1e-11)
     if plane.is_beside(p, n, q, m, 1, 0.0) or plane.is_beside(q, m, p, n, sign, 0.0):
         assert exact == 0.0
-
-
-@given(convex(), st.tuples(COORDINATES, COORDINATES), st.tuples(COORDINATES, COORDINATES))
-def test_halves_of_a_cut(P, a, b):
-    """The parts on both sides of a line have the area of the whole, and centroids that agree."""
-    assume(a != b)
-    p, n = compiled(P)
-    line = [float(x) for x in (*a, *b)]
-    Q, R = np.empty((2, plane.VERTICES, 2))
-    parts = plane.cut(p, n, *line, Q), plane.cut(p, n, *line[2:], *line[:2], R)
-    moments = np.zeros(3)
-    for part, size in zip((Q, R), parts, strict=True):
-        if size > 2:
-            size, x, y = plane.measure(part, size)
-            moments += size, size * x, size * y
-    size, x, y = plane.measure(p, n)
-    assert moments == pytest.approx([size, size * x, size * y], abs=1e-11)
-    assert size == pytest.approx(float(area(P)), abs=1e-14)

@@ -12,39 +12,6 @@ from dolfinx_mortar.problem import predictors
 from tests.cases.finite_sliding import indentation, walk
 
 COMM = MPI.COMM_WORLD
-CELLS = {
-    "triangle": (mesh.CellType.triangle, 2),
-    "quadrilateral": (mesh.CellType.quadrilateral, 2),
-    "hexahedron": (mesh.CellType.hexahedron, 3),
-}
-A = np.array([[0.3, -0.2, 0.5], [0.1, 0.4, -0.6], [0.7, 0.2, 0.1]])
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("size", [1.0, 1e-6])
-@pytest.mark.parametrize("cell", CELLS)
-def test_values_are_those_at_the_nearest_points(cell, size):
-    """A linear field at random points, of which some lie outside by up to the reach.
-
-    In whatever units; and the mesh is as before, to the last digit.
-    """
-    kind, d = CELLS[cell]
-    make = mesh.create_unit_square if d == 2 else mesh.create_unit_cube
-    V = fem.functionspace(make(COMM, *[5, 4, 3][:d], kind), ("Lagrange", 1, (d,)))
-    V.mesh.geometry.x[:] *= size
-    before = V.mesh.geometry.x.copy()
-    u = fem.Function(V)
-    u.interpolate(lambda x: A[:d] @ x / size)
-    own = np.arange(V.mesh.topology.index_map(d).size_local, dtype=np.int32)
-    points = np.zeros((30, 3))
-    points[:, :d] = np.random.default_rng(COMM.rank).uniform(-0.2, 1.2, (30, d))
-    found = predictors.values_near(u, own, size * points, 0.2 * size * np.sqrt(d))
-    assert np.array_equal(V.mesh.geometry.x, before)
-    assert np.abs(found - points.clip(0.0, 1.0) @ A[:d].T).max() < 1e-12
-    if COMM.rank == 0:
-        assert predictors.values_near(u, own, points[:0], 0.1).shape == (0, d)
-    else:
-        predictors.values_near(u, own, size * points, 0.1 * size)
 
 
 PRESSED, DRAGGED = 3, 4

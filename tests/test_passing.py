@@ -140,21 +140,6 @@ def test_a_body_that_is_prescribed_altogether(slave):
 
 
 @pytest.mark.mpi
-def test_cuts_find_the_way():
-    """Cut where the disc would pass, the step ends where small ones do."""
-    forces, cuts = [], []
-    for levels in ([4.0], list(np.arange(0.5, 4.1, 0.5))):
-        pushed = Pushed()
-        *_, last = dm.load_steps(
-            pushed.problem, levels, on_time=lambda t, p=pushed: p.move(0.0, -t), start=0.0
-        )
-        forces.append(pushed.contact.force)
-        cuts.append(len(last.parts))
-    assert cuts[0] > 1 and np.linalg.norm(forces[1]) > 0.0
-    assert forces[0] == pytest.approx(forces[1], rel=1e-4, abs=1e-6 * np.abs(forces[1]).max())
-
-
-@pytest.mark.mpi
 @pytest.mark.parametrize(
     "way",
     [(0.0, 30.0), (30.0, 0.1), (-20.0, 20.0), (0.0, -0.3)],

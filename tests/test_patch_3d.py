@@ -3,8 +3,6 @@
 
 from petsc4py import PETSc
 
-import hypothesis
-import hypothesis.strategies as st
 import numpy as np
 import pytest
 
@@ -182,22 +180,3 @@ def test_little_coverage(slave, cell, degree, covered):
     long = (np.array([0, 0.35, 0.7, end, end + 0.4]), np.array([0, 0.4, end, end + 0.4]))
     lower, upper = (long, short) if slave == "lower" else (short, long)
     check(*solve_patch(slave, cell=cell, degree=degree, splits_lower=lower, splits_upper=upper))
-
-
-widths = st.lists(st.floats(0.2, 1.0), min_size=1, max_size=4)
-
-
-@hypothesis.settings(max_examples=6)
-@hypothesis.given(
-    splits=st.tuples(widths, widths, widths, widths),
-    sizes=st.tuples(st.floats(0.7, 1.4), st.floats(0.7, 1.4)),
-    slave=st.sampled_from(["lower", "upper"]),
-    kind=st.sampled_from(KINDS),
-    turn=st.sampled_from([None, TILTED]),
-)
-def test_random_splits(splits, sizes, slave, kind, turn):
-    lines = [np.concatenate([[0.0], np.cumsum(w)]) / np.sum(w) for w in splits]
-    upper = (lines[2] * sizes[0], lines[3] * sizes[1])
-    grids = {"splits_lower": (lines[0], lines[1]), "splits_upper": upper}
-    cell, degree = kind
-    check(*solve_patch(slave, cell=cell, degree=degree, hold="nodes", turn=turn, **grids))
