@@ -91,7 +91,6 @@ RADIUS = 2e-3  # of the contact, over that of the ball: the far ends move it by 
 
 
 def hertz(depth, modulus):
-    """Return force and largest pressure of a ball of radius one pressed in by a depth."""
     force = 4 / 3 * modulus * depth**1.5
     return force, 3 * force / (2 * np.pi * depth)
 
@@ -113,10 +112,7 @@ def profile(problem, contact):
     ],
 )
 def test_ball_on_a_rigid_flat(cell, degree, facets, within, at_the_pole):
-    """Force, radius and pressure are Hertz', and so is the pressure at the pole, on the axis.
-
-    There triangles of degree 1 are of first order: 10 % off with 16 facets in contact, 5 % with 32.
-    """
+    """Force, radius and pressure are Hertz', and so is the pressure at the pole, on the axis."""
     law, mesh_and_tags = dm.Elastic(E, NU), ball_on_flat(RADIUS, facets, cell=cell)
     problem, contact = pressed_ball(mesh_and_tags, law, RADIUS**2, rigid=True, degree=degree)
     assert dm.newton(problem).newton_iterations <= 6
@@ -134,10 +130,7 @@ def test_ball_on_a_rigid_flat(cell, degree, facets, within, at_the_pole):
 @pytest.mark.mpi
 @pytest.mark.parametrize("bend", [-0.3, -1e-3, 1e-3, 0.3])
 def test_of_second_order_the_pole_carries_no_multiplier(bend):
-    """Its function integrates to nothing, but to 1e-2 of its facet's area where that bends.
-
-    With either sign a multiplier there makes Newton run in circles. It faces the flat all the same.
-    """
+    """Its function integrates to nothing, but to 1e-2 of its facet's area where that bends."""
     mesh_and_tags = ball_on_flat(0.05, (4, 3), cell="triangle")
     problem, contact = pressed_ball(mesh_and_tags, dm.Elastic(E, NU), 1e-4, degree=2)
     problem.u.interpolate(lambda x: (np.zeros(x.shape[1]), bend * x[0] ** 2 / 0.025))

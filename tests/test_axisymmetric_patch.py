@@ -23,10 +23,7 @@ EXACT = 1e-9
 
 
 def beyond(domain, lines, cut):
-    """Return a traction share over the facet that holds the cut, with the moments of r > cut.
-
-    One beyond, zero before, and linear on that facet, with the same integrals of N_j 2 pi r.
-    """
+    """Return a traction share over the facet that holds the cut, with the moments of r > cut."""
     x = ufl.SpatialCoordinate(domain)[0]
     k = int(np.searchsorted(lines, cut)) - 1
     if k >= len(lines) - 1:
@@ -59,10 +56,7 @@ def solve_patch(
     unit=1.0,
     geometry="reference",
 ):
-    """Press a disc or ring on another one with the pressure P; return all that is compared.
-
-    Radii are those of nodes; `shift` moves everything along the axis, `unit` scales all lengths.
-    """
+    """Press a disc or ring on another one with the pressure P; return all that is compared."""
     case = TwoBodies(
         cell,
         degree,
@@ -152,11 +146,7 @@ def test_patch_in_other_units_and_elsewhere_on_the_axis(unit):
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("radii", ["disc", "ring"])
 def test_pressure_is_per_area_of_the_geometry(radii, degree, slave):
-    """Both discs grow by nu P / E: in radius and along the section, and on the axis as well.
-
-    Contact that follows the bodies shows the pressure per area that they have now, held contact
-    and ties per area at X; forces, and what carries, are the same.
-    """
+    """Both discs grow by nu P / E: in radius and along the section, and on the axis as well."""
     lower, upper = RADII[radii]
     now = P / (1 + NU * P / E) ** 2
     expected = ((dm.Contact, "updated", now), (dm.Contact, "reference", P), (dm.Tie, "updated", P))
@@ -175,10 +165,7 @@ def test_pressure_is_per_area_of_the_geometry(radii, degree, slave):
 @pytest.mark.mpi
 @pytest.mark.parametrize(("degree", "lift"), [(1, -1e-2), (2, -1e-2), (2, 1e-2)])
 def test_friction_of_discs(degree, lift):
-    """Where it slips, its traction is the share of the pressure that is shown; nothing is open.
-
-    The node on the axis does as its neighbours do: it sticks, or is open with all of them.
-    """
+    """Where it slips, its traction is the share of the pressure that is shown; nothing is open."""
     mu, (lower, upper) = 0.05, RADII["disc"]
     sizes = {"n_lower": (3, 3), "n_upper": (5, 4), "splits_lower": lower, "splits_upper": upper}
     case = TwoBodies("quadrilateral", degree, **sizes)

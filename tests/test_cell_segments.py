@@ -46,7 +46,6 @@ def scalars(mesh, degree):
 
 
 def everywhere(V, values):
-    """Return values (nodes, ..) at the owned nodes of all ranks, in the order of their numbers."""
     return np.concatenate(V.mesh.comm.allgather(values[: V.dofmap.index_map.size_local]))
 
 
@@ -58,7 +57,6 @@ def positions(V, u=None):
 
 
 def on_both(s, at_nodes):
-    """Return values (n,) and gradients (n, d) of a field, by its values at all nodes, twice."""
     for dofs, N, G in (
         (s.slave_dofs, s.slave_values, s.slave_gradients),
         (s.master_dofs, s.master_values, s.master_gradients),
@@ -79,7 +77,6 @@ def moved(V, motion):
 
 
 def bent(x):
-    """Return curved positions of x (d, n)."""
     waves = [0.1 * np.sin(2 * x[i - 1] + i) for i in range(len(x))]
     return x + np.stack(waves)
 
@@ -322,7 +319,6 @@ def temperatures(cells, tags, exact, dofs, entries):
 
 
 def jumps(s):
-    """Return the dofs (n, k) of both sides, and the jump of each function across (n, k)."""
     return np.hstack([s.slave_dofs, s.master_dofs]), np.hstack([s.slave_values, -s.master_values])
 
 

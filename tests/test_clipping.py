@@ -15,18 +15,15 @@ COORDINATES = st.integers(-16, 16).map(lambda i: Fraction(i, 16))  # floats hold
 
 
 def cross(o, a, b):
-    """Return twice the area of a triangle."""
     return (a[0] - o[0]) * (b[1] - o[1]) - (a[1] - o[1]) * (b[0] - o[0])
 
 
 def area(polygon):
-    """Return the area by the shoelace formula, positive if anticlockwise."""
     turned = polygon[1:] + polygon[:1]
     return sum(a[0] * b[1] - a[1] * b[0] for a, b in zip(polygon, turned, strict=True)) / 2
 
 
 def clipped(polygon, clip):
-    """Return the part of a polygon in a convex anticlockwise one, exactly."""
     for a, b in zip(clip, clip[1:] + clip[:1], strict=True):
         sides = [cross(a, b, x) for x in polygon]
         found = []

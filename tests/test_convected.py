@@ -53,10 +53,7 @@ def test_it_saves_iterations_and_changes_no_answer(slave, monkeypatch):
 
 
 def ironed_by_tool(law, *, friction=0.0, way=0.6, degree=1, angle=0.0, turning=0.0):
-    """Turn a block with a rigid cylinder and drag this by facets; return iterations and forces.
-
-    While it is dragged both may turn on, by an angle in each step.
-    """
+    """Turn a block with a rigid cylinder and drag this by facets; return iterations and forces."""
     square = mesh.create_rectangle(
         COMM, [(0.0, -2.0), (6.0, 0.0)], [24, 5], mesh.CellType.quadrilateral
     )
@@ -105,10 +102,7 @@ def test_turned_bodies_slide_like_others():
     ids=["internal variables", "sticks", "shorter than a facet", "turns"],
 )
 def test_what_stays(law, friction, way, turning, monkeypatch):
-    """Plastic strains, material that sticks; and Newton's method is left alone with short ways.
-
-    And where a body turns: what slides over it has no one way then.
-    """
+    """Plastic strains, material that sticks; and Newton's method is left alone with short ways."""
 
     def fail(*_):
         raise AssertionError

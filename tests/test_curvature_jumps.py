@@ -20,10 +20,7 @@ QUARTER = np.pi / 2
 
 
 def outline(pieces, counts, grading=0.0):
-    """Return nodes (n, 2) along a closed line of pieces of (length, curvature), anticlockwise.
-
-    It begins upwards at the right and is centred; curvatures belong to the pieces, not to nodes.
-    """
+    """Return nodes (n, 2) along a closed line of pieces of (length, curvature), anticlockwise."""
     nodes, at, angle = [], np.zeros(2), QUARTER
     for (length, curvature), count in zip(pieces, counts, strict=True):
         s = np.linspace(0.0, 1.0, count + 1)
@@ -40,13 +37,11 @@ def outline(pieces, counts, grading=0.0):
 
 
 def rectangle(grow=0.0):
-    """Return pieces of a rectangle of 16 x 10 with fillets of radius 2, grown by an offset."""
     fillet = (QUARTER * (2.0 + grow), 1 / (2.0 + grow))
     return [(6.0, 0.0), fillet, (12.0, 0.0), fillet] * 2
 
 
 def oval():
-    """Return pieces of an oval of arcs, of radii 2 and 5."""
     return [(2.0 * QUARTER, 0.5), (5.0 * QUARTER, 0.2)] * 2
 
 
@@ -117,10 +112,7 @@ def test_what_varies_smoothly_does_not_jump(aspect, count, spread):
 @pytest.mark.mpi
 @pytest.mark.parametrize("slave", [2, 3])
 def test_a_press_fit_presses_everywhere(slave):
-    """Beside the ends of the flats as well: pressures from 111 to 206 (216), on four times as fine.
-
-    These meshes had 25 to 210 with the peg as slave, and 0 to 352 with the plate: 12 nodes open.
-    """
+    """Beside the ends of the flats as well: 111 to 206 (216) on meshes four times as fine."""
     counts = {"peg": (6, 6, 12, 6) * 2, "hole": (8, 8, 14, 8) * 2}
     V, tags = fit(outline(rectangle(FIT), counts["peg"]), outline(rectangle(), counts["hole"]), 4)
     contact = dm.Contact(tags, slave=slave, master=5 - slave)

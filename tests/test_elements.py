@@ -136,10 +136,7 @@ def test_every_cell_that_u_may_have_has_the_facets_of_dolfinx():
 
 @parametrize([TRI3, QUAD4, TRI6, QUAD9])
 def test_parts_tile_their_facet(element):
-    """On straight facets a point of a part is that point of the facet; areas add up.
-
-    Two sides that coincide share all their points.
-    """
+    """On straight facets a point of a part is that point of the facet; areas add up."""
     rng = np.random.default_rng(7)
     corners = rng.uniform(-1, 1, (3, 4 if element.bilinear else 3, 3))
     x = element.vertex_functions(element.points) @ corners

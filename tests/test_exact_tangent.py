@@ -85,11 +85,7 @@ def test_newton_is_quadratic_with_friction(to):
 @pytest.mark.parametrize("slow", [False, True])
 @pytest.mark.parametrize("before", [False, True])
 def test_where_the_exact_tangent_serves(finite, slow, before, first):
-    """From the second iteration on at finite strain, else where the fixed point is slow.
-
-    Not where it has failed with residuals as large, or a tenth of these, nor after a tangent that
-    had to be shifted.
-    """
+    """From the second iteration on at finite strain, else where the fixed point is slow."""
     qps = SimpleNamespace(finite=finite, may_be_exact=True)
     report = SimpleNamespace(iterations=[SimpleNamespace(exact_tangent=before)])
     step = SimpleNamespace(qps=qps, report=report, missed=lambda residual: residual)

@@ -115,10 +115,7 @@ class Stuck:
         self.problem = case.problem([self.contact], bcs, law, **options)
 
     def step(self, turn, pushed):
-        """Turn all after the upper end has moved; return the nodal contact forces, turned back.
-
-        Of owned nodes: tractions times D_jj.
-        """
+        """Turn all after the upper end has moved; return the nodal contact forces, turned back."""
         for end, shift in zip(self.ends, (np.zeros(3), np.array(pushed)), strict=True):
             end.interpolate(lambda X, shift=shift: turn @ (X + shift[:, None]) - X)
         dm.newton(self.problem, rtol=1e-11)
@@ -138,12 +135,7 @@ class Stuck:
     ],
 )
 def test_a_stuck_pair_that_turns_keeps_its_nodal_forces(cell, degree):
-    """Those of all nodes, to round-off, after 90 degrees in two steps about an oblique axis.
-
-    So it spins about its normal, too. Displacements differ by 1e-15 then, internal forces by 8 eps
-    of modulus times side squared at any node: tractions of a node of second order with a D_jj of
-    6 % of the largest differ by 1e-11, the nodal forces by 2e-12.
-    """
+    """Those of all nodes, to round-off, after 90 degrees in two steps about an oblique axis."""
     case, pushed = Stuck(cell, degree), (0.02, 0.01, -0.06)
     case.step(np.eye(3), (0.0, 0.0, -0.05))
     before = case.step(np.eye(3), pushed)

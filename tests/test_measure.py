@@ -106,10 +106,7 @@ def test_an_open_gap_of_an_active_node(wedge, height):
 
 @pytest.mark.mpi
 def test_the_first_forces_are_no_scale_of_those_that_act(wedge):
-    """A stiff body that is turned by its supports, and presses softly: 5e4 in the sweep.
-
-    They are where what the first QP may leave of them is as large as what acts.
-    """
+    """A stiff body that is turned by its supports, and presses softly: 5e4 in the sweep."""
     more = replace(wedge.contacts, multipliers=(1.0 + 1e-4) * wedge.contacts.multipliers)
     plain = wedge.measure(more)
     assert plain.excess > 10.0
@@ -197,10 +194,7 @@ def test_friction_that_drives(pushed):
 @pytest.mark.serial
 @pytest.mark.parametrize("excess", [1e-3, 0.1])
 def test_equilibrium_of_one_cell(excess):
-    """A square stretched too far by a share e: of the loads that are left, |f| = e F / sqrt(2).
-
-    The largest forces are those of the element, (1 + e) F / 2 at each of four nodes.
-    """
+    """A square stretched too far by a share e: of the loads that are left, |f| = e F / sqrt(2)."""
     domain = mesh.create_unit_square(MPI.COMM_SELF, 1, 1, mesh.CellType.quadrilateral)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
     found = [

@@ -29,13 +29,11 @@ def create(boxes, partition="graph", **options):
 
 
 def count(tags, name):
-    """Return the number of facets with a tag, all ranks."""
     owned = tags.topology.index_map(tags.dim).size_local
     return COMM.allreduce(int((tags.find(name) < owned).sum()))
 
 
 def ends(pairs):
-    """Return the names of the bodies of each pair, slave first."""
     return [(p.slave.split(" to ")[0], p.master.split(" to ")[0]) for p in pairs.found]
 
 
@@ -148,10 +146,7 @@ def test_walls_pass_the_patch_test_with_proposed_contacts(boxes):
 
 @pytest.mark.serial
 def test_slaves_of_many_blocks():
-    """A wall of 32 blocks has more pairs than are compared in all ways: hardly any cycles.
-
-    How many depends on the numbering: in ten orders 1 to 3, and 10 to 13 with the finer as slaves.
-    """
+    """A wall of 32 blocks has more pairs than are compared in all ways: hardly any cycles."""
     rng, boxes = np.random.default_rng(1), []
     for row in range(5):
         cuts = [0.0, *np.arange(0.5 * (row % 2) or 1.0, 6.0), 6.0]

@@ -29,7 +29,6 @@ COMM = MPI.COMM_WORLD
 
 
 def triangle(d):
-    """Return a line or a triangle with the normal e_d about the origin, (1, d, d)."""
     corners = {2: [[1, 0], [-1, 0]], 3: [[1, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0]]}
     return np.array([corners[d]], dtype=float)
 
@@ -65,10 +64,7 @@ def test_many_facets_and_no_facet():
 
 
 class Pushed:
-    """A half disc above a strip that is clamped at one end.
-
-    Sides are the whole skins of both, or the top of the strip, or also the arc of the disc alone.
-    """
+    """A half disc above a strip that is clamped at one end."""
 
     def __init__(self, slave="disc", top="skin"):
         """Create the problem."""
@@ -92,7 +88,6 @@ class Pushed:
         self.problem = create_problem(V, [self.contact], bcs)
 
     def move(self, *way):
-        """Prescribe the displacement of the flat face."""
         self.way.value[:] = way
 
 
@@ -276,10 +271,7 @@ def blade(d):
 @pytest.mark.mpi
 @pytest.mark.parametrize("d", [2, 3])
 def test_a_blade_that_turns_through_a_body(d):
-    """By half a turn and more, at whose end nothing tells which way it went.
-
-    Seen from its end, the body is between 8 and 39 degrees above the blade.
-    """
+    """By half a turn and more, at whose end nothing tells which way it went."""
     problem, ball = on_ball(d, 4)
     end = np.array([-1.0, -0.3]) if d == 2 else np.array([-1.0, -1.0, -0.3])
     tool = dm.Obstacle(ball.facet_tags, slave=1, shape=blade(d), reference=end)

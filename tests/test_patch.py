@@ -19,12 +19,7 @@ EXACT = 1e-10
 
 
 def beyond(mesh, x, cut, lines, degree):
-    """Return a traction share with the moments of the indicator of x > ``cut``.
-
-    It is 1 on facets wholly beyond and 0 on those wholly before; on the facet that holds the cut
-    the polynomial has the same integrals against all shape functions as the indicator. All numbers
-    are Constants, so that one form is compiled for all.
-    """
+    """Return a traction share with the moments of the indicator of x > ``cut``."""
     k = int(np.searchsorted(lines, cut)) - 1
     a = b = cut
     share = np.array([1.0, 0.0, 0.0])  # of 1, s and s^2, with s from 0 to 1 along the facet

@@ -29,7 +29,6 @@ TILTED = rotation((1.0, 2.0, 0.5), 0.7)
 
 
 def clip(polygon, rectangle):
-    """Return the part of a convex polygon (n, 2) within (low x, high x, low y, high y)."""
     for i, bound, sign in ((0, 0, 1), (0, 1, -1), (1, 2, 1), (1, 3, -1)):
         d = sign * (polygon[:, i] - rectangle[bound])
         points = []
@@ -103,17 +102,7 @@ def uncovered_pressure(V, facets, tag, R, rectangle):
 def solve_patch(
     slave="lower", *, cell="tetrahedron", turn=None, hold="planes", degree=1, **options
 ):
-    """Press the upper box on the lower one; return problem, contact and the exact solution.
-
-    Args:
-        slave: "lower" or "upper".
-        cell: Cell type.
-        turn: Rotation of everything.
-        hold: "planes" (the symmetry planes x = 0 and y = 0 cut through the contact) or "nodes"
-            (the bottom and an edge on top are held). Only the contact holds the upper box down.
-        degree: Of the displacement.
-        options: Of `two_boxes`.
-    """
+    """Press the upper box on the lower one; return problem, contact and the exact solution."""
     R = np.eye(3) if turn is None else turn
     case = TwoBodies(cell, degree, turn=turn, **options)
     mesh, V, exact, strain = case.mesh, case.V, fem.Function(case.V), R @ STRAIN @ R.T

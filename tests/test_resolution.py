@@ -19,7 +19,6 @@ from tests.choice import quick
 
 
 def said(report):
-    """Return the number of nodes in the note on too few, if there is one."""
     found = [
         re.search(r"largest pressure is not resolved: its patch has (\d+) nodes", note)
         for note in report.notes

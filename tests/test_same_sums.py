@@ -20,7 +20,6 @@ TIMES = 30  # one rank is late in each; every second sum of matrices differed wh
 
 
 def check_same(compute):
-    """Compare the values (..) of this rank with those of the first time, one rank being late."""
     late, first = np.random.default_rng(1), compute()
     for rank in late.integers(0, COMM.size, TIMES if COMM.size > 1 else 1):
         if COMM.rank == rank:
@@ -58,7 +57,6 @@ def test_tangents_of_bodies(kind):
 
 
 def values_of(K):
-    """Return the entries of a matrix."""
     return as_aij(K).getValuesCSR()[2]
 
 

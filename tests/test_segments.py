@@ -23,12 +23,10 @@ def flat(splits, y=0.0, angle=0.0, up=False):
 
 
 def polyline(x):
-    """Return the facets of a polyline."""
     return Facets(LINE2, x[chain(len(x))])
 
 
 def split(low, high):
-    """Return a strategy of random grids with at least one cell, nodes 1e-6 apart or more."""
     inner = st.lists(st.floats(0.001, 0.999), max_size=9)
     return inner.map(lambda s: low + (high - low) * np.unique(np.round([0, *s, 1], 6)))
 
@@ -83,7 +81,6 @@ def test_the_nearest_side_that_faces_the_slave_covers(case):
 
 
 def arc(radius, centre, first, last, n):
-    """Return the nodes of an arc; the body is inside for first < last, hence a convex slave."""
     angle = np.linspace(first, last, n)
     return np.asarray(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 

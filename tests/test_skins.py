@@ -44,10 +44,7 @@ def create(cell, partition="graph", **options):
 @pytest.mark.parametrize("partition", ["graph", "stripes", "empty"])
 @CELLS
 def test_thickness_behind_the_facets_of_a_skin(cell, partition):
-    """Heights behind top and bottom, the width behind the flanks; a side alone has none.
-
-    So has a skin without the support, which is no part of the side.
-    """
+    """Heights behind top and bottom, the width behind the flanks; a side alone has none."""
     V, flat, *others, up = create(cell, partition)
     for tag, height in zip(SIDES, HEIGHTS, strict=True):
         assert np.isinf(create_surface(V, flat, tag, "side").thickness).all()

@@ -6,7 +6,6 @@ around. The stress is -P I, u = -c (X - X0) with X0 on the interface, the pressu
 P everywhere, its force normal to it, and nothing is left to the supports.
 """
 
-
 import numpy as np
 import pytest
 
@@ -33,14 +32,7 @@ def facets_of(case, tag, body):
 
 
 class Hydrostatic:
-    """Two blocks between z = -2 and 2, or rings, whose interface has a slope.
-
-    Args:
-        slope: of the interface (d - 1,).
-        slave: "lower" or "upper", which ends on rollers.
-        both: whether the other body does, too.
-        inside: its inner radius, for rings.
-    """
+    """Two blocks between z = -2 and 2, or rings, whose interface has a slope."""
 
     def __init__(self, slope, slave="upper", degree=1, cell=None, both=False, inside=None):
         """Create mesh, tags, space, supports and loads."""
@@ -119,7 +111,6 @@ class Hydrostatic:
 
 
 def deg(*degrees):
-    """Return slopes."""
     return np.tan(np.radians(degrees))
 
 

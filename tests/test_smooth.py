@@ -42,18 +42,15 @@ def ball(comm, h, cell):
 
 
 def true_heights(facets, centre, radius, xi, axes=slice(None)):
-    """Return the distance (m, q) of points of facets from a sphere or cylinder outside."""
     x = np.einsum("qk,mki->mqi", facets.element.shape_functions(xi), facets.x)
     return radius - np.linalg.norm((x - centre)[:, :, axes], axis=2)
 
 
 def found_heights(facets, normals, nodes, xi):
-    """Return the heights (m, q) of the smooth surface there."""
     return at_points(facets, edge_sagittas(facets, normals, nodes), xi)
 
 
 def at_points(facets, c, xi):
-    """Return the heights (m, q) of c_ab at points xi of every facet."""
     columns = [
         heights(facets, c, np.arange(len(c)), np.broadcast_to(p, (len(c), len(p)))) for p in xi
     ]

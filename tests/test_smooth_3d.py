@@ -61,14 +61,7 @@ def test_normals_of_a_cylinder_on_uneven_triangles(monkeypatch):
 
 
 def round_side(along, across, oblique=0.0, slope=0.0):
-    """Return the points at s and c (n,), of a torus or a sphere, cylinder, cone or plane.
-
-    Args:
-        along: angle of the side on the way from the support, x = 0.
-        across: angle of the side around the axis z = 0, y = 0; 0 for none.
-        oblique: degrees by which an arc begins beside its summit.
-        slope: degrees by which straight lines are inclined.
-    """
+    """Return the points at s and c (n,), of a torus or a sphere, cylinder, cone or plane."""
     start, rise = np.radians(oblique), np.tan(np.radians(slope))
 
     def points(s, c):

@@ -54,10 +54,7 @@ def test_shrink_fit_is_lames(counts, swap, degree, order, spread):
     ],
 )
 def test_a_pin_in_its_hole(counts, degree, order, error, swap):
-    """Clearance of 1 %: the peak is that of a fine mesh, and no node stays falsely open.
-
-    Of second order half as many facets do as well, on straight and on curved cells.
-    """
+    """Clearance of 1 %: the peak is that of a fine mesh, and no node stays falsely open."""
     report, found = create_pin(counts, swap, degree=degree, order=order).solve()
     assert report.newton_iterations <= (6 if degree == 1 else 4) and not report.notes
     on = np.degrees(np.abs(np.arctan2(found["X"][:, 0], -found["X"][:, 1]))) < 20.0
@@ -86,7 +83,6 @@ def test_curved_sides_on_one_surface_have_no_gap(cell, swap):
 
 
 def on_one_surface(x):
-    """Map a block to a sector of a ring or a spherical shell, with uneven nodes."""
     x = x + np.eye(x.shape[1])[0] * (0.3 * x[:, :1] * (1 - x[:, :1]))
     return to_arc(x) if x.shape[1] == 2 else to_sphere(x)
 
@@ -117,7 +113,6 @@ def test_heights_do_not_depend_on_the_ranks(cell):
 
 
 def rotation_of(d):
-    """Return one by 65 degrees in space, by 37 in the plane."""
     spin = np.array([[0.8, -0.6, 0.0], [0.36, 0.48, -0.8], [0.48, 0.64, 0.6]])
     return spin if d == 3 else np.array([[0.8, -0.6], [0.6, 0.8]])
 
@@ -162,7 +157,6 @@ def test_heights_grow_with_the_bodies(cell, geometry):
 
 
 def warned(problem):
-    """Return the warnings of straight facets."""
     return [w for w in problem.audit().warnings if "straight facets stand for" in w]
 
 

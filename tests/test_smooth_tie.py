@@ -55,7 +55,6 @@ def jumps(link, field):
 
 
 def spin(x):
-    """Return a rotation and a translation."""
     return x @ SPIN.T + [0.3, -0.2, 0.1]
 
 
@@ -156,7 +155,6 @@ def test_a_rotation_strains_nothing(cell, slave):
 
 
 def free(V, tags):
-    """Hold the outer circle in its place alone."""
     return hold(V, RADII[2])
 
 
@@ -208,10 +206,7 @@ def test_edges_of_tied_sides_keep_their_facets(angle):
 @pytest.mark.mpi
 @pytest.mark.parametrize(("degree", "order"), [(1, 1), (2, 1), (2, 2)])
 def test_straight_facets_of_curved_sides_spoil_second_order(degree, order):
-    """Pressures of tied rings scatter on straight cells with degree 2 alone, and the audit says it.
-
-    By more than 1 % of the mean; on curved ones less than 0.1 %, with degree 1 less than 0.5 %.
-    """
+    """Pressures scatter on straight cells with degree 2 alone, and the audit says it."""
     problem, tie = tied_rings(2, 3, free, 10.0, degree=degree, order=order)
     spoilt = degree == 2 and order == 1
     said = [w for w in problem.audit().warnings if "straight facets stand for curved" in w]

@@ -49,15 +49,11 @@ def tag_facets(mesh, block, marks):
 
 
 def at(y, low=-1.0, high=9.0):
-    """Return a marker of the line at height y between two x."""
     return lambda x: np.isclose(x[1], y) & (x[0] > low - 1e-9) & (x[0] < high + 1e-9)
 
 
 def press(mesh, tags, interfaces):
-    """Press on tag 2 with P; check the uniaxial stress state and return problem and report.
-
-    Tag 1 (bottom, y = 0) and tag 5 (vertical sides) slide; contact alone holds the rest.
-    """
+    """Press on tag 2 with P; check the uniaxial stress state and return problem and report."""
     V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
     exact, u = fem.Function(V), fem.Function(V)
     strain = P / E * np.array([NU * (1 + NU), NU**2 - 1])[:, None]
@@ -85,7 +81,6 @@ COLUMNS = [np.linspace(0, 1, n) for n in (4, 6, 5)]
 
 
 def stack(kinds, slaves):
-    """Return the interfaces of a stack; ``slaves`` says which side of each is the slave."""
 
     def create(tags):
         sides = [(20, 11), (21, 12)]
@@ -112,10 +107,7 @@ def test_stack(kinds, below, above):
 
 
 def beside(left, right):
-    """Return a lower block of length 2, two blocks beside each other on it, and the tags.
-
-    20 and 21 are the left and right half of the lower side, 11 and 12 the sides opposite.
-    """
+    """Return a lower block of length 2, two blocks beside each other on it, and the tags."""
     lines = [np.linspace(0, 2, 6), left, right]
     lines[0] = np.sort(np.append(lines[0], 1.0))
     heights = [np.linspace(0, 1, 4), np.linspace(1, 2, 3), np.linspace(1, 2, 4)]

@@ -40,7 +40,6 @@ def kept(problem):
 
 
 def warned(audit):
-    """Return the warnings of how far ties reach."""
     return [w for w in audit.warnings if "within=" in w]
 
 

@@ -21,11 +21,7 @@ THREE = (
 def create_boxes(
     comm: MPI.Comm, boxes: list[Box], cell: str = "hexahedron"
 ) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags]:
-    """Create boxes, each of its lowest and highest corner and cells in three directions.
-
-    Returns:
-        Mesh and cell tags, the number of the box from 1 on.
-    """
+    """Create boxes, each of its lowest and highest corner and cells in three directions."""
     points, cells, first = [], [], 0
     for low, high, n in boxes:
         lines = [np.linspace(a, b, m + 1) for a, b, m in zip(low, high, n, strict=True)]

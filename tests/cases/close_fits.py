@@ -95,18 +95,7 @@ class Pin:
 def create_pin(
     counts, swap, *, clearance=0.1, force=5000.0, comm=COMM, degree=1, order=1, **options
 ):
-    """Create a pin with a clearance, by default of 1 % of the radius.
-
-    Args:
-        counts: numbers of facets of the pin and the hole.
-        swap: the hole is the slave, not the pin.
-        clearance: radius of the hole less that of the pin.
-        force: on the pin.
-        comm: communicator of the mesh.
-        degree: of the displacement.
-        order: degree of the cells.
-        options: of the contact.
-    """
+    """Create a pin with a clearance, by default of 1 % of the radius."""
     R = 10.0
     domain, tags = rings(comm, (1.0, R - clearance), (R, 25.0), counts, (8, 12), order)
     pin = np.hypot(*domain.geometry.x[:, :2].T) < R - clearance / 2
@@ -151,20 +140,7 @@ def create_shrink_fit(
     shift=(0.0, 0.0),
     **options,
 ):
-    """Create the rings 10 to 20 and 20 to 30, with facets in such numbers where they meet.
-
-    Args:
-        counts: numbers of facets of the inner and the outer ring.
-        swap: the outer ring is the slave, not the inner one.
-        overlap: of the radii.
-        pressure: in the inner ring.
-        geometry: of the problem.
-        comm: communicator of the mesh.
-        degree: of the displacement.
-        order: degree of the cells.
-        shift: of the origin of coordinates to the middle.
-        options: of the contact.
-    """
+    """Create the rings 10 to 20 and 20 to 30, with facets in such numbers where they meet."""
     a, b, c = 10.0, 20.0, 30.0
     domain, tags = rings(comm, (a, b + overlap), (b, c), counts, (16, 16), order)
     V = fem.functionspace(domain, ("Lagrange", degree, (2,)))

@@ -27,16 +27,7 @@ def create_sheet(
     closed: bool = False,
     partition: str = "graph",
 ) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags]:
-    """Return a bent sheet, and its facet tags, all with SKIN.
-
-    Args:
-        comm: the ranks.
-        cells: along the sheet, across it and, in space, over its width.
-        place: parameters in [0, 1] (n, d) -> coordinates (n, d).
-        cell: quadrilateral or hexahedron.
-        closed: whether the end is the beginning.
-        partition: of the cells among the ranks.
-    """
+    """Return a bent sheet, and its facet tags, all with SKIN."""
     d = len(cells)
     counts = [n + 1 for n in cells]
     grid = np.meshgrid(*(np.arange(n) for n in counts), indexing="ij")

@@ -102,14 +102,7 @@ def create_distributed(
 
 
 def _two_bodies(comm, points, cells, n_l, move, kind, where, marks):
-    """Return mesh and tags of two bodies of which the lower one has n_l points.
-
-    Args:
-        move: map of the points, after they are dealt out.
-        kind: cell and order.
-        where: partition, gap and height of the upper body.
-        marks: of the facets.
-    """
+    """Return mesh and tags of two bodies of which the lower one has n_l points."""
     partition, gap, height = where
     middle = points[cells, 0].mean(axis=1)
     position = (middle - middle.min()) / (np.ptp(middle) * (1 + 1e-9))

@@ -28,10 +28,7 @@ def rotation(axis: npt.ArrayLike, angle: float) -> Array:
 
 
 def box_points(lines: list[Array], jitter: float, seed: int) -> Array:
-    """Return the points of a grid, x fastest; inner ones shifted, those on a face within it.
-
-    The shift is at most half of `jitter` of the adjacent spacing.
-    """
+    """Return the points of a grid, x fastest; inner ones shifted, those on a face within it."""
     grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
     shift = np.random.default_rng(seed).uniform(-0.5, 0.5, grid.shape)
     for i, line in enumerate(lines):
@@ -42,10 +39,7 @@ def box_points(lines: list[Array], jitter: float, seed: int) -> Array:
 
 
 def box_cells(n: tuple[int, int, int], cell: str, order: int = 1) -> Ints:
-    """Return the cells of a grid with n cells per direction; six tetrahedra per hexahedron.
-
-    Those of degree two have a node half way between any two of the grid.
-    """
+    """Return the cells of a grid with n cells per direction; six tetrahedra per hexahedron."""
     strides = np.array([1, order * n[0] + 1, (order * n[0] + 1) * (order * n[1] + 1)])
     i, j, k = (order * a.ravel() for a in np.meshgrid(*map(np.arange, n), indexing="ij"))
     first = i * strides[0] + j * strides[1] + k * strides[2]

@@ -28,15 +28,7 @@ def nodal_normals(x: Floats, facets: npt.NDArray[np.int32]) -> Floats:
 
 
 def assemble(x_s, x_m, *, keep=None, facets_m=None, pairs=None) -> SimpleNamespace:
-    """Assemble D and M of two polylines; all slave nodes are kept unless told otherwise.
-
-    Args:
-        x_s: Slave nodes (n_s, 2), the outward normal on the right of the direction of travel.
-        x_m: Master nodes (n_m, 2), likewise, hence in the opposite direction.
-        keep: Kept slave nodes.
-        facets_m: Master facets if they do not form one polyline.
-        pairs: Candidates in place of a search.
-    """
+    """Assemble D and M of two polylines; all slave nodes are kept unless told otherwise."""
     x_s, x_m = np.asarray(x_s, dtype=float), np.asarray(x_m, dtype=float)
     facets_m = chain(len(x_m)) if facets_m is None else np.asarray(facets_m, dtype=np.int32)
     slave, master = Side(x_s, chain(len(x_s))), Side(x_m, facets_m)

@@ -65,19 +65,7 @@ def shrink_fit_pressure(E, nu, radii, overlap):
 
 
 def tubes(radii, cells, *, overlap=0.0, cell="triangle", shift=0.0, scale=1.0, **options):
-    """Return mesh and tags of two tubes of height one, one around the other, as `two_blocks`.
-
-    Lower is the inner, upper the outer one; LEFT and RIGHT are their ends.
-
-    Args:
-        radii: inner, common and outer one.
-        cells: (axial, radial) number for each of them.
-        overlap: by how much the outer one is too small.
-        cell: "triangle" or "quadrilateral".
-        shift: of everything along the axis.
-        scale: factor of all lengths, after the shift.
-        options: of `two_blocks`.
-    """
+    """Return mesh and tags of two tubes of height one, one around the other, as `two_blocks`."""
     a, c, b = radii
     return two_blocks(
         COMM,
@@ -115,11 +103,7 @@ def _lines(h, uniform, end, growth=1.15):
 
 
 def ball_on_flat(contact_radius, per_radius, *, cell="quadrilateral", shift=0.0, scale=1.0):
-    """Return mesh and tags of a ball of radius one on a flat, as `two_blocks`; LEFT is the axis.
-
-    Both are cut at r = 1/2 and one away from where they touch. Elements are uniform over 1.4
-    contact radii, `per_radius` of them (flat, ball) to each, and grow from there.
-    """
+    """Return mesh and tags of a ball of radius one on a flat, as `two_blocks`; LEFT is the axis."""
     size = [contact_radius / n for n in per_radius]
     uniform = [int(1.4 * n) for n in per_radius]
     columns = [_lines(h, n, 0.5) for h, n in zip(size, uniform, strict=True)]
@@ -147,17 +131,7 @@ def ball_on_flat(contact_radius, per_radius, *, cell="quadrilateral", shift=0.0,
 
 
 def pressed_ball(mesh_and_tags, law, depth, *, slave="upper", rigid=False, degree=1, **options):
-    """Return problem and contact of a ball whose far end moves down.
-
-    Args:
-        mesh_and_tags: of `ball_on_flat`.
-        law: of both.
-        depth: of the motion.
-        slave: "upper" (the ball) or "lower".
-        rigid: hold all nodes of the flat.
-        degree: of the displacement.
-        options: of the problem.
-    """
+    """Return problem and contact of a ball whose far end moves down."""
     domain, cell_tags, tags = mesh_and_tags
     V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
     if rigid:

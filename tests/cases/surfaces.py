@@ -60,11 +60,7 @@ def joined(*sides: Side) -> Side:
 
 
 def ring(count: int) -> tuple[Side, Side]:
-    """Return small triangles around a disc over the unit square, and a large one behind them.
-
-    The first edge of each is a tangent of the disc, so that the difference is a disc of that many
-    corners.
-    """
+    """Return small triangles around a disc over the unit square, and a large one behind them."""
     angle, radius = 2 * np.pi * np.arange(count) / count, 0.3
     out = np.column_stack([np.cos(angle), np.sin(angle)])
     along = np.column_stack([-out[:, 1], out[:, 0]]) * radius * np.tan(np.pi / count)
@@ -125,10 +121,7 @@ class Operators:
 def assemble(
     slave: Side, master: Side, *, pairs: Ints | None = None, normals=None, keep=None
 ) -> Operators:
-    """Assemble D and M; all slave nodes are kept unless told otherwise.
-
-    Normals (n, d) at slave nodes are those of the projection, in the plane alone.
-    """
+    """Assemble D and M; all slave nodes are kept unless told otherwise."""
     f_s, f_m = slave.geometry, master.geometry
     x_s, x_m = f_s.x, f_m.x
     n_s = np.zeros(x_s.shape) if normals is None else normals[slave.facets]
