@@ -36,7 +36,7 @@ AT_NIGHT = """
     finite_in_space finite_loads finite_plane_stress folds friction_state heat_in_time impact jump
     jump_errors kinematics law_contact linear linearisation loads locking logarithmic_solid
     looks_change_nothing margin measure near newton numbers_of_steps obstacle
-    orthotropic output output_resume own_interface parameters passing patch_3d plane_stress plotting
+    orthotropic output output_resume own_interface parameters passing plane_stress plotting
     plotting_space pointwise polyline pretension qp_belt qp_definite ramp reaction resolution
     rubber skins small_strain smooth_3d smooth_contact smooth_tie solid solid_state
     stack stand_off stress_laws sweep taylor_bar tie_reach tool_files tool_friction tool_pictures

@@ -152,17 +152,6 @@ def test_candidates_contain_all_segments(seed, n, m):
     assert (o.covered <= np.linalg.norm(np.diff(x_s, axis=0), axis=1) * (1 + EXACT)).all()
 
 
-def test_broad_phase_is_selective():
-    """Flat sides with equal facets: at most three masters per slave without margin."""
-    grid = np.linspace(0, 1, 201)
-    x_s, x_m = polyline(flat(grid)), polyline(flat(grid, -0.01, up=True))
-    normals = np.broadcast_to([0.0, -1.0], x_s.x.shape)
-    pairs = segments.find_candidates(x_s, normals, x_m, np.zeros(200))
-    assert np.bincount(pairs[:, 0], minlength=200).max() <= 3
-    wide = segments.find_candidates(x_s, normals, x_m, np.full(200, 1 / 200))
-    assert np.bincount(wide[:, 0], minlength=200).max() <= 7
-
-
 def test_every_facet_may_be_a_candidate_of_every_other():
     """Far away and provided for rotation: more pairs than the first allocation holds."""
     grid = np.linspace(0, 1, 61)

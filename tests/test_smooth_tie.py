@@ -104,20 +104,6 @@ def test_flat_sides_have_the_operator_of_the_paper(cell, surface):
     assert largest(coupling.blocks - scalar) <= (0.0 if surface == "facets" else 1e-14)
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("partition", ["stripes", "bodies", "shared_facet"])
-@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
-def test_the_operator_does_not_depend_on_the_ranks(cell, partition):
-    found = []
-    for comm in (COMM, MPI.COMM_SELF):
-        transform = to_arc if cell == "triangle" else to_sphere
-        mesh, tags = sides(comm, cell, transform, partition=partition)
-        slip, x = jumps(couple(mesh, tags), lambda x: np.sin(3 * x + x[:, ::-1] ** 2))
-        rows = np.concatenate(comm.allgather(np.column_stack([x, slip])))
-        found.append(rows[np.lexsort(np.round(rows[:, :3], 9).T)])
-    assert found[0] == pytest.approx(found[1], abs=1e-12)
-
-
 # -- what it corrects ------------------------------------------------------------------------------
 
 
