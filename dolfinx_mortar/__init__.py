@@ -14,7 +14,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from dolfinx_mortar import materials, shapes
-from dolfinx_mortar.audit.pairs import Pair, Pairs, find_pairs
+from dolfinx_mortar.audit.pairs import find_pairs
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.obstacle import Obstacle
 from dolfinx_mortar.interfaces.rigid_side import RigidSide
@@ -30,12 +30,11 @@ from dolfinx_mortar.materials import (
     VonMises,
     VonMisesVoce,
 )
-from dolfinx_mortar.mortar.cell_segments import Segments, segments
-from dolfinx_mortar.mortar.paper import Mortar, assemble_mortar
+from dolfinx_mortar.mortar.assembly import assemble_mortar, segments
 from dolfinx_mortar.output import Writer
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPNotSolved
-from dolfinx_mortar.report.reaction import Reaction, reaction
+from dolfinx_mortar.report.reaction import reaction
 from dolfinx_mortar.report.summary import summarise, write_summary
 from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.solid.term import Term
@@ -45,8 +44,7 @@ from dolfinx_mortar.steps.newton import newton
 from dolfinx_mortar.steps.time_steps import time_steps
 from dolfinx_mortar.tags import Tags
 from dolfinx_mortar.terms.inertia import Damping, Inertia
-from dolfinx_mortar.terms.point_terms import PointForce, PointSpring
-from dolfinx_mortar.terms.pressure import Pressure
+from dolfinx_mortar.terms.loads import PointForce, PointSpring, Pressure
 from dolfinx_mortar.terms.weak_forms import WeakForm
 
 if TYPE_CHECKING:
@@ -65,21 +63,16 @@ __all__ = [
     "LoadStep",
     "Material",
     "MooneyRivlin",
-    "Mortar",
     "NeoHooke",
     "NewtonNotConverged",
     "Obstacle",
     "Ogden",
     "Orthotropic",
-    "Pair",
-    "Pairs",
     "PointForce",
     "PointSpring",
     "Pressure",
     "QPNotSolved",
-    "Reaction",
     "RigidSide",
-    "Segments",
     "Solid",
     "StepReport",
     "Tags",
@@ -107,7 +100,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import a companion of the package when it is first used."""
+    """Import a companion of the package at first use."""
     if name in ("analytic", "meshing", "plotting"):
         return import_module(f"{__name__}.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Comparison of arguments that must agree among ranks; for all modules.
+"""Comparison of arguments that must agree among ranks: replicated values only.
 
-Compared are replicated values: numbers, texts, tags, kinds of objects, elements of Functions, UFL
-signatures, values of Constants; not values of Functions, dofs, tags of cells, or results of
-functions of points.
+Numbers, texts, tags, kinds of objects, elements of Functions, UFL signatures, values of Constants;
+not values of Functions, dofs, tags of cells, or functions of points.
 """
 
 import dataclasses
@@ -27,13 +26,7 @@ SHOWN = 60  # characters shown
 
 
 def check_same_on_all_ranks(comm: MPI.Comm, **named_values: Any) -> None:
-    """Raise a ValueError on all ranks where a value differs; collective.
-
-    One reduction of 16 bytes; no argument can raise another error.
-
-    Args:
-        **named_values: by their names in the error.
-    """
+    """Raise a ValueError on all ranks where a value differs; collective (16 bytes)."""
     if comm.size == 1:
         return
     texts = dict(part for name, value in named_values.items() for part in _texts(name, value))
@@ -84,7 +77,7 @@ def _excerpt(text: str, start: int) -> str:
 
 
 def _texts(name: str, value: Any) -> list[tuple[str, str]]:
-    """Names and texts of a value's parts; on errors its type."""
+    """Names and texts of parts; on errors the type."""
     try:
         return [(key, _text(leaf)) for key, leaf in _leaves(name, value)]
     except Exception as error:  # errors may be local to this rank

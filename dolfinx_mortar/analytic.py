@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Closed solutions of contact mechanics: pure functions of numbers, in any consistent units.
+"""Closed solutions of contact mechanics, in any consistent units.
 
-Line contact is plane strain and forces are per unit thickness, e.g. N/mm with mm and MPa. Lengths,
-moduli and yield stresses are positive; pressure and depth are positive into the body.
+Line contact is plane strain, with forces per unit thickness. Lengths, moduli and yield stresses are
+positive; pressure and depth are positive into the body.
 
-Sources: K. L. Johnson, Contact Mechanics, Cambridge University Press 1985. Partial slip:
-C. Cattaneo, Rend. Accad. Naz. Lincei 27 (1938) 342-348, 434-436, 474-478; R. D. Mindlin,
-H. Deresiewicz, "Elastic spheres in contact under varying oblique forces", J. Appl. Mech. 20 (1953)
-327-344.
+Sources: K. L. Johnson, Contact Mechanics, Cambridge University Press 1985. Partial slip: C.
+Cattaneo, Rend. Accad. Naz. Lincei 27 (1938) 342-348, 434-436, 474-478; R. D. Mindlin, H.
+Deresiewicz, J. Appl. Mech. 20 (1953) 327-344.
 """
 
 from __future__ import annotations
@@ -49,9 +48,8 @@ __all__ = [
 Radius = float | tuple[float, float]
 Force = float | tuple[float, ...]
 Legs = tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
-# A node is at the edge of a contact where p^2 has fallen below this share of p0^2: its facets reach
-# out of the contact, and its pressure is their mean. Half and twice as much change the peak and the
-# half-width of nodal means over 19 facets by less than 0.5 % (tests/test_analytic.py).
+# Share of p0^2 below which a node counts as at the edge, its facets partly outside; half and twice
+# as much change peak and half-width over 19 facets by less than 0.5 % (tests/test_analytic.py).
 EDGE = 0.1
 
 
@@ -63,9 +61,9 @@ class LineContact:
     """Hertz line contact of two parallel cylinders, plane strain."""
 
     force: float  # per unit thickness
-    radius: float  # effective, 1/R = 1/R1 + 1/R2
-    E_star: float  # effective modulus, 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2
-    half_width: float  # a = sqrt(4 F R/(pi E*))
+    radius: float  # effective
+    E_star: float  # effective
+    half_width: float  # a
     peak_pressure: float  # p0 = 2 F/(pi a)
 
     def pressure(self, x: npt.ArrayLike) -> Floats:
@@ -78,11 +76,11 @@ class PointContact:
     """Hertz point contact of two spheres."""
 
     force: float
-    radius: float  # effective, 1/R = 1/R1 + 1/R2
+    radius: float  # effective
     E_star: float  # effective modulus
-    contact_radius: float  # a = (3 F R/(4 E*))^(1/3)
-    peak_pressure: float  # p0 = 3 F/(2 pi a^2)
-    approach: float  # of distant points, delta = a^2/R
+    contact_radius: float  # a
+    peak_pressure: float  # p0
+    approach: float  # delta, of distant points
 
     def pressure(self, r: npt.ArrayLike) -> Floats:
         """Return p0 sqrt(1 - r^2/a^2), zero outside the contact, at distances r from the middle."""
@@ -101,14 +99,13 @@ class FirstYield:
 
 
 def _ellipse(x: npt.ArrayLike, a: float) -> Floats:
-    """Return sqrt(1 - x^2/a^2), zero for |x| > a."""
     return np.sqrt(np.maximum(0.0, 1.0 - (np.asarray(x, dtype=np.float64) / a) ** 2))
 
 
 def effective_modulus(E1: float, nu1: float, E2: float, nu2: float) -> float:
     """Return E* with 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2; a body of infinite E is rigid.
 
-    A number that is out of range, or two rigid bodies, are a ValueError.
+    A ValueError for two rigid bodies or a number out of range.
 
     >>> round(effective_modulus(206_900.0, 0.29, 206_900.0, 0.29), 1)
     112949.0
@@ -124,7 +121,6 @@ def effective_modulus(E1: float, nu1: float, E2: float, nu2: float) -> float:
 
 
 def _curvature(radii: Floats) -> float:
-    """Return the sum of 1/R."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return float(np.sum(1.0 / radii))
 
@@ -141,8 +137,7 @@ ROUND = array(
 def effective_radius(radius: Radius) -> float:
     """Return R with 1/R = 1/R1 + 1/R2; one number stands for a round body on a flat one.
 
-    A negative radius is that of a hollow surface, an infinite one is flat. Radii of surfaces that
-    do not touch in a point or a line, as 1/R <= 0, are a ValueError.
+    A negative radius is concave, an infinite one flat. A ValueError for 1/R <= 0.
 
     >>> effective_radius((8.0, 8.0)), effective_radius(8.0), effective_radius((4.0, -8.0))
     (4.0, 8.0, 8.0)
@@ -158,8 +153,7 @@ def hertz_line(
         a = sqrt(4 F R/(pi E*)),    p0 = 2 F/(pi a),    p(x) = p0 sqrt(1 - x^2/a^2)
 
     The force F is per unit thickness, positive in compression; the radius that of a cylinder on a
-    flat body, or the pair (R1, R2); E and nu are Young's moduli and Poisson's ratios of both
-    bodies. A number that is out of range is a ValueError that names its argument.
+    flat body, or the pair (R1, R2). A ValueError names an argument out of range.
 
     >>> c = hertz_line(10.0, 8.0, 200.0, 0.3, 200.0, 0.3)
     >>> round(c.half_width, 5), round(c.peak_pressure, 5)
@@ -178,7 +172,7 @@ def hertz_point(
 
         a = (3 F R/(4 E*))^(1/3),    p0 = 3 F/(2 pi a^2),    delta = a^2/R
 
-    Arguments and errors as for `hertz_line`; the force F is the whole one.
+    Arguments and errors as for `hertz_line`; F is the whole force.
 
     >>> c = hertz_point(117808.787, (6.1237, 6.1237), 1e8, 0.29, 1e6, 0.29)
     >>> round(c.contact_radius, 5), round(c.peak_pressure / 1e5, 5)
@@ -203,8 +197,8 @@ def line_axis_stress(depth: npt.ArrayLike, nu: float) -> Floats:
 
         sigma_x = 2 z - (1 + 2 z^2)/s,    sigma_y = -1/s,    sigma_z = nu (sigma_x + sigma_y)
 
-    Depths over the half-width a have any shape (...) and are not negative, else it is a ValueError;
-    the stresses along the surface, normal to it and out of plane have the shape (..., 3).
+    Depths over the half-width a have any shape (...), >= 0, else it is a ValueError; the stresses
+    along the surface, normal to it and out of plane have the shape (..., 3).
 
     >>> line_axis_stress(0.0, 0.25).tolist()
     [-1.0, -1.0, -0.5]
@@ -221,11 +215,10 @@ def first_yield_line(
 ) -> FirstYield:
     """Find the load at which the first body of a line contact starts to yield (von Mises).
 
-    The von Mises stress is largest on the axis, and there either below the surface, at half to
-    0.8 half-widths, or for nu below about 0.194 at it, where it is (1 - 2 nu) p0.
-
-    The yield stress is the uniaxial one, sqrt(3/2) Y for the Frobenius norm Y of the deviatoric
-    stress; other arguments and errors as for `hertz_line`; the first body is the one that yields.
+    The von Mises stress is largest on the axis, below the surface at half to 0.8 half-widths, or
+    for nu below about 0.194 on it, where it is (1 - 2 nu) p0. The yield stress is uniaxial,
+    sqrt(3/2) Y for the Frobenius norm Y of the deviator; other arguments and errors as for
+    `hertz_line`.
 
     >>> y = first_yield_line(450.0, 8.0, 206_900.0, 0.29, 206_900.0, 0.29)
     >>> round(y.peak_pressure, 1), round(y.half_width, 5), round(y.force, 1), round(y.depth, 4)
@@ -241,7 +234,7 @@ def first_yield_line(
         return float(np.sqrt(0.5 * np.sum((s - np.roll(s, 1)) ** 2)))
 
     found = minimize_scalar(lambda z: -von_mises(z), bounds=(0.2, 2.0), options={"xatol": 1e-10})
-    # From the surface it falls at first, for every nu: a second maximum, not the end of this one.
+    # from the surface it falls at first: the end is a second maximum
     ratio, depth = max((-float(found.fun), float(found.x)), (von_mises(0.0), 0.0))
     p0 = yield_stress / ratio
     a = 2.0 * p0 * R / E_star  # from p0 = 2 F/(pi a) and a^2 = 4 F R/(pi E*)
@@ -253,7 +246,7 @@ def first_yield_line(
 
 @dataclass(frozen=True)
 class _History:
-    """A contact of one material under a normal force P, after tangential forces Q, see below."""
+    """A contact of one material after tangential forces Q, see below."""
 
     contact: Any
     friction: float  # mu
@@ -267,11 +260,11 @@ class _History:
         return self.forces[-1]
 
     def _traction(self, x: npt.ArrayLike, a: float, sticks: tuple[float, ...]) -> Floats:
-        """Return the sum over legs that stick where |x| < c."""
+        """Sum over legs that stick where |x| < c."""
         at = check("x", x, FINITE)
         total = np.zeros_like(at)
         for w, c in zip(self.weights, sticks, strict=True):
-            # (c/a) sqrt(1 - x^2/c^2) = sqrt(c^2 - x^2)/a, which holds for c = 0, too
+            # (c/a) sqrt(1 - x^2/c^2) = sqrt(c^2 - x^2)/a, also for c = 0
             outer, inner = (np.sqrt(np.maximum(0.0, b**2 - at**2)) / a for b in (a, c))
             total += w * (outer - inner)
         return np.asarray(self.friction * self.contact.peak_pressure * total)
@@ -279,34 +272,33 @@ class _History:
 
 @dataclass(frozen=True)
 class PartialSlip(_History):
-    """A line contact of one material that has been through tangential forces, per unit thickness.
+    """A line contact of one material after a history of tangential forces, per unit thickness.
 
-    The normal force P is applied first and then held. A tangential force Q that one body exerts on
-    the other makes the edges slip and leaves a middle that sticks. The solution of Cattaneo for a
-    force in (0, mu P), with k = 1 - Q/(mu P) and c = a sqrt(k),
+    The normal force P is constant. A tangential force Q makes the edges slip around a stick zone.
+    Cattaneo's solution for a force in (0, mu P), with k = 1 - Q/(mu P) and c = a sqrt(k),
 
         q_c(x) = mu p0 (sqrt(1 - x^2/a^2) - (c/a) sqrt(1 - x^2/c^2)),  the last term for |x| < c
 
     is summed over the legs of the history: weight 1 for the first, -2 and +2 alternately for all
-    others, which need half the change of the force each.
+    others, with half the change of the force each.
     """
 
     @property
     def stick_half_widths(self) -> tuple[float, ...]:
-        """Where the legs of the history stick, c = a sqrt(k)."""
+        """Half-widths of stick c = a sqrt(k) of all legs."""
         return tuple(self.contact.half_width * float(np.sqrt(k)) for k in self.k)
 
     @property
     def stick_half_width(self) -> float:
-        """Where the present leg sticks: |x| < c."""
+        """Half-width of stick of the present leg."""
         return self.stick_half_widths[-1]
 
     @property
     def dissipation(self) -> float:
-        """Energy dissipated so far; not negative.
+        """Energy dissipated so far, >= 0.
 
-        A leg takes |weight| mu^2 P^2/(2 pi E*) (1 - k^2 + 2 k ln k); a closed loop between -Q and
-        Q four times what the first loading takes.
+        A leg takes |weight| mu^2 P^2/(2 pi E*) (1 - k^2 + 2 k ln k); a closed loop between -Q and Q
+        four times the first loading.
         """
         k, limit = np.array(self.k), self.friction * self.contact.force
         legs = np.abs(self.weights) * (1.0 - k**2 + 2.0 * _k_ln_k(k))
@@ -314,37 +306,35 @@ class PartialSlip(_History):
 
     @property
     def displacement(self) -> float:
-        """The part of the relative displacement of the bodies that is due to partial slip.
+        """Relative displacement of the bodies due to partial slip, positive along Q.
 
-        Distant points of half spaces have no finite displacement in the plane. Where the contact
-        sticks as a whole, bodies of finite size move by C Q, with their own compliance C; this is
-        the rest, mu P/(pi E*) (1 - k + k ln k) in the first loading. Positive in the direction in
-        which Q pushes.
+        mu P/(pi E*) (1 - k + k ln k) in the first loading. Without slip, bodies of finite size move
+        by C Q in addition, with their own compliance C (infinite for half spaces in the plane).
         """
         k, limit = np.array(self.k), self.friction * self.contact.force
         legs = np.array(self.weights) * (1.0 - k + _k_ln_k(k))
         return float(limit / (np.pi * self.contact.E_star) * legs.sum())
 
     def traction(self, x: npt.ArrayLike) -> Floats:
-        """Return the shear traction at distances x from the middle, zero outside the contact.
+        """Shear traction at distances x from the middle, zero outside the contact.
 
-        It is the one exerted by the body that pushes with Q on the other one: its integral is Q.
+        Exerted by the body that pushes with Q on the other one: its integral is Q.
         """
         return self._traction(x, self.contact.half_width, self.stick_half_widths)
 
 
 def cattaneo_line(contact: LineContact, friction: float, force: Force) -> PartialSlip:
-    """Solve a line contact under a tangential force, or under several one after the other.
+    """Solve a line contact under one tangential force, or a sequence.
 
     Args:
         contact: under its normal force P, from `hertz_line`, of one material.
         friction: coefficient of friction mu.
-        force: tangential force Q per unit thickness, |Q| <= mu P; or all of them, those at which
-            it turned and the present one last. No change may be larger than the one before it, and
-            the second not larger than twice the first force, which is when an earlier loop closes.
+        force: tangential force Q per unit thickness, |Q| <= mu P; or those at which it turned and
+            the present one last. No change may exceed the one before it, and the second not twice
+            the first force, which would close an earlier loop.
 
     Raises:
-        ValueError: for a number that is out of range, by the name of its argument.
+        ValueError: naming an argument out of range.
 
     >>> from dolfinx_mortar.analytic import hertz_line
     >>> contact = hertz_line(100.0, 8.0, 200e3, 0.3, 200e3, 0.3)
@@ -361,40 +351,39 @@ def cattaneo_line(contact: LineContact, friction: float, force: Force) -> Partia
 
 @dataclass(frozen=True)
 class PartialSlipPoint(_History):
-    """A point contact that has been through tangential forces, see `PartialSlip`.
+    """A point contact after a history of tangential forces, see `PartialSlip`.
 
-    With c = a k^(1/3), and r in place of x; distant points move by a finite distance. All slip is
-    taken along the force, which is right to some per cent: what the surfaces move across it is left
-    out (Johnson eqs. 7.40 to 7.42).
+    With c = a k^(1/3), r in place of x, and a finite displacement. Slip across the force is
+    neglected, right to some per cent (Johnson eqs. 7.40 to 7.42).
     """
 
     nu: float  # Poisson's ratio of both
 
     @property
     def stick_radii(self) -> tuple[float, ...]:
-        """Where the legs of the history stick, c = a k^(1/3)."""
+        """Radii of stick c = a k^(1/3) of all legs."""
         return tuple(self.contact.contact_radius * float(np.cbrt(k)) for k in self.k)
 
     @property
     def stick_radius(self) -> float:
-        """Where the present leg sticks: r < c."""
+        """Radius of stick of the present leg."""
         return self.stick_radii[-1]
 
     @property
     def displacement(self) -> float:
-        """Tangential motion of distant points of the bodies, relative to each other.
+        """Relative tangential displacement of distant points of the bodies.
 
-        The first loading moves them by D (1 - k^(2/3)), D = 3 mu P (2 - nu)/(8 a E* (1 - nu)).
+        D (1 - k^(2/3)) in the first loading, D = 3 mu P (2 - nu)/(8 a E* (1 - nu)).
         """
         legs = np.array(self.weights) * (1.0 - np.cbrt(self.k) ** 2)
         return float(self._largest * legs.sum())
 
     @property
     def dissipation(self) -> float:
-        """Energy dissipated so far; not negative.
+        """Energy dissipated so far, >= 0.
 
         A leg takes |weight| mu P D (1 + 5 k - 5 k^(2/3) - k^(5/3))/5; a closed loop between -Q and
-        Q four times what the first loading takes.
+        Q four times the first loading.
         """
         k, root = np.array(self.k), np.cbrt(self.k) ** 2
         legs = np.abs(self.weights) * (1.0 + 5.0 * k - 5.0 * root - k * root) / 5.0
@@ -402,23 +391,22 @@ class PartialSlipPoint(_History):
 
     @property
     def _largest(self) -> float:
-        """The displacement D at which all slides."""
         at = self.contact
         stiffness = 8.0 * at.contact_radius * at.E_star * (1.0 - self.nu)
         return float(3.0 * self.friction * at.force * (2.0 - self.nu) / stiffness)
 
     def traction(self, r: npt.ArrayLike) -> Floats:
-        """Return the shear traction at distances r from the middle, as `PartialSlip.traction`."""
+        """Shear traction at distances r from the middle, as `PartialSlip.traction`."""
         return self._traction(r, self.contact.contact_radius, self.stick_radii)
 
 
 def mindlin_point(
     contact: PointContact, friction: float, nu: float, force: Force
 ) -> PartialSlipPoint:
-    """Solve a point contact under a tangential force, or under several one after the other.
+    """Solve a point contact under one tangential force, or a sequence.
 
-    Arguments and errors as for `cattaneo_line`, with the contact of `hertz_point`, the whole force,
-    and Poisson's ratio nu of the material.
+    Arguments and errors as for `cattaneo_line`, with the contact of `hertz_point` and Poisson's
+    ratio nu of the material.
 
     >>> from dolfinx_mortar.analytic import hertz_point
     >>> contact = hertz_point(100.0, 8.0, 200e3, 0.3, 200e3, 0.3)
@@ -436,11 +424,9 @@ FORCES = array((), (None,), remedy="give a finite number, or several in a sequen
 
 
 def _legs_of(force: Force, limit: float) -> Legs:
-    """Return the forces of a history, the weights of its legs, and k of each.
+    """Forces of a history, weights of its legs (1, then 2, signed), and k of each.
 
-    The weight is 1 for the first leg and 2 for the others, with the sign of the change; 1 - k, the
-    change of the force over weight and limit mu P, is from 0 to 1. A ValueError tells what is no
-    force, goes beyond the limit, closes a loop, or does not turn.
+    1 - k, the change of the force over weight times mu P, is in [0, 1], else a ValueError.
     """
     path = np.atleast_1d(check("force", force, FORCES))
     changes = np.diff(path, prepend=0.0)
@@ -461,7 +447,7 @@ def _legs_of(force: Force, limit: float) -> Legs:
 
 
 def _k_ln_k(k: Floats) -> Floats:
-    """Return k ln k, which is 0 at 0."""
+    """Return k ln k, 0 at 0."""
     return np.asarray(k * np.log(np.where(k > 0.0, k, 1.0)))
 
 
@@ -473,21 +459,19 @@ def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
 
         p^2 = p0^2 (1 - x^2/a^2) = c0 + c1 x^2,    p0 = sqrt(c0),    a = sqrt(-c0/c1)
 
-    Unlike the largest nodal value and the last active node, the fit is not limited to the
-    resolution of one element. Nodes at the edge, where the p^2 that the nodes farther inside
-    predict is below a tenth of p0^2, are left out. Nodal means with 3, 4 and 6 facets across the
-    contact give a to 6, 5 and 3 %, with the edge to 35, 24 and 13 % (root mean square of places).
+    Nodes at the edge, where the p^2 predicted by the inner nodes is below a tenth of p0^2, are
+    excluded. Nodal means with 3, 4 and 6 facets across the contact give a to 6, 5 and 3 % (rms).
 
     Args:
         x: distances (n,) of the active nodes from the middle of the contact.
         p: pressures (n,) at these nodes, positive in compression.
 
     Returns:
-        Peak pressure p0 and half-width a; (nan, nan) where fewer than two distances are known or
-        the pressure does not fall with the distance, as for a contact of very few nodes.
+        Peak pressure p0 and half-width a; (nan, nan) for fewer than two distances, or a pressure
+        that does not fall with the distance.
 
     Raises:
-        ValueError: for arrays of different shapes, or with members that are no finite numbers.
+        ValueError: for arrays of different shapes, or non-finite numbers.
 
     >>> peak, width = fit_pressure([-3.0, 0.0, 3.0], [8.0, 10.0, 8.0])
     >>> round(peak, 12), round(width, 12)
@@ -497,17 +481,17 @@ def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
     wanted = f"give pressures of as many nodes, {len(distances)} finite numbers"
     values = check("p", p, array((len(distances),), remedy=wanted))
     squares = distances**2, values**2
-    # The farthest nodes may be at the edge: the others tell where it is.
+    # the farthest nodes may be at the edge, the others predict it
     farthest = squares[0].max(initial=0.0)
     c0, c1 = _fit_line(*squares, squares[0] <= (1.0 - EDGE) * farthest)
-    c0, c1 = _fit_line(*squares, ~(c0 + c1 * squares[0] < EDGE * c0))  # all, if that is no line
+    c0, c1 = _fit_line(*squares, ~(c0 + c1 * squares[0] < EDGE * c0))
     if not (c1 < 0.0 < c0):
         return np.nan, np.nan
     return float(np.sqrt(c0)), float(np.sqrt(-c0 / c1))
 
 
 def _fit_line(x: Floats, y: Floats, on: Bools) -> tuple[float, float]:
-    """Return (c0, c1) of the least-squares line y = c0 + c1 x of some points; NaN of one x."""
+    """Return (c0, c1) of the least-squares line y = c0 + c1 x; NaN for one x."""
     x, y = x[on], y[on]
     if len(x) < 2 or np.ptp(x) <= HALF_OF_DIGITS * np.max(x):
         return np.nan, np.nan

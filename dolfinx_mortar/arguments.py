@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Declared rules for arguments; without communication, for all sub-packages.
+"""Declared rules for arguments; not collective.
 
 >>> check("n", 3, integer(1)), check("x", [1, 2], array((2,), (3,)))
 (3, array([1., 2.]))
@@ -30,7 +30,7 @@ class Rule(Generic[T]):
 
 
 def check(name: str, value: Any, rule: Rule[T], remedy: str = "") -> T:
-    """Converted argument, or raise a ValueError with name, value and remedy."""
+    """Converted argument, or a ValueError with name, value and remedy."""
     found = rule.read(value)
     if found is None:
         raise ValueError(f"{name} is {_shown(value)}: {remedy or rule.remedy}")
@@ -103,13 +103,7 @@ def array(
     finite: bool = True,
     holds: Callable[[Floats], object] = lambda found: True,
 ) -> Rule[Floats]:
-    """Rule for arrays of numbers.
-
-    Args:
-        *shapes: allowed ones, None for any size; default any.
-        remedy: default that of vectors.
-        holds: further condition.
-    """
+    """Rule for arrays of numbers, of any shape or given ones (None for any size)."""
     sizes = " or ".join(str(shape[0]) for shape in shapes if shape)
 
     def read(value: Any) -> Floats | None:
@@ -134,7 +128,7 @@ POISSON = number("Poisson's ratio, 0.499 for an incompressible body,", above=-1.
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a finite real number, no truth value.
+    """Whether a value is a finite real number, not a boolean.
 
     >>> [is_number(v) for v in (1, np.float32(2.5), True, np.nan, 10**400, 1j, "1", None)]
     [True, True, False, False, False, False, False, False]
@@ -146,7 +140,7 @@ def is_number(value: Any) -> bool:
 
 
 def is_integer(value: Any) -> bool:
-    """Whether a value is an integer, no truth value."""
+    """Whether a value is an integer, not a boolean."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 

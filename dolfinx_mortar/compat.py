@@ -75,10 +75,7 @@ def cell_kinds(domain: mesh.Mesh) -> list[str]:
 
 
 def compile_together(*forms: ufl.Form, compiler: list[str] | None = None) -> list[fem.Form]:
-    """Return `fem.form` of forms over cells, compiled in one module; collective.
-
-    A module costs 0.1 s of compiler and linker, and is cached as a whole: not with forms that vary.
-    """
+    """Compile forms over cells in one module, cached as a whole; collective."""
     comm = forms[0].ufl_domain().ufl_cargo().comm
     options = ffcx.get_options({"scalar_type": default_scalar_type})
     compile_forms = jit.mpi_jit_decorator(ffcx.codegeneration.jit.compile_forms)

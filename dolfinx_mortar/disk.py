@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Files replaced as a whole; checks of a path and its disk before HDF5 writes.
+"""Files replaced atomically; checks of a path and its disk before HDF5 writes.
 
-HDF5 crashes on a full disk, and ``Writer("run.xdmf", ..)`` uses the same file as
-``checkpoint="run.h5"``.
+HDF5 crashes on a full disk. ``Writer("run.xdmf", ..)`` and ``checkpoint="run.h5"`` share a file.
 """
 
 import errno
@@ -15,8 +14,7 @@ from mpi4py import MPI
 
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 
-# Bytes of HDF5 per array and file in addition to data; measured 0.5 kB (h5py) and 4.4 kB (chunks of
-# PETSc).
+# Bytes of HDF5 per array and file in addition to data; at most 4.4 kB (chunks of PETSc).
 INDEX = 2**13
 CANNOT_TELL = (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS)  # file systems without allocation
 
@@ -55,12 +53,12 @@ def flush(path: Path) -> None:
 
 
 def space_for(arrays: int, size: int) -> int:
-    """Upper bound of an HDF5 file's growth by arrays of so many bytes."""
+    """Upper bound of an HDF5 file's growth."""
     return size + INDEX * (arrays + 1)
 
 
 def demand_space(file: Path, size: int) -> None:
-    """Raise an OSError if an existing file, which is not changed, cannot grow by so many bytes."""
+    """Raise an OSError unless an existing file can grow by so many bytes."""
     if not hasattr(os, "posix_fallocate"):
         return
     with file.open("r+b") as stream:

@@ -31,7 +31,7 @@ def compile_vectors(vectors: list[Expr]) -> list[Callable[[Floats], Floats]]:
     """Return for each expression a function of the constants (n,)."""
     # equal expressions would have the same name
     told = [ufl.as_vector([*vector, ufl.as_ufl(k + 1.0)]) for k, vector in enumerate(vectors)]
-    # a folder for each rank
+    # one folder per rank
     with tempfile.TemporaryDirectory() as folder:
         compiled, module, _ = ffcx.codegeneration.jit.compile_expressions(
             [(vector, ANYWHERE) for vector in told],
@@ -75,7 +75,7 @@ def compile_kernel(vector: Expr) -> Kernel:
 
 
 def kernel_of(compiled: Any, module: Any, vector: Expr) -> Kernel:
-    """Kernel of a compiled vector of expressions."""
+    """Kernel of a compiled vector."""
     ffi = module.ffi
     address = int(ffi.cast("uintptr_t", compiled.tabulate_tensor_float64))
     return Kernel(address, vector.ufl_shape[0], (compiled, module))
@@ -90,7 +90,6 @@ def tabulate(kernel: Kernel, numbers: Floats) -> Floats:
 
 @numba.extending.intrinsic
 def _call(typing, address, values, numbers, corners):  # type: ignore[no-untyped-def]
-    """Call a C function by its address; all arguments are addresses."""
     integer = numba.types.intp
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]

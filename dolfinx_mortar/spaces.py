@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Supported displacement spaces, and values of their Functions; for all modules."""
+"""Supported displacement spaces, and values of their Functions."""
 
 from typing import Any
 
@@ -21,14 +21,10 @@ HIGHEST = 2
 def check_space(
     V: dolfinx.fem.FunctionSpace, name: str = "V", *, scalar: bool = False, on_cells: bool = True
 ) -> None:
-    """Raise a ValueError, without communication, for unsupported spaces.
+    """Raise a ValueError for unsupported spaces; not collective.
 
-    Supported: Lagrange of degree 1 or 2, double precision, cells of no higher degree.
-
-    Args:
-        name: of the argument.
-        scalar: whether scalar spaces are allowed.
-        on_cells: whether facets have to lie on the cells.
+    Supported: Lagrange of degree 1 or 2, double precision, cells of no higher degree; scalar spaces
+    if `scalar`; facets that do not lie on the cells unless `on_cells`.
     """
     if not isinstance(V, dolfinx.fem.FunctionSpace):
         of = "" if scalar else " of displacements"
@@ -76,15 +72,11 @@ def find_positions(
 ) -> tuple[dolfinx.fem.FunctionSpace, dolfinx.fem.Function | None]:
     """Vector space of positions X + u for a space V, and u in it; collective.
 
-    Of the highest degree of V, u and the cells; V or the space of u if one fits.
-
-    Args:
-        V: scalar or vector space.
-        u: displacement in any vector space of the mesh, None for X.
-        same_nodes: whether nodes must be numbered as in V.
+    Of the highest degree of V, u (None for X) and the cells; V or the space of u if one fits; with
+    nodes numbered as in V if `same_nodes`.
 
     Raises:
-        ValueError: for other displacements, without communication; for other nodes.
+        ValueError: for other displacements, not collectively; for other nodes.
     """
     spaces = [V]
     if u is not None:
@@ -129,7 +121,7 @@ def find_positions(
 
 
 def check_real(name: str, *values: Any) -> None:
-    """Raise a ValueError unless Constants and Functions are dolfinx's, of type float64."""
+    """Raise a ValueError unless Constants and Functions are dolfinx's, of float64."""
     for value in values:
         if not isinstance(value, dolfinx.fem.Constant | dolfinx.fem.Function):
             raise ValueError(
@@ -145,7 +137,7 @@ def check_real(name: str, *values: Any) -> None:
 
 
 def mean_cell_sizes(V: dolfinx.fem.FunctionSpace) -> Floats:
-    """Mean size of the cells around the node of each owned dof (n,); collective."""
+    """Mean size of the cells around the node of each owned dof; collective."""
     domain, d, bs = V.mesh, V.mesh.topology.dim, V.dofmap.index_map_bs
     cells = np.arange(domain.topology.index_map(d).size_local, dtype=np.int32)
     sums, counts = (dolfinx.la.vector(V.dofmap.index_map, 1) for _ in range(2))
@@ -171,7 +163,7 @@ def with_values(V: dolfinx.fem.FunctionSpace, values: Floats) -> dolfinx.fem.Fun
 
 
 def connected_parts(V: dolfinx.fem.FunctionSpace) -> tuple[int, Ints]:
-    """Number of connected parts of a mesh, and the part (local nodes,) of each node; collective."""
+    """Number of connected parts, and part (local nodes,) of nodes; collective."""
     layout, comm = V.dofmap.index_map, V.mesh.comm
     n_owned, n_local = layout.size_local, layout.size_local + layout.num_ghosts
     cells = V.dofmap.list
@@ -197,7 +189,7 @@ def connected_parts(V: dolfinx.fem.FunctionSpace) -> tuple[int, Ints]:
 def check_nodal(
     name: str, function: dolfinx.fem.Function, shape: tuple[int, ...], wanted: str
 ) -> None:
-    """Raise a ValueError unless a Function has nodal values of a shape, () or (d,)."""
+    """Raise a ValueError unless values are nodal, of shape () or (d,)."""
     V = function.function_space
     element = V.ufl_element()
     if V.component():
@@ -214,7 +206,7 @@ def check_nodal(
 
 
 def check_mesh(name: str, value: Any, V: dolfinx.fem.FunctionSpace) -> None:
-    """Raise a ValueError for a value on another mesh than the displacement."""
+    """Raise a ValueError for a value on another mesh."""
     domain = None
     if isinstance(value, dolfinx.fem.Function):
         domain = value.function_space.mesh.ufl_domain()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Report of a load step: iterations, certificate, seconds; and the error that carries it."""
+"""Report of a load step: iterations, certificate, seconds; and the error with it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Timings:
             self.seconds[part] = self.seconds.get(part, 0.0) + time.perf_counter() - start
 
     def since(self, earlier: dict[str, float]) -> dict[str, float]:
-        """Seconds since a copy of ``seconds`` was taken."""
+        """Seconds since a copy of ``seconds``."""
         return {k: v - earlier.get(k, 0.0) for k, v in self.seconds.items()}
 
 
@@ -50,9 +50,9 @@ class Iteration:
     increment: float  # |du|_e / (|u|_e + |u + du|_e), elastic energy norm
     force_residual: float  # projected, relative
     contact_residual: float  # penetration and complementarity, relative
-    kkt: float  # largest residual of the QP, relative
+    kkt: float  # penetration and complementarity, relative
     active: int  # active contact nodes, all interfaces and ranks
-    changed: int  # changes of the active set but for weakly active nodes
+    changed: int  # changes of the active set without weakly active nodes
     updates: int  # iterations of the QP backend
     linear_iterations: int
     factorisations: int
@@ -90,14 +90,14 @@ class Certificate:
     complementarity: float  # largest lambda_j * gap_j
     # |sum_j (s_j + t_j)| / sum_j |s_j|, s_j, t_j the forces on the slave and master side
     force_balance: float
-    # the same for moments with arms a_j = x_j - c at X + u, c the centre of slave forces, relative
-    # to sum_j |s_j| (|a_j| + h), h the facet length: O(h^2) on curved sides (theory.md, Moments)
+    # the same for moments at X + u about the centre of slave forces, relative to sum_j |s_j| (|a_j|
+    # + h), a_j the arms, h the facet length: O(h^2) on curved sides (theory.md, Moments)
     moment_balance: float
     linear_field_error: float  # tangential part of x_s - P x_m per gap + facet length
     row_sum_error: float  # largest row sum of D - M over D_jj
     smallest_coverage: float  # covered share of a kept node's tributary length
     kept_nodes: int
-    removed_nodes: int  # without multiplier, whose dual function is shared out
+    removed_nodes: int  # without multiplier, whose dual function is distributed
     active_nodes: int
     active_set_changes: int
     newton_iterations: int
@@ -211,7 +211,7 @@ class StepReport:
         self.linear_solver = ""
 
     def quote(self, number: int, text: str) -> None:
-        """Note a message of the QP backend in an iteration; equal ones are merged."""
+        """Note a message of the QP backend; equal ones are merged."""
         if not text:
             return
         for k, note in enumerate(self.notes):
@@ -307,8 +307,8 @@ class LoadStep:
 class NewtonNotConverged(RuntimeError):
     """Newton's method failed; ``report`` has the details.
 
-    Displacement and committed state are those before the step, or before the failed part of a step
-    of `load_steps`: retry with a smaller one.
+    Displacement and committed state are those before the step, or the failed part of a step of
+    `load_steps`: retry with a smaller one.
     """
 
     def __init__(self, message: str, report: StepReport) -> None:

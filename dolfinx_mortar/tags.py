@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Named tags of cells or facets; for all modules."""
+"""Named tags of cells or facets."""
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
@@ -50,21 +50,21 @@ class Tags(mesh.MeshTags):
         """Tag of a name, or a tag unchanged.
 
         Raises:
-            ValueError: for unknown names, and other than integers of 32 bits.
+            ValueError: for unknown names, and non-integers or more than 32 bits.
         """
         tag = tag_of(self, name, "name")
         check_tag("name", tag)
         return int(tag)
 
     def find(self, value: int | str) -> npt.NDArray[np.int32]:
-        """Local cells or facets (n,) of a tag or name, see `tag`."""
+        """Local cells or facets (n,) of a tag or name."""
         tag = tag_of(self, value, "value")
         check_tag("value", tag)
         return np.asarray(super().find(int(tag)))
 
 
 def in_order(tags: mesh.MeshTags) -> mesh.MeshTags:
-    """Tags with ascending entities, as dolfinx's ``ds`` needs; unchanged if they are."""
+    """Tags with ascending entities, as dolfinx's ``ds`` needs."""
     order = np.argsort(tags.indices, kind="stable")
     if (np.diff(order) == 1).all():
         return tags
@@ -75,7 +75,7 @@ def in_order(tags: mesh.MeshTags) -> mesh.MeshTags:
 
 
 def find_exterior(tags: mesh.MeshTags, tag: int, domain: mesh.Mesh) -> tuple[Ints, Ints]:
-    """Owned facets of a tag, and those of them on the boundary; collective."""
+    """Owned facets of a tag, and those on the boundary; collective."""
     topology = domain.topology
     topology.create_connectivity(tags.dim, topology.dim)
     marked = tags.find(tag)
@@ -84,7 +84,7 @@ def find_exterior(tags: mesh.MeshTags, tag: int, domain: mesh.Mesh) -> tuple[Int
 
 
 def tags_of(domain: mesh.Mesh, dim: int) -> Rule[mesh.MeshTags]:
-    """Rule for tags of the cells or facets of a mesh, by their dimension."""
+    """Rule for tags of cells or facets of a mesh."""
     sort = "cells" if dim == domain.topology.dim else "facets"
 
     def read(tags: Any) -> mesh.MeshTags | None:
@@ -135,7 +135,7 @@ def check_tag(name: str, tag: Any) -> None:
 
 
 def check_entities(name: str, tags: mesh.MeshTags) -> None:
-    """Raise a ValueError for tags of entities that this rank does not have."""
+    """Raise a ValueError for entities that this rank does not have."""
     layout = tags.topology.index_map(tags.dim)
     count = layout.size_local + layout.num_ghosts
     outside = tags.indices[(tags.indices < 0) | (tags.indices >= count)]
@@ -147,7 +147,7 @@ def check_entities(name: str, tags: mesh.MeshTags) -> None:
 
 
 def tag_of(tags: Any, given: Any, argument: str) -> Any:
-    """Tag of a name, or anything but strings unchanged; a ValueError without communication."""
+    """Tag of a name, or anything but strings unchanged; a ValueError, not collectively."""
     if not isinstance(given, str):
         return given
     names = names_of(tags)
@@ -167,7 +167,7 @@ def tag_of(tags: Any, given: Any, argument: str) -> Any:
 
 
 def by_tag(tags: Any, given: Mapping[Any, Value], argument: str) -> dict[Any, Value]:
-    """Dictionary by name or tag as one by tag; a ValueError for unknown and repeated ones."""
+    """Dictionary by tag; a ValueError for unknown and repeated names."""
     found: dict[Any, Value] = {}
     for key, value in given.items():
         tag = tag_of(tags, key, f"{argument}: the key")

@@ -10,10 +10,8 @@ tests, and a test that starts ranks holds it alone.
 import fcntl
 import functools
 import os
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import IO
 
 FOLDER = "DOLFINX_MORTAR_TEST_LOCKS"  # of the locks of a run; its workers inherit the name
 WORKER = "PYTEST_XDIST_WORKER"  # set by pytest-xdist
@@ -22,13 +20,13 @@ WORKER = "PYTEST_XDIST_WORKER"  # set by pytest-xdist
 class Machine:
     """Two locks: of the machine, and of the queue, held by who waits for or has it alone."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         """Open the files of the locks."""
         names = ("queue", "machine")
         self.queue, self.machine = ((folder / name).open("a") for name in names)
 
     @contextmanager
-    def shared(self) -> Iterator[None]:
+    def shared(self):
         """Run beside others that share it, when nobody waits to have it alone."""
         with _locked(self.queue, fcntl.LOCK_SH):
             pass
@@ -36,7 +34,7 @@ class Machine:
             yield
 
     @contextmanager
-    def alone(self) -> Iterator[None]:
+    def alone(self):
         """Within `shared`: wait for the others to end their tests, and keep them from the next."""
         fcntl.flock(self.machine, fcntl.LOCK_UN)
         with _locked(self.queue, fcntl.LOCK_EX):
@@ -48,7 +46,7 @@ class Machine:
 
 
 @contextmanager
-def _locked(file: IO[str], how: int) -> Iterator[None]:
+def _locked(file, how):
     """Hold a lock."""
     fcntl.flock(file, how)
     try:
@@ -58,19 +56,19 @@ def _locked(file: IO[str], how: int) -> Iterator[None]:
 
 
 @functools.cache
-def _machine() -> Machine | None:
+def _machine():
     """Return the locks of this worker, none in a run of a single process."""
     both = WORKER in os.environ and FOLDER in os.environ
     return Machine(Path(os.environ[FOLDER])) if both else None
 
 
-def shared() -> AbstractContextManager[None]:
+def shared():
     """Hold the machine beside other workers."""
     machine = _machine()
     return machine.shared() if machine else nullcontext()
 
 
-def alone() -> AbstractContextManager[None]:
+def alone():
     """Have the machine alone, within a test."""
     machine = _machine()
     return machine.alone() if machine else nullcontext()

@@ -20,35 +20,27 @@ from mpi4py import MPI
 import numpy as np
 
 import dolfinx_mortar as dm
-from dolfinx import fem
 from dolfinx_mortar.output.xdmf import File
 from dolfinx_mortar.persistence import tables
-from tests.cases.meshes import BOTTOM, TOP, two_blocks
+from tests.cases.pressed_blocks import PressedBlocks
 
 STEEL = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
 LEVELS = [0.25, 0.5, 1.0, 0.75]  # the last one unloads
 COMM = MPI.COMM_WORLD
 
 
-class Press:
+class Press(PressedBlocks):
     """Two plastic blocks that touch at nodes of both, pressed and sheared on each other."""
 
     def __init__(
         self, partition="graph", law=STEEL, jitter=0.4, comm=COMM, geometry="updated", **options
     ):
         """Make the problem; the options are those of the contact."""
-        self.mesh, cells, self.facets = two_blocks(
-            comm, (5, 4), (6, 5), x_upper=(0.0, 0.8), jitter=jitter, partition=partition
-        )
-        V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
-        self.top = fem.Constant(self.mesh, np.zeros(2))
-        bcs = []
-        for tag, value in ((BOTTOM, fem.Constant(self.mesh, np.zeros(2))), (TOP, self.top)):
-            dofs = fem.locate_dofs_topological(V, 1, self.facets.find(tag))
-            bcs.append(fem.dirichletbc(value, dofs, V))
+        grid = {"n_lower": (5, 4), "n_upper": (6, 5), "x_upper": (0.0, 0.8), "jitter": jitter}
+        super().__init__(comm=comm, partition=partition, **grid)
+        self.top.value[:] = 0.0
         self.contact = dm.Contact(self.facets, **({"slave": 3, "master": 4} | options))
-        solid = dm.Solid(fem.Function(V), law, cells)
-        self.problem = dm.ContactProblem(solid, [self.contact], bcs=bcs, geometry=geometry)
+        self.problem = self.problem([self.contact], law=law, geometry=geometry)
 
     def on_time(self, t):
         self.top.value[:] = (0.002 * t, -0.008 * t)

@@ -1,18 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Which cases of a test the default run has; the slow run has the others."""
 
-from collections.abc import Iterable, Sequence
-from typing import Any
-
 import pytest
 
 
-def quick(cases: Iterable[Any], *chosen: Any) -> list[Any]:
+def quick(cases, *chosen):
     """Return cases to parametrize with, slow but for those chosen."""
     return [_case(c, c in chosen) for c in cases]
 
 
-def crosswise(first: Sequence[Any], second: Sequence[Any]) -> list[Any]:
+def crosswise(first, second):
     """Return all pairs to parametrize with; quick ones have every value of both, not every pair.
 
     >>> [pair.values for pair in crosswise("ab", "xyz") if not pair.marks]
@@ -26,11 +23,11 @@ def crosswise(first: Sequence[Any], second: Sequence[Any]) -> list[Any]:
     ]
 
 
-def _case(case: Any, is_quick: bool) -> Any:
+def _case(case, is_quick):
     """Return a case, with values for several names if it is a tuple."""
     return pytest.param(*_values(case), marks=() if is_quick else pytest.mark.slow)
 
 
-def _values(case: Any) -> tuple[Any, ...]:
+def _values(case):
     """Return a tuple as it is, anything else as the only value."""
     return case if isinstance(case, tuple) else (case,)

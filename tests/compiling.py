@@ -12,8 +12,6 @@ import importlib.metadata
 import os
 import subprocess
 import sysconfig
-from pathlib import Path
-from typing import Any
 
 import basix.ufl
 import ufl
@@ -32,7 +30,7 @@ HEADER = """
 SAME = ["-x", "c-header", "-std=c17", "-O0", "-g0"]  # the last two as in tests/config
 
 
-def know_what_stays() -> None:
+def know_what_stays():
     """Find what libraries look for again and again only once."""
     # setuptools starts the compiler for each module of kernels, and six times reads the entry
     # points of all installed packages, which stay the same during a run.
@@ -43,7 +41,7 @@ def know_what_stays() -> None:
     jit.get_cached_module = _loaded_once(jit.get_cached_module)
 
 
-def _loaded_once(load: Any) -> Any:
+def _loaded_once(load):
     """Return a function that loads a module of kernels once, and not for each equal form.
 
     Each time FFCx lists the folder of all modules, which has some thousand files, and the linker
@@ -52,7 +50,7 @@ def _loaded_once(load: Any) -> Any:
     loaded = {}
 
     @functools.wraps(load)
-    def get(name: str, objects: list[str], folder: Any, timeout: int) -> Any:
+    def get(name, objects, folder, timeout):
         key = name, tuple(objects), str(folder)
         if key not in loaded:
             found = load(name, objects, folder, timeout)
@@ -64,7 +62,7 @@ def _loaded_once(load: Any) -> Any:
     return get
 
 
-def precompile(folder: Path) -> None:
+def precompile(folder):
     """Let the compiler read the header of Python once, which is most of what it reads for a form.
 
     Programs that tests start inherit it.

@@ -6,7 +6,6 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Generator, Iterator
 from pathlib import Path
 
 from mpi4py import MPI
@@ -36,7 +35,7 @@ hypothesis.settings.load_profile("ranks")
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_cmdline_main(config: pytest.Config) -> None:
+def pytest_cmdline_main(config):
     """Use the cores where whole folders are run; one process where files are named, or on ranks."""
     whole = config.args_source is not pytest.Config.ArgsSource.ARGS
     single = COMM.size == 1 and alone.WORKER not in os.environ
@@ -46,7 +45,7 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
 
 
 @pytest.hookimpl(trylast=True)
-def pytest_configure(config: pytest.Config) -> None:
+def pytest_configure(config):
     """Let only rank 0 write to the terminal; make the locks of the workers, and what all read."""
     if COMM.size == 1 and alone.WORKER not in os.environ:
         headers = tempfile.mkdtemp(prefix="headers-")
@@ -60,7 +59,7 @@ def pytest_configure(config: pytest.Config) -> None:
         terminal._tw._file = open(os.devnull, "w")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items):
     """Skip what is meant for one rank when there are more; end with the runs on ranks.
 
     By then the workers have compiled, each on a core of its own, what ranks would wait for.
@@ -72,7 +71,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.skip(reason="for one rank only"))
 
 
-def pytest_collection_finish() -> None:
+def pytest_collection_finish():
     """Collect garbage after tests only, at the same time on all ranks, and spare what stays.
 
     What stays are modules, tests and libraries.
@@ -84,17 +83,17 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.hookimpl(hookwrapper=True)
-def pytest_runtest_protocol() -> Iterator[None]:
+def pytest_runtest_protocol():
     """Let tests that start ranks be alone."""
     with alone.shared():
         yield
 
 
 @pytest.hookimpl(hookwrapper=True)
-def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, None, None]:
+def pytest_runtest_makereport(item):
     """Print at once what failed on a silent rank."""
     outcome = yield
-    report = outcome.get_result()  # type: ignore[attr-defined]
+    report = outcome.get_result()
     if report.failed and COMM.size > 1:
         item.stash[FAILED] = True
         capture = item.config.pluginmanager.get_plugin("capturemanager")
@@ -104,7 +103,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, None, None]:
 
 
 @pytest.hookimpl(trylast=True)
-def pytest_runtest_teardown(item: pytest.Item) -> None:
+def pytest_runtest_teardown(item):
     """Destroy PETSc objects in the same order on all ranks, and end the run if a rank is missing.
 
     A rank that failed stands here while the others wait in a collective call of the test: without
@@ -129,6 +128,6 @@ def pytest_runtest_teardown(item: pytest.Item) -> None:
 
 
 @pytest.fixture
-def rng() -> np.random.Generator:
+def rng():
     """Random numbers that are the same on all ranks and in every run."""
     return np.random.default_rng(1)

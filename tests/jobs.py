@@ -4,7 +4,6 @@
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from subprocess import PIPE, CompletedProcess
 
@@ -18,12 +17,12 @@ LAUNCHER += ("PYTEST_XDIST_",)
 
 
 def run(
-    ranks: int,
-    *arguments: object,
-    cwd: Path | None = None,
-    seconds: float | None = None,
-    variables: Mapping[str, str] | None = None,
-) -> CompletedProcess[str]:
+    ranks,
+    *arguments,
+    cwd=None,
+    seconds=None,
+    variables=None,
+):
     """Run Python with these arguments; on several ranks, without other tests beside it.
 
     The checkout is on its path. A run that takes longer than `seconds` is ended and has failed.
@@ -39,9 +38,7 @@ def run(
         return _ended(command, environment, cwd, seconds)
 
 
-def _ended(
-    command: list[str], environment: dict[str, str], cwd: Path | None, seconds: float | None
-) -> CompletedProcess[str]:
+def _ended(command, environment, cwd, seconds):
     """Run a command to its end, or end it after some seconds."""
     with subprocess.Popen(
         command, cwd=cwd, env=environment, stdout=PIPE, stderr=PIPE, text=True

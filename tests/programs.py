@@ -7,7 +7,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_mortar.qp import BoundQP, QPSolution
+from dolfinx_mortar.qp import BoundQP
 
 Floats = npt.NDArray[np.float64]
 
@@ -16,12 +16,12 @@ CYCLING = np.array([[9.0, -13, 7], [-13, 22, -7], [7, -7, 9]])
 CYCLING_FORCE = np.array([-1.0, 2, 0])
 
 
-def sets(*values: int) -> npt.NDArray[np.int8]:
+def sets(*values):
     """Return an active set."""
     return np.array(values, dtype=np.int8)
 
 
-def from_arrays(A: Floats, b: Floats, lower: Floats, upper: Floats, comm: MPI.Comm) -> BoundQP:
+def from_arrays(A, b, lower, upper, comm):
     """Distribute a dense problem given on all ranks; IEEE infinities mean no bound."""
     matrix = PETSc.Mat().createAIJ(A.shape, nnz=A.shape[0], comm=comm)
     first, last = matrix.getOwnershipRange()
@@ -35,22 +35,22 @@ def from_arrays(A: Floats, b: Floats, lower: Floats, upper: Floats, comm: MPI.Co
     return BoundQP(matrix, *vectors, np.flatnonzero(own[first:last]).astype(np.int32))
 
 
-def gathered(v: PETSc.Vec) -> Floats:
+def gathered(v):
     """Return all entries of a vector on every rank."""
     return np.concatenate(v.comm.tompi4py().allgather(v.array_r.copy()))
 
 
 def membrane(
-    n: int = 24,
+    n=24,
     *,
-    comm: MPI.Comm = MPI.COMM_WORLD,
-    depth: float = 0.05,
-    curvature: float = 1.0,
-    held: bool = True,
-    force: float = 0.0,
-    stiffness: float = 1.0,
-    length: float = 1.0,
-) -> BoundQP:
+    comm=MPI.COMM_WORLD,
+    depth=0.05,
+    curvature=1.0,
+    held=True,
+    force=0.0,
+    stiffness=1.0,
+    length=1.0,
+):
     """Return a square membrane of n x n nodes under a parabolic obstacle along its last row.
 
     Five-point Laplacian; the side opposite the obstacle is held, or free if not `held`. The
@@ -84,7 +84,7 @@ def membrane(
     return BoundQP(A, b, lower, upper, np.array(bounded, dtype=np.int32))
 
 
-def active_everywhere(solution: QPSolution) -> list[int]:
+def active_everywhere(solution):
     """Return the active set of all ranks on every rank."""
     parts = MPI.COMM_WORLD.allgather(solution.active)
     return [int(a) for part in parts for a in part]

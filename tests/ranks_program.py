@@ -9,15 +9,14 @@ from mpi4py import MPI
 import numpy as np
 
 import dolfinx_mortar as dm
-from dolfinx import fem
 from tests.cases import friction as friction_case
-from tests.cases.hertz import create_case
-from tests.cases.meshes import BOTTOM, TOP, two_blocks
+from tests.cases.hertz import paper
+from tests.cases.pressed_blocks import PressedBlocks
 
 STEEL = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
 
 
-def gather(problem) -> list:
+def gather(problem):
     """Return the displacements (n, 2 d) of all nodes with their coordinates, ordered."""
     V = problem.V
     n = V.dofmap.index_map.size_local
@@ -29,9 +28,9 @@ def gather(problem) -> list:
     return table[np.lexsort(np.round(table, 9).T[::-1])].tolist()
 
 
-def hertz() -> dict:
+def hertz():
     """Press the disc on the block."""
-    case = create_case(dm.meshing.hertz(MPI.COMM_WORLD, kind="paper"))
+    case = paper()
     case.press(0.2)
     report = dm.newton(case.problem, rtol=1e-11)
     surface = case.contact.gather(case.problem.u)
@@ -44,19 +43,14 @@ def hertz() -> dict:
     }
 
 
-def blocks(partition: str) -> dict:
+def blocks(partition):
     """Press two blocks with oblique load on each other, on a given partition."""
-    mesh, cells, facets = two_blocks(
-        MPI.COMM_WORLD, (8, 6), (9, 7), x_upper=(0.1, 0.8), jitter=0.4, partition=partition
+    case = PressedBlocks(
+        n_lower=(8, 6), n_upper=(9, 7), x_upper=(0.1, 0.8), jitter=0.4, partition=partition
     )
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    bcs = []
-    for tag, value in ((BOTTOM, (0.0, 0.0)), (TOP, (0.001, -0.01))):
-        dofs = fem.locate_dofs_topological(V, 1, facets.find(tag))
-        bcs.append(fem.dirichletbc(fem.Constant(mesh, np.array(value)), dofs, V))
-    contact = dm.Contact(facets, slave=3, master=4)
-    solid = dm.Solid(fem.Function(V), STEEL, cells)
-    problem = dm.ContactProblem(solid, [contact], bcs=bcs)
+    case.top.value[0] = 0.001
+    problem = case.problem(law=STEEL)
+    (contact,) = problem.contacts
     dm.newton(problem, rtol=1e-11)
     surface = contact.gather(problem.u)
     return {
@@ -67,7 +61,7 @@ def blocks(partition: str) -> dict:
     }
 
 
-def friction(cell: str, partition: str) -> dict:
+def friction(cell, partition):
     """Press a block and push it, until some of it slips, with updated geometry."""
     case = friction_case.create(
         cell, friction=0.3, geometry="updated", mesh_options={"partition": partition}

@@ -3,14 +3,12 @@
 
 import fcntl
 import os
-from contextlib import contextmanager
 from pathlib import Path
-from subprocess import CompletedProcess
 from threading import Event, Thread
 
 import pytest
 
-from tests import alone, jobs
+from tests import alone
 from tests.alone import Machine
 
 pytestmark = pytest.mark.serial
@@ -20,7 +18,7 @@ WHILE = 0.05  # seconds in which a thread that may go on does so
 def test_who_is_alone_waits_for_others_and_they_for_it(tmp_path):
     """Tests that begin while somebody waits to be alone do not come first."""
     ranks, worker, late = (Machine(tmp_path) for _ in range(3))
-    order: list[Machine] = []
+    order = []
     in_test, may_end, had_it, came_late = (Event() for _ in range(4))
 
     def test():
@@ -60,18 +58,3 @@ def test_workers_share_the_machine_during_each_test():
         other = Machine(Path(os.environ[alone.FOLDER]))
         with pytest.raises(BlockingIOError):
             fcntl.flock(other.machine, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-@pytest.mark.parametrize("ranks", [1, 2])
-def test_jobs_on_ranks_are_alone(ranks, monkeypatch):
-    inside = []
-
-    @contextmanager
-    def have():
-        inside.append(True)
-        yield
-        inside.pop()
-
-    monkeypatch.setattr(jobs, "alone", have)
-    monkeypatch.setattr(jobs, "_ended", lambda *_: CompletedProcess("", len(inside)))
-    assert jobs.run(ranks, "-c", "").returncode == ranks - 1

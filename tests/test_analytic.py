@@ -13,19 +13,17 @@ STEEL = (206_900.0, 0.29, 206_900.0, 0.29)
 
 
 @pytest.mark.parametrize(
-    ("force", "radius", "half_width", "peak"),
-    [(10.0, 8.0, 0.96277, 6.61240), (10.0, (8.0, 8.0), 0.68078, 9.35135)],
+    ("force", "radius", "materials", "half_width", "peak", "digits"),
+    [
+        (10.0, 8.0, (200.0, 0.3, 200.0, 0.3), 0.96277, 6.61240, (5e-6, 5e-6)),
+        (10.0, (8.0, 8.0), (200.0, 0.3, 200.0, 0.3), 0.68078, 9.35135, (5e-6, 5e-6)),
+        (2425.4, 8.0, STEEL, 0.46769, 3301.6, (5e-5, 0.1)),
+    ],
 )
-def test_line_contact_numbers(force, radius, half_width, peak):
-    c = analytic.hertz_line(force, radius, 200.0, 0.3, 200.0, 0.3)
-    assert c.half_width == pytest.approx(half_width, abs=5e-6)
-    assert c.peak_pressure == pytest.approx(peak, abs=5e-6)
-
-
-def test_line_contact_of_the_benchmark():
-    c = analytic.hertz_line(2425.4, 8.0, *STEEL)
-    assert c.half_width == pytest.approx(0.46769, abs=5e-5)
-    assert c.peak_pressure == pytest.approx(3301.6, abs=0.1)
+def test_line_contact_numbers(force, radius, materials, half_width, peak, digits):
+    c = analytic.hertz_line(force, radius, *materials)
+    assert c.half_width == pytest.approx(half_width, abs=digits[0])
+    assert c.peak_pressure == pytest.approx(peak, abs=digits[1])
 
 
 def test_point_contact_numbers():
@@ -89,7 +87,7 @@ def sampled_von_mises(nu):
     return max(found, (1 - 2 * nu, 0.0, 0.0))
 
 
-@pytest.mark.parametrize("nu", [-0.5, 0.0, 0.15, 0.19, 0.2, 0.29, 0.499])
+@pytest.mark.parametrize("nu", [-0.5, 0.19, 0.2, 0.29, 0.499])
 def test_first_yield_is_where_the_half_plane_is_stressed_most(nu):
     """At the surface for nu below about 0.194, else below it; on the axis."""
     largest, x, depth = sampled_von_mises(nu)
@@ -120,34 +118,23 @@ def test_fit_recovers_exact_and_noisy_distributions():
     assert noisy != pytest.approx(exact, rel=1e-9)
 
 
-def hertz_nodes(count):
-    """Return nodes across the benchmark's contact, its rim included, and the exact pressure."""
-    c = analytic.hertz_line(2425.4, 8.0, *STEEL)
-    x = np.linspace(-0.98 * c.half_width, 0.98 * c.half_width, count)
-    return c, x, c.pressure(x)
-
-
-@pytest.mark.parametrize("wrong", [0.0, 0.5, 2.0])
+@pytest.mark.parametrize("wrong", [0.0, 2.0])
 def test_fit_leaves_out_the_edge(wrong):
-    """Whatever the pressure of the two outermost nodes is, the others tell."""
-    c, x, p = hertz_nodes(15)
-    p[[0, -1]] *= wrong
-    fitted = analytic.fit_pressure(x, p)
-    assert fitted == pytest.approx((c.peak_pressure, c.half_width), rel=1e-12)
-
-
-def test_fit_keeps_nodes_that_are_not_at_the_edge():
-    """The outermost nodes of a coarse mesh may lie well inside: they carry most of the slope."""
+    """Whatever the pressure of the two outermost nodes is; not where they lie well inside."""
     c = analytic.hertz_line(2425.4, 8.0, *STEEL)
+    x = np.linspace(-0.98 * c.half_width, 0.98 * c.half_width, 15)
+    p = c.pressure(x)
+    p[[0, -1]] *= wrong
+    exact = pytest.approx((c.peak_pressure, c.half_width), rel=1e-12)
+    assert analytic.fit_pressure(x, p) == exact
     x = np.linspace(-0.85 * c.half_width, 0.85 * c.half_width, 9)
     p = c.pressure(x)
     p[[0, -1]] *= 1.02
-    fitted = analytic.fit_pressure(x, p)
-    assert fitted != pytest.approx((c.peak_pressure, c.half_width), rel=1e-6)
-    assert fitted == pytest.approx((c.peak_pressure, c.half_width), rel=0.02)
+    assert analytic.fit_pressure(x, p) == pytest.approx((c.peak_pressure, c.half_width), rel=0.02)
+    assert analytic.fit_pressure(x, p) != exact
 
 
-@pytest.mark.parametrize("place", np.linspace(-0.5, 0.5, 11))
+@pytest.mark.parametrize("place", np.linspace(-0.5, 0.5, 3))
 def test_fit_leaves_out_the_edge_of_few_nodes(place):
     """Four facets across, means over the facets of a node; with the edge the width is 24 % off."""
     h = 0.5
@@ -181,61 +168,36 @@ def test_fit_of_too_little_is_nan(x, p):
     assert np.isnan(analytic.fit_pressure(x, p)).all()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "name"),
-    [
-        ((-1.0, 8.0, *STEEL), "force"),
-        ((0.0, 8.0, *STEEL), "force"),
-        ((np.nan, 8.0, *STEEL), "force"),
-        ((np.inf, 8.0, *STEEL), "force"),
-        ((True, 8.0, *STEEL), "force"),
-        ((1.0, 0.0, *STEEL), "radius"),
-        ((1.0, np.nan, *STEEL), "radius"),
-        ((1.0, np.inf, *STEEL), "radius"),
-        ((1.0, -8.0, *STEEL), "radius"),
-        ((1.0, (8.0, 0.0), *STEEL), "radius"),
-        ((1.0, (8.0, np.nan), *STEEL), "radius"),
-        ((1.0, (8.0, 8.0, 8.0), *STEEL), "radius"),
-        ((1.0, (2.0, -2.0), *STEEL), "radius"),
-        ((1.0, 8.0, 0.0, 0.3, 1.0, 0.3), "E1"),
-        ((1.0, 8.0, np.nan, 0.3, 1.0, 0.3), "E1"),
-        ((1.0, 8.0, 1.0, 0.3, -1.0, 0.3), "E2"),
-        ((1.0, 8.0, 1.0, 0.5, 1.0, 0.3), "nu1"),
-        ((1.0, 8.0, 1.0, -1.0, 1.0, 0.3), "nu1"),
-        ((1.0, 8.0, 1.0, 0.3, 1.0, 0.51), "nu2"),
-        ((1.0, 8.0, 1.0, 0.3, 1.0, np.nan), "nu2"),
-        ((1.0, 8.0, np.inf, 0.3, np.inf, 0.3), "E1"),
-    ],
-)
-@pytest.mark.parametrize(
-    "function", [analytic.hertz_line, analytic.hertz_point, analytic.first_yield_line]
-)
-def test_bad_numbers_are_named(function, arguments, name):
-    if function is analytic.first_yield_line and name == "force":
-        name = "yield_stress"
-    with pytest.raises(ValueError, match=f"^{name} is "):
-        function(*arguments)
+HERTZ = (analytic.hertz_line, analytic.hertz_point, analytic.first_yield_line)
+SOFT = (1.0, 0.3, 1.0, 0.3)
+WRONG = [
+    *(((v, 8.0, *STEEL), "force") for v in (-1.0, np.nan, np.inf, True)),
+    *(((1.0, v, *STEEL), "radius") for v in (0.0, np.inf, -8.0)),
+    *(((1.0, v, *STEEL), "radius") for v in ((8.0, np.nan), (8.0, 8.0, 8.0), (2.0, -2.0))),
+    ((1.0, 8.0, 0.0, *SOFT[1:]), "E1"),
+    ((1.0, 8.0, 1.0, 0.3, -1.0, 0.3), "E2"),
+    ((1.0, 8.0, 1.0, 0.5, *SOFT[2:]), "nu1"),
+    ((1.0, 8.0, 1.0, -1.0, *SOFT[2:]), "nu1"),
+    ((1.0, 8.0, *SOFT[:3], 0.51), "nu2"),
+    ((1.0, 8.0, *SOFT[:3], np.nan), "nu2"),
+    ((1.0, 8.0, np.inf, 0.3, np.inf, 0.3), "E1"),
+]
+FIT = analytic.fit_pressure
+CASES = [
+    *((f, arguments, rf"^{name} is ") for f in HERTZ[:2] for arguments, name in WRONG),
+    (HERTZ[2], WRONG[0][0], "^yield_stress is "),
+    *((analytic.line_axis_stress, (v, 0.3), "^depth is ") for v in (-0.1, np.inf, None, [0.1, -1])),
+    (analytic.line_axis_stress, (1.0, 0.5), r"^nu is 0\.5:"),
+    (FIT, ([0.0, 1.0], [1.0]), "finite numbers"),
+    (FIT, ([[0.0, 1.0]], [[1.0, 2.0]]), "finite numbers"),
+    (FIT, ([0.0, np.nan], [1.0, 2.0]), "^x is "),
+    (FIT, ([0.0, 1.0], [1.0, np.inf]), "^p is "),
+    (FIT, ([0.0, 1.0], [1.0, None]), "^p is "),
+    (FIT, (None, [1.0]), "^x is "),
+]
 
 
-@pytest.mark.parametrize("depth", [-0.1, np.nan, np.inf, None, "1", [0.1, -0.1]])
-def test_depths_out_of_range_are_named(depth):
-    with pytest.raises(ValueError, match=r"^depth is "):
-        analytic.line_axis_stress(depth, 0.3)
-    with pytest.raises(ValueError, match=r"^nu is 0\.5:"):
-        analytic.line_axis_stress(1.0, 0.5)
-
-
-@pytest.mark.parametrize(
-    ("x", "p", "words"),
-    [
-        ([0.0, 1.0], [1.0], "finite numbers"),
-        ([[0.0, 1.0]], [[1.0, 2.0]], "finite numbers"),
-        ([0.0, np.nan], [1.0, 2.0], "^x is "),
-        ([0.0, 1.0], [1.0, np.inf], "^p is "),
-        ([0.0, 1.0], [1.0, None], "^p is "),
-        (None, [1.0], "^x is "),
-    ],
-)
-def test_bad_points_of_a_fit_are_named(x, p, words):
+@pytest.mark.parametrize(("function", "arguments", "words"), CASES)
+def test_bad_numbers_are_named(function, arguments, words):
     with pytest.raises(ValueError, match=words):
-        analytic.fit_pressure(x, p)
+        function(*arguments)

@@ -1,50 +1,41 @@
 # SPDX-License-Identifier: MIT
 """The audit before the first step: it reports errors of the set-up, and nothing else."""
 
-import logging
-import re
-
 from mpi4py import MPI
 
 import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-import ufl
-from dolfinx import default_scalar_type, fem, mesh
+from dolfinx import fem
 from dolfinx.mesh import compute_midpoints, exterior_facet_indices, meshtags
 from dolfinx_mortar.meshing.two_bodies import distribute
-from tests.cases.block_piles import ABOVE, BELOW, EAST, PILE, WEST, create_blocks
+from tests.cases.block_piles import ABOVE, PILE, WEST, Blocks
 from tests.cases.close_fits import create_ring
 
 COMM = MPI.COMM_WORLD
 PAIR = [(0.0, 1.0, -1.0, 0.0, 4, 3), (0.0, 1.0, 0.0, 1.0, 3, 3)]
 
 
-def condition(V, facets, tag, component=None, value=0.0):
-    """Return a Dirichlet condition on marked facets."""
-    space = V if component is None else V.sub(component)
-    dofs = fem.locate_dofs_topological(space, 1, facets.find(tag))
-    array = np.full(2, value) if component is None else value
-    return fem.dirichletbc(default_scalar_type(array), dofs, space)
+HELD = (11, None), (23, None)
 
 
-def create(
-    boxes=PAIR, joins=((13, 21),), supports=((11, None), (23, None)), kind=dm.Contact, **options
-):
+def create(boxes=PAIR, joins=((13, 21),), supports=HELD, kind=dm.Contact, tags=None, push=None):
     """Return a problem of blocks: joins are (slave, master), supports (tag, component)."""
-    domain, cells, facets = create_blocks(COMM, boxes)
-    change = options.pop("tags", None)
-    facets = facets if change is None else change(domain, facets)
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    interfaces = [kind(facets, slave=s, master=m) for s, m in joins]
-    bcs = [condition(V, facets, tag, component) for tag, component in supports]
-    solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3), cells)
-    if "push" in options:
-        ds = ufl.Measure("ds", domain, subdomain_data=facets)
-        value = fem.Constant(domain, default_scalar_type(options.pop("push")))
-        options["loads"] = ufl.inner(value, ufl.TestFunction(V)) * ds(23)
-    return dm.ContactProblem(solid, interfaces, bcs=bcs, **options)
+    b = Blocks(boxes)
+    if tags is not None:
+        b.facets = tags(b.mesh, b.facets)
+    interfaces = [kind(b.facets, slave=s, master=m) for s, m in joins]
+    bcs = [b.fix(*divmod(tag, 10), component=i) for tag, i in supports]
+    loads = None if push is None else b.traction(2, ABOVE, push)
+    return b.problem(interfaces, bcs, loads=loads)
+
+
+def warned(*words, **options):
+    """Expect the audit to warn of something in such words; return it."""
+    audit = create(**options).audit()
+    assert any(all(word in w for word in words) for w in audit.warnings), audit
+    return audit
 
 
 @pytest.mark.mpi
@@ -71,38 +62,14 @@ def test_supports_that_hold_nothing():
         create(supports=((11, None), (99, None))).audit()
 
 
-def test_print(capsys):
-    """One line for the whole, one per interface and warning; the tags are in it."""
-    problem = create(supports=((11, None), (22, 0)))
-    print(problem.audit())
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == "2 bodies, 1 interfaces"
-    assert lines[1].startswith("Contact(slave=13, master=21): 4 slave and 3 master facets")
-    assert lines[2].startswith("warning: ") and "contact alone" in lines[2]
-    assert len(lines) == 3
-
-
-@pytest.mark.mpi
-def test_log(caplog):
-    """At the start of the first step, on rank 0, warnings as such; who looks logs nothing."""
-    problem = create(supports=((11, None), (22, 0)))
-    with caplog.at_level(logging.INFO, logger="dolfinx_mortar"):
-        problem.audit()
-        for _ in range(2):
-            dm.newton(problem)
-            problem.commit()
-    levels = [record.levelname for record in caplog.records if "problem" in record.name]
-    assert levels == (["INFO", "WARNING"] if COMM.rank == 0 else [])
-
-
 @pytest.mark.parametrize(
     ("supports", "kind", "nodes", "kept"),
     [
-        (((11, None), (23, None), (14, 0)), dm.Contact, 0, 5),  # normal free: nothing is lost
-        (((11, None), (23, None), (14, 1)), dm.Contact, 1, 4),  # normal taken
-        (((11, None), (23, None), (14, None), (12, None)), dm.Contact, 2, 3),
-        (((11, None), (23, None), (14, 0)), dm.Tie, 0, 5),  # tied in y
-        (((11, None), (23, None), (14, None)), dm.Tie, 1, 4),
+        ((*HELD, (14, 0)), dm.Contact, 0, 5),  # normal free: nothing is lost
+        ((*HELD, (14, 1)), dm.Contact, 1, 4),  # normal taken
+        ((*HELD, (14, None), (12, None)), dm.Contact, 2, 3),
+        ((*HELD, (14, 0)), dm.Tie, 0, 5),  # tied in y
+        ((*HELD, (14, None)), dm.Tie, 1, 4),
     ],
 )
 def test_slave_nodes_with_dirichlet_data(supports, kind, nodes, kept):
@@ -118,39 +85,34 @@ def test_slave_nodes_with_dirichlet_data(supports, kind, nodes, kept):
 
 
 def test_slave_side_that_is_prescribed_altogether():
-    audit = create(supports=((11, None), (23, None), (13, None))).audit()
+    audit = warned("no slave node carries a multiplier", supports=(*HELD, (13, None)))
     assert audit.interfaces[0].kept_nodes == 0
-    assert any("no slave node carries a multiplier" in w for w in audit.warnings)
 
 
 def test_coarse_slave():
     boxes = [(0.0, 1.0, -1.0, 0.0, 2, 2), (0.0, 1.0, 0.0, 1.0, 9, 2)]
-    coarse, fine = create(boxes).audit(), create(boxes, joins=((21, 13),)).audit()
-    assert any("4.5 times as long" in w and "finer" in w for w in coarse.warnings)
-    assert fine.warnings == []
+    warned("4.5 times as long", "finer", boxes=boxes)
+    assert create(boxes, joins=((21, 13),)).audit().warnings == []
 
 
-def all_around(domain, facets):
-    """Give the whole boundary of the lower block, but its bottom, the tag 13."""
-    values = np.where(np.isin(facets.values, (12, 13, 14)), 13, facets.values)
-    return mesh.meshtags(domain, 1, facets.indices, values.astype(np.int32))
+def retagged(tags, tag):
+    """Return what gives facets of some tags another one."""
+
+    def change(domain, facets):
+        values = np.where(np.isin(facets.values, tags), tag, facets.values).astype(np.int32)
+        return meshtags(domain, 1, facets.indices, values)
+
+    return change
 
 
 @pytest.mark.mpi
 def test_facets_that_turn_their_back():
     """A slave side marked around the corner is fine; one with its back to the master is not."""
-    audit = create(tags=all_around).audit()
-    assert audit.interfaces[0].facing_away == 0
-
-    def and_the_sides_of_a_slit(domain, facets):
-        values = np.where(facets.values == 23, 21, facets.values)
-        return mesh.meshtags(domain, 1, facets.indices, values.astype(np.int32))
-
+    assert create(tags=retagged((12, 14), 13)).audit().interfaces[0].facing_away == 0
     # a thin upper block, of which the top is marked, too: its facets turn away from the slave
-    thin = [(0.0, 1.0, -1.0, 0.0, 4, 3), (0.0, 1.0, -0.1, 0.0, 4, 1)]
-    audit = create(thin, tags=and_the_sides_of_a_slit, supports=((11, None), (22, None))).audit()
-    assert audit.interfaces[0].facing_away == 4
-    assert any("4 slave facets face away" in w for w in audit.warnings)
+    thin = [PAIR[0], (0.0, 1.0, -0.1, 0.0, 4, 1)]
+    options = {"boxes": thin, "tags": retagged((23,), 21), "supports": ((11, None), (22, None))}
+    assert warned("4 slave facets face away", **options).interfaces[0].facing_away == 4
 
 
 @pytest.mark.mpi
@@ -167,18 +129,10 @@ def test_uncovered_nodes(beyond):
 
 
 @pytest.mark.mpi
-def test_the_one_node_that_carries_what_little_is_covered():
-    """A multiplier needs somebody even there; who has one faces the master."""
-    boxes = [(0.0, 1.0, -1.0, 0.0, 4, 3), (0.999, 1.0, 0.0, 1.0, 1, 3)]
-    (found,) = create(boxes).audit().interfaces
-    assert (found.kept_nodes, found.uncovered_nodes, found.removed_nodes) == (1, 4, 0)
-
-
-@pytest.mark.mpi
 def test_double_claims():
     """A node belongs to the interface whose master it faces; one that faces both, to the first."""
     boxes = [(0.0, 1.0, -1.0, 0.0, 4, 2), (0.0, 0.4, 0.0, 1.0, 2, 2), (0.6, 1.0, 0.0, 1.0, 2, 2)]
-    supports = ((11, None), (23, None), (33, None))
+    supports = (*HELD, (33, None))
     audit = create(boxes, joins=((13, 21), (13, 31)), supports=supports).audit()
     said = [w for w in audit.warnings if "slave=13, master=31" in w]
     assert len(said) == 1 and "1 slave nodes removed" in said[0] and "one tag" in said[0]
@@ -197,49 +151,10 @@ def test_body_held_by_contact_alone():
     assert audit.warnings == [
         f"contact alone holds {name}: the loads must press the sides together"
     ]
-    report = dm.newton(problem)
-    assert report.converged
+    dm.newton(problem)
     # the interface bends a little, so the force may lean, but no more than that
     assert problem.contacts[0].force == pytest.approx([0.0, -5.0], abs=5e-3)
     assert problem.contacts[0].force[1] == pytest.approx(-5.0, rel=1e-6)
-
-
-@pytest.mark.mpi
-def test_a_body_that_contact_keeps_from_turning():
-    """Named once, though its motion about a corner is one of three parts."""
-    domain, _, facets = create_blocks(COMM, PAIR)
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    corner = fem.locate_dofs_geometrical(V, lambda x: (x[0] < 1e-9) & (x[1] > 1 - 1e-9))
-    bcs = [condition(V, facets, 11), fem.dirichletbc(np.zeros(2), corner, V)]
-    contact = dm.Contact(facets, slave=13, master=21)
-    solid = dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3))
-    audit = dm.ContactProblem(solid, [contact], bcs=bcs).audit()
-    assert audit.held_by_contact == ["the body around [0.5, 0.5]"]
-
-
-@pytest.mark.mpi
-def test_inertia_holds_light_bodies():
-    """Nothing else does, and its mass is far below that of the other body and a stiffness."""
-    domain, cells, facets = create_blocks(COMM, PAIR)
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    solid = dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3))
-    mass = dm.Inertia(solid, density={1: 1e-3, 2: 1e-12}, cell_tags=cells)
-    ds = ufl.Measure("ds", domain, subdomain_data=facets)
-    bed = dm.WeakForm(solid, energy=1e6 * ufl.inner(solid.u, solid.u) * ds(11))
-    contact = dm.Contact(facets, slave=13, master=21)
-    audit = dm.ContactProblem(solid, [contact], terms=[mass, bed]).audit()
-    assert not audit.held_by_contact and not audit.warnings
-
-
-@pytest.mark.mpi
-def test_a_rigid_side_has_no_gap():
-    """It holds its nodes where they are, wherever the origin of the coordinates is."""
-    domain, _, facets = create_blocks(COMM, PAIR[:1])
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    side = dm.RigidSide(facets, 11, reference=(0.5, -1.0))
-    audit = dm.ContactProblem(dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3)), [side]).audit()
-    assert "overlap" not in str(audit) and "gap" not in str(audit)
-    assert np.isnan(audit.interfaces[0].least_gap)
 
 
 @pytest.mark.mpi
@@ -248,27 +163,6 @@ def test_body_that_nothing_holds():
         create(supports=((11, None),)).audit()
     # a tie holds it altogether
     assert create(supports=((11, None),), kind=dm.Tie).audit().warnings == []
-
-
-def test_the_audit_comes_before_the_first_step():
-    """A problem that the audit rejects does not start."""
-    problem = create(supports=((11, None),))
-    with pytest.raises(ValueError, match="nothing holds"):
-        dm.newton(problem)
-    assert not problem.u.x.array.any()
-
-
-def test_units_do_not_matter():
-    """The same findings in metres and micrometres."""
-    texts = set()
-    for scale in (1e-6, 1.0, 1e6):
-        boxes = [(*(scale * np.array(box[:4])), *box[4:]) for box in PAIR]
-        text = str(create(boxes, supports=((11, None), (22, 0))).audit())
-        texts.add(re.sub(r"around \[.*?\]", "", text))  # places have units
-    assert len(texts) == 1
-
-
-assert (ABOVE, BELOW, EAST, WEST) == (3, 1, 2, 4), "the tags above are written out"
 
 
 ALL = "[0.5, 0.5], [0.5, 1.5], [0.5, 2.5]"
@@ -332,7 +226,7 @@ def test_a_support_that_may_be_a_mirror(facets, oblique, bent):
         return tags
 
     boxes = [(0.0, 1.0, -1.0, 0.0, facets, 3), (0.0, 1.0, 0.0, 1.0, facets, 3)]
-    rollers = ((11, None), (23, None), (10 + WEST, 0), (20 + WEST, 0))
+    rollers = (*HELD, (10 + WEST, 0), (20 + WEST, 0))
     warnings = create(boxes, supports=rollers, tags=rounded).audit().warnings
     told = [w for w in warnings if "plane of symmetry" in w]
     assert len(told) == 2 * bent
@@ -347,13 +241,11 @@ def uneven_angles(rng, n):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("geometry", ["updated", "reference"])
-@pytest.mark.parametrize(("pin", "hole"), [(31, 24), (20, 37)])
-def test_a_pin_that_may_spin(pin, hole, geometry, rng):
+def test_a_pin_that_may_spin(rng):
     """Uneven facets resist the spin of a pin in its hole a little; still nothing holds it."""
     rings = (
-        create_ring(0.4, 0.98, uneven_angles(rng, pin)),
-        create_ring(1.0, 2.0, uneven_angles(rng, hole)),
+        create_ring(0.4, 0.98, uneven_angles(rng, 31)),
+        create_ring(1.0, 2.0, uneven_angles(rng, 24)),
     )
     domain, _ = distribute(COMM, lambda: rings, "quadrilateral")
     domain.topology.create_connectivity(1, 2)
@@ -363,11 +255,10 @@ def test_a_pin_that_may_spin(pin, hole, geometry, rng):
     marks = np.select([radius > 1.5, radius > 0.985, radius > 0.7], [1, 3, 4], 2).astype(np.int32)
     tags = meshtags(domain, 1, facets, marks)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    bcs = [fem.dirichletbc(np.zeros(2), fem.locate_dofs_topological(V, 1, tags.find(1)), V)]
+    solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3))
     for slave, master in ((3, 4), (4, 3)):
         contact = dm.Contact(tags, slave=slave, master=master)
-        solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3))
-        bcs = [condition(V, tags, 1)]
-        problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
         with pytest.raises(ValueError, match=r"nothing holds.*rotation about z") as caught:
-            problem.audit()
+            dm.ContactProblem(solid, [contact], bcs=bcs).audit()
         assert "translation" not in str(caught.value)

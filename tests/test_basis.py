@@ -16,7 +16,6 @@ from tests.cases.block_piles import (
     COMM,
     EAST,
     PILE,
-    STEEL,
     WEST,
     Blocks,
     chain,
@@ -24,8 +23,9 @@ from tests.cases.block_piles import (
     to_dense,
     to_global,
 )
-from tests.cases.meshes_3d import two_boxes
+from tests.cases.meshes import BOTTOM, LEFT, TOP
 from tests.cases.mortar import node_matrices
+from tests.cases.pressed_blocks import PressedBlocks
 
 ROUND_OFF = 1e-12
 
@@ -48,33 +48,6 @@ def test_frames_are_orthonormal(d, rng):
     assert np.array_equal(slot >= 0, fixed)
     for j, i in zip(*np.nonzero(fixed), strict=True):
         assert R[j, :, slot[j, i]] == pytest.approx(np.eye(d)[i], abs=ROUND_OFF)
-
-
-def test_tangents_turn_with_the_normal(rng):
-    """As little as it does: they do not swap where their axes have equal shares in it."""
-    even = np.ones((50, 2)) * rng.uniform(-0.5, 0.5, (50, 1))
-    turned = even + 1e-3 * rng.normal(size=(50, 2))
-    for axis in range(3):
-        some, others = (
-            create_frames(n / np.linalg.norm(n, axis=1, keepdims=True), np.zeros((50, 3), bool))[0]
-            for n in (np.insert(part, axis, 1.0, axis=1) for part in (even, turned))
-        )
-        turn = np.abs(some - others).max(axis=(1, 2))
-        assert (turn < 5.0 * np.linalg.norm(even - turned, axis=1)).all()
-
-
-def test_nodes_without_multiplier_keep_the_axes():
-    """Contact makes frames for kept nodes; at the others every prescribed axis is itself."""
-    contact = Blocks(PILE[:2]).join(dm.Contact, (1, ABOVE), (2, BELOW))
-    normals, fixed = np.array([[0.0, 1.0], [1.0, 0.0]]), np.array([[True, False], [True, False]])
-    frame = contact.frame(normals, np.array([[True], [False]]), fixed)
-    assert frame.slot.tolist() == [[1, -1], [0, -1]]
-    assert (frame.R[1] == np.eye(2)).all() and frame.directions.tolist() == [
-        [True, False],
-        [False] * 2,
-    ]
-    for R, slot in zip(frame.R, frame.slot, strict=True):
-        assert (np.abs(R[:, slot[0]]) == np.eye(2)[0]).all()
 
 
 # -- the change of basis
@@ -117,9 +90,7 @@ def expected_transformation(problem):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize(
-    "kinds", [(dm.Contact, dm.Contact), (dm.Tie, dm.Contact), (dm.Tie, dm.Tie)]
-)
+@pytest.mark.parametrize("kinds", [(dm.Contact, dm.Contact), (dm.Tie, dm.Contact)])
 def test_transformation_of_a_chain(kinds):
     _, problem = chain(kinds)
     problem.audit()
@@ -150,10 +121,9 @@ def test_transformation_of_a_tie_with_one_prescribed_component(component):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("partition", ["graph", "stripes", "bodies"])
-def test_transformation_follows_the_geometry(partition, rng):
+def test_transformation_follows_the_geometry():
     """Inclined normals, on any partition, in place."""
-    b, problem = chain(partition=partition)
+    b, problem = chain(partition="stripes")
     problem.audit()
     before = dense_transformation(problem)
     x = b.V.tabulate_dof_coordinates()
@@ -165,19 +135,16 @@ def test_transformation_follows_the_geometry(partition, rng):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
-@pytest.mark.parametrize("cell, factors", [("tetrahedron", 2), ("hexahedron", 1)])
+@pytest.mark.parametrize(
+    ("cell", "factors", "kind"), [("tetrahedron", 2, dm.Contact), ("hexahedron", 1, dm.Tie)]
+)
 def test_transformation_of_second_order_in_space(cell, factors, kind, rng):
     """Middles of six-node facets depend on their ends; some nodes are removed, some held."""
-    mesh, _, tags = two_boxes(COMM, (1, 1, 1), (2, 1, 1), upper=(0.0, 1.3, 0.0, 0.8), cell=cell)
-    V = fem.functionspace(mesh, ("Lagrange", 2, (3,)))
-    bcs = []
-    for tag, components in ((1, (0, 1, 2)), (2, (0, 1, 2)), (5, (0,))):
-        for i in components:
-            dofs = fem.locate_dofs_topological(V.sub(i), 2, tags.find(tag))
-            bcs.append(fem.dirichletbc(fem.Constant(mesh, 0.0), dofs, V.sub(i)))
-    solid = dm.Solid(fem.Function(V), STEEL)
-    problem = dm.ContactProblem(solid, [kind(tags, slave=3, master=4)], bcs=bcs)
+    case = PressedBlocks(
+        d=3, degree=2, n_lower=(1, 1, 1), n_upper=(2, 1, 1), upper=(0.0, 1.3, 0.0, 0.8), cell=cell
+    )
+    bcs = [case.bc(BOTTOM), case.bc(TOP), case.roller(LEFT, 0)]
+    problem = case.problem([kind(case.facets, slave=3, master=4)], bcs)
     problem.audit()
     T, basis = dense_transformation(problem), problem.system.transformation
     assert len(basis.factors) == factors
@@ -187,17 +154,6 @@ def test_transformation_of_second_order_in_space(cell, factors, kind, rng):
     basis.apply(y, u)
     assert np.abs((basis.inverse(u) - y).array).max(initial=0.0) < ROUND_OFF
     assert np.abs((u - y - basis.change * y).array).max(initial=0.0) < ROUND_OFF
-
-
-@pytest.mark.mpi
-def test_independent_interfaces_share_one_factor():
-    b = Blocks(PILE)
-    interfaces = [b.join(dm.Contact, (k, ABOVE), (k + 1, BELOW)) for k in (1, 2)]
-    problem = b.problem(interfaces, [b.fix(k, WEST) for k in (1, 2, 3)])
-    problem.audit()
-    assert len(problem.system.transformation.factors) == 1
-    T = dense_transformation(problem)
-    assert np.abs(T - expected_transformation(problem)).max() < ROUND_OFF
 
 
 @pytest.mark.mpi
@@ -229,66 +185,6 @@ def test_relative_and_transpose_are_adjoint(rng):
         right = v.array_r @ sum(i.transpose(np.einsum("nij,nj->ni", i.coupling.R, f))).ravel()
         left, right = COMM.allreduce(np.array([left, right]))
         assert left == pytest.approx(right, rel=ROUND_OFF)
-
-
-@pytest.mark.mpi
-def test_second_claims_and_cycles_are_removed_and_said():
-    b = Blocks(PILE)
-    up = b.join(dm.Contact, (1, ABOVE), (2, BELOW))
-    bcs = [b.fix(k, WEST) for k in (1, 2, 3)]
-    for later, why in (
-        (b.join(dm.Contact, (2, BELOW), (1, ABOVE)), "cycle"),
-        (b.join(dm.Tie, (1, ABOVE), (2, BELOW)), "claimed by an earlier interface"),
-    ):
-        problem = b.problem([up, later], bcs)
-        audit = problem.audit()
-        assert any(why in w and repr(later) in w for w in audit.warnings), audit
-        T = dense_transformation(problem)
-        assert np.abs(T - expected_transformation(problem)).max() < ROUND_OFF
-        assert np.linalg.matrix_rank(T) == len(T)
-        assert audit.interfaces[1].kept_nodes == 0 < audit.interfaces[0].kept_nodes
-
-
-@pytest.mark.mpi
-def test_removed_nodes_come_back_when_the_cycle_is_gone():
-    """Two interfaces depend on each other's slave nodes until one body has slid away."""
-    b = Blocks(PILE[:2])
-    up, down = (
-        b.join(dm.Contact, *s) for s in (((1, ABOVE), (2, BELOW)), ((2, BELOW), (1, ABOVE)))
-    )
-    problem = b.problem([up, down], [b.fix(1, BELOW), b.fix(2, ABOVE)])
-    problem.audit()
-    upper, lower = problem.system.links
-    everywhere = np.flatnonzero(lower.sides.on_slave)
-    assert lower.banned[everywhere].all() and not upper.banned.any()
-    x = b.V.tabulate_dof_coordinates()
-    for slide, gone in ((9.0, True), (0.0, False)):
-        b.u.x.array[::2] = np.where(x[:, 1] > 1.0 + 1e-9, slide, 0.0)
-        b.u.x.array[2 * everywhere] = slide
-        problem.update_geometry()
-        banned = problem.system.link(down).banned
-        assert banned[everywhere].any() != gone or everywhere.size == 0
-        assert any("cycle" in note for note in problem.system.notes) != gone
-
-
-@pytest.mark.mpi
-def test_sides_that_turn_away_have_no_pairs_for_a_while():
-    """No error in a search that another interface calls for: nothing is constrained meanwhile."""
-    b = Blocks(PILE[:2])
-    contact = b.join(dm.Contact, (1, ABOVE), (2, BELOW))
-    problem = b.problem([contact], [b.fix(1, BELOW), b.fix(2, ABOVE)])
-    problem.audit()
-    upper = fem.locate_dofs_topological(b.V, 2, b.cells.find(2))
-    x = b.V.tabulate_dof_coordinates()[upper, :2]
-    for turned in (True, False):
-        b.u.x.array.reshape(-1, 2)[upper] = turned * 2 * (np.array([0.5, 1.0]) - x)  # half a turn
-        problem.update_geometry()
-        (link,) = problem.system.links
-        kept = COMM.allreduce(int(link.coupling.kept.sum()))
-        assert kept == (0 if turned else 4)
-        T = dense_transformation(problem)
-        assert np.abs(T - expected_transformation(problem)).max() < ROUND_OFF
-        assert (np.abs(T - np.eye(len(T))).max() > 0.1) != turned
 
 
 @pytest.mark.mpi

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.triplets import BlockMatrix
+from dolfinx_mortar.algebra.csr import BlockMatrix
 from tests.cases.meshes import two_blocks
 from tests.cases.meshes_3d import two_boxes
 
@@ -20,9 +20,9 @@ def space(d, partition):
     return fem.functionspace(mesh, ("Lagrange", 1, (d,)))
 
 
-@pytest.mark.parametrize("partition", ["graph", "empty"])
-@pytest.mark.parametrize("repeats", [False, True])
-@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize(
+    ("d", "repeats", "partition"), [(2, False, "empty"), (2, True, "graph"), (3, True, "empty")]
+)
 def test_blocks_stand_at_their_nodes(d, repeats, partition, rng):
     """Against a sum over the blocks, entry by entry; a second filling leaves nothing of the first.
 

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Bolts: the overlap for a force, signs, the diagram of a bolted joint, directions."""
+"""Bolts in steps and walks: the diagram of a bolted joint, restarts, directions, failures."""
+
+import shutil
+
+from mpi4py import MPI
 
 import numpy as np
 import pytest
@@ -9,36 +13,20 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar.interfaces import pretension
 from dolfinx_mortar.problem import step_data
-from tests.cases.bolted_joint import Joint
-from tests.cases.glued_bar import CELLS, COMM, CONFINED, NU, Bar, E, largest
+from tests.cases.bolted_joint import Flange, Joint
+from tests.cases.glued_bar import COMM, CONFINED, NU, Bar, E
 from tests.cases.meshes import BOTTOM, LEFT, TOP
 from tests.cases.pressed_blocks import failing, rejected
 from tests.cases.tightened_bar import Watched, clamped, loaded, outwards, tighten
 
 SOUGHT = 1e-6  # relative accuracy of the force
-
-
-# -- the jump for a force
+F0, LEVELS = 6.0, [3.0, 6.0, 12.0]
+CARRIED = [F0 + 1.0, F0 + 2.0, 12.0]  # a third of the pull, until the plates part
 
 
 def tension(case):
     """Return the force of the tie along the direction out of the slave side."""
     return float(case.tie.force @ outwards(case))
-
-
-@pytest.mark.parametrize("slave", ["upper", "lower"])
-@pytest.mark.parametrize(("cell", "force"), [*((c, 30.0) for c in CELLS), (CELLS[1], -30.0)])
-def test_an_elastic_bar_between_walls(cell, force, slave):
-    """F = E_c s / L on a unit section, in one iteration; positive is tension, either slave."""
-    case, problem = clamped(cell, slave=slave)
-    report = tighten(problem, {case.tie: force}, 7.0 * outwards(case))
-    s = 2.0 * force / CONFINED
-    assert np.allclose(case.tie.tightening, s * outwards(case), rtol=2 * SOUGHT, atol=1e-12)
-    assert tension(case) == pytest.approx(force, rel=SOUGHT)
-    assert report.newton_iterations == 1 and case.tie.jump is None
-    upper = case.tie.force if slave == "upper" else case.tie.master_force
-    assert upper[case.d - 1] == pytest.approx(-force, rel=SOUGHT)  # tension pulls it down
-    assert np.allclose(case.tie.gather(case.u)["pressure"], -force, rtol=1e-5)
 
 
 def test_loads_of_the_moment_count_and_the_jump_is_held():
@@ -58,62 +46,15 @@ def test_loads_of_the_moment_count_and_the_jump_is_held():
     assert case.tie.force[1] == pytest.approx(-s * CONFINED / 3, rel=1e-5)
 
 
-def test_it_is_added_to_the_jump_and_tightened_again_from_where_it_is():
-    case, problem = clamped()
-    case.tie.jump = [0.0, -1e-3]
-    for force in (30.0, 50.0, 0.0):
-        tighten(problem, {case.tie: force}, outwards(case))
-        assert case.tie.tightening[1] == pytest.approx(1e-3 - 2 * force / CONFINED, rel=1e-4)
-    assert abs(tension(case)) < 50.0 * SOUGHT
-    before = case.tie.tightening
-    assert tighten(problem, {case.tie: 0.0}, outwards(case)).newton_iterations == 1
-    assert case.tie.tightening[1] == pytest.approx(before[1], rel=1e-9)  # it was there already
-
-
 def test_what_a_tightening_before_has_moved_across_stays():
     """Sheared first, then pulled: the second direction adds to the first one's jump."""
     case, problem = loaded()
     tighten(problem, {case.tie: 3.0}, [1.0, 0.0])
     across = case.tie.tightening[0]
-    tighten(problem, {case.tie: 30.0}, outwards(case))
+    tighten(problem, {case.tie: 30.0}, 1e300 * outwards(case))  # whose square is none
     assert abs(across) > 1e-4 and case.tie.tightening[0] == across
     assert tension(case) == pytest.approx(30.0, rel=SOUGHT)
     assert case.tie.force[0] == pytest.approx(3.0, rel=0.05)
-
-
-def test_half_a_bolt_has_half_the_force():
-    """A bar on its plane of symmetry: the resultant is that of what is modelled."""
-    whole, problem = clamped()
-    tighten(problem, {whole.tie: 30.0}, outwards(whole))
-    half, problem = clamped(x_lower=(0.0, 0.5), x_upper=(0.0, 0.5))
-    tighten(problem, {half.tie: 15.0}, outwards(half))
-    assert half.tie.tightening[1] == pytest.approx(whole.tie.tightening[1], rel=1e-5)
-
-
-@pytest.mark.mpi
-def test_a_bar_beyond_yield_is_tightened_as_by_one_step():
-    """K eps + sqrt(2/3) Y = F; the plastic strain is that of a step with the jump."""
-    Y, force = 2.0, 12.0
-    case, problem = clamped(law=dm.VonMises(E, NU, Y, 0.0))
-    report = tighten(problem, {case.tie: force}, outwards(case))
-    jump = case.tie.tightening
-    bulk = E / (3 * (1 - 2 * NU))
-    assert jump[1] == pytest.approx(-2.0 * (force - np.sqrt(2 / 3) * Y) / bulk, rel=1e-5)
-    assert 1 < report.newton_iterations <= 4
-    flown = case.solid.state["plastic_strain"].x.array.copy()  # committed
-    again, problem = clamped(law=dm.VonMises(E, NU, Y, 0.0))
-    again.tie.jump = jump
-    dm.newton(problem, rtol=1e-8)
-    problem.commit()
-    assert largest(flown) > 1e-3
-    assert largest(flown - again.solid.state["plastic_strain"].x.array) < 1e-8 * largest(flown)
-    # unloading by half of the elastic range: the plastic strain stays
-    shear = E / (2 * (1 + NU))
-    less = np.abs(jump[1]) - Y * np.sqrt(2 / 3) / (2 / 3 * shear) / 2
-    again.tie.jump = [0.0, -less]
-    dm.newton(problem)
-    drop = CONFINED * (np.abs(jump[1]) - less) / 2
-    assert again.tie.force[1] == pytest.approx(-(force - drop), rel=1e-5)
 
 
 # -- a bolted joint
@@ -123,14 +64,13 @@ def test_a_bar_beyond_yield_is_tightened_as_by_one_step():
 @pytest.mark.parametrize("slave", ["upper", "lower"])
 def test_the_diagram_of_a_bolted_joint(slave):
     """The bolt's force grows by a third of the pull until the plates part, then by all of it."""
-    joint, F0 = Joint(slave=slave), 6.0
+    joint = Joint(slave=slave)
     tighten(joint.problem, {joint.bolt: F0}, joint.direction, rtol=1e-8)
-    assert joint.bolt.tightening[1] == pytest.approx(
-        joint.direction[1] * F0 / E * (2 + 1), rel=1e-4
-    )
+    stretch = joint.direction[1] * F0 / E * (2 + 1)
+    assert joint.bolt.tightening[1] == pytest.approx(stretch, rel=1e-4)
     assert joint.tension() == pytest.approx(F0, rel=1e-8)
     assert joint.clamping() == pytest.approx(F0, rel=3e-8)
-    for pull in (3.0, 8.0, 8.9, 9.1, 12.0, 4.0, 0.0):
+    for pull in (3.0, 8.9, 9.1, 12.0, 0.0):
         joint.pull.value = pull
         dm.newton(joint.problem, rtol=1e-11)
         joint.problem.commit()
@@ -141,28 +81,107 @@ def test_the_diagram_of_a_bolted_joint(slave):
         assert COMM.allreduce(int(closed)) > 0 if pull < 1.5 * F0 else not closed
 
 
-def test_a_gap_under_the_yoke_closes_first():
-    """Until then only the yoke's weight, here a push, is carried, by the bolt alone."""
-    joint, F0, gap = Joint(gap=0.01), 6.0, 0.01
-    joint.pull.value = -1.0
-    tighten(joint.problem, {joint.bolt: F0}, joint.direction)
-    # the bolt shrinks by the gap and what the plates yield, and is stretched by F0
-    plates = (F0 + 1.0) * (2.0 - gap) / (2 * E)
-    assert -joint.bolt.tightening[1] == pytest.approx(gap + plates + F0 / (E / 2), rel=1e-4)
-    assert joint.clamping() == pytest.approx(F0 + 1.0, rel=1e-6)
+@pytest.mark.mpi
+@pytest.mark.parametrize("geometry", ["reference", "updated"])
+def test_a_walk_under_a_force_and_then_with_the_jump(geometry):
+    """The force is a Constant of the walk; set to None it is the jump that is held."""
+    joint = Joint(geometry=geometry)
+    force = fem.Constant(joint.mesh, 0.0)
+    joint.bolt.pretension = force
+
+    def set_force(t):
+        force.value = F0 * t
+        joint.pull.value = 0.1 * t
+
+    for step in dm.load_steps(joint.problem, [0.5, 1.0], on_time=set_force, progress=False):
+        assert joint.tension() == pytest.approx(F0 * step.time, rel=1e-6)
+    jump = joint.bolt.tightening.copy()
+    joint.bolt.pretension = None
+    joint.pull.value = 3.1
+    dm.newton(joint.problem, rtol=1e-9)
+    assert joint.tension() == pytest.approx(F0 + 1.0, rel=1e-4)
+    assert np.array_equal(joint.bolt.tightening, jump)
+    other = Joint(geometry=geometry)
+    other.pull.value = 0.1
+    tighten(other.problem, {other.bolt: F0}, other.direction, rtol=1e-10)
+    assert other.problem.committed.level == 0.0 and not other.problem.history
+    assert np.allclose(jump, other.bolt.tightening, rtol=1e-5, atol=1e-12)
 
 
-def test_bolts_are_found_in_load_steps_too():
-    """A pretension, then a walk: the level and the history are those of the walk alone."""
-    joint, F0 = Joint(), 6.0
+# -- runs that were stopped
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Return a folder that all ranks see."""
+    return COMM.bcast(tmp_path)
+
+
+def tightened(comm=COMM):
+    """Return a joint with its pretension."""
+    joint = Joint(comm=comm)
     tighten(joint.problem, {joint.bolt: F0}, joint.direction)
-    assert joint.problem.committed.level == 0.0 and not joint.problem.history
-    found = []
-    for _ in dm.load_steps(
-        joint.problem, [3.0, 6.0], on_time=lambda t: joint.pull.value.fill(t), progress=False
-    ):
-        found.append(joint.tension())
-    assert np.allclose(found, [F0 + 1.0, F0 + 2.0], rtol=1e-4)
+    return joint
+
+
+def walk(joint, levels, file):
+    """Return number of the step and force of the bolt, for the steps that were left."""
+    options = {"on_time": lambda t: joint.pull.value.fill(t), "checkpoint": file}
+    steps = dm.load_steps(joint.problem, levels, progress=False, **options)
+    return [(step.number, joint.tension()) for step in steps]
+
+
+def going_on(first):
+    """Return what the steps from a number on find."""
+    return [(k, pytest.approx(CARRIED[k - 1], rel=1e-4)) for k in range(first, len(LEVELS) + 1)]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("create", [tightened, Joint], ids=["again", "forgotten"])
+def test_a_walk_that_was_stopped_goes_on(create, folder):
+    """Whether the program tightens its bolts before the walk once more, or not."""
+    file = folder / "run.h5"
+    first, second = tightened(), create()
+    assert walk(first, LEVELS[:1], file) == going_on(1)[:1]
+    assert walk(second, LEVELS, file) == going_on(2)
+    assert np.array_equal(second.bolt.tightening, first.bolt.tightening)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("alone", [True, False])
+def test_other_ranks_go_on(alone, folder):
+    """One rank tightens and all go on, or all do and each goes on alone."""
+    file = folder / "run.h5"
+    if COMM.rank == 0 or not alone:
+        walk(tightened(MPI.COMM_SELF if alone else COMM), LEVELS[:1], file)
+    COMM.barrier()
+    if not alone:
+        file = shutil.copy(file, folder / f"{COMM.rank}.h5")
+    assert walk(Joint(comm=COMM if alone else MPI.COMM_SELF), LEVELS, file) == going_on(2)
+
+
+@pytest.mark.mpi
+def test_what_is_restored_is_tightened_from_where_it_is(folder):
+    joint, fresh = tightened(), Joint()
+    joint.problem.save(folder / "tight.h5")
+    fresh.problem.restore(folder / "tight.h5")
+    assert tighten(fresh.problem, {fresh.bolt: F0}, fresh.direction).newton_iterations == 1
+    assert np.allclose(fresh.bolt.tightening, joint.bolt.tightening, rtol=1e-7, atol=0.0)
+    tighten(fresh.problem, {fresh.bolt: 2.0 * F0}, fresh.direction)
+    assert np.allclose(fresh.bolt.tightening, 2.0 * joint.bolt.tightening, rtol=1e-4, atol=0.0)
+
+
+@pytest.mark.mpi
+def test_a_state_from_before_lets_the_bolt_go(folder):
+    """Also one without results; what the program sets by hand before a step is kept."""
+    joint = Joint()
+    for name, value in ("loose", [0.0, 0.0]), ("set", [0.0, -1e-3]):
+        joint.bolt.tightening = value
+        joint.problem.save(folder / f"{name}.h5")
+    tighten(joint.problem, {joint.bolt: F0}, joint.direction)
+    for name, value in ("loose", [0.0, 0.0]), ("set", [0.0, -1e-3]):
+        joint.problem.restore(folder / f"{name}.h5")
+        assert np.array_equal(joint.bolt.tightening, value)
 
 
 # -- what cannot be
@@ -181,6 +200,34 @@ def test_plastic_collapse():
     assert watched.unchanged()
     tighten(problem, {case.tie: 0.98 * limit}, outwards(case))
     assert tension(case) == pytest.approx(0.98 * limit, rel=SOUGHT)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_force_of_another_unit(sign):
+    """An elastic bar does not flow, its force is too large."""
+    case, problem = loaded()
+    watched = Watched(case, problem)
+    with failing(problem, "pretension", "check units", "as before"):
+        tighten(problem, {case.tie: sign * 1e9}, outwards(case))
+    assert watched.unchanged()
+
+
+@pytest.mark.mpi
+def test_a_failure_of_several_bolts_leaves_all_as_it_was():
+    flange = Flange(2, law=dm.VonMises(E, 0.0, 5.0, 50.0))
+    problem, bolts = flange.problem, flange.bolts
+    tighten(problem, dict.fromkeys(bolts, 1.0), [0.0, -1.0])
+
+    def shown():
+        fields = problem.u, problem.solid.stress
+        arrays = [f.x.array.copy() for f in fields]
+        return [*arrays, *(x.copy() for tie in bolts for x in (tie.tightening, tie.force))]
+
+    before = shown()
+    with rejected("max_it=1 iterations", "as before", error=dm.NewtonNotConverged):
+        tighten(problem, dict(zip(bolts, (2.0, 9.0), strict=True)), [0.0, -1.0], max_it=1)
+    assert all(map(np.array_equal, before, shown()))
 
 
 @pytest.mark.mpi
@@ -203,25 +250,6 @@ def test_a_step_that_leads_too_far_is_undone(monkeypatch):
     assert np.allclose(joint.u.x.array, before[0], rtol=0.0, atol=1e-9)
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_force_of_another_unit(sign):
-    """An elastic bar does not flow, its force is too large."""
-    case, problem = loaded()
-    watched = Watched(case, problem)
-    with failing(problem, "pretension", "check units", "as before"):
-        tighten(problem, {case.tie: sign * 1e9}, outwards(case))
-    assert watched.unchanged()
-
-
-@pytest.mark.parametrize("length", [1e300, 1e-320])
-def test_a_direction_of_any_length(length):
-    """Also where its square is none."""
-    case, problem = loaded()
-    tighten(problem, {case.tie: 1.0}, length * outwards(case))
-    assert tension(case) == pytest.approx(1.0, rel=SOUGHT)
-
-
 # -- directions
 
 
@@ -238,7 +266,7 @@ def test_a_direction_along_the_cut(slave):
     case, problem = loaded(slave=slave)
     (line,) = warned(case, problem, [1.0, 0.0])
     assert "direction is [1.0, 0.0]" in line and "is 0: " in line and "axis of the bolt" in line
-    for angle, count in ((0.0, 0), (60.0, 0), (66.0, 1), (-60.0, 0), (-66.0, 1)):
+    for angle, count in ((60.0, 0), (66.0, 1), (-60.0, 0), (-66.0, 1)):
         a = np.radians(angle)
         n = np.cos(a) * outwards(case) + np.sin(a) * np.array([1.0, 0.0])
         assert len(warned(case, problem, n)) == count, angle
@@ -252,30 +280,13 @@ def test_a_cut_that_is_inclined():
     assert len(warned(case, problem, [1.0, 1.4])) == 1
 
 
-# -- numbers
-
-
-def ends():
-    """Return what pretensions of an elastic bar find, and what is said where nothing resists."""
-    case, problem = clamped()
-    found = []
-    for force in (30.0, 5.0):
-        tighten(problem, {case.tie: force}, outwards(case))
-        found.append(case.tie.tightening)
-    loose = Bar("quadrilateral")
-    problem = loose.problem([loose.hold(BOTTOM)])
-    dm.newton(problem)
-    problem.commit()
-    with pytest.raises(dm.NewtonNotConverged) as caught:
-        tighten(problem, {loose.tie: 30.0}, outwards(loose))
-    return np.concatenate(found), str(caught.value).partition(":")[0]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 @pytest.mark.parametrize("name", ["AROUND", "ALONG"])
 def test_no_number_changes_an_answer(name, factor, monkeypatch):
-    jumps, said = ends()
     monkeypatch.setattr(pretension, name, factor * getattr(pretension, name))
-    found, words = ends()
-    assert np.allclose(found, jumps, rtol=2 * SOUGHT, atol=1e-12) and words == said
+    case, problem = clamped()
+    case.tie.jump = [0.0, -1e-3]
+    for force in (30.0, 5.0):
+        tighten(problem, {case.tie: force}, outwards(case))
+        assert case.tie.tightening[1] == pytest.approx(1e-3 - 2 * force / CONFINED, rel=1e-5)

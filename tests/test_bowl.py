@@ -46,7 +46,6 @@ class Disc:
     """The disc at an angle from the lowest point of the bowl, whose centre is the origin."""
 
     def __init__(self, n, friction):
-        """Make it, pressed against the bowl."""
         self.k = 1.5 if friction else 1.0
         self.mesh = round_disc(n)
         self.across = np.array([np.cos(ANGLE), np.sin(ANGLE)])
@@ -69,15 +68,7 @@ class Disc:
         self.mass = self.inertia.sum(self.weights[:, 0].sum())
 
     def obstacle(self):
-        """Return a contact with the bowl."""
-        shape = dm.shapes.SignedDistance(
-            lambda x: BOWL - np.hypot(*x),
-            [0.0, -BOWL],
-            gradient=lambda x: -x / np.hypot(*x),
-            hessian=lambda x: (
-                (x[:, None] * x / np.hypot(*x) ** 2 - np.eye(2)[..., None]) / np.hypot(*x)
-            ),
-        )
+        shape = dm.shapes.Complement(dm.shapes.Cylinder((0.0, 0.0), BOWL))
         return dm.Obstacle(self.rim, slave=1, shape=shape, friction=self.friction)
 
     def settle(self, centre):

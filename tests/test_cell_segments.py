@@ -14,7 +14,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc
-from dolfinx_mortar.mortar import cell_segments
+from dolfinx_mortar.mortar import assembly
 from tests.cases import meshes, meshes_3d
 from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LOWER, TOP, TOP_OF_LOWER, UPPER
 from tests.cases.pressed_blocks import rejected
@@ -434,7 +434,7 @@ def test_nodes_with_numbers_of_their_own(monkeypatch):
 @pytest.mark.mpi
 def test_points_without_a_partner(monkeypatch):
     """Which the kernels mark by NaN, where curved facets are folded, on one rank perhaps."""
-    kernel = cell_segments.find_segments
+    kernel = assembly.find_segments
 
     def fold(pairing, u):
         points, normals = kernel(pairing, u)
@@ -442,7 +442,7 @@ def test_points_without_a_partner(monkeypatch):
         xi[: COMM.rank == 0] = np.nan
         return dataclasses.replace(points, xi_m=xi), normals
 
-    monkeypatch.setattr(cell_segments, "find_segments", fold)
+    monkeypatch.setattr(assembly, "find_segments", fold)
     with rejected("1 points of slave=3", "opposite on master=4", "at X + u; check mesh and u"):
         dm.segments(**given())
 

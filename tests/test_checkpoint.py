@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Checkpoints: a run that was stopped ends in the same numbers, on any number of ranks."""
 
-import errno
-import os
 import shutil
 
 from mpi4py import MPI
@@ -11,13 +9,11 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx import default_scalar_type, fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.steps import walk as stepping
 from tests.cases.pressed_blocks import rejected
 from tests.checkpoint_program import LEVELS, Press
 from tests.checkpoint_runs import agree, numbers_at_once
-from tests.choice import quick
 
 COMM = MPI.COMM_WORLD
 
@@ -60,20 +56,6 @@ def test_the_state_comes_back_as_it_was(folder):
     for name, field in expected.items():
         sums = [COMM.allreduce(np.abs(_owned(f)).sum()) for f in (fields[name], field)]
         assert sums[0] == pytest.approx(sums[1], rel=1e-12), name
-
-
-@pytest.mark.mpi
-def test_two_and_two_steps_are_four(folder, at_once):
-    press, fresh = Press("bodies"), Press("empty")
-    list(press.walk(LEVELS[:2]))
-    press.problem.save(folder / "half.h5")
-    fresh.problem.restore(folder / "half.h5")
-    list(fresh.walk(LEVELS[2:]))
-    found = fresh.numbers()
-    assert [row[0] for row in found["history"]] == [1, 2, 1, 2]
-    for row, number in zip(found["history"], (1, 2, 3, 4), strict=True):
-        row[0] = number
-    agree(found, at_once)
 
 
 @pytest.mark.mpi
@@ -130,20 +112,6 @@ def test_a_walk_that_is_done_yields_nothing(folder, caplog):
             list(Press().walk(others, checkpoint=file))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("factor", quick([0.5, 1.0, 2.0], 0.5))
-def test_levels_are_the_same_up_to_round_off(factor, folder, monkeypatch):
-    """So that a walk goes farther with levels that are calculated in another way."""
-    monkeypatch.setattr("dolfinx_mortar.steps.walk.SAME", factor * 1e-12)
-    file, farther = folder / "x.h5", np.linspace(0.0, 1.0, 11)[1:5]
-    first = [0.1, 0.2, 0.3]
-    assert farther[2] != first[2]
-    list(Press().walk(first, checkpoint=file))
-    assert [step.number for step in Press().walk(farther, checkpoint=file)] == [4]
-    with rejected("times: level 3 is 0.300001"):
-        next(Press().walk([0.1, 0.2, 0.300001, 0.4], checkpoint=file))
-
-
 def test_a_run_that_is_restored_pairs_where_the_other_has(folder):
     """Pairs and claims depend on where the search was made, so a checkpoint says where."""
     press, fresh = Press(), Press()
@@ -160,44 +128,6 @@ def test_a_run_that_is_restored_pairs_where_the_other_has(folder):
     assert (press.problem.system.searches, fresh.problem.system.searches) == (before, 2)
     first, other = (case.problem.committed.paired for case in (press, fresh))
     assert np.array_equal(first, other)
-
-
-@pytest.mark.slow
-def test_sides_that_no_longer_face_each_other(folder):
-    """At the begin that is a mistake of tags, later it is not."""
-
-    def away(case):
-        return lambda t: case.top.value.put([0, 1], (3.0 * t, 0.1))
-
-    press, fresh = Press(), Press()
-    list(press.walk([1.0], on_time=away(press)))
-    press.problem.save(folder / "x.h5")
-    fresh.problem.restore(folder / "x.h5")
-    assert fresh.problem.system.faced and not Press().problem.system.faced
-    for case in (press, fresh):
-        list(case.walk([1.1], on_time=away(case)))
-    agree(fresh.numbers(), press.numbers())
-
-
-def test_a_problem_may_be_restored_before_its_walk(folder):
-    """As a program does that names its files by where it starts."""
-    file, press, fresh = folder / "x.h5", Press(), Press()
-    list(press.walk(LEVELS[:2], checkpoint=file))
-    fresh.problem.restore(file)
-    assert len(fresh.problem.history) == 2
-    assert [step.number for step in fresh.walk(LEVELS[:3], checkpoint=file)] == [3]
-    assert [step.time for step in fresh.problem.history] == LEVELS[:3]
-
-
-@pytest.mark.slow
-def test_how_often(folder, monkeypatch):
-    press, written = Press(), []
-    monkeypatch.setattr(
-        press.problem, "save", lambda file: written.append(press.problem.history[-1].time)
-    )
-    levels = [0.01, 0.02, 0.03, 0.04, 0.05]
-    list(press.walk(levels, checkpoint=folder / "x.h5", every=2, rtol=1e-6))
-    assert written == [0.02, 0.04, 0.05]
 
 
 def test_what_the_body_of_the_loop_has_not_done_is_done_again(folder):
@@ -225,33 +155,6 @@ def test_a_step_that_fails_writes_what_is_committed(folder, monkeypatch):
     for number, row in enumerate(expected["history"], start=1):
         row[0] = number
     agree(found, expected)
-
-
-@pytest.mark.parametrize(("limit", "every", "steps"), [(0.8, 1, [1, 2]), (0.2, 9, [])])
-def test_a_step_that_fails_writes_nothing_twice(folder, monkeypatch, limit, every, steps):
-    """What is in the file already; and before anything is committed there is none."""
-    file, press = folder / "x.h5", Press()
-    tire(press, limit, monkeypatch)
-    saved = count_saves(press.problem, monkeypatch)
-    with pytest.raises(dm.NewtonNotConverged):
-        list(press.walk(checkpoint=file, every=every, cuts="none"))
-    assert [walked for walked, _ in saved] == steps
-    COMM.barrier()
-    assert file.exists() == bool(steps)
-
-
-def test_a_step_that_fails_and_a_disk_that_does(folder, monkeypatch):
-    """Both are told."""
-    press = Press()
-    tire(press, 0.8, monkeypatch)
-    monkeypatch.setattr(press.problem, "save", lambda file: write_nothing(file, errno.ENOSPC))
-    with pytest.raises(OSError, match="No space left") as caught:
-        list(press.walk(checkpoint=folder / "x.h5", every=10, cuts="none"))
-    assert "load step 3 to time 1 failed" in str(caught.value.__context__)
-
-
-def write_nothing(file, number):
-    raise OSError(number, os.strerror(number), str(file))
 
 
 def tire(press, limit, monkeypatch):
@@ -288,39 +191,6 @@ def test_a_step_that_is_not_committed_is_not_saved(folder):
     press.problem.save(folder / "open.h5")
 
 
-def test_what_changes_between_steps_comes_from_the_program(folder):
-    """Temperature and stiffness: `on_time` sets them for the level of the checkpoint."""
-
-    class Heated(Press):
-        def __init__(self, partition="graph"):
-            super().__init__(partition)
-            self.E, self.a, self.heat = (
-                fem.Constant(self.mesh, default_scalar_type(v)) for v in (2e5, 10_000.0, 0.0)
-            )
-            law, heat = dm.VonMises(E=self.E, nu=0.29, Y=300.0, a=self.a), self.heat
-            solid = dm.Solid(self.problem.u, law, eigenstrain=heat)
-            self.problem = dm.ContactProblem(solid, [self.contact], bcs=self.problem.bcs)
-
-        def on_time(self, t):
-            super().on_time(t)
-            self.heat.value, self.E.value, self.a.value = 1e-3 * t, 2e5 - 5e4 * t, 1e4 + 1e4 * t
-
-        def numbers(self):
-            return super().numbers() | {"back": [self.problem.solid.max("back_stress_norm")]}
-
-    whole, part, rest = Heated(), Heated(), Heated("stripes")
-    list(whole.walk(LEVELS[:3]))
-    list(part.walk(LEVELS[:2], checkpoint=folder / "hot.h5"))
-    shown = part.numbers()
-    walk = rest.walk(LEVELS[:3], checkpoint=folder / "hot.h5")
-    assert next(walk).number == 3
-    agree(rest.numbers(), whole.numbers())
-    cold = Heated()
-    assert list(cold.walk(LEVELS[:2], checkpoint=folder / "hot.h5")) == []
-    assert shown["back"][0] > 0.0
-    agree(cold.numbers(), shown)
-
-
 @pytest.mark.mpi
 def test_a_state_without_results_takes_them_away(folder):
     """From those who hold them, too."""
@@ -337,31 +207,3 @@ def test_a_state_without_results_takes_them_away(folder):
     assert solid.max("von_mises") == solid.max("plastic_strain_norm") == 0.0
     assert not press.problem.history and not press.problem.committed.active.any()
     assert [step.number for step in press.walk(LEVELS[:1])] == [1]
-
-
-def test_ties_and_spatial_bodies(folder):
-    """What is tied has multipliers in all directions; hexahedra have several points."""
-    from tests.cases.meshes_3d import two_boxes
-
-    pairs = []
-    for _ in range(2):
-        mesh, _, facets = two_boxes(COMM)
-        V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
-        top = fem.Constant(mesh, np.zeros(3))
-        dofs = [fem.locate_dofs_topological(V, 2, facets.find(tag)) for tag in (1, 2)]
-        bcs = [fem.dirichletbc(np.zeros(3), dofs[0], V), fem.dirichletbc(top, dofs[1], V)]
-        tie = dm.Tie(facets, slave=3, master=4)
-        law = dm.VonMises(E=1000.0, nu=0.3, Y=1.0, a=50.0)
-        problem = dm.ContactProblem(dm.Solid(fem.Function(V), law), [tie], bcs=bcs)
-        pairs.append((problem, tie, top))
-    problem, tie, top = pairs[0]
-    top.value[:] = (0.002, 0.0, 0.004)
-    list(dm.load_steps(problem, [1.0]))
-    problem.save(folder / "tie.h5")
-    other, its, _ = pairs[1]
-    other.restore(folder / "tie.h5")
-    assert np.allclose(its.force, tie.force, rtol=1e-14, atol=0.0)
-    assert its.multiplier.shape == tie.multiplier.shape
-    assert np.allclose(its.multiplier, tie.multiplier, rtol=1e-14, atol=0.0)
-    assert other.solid.max("von_mises") == problem.solid.max("von_mises") > 0.0
-    assert other.solid.max("plastic_strain_norm") == problem.solid.max("plastic_strain_norm") > 0

@@ -17,7 +17,6 @@ import dolfinx_mortar as dm
 from dolfinx_mortar.persistence import tables
 from dolfinx_mortar.persistence.tables import HEAD, read_about, read_tables, write
 from tests.cases.pressed_blocks import rejected
-from tests.checkpoint_program import LEVELS, Press
 
 COMM = MPI.COMM_WORLD
 PLACES = np.random.default_rng(0).uniform(0.0, 1.0, (20, 4))
@@ -85,26 +84,6 @@ def test_no_other_length_is_taken(good, tmp_path_factory, monkeypatch):
         refuse(file, monkeypatch)
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("place", [0.02, 0.5, 0.999])
-def test_a_problem_stays_as_it_was(tmp_path, place):
-    """From the file to the user: both ways to take one over."""
-    file, press = COMM.bcast(tmp_path) / "x.h5", Press()
-    list(press.walk(LEVELS[:1], checkpoint=file))
-    content = COMM.bcast(file.read_bytes())
-    before = press.problem.u.x.array.copy()
-    bad = file.with_name("bad.h5")
-    for damaged in (flipped(content, int(8 * place * len(content))), content[: int(place * 1e4)]):
-        put(bad, damaged)
-        for action in (
-            lambda: press.problem.restore(bad),
-            lambda: next(press.walk(LEVELS, checkpoint=bad)),
-        ):
-            with rejected(str(bad), "cut off, damaged or changed", "take an older one"):
-                action()
-    assert np.array_equal(press.problem.u.x.array, before) and len(press.problem.history) == 1
-
-
 def test_other_programs_read_it(good):
     """HDF5 finds its data behind our lines, which are text; the checksum is that of sha256sum."""
     file, content = good
@@ -139,12 +118,11 @@ def test_a_place_that_is_met_twice(tmp_path, share):
             assert differ["x"] == f"1 of 20 are not in the checkpoint, such as that at ({x})"
 
 
-SPACE_CASES = [(1, 1, 10, 1), (1, 1, 0, 1), (3, 5, 100, 2), (3, 20, 7, 3), (30, 8, 13, 2)]
+SPACE_CASES = [(1, 1, 0, 1, 50_000), (30, 8, 13, 2, 10)]
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize(("count", "fields", "rows", "width"), SPACE_CASES)
-@pytest.mark.parametrize("text", [10, 50_000])
+@pytest.mark.parametrize(("count", "fields", "rows", "width", "text"), SPACE_CASES)
 def test_the_space_asked_for(tmp_path, monkeypatch, count, fields, rows, width, text):
     """It is enough, and hardly more than the file takes: 8 kB per array, and for the file."""
     asked = []

@@ -49,19 +49,6 @@ def test_rows_are_dealt_out_anew(file, rng):
     assert found["none"]["a"].shape == (0, 4)
 
 
-@pytest.mark.mpi
-def test_a_rank_reads_what_is_near_only(file):
-    """Of ranks that were elsewhere no row is read: with another box none is found."""
-    places = np.linspace(0.0, 1.0, 100)[:, None] * np.ones(2)
-    mine = _block(places)
-    write(COMM, file, {}, {"x": mine}, {"x": values_at(mine)})
-    about = read_about(COMM, file)
-    assert read_tables(COMM, file, about, {"x": mine}, 1.0)[1] == {}
-    about["tables"]["x"]["ranks"][0][1:3] = [2.0, 2.0]
-    _, differ = read_tables(COMM, file, about, {"x": mine}, 1.0)
-    assert f"{len(COMM.bcast(mine))} of 100 are not in the checkpoint" in differ["x"]
-
-
 def _block(array):
     """Return this rank's block of consecutive rows."""
     return array[len(array) * COMM.rank // COMM.size : len(array) * (COMM.rank + 1) // COMM.size]

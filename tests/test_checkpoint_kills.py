@@ -2,7 +2,6 @@
 """Checkpoints: jobs that were killed end in the same numbers, on the same or on other ranks."""
 
 import json
-import shutil
 import signal
 import xml.etree.ElementTree as ET
 
@@ -16,23 +15,6 @@ from tests.checkpoint_runs import agree, numbers_at_once, run
 def at_once():
     """Return the numbers of all steps in one go."""
     return numbers_at_once()
-
-
-@pytest.mark.serial
-@pytest.mark.slow
-def test_other_ranks_go_on(tmp_path, at_once):
-    file, result = tmp_path / "two.h5", tmp_path / "result.json"
-    code, output = run(2, file, result, 2)
-    assert code == 0 and "load step 2 of 2 to 0.5" in output, output
-    shutil.copy(file, tmp_path / "three.h5")
-    press = Press()
-    assert [step.number for step in press.walk(checkpoint=file)] == [3, 4]
-    agree(press.numbers(), at_once)
-    code, output = run(3, tmp_path / "three.h5", result, 4)
-    assert code == 0 and "2 of 4 steps are done, to 0.5; going on" in output, output
-    found = json.loads(result.read_text())
-    assert found.pop("made") == [3, 4]
-    agree(found, at_once)
 
 
 @pytest.mark.serial

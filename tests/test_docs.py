@@ -9,12 +9,8 @@ import importlib.util
 import inspect
 import json
 import logging
-import os
 import re
-import shutil
-import subprocess
 import sys
-import typing
 from pathlib import Path
 
 import pytest
@@ -87,7 +83,7 @@ def test_the_programs_of_the_guide_run(tmp_path, monkeypatch, caplog, capsys):
     """Those of each page after the one of the first page, as its readers paste them."""
     monkeypatch.chdir(tmp_path)
     caplog.set_level(logging.INFO, "dolfinx_mortar")  # they set it, too, and it is put back
-    first: dict = {}
+    first = {}
     (begin,) = programs(DOCS / "index.md")
     assert len([line for line in begin.splitlines() if line.strip()]) <= 25
     exec(compile(begin, "index.md", "exec"), first)
@@ -192,45 +188,6 @@ def test_every_name_of_the_pages_exists():
     assert not missing(roles | spoken | described())
 
 
-OF_GLOSSARY = {
-    "contact": dm.Contact,
-    "mortar": dm.Mortar,
-    "problem": dm.ContactProblem,
-    "report": dm.StepReport,
-    "solid": dm.Solid,
-    "step": dm.LoadStep,
-    "tie": dm.Tie,
-}
-
-
-def attributes_of(kind):
-    """Return the names that an object of a class has, by its methods, hints and __init__."""
-    if dataclasses.is_dataclass(kind):
-        return {*dir(kind), *typing.get_type_hints(kind)}
-    if kind is type(None):
-        return set()
-    return {*dir(kind), *re.findall(r"self\.(\w+)\b", inspect.getsource(kind.__init__))}
-
-
-def test_every_name_of_the_glossary_exists():
-    """Attributes of the objects that it starts from, and arguments by their names."""
-    text = (DOCS / "glossary.md").read_text()
-    attributes = re.findall(r"`(\w+)\.(\w+)(?:\.(\w+))?`", text)
-    of_objects = [row for row in attributes if row[0] in OF_GLOSSARY]
-    assert len(of_objects) > 25
-    for thing, name, more in of_objects:
-        kind = OF_GLOSSARY[thing]
-        assert name in attributes_of(kind), (thing, name)
-        if more:
-            hint = typing.get_type_hints(kind)[name]
-            options = {n for one in typing.get_args(hint) or [hint] for n in attributes_of(one)}
-            assert more in options, (thing, name, more)
-    makers = (dm.Contact, dm.Tie, dm.Solid, dm.ContactProblem, dm.newton, dm.load_steps)
-    known = {name for maker in makers for name in inspect.signature(maker).parameters}
-    arguments = set(re.findall(r"`(\w+)=[^`]*`", text))
-    assert len(arguments) > 8 and arguments <= known
-
-
 def test_files_and_tests_that_pages_name_exist():
     named = r"`((?:docs|tests|demos|benchmarks|containers|dolfinx_mortar|paper)/[\w./]*\w)"
     files = {f for p in SOURCES for f in re.findall(named, p.read_text())}
@@ -240,22 +197,6 @@ def test_files_and_tests_that_pages_name_exist():
     text = (ROOT / "ARCHITECTURE.md").read_text()
     for file, name in re.findall(r"`(test_\w+\.py)(?:::(\w+))?`", text):
         assert f"def {name}" in (ROOT / "tests" / file).read_text()
-
-
-def home(name):
-    """Return the module in which something is written."""
-    found = resolve(name)
-    return found.__name__ if inspect.ismodule(found) else getattr(found, "__module__", name)
-
-
-def test_every_source_that_is_named_has_a_page():
-    """Its code is shown only where the reference has it, or what it is in."""
-    pages = "\n".join(path.read_text() for path in (DOCS / "api").glob("*.md"))
-    shown = {home(name) for name in re.findall(r"(?m)^\.\. auto\w+:: ([\w.]+)", pages)}
-    texts = [DOCS / "theory.md", DOCS / "developer.md"]
-    named = {n for text in texts for n in re.findall(r"{source}`([\w.]+)`", text.read_text())}
-    missing = [name for name in named if home(name) not in shown]
-    assert len(named) > 20 and not missing
 
 
 def test_every_equation_has_a_function_and_a_test():
@@ -290,23 +231,6 @@ def test_the_verification_manual_is_of_this_version_and_close():
     assert len(names) == len(set(names)) >= 20
 
 
-def test_the_performance_page_is_made_of_the_measured_files():
-    tables = tool("tables")
-    page = tables.performance(ROOT / "benchmarks" / "measured")
-    measured = json.loads((tables.MEASURED / "scaling_3d.json").read_text())
-    for row in measured["weak"] + measured["strong"]:
-        assert tables.said(row["unknowns"]) in page
-
-
-def test_the_table_of_ranks_is_the_measured_one():
-    measured = json.loads((ROOT / "benchmarks" / "measured" / "scaling_3d.json").read_text())
-    said = (ROOT / "benchmarks" / "README.md").read_text()
-    for r in measured["weak"]:
-        row = [r["ranks"], r["unknowns"], f"{r['cpu']:.1f}", r["newton"], r["krylov"]]
-        row += [f"{r['messages']:.0f}", f"{r['bytes'] / 1e6:.0f}", f"{r['reductions']:.0f}"]
-        assert f"| {' | '.join(map(str, row))} |" in said
-
-
 # -- the build -------------------------------------------------------------------------------------
 
 
@@ -314,61 +238,6 @@ def test_the_table_of_ranks_is_the_measured_one():
 def test_examples_of_the_tools(name):
     result = doctest.testmod(tool(name))
     assert result.failed == 0 and (result.attempted or name == "links")
-
-
-def test_links_that_lead_nowhere_are_found(tmp_path):
-    wrong = tool("links").wrong_links
-    (tmp_path / "b.html").write_text('<h1 id="there">B</h1>')
-    good = '<a href="b.html#there"></a><a href="#here" id="here"></a>'
-    good += '<a href="https://example.org"></a>'
-    (tmp_path / "a.html").write_text(good)
-    assert wrong(tmp_path) == []
-    for bad, said in (
-        ('<a href="c.html"></a>', "no file c.html"),
-        ('<a href="b.html#gone"></a>', "no anchor b.html#gone"),
-        ('<script src="https://cdn.example.org/x.js"></script>', "from elsewhere"),
-    ):
-        (tmp_path / "a.html").write_text(good + bad)
-        (line,) = wrong(tmp_path)
-        assert said in line
-
-
-@pytest.mark.serial
-def test_a_build_without_its_extras_says_which(tmp_path):
-    """Asked for what no environment has, so that it is always missing."""
-    project, lacking = tmp_path / "project", ["no-such-theme", "no-such-parser"]
-    (project / "docs").mkdir(parents=True)
-    shutil.copy(DOCS / "build", project / "docs" / "build")
-    extras = (
-        '[project.optional-dependencies]\ndocs = ["no-such-theme>=2", "no-such-parser", "pytest"]'
-    )
-    (project / "pyproject.toml").write_text(extras)
-    cache = tmp_path / "cache"
-    cache.mkdir()
-    environment = os.environ | {"XDG_CACHE_HOME": str(cache)}
-    command = [sys.executable, str(project / "docs" / "build"), "--offline"]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 1 and "Traceback" not in done.stderr
-    for part in (*lacking, "containers/run docs/build", "pip install '.[docs]'"):
-        assert part in done.stderr
-    assert "pytest" not in done.stderr and not list(cache.iterdir())
-
-
-@pytest.mark.parametrize("demo", sorted(p.parent.name for p in ROOT.glob("demos/*/result.png")))
-def test_the_gallery_shows_every_demo(demo):
-    """With text and program, nothing of it left out but the command line."""
-    gallery = tool("gallery")
-    (shown,) = (d for d in gallery.DEMOS if d.name == demo)
-    source = gallery.program(shown).read_text()
-    parts = gallery.paragraphs(gallery.flat(source))
-    assert parts[0][0] == "text" and parts[0][1].startswith("# ")
-    code = re.sub(r"\s", "", "".join(lines for kind, lines in parts if kind == "code"))
-    before, _, end = source.partition('if __name__ == "__main__":')
-    assert "parse_args()" in end
-    lines = [line for line in before.splitlines() if not line.lstrip().startswith("#")]
-    main = next(k for k, line in enumerate(lines) if line.startswith("def main("))
-    del lines[main : main + 2]  # its docstring, too
-    assert all(re.sub(r"\s", "", line) in code for line in lines)
 
 
 @pytest.mark.parametrize("demo", sorted(path.name for path in ROOT.glob("demos/*")))
@@ -390,65 +259,6 @@ def test_a_notebook_is_flat_and_whole(demo, tmp_path):
         compile(text.partition("\n")[2] if text.startswith("%%") else text, demo, "exec")
     assert "parse_args([])" in "".join(code) and "def main(" not in "".join(code)
     assert "display(Image" in code[-1] and len(cells[-1]["outputs"]) == 1
-
-
-@pytest.mark.parametrize("example", sorted(path.stem for path in ROOT.glob("examples/*.py")))
-def test_an_example_is_shown_as_it_is(example, tmp_path):
-    """Page and notebook have its text and its lines, no function main(), and its picture."""
-    gallery = tool("gallery")
-    (shown,) = (one for one in gallery.EXAMPLES if one.name == example)
-    source = gallery.program(shown).read_text()
-    parts = gallery.paragraphs(gallery.text_of(shown))
-    code = "\n\n".join(lines for kind, lines in parts if kind == "code")
-    lines = [line for line in source.splitlines() if line and not line.startswith("#")]
-    assert [line for line in code.splitlines() if line] == lines
-    page = gallery.page(shown, tmp_path)
-    assert page.startswith("# ") and f"containers/run python3 examples/{example}.py" in page
-    (tmp_path / next(iter(shown.pictures))).write_bytes(b"drawn")
-    gallery.notebook(shown, tmp_path / "example.ipynb", tmp_path)
-    cells = json.loads((tmp_path / "example.ipynb").read_text())["cells"]
-    assert cells[0]["source"].startswith("# ") and len(cells[-1]["outputs"]) == 1
-    for cell in cells:
-        if cell["cell_type"] == "code":
-            compile(cell["source"], example, "exec")
-
-
-@pytest.mark.serial
-@pytest.mark.slow
-def test_a_notebook_runs(tmp_path, monkeypatch, capsys):
-    """That of the benchmark, cell by cell in an empty folder."""
-    gallery = tool("gallery")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "figures", raising=False)
-    (shown,) = (d for d in gallery.DEMOS if d.name == "hertz")
-    gallery.notebook(shown, tmp_path / "hertz.ipynb", tmp_path)
-    names = {"__name__": "__main__"}
-    for cell in json.loads((tmp_path / "hertz.ipynb").read_text())["cells"][:-1]:
-        text = cell["source"]
-        if cell["cell_type"] == "code" and text.startswith("%%writefile "):
-            name, _, source = text.removeprefix("%%writefile ").partition("\n")
-            (tmp_path / name).write_text(source)
-        elif cell["cell_type"] == "code":
-            exec(compile(text, "hertz.ipynb", "exec"), names)
-    monkeypatch.delitem(sys.modules, "figures", raising=False)
-    assert "peak pressure" in capsys.readouterr().out
-    assert all((tmp_path / "results" / "hertz" / name).exists() for name in shown.pictures)
-
-
-@pytest.mark.serial
-def test_a_program_is_run_once_and_its_error_is_shown(tmp_path):
-    """Again in another state, or when it has failed; no page shows the machine's folders."""
-    run_once, folder, runs = tool("gallery").run_once, tmp_path / "kept", tmp_path / "runs"
-    program = f"print('words', file=open({str(runs)!r}, 'a')); print('said in', {str(folder)!r})"
-    for state, count in (("a", 1), ("a", 1), ("b", 2)):
-        run_once("docs/one.md", ["-c", program], folder, state, tmp_path)
-        assert len(runs.read_text().splitlines()) == count
-        assert (folder / "said.txt").read_text() == "said in results/kept\n"
-    wrong = ["-c", "raise ValueError('no such law')"]
-    for _ in range(2):
-        with pytest.raises(RuntimeError, match=r"(?s)docs/one.md failed.*no such law"):
-            run_once("docs/one.md", wrong, folder, "c", tmp_path)
 
 
 def test_the_gallery_leaves_out_nothing():

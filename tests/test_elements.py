@@ -6,7 +6,7 @@ import pytest
 
 import basix
 import dolfinx
-from dolfinx_mortar.geometry import parts as parts_module
+from dolfinx_mortar.geometry import plane as parts_module
 from dolfinx_mortar.geometry.elements import FACETS_OF, LINE2, LINE3, QUAD4, QUAD9, TRI3, TRI6
 from dolfinx_mortar.geometry.facets import (
     Facets,
@@ -18,15 +18,15 @@ from dolfinx_mortar.geometry.facets import (
     scaled_normals,
     tributary_weights,
 )
-from dolfinx_mortar.geometry.parts import (
+from dolfinx_mortar.geometry.plane import (
     coefficients,
     count,
+    create_planes,
     first_order,
     meet,
     on_facets,
     parts_of,
 )
-from dolfinx_mortar.geometry.plane import create_planes
 from dolfinx_mortar.spaces import CELLS, HIGHEST
 
 FIRST_ORDER, SECOND_ORDER = [LINE2, TRI3, QUAD4], [LINE3, TRI6, QUAD9]

@@ -7,12 +7,8 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-import ufl
-from dolfinx import fem
-from dolfinx_mortar.supports.bodies import find_bodies
-from dolfinx_mortar.terms.weak_forms import check_form
-from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, RIGHT, TOP, TOP_OF_LOWER, two_blocks
-from tests.cases.meshes_3d import two_boxes
+from tests.cases.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
+from tests.cases.pressed_blocks import PressedBlocks
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi
@@ -20,28 +16,20 @@ pytestmark = pytest.mark.mpi
 
 def pressed(comm, partition, d, kind, law):
     """Return force, certificate and number of cells of each rank of two blocks pressed together."""
-    if d == 2:
-        mesh, cells, facets = two_blocks(comm, (5, 2), (7, 2), jitter=0.3, partition=partition)
-    else:
-        mesh, cells, facets = two_boxes(
-            comm, (2, 3, 1), (3, 2, 1), cell="hexahedron", jitter=0.3, partition=partition
-        )
-    V = fem.functionspace(mesh, ("Lagrange", 1, (d,)))
-    bcs = []
-    for tag, value in ((BOTTOM, 0.0), (TOP, -0.01)):
-        dofs = fem.locate_dofs_topological(V, d - 1, facets.find(tag))
-        bcs.append(fem.dirichletbc(np.append(np.zeros(d - 1), value), dofs, V))
-    solid = dm.Solid(fem.Function(V), {1: dm.Elastic(1000.0, 0.3), 2: law}, cells)
-    interface = kind(facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
-    problem = dm.ContactProblem(solid, [interface], bcs=bcs)
+    grids = {2: ((5, 2), (7, 2)), 3: ((2, 3, 1), (3, 2, 1))}[d]
+    options = {"n_lower": grids[0], "n_upper": grids[1], "jitter": 0.3, "partition": partition}
+    options |= {"cell": "hexahedron"} if d == 3 else {}
+    case = PressedBlocks(comm=comm, d=d, **options)
+    interface = kind(case.facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
+    problem = case.problem([interface], law={1: dm.Elastic(1000.0, 0.3), 2: law})
     report = dm.newton(problem, rtol=1e-11)
     problem.commit()
-    count = mesh.topology.index_map(d).size_local
+    count = case.mesh.topology.index_map(d).size_local
     return np.array(interface.force), report.certificate, comm.allgather(count)
 
 
 ELASTIC, PLASTIC = dm.Elastic(500.0, 0.2), dm.VonMises(E=1000.0, nu=0.3, Y=2.0, a=100.0)
-CASES = {  # of two values of three things each, all pairs
+CASES = {
     "plane contact elastic": (2, dm.Contact, ELASTIC),
     "plane tie plastic": (2, dm.Tie, PLASTIC),
     "space contact plastic": (3, dm.Contact, PLASTIC),
@@ -60,27 +48,9 @@ def test_same_force_with_a_rank_that_has_nothing(d, kind, law):
         assert getattr(certificate, name) == pytest.approx(getattr(expected, name), rel=1e-6)
 
 
-def test_loads_with_the_displacement_are_refused_also_where_a_rank_has_no_values():
-    mesh, _, facets = two_blocks(COMM, (5, 2), (7, 2), partition="empty")
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    u, v = fem.Function(V), ufl.TestFunction(V)
-    ds = ufl.Measure("ds", mesh, subdomain_data=facets)
-    for inside in (u[1], u.sub(1)):
-        with pytest.raises(ValueError, match=r"^loads contain the displacement"):
-            check_form(u, "loads", -inside * v[1] * ds(TOP), arguments=1, dead=True)
-
-
-def test_bodies_are_counted_without_the_empty_rank():
-    mesh, _, facets = two_blocks(COMM, (5, 2), (7, 2), gap=0.1, partition="empty")
-    bodies = find_bodies(fem.functionspace(mesh, ("Lagrange", 1, (2,))))
-    assert bodies.count == 2
-    assert np.abs(np.sort(bodies.centre[:, 1]) - [-0.5, 0.6]).max() < 1e-12
-    assert COMM.allreduce(len(facets.find(LEFT)) + len(facets.find(RIGHT))) == 8
-
-
 def test_operators_with_a_rank_that_has_nothing():
-    mesh, _, facets = two_blocks(COMM, (4, 2), (3, 2), partition="empty")
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    case = PressedBlocks(n_lower=(4, 2), n_upper=(3, 2), partition="empty")
+    V, facets = case.V, case.facets
     mortar = dm.assemble_mortar(V, facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
     assert mortar.gap.getSize() == 5
     assert len(mortar.nodes) == 0 or COMM.size == 1 or COMM.rank < COMM.size - 1

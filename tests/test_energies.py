@@ -10,16 +10,24 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx import default_scalar_type, fem, mesh
-from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
-from tests.cases.pressed_blocks import rejected
-from tests.cases.solid import COMM, create_displacement, create_domain, set_wave, total
+from dolfinx import fem
+from tests.cases.pressed_blocks import PressedBlocks, rejected
+from tests.cases.solid import (
+    COMM,
+    create_displacement,
+    create_domain,
+    hold,
+    plane,
+    rectangle,
+    set_wave,
+    stand,
+    total,
+)
 from tests.cases.user_laws import Forces
 from tests.choice import quick
 
 pytestmark = pytest.mark.mpi
 E, NU, Y = 1000.0, 0.3, 5.0
-KINEMATIC = dm.VonMises(E, NU, Y, 100.0)
 MIXED = dm.VonMises(E, NU, Y, 100.0, 60.0)
 ISOTROPIC = dm.VonMises(E, NU, Y, 0.0, 60.0)
 SATURATING = dm.VonMisesVoce(E, NU, Y, 20.0, 10.0, 3.0, 40.0)
@@ -27,7 +35,6 @@ SOIL = dm.DruckerPrager(E, NU, Y, 0.2)
 
 
 def spent(solid):
-    """Return stored and dissipated energy of all bodies."""
     found = solid.energies().values()
     return np.array([sum(e.stored for e in found), sum(e.dissipated for e in found)])
 
@@ -38,7 +45,6 @@ class Push:
 
     problem: dm.ContactProblem
     top: fem.Constant
-    bcs: list
 
     def walk(self, path):
         """Return the work along displacements (2,) of the top."""
@@ -47,23 +53,20 @@ class Push:
             self.top.value[:] = place
             dm.newton(self.problem, rtol=1e-9)
             self.problem.commit()
-            now = dm.reaction(self.problem, self.bcs[1]).force
+            now = dm.reaction(self.problem, self.problem.bcs[1]).force
             work += (force + now) @ (place - before) / 2
             before, force = np.array(place), now
         return work
 
 
-def push(law, strain, cell="quadrilateral", **options):
-    """Return a rectangle that its top shears and presses."""
-    domain = mesh.create_rectangle(COMM, [(0.5, 0.0), (1.5, 1.0)], (3, 3), mesh.CellType[cell])
-    u = create_displacement(domain)
-    solid, V = dm.Solid(u, law, strain=strain, energies=True, **options), u.function_space
-    values = [fem.Constant(domain, default_scalar_type((0.0, 0.0))) for _ in range(2)]
-    bcs = []
-    for y, value in enumerate(values):
-        at = mesh.locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], y))
-        bcs.append(fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, at), V))
-    return Push(dm.ContactProblem(solid, [], bcs=bcs), values[1], bcs)
+def push(law, strain, **options):
+    domain = rectangle([(0.5, 0.0), (1.5, 1.0)], (3, 3))
+    top = fem.Constant(domain, np.zeros(2))
+
+    def ends(V):
+        return [hold(V, plane(1)), hold(V, plane(1, 1.0), value=top)]
+
+    return Push(stand(domain, law, ends, strain=strain, energies=True, **options), top)
 
 
 def loop(size, n):
@@ -77,7 +80,6 @@ CASES = [
     ("small", MIXED, {}, 0.04),
     ("finite", MIXED, {}, 0.2),
     ("finite", ISOTROPIC, {"volumetric": "reduced"}, 0.2),
-    ("small", KINEMATIC, {"volumetric": "reduced"}, 0.04),
     ("small", SATURATING, {"kinematics": "axisymmetric"}, 0.04),
     ("small", MIXED, {"kinematics": "plane_stress"}, 0.04),
     ("small", SOIL, {}, 0.04),
@@ -97,7 +99,6 @@ def test_work_is_stored_or_dissipated(strain, law, options, size):
         stored, dissipated = spent(case.problem.solid)
         assert stored > 0.0 < dissipated
         errors.append(abs(stored + dissipated - work) / dissipated)
-    print(strain, law, errors)
     assert errors[-1] < 3e-3
     assert errors[2] < 0.1 * errors[0]  # of second order: 1/16
 
@@ -143,45 +144,30 @@ def test_densities_of_von_mises(strain):
     assert spent(solid)[1] == pytest.approx(total(Y * path * weights), rel=1e-9)
 
 
-class Blocks:
-    """Two blocks in contact, the lower of which flows."""
+def create_blocks():
+    case = PressedBlocks()
+    laws, tags = {"lower": MIXED, "upper": dm.Elastic(E, NU)}, {"lower": 1, "upper": 2}
+    solid = dm.Solid(case.u, laws, dm.Tags(case.cells, tags), energies=True)
+    return case, case.problem(law=solid)
 
-    def __init__(self):
-        """Create problem and supports."""
-        self.mesh, cells, self.facets = two_blocks(COMM)
-        self.cells = dm.Tags(cells, {"lower": 1, "upper": 2})
-        V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
-        self.u = fem.Function(V)
-        laws = {"lower": MIXED, "upper": dm.Elastic(E, NU)}
-        self.solid = dm.Solid(self.u, laws, self.cells, energies=True)
-        self.top = fem.Constant(self.mesh, default_scalar_type((0.0, 0.0)))
-        still = fem.Constant(self.mesh, default_scalar_type((0.0, 0.0)))
-        places = [self.facets.find(tag) for tag in (BOTTOM, TOP)]
-        dofs = [fem.locate_dofs_topological(V, 1, place) for place in places]
-        bcs = [fem.dirichletbc(v, d, V) for v, d in zip((still, self.top), dofs, strict=True)]
-        contact = dm.Contact(self.facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER)
-        self.problem = dm.ContactProblem(self.solid, [contact], bcs=bcs)
 
-    def step(self, down):
-        """Push the top to a depth."""
-        self.top.value[1] = -down
-        dm.newton(self.problem)
-        self.problem.commit()
+def step(case, problem, down):
+    case.top.value[1] = -down
+    dm.newton(problem)
+    problem.commit()
+    return problem.solid.energies()
 
 
 def test_bodies_by_name_and_in_checkpoints(tmp_path):
     """Each body has its own; a restored run goes on with what was dissipated before."""
     path = COMM.bcast(str(tmp_path / "state.h5"))
-    blocks, again = Blocks(), Blocks()
-    blocks.step(0.03)
-    first = blocks.solid.energies()
+    blocks, again = create_blocks(), create_blocks()
+    first = step(*blocks, 0.03)
     assert set(first) == {"lower", "upper"}
     assert first["lower"].dissipated > 0.0 == first["upper"].dissipated < first["upper"].stored
-    blocks.problem.save(path)
-    again.problem.restore(path)
-    for case in (blocks, again):
-        case.step(0.06)
-    found, expected = again.solid.energies(), blocks.solid.energies()
+    blocks[1].save(path)
+    again[1].restore(path)
+    expected, found = step(*blocks, 0.06), step(*again, 0.06)
     for name, energies in expected.items():
         assert found[name].stored == pytest.approx(energies.stored, rel=1e-9)
         assert found[name].dissipated == pytest.approx(energies.dissipated, rel=1e-9)
@@ -189,15 +175,14 @@ def test_bodies_by_name_and_in_checkpoints(tmp_path):
 
 
 def test_a_step_that_fails_dissipates_nothing():
-    blocks = Blocks()
-    blocks.step(0.03)
-    before = blocks.solid.energies()
-    blocks.top.value[1] = -0.09
+    case, problem = create_blocks()
+    before = step(case, problem, 0.03)
+    case.top.value[1] = -0.09
     with pytest.raises(dm.NewtonNotConverged):
-        dm.newton(blocks.problem, max_it=1, rtol=1e-12)
-    assert blocks.solid.energies() == before
-    blocks.problem.commit()
-    assert blocks.solid.energies() == before
+        dm.newton(problem, max_it=1, rtol=1e-12)
+    assert problem.solid.energies() == before
+    problem.commit()
+    assert problem.solid.energies() == before
 
 
 def test_what_has_no_energies():

@@ -17,10 +17,20 @@ SAID = {  # what they print, by their last lines
     "press_a_disc": ("peak 2478 MPa, Hertz 2461 MPa",),
     "glue_two_meshes": ("1 iteration, largest error of the displacement",),
     "tighten_a_bolt": ("pull 10000 N: bolt 22004 N", "pull 40000 N: bolt 40000 N"),
+    "slide_a_block": ("top at 0.20 mm: T = 60.00 N/mm, T/N = 0.300",),
+    "press_a_ball": ("peak 6707 MPa, Hertz 6708 MPa",),
+    "fit_two_rings": ("pressure 32.56 to 32.58 MPa, Lamé 32.56 MPa",),
+    "stack_blocks": ("0.340 N/mm, weight above 0.340 N/mm",),
+    "yield_in_contact": ("plate at 9.90 mm: 477.27 MPa",),
+    "squeeze_rubber": ("height 60%: -61.756 N/mm, exact -61.756 N/mm",),
+    "close_a_gap": ("80 K:  -96.60 MPa, exact  -96.60 MPa",),
+    "bounce_a_rod": ("contact lasts 2.020 L/c, exact 2",),
+    "stop_and_go_on": ("without a stop",),
 }
 
 
-def test_there_are_three():
+def test_there_are_twelve():
+    assert len(SAID) == 12
     assert {path.stem for path in EXAMPLES} == set(SAID)
 
 

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Large sliding at finite strain in 2D: Newton's iterations, and forces of an independent program.
 
-That program (2D, JAX, automatic differentiation; plane strain, neo-Hooke, four-node cells, the same
-mortar method between facets) has solved the same meshes; its forces and its numbers of iterations
-with the exact tangent are quoted. Times are too long for the default run but for the first case.
+That program (2D, JAX; plane strain, neo-Hooke, four-node cells, the same mortar method between
+facets) has solved the same meshes; its forces and numbers of iterations are quoted.
 """
 
 from itertools import pairwise
@@ -14,9 +13,9 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx import fem
 from dolfinx_mortar.interfaces import mortar_interface
 from tests.cases.finite_sliding import COMM, averaged, indentation, soft_block, turning_hub, walk
+from tests.cases.hertz import create_case
 
 
 def iterations(steps):
@@ -96,10 +95,9 @@ def sliding(steps):
 @pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_shallow_ironing(friction):
-    """Few iterations; the normal force is that of swapped sides and of other steps, to 1.5 %.
+    """Few iterations; the normal force is that of swapped sides, to 1.5 %, the drag mu V.
 
-    Without friction the drag is that of discretisation, below 2 % of the normal force. With
-    friction it is mu V, as far as that.
+    As far as that of discretisation, below 2 % of the normal force.
     """
     runs = [ironed(20, slave=slave, friction=friction) for slave in ("tool", "block")]
     for steps in runs:
@@ -122,15 +120,14 @@ def test_ironing_ends_with_the_forces_of_the_independent_program(slave, force, m
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("slave", ["tool", "block"])
-def test_without_friction_the_work_of_the_tool_is_stored(slave):
+def test_without_friction_the_work_of_the_tool_is_stored():
     """H ds + V dz = dE, so that H is no error where the energy depends on the place.
 
     On its way to the middle the tool leaves the end of the block, which is softer: E grows there by
     3 % and decreases again behind the middle. The trapezoidal rule needs steps as short as facets.
     """
     for k, error in ((1, 0.03), (2, 0.005)):
-        case = indentation(n=((48 * k, 10 * k), (32 * k, 4 * k)), slave=slave)
+        case = indentation(n=((48 * k, 10 * k), (32 * k, 4 * k)), slave="tool")
         places = [(0.0, -0.075 * n) for n in range(11)]
         places += [(0.15 * n, -0.75) for n in range(1, 41)]
         work, stored, force = [0.0], [0.0], np.zeros(2)
@@ -138,8 +135,7 @@ def test_without_friction_the_work_of_the_tool_is_stored(slave):
             case.held.value[:] = place
             dm.newton(case.problem, rtol=1e-8)
             case.problem.commit()
-            last = force
-            force = (case.contact.master_force if slave == "tool" else case.contact.force).copy()
+            last, force = force, case.contact.master_force.copy()
             work.append(work[-1] + (last + force) @ np.subtract(place, before) / 2)
             stored.append(sum(body.stored for body in case.problem.solid.energies().values()))
         W, E = np.array(work), np.array(stored)
@@ -147,17 +143,6 @@ def test_without_friction_the_work_of_the_tool_is_stored(slave):
         rise, off = E[30] - E[10], (W - W[10]) - (E - E[10])
         assert rise == pytest.approx(0.0057, rel=0.02)  # the same on both meshes
         assert np.abs(off[10:]).max() < error * rise
-
-
-@pytest.mark.slow
-@pytest.mark.nightly
-@pytest.mark.parametrize("friction", [0.0, 0.3])
-def test_shallow_ironing_in_many_steps(friction):
-    """120 steps end with the forces of 30, to 1.5 %, and take 4 to 5 iterations each."""
-    few, many = (ironed(drag, friction=friction) for drag in (20, 110))
-    assert iterations(many).mean() < 5.0
-    (F, G) = (steps[-1][1] for steps in (few, many))
-    assert np.abs(F - G).max() < 0.015 * np.abs(F).max()
 
 
 @pytest.mark.mpi
@@ -171,15 +156,14 @@ def test_the_force_on_a_flat_side_is_normal_to_it(slave):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("slave", ["tool", pytest.param("block", marks=pytest.mark.slow)])
-def test_dragged_over_an_edge_onto_the_next_body(slave):
+def test_dragged_over_an_edge_onto_the_next_body():
     """Without friction the second block answers like the first one, by a shift; beyond, nothing.
 
     Each step slides over a facet and a half, and some over the edge; where the ends of the blocks
     overlap, since nothing keeps them apart, that is told.
     """
     sizes = {"radius": 1.0, "length": 4.0, "height": 2.0, "start": 2.0, "blocks": (0.0, 4.125)}
-    case = indentation(n=((16, 8), (24, 4)), slave=slave, friction=0.0, **sizes)
+    case = indentation(n=((16, 8), (24, 4)), friction=0.0, **sizes)
     shift = 4.125 / 11
 
     def path(t):
@@ -243,13 +227,12 @@ def test_a_step_slides_by_ten_facets_with_friction():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("slave", ["inner", "outer"])
-def test_a_hub_that_turns_in_a_pressed_ring_needs_no_torque(slave):
+def test_a_hub_that_turns_in_a_pressed_ring_needs_no_torque():
     """Two iterations a step, 90 degrees in 30 steps; the independent program takes 63 as well.
 
     The facets do not match: normals of both sides are as radial as that, the same all the way.
     """
-    case, total, moments = turning_hub(slave=slave), 0, []
+    case, total, moments = turning_hub(slave="outer"), 0, []
     for step in dm.load_steps(
         case.problem, np.linspace(1, 2, 31), on_time=lambda t: case.turn((t - 1) * np.pi / 2)
     ):
@@ -291,29 +274,22 @@ def test_a_pair_that_turns_in_frozen_geometry_is_noted():
 @pytest.mark.mpi
 def test_flanks_of_a_dent_do_not_turn_a_contact():
     """Normals under a disc that is pressed in turn, by 4 degrees in the mean, both ways alike."""
-    domain, bodies, sides = dm.meshing.hertz(COMM)
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    solid = dm.Solid(fem.Function(V), dm.NeoHooke(E=1000.0, nu=0.3), bodies, strain="finite")
-    push = fem.Constant(domain, (0.0, 0.0))
-    bottom, flat = (fem.locate_dofs_topological(V, 1, sides.find(n)) for n in ("bottom", "flat"))
-    bcs = [fem.dirichletbc(np.zeros(2), bottom, V), fem.dirichletbc(push, flat, V)]
-    contact = dm.Contact(sides, slave="top", master="arc")
-    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry="reference")
-    ramp = {push: [(0.0, (0.0, 0.0)), (1.5, (0.0, -1.5))]}
-    for step in dm.load_steps(problem, [0.5, 1.0, 1.5], ramp=ramp, progress=False):
+    law = dm.NeoHooke(E=1000.0, nu=0.3)
+    case = create_case(dm.meshing.hertz(COMM), law, geometry="reference", strain="finite")
+    ramp = {case.top: [(0.0, (0.0, 0.0)), (1.5, (0.0, -1.5))]}
+    for step in dm.load_steps(case.problem, [0.5, 1.0, 1.5], ramp=ramp, progress=False):
         assert not any("has turned by" in note for note in step.report.notes)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("slave", ["block", "support"])
-def test_soft_block_pressed_on_a_round_support(slave, monkeypatch):
-    """Half its modulus in ten steps, where the fixed point fails; that program takes 57 and 51.
+def test_soft_block_pressed_on_a_round_support(monkeypatch):
+    """Half its modulus in ten steps, where the fixed point fails; that program takes 57.
 
     With its normals as many; with those of both sides the tangent has no derivatives of spreads.
     """
     for normals, most in ((mortar_interface.common_normals, 80), (averaged, 60)):
         monkeypatch.setattr(mortar_interface, "common_normals", normals)
-        problem, contact, p = soft_block(slave=slave)
+        problem, contact, p = soft_block()
 
         def load(t, p=p):
             p.value = 0.5 * t

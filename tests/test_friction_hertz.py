@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""The half disc pressed on the block and pushed sideways, beside two other codes and Cattaneo."""
+"""Discs and balls pressed on a block and pushed sideways: two other codes, Cattaneo, Mindlin."""
+
+from mpi4py import MPI
 
 import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
+from dolfinx import fem
 from dolfinx_mortar.interfaces import mortar_interface
 from tests.cases.finite_sliding import averaged
 from tests.cases.hertz import ELASTIC, create_case, create_mesh
@@ -74,12 +77,7 @@ def test_the_forces_of_another_code(monkeypatch):
 
 @pytest.mark.parametrize(
     ("geometry", "slave"),
-    [
-        ("updated", "block"),
-        ("updated", "disc"),
-        pytest.param("reference", "block", marks=pytest.mark.slow),
-        pytest.param("reference", "disc", marks=pytest.mark.slow),
-    ],
+    [("updated", "disc"), pytest.param("reference", "block", marks=pytest.mark.slow)],
 )
 def test_the_forces_of_calculix(geometry, slave):
     """On a coarse mesh, where they differ by two per cent themselves: within three per cent."""
@@ -90,3 +88,93 @@ def test_the_forces_of_calculix(geometry, slave):
     # the meshes of both know little of the slip zone, but the share that slips is the same
     for P, Q in CALCULIX:
         assert abs(case.contact.force[0]) / case.force == pytest.approx(Q / P, rel=0.02)
+
+
+# -- a half ball, in space, beside Mindlin and Deresiewicz
+
+RADIUS, PRESS, E, NU = 20.0, 0.03, 206_900.0, 0.29
+SIDES = {"block": ("top", "sphere"), "ball": ("sphere", "top")}
+
+
+def pushed_ball(h, slave, pushes):
+    """Press without friction, as the theory has it, then push; yield rows beside Mindlin.
+
+    The ball is large beside the contact, whose radius is 0.78. A row holds numbers of both whole
+    bodies: the motion, the force, Mindlin's solution, errors of tractions over mu p0 (the largest
+    beyond 1.5 h from the edges, and the mean), the radius that sticks, the energy.
+    """
+    mesh, _, tags = dm.meshing.sphere(
+        MPI.COMM_WORLD, h=h, radius=RADIUS, block=(60.0, 60.0, 30.0), core=1.0, half=True
+    )
+    V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    solid = dm.Solid(fem.Function(V), ELASTIC)
+    flat, friction = fem.Constant(mesh, np.zeros(3)), fem.Constant(mesh, 0.0)
+    bcs = [
+        fem.dirichletbc(value, fem.locate_dofs_topological(W, 2, tags.find(side)), W)
+        for side, value, W in (
+            *(("bottom", np.zeros(3), V), ("flat", flat, V)),
+            ("symmetry_y", 0.0, V.sub(1)),
+        )
+    ]
+    side, master = SIDES[slave]
+    contact = dm.Contact(tags, slave=side, master=master, friction=friction)
+    problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry="reference")
+    sign, path = (1.0 if slave == "block" else -1.0), []
+    for k, push in enumerate([0.0, *pushes]):
+        flat.value[:], friction.value = (push, 0.0, -PRESS), MU if k else 0.0
+        dm.newton(problem)
+        problem.commit()
+        if k == 0:
+            continue
+        force = 2.0 * sign * contact.force
+        hertz = dm.analytic.hertz_point(-force[2], RADIUS, E, NU, E, NU)
+        turned = [0.0, *path][-2:]  # legs that go on are one
+        if path and (turned[1] - turned[0]) * (force[0] - turned[1]) > 0.0:
+            path.pop()
+        path.append(float(force[0]))
+        forces = tuple(np.clip(path, -abs(path[0]), abs(path[0])).tolist())
+        state = dm.analytic.mindlin_point(hertz, MU, NU, forces)
+        own = {"push": push, "state": state, "energy": 2.0 * contact.dissipation}
+        yield measure(contact.gather(solid.u), sign, state, h) | own
+
+
+def measure(nodes, sign, state, h):
+    """Return the errors of tractions, and the radius of what sticks."""
+    r, q = np.hypot(*nodes["X"][:, :2].T), sign * nodes["traction"][:, 0]
+    a = state.contact.contact_radius
+    error = np.abs(q - state.traction(r)) / (MU * state.contact.peak_pressure)
+    away = (np.abs(r[:, None] - [a, *state.stick_radii]) > 1.5 * h).all(axis=1)
+    sticks = r[nodes["status"] == 1].max(initial=0.0)
+    return {"error": error[away].max(), "mean_error": error[r < a].mean(), "sticks": sticks}
+
+
+def check(rows, h, traction):
+    """Tractions, stick zone, and a compliance of the bodies that is the same in all states."""
+    for row in rows:
+        assert row["error"] < traction and row["mean_error"] < traction
+        assert abs(row["sticks"] - row["state"].stick_radius) < h
+    left = [(row["push"] - row["state"].displacement) / row["state"].force for row in rows]
+    half_spaces = rows[0]["state"].displacement / rows[0]["state"].force
+    assert 0.0 < min(left) and max(left) < 0.15 * half_spaces
+    assert np.ptp(left) < 0.02 * half_spaces
+
+
+@pytest.mark.slow
+def test_a_ball_pushed_sideways():
+    """Three facets in the radius of the contact."""
+    rows = list(pushed_ball(0.25, "block", (0.003, 0.006)))
+    assert rows[-1]["state"].force > 0.85 * MU * rows[-1]["state"].contact.force
+    check(rows, 0.25, 0.05)
+    assert rows[-1]["energy"] == pytest.approx(rows[-1]["state"].dissipation, rel=0.2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slave", ["block", pytest.param("ball", marks=pytest.mark.nightly)])
+def test_a_ball_pushed_to_and_fro(slave):
+    """Six facets in the radius: tractions and energy of a closed loop."""
+    rows = list(pushed_ball(0.125, slave, (0.005, -0.005, 0.005)))
+    check(rows, 0.125, 0.02)
+    first, _, last = rows
+    assert last["state"].force == pytest.approx(first["state"].force, rel=1e-3)
+    loop = last["state"].dissipation - first["state"].dissipation
+    assert last["energy"] - first["energy"] == pytest.approx(loop, rel=0.05)

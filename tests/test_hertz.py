@@ -5,13 +5,16 @@ Source of the numbers: two independent small-strain finite element codes that ag
 given, and Hertz's formulas for the first yield (Johnson, Contact Mechanics, section 4.2).
 """
 
+from functools import cache
+
 import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.materials.tensor import von_mises
 from tests.cases.hertz import ELASTIC, PLASTIC, create_case, create_mesh
-from tests.choice import crosswise, quick
+from tests.cases.user_laws import SaintVenantKirchhoff
+from tests.choice import crosswise
 
 DEPTH = 0.05  # mm
 # geometry: force [N/mm], fitted half-width [mm], fitted peak pressure [MPa]
@@ -20,12 +23,13 @@ REFERENCE = {
     "updated": (2425.5, 0.4629, 3331.5),
 }
 TOLERANCE = (2e-3, 1e-2, 5e-3)
+STEEL = (206_900.0, 0.29)
 
 
-def solve(h, slave, geometry, depth=DEPTH, rtol=1e-6):
-    """Press an elastic disc on an elastic block; return the case and the report."""
-    mesh = create_mesh("graded", h)
-    case = create_case(mesh, {1: ELASTIC, 2: ELASTIC}, slave=slave, geometry=geometry)
+def solve(h, slave, geometry, depth=DEPTH, rtol=1e-6, law=ELASTIC, cell="triangle", **options):
+    """Press a disc on a block; return the case and the report."""
+    mesh = create_mesh("graded", h, cell=cell)
+    case = create_case(mesh, law, slave=slave, geometry=geometry, **options)
     case.press(depth)
     return case, dm.newton(case.problem, rtol=rtol)
 
@@ -36,15 +40,12 @@ def solve(h, slave, geometry, depth=DEPTH, rtol=1e-6):
 def test_force_half_width_and_peak_pressure(geometry, slave):
     """Both geometries and both slave sides reach the reference on elements of 0.05 mm."""
     case, report = solve(0.05, slave, geometry)
-    for value, expected, rtol in zip(
-        (case.force, *case.fit()), REFERENCE[geometry], TOLERANCE, strict=True
-    ):
-        assert abs(value - expected) < rtol * expected
+    found = np.array([case.force, *case.fit()])
+    expected = np.array(REFERENCE[geometry])
+    assert (np.abs(found - expected) < TOLERANCE * expected).all()
     # the answer obeys Hertz's own relation between force and pressure, up to the finite block
-    hertz = dm.analytic.hertz_line(case.force, 8.0, 206_900.0, 0.29, 206_900.0, 0.29)
-    assert abs(case.fit()[1] / hertz.peak_pressure - 1) < 0.015
-    assert abs(case.fit()[0] / hertz.half_width - 1) < 0.015
-    # the flat faces of the disc and the block see opposite forces, and no horizontal one
+    hertz = dm.analytic.hertz_line(case.force, 8.0, *STEEL, *STEEL)
+    assert case.fit() == pytest.approx((hertz.half_width, hertz.peak_pressure), rel=0.015)
     assert abs(case.contact.force[0]) < 1e-4 * case.force
     # linear material: one linearisation if the geometry is frozen, and perhaps its confirmation
     assert report.newton_iterations <= 2 or geometry == "updated"
@@ -53,10 +54,9 @@ def test_force_half_width_and_peak_pressure(geometry, slave):
 def oscillation(case):
     """Return how far pressures leave the curve through two nodes on either side, over the peak."""
     nodes = case.contact.gather(case.problem.u)
-    x, p = nodes["X"][:, 0], nodes["pressure"]
+    order = np.argsort(nodes["X"][:, 0])
+    x, p = nodes["X"][order, 0], nodes["pressure"][order]
     half_width, peak = case.fit()
-    order = np.argsort(x)
-    x, p = x[order], p[order]
     off = []
     for i in np.flatnonzero(np.abs(x) < 0.5 * half_width):
         beside = [i - 2, i - 1, i + 1, i + 2]
@@ -65,34 +65,28 @@ def oscillation(case):
     return max(off)
 
 
-@pytest.mark.parametrize("cell", quick(["triangle", "quadrilateral"], "triangle"))
-@pytest.mark.parametrize("slave", quick(["block", "disc"], "disc"))
-@pytest.mark.parametrize("geometry", quick(["reference", "updated"], "updated"))
-def test_second_order(geometry, slave, cell):
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    ("geometry", "slave", "cell", "law", "depth", "force", "peak"),
+    [
+        ("updated", "disc", "triangle", ELASTIC, DEPTH, 2425.5, 3331.5),
+        pytest.param(
+            "updated", "block", "quadrilateral", ELASTIC, DEPTH, 2425.5, 3331.5, marks=SLOW
+        ),
+        # plastic flow, where first order is 0.4 % too stiff
+        pytest.param("updated", "disc", "quadrilateral", PLASTIC, 0.2, 4487.8, 1913.0, marks=SLOW),
+    ],
+)
+def test_second_order(geometry, slave, cell, law, depth, force, peak):
     """Elements of 0.1 mm reach force and peak, and corners and middles have one pressure.
 
     The cells are straight: without the heights of the smooth surface it oscillates by 16 to 19 %.
     """
-    mesh = create_mesh("graded", 0.1, cell=cell)
-    case = create_case(mesh, ELASTIC, slave=slave, geometry=geometry, degree=2)
-    case.press(DEPTH)
-    dm.newton(case.problem)
-    force, _, peak = REFERENCE[geometry]
-    print(f"force {case.force:.1f}, peak {case.fit()[1]:.1f}, oscillation {oscillation(case):.4f}")
-    assert case.force == pytest.approx(force, rel=1.5e-3)
+    case, _ = solve(0.1, slave, geometry, depth, law=law, cell=cell, degree=2)
+    assert case.force == pytest.approx(force, rel=1.5e-3 if law is ELASTIC else 2e-3)
     assert case.fit()[1] == pytest.approx(peak, rel=5e-3)
-    assert oscillation(case) < 0.01
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
-def test_second_order_in_plastic_flow(cell):
-    """Force and peak pressure of d = 0.2, where first order is 0.4 % too stiff."""
-    case = create_case(create_mesh("graded", 0.1, cell=cell), slave="disc", degree=2)
-    case.press(0.2)
-    dm.newton(case.problem)
-    assert case.force == pytest.approx(4487.8, rel=2e-3)
-    assert case.fit()[1] == pytest.approx(1913.0, rel=5e-3)
     assert oscillation(case) < 0.01
 
 
@@ -102,10 +96,8 @@ def test_observed_order_of_the_force():
     sizes = (0.15, 0.075, 0.0375)
     forces = np.array([solve(h, "block", "reference")[0].force for h in sizes])
     errors = forces - REFERENCE["reference"][0]
-    orders = np.log2(errors[:-1] / errors[1:])
-    print(f"forces {forces.tolist()}, observed orders {orders.tolist()}")
     assert np.all(errors > 0)
-    assert np.all(orders > 1.5)
+    assert np.all(np.log2(errors[:-1] / errors[1:]) > 1.5)
 
 
 def recovered_von_mises(case):
@@ -133,7 +125,7 @@ def test_first_yield():
     On a large disc, so that the fine part of the mesh is twice as wide as the contact.
     """
     h, radius = 0.1, 80.0
-    expected = dm.analytic.first_yield_line(450.0, radius, 206_900.0, 0.29, 206_900.0, 0.29)
+    expected = dm.analytic.first_yield_line(450.0, radius, *STEEL, *STEEL)
     assert np.isclose(expected.peak_pressure, 801.4, rtol=1e-4)
     assert np.isclose(expected.half_width, 1.135, rtol=1e-3)
     mesh = create_mesh("graded", h, radius=radius, block=(360.0, 100.0))
@@ -145,10 +137,7 @@ def test_first_yield():
         x, stress = recovered_von_mises(case)
         depth *= (450.0 / stress.max()) ** 1.9
     assert abs(stress.max() / 450.0 - 1) < 1e-3
-    half_width, peak = case.fit()
-    print(f"p0 {peak:.1f}, half-width {half_width:.4f}, yields at {x[stress.argmax()]}")
-    assert abs(peak / expected.peak_pressure - 1) < 0.03
-    assert abs(half_width / expected.half_width - 1) < 0.03
+    assert case.fit() == pytest.approx((expected.half_width, expected.peak_pressure), rel=0.03)
     where = x[stress.argmax()]
     assert abs(where[0]) < 2 * h
     assert abs(abs(where[1]) - expected.depth) < h
@@ -157,3 +146,41 @@ def test_first_yield():
     dm.newton(case.problem)
     case.problem.commit()
     assert case.problem.solid.plastic_area() == 0.0
+
+
+# -- finite strain
+# CalculiX 2.20, linear and with large deformations (NLGEOM), gives 1.0 and 1.7 % less for the disc
+# at depths of 0.05 and 0.1 mm, 2.2 % less for the ball at 0.05 mm (1.94 % here, on elements half as
+# large 1.99 %). Its law is Hooke's between Green's strain and the second Piola-Kirchhoff stress: in
+# uniform compression by e softer than Hooke's by 3/2 e, one of logarithmic strains stiffer by that.
+
+
+@cache
+def forces(kinematics, law, strain):
+    """Return the force at both depths, of half the disc or of the whole ball."""
+    block = (36.0, 10.0) if kinematics == "axisymmetric" else (30.0, 10.0)
+    mesh, found = create_mesh("graded", 0.1, half=True, block=block), []
+    case = create_case(mesh, law, degree=2, strain=strain, kinematics=kinematics)
+    for depth in (0.05, 0.1):
+        case.press(depth)
+        assert dm.newton(case.problem, rtol=1e-7).newton_iterations <= 6
+        case.problem.commit()
+        found.append(case.force)
+    return np.array(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kinematics", "expected", "digits"),
+    [("plane_strain", [-0.010, -0.017], 5e-4), ("axisymmetric", [-0.022], 3e-3)],
+)
+def test_what_finite_strain_changes(kinematics, expected, digits):
+    """As in another program; the law decides more than the measure of strain."""
+    small = forces(kinematics, dm.Elastic(*STEEL), "small")
+    soft, between, stiff = (
+        forces(kinematics, law, "finite") / small - 1.0
+        for law in (SaintVenantKirchhoff(*STEEL), dm.NeoHooke(*STEEL), dm.Elastic(*STEEL))
+    )
+    assert soft[: len(expected)] == pytest.approx(expected, abs=digits)
+    assert (soft < between).all() and (between < stiff).all()
+    assert (stiff - soft)[1] > 1.3 * (stiff - soft)[0]

@@ -1,78 +1,60 @@
 # SPDX-License-Identifier: MIT
-"""The parts of `Kinematics`, measure, weight and rigid motions, and that the solid uses them."""
+"""Kinematics: measure, weight and rigid motions, and how the solid uses them; rings."""
 
 import dataclasses
 import math
-
-from mpi4py import MPI
 
 import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
 import ufl
-from dolfinx import fem, mesh
-from dolfinx_mortar.materials import DruckerPrager, Elastic, VonMisesVoce
-from dolfinx_mortar.solid.kinematics import (
-    axisymmetric,
-    kinematics_of_dimension,
-    plane_strain,
-    spatial,
-)
-from dolfinx_mortar.solid.solid import Solid
+from dolfinx import fem
+from dolfinx_mortar.solid.kinematics import axisymmetric, plane_strain, spatial
 from dolfinx_mortar.supports.bodies import find_bodies, free_motions, rigid_motions
-from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, two_blocks
+from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER, skins
 from tests.cases.pointwise_laws import Radial
-from tests.cases.pressed_blocks import PressedBlocks
-from tests.choice import quick
+from tests.cases.pressed_blocks import PressedBlocks, rejected
+from tests.cases.rings import Lame
+from tests.cases.solid import (
+    COMM,
+    create_displacement,
+    hold,
+    plane,
+    rectangle,
+    residual,
+    rollers,
+    stand,
+    tag_facets,
+    total,
+)
+from tests.cases.user_laws import green_lagrange
 
 pytestmark = pytest.mark.mpi
-COMM = MPI.COMM_WORLD
-LAW = Elastic(1000.0, 0.3)
 
 
-def create_displacement(d):
-    """Return a displacement in a box of d dimensions."""
-    if d == 2:
-        domain = mesh.create_rectangle(COMM, [(1.0, 0.0), (3.0, 1.0)], (4, 3))
-    else:
-        domain = mesh.create_box(COMM, [(0, 0, 0), (1.0, 2.0, 1.5)], (3, 3, 2))
-    return fem.Function(fem.functionspace(domain, ("Lagrange", 1, (d,))), name="u")
+E, NU = 1000.0, 0.3
+LAW = dm.Elastic(E, NU)
 
 
-def forces(solid):
-    """Return the owned internal forces."""
-    r = solid.u.x.petsc_vec.duplicate()
-    solid.assemble_residual(r)
-    return r.array.copy()
+GREEN = dataclasses.replace(plane_strain, name="finite", measure=green_lagrange)
 
 
-def total(values):
-    """Sum over all ranks."""
-    return COMM.allreduce(float(np.sum(values)), op=MPI.SUM)
+def body(d):
+    low = np.r_[1.0, np.zeros(d - 1)]
+    return create_displacement(rectangle([low, low + [2.0, 1.0, 1.5][:d]], (4, 3, 2)[:d]))
 
 
-def green_lagrange(u):
-    """Return the finite strain (F^T F - I)/2 in the plane, as 3x3."""
-    g = ufl.grad(u)
-    e = (g + g.T + g.T * g) / 2
-    return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, 0]])
-
-
-FINITE = dataclasses.replace(plane_strain, name="finite", measure=green_lagrange)
-
-
-def test_the_dimension_chooses():
-    assert kinematics_of_dimension(2) is plane_strain and kinematics_of_dimension(3) is spatial
-    for d, chosen in ((2, plane_strain), (3, spatial)):
-        assert Solid(create_displacement(d), LAW).kinematics is chosen
+def weighing(weight):
+    return dataclasses.replace(plane_strain, name="ring", weight=weight)
 
 
 @pytest.mark.parametrize("d", [2, 3])
 def test_rigid_motions_strain_nothing(d):
     """All of them, and no more: they are 3 or 6, independent, and the tangent resists none."""
-    u = create_displacement(d)
-    solid = Solid(u, LAW)
+    u = body(d)
+    solid = dm.Solid(u, LAW)
+    assert solid.kinematics is {2: plane_strain, 3: spatial}[d]
     x = u.function_space.tabulate_dof_coordinates()[:, :d]
     motions = solid.kinematics.rigid_motions(x)
     assert len(motions) == d * (d + 1) // 2
@@ -82,123 +64,32 @@ def test_rigid_motions_strain_nothing(d):
         u.x.array[:] = motion
         u.x.scatter_forward()
         scale = LAW.E * np.abs(motion).max()
-        assert np.abs(forces(solid)).max(initial=0.0) < 1e-13 * scale
+        assert np.abs(residual(solid)).max(initial=0.0) < 1e-13 * scale
     u.x.array[:] = (x * np.arange(1, d + 1)).ravel()
-    assert total(forces(solid) ** 2) > 1.0
+    assert total(residual(solid) ** 2) > 1.0
 
 
-def moved(solid, side=0.0):
-    """Set a displacement with rotations and strains of a tenth, along a direction; return that."""
-    u, w = solid.u, fem.Function(solid.V)
-    u.interpolate(lambda x: np.stack([0.1 * np.sin(2 * x[0] + x[1]), 0.2 * np.cos(x[0] - x[1])]))
-    w.interpolate(lambda x: np.stack([np.cos(x[0] * x[1]), x[1] - np.sin(3 * x[0])]))
-    u.x.array[:] += side * w.x.array
-    return w
-
-
-def test_forces_of_a_nonlinear_measure_are_the_derivative_of_its_energy():
-    """Int S : d eps/du [w] = d Psi/du [w]."""
-    solid = Solid(create_displacement(2), LAW, kinematics=FINITE)
-    w, h, energies = moved(solid), 1e-6, []
-    own = forces(solid)
-    power = total(own * w.x.array[: len(own)])
-    for side in (h, -h):
-        moved(solid, side)
-        energies.append(total(solid.energy()))
-    assert abs((energies[0] - energies[1]) / (2 * h) - power) < 1e-7 * abs(power)
-
-
-# how a law gives its tangent: derived from energy or stress, stated, or as numbers
-TANGENTS = {
-    "energy": LAW,
-    "stress": DruckerPrager(1000.0, 0.3, 1e6, 0.3),
-    "stated": VonMisesVoce(1000.0, 0.3, 1e6, 0.0, 0.0, 1.0, 1.0),
-    "stated, flowing": VonMisesVoce(1000.0, 0.3, 1.0, 50.0, 20.0, 10.0, 5.0),
-    "numbers": Radial(1000.0, 0.3, 1.0, 50.0),
-}
-
-
-@pytest.mark.parametrize("name", quick(TANGENTS, "energy", "numbers"))
-def test_the_tangent_of_a_nonlinear_measure_is_that_of_its_forces(name):
-    """With the geometric part S : d2 eps/du2, however a law gives its tangent."""
-    solid = Solid(create_displacement(2), TANGENTS[name], kinematics=FINITE)
-    w, own = moved(solid), len(forces(solid))
-    tangent, product = solid.create_matrix(), solid.u.x.petsc_vec.duplicate()
-    solid.assemble_tangent(tangent)
-    tangent.mult(w.x.petsc_vec, product)
-    differences = []
-    for h in (2e-4, 1e-4):  # the error of both is of second order: extrapolated
-        sides = []
-        for side in (h, -h):
-            moved(solid, side)
-            sides.append(forces(solid))
-        differences.append((sides[0] - sides[1]) / (2 * h))
-    change = (4 * differences[1] - differences[0]) / 3
-    assert len(change) == own
-    assert total((change - product.array) ** 2) < 1e-16 * total(product.array**2)
-
-
-@pytest.mark.parametrize(
-    ("name", "most"),
-    quick([("energy", 5), ("stated, flowing", 9), ("numbers", 9)], ("energy", 5), ("numbers", 9)),
-)
-def test_newton_follows_a_nonlinear_measure(name, most):
+@pytest.mark.parametrize(("law", "most"), [(LAW, 5), (Radial(1000.0, 0.3, 1.0, 50.0), 9)])
+def test_newton_follows_a_nonlinear_measure(law, most):
     """Quadratic at the end, in few iterations, also for a linear law; its tangent changes, too."""
-    law, case = TANGENTS[name], PressedBlocks()
+    case = PressedBlocks()
     case.top.value[:] = 0.1, -0.1
-    solids = [Solid(case.u, law, kinematics=k) for k in (None, FINITE)]
+    solids = [dm.Solid(case.u, law, kinematics=k) for k in (None, GREEN)]
     assert [solid.linear for solid in solids] == [law is LAW, False]
-    contact, options = case.contact(), {"bcs": case.bcs(), "geometry": "reference"}
-    report = dm.newton(dm.ContactProblem(solids[1], [contact], **options), rtol=1e-10)
+    report = dm.newton(case.problem(law=solids[1], geometry="reference"), rtol=1e-10)
     forces = [iteration.force_residual for iteration in report.iterations]
     assert len(forces) <= most and forces[-1] < 1e-3 * forces[-2]
-
-
-def test_a_finite_rotation_is_no_finite_strain():
-    solids = [Solid(create_displacement(2), LAW, kinematics=k) for k in (FINITE, None)]
-    turn = np.array([[math.cos(1) - 1, -math.sin(1)], [math.sin(1), math.cos(1) - 1]])
-    for solid in solids:
-        solid.u.interpolate(lambda x: turn @ x[:2])
-    assert total(solids[0].energy()) < 1e-20 * LAW.E < 0.1 * LAW.E < total(solids[1].energy())
-
-
-def test_the_weight_is_in_every_integral():
-    """With 2 pi r a plane cut stands for a ring: its volume, and each force and energy of it."""
-    ring = weighing(lambda x: 2 * np.pi * x[0])
-    u = create_displacement(2)
-    plain = Solid(u, LAW, quadrature_degree=2)
-    weighted = Solid(u, LAW, quadrature_degree=2, kinematics=ring)
-    assert np.isclose(total(weighted.fields.weights), math.pi * (3.0**2 - 1.0**2), rtol=1e-13)
-    # a uniform strain: energy per area times the volume
-    u.interpolate(lambda x: np.stack([0.01 * x[0], -0.02 * x[1]]))
-    area, volume = 2.0, 8 * math.pi
-    assert np.isclose(total(weighted.energy()) / total(plain.energy()), volume / area, rtol=1e-12)
-    assert np.isclose(
-        weighted.elastic_norm(u) ** 2 / plain.elastic_norm(u) ** 2, volume / area, rtol=1e-12
-    )
-    power = total(forces(weighted) * u.x.array[: len(forces(weighted))])
-    assert np.isclose(power, 2 * total(weighted.energy()), rtol=1e-12)
-    assert weighted.element_force_norm() > 2 * math.pi * plain.element_force_norm()
-
-
-def weighing(weight):
-    """Return plane strain with another weight."""
-    return dataclasses.replace(plane_strain, name="ring", weight=weight)
 
 
 @pytest.mark.parametrize("kind", [dm.Contact, dm.Tie])
 def test_a_constant_weight_is_a_thickness(kind):
     """Of bodies and interface alike: forces are 2.5 times as large, pressures the same."""
-    domain, _, tags = two_blocks(COMM, (2, 2), (3, 2))
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    found = []
+    case, found = PressedBlocks(), []
     for kinematics in (None, weighing(lambda x: 2.5)):
-        solid = Solid(fem.Function(V), LAW, kinematics=kinematics)
-        interface = kind(tags, slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER)
-        ends = [fem.locate_dofs_topological(V, 1, tags.find(tag)) for tag in (1, 2)]
-        bcs = [fem.dirichletbc(np.zeros(2), ends[0], V)]
-        bcs.append(fem.dirichletbc(np.array([0.0, -0.01]), ends[1], V))
-        dm.newton(dm.ContactProblem(solid, [interface], bcs=bcs), rtol=1e-10)
+        case.u.x.array[:] = 0.0
+        interface = kind(case.facets, slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER)
+        solid = dm.Solid(case.u, LAW, kinematics=kinematics)
+        dm.newton(case.problem([interface], law=solid), rtol=1e-10)
         found.append((interface.force, interface.pressure.x.array.copy()))
     assert np.allclose(found[1][0], 2.5 * found[0][0], rtol=1e-8, atol=1e-8)
     assert np.allclose(found[1][1], found[0][1], rtol=1e-8, atol=1e-8)
@@ -215,12 +106,10 @@ def test_a_constant_weight_is_a_thickness(kind):
     ],
 )
 def test_interfaces_refuse_a_weight_that_is_none(weight, message):
-    domain, _, tags = two_blocks(COMM, (2, 2), (3, 2))
-    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
-    contact = dm.Contact(tags, slave=BOTTOM_OF_UPPER, master=TOP_OF_LOWER)
-    solid = dm.Solid(u, LAW, kinematics=weighing(weight))
+    case = PressedBlocks()
+    solid = dm.Solid(case.u, LAW, kinematics=weighing(weight))
     with pytest.raises(ValueError, match=message):
-        dm.ContactProblem(solid, [contact])
+        case.problem(law=solid)
 
 
 def test_round_off_of_an_axis_has_no_weight():
@@ -250,8 +139,7 @@ def constraint(bodies, weights):
 
 def test_motions_that_nothing_holds_are_those_of_the_kinematics():
     """A ring has one only; a body of no rigid motion is held."""
-    domain, _, _ = two_blocks(COMM, (2, 2), (3, 2))
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
+    V = PressedBlocks().V
     assert len(find_bodies(V).rigid_modes()) == 6
     bodies = find_bodies(V, along_the_axis)
     assert [name for _, name, _ in bodies.rigid_modes()] == 2 * ["shift along the axis"]
@@ -265,15 +153,165 @@ def test_motions_that_nothing_holds_are_those_of_the_kinematics():
 
 
 def test_a_problem_asks_for_the_motions_of_its_kinematics():
-    domain, _, _ = two_blocks(COMM, (2, 2), (3, 2))
-    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
     ring = dataclasses.replace(plane_strain, name="ring", rigid_motions=along_the_axis)
-    problem = dm.ContactProblem(Solid(u, LAW, kinematics=ring))
-    with pytest.raises(ValueError, match=r"nothing holds .*shift along the axis of the body"):
+    case = PressedBlocks()
+    problem = dm.ContactProblem(dm.Solid(case.u, LAW, kinematics=ring))
+    with rejected("nothing holds ", "shift along the axis of the body"):
         problem.audit()
     assert len(rigid_motions(problem.bodies)) == 1
 
 
-@pytest.mark.parametrize("d", [2, 3])
-def test_few_attributes(d):
-    assert len(vars(Solid(create_displacement(d), LAW))) <= 12
+RING = {"kinematics": "axisymmetric"}
+
+
+def section(a, b, cells, cell="triangle"):
+    return rectangle([(a, 0.0), (b, 1.0)], cells, cell)
+
+
+def ring(a, b, cells, supports=None, **options):
+    return stand(section(a, b, cells), LAW, supports, **RING, **options)
+
+
+def marked(domain, axis, at):
+    return ufl.Measure("ds", domain, subdomain_data=tag_facets(domain, plane(axis, at)))(1)
+
+
+@pytest.mark.parametrize(("cell", "a"), [("triangle", 0.0), ("quadrilateral", 1.0)])
+def test_uniform_strains_have_their_stress_and_energy(cell, a):
+    """U = (e_r r, e_z z): strains e_r, e_z, e_r of the whole ring, in that order."""
+    u = create_displacement(section(a, a + 2.0, (5, 3), cell))
+    solid = dm.Solid(u, LAW, **RING)
+    e_r, e_z = 0.01, -0.03
+    u.interpolate(lambda x: np.stack([e_r * x[0], e_z * x[1]]))
+    solid.evaluate()
+    lam, mu = E * NU / ((1 + NU) * (1 - 2 * NU)), E / (2 * (1 + NU))
+    trace = 2 * e_r + e_z
+    stress = lam * trace + 2 * mu * np.array([e_r, e_z, e_r, -lam * trace / (2 * mu)])
+    found = solid.fields.values("stress")
+    assert np.abs(found - stress).max(initial=0.0) < 1e-12 * np.abs(stress).max()
+    volume = np.pi * ((a + 2.0) ** 2 - a**2)
+    assert np.isclose(total(solid.fields.weights), volume, rtol=1e-12)
+    energy = volume * (lam / 2 * trace**2 + mu * (2 * e_r**2 + e_z**2))
+    assert np.isclose(total(solid.energy()), energy, rtol=1e-12)
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_a_thick_cylinder_converges_to_lame(cell):
+    """Under pressure inside, n cells across: second order in u."""
+    exact = Lame(E, NU, 1.0, 2.0, inside=10.0)
+    errors = []
+    for n in (4, 8, 16):
+        u = create_displacement(section(1.0, 2.0, (n, n), cell))
+        V = u.function_space
+        solid = dm.Solid(u, LAW, **RING)
+        loads = 10.0 * ufl.TestFunction(V)[0] * marked(V.mesh, 0, 1.0)
+        bcs = rollers(V, [1], (0.0, 1.0))
+        dm.newton(dm.ContactProblem(solid, bcs=bcs, loads=loads), rtol=1e-11)
+        x = ufl.SpatialCoordinate(V.mesh)
+        difference = u[0] - exact.displacement(x[0])
+        error = fem.form((difference**2 + u[1] ** 2) * x[0] * ufl.dx)
+        errors.append(np.sqrt(total(fem.assemble_scalar(error))))
+    rates = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert (rates > 1.85).all(), rates
+    assert errors[-1] < 2e-3 * exact.displacement(1.0)
+
+
+def test_loads_are_tractions_and_forces_those_of_the_ring():
+    """Body forces, tractions and a potential: each is weighed by 2 pi r."""
+    u = create_displacement(section(1.0, 3.0, (4, 2)))
+    V, v = u.function_space, ufl.TestFunction(u.function_space)
+    solid = dm.Solid(u, LAW, **RING)
+    area = np.pi * (3.0**2 - 1.0**2)
+    f = u.x.petsc_vec.duplicate()
+    up = marked(V.mesh, 1, 1.0)
+    for loads, expected in ((2.5 * v[1] * up, 2.5 * area), (-4.0 * v[1] * ufl.dx, -4.0 * area)):
+        problem = dm.ContactProblem(solid, loads=loads)
+        problem.terms.begin(0.0, 0.0)
+        problem.terms.assemble_forces(f)
+        assert np.isclose(total(f.array[1::2]), -expected, rtol=1e-12)
+    spring = dm.ContactProblem(solid, potential=0.5 * 7.0 * u[1] ** 2 * up)
+    u.interpolate(lambda x: np.stack([0 * x[0], 0 * x[0] + 0.1]))
+    ((_, term),) = spring.terms.named
+    assert np.isclose(total(term.energy()), 0.5 * 7.0 * 0.01 * area, rtol=1e-12)
+    f.set(0.0)
+    term.add_forces(f)
+    assert np.isclose(total(f.array[1::2]), 0.7 * area, rtol=1e-12)
+
+
+def test_the_only_rigid_motion_is_along_the_axis():
+    problem = ring(0.0, 1.0, (2, 2), lambda V: rollers(V, [0]))
+    solid = problem.solid
+    (motion,) = rigid_motions(problem.bodies)
+    K, zero = solid.create_matrix(), motion.duplicate()
+    solid.assemble_tangent(K)
+    K.mult(motion, zero)
+    assert zero.norm() < 1e-12 * K.norm() * motion.norm()
+    with rejected("nothing holds ", " translation along the axis of "):
+        problem.audit()
+
+
+def test_bodies_are_not_shifted_across_their_axis():
+    """A prescribed radial growth is no rigid motion to begin with, one along the axis is."""
+    problem = ring(1.0, 2.0, (2, 2), lambda V: [hold(V, plane(0, 1.0), value=(0.1, 0.2))])
+    problem.begin_step()
+    moved = problem.u.x.array.reshape(-1, 2)
+    assert np.abs(moved - [0.0, 0.2]).max(initial=0.0) < 1e-15
+    assert dm.newton(problem).converged
+
+
+@pytest.mark.parametrize(
+    ("given", "d", "words"),
+    [
+        ("axisymmetric", 3, ("'axisymmetric': on a mesh in 3D choose 'spatial'",)),
+        ("plane_stress", 3, ("'plane_stress': on a mesh in 3D",)),
+        ("plane_strain", 3, ("'plane_strain': on a mesh in 3D",)),
+        (spatial, 2, ("'spatial': on a mesh in 2D choose 'plane_strain' or ",)),
+        ("axisymetric", 2, ("kinematics is 'axisymetric': ", "or give a Kinematics")),
+        (3, 2, ("kinematics is 3: on a mesh in 2D choose",)),
+    ],
+)
+def test_wrong_kinematics_are_refused(given, d, words):
+    domain = rectangle([d * [0.0], d * [1.0]], d * [1])
+    with rejected(*words):
+        stand(domain, LAW, kinematics=given)
+
+
+def test_negative_radii_are_refused():
+    with rejected("nodes at r = x[0] < 0, down to -0.25; ", " r >= 0"):
+        ring(-0.25, 1.0, (5, 2))
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-17, -1e-17])
+def test_a_free_axis_is_refused(noise):
+    """Also where the radius of its points is round-off, of either sign."""
+    domain = section(0.0, 1.0, (2, 3))
+    x = domain.geometry.x
+    x[x[:, 0] == 0.0, 0] = noise
+    with rejected("4 nodes on the axis r = 0 are not held in r", "V.sub(0)"):
+        dm.newton(stand(domain, LAW, lambda V: rollers(V, [1]), **RING))
+    stand(domain, LAW, rollers, **RING).audit()
+
+
+def test_an_axis_that_shall_open_is_refused():
+    """In any step, with the displacement as it was."""
+    domain = section(0.0, 1.0, (2, 3))
+    radial = fem.Constant(domain, 0.0)
+
+    def held(V):
+        return [*rollers(V, [1]), hold(V, plane(0), 0, radial)]
+
+    problem = stand(domain, LAW, held, **RING)
+    dm.newton(problem)
+    radial.value = 1e-9
+    with rejected("4 nodes on the axis r = 0 are prescribed to leave it"):
+        dm.newton(problem)
+    assert (problem.u.x.array == 0.0).all()
+
+
+def test_contact_on_the_axis_is_refused():
+    """A facet of zero radius has no area."""
+    case = PressedBlocks()
+    contact = case.contact(4, 3, skins(case.mesh, case.cells, case.facets))
+    bcs = [*rollers(case.V, [0]), *rollers(case.V, [1], (-1.0, 1.0))]
+    with rejected("slave=4: 3 facets lie on the axis r = 0"):
+        case.problem([contact], bcs, dm.Solid(case.u, LAW, **RING)).audit()

@@ -13,7 +13,7 @@ from dolfinx_mortar.step_report import StepReport
 from dolfinx_mortar.steps import walk as walking
 from dolfinx_mortar.steps.newton import solve_step
 from tests.cases.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
-from tests.cases.hertz import create_case
+from tests.cases.hertz import paper
 from tests.cases.pressed_blocks import failing, rejected
 
 COMM = MPI.COMM_WORLD
@@ -29,7 +29,7 @@ def on_top(case, depth=0.05):
 
 
 def test_cuts_can_be_forbidden_and_are_told():
-    case = create_case(dm.meshing.hertz(COMM, kind="paper"))
+    case = paper()
     with rejected("from 0 to 4", "0 of 0 cuts", error=dm.NewtonNotConverged):
         list(dm.load_steps(case.problem, [4.0], on_time=on_top(case), max_it=5, cuts="none"))
     (step,) = dm.load_steps(case.problem, [4.0], on_time=on_top(case), max_it=5)
@@ -37,19 +37,6 @@ def test_cuts_can_be_forbidden_and_are_told():
     assert any("cut" in note for note in step.report.notes)
     assert f"in {len(step.parts)} parts" in str(step)
     assert step.report.as_dict()["cuts"] == step.report.cuts
-
-
-def test_a_second_walk_starts_where_the_first_ended():
-    case, seen = create_case(dm.meshing.hertz(COMM, kind="paper")), []
-    list(dm.load_steps(case.problem, [1.0], on_time=on_top(case)))
-
-    def on_time(t):
-        seen.append(t)
-        on_top(case)(t)
-
-    with pytest.raises(dm.NewtonNotConverged):
-        list(dm.load_steps(case.problem, [3.0], on_time=on_time, max_it=1, max_cuts=1))
-    assert seen == [3.0, 2.0]
 
 
 def generator(t):
@@ -71,7 +58,7 @@ def test_what_has_set_nothing(on_time):
 
 def test_a_step_of_no_length_is_not_halved():
     # of smooth surfaces the weighted gap of what touches in a point is an overlap of some 1e-6
-    case, seen = create_case(dm.meshing.hertz(COMM, kind="paper"), surface="facets"), []
+    case, seen = paper(surface="facets"), []
 
     def on_time(t):
         seen.append(t)
@@ -84,7 +71,7 @@ def test_a_step_of_no_length_is_not_halved():
 
 @pytest.mark.mpi
 def test_an_error_of_the_users_function_reaches_all_ranks():
-    case = create_case(dm.meshing.hertz(COMM, kind="paper"))
+    case = paper()
 
     def on_time(t):
         if COMM.rank == COMM.size - 1:
@@ -93,23 +80,6 @@ def test_an_error_of_the_users_function_reaches_all_ranks():
     error = KeyError if COMM.rank == COMM.size - 1 else RuntimeError
     with pytest.raises(error, match="no such level"):
         list(dm.load_steps(case.problem, [1.0], on_time=on_time))
-
-
-@pytest.mark.slow
-def test_an_overlap_is_reduced_in_parts():
-    """Two plastic bodies overlap by more than one step of few iterations can push apart."""
-    case = create_case(dm.meshing.hertz(COMM, kind="paper", gap=-0.2))
-    with pytest.raises(dm.NewtonNotConverged):
-        dm.newton(case.problem, max_it=5)
-    (step,) = dm.load_steps(case.problem, [1.0], max_it=5)
-    assert len(step.parts) > 1 and step.report.certificate.gap < 1e-5
-    notes = [note for part in step.parts for note in part.notes]
-    assert any("overlap" in note for note in notes)
-    assert not any("deep in each other" in note for note in notes)  # no corner is lost
-    # the same depth by pressing, in as many steps or so
-    pressed = create_case(dm.meshing.hertz(COMM, kind="paper"))
-    list(dm.load_steps(pressed.problem, np.linspace(1, 4, 4), on_time=on_top(pressed)))
-    assert case.force == pytest.approx(pressed.force, rel=0.05)
 
 
 def test_a_limit_load_is_named():
@@ -141,7 +111,7 @@ def test_a_limit_load_is_named():
 
 def test_a_step_that_leaves_nothing_says_so():
     """And what stays of an overlap that is taken out in parts: the level alone does not tell."""
-    case = create_case(dm.meshing.hertz(COMM, kind="paper", gap=-0.2))
+    case = paper(gap=-0.2)
     u = case.problem.u.x.array
     with rejected("failed from 0 to 0", error=dm.NewtonNotConverged) as caught:
         list(dm.load_steps(case.problem, [0.0], max_it=3, cuts="none"))
@@ -152,7 +122,7 @@ def test_a_step_that_leaves_nothing_says_so():
 
 def test_what_stays_of_an_overlap_is_told(monkeypatch):
     """Parts that have converged stay, at the same level: it says how deep sides still overlap."""
-    case = create_case(dm.meshing.hertz(COMM, kind="paper", gap=-0.2))
+    case = paper(gap=-0.2)
 
     def solve(problem, *, overlap, **options):
         if overlap < 0.09:
@@ -172,7 +142,7 @@ def test_what_stays_of_an_overlap_is_told(monkeypatch):
 @pytest.mark.mpi
 def test_two_walks_at_a_time():
     """The one that began first does not go on from where the other one has led."""
-    case = create_case(dm.meshing.hertz(COMM, kind="paper"))
+    case = paper()
     first = dm.load_steps(case.problem, [1.0], on_time=on_top(case))
     next(first)
     second = dm.load_steps(case.problem, [0.5], on_time=on_top(case))

@@ -12,9 +12,14 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.parallel import maximum, norm
-from dolfinx_mortar.newton_method.contacts import Contacts, find_sliders
+from dolfinx_mortar.newton_method.contacts import (
+    Contacts,
+    Scales,
+    find_sliders,
+    gap_round_off,
+    measure,
+)
 from dolfinx_mortar.newton_method.linearisation import find_balance, linearise
-from dolfinx_mortar.newton_method.residuals import Scales, gap_round_off, measure
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.report.certificate import create_certificate, set_results
 from tests.cases.friction import create as create_pushed

@@ -7,7 +7,6 @@ import pytest
 import basix.ufl
 import dolfinx_mortar as dm
 from dolfinx import mesh
-from dolfinx_mortar import compat
 from dolfinx_mortar.audit import mesh_audit
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from tests.cases.meshes import two_blocks
@@ -32,30 +31,6 @@ def move(domain, point, target):
     x[np.abs(x[:, :d] - point).max(axis=1) < 1e-6, :d] = target
 
 
-def volumes(domain):
-    """Return the sum of the cells' volumes and the volume that the surface encloses, simplices.
-
-    The latter by the divergence theorem from the facets on the surface, with the normals that
-    point away from their cells.
-    """
-    d = domain.topology.dim
-    domain.topology.create_connectivity(d - 1, d)
-    domain.topology.create_connectivity(d - 1, 0)
-    owned = domain.topology.index_map(d).size_local
-    x = domain.geometry.x[compat.cell_nodes(domain)[:owned], :d]
-    size = {2: 2.0, 3: 6.0}[d]
-    total = np.abs(np.linalg.det(x[:, 1:] - x[:, :1])).sum() / size
-    enclosed = 0.0
-    for facet in mesh.exterior_facet_indices(domain.topology):
-        cell = domain.topology.connectivity(d - 1, d).links(facet)[0]
-        on = mesh.entities_to_geometry(domain, d - 1, np.array([facet], dtype=np.int32))[0]
-        f = domain.geometry.x[on, :d]
-        middle = domain.geometry.x[compat.cell_nodes(domain)[cell], :d].mean(axis=0)
-        outwards = np.sign(np.linalg.det([f[0] - middle, *(f[1:] - f[0])]))
-        enclosed += outwards * np.linalg.det(f) / size
-    return COMM.allreduce(total), COMM.allreduce(enclosed)
-
-
 @pytest.mark.mpi
 @pytest.mark.parametrize("kind", KINDS)
 def test_sound_meshes_pass(kind):
@@ -70,22 +45,6 @@ def test_units_and_places_do_not_matter(kind, scale):
     d = 2 if kind in PLANE else 3
     stretch = np.r_[-1.0, 1e-3, 1.0][:d]
     check_mesh(create(kind, transform=lambda x: scale * (1e3 + stretch * x)))
-
-
-@pytest.mark.parametrize("cell", PLANE)
-@pytest.mark.parametrize("kind", ["paper", "graded"])
-def test_the_meshes_of_the_package_in_the_plane_pass(kind, cell):
-    check_mesh(dm.meshing.hertz(COMM, kind=kind, h=0.3, cell=cell, gap=-0.1).mesh)
-
-
-@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
-def test_the_meshes_of_the_package_in_space_pass(cell):
-    check_mesh(dm.meshing.sphere(COMM, h=0.25, cell=cell).mesh)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_bodies_may_overlap(kind):
-    check_mesh(create(kind, gap=-0.4))
 
 
 # -- inverted and folded
@@ -111,40 +70,6 @@ def test_a_node_moved_through_its_cells(kind):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("kind", ["triangle", "tetrahedron"])
-def test_a_folded_surface(kind):
-    """A node of the bottom is pulled up through the cells above it."""
-    domain = create(kind)
-    d = domain.geometry.dim
-    start = np.full(d, 0.5)
-    start[-1] = -1.0
-    move(domain, start, start + 0.3 * np.eye(d)[-1])
-    with rejected("on the same side of a facet as a neighbour", "inverted or folded"):
-        check_mesh(domain)
-
-
-@pytest.mark.mpi
-def test_a_dart():
-    """A quadrilateral with a corner pushed in a little is poor: its integrals are still right."""
-    domain = mesh.create_unit_square(COMM, 4, 4, mesh.CellType.quadrilateral)
-    move(domain, [1.0, 1.0], [0.86, 0.86])
-    check_mesh(domain)
-    move(domain, [0.86, 0.86], [0.78, 0.78])
-    with rejected("mesh: 1 of 16 cells are inverted", "around (0.82, 0.82)"):
-        check_mesh(domain)
-
-
-@pytest.mark.mpi
-def test_one_inverted_triangle_is_counted_and_placed():
-    """The corner (1, 1) of the upper square goes through the opposite edge of its only cell."""
-    domain = mesh.create_unit_square(COMM, 4, 4, diagonal=mesh.DiagonalType.left)
-    move(domain, [1.0, 1.0], [0.85, 0.85])
-    around = "around (0.8333, 0.8333) and elsewhere"
-    with rejected("mesh: 2 of 32 cells lie on the same side", around):
-        check_mesh(domain)
-
-
-@pytest.mark.mpi
 def test_nodes_around_the_cell_instead_of_a_tensor_product():
     """The order of most other programs is the usual mistake."""
     for d in (2, 3):
@@ -163,24 +88,6 @@ def one_cell_numbered_around(d):
     points = corners if first else np.empty((0, d))
     element = basix.ufl.element("Lagrange", kind, 1, shape=(d,))
     return mesh.create_mesh(COMM, cells, x=points, e=element)
-
-
-@pytest.mark.parametrize("kind", ["triangle", "tetrahedron"])
-def test_refused_if_the_cells_do_not_fill_what_the_surface_encloses(kind):
-    """Every node is moved at random, more and more from case to case."""
-    refused = []
-    most = {"triangle": 0.2, "tetrahedron": 0.12}[kind]
-    for seed, size in enumerate(np.linspace(0.03, most, 16)):
-        shift = size * np.random.default_rng(seed).uniform(-1.0, 1.0, (2 * 5**3, 3))
-        domain = create(kind, transform=lambda x, shift=shift: x + shift[: len(x), : x.shape[1]])
-        total, enclosed = volumes(domain)
-        refused.append(abs(total - enclosed) > 1e-9 * total)
-        if refused[-1]:
-            with rejected("inverted or folded"):
-                check_mesh(domain)
-        else:
-            check_mesh(domain)
-    assert 4 <= sum(refused) <= 14
 
 
 @pytest.mark.mpi
@@ -224,14 +131,6 @@ def test_what_has_collapsed_does_not_hang_on_the_limit(factor, monkeypatch):
     monkeypatch.setattr(mesh_audit, "ROUND_OFF", factor * mesh_audit.ROUND_OFF)
     test_a_collapsed_body_is_named("tetrahedron")
     test_units_and_places_do_not_matter("tetrahedron", 1.0)
-
-
-@pytest.mark.mpi
-def test_one_collapsed_triangle():
-    domain = mesh.create_unit_square(COMM, 4, 4, diagonal=mesh.DiagonalType.left)
-    move(domain, [1.0, 1.0], [0.875, 0.875])
-    with rejected("mesh: 1 of 32 cells have collapsed, without volume, around (0.875, 0.875);"):
-        check_mesh(domain)
 
 
 def test_a_quadrilateral_may_be_a_triangle():

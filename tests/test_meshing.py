@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The Hertz meshes: areas, tags, symmetry, separation of the bodies, sizes."""
+"""The Hertz meshes: sizes of tagged parts, symmetry, separation of the bodies, shapes of cells."""
 
 from mpi4py import MPI
 
@@ -9,92 +9,152 @@ from scipy.spatial import cKDTree
 
 import ufl
 from dolfinx import fem, mesh
-from dolfinx_mortar import meshing
+from dolfinx_mortar import compat, meshing
 from dolfinx_mortar.meshing import two_bodies
 from tests.cases.integrals import integral
 
 COMM = MPI.COMM_WORLD
 CELLS = ["triangle", "quadrilateral"]
+SOLID = ["hexahedron", "tetrahedron"]
+OPTIONS = {"kind": "graded", "h": 0.3, "radius": 6.0, "block": (20.0, 8.0), "gap": 0.25}
+BALL = {"h": 0.25, "radius": 6.0, "block": (24.0, 20.0, 8.0), "gap": 0.25}
 
 
-def owned_counts(m: meshing.TaggedMesh) -> list[int]:
-    owned = m.mesh.topology.index_map(2).size_local
-    return [COMM.allreduce(int(np.sum(m.cell_tags.values[:owned] == tag))) for tag in (1, 2)]
-
-
-def nodes_and_cells(m: meshing.TaggedMesh) -> tuple[np.ndarray, np.ndarray]:
-    V = fem.functionspace(m.mesh, ("Lagrange", 1))
-    return V.tabulate_dof_coordinates()[:, :2], V.dofmap.list
-
-
-@pytest.mark.parametrize("cell", CELLS)
-@pytest.mark.parametrize("kind", ["paper", "graded"])
-def test_areas_lengths_and_flux_of_tagged_parts(kind, cell):
-    m = meshing.hertz(COMM, kind=kind, h=0.3, radius=6.0, block=(20.0, 8.0), gap=0.25, cell=cell)
-    one = fem.Constant(m.mesh, 1.0)
-    dx = ufl.Measure("dx", m.mesh, subdomain_data=m.cell_tags)
+def measures(m, tags):
+    """Return areas or lengths of sides, and the integrals (sides, d) of their outward normals."""
+    one, n = fem.Constant(m.mesh, 1.0), ufl.FacetNormal(m.mesh)
     ds = ufl.Measure("ds", m.mesh, subdomain_data=m.facet_tags)
-    assert integral(one * dx(m.cell_tags.tag("block"))) == pytest.approx(160.0, rel=1e-12)
-    assert integral(one * dx(m.cell_tags.tag("disc"))) == pytest.approx(np.pi * 18.0, rel=2e-2)
-    lengths = [integral(one * ds(tag)) for tag in (1, 2, 3, 4)]
-    assert lengths[:3] == pytest.approx([20.0, 12.0, 20.0], rel=1e-12)
-    assert lengths[3] == pytest.approx(np.pi * 6.0, rel=1e-2)
-    n_y = ufl.FacetNormal(m.mesh)[1]
-    flux = [integral(n_y * ds(tag)) for tag in (1, 2, 3, 4)]  # outward: bottom down, arc down
-    assert flux == pytest.approx([-20.0, 12.0, 20.0, -12.0], rel=1e-12)
+    flux = [[integral(n[i] * ds(t)) for i in range(m.mesh.geometry.dim)] for t in tags]
+    return np.array([integral(one * ds(t)) for t in tags]), np.array(flux)
+
+
+def volumes(m):
+    """Return areas or volumes of block and round body, by name and by tag."""
+    dx, one = ufl.Measure("dx", m.mesh, subdomain_data=m.cell_tags), fem.Constant(m.mesh, 1.0)
+    round_one = "disc" if m.mesh.geometry.dim == 2 else "ball"
+    return [integral(one * dx(m.cell_tags.tag(name))) for name in ("block", round_one)]
+
+
+def count(m):
+    """Return how many facets of all ranks have each tag; another mesh may be split otherwise."""
+    tags = m.facet_tags
+    owned = tags.values[tags.indices < tags.topology.index_map(tags.dim).size_local]
+    return COMM.allreduce(np.bincount(owned, minlength=7))
+
+
+@pytest.mark.parametrize(
+    ("kind", "cell", "radius", "block", "gap"),
+    [
+        ("paper", "triangle", 6.0, (20.0, 8.0), 0.25),
+        ("graded", "quadrilateral", 6.0, (20.0, 8.0), 0.25),
+        # no gap and no size swallows a tag
+        ("paper", "triangle", 8.0, (30.0, 10.0), -7.99),
+        ("paper", "triangle", 8.0, (30.0, 10.0), 8e3),
+        ("paper", "triangle", 1e-7, (30.0, 10.0), 0.0),  # round-off of a common scale
+        ("paper", "triangle", 8e-6, (30e-6, 10e-6), 1e-7),
+    ],
+)
+def test_areas_lengths_and_flux_of_tagged_parts(kind, cell, radius, block, gap):
+    h = 0.3 if radius == 6.0 else None
+    options = {"kind": kind, "cell": cell, "radius": radius, "block": block, "gap": gap}
+    m = meshing.hertz(COMM, **options | ({"h": h} if h else {}))
+    sizes, flux = measures(m, (1, 2, 3, 4))
+    width, diameter = block[0], 2 * radius
+    assert sizes[:3] == pytest.approx([width, diameter, width], rel=1e-9)
+    assert sizes[3] == pytest.approx(np.pi * radius, rel=1e-2)
+    assert flux[:, 1] == pytest.approx([-width, diameter, width, -diameter], rel=1e-9)
+    assert volumes(m) == pytest.approx([block[0] * block[1], np.pi * radius**2 / 2], rel=2e-2)
+
+
+@pytest.mark.parametrize("cell", SOLID)
+@pytest.mark.parametrize(
+    ("radius", "block", "gap"),
+    [
+        (6.0, (24.0, 20.0, 8.0), 0.25),
+        (8.0, (30.0, 30.0, 10.0), -7.99),
+        (8e-3, (30e-3, 30e-3, 10e-3), 1e-4),
+    ],
+)
+def test_volumes_areas_and_flux_of_the_quarter(cell, radius, block, gap):
+    m = meshing.sphere(COMM, cell=cell, h=radius / 24, radius=radius, block=block, gap=gap)
+    sizes, flux = measures(m, range(1, 7))
+    (a, b, c), circle = block, np.pi * radius**2 / 4
+    expected = [a * b / 4, circle, a * b / 4, 2 * circle, b * c / 2 + circle, a * c / 2 + circle]
+    assert sizes == pytest.approx(expected, rel=3e-2)
+    assert sizes[0] == pytest.approx(a * b / 4, rel=1e-9)
+    expected = [-sizes[0], sizes[1], sizes[2], -sizes[1], 0.0, 0.0]
+    assert flux[:, 2] == pytest.approx(expected, abs=1e-9 * a**2)
+    assert [flux[4, 0], flux[5, 1]] == pytest.approx(-sizes[4:], rel=1e-9)
+    assert volumes(m) == pytest.approx([a * b * c / 4, np.pi * radius**3 / 6], rel=4e-2)
 
 
 def test_paper_counts():
-    block, disc = owned_counts(meshing.hertz(COMM))
+    m = meshing.hertz(COMM)
+    owned = m.mesh.topology.index_map(2).size_local
+    block, disc = (COMM.allreduce(int(np.sum(m.cell_tags.values[:owned] == tag))) for tag in (1, 2))
     assert block == 2720
     assert disc == pytest.approx(1200, rel=0.02)
 
 
-@pytest.mark.parametrize("gap", [0.0, -0.05])
-def test_bodies_share_no_node_and_both_have_the_contact_point(gap):
-    m = meshing.hertz(COMM, kind="graded", h=0.2, gap=gap)
-    dofmap = fem.functionspace(m.mesh, ("Lagrange", 1))
-    x = dofmap.tabulate_dof_coordinates()[:, :2]
-    owned = dofmap.dofmap.index_map.size_local
+def points_and_cells(m):
+    V = fem.functionspace(m.mesh, ("Lagrange", 1))
+    return V.tabulate_dof_coordinates()[:, : m.mesh.geometry.dim], V.dofmap.list
+
+
+@pytest.mark.parametrize(
+    ("make", "options"),
+    [
+        *((meshing.hertz, {"kind": "graded", "h": 0.2, "gap": gap}) for gap in (0.0, -0.05)),
+        *((meshing.sphere, {"h": 0.25, "cell": cell}) for cell in SOLID),
+    ],
+)
+def test_bodies_share_no_node_and_both_have_the_contact_point(make, options):
+    m = make(COMM, **options)
+    V = fem.functionspace(m.mesh, ("Lagrange", 1))
+    own, d = V.dofmap.index_map.size_local, m.mesh.geometry.dim
+    x = V.tabulate_dof_coordinates()
     body = np.zeros((2, len(x)), dtype=bool)
     for i in (0, 1):
-        body[i, dofmap.dofmap.list[m.cell_tags.find(i + 1)]] = True
+        body[i, V.dofmap.list[m.cell_tags.find(i + 1)]] = True
     assert not np.any(body[0] & body[1])
-    for i, y in ((0, 0.0), (1, gap)):
-        here = body[i, :owned] & (np.abs(x[:owned] - [0.0, y]).max(axis=1) < 1e-12)
+    for i, place in ((0, 0.0), (1, options.get("gap", 0.0))):
+        lowest = np.append(np.zeros(d - 1), [place, 0.0, 0.0])[:3]
+        here = body[i, :own] & (np.abs(x[:own] - lowest).max(axis=1) < 1e-12)
         assert COMM.allreduce(int(here.sum())) == 1
 
 
 @pytest.mark.parametrize("cell", CELLS)
-def test_mesh_is_symmetric(cell):
-    m = meshing.hertz(MPI.COMM_SELF, kind="graded", h=0.2, gap=0.1, cell=cell)
-    x, cells = nodes_and_cells(m)
-    for points in (x, x[cells].mean(axis=1)):
+def test_halves_and_images(cell):
+    """The disc is symmetric, its half is half of it."""
+    whole, half = (
+        meshing.hertz(MPI.COMM_SELF, half=k, cell=cell, **OPTIONS) for k in (False, True)
+    )
+    (x, all_cells), (y, cells) = points_and_cells(whole), points_and_cells(half)
+    for points in (x, x[all_cells].mean(axis=1)):
         distance, image = cKDTree(points).query(points * [-1.0, 1.0])
         assert distance.max() < 1e-12
         assert np.array_equal(np.sort(image), np.arange(len(points)))
+    sizes, _ = measures(half, (1, 2, 3, 5))
+    assert sizes == pytest.approx([10.0, 6.0, 10.0, 14.0], rel=1e-12)
+    assert half.mesh.geometry.x[:, 0].min() == 0.0 and 2 * len(cells) == len(all_cells)
+    assert len(y) == np.sum(x[:, 0] > -1e-12)
+    assert cKDTree(x).query(y)[0].max() < 1e-12
 
 
-@pytest.mark.parametrize("cell", CELLS)
-def test_half_is_half_of_the_whole(cell):
-    options = {"kind": "graded", "h": 0.3, "radius": 6.0, "block": (20.0, 8.0), "gap": 0.25}
-    m = meshing.hertz(COMM, half=True, cell=cell, **options)
-    one, ds = fem.Constant(m.mesh, 1.0), ufl.Measure("ds", m.mesh, subdomain_data=m.facet_tags)
-    lengths = [integral(one * ds(tag)) for tag in (1, 2, 3, 5)]
-    assert lengths == pytest.approx([10.0, 6.0, 10.0, 14.0], rel=1e-12)
-    assert integral(one * ds(4)) == pytest.approx(np.pi * 3.0, rel=1e-2)
-    (x, cells), (whole, all_cells) = (
-        nodes_and_cells(meshing.hertz(MPI.COMM_SELF, half=half, cell=cell, **options))
-        for half in (True, False)
-    )
-    assert m.mesh.geometry.x[:, 0].min(initial=0.0) == 0.0
-    assert 2 * len(cells) == len(all_cells)
-    assert len(x) == np.sum(whole[:, 0] > -1e-12)
-    assert cKDTree(whole).query(x)[0].max() < 1e-12
+@pytest.mark.parametrize("cell", SOLID)
+def test_the_half_ball_is_the_quarter_and_its_image(cell):
+    quarter, half = (meshing.sphere(COMM, cell=cell, half=k, **BALL) for k in (False, True))
+    (sizes, flux), (twice, both) = (measures(m, range(1, 7)) for m in (quarter, half))
+    expected = 2.0 * sizes * [1, 1, 1, 1, 0, 1]
+    assert twice == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert volumes(half) == pytest.approx(2.0 * np.array(volumes(quarter)), rel=1e-9)
+    assert both[:, 0] == pytest.approx(np.zeros(6), abs=1e-8)
+    assert both[3, 2] == pytest.approx(2.0 * flux[3, 2], rel=1e-9)
+    cells = [m.mesh.topology.index_map(3).size_global for m in (quarter, half)]
+    assert cells[1] == 2 * cells[0]
 
 
-@pytest.mark.parametrize("cell", CELLS)
-@pytest.mark.parametrize("limit", [10.0, 4.0])
+@pytest.mark.parametrize(("cell", "limit"), [("triangle", 10.0), ("quadrilateral", 4.0)])
 def test_graded_sizes(cell, limit):
     h = 0.1
     m = meshing.hertz(MPI.COMM_SELF, kind="graded", h=h, cell=cell, limit=limit)
@@ -106,14 +166,32 @@ def test_graded_sizes(cell, limit):
     size = h * np.clip(1 + r - 2.5, 1.0, limit)
     assert np.median(length / size) == pytest.approx(1.0, abs=0.1)
     near = r < 2.5
-    assert length[near].max() < 1.6 * h
-    assert length[near].min() > 0.4 * h
+    assert length[near].max() < 1.6 * h and length[near].min() > 0.4 * h
     # no sliver: area against the longest edge of each cell
-    x, cells = nodes_and_cells(m)
+    x, cells = points_and_cells(m)
     a, b = x[cells[:, 1]] - x[cells[:, 0]], x[cells[:, 2]] - x[cells[:, 0]]
     area = 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
     longest = m.mesh.h(2, np.arange(len(cells), dtype=np.int32))
     assert (area / longest**2).min() > 0.1
+
+
+def test_hexahedra_are_nearly_cubes_everywhere():
+    """Volume of a cell over the cube of its mean edge; they grow in proportion to distance."""
+    m = meshing.sphere(COMM, h=0.25)
+    owned = m.mesh.topology.index_map(3).size_local
+    x = m.mesh.geometry.x[compat.cell_nodes(m.mesh)[:owned]]
+    edges = np.stack([x[:, 1] - x[:, 0], x[:, 2] - x[:, 0], x[:, 4] - x[:, 0]], axis=1)
+    lengths = np.linalg.norm(edges, axis=2)
+    shape = np.abs(np.linalg.det(edges)) / lengths.max(axis=1) ** 3
+    assert shape.min(initial=1.0) > 0.1
+    middle = np.linalg.norm(x.mean(axis=1), axis=1)
+    far = middle > 2.0
+    assert ((lengths.mean(axis=1) / middle)[far] < 0.4).all()
+    finer = meshing.sphere(COMM, h=0.125).mesh.topology.index_map(3).size_global
+    assert 6.0 < finer / m.mesh.topology.index_map(3).size_global < 8.5
+    facets = m.facet_tags.find("sphere")
+    on = m.mesh.geometry.x[mesh.entities_to_geometry(m.mesh, 2, facets)] if len(facets) else [[8]]
+    assert np.linalg.norm(np.array(on) - [0, 0, 8], axis=-1) == pytest.approx(8.0, abs=1e-9)
 
 
 @pytest.mark.serial
@@ -149,36 +227,38 @@ def test_meshing_is_deterministic_and_silent(capfd):
     assert (captured.out, captured.err) == ("", "")
 
 
+PLANE = [  # the first name is that of the error
+    *({"kind": value} for value in ("fine", None)),
+    {"cell": "tetrahedron"},
+    *({"h": value} for value in (0.0, np.nan, (0.1, -1.0), "0.1", (0.1, 0.2, 0.3))),
+    {"h": 5.0, "kind": "graded"},
+    *({"radius": value} for value in (-8.0, (8.0,))),
+    *({"block": value} for value in ((30.0, 0.0), 30.0, (30.0, 30.0, 10.0))),
+    *({"limit": value} for value in (1.0, "10")),
+    {"core": 0.0},
+    *({"gap": value} for value in (np.inf, None)),
+    {"gap": -8.0},  # the block reaches the flat face
+    {"gap": -2.5, "block": (30.0, 2.5)},  # the disc reaches the bottom
+]
+SPACE = [
+    {"cell": "prism"},
+    *({"h": value} for value in (0.0, 2.0, "fine", (0.1, 0.1, 0.1))),
+    {"radius": -1.0},
+    *({"block": value} for value in ((30.0, 10.0), (30.0, 30.0, np.nan))),
+    *({"gap": value} for value in (np.inf, -8.0)),
+    *({"core": value} for value in (20.0, "1")),
+    {"h": 0.2, "core": 0.1},
+]
+
+
 @pytest.mark.parametrize(
-    ("arguments", "name"),
-    [
-        ({"kind": "fine"}, "kind"),
-        ({"kind": None}, "kind"),
-        ({"cell": "tetrahedron"}, "cell"),
-        ({"h": 0.0}, "h"),
-        ({"h": np.nan}, "h"),
-        ({"h": (0.1, -1.0)}, "h"),
-        ({"h": "0.1"}, "h"),
-        ({"h": (0.1, 0.2, 0.3)}, "h"),
-        ({"kind": "graded", "h": 5.0}, "h"),
-        ({"radius": -8.0}, "radius"),
-        ({"radius": (8.0,)}, "radius"),
-        ({"block": (30.0, 0.0)}, "block"),
-        ({"block": 30.0}, "block"),
-        ({"block": (30.0, 30.0, 10.0)}, "block"),
-        ({"limit": 1.0}, "limit"),
-        ({"limit": "10"}, "limit"),
-        ({"core": 0.0}, "core"),
-        ({"gap": np.inf}, "gap"),
-        ({"gap": None}, "gap"),
-        ({"gap": -8.0}, "gap"),  # the block reaches the flat face
-        ({"gap": -2.5, "block": (30.0, 2.5)}, "gap"),  # the disc reaches the bottom
-    ],
+    ("make", "arguments"),
+    [*((meshing.hertz, case) for case in PLANE), *((meshing.sphere, case) for case in SPACE)],
 )
-def test_bad_input_is_named_on_all_ranks(arguments, name, monkeypatch):
+def test_bad_input_is_named_on_all_ranks(make, arguments, monkeypatch):
     monkeypatch.setattr(two_bodies, "distribute", pytest.fail)
-    with pytest.raises(ValueError, match=f"^{name} is "):
-        meshing.hertz(COMM, **arguments)
+    with pytest.raises(ValueError, match=f"^{next(iter(arguments))} is "):
+        make(COMM, **arguments)
 
 
 @pytest.mark.mpi
@@ -195,32 +275,13 @@ def test_bad_input_of_one_rank_is_an_error_on_all():
     "arguments",
     [
         {"h": np.float32(0.5)},
-        {"h": [0.5, 1]},
         {"h": np.array([0.5, 0.6])},
-        {"radius": 8, "block": [30, 10], "gap": np.int64(0)},
+        {"radius": 8, "block": [30, 10], "gap": np.int64(0), "h": [0.5, 1]},
     ],
 )
 def test_numbers_of_any_kind_are_welcome(arguments):
-    assert owned_counts(meshing.hertz(COMM, kind="graded", **{"h": 0.6} | arguments))[0] > 0
-
-
-@pytest.mark.parametrize(
-    ("radius", "block", "gap"),
-    [
-        (8.0, (30.0, 10.0), -7.99),
-        (8.0, (30.0, 10.0), 8e3),
-        (1e-7, (30.0, 10.0), 0.0),  # the disc is smaller than the round-off of a common scale
-        (1e6, (30.0, 10.0), -1.0),
-        (8e-6, (30e-6, 10e-6), 1e-7),
-    ],
-)
-def test_no_gap_and_no_size_swallows_a_tag(radius, block, gap):
-    m = meshing.hertz(COMM, radius=radius, block=block, gap=gap)
-    one = fem.Constant(m.mesh, 1.0)
-    ds = ufl.Measure("ds", m.mesh, subdomain_data=m.facet_tags)
-    lengths = [integral(one * ds(tag)) for tag in (1, 2, 3)]
-    assert lengths == pytest.approx([block[0], 2 * radius, block[0]], rel=1e-9)
-    assert integral(one * ds(4)) == pytest.approx(np.pi * radius, rel=1e-2)
+    m = meshing.hertz(COMM, kind="graded", **arguments)
+    assert m.mesh.topology.index_map(2).size_global > 0
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.5, 2.0, 1e8])
@@ -228,13 +289,7 @@ def test_tags_do_not_hang_on_a_tolerance(factor, monkeypatch):
     """Half and twice as much change nothing; none at all, or the size of a body, does."""
     options = {"gap": 0.1} if factor < 3.0 else {"h": 1.0, "core": 2.0}
     make = meshing.hertz if factor < 3.0 else meshing.sphere  # which has nothing to mirror
-    before = count_tags(make(COMM, **options).facet_tags)
+    before = count(make(COMM, **options))
     monkeypatch.setattr(two_bodies, "HALF_OF_DIGITS", factor * two_bodies.HALF_OF_DIGITS)
-    after = count_tags(make(COMM, **options).facet_tags)
+    after = count(make(COMM, **options))
     assert np.array_equal(before, after) == (factor in (0.5, 2.0))
-
-
-def count_tags(tags):
-    """Return how many facets of all ranks have each tag; another mesh may be split otherwise."""
-    owned = tags.values[tags.indices < tags.topology.index_map(tags.dim).size_local]
-    return COMM.allreduce(np.bincount(owned, minlength=7))

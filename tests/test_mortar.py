@@ -13,10 +13,10 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
 from dolfinx_mortar.mortar import duals
+from dolfinx_mortar.mortar.assembly import assemble_mortar
 from dolfinx_mortar.mortar.duals import default_keep, node_weights
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.pairing import outside_margin
-from dolfinx_mortar.mortar.paper import assemble_mortar
 from dolfinx_mortar.mortar.surface import accumulate, create_surface
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.report import certificate

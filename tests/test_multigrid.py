@@ -1,16 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Contact in 3D by conjugate gradients and multigrid: the basis, the answer, the failures."""
 
-import ctypes
-
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.algebra.congruence import Congruence
 from dolfinx_mortar.qp import MULTIGRID
 from dolfinx_mortar.qp.preconditioner import Multigrid
 from tests.cases.ball import create_problem
@@ -26,74 +22,6 @@ def solved():
     return problem, contact, dm.newton(problem)
 
 
-@pytest.fixture(scope="module", params=[("hexahedron", 1), ("tetrahedron", 2)])
-def released(request):
-    """The same, also with middles of facets that lean on their ends."""
-    problem, contact = create_problem(cell=request.param[0], degree=request.param[1])
-    return problem, contact, dm.newton(problem)
-
-
-def random_vector(problem):
-    v = problem.K.createVecRight()
-    v.array[:] = np.random.default_rng(COMM.rank).standard_normal(v.local_size)
-    return v
-
-
-def test_default_is_multigrid_and_the_report_says_so(solved):
-    report = solved[2]
-    assert "cg" in report.linear_solver and "gamg" in report.linear_solver
-    assert report.factorisations == 1
-
-
-def test_change_of_basis_is_undone(released):
-    problem = released[0]
-    y = random_vector(problem)
-    u = y.duplicate()
-    problem.system.transformation.apply(y, u)
-    back = problem.system.transformation.inverse(u)
-    back.axpy(-1.0, y)
-    assert back.norm() < 1e-12 * y.norm()
-
-
-def test_released_basis_is_consistent(released):
-    """Energies in both unknowns agree for y = (I - E) v; motions are the same displacements."""
-    problem = released[0]
-    held = (3 * np.flatnonzero(problem.committed.active)).astype(np.int32)
-    motion = random_vector(problem)
-    T = problem.system.transformation
-    C, E = T.uncouple(held)
-    A, B = T.transform(problem.K), Congruence(problem.K, C).product
-    for v in (random_vector(problem), T.uncoupled(motion, E)):
-        y = v.copy()
-        y.axpy(-1.0, E * v)
-        assert v.dot(B * v) == pytest.approx(y.dot(A * y), rel=1e-11)
-    back = y.duplicate()
-    T.apply(y, back)
-    back.axpy(-1.0, motion)
-    assert back.norm() < 1e-12 * motion.norm()
-
-
-def test_near_null_space_strains_nothing(released):
-    """Rigid motions have no force in v at unknowns away from those that are held."""
-    problem = released[0]
-    unknowns = problem.linear.unknowns
-    T, held = problem.system.transformation, np.zeros(0, dtype=np.int32)  # all contacts are open
-    motions = unknowns.motions(unknowns.change(held))
-    decoupled = unknowns.operator.decoupled
-    A = Congruence(problem.K, T.uncouple(decoupled)[0]).product
-    mark = random_vector(problem)
-    mark.array[np.setdiff1d(np.arange(mark.local_size), decoupled)] = 0.0
-    far = (A * mark).array_r == 0.0
-    contact = problem.contacts[0]
-    slave = 3 * problem.system.link(contact).nodes
-    assert COMM.allreduce(int(far[slave].sum())) > 0
-    assert len(motions) == 6
-    for motion in motions:
-        force = A * motion
-        assert np.abs(force.array_r[far]).max(initial=0.0) < 1e-12 * A.norm() * motion.norm()
-        assert not motion.array_r[decoupled].any()
-
-
 @pytest.mark.parametrize("slave", ["block", "ball"])
 def test_iterative_and_direct_solvers_agree(slave):
     forces, u = [], []
@@ -105,46 +33,6 @@ def test_iterative_and_direct_solvers_agree(slave):
     assert np.allclose(forces[0], forces[1], rtol=0, atol=1e-7 * np.abs(forces[1]).max())
     size = COMM.allreduce(np.abs(u[1]).max(), op=MPI.MAX)
     assert np.allclose(u[0], u[1], rtol=0, atol=1e-8 * size)
-
-
-def test_the_interior_point_agrees(solved):
-    problem, contact = create_problem()
-    dm.newton(problem, qp="interior-point")
-    assert np.allclose(contact.force, solved[1].force, rtol=1e-6, atol=1e-6)
-
-
-def test_iterations_do_not_grow_with_the_mesh():
-    counts = []
-    for h in (0.5, 0.25):
-        report = dm.newton(create_problem(h=h)[0])
-        counts.append((report.qp_iterations, report.iterations[0].linear_iterations))
-    assert counts[1][0] <= counts[0][0] + 2
-    assert counts[1][1] <= 1.6 * counts[0][1]
-
-
-def test_plastic_step_reuses_the_set_up():
-    law = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
-    report = dm.newton(create_problem(law=law)[0])
-    assert report.newton_iterations > 3
-    assert report.factorisations < report.newton_iterations
-
-
-def test_smoothers_serve_later_tangents():
-    """Of plastic flow: eigenvalues beyond Chebyshev's interval would make them indefinite."""
-    law = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
-    problem, _ = create_problem(h=0.35, law=law)
-    dm.newton(problem)
-    counts = problem.linear.counts
-    assert (counts.breakdowns, counts.factorisations) == (0, 1)
-
-
-def test_stagnating_solver_is_named(monkeypatch):
-    """A preconditioner that does nothing within a few iterations gives an error, not an answer."""
-    problem, _ = create_problem(petsc_options={"pc_type": "none"})
-    monkeypatch.setitem(MULTIGRID, "ksp_max_it", 5)
-    with pytest.raises(dm.NewtonNotConverged, match=r"residual is .* iterations"):
-        dm.newton(problem)
-    assert np.abs(problem.u.x.array).max(initial=0.0) == 0.0
 
 
 # -- where multigrid fails -------------------------------------------------------------------------
@@ -203,18 +91,6 @@ def test_load_steps_factorise_what_multigrid_cannot(solved, monkeypatch, caplog)
     assert "gamg" in dm.newton(problem).linear_solver
 
 
-@pytest.mark.usefixtures("powerless")
-def test_factorised_steps_are_those_of_a_problem_that_factorises():
-    """To round-off: K is kept in blocks in one of them, so other sums are made."""
-    found = []
-    for options in ({}, {"pc_type": "cholesky"}):
-        problem, contact, levels = ramped(petsc_options=options)
-        list(dm.load_steps(problem, [0.5, 1.0], **levels))
-        found.append(np.append(problem.u.x.array, contact.force / np.linalg.norm(contact.force)))
-    difference = np.abs(found[0] - found[1]).max()
-    assert COMM.allreduce(difference, op=MPI.MAX) <= (1e-13 if COMM.size == 1 else 1e-9)
-
-
 @pytest.mark.parametrize("options", [{"pc_type": "gamg"}, {"ksp_max_it": 1}])
 @pytest.mark.usefixtures("powerless")
 def test_the_linear_solver_of_the_user_stays(options):
@@ -231,24 +107,6 @@ def test_a_large_matrix_is_not_factorised(monkeypatch):
     with pytest.raises(dm.NewtonNotConverged, match="choose a factorisation") as caught:
         list(dm.load_steps(problem, [1.0], max_cuts=0, **levels))
     assert "gamg" in caught.value.report.linear_solver
-
-
-def test_multigrid_stays_where_a_factorisation_fails_too(monkeypatch):
-    """Then the step was too large, or a body floats; the next ones shall not pay for it."""
-    asked, solve = [], dm.qp.solve
-
-    def refuse(qp, backend, linear, **options):
-        asked.append(linear.direct)
-        if len(asked) > 2:
-            return solve(qp, backend, linear, **options)
-        solve(qp, backend, linear, **options)
-        raise dm.qp.QPNotSolved("no solution")
-
-    problem, _, levels = ramped()
-    monkeypatch.setattr(dm.qp, "solve", refuse)
-    (step,) = dm.load_steps(problem, [1.0], **levels)
-    assert asked[:2] == [False, True] and not any(asked[2:])
-    assert step.report.cuts == 1 and "gamg" in step.report.linear_solver
 
 
 @pytest.mark.slow
@@ -285,93 +143,6 @@ def test_one_set_up_serves_all_geometries(moved, monkeypatch):
     assert contact.force == pytest.approx(moved[1].force, rel=1e-6, abs=1e-5)
 
 
-def test_the_finest_level_is_the_matrix_of_the_moment(moved):
-    """(I - E)^T A (I - E) of the last set and geometry, not of the set-up; so its diagonal."""
-    linear = moved[0].linear.setup
-    multigrid, held = linear.preconditioner.multigrid, linear.operator.held
-    assert not linear.preconditioner.is_of(held)  # it is an old set-up
-    E, (finest, B) = multigrid.E, multigrid.inner.getOperators()
-    v = random_vector(moved[0])
-    v.array[moved[0].linear.unknowns.operator.decoupled] = 0.0
-    y = v - E * v
-    product = linear.operator.A * y
-    expected = product.copy()
-    E.multTranspose(product, expected)
-    expected.aypx(-1.0, product)
-    expected.array[moved[0].linear.unknowns.operator.decoupled] = 0.0
-    found = finest * v
-    assert (found - expected).norm() < 1e-12 * found.norm()
-    assert (B.getDiagonal() - finest.getDiagonal()).norm() == 0.0
-
-
-def test_of_the_matrix_of_a_set_up_its_diagonal_is_kept(moved):
-    inner = moved[0].linear.setup.preconditioner.multigrid.inner
-    assert inner.getOperators()[1].getType() == "diagonal"
-
-
-def test_a_set_up_frees_matrices_at_once(monkeypatch, capfd):
-    """On several ranks PETSc keeps those without references; products keep their factors."""
-    problem, seen = moving_problem()[0], []
-
-    def watch(owner, name):
-        method = getattr(owner, name)
-
-        def watched(*args, **options):
-            capfd.readouterr()
-            PETSc.garbage_view(problem.comm)
-            ctypes.CDLL(None).fflush(None)
-            seen.append((name, capfd.readouterr().out.count("| Mat ")))
-            return method(*args, **options)
-
-        monkeypatch.setattr(owner, name, watched)
-
-    for name in ("renew", "_release"):
-        watch(Multigrid, name)
-    dm.newton(problem)
-    assert seen[0] == ("renew", 0)
-    assert seen[1][1] <= 1  # B
-
-
-@pytest.mark.parametrize(
-    "options",
-    [{"mg_levels_pc_type": "sor"}, pytest.param({"pc_type": "bjacobi"}, marks=pytest.mark.slow)],
-)
-def test_other_smoothers_and_methods_get_a_matrix(options, moved):
-    """Of B itself, in AIJ: they read more of it than its diagonal."""
-    problem, contact = moving_problem(petsc_options={"pc_type": "gamg"} | options)
-    dm.newton(problem)
-    B = problem.linear.setup.preconditioner.multigrid.inner.getOperators()[1]
-    assert B.getType().endswith("aij") and "baij" not in B.getType()
-    assert contact.force == pytest.approx(moved[1].force, rel=1e-6, abs=1e-5)
-
-
-@pytest.fixture(scope="module")
-def renewed(moved):
-    """PETSc's levels after a set-up with the last contacts, of SOR, so that B is kept."""
-    problem, _ = moving_problem(petsc_options={"pc_type": "gamg", "mg_levels_pc_type": "sor"})
-    problem.u.x.array[:] = moved[0].u.x.array
-    problem.begin_step()
-    problem.terms.assemble_tangent(problem.K)
-    problem.follow_geometry()
-    held = moved[0].linear.setup.operator.held
-    assert COMM.allreduce(held.size) > 0
-    problem.linear.set_matrix(problem.operator.matrix)
-    problem.linear.factorise(held)
-    return problem, problem.linear.setup.preconditioner.multigrid.inner
-
-
-def test_coarse_matrices_are_galerkin_products(renewed):
-    """P^T A P, also of the entries between bodies."""
-    problem, inner = renewed
-    A = problem.linear.unknowns.operator.matrix.copy()
-    B = inner.getOperators()[1]
-    assert (A - B).norm() < 1e-13 * A.norm()
-    for level in range(inner.getMGLevels() - 1, 0, -1):
-        A = A.ptap(inner.getMGInterpolation(level))
-        found = inner.getMGSmoother(level - 1).getOperators()[0]
-        assert (A - found).norm() < 1e-12 * A.norm()
-
-
 def test_number_of_iterations():
     """One set-up serves a step: 25 to 27 iterations on 1, 2 and 3 ranks.
 
@@ -384,58 +155,9 @@ def test_number_of_iterations():
     assert sum(i.linear_iterations for i in report.iterations) <= 29
 
 
-def test_the_same_matrix_is_followed_once(moved, monkeypatch):
-    linear, asked = moved[0].linear, []
-    change = linear.unknowns.change
-    monkeypatch.setattr(linear.unknowns, "change", lambda held: asked.append(held) or change(held))
-    held = linear.setup.operator.held
-    for now in (held, held, held[:0], held[:0], held):
-        linear.setup.preconditioner.follow(now)
-    assert len(asked) == 2  # the last solve was of this set
-
-
 def test_the_set_up_survives_load_steps_and_searches():
     """Five small steps; no unknowns are renumbered, so that nothing has to be set up for them."""
     problem, _ = moving_problem()
     steps = list(dm.load_steps(problem, np.linspace(0.2, 1.0, 5)))
     assert sum(step.report.factorisations for step in steps) <= 2
     assert problem.linear.counts.symbolic == 1
-
-
-def test_a_preconditioner_that_breaks_down_is_set_up_anew(moved, monkeypatch, caplog):
-    """An indefinite one makes conjugate gradients stop; the log says so."""
-    apply, renew, begun = Multigrid.apply, Multigrid.renew, {}
-
-    def noted(self, change, motions, held, **options):
-        begun[self] = held
-        renew(self, change, motions, held, **options)
-
-    def spoilt(self, pc, r, z):
-        apply(self, pc, r, z)
-        if COMM.allreduce(not np.array_equal(self.held, begun[self]), op=MPI.LOR):
-            z.array[::2] *= -1.0
-
-    monkeypatch.setattr(Multigrid, "renew", noted)
-    monkeypatch.setattr(Multigrid, "apply", spoilt)
-    problem, contact = moving_problem()
-    with caplog.at_level("INFO", logger="dolfinx_mortar"):
-        report = dm.newton(problem)
-    assert problem.linear.counts.breakdowns > 0
-    assert report.factorisations > moved[2].factorisations
-    assert COMM.rank > 0 or "an old preconditioner failed and is set up anew" in caplog.text
-    assert contact.force == pytest.approx(moved[1].force, rel=1e-6, abs=1e-5)
-
-
-@pytest.mark.serial
-def test_a_first_step_after_a_failure_is_that_without_to_the_last_bit():
-    """Products before the first set-up read all of K, later ones half of it, in another order."""
-    ends = []
-    for fails in (False, True):
-        case = create("boxes3", 2, "smooth")
-        case.on_time(case.levels[0])
-        if fails:
-            with pytest.raises(dm.NewtonNotConverged):
-                dm.newton(case.problem, max_it=1)
-        assert "gamg" in dm.newton(case.problem).linear_solver
-        ends.append(case.problem.u.x.array.copy())
-    assert np.array_equal(*ends)

@@ -47,7 +47,7 @@ NUMBERS = {
 SHARED = {
     "analytic": {"HALF_OF_DIGITS": (1e8,)},  # without it polyfit warns
     # a smaller one costs an iteration
-    "materials.plane_stress": {"HALF_OF_DIGITS": (1e7,), "LIMIT": (0.02,)},
+    "materials.response": {"HALF_OF_DIGITS": (1e7,), "LIMIT": (0.02,)},
     "materials.von_mises": {"EPS": (0.0, 1e14), "SERIES_BELOW": (0.01, 100.0)},
     "solid.kinematics": {"ROUND_OFF": (0.0, 2e13)},
 }
@@ -56,9 +56,9 @@ TABLES |= {"NORMAL", "_POSITIVE"}  # the tensor of a strain out of the plane, a 
 TABLES |= {"DEPTHS", "RADII"}  # ranges
 TABLES |= {"HIGHEST_RULE", "ROUND"}  # what is refused, in test_errors and test_analytic
 TABLES |= {"ANYWHERE", "_CORNERS", "GRADIENT"}  # a point and a cell, how gradients are stored
-TABLES |= {"FINITE_RTOL", "STRETCHES", "VOLUMES", "WEIGHTS"}  # in test_finite_laws
+TABLES |= {"FINITE_RTOL", "STRETCHES", "VOLUMES", "WEIGHTS"}  # in test_law_check
 TABLES |= {"LEAST_RATIO"}  # of plane stress, in test_plane_stress
-# In their own tests: test_finite_laws, test_logarithmic_laws.
+# In their own tests: test_law_check, test_logarithmic_laws.
 OTHERS = {"materials.logarithmic", "materials.logarithms"}
 STEEL = dm.VonMises(E=206_900.0, nu=0.29, Y=450 * np.sqrt(2 / 3), a=10_000.0)
 pytestmark = pytest.mark.serial
@@ -194,7 +194,7 @@ OBSERVE = {
     "solid.kinematics": observe_axis,
     "materials.von_mises": lambda: [*observe_omega(), *observe_law()],
     "materials.law_check": observe_check,
-    "materials.plane_stress": observe_plane_stress,
+    "materials.response": observe_plane_stress,
     "analytic": observe_fit,
 }
 
@@ -243,16 +243,3 @@ def test_half_and_double(module, name, factor):
 )
 def test_an_absurd_factor_shows(module, name, factor):
     assert not same(module, name, factor)
-
-
-@pytest.mark.slow
-def test_what_is_usual():
-    """Nothing flows twice; what fits is accepted, what does not is named; one x is no fit."""
-    assert usual("materials.law_check") == [
-        *(False, False),
-        *("differences", "commit", "mirrored", "zero"),
-    ]
-    fits = usual("analytic")
-    assert fits[:2] == pytest.approx([10.0, 0.5]) and np.isnan(fits[2:4]).all()
-    assert np.isfinite(fits[4:]).all() and np.isfinite(usual("materials.von_mises")).all()
-    assert not any(usual("materials.von_mises")[38::29])

@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx import fem
 from dolfinx_mortar.interfaces.link import predict_active
 from dolfinx_mortar.newton_method.linearisation import find_balance
-from tests import test_audit, test_finite_in_space, test_line_search, test_multigrid
+from tests import test_audit, test_finite_strain, test_line_search, test_multigrid
 from tests.cases.block_piles import ABOVE, BELOW, PILE, WEST, Blocks
 from tests.cases.hertz import ELASTIC, PLASTIC, create_case
 from tests.cases.meshes import TOP
@@ -37,16 +36,16 @@ LAYERS = (
 PACKAGE = Path(dm.__file__).parent
 NUMBERS = {
     "interfaces.link": ("OVERLAP",),
-    "audit.roles": ("COARSE",),
+    "audit.sides": ("COARSE",),
     "newton_method.failures": ("SOFT", "SQUEEZED"),
     "newton_method.line_search": ("ARMIJO",),
-    "newton_method.residuals": ("FORCING", "DIGIT"),
+    "newton_method.contacts": ("FORCING", "DIGIT"),
 }
 # judged below, in test_smooth_contact, test_stand_off, test_resolution, in
-# test_edges, in those of checkpoints, in test_bolts, in test_friction_bodies, in
+# test_edges, in those of checkpoints, in test_bolts, in test_friction_patch, in
 # test_tie_reach, in test_small_strain, and in test_ramp
 OTHERS = {
-    "interfaces.constraints",  # in test_friction_bodies
+    "interfaces.constraints",  # in test_friction_patch
     "interfaces.contact",
     "interfaces.obstacle",  # in test_obstacle
     "newton_method.driven_tools",  # in test_driven_tools
@@ -59,7 +58,7 @@ OTHERS = {
     "report.small_strain",
     # in test_exact_tangent and test_failures
     "interfaces.moving_geometry",
-    "newton_method.subproblem",  # in test_finite_in_space, too
+    "newton_method.subproblem",  # in test_finite_strain, too
     "steps.newton",
     "report.energy_ledger",  # in test_dynamics
     "persistence.tables",  # in those of checkpoints
@@ -198,7 +197,7 @@ def closed_round_off():
 ROWS = (((13, 21), (23, 31)), dm.Tie, (), f"xyz of the bodies around {test_audit.ALL} together")
 PROBES = {
     "QUARTER_OF_DIGITS": lambda: test_audit.test_free_motions_by_simple_names(*ROWS),
-    "SQUEEZED": test_finite_in_space.test_cells_that_invert_in_space,
+    "SQUEEZED": test_finite_strain.test_cells_that_invert,
     "ARMIJO": test_line_search.test_a_step_too_long_is_halved,
     "arrays.ROUND_OFF": closed_round_off,
     "DIGIT": test_multigrid.test_a_step_that_stalls_asks_for_more_accurate_programs,
@@ -237,29 +236,3 @@ def test_a_normal_that_dirichlet_data_take(degrees, kept):
     length = np.cos(np.radians(degrees))
     contact = dm.Contact.__new__(dm.Contact)
     assert bool(contact.may_carry(np.array([length]), np.zeros((1, 2), dtype=bool))[0, 0]) == kept
-
-
-@pytest.mark.mpi
-def test_a_tilted_normal_of_which_dirichlet_data_take_a_part():
-    """Arc nodes with prescribed u_x and a normal tilted by some degrees still carry pressure.
-
-    Their multipliers have the whole normal: the support takes its part of their forces.
-    """
-    mesh, _, tags = dm.meshing.hertz(COMM, kind="paper")
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    x = V.tabulate_dof_coordinates()
-    arc = fem.locate_dofs_topological(V.sub(0), 1, tags.find(4))
-    tilted = arc[(np.abs(x[arc // 2, 0]) > 0.3) & (np.abs(x[arc // 2, 0]) < 1.5)]
-    held = [fem.locate_dofs_topological(V, 1, tags.find(t)) for t in (1, 2)]
-    bcs = [fem.dirichletbc(np.array([0.0, -d]), n, V) for d, n in zip((0, 0.1), held, strict=True)]
-    bcs.append(fem.dirichletbc(fem.Constant(mesh, 0.0), tilted, V.sub(0)))
-    contact = dm.Contact(tags, slave=4, master=3)
-    problem = dm.ContactProblem(dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3)), [contact], bcs=bcs)
-    problem.audit()
-    (link,) = problem.system.links
-    fixed = problem.fixed[link.nodes].any(axis=1) & (x[link.nodes, 1] < 0.3)
-    assert COMM.allreduce(int(fixed.sum())) >= 4
-    assert link.coupling.kept[fixed].all()
-    normals = link.coupling.normals[fixed]
-    assert (np.abs(normals[:, 0]) > 1e-7).all()
-    assert np.abs(link.coupling.rows[fixed, 0] - normals).max(initial=0.0) < 1e-14

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar.output.xdmf
-import ufl
-from dolfinx import default_scalar_type, fem, mesh
+from dolfinx import fem, mesh
 from dolfinx_mortar.output import Writer
 
 meshio = pytest.importorskip("meshio")
@@ -22,56 +21,49 @@ pytest.importorskip("h5py")
 
 pytestmark = pytest.mark.mpi
 COMM = MPI.COMM_WORLD
-CELLS = {name: mesh.CellType[name] for name in ("triangle", "quadrilateral")}
+CELLS = {"von Mises": (), "stress": (3, 3), "plane": (4,), "spatial": (6,)}
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return Path(COMM.bcast(str(tmp_path)))
+def path(tmp_path):
+    return COMM.bcast(tmp_path) / "out.xdmf"
 
 
-def polynomial(x: np.ndarray) -> np.ndarray:
+@pytest.fixture
+def problem():
+    return Problem()
+
+
+def polynomial(x):
     return 1.0 + 2.0 * x[0] - 3.0 * x[1]
 
 
 class Problem:
     """Fields that are known functions of place and time."""
 
-    def __init__(self, cell: str, degree: int) -> None:
+    def __init__(self, cell="triangle", degree=1, n=(5, 4)):
         """Make the mesh and all Functions."""
-        m = mesh.create_rectangle(COMM, [[0.0, 0.0], [2.0, 1.0]], (5, 4), CELLS[cell])
-        self.solid = SimpleNamespace(V=fem.functionspace(m, ("Lagrange", degree, (2,))))
-        self.t = 0.0
-        self.time = fem.Constant(m, default_scalar_type(0.0))  # in expressions: compiled once
-        self.fields = {
-            "displacement": fem.Function(self.solid.V),
-            "contact pressure [MPa]": fem.Function(fem.functionspace(m, ("Lagrange", degree))),
-            "linear": fem.Function(fem.functionspace(m, ("Lagrange", 1))),
-            "von Mises": fem.Function(fem.functionspace(m, ("DG", 0))),
-            "stress": fem.Function(fem.functionspace(m, ("DG", 0, (3, 3)))),
-            "plane": fem.Function(fem.functionspace(m, ("DG", 0, (4,)))),
-            "spatial": fem.Function(fem.functionspace(m, ("DG", 0, (6,)))),
-        }
+        m = mesh.create_rectangle(COMM, [[0.0, 0.0], [2.0, 1.0]], n, mesh.CellType[cell])
 
-    def output_fields(self) -> dict[str, fem.Function]:
-        f = self.fields
-        x = ufl.SpatialCoordinate(self.solid.V.mesh)
-        f["displacement"].interpolate(lambda x: np.stack([self.t * polynomial(x), -x[1]]))
-        f["contact pressure [MPa]"].interpolate(lambda x: self.t - polynomial(x))
-        f["linear"].interpolate(lambda x: self.t + polynomial(x))
-        self.time.value = self.t
-        y = 1.0 + 2.0 * x[0] - 3.0 * x[1] + self.time
-        full = [[y, 2 * y, 3 * y], [4 * y, 5 * y, 6 * y], [7 * y, 8 * y, 9 * y]]
-        for name, tensor in (
-            ("von Mises", y),
-            ("stress", ufl.as_matrix(full)),
-            ("plane", ufl.as_vector([i * y for i in range(1, 5)])),
-            ("spatial", ufl.as_vector([i * y for i in range(1, 7)])),
-        ):
-            space = f[name].function_space
-            points = space.element.interpolation_points
-            points = points() if callable(points) else points
-            f[name].interpolate(fem.Expression(tensor, points))
+        def on(*element):
+            return fem.Function(fem.functionspace(m, element))
+
+        self.t, displacement = 0.0, on("Lagrange", degree, (2,))
+        self.solid = SimpleNamespace(V=displacement.function_space)
+        self.fields = {
+            "displacement": displacement,
+            "contact pressure [MPa]": on("Lagrange", degree),
+            "linear": on("Lagrange", 1),
+        } | {name: on("DG", 0, shape) for name, shape in CELLS.items()}
+
+    def output_fields(self):
+        f, t = self.fields, self.t
+        f["displacement"].interpolate(lambda x: np.stack([t * polynomial(x), -x[1]]))
+        f["contact pressure [MPa]"].interpolate(lambda x: t - polynomial(x))
+        f["linear"].interpolate(lambda x: t + polynomial(x))
+        for name, shape in CELLS.items():
+            factors = np.arange(1.0, 1 + np.prod(shape))
+            f[name].interpolate(lambda x, by=factors: np.outer(by, polynomial(x) + t))
         return f
 
 
@@ -82,7 +74,7 @@ EXPECTED = {  # components over the scalar y at the cell centre
 }
 
 
-def check_step(path: Path, step: int, t: float, count: int) -> None:
+def check_step(path, step, t, count):
     """Compare one step with the functions it was made of."""
     with meshio.xdmf.TimeSeriesReader(path) as reader:
         points, cells = reader.read_points_cells()
@@ -102,12 +94,8 @@ def check_step(path: Path, step: int, t: float, count: int) -> None:
         assert np.allclose(cell[name][0], centre[:, None] * factors)
 
 
-@pytest.mark.parametrize("degree", [pytest.param(1, marks=pytest.mark.slow), 2])
-@pytest.mark.parametrize(
-    "cell", ["triangle", pytest.param("quadrilateral", marks=pytest.mark.slow)]
-)
-def test_every_field_is_read_back_after_each_step(folder, cell, degree):
-    problem, path = Problem(cell, degree), folder / "out.xdmf"
+def test_every_field_is_read_back_after_each_step(path):
+    problem = Problem("triangle", 2)
     with Writer(path, problem) as out:
         for step, t in enumerate((0.25, 0.5, 1.0)):
             problem.t = t
@@ -115,13 +103,13 @@ def test_every_field_is_read_back_after_each_step(folder, cell, degree):
             for earlier, time in enumerate((0.25, 0.5, 1.0)[: step + 1]):
                 check_step(path, earlier, time, step + 1)
             COMM.Barrier()
-    assert {p.name for p in folder.iterdir()} == {"out.xdmf", "out.h5"}
+    assert {p.name for p in path.parent.iterdir()} == {"out.xdmf", "out.h5"}
 
 
 @pytest.mark.parametrize("degree", [1, 2])
-@pytest.mark.parametrize("cell", CELLS)
-def test_cells_have_their_area_and_vtk_order(folder, cell, degree):
-    problem, path = Problem(cell, degree), folder / "out.xdmf"
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_cells_have_their_area_and_vtk_order(path, cell, degree):
+    problem = Problem(cell, degree)
     with Writer(path, problem) as out:
         out.write(0.0)
     with meshio.xdmf.TimeSeriesReader(path) as reader:
@@ -138,64 +126,22 @@ def test_cells_have_their_area_and_vtk_order(folder, cell, degree):
     assert len(points) == (5 * degree + 1) * (4 * degree + 1)
 
 
-def test_a_reader_that_keeps_the_file_open_does_not_stop_the_writer(folder):
-    problem, path = Problem("triangle", 1), folder / "out.xdmf"
+def test_field_of_another_mesh_is_refused(problem, path):
+    other = Problem()
     with Writer(path, problem) as out:
-        out.write(0.0)
-        with meshio.xdmf.TimeSeriesReader(path) as reader:
-            reader.read_points_cells()
-            COMM.Barrier()
-            problem.t = 1.0
-            out.write(1.0)
-    check_step(path, 1, 1.0, 2)
-
-
-def test_an_error_between_steps_leaves_a_readable_file(folder):
-    problem, path = Problem("triangle", 1), folder / "out.xdmf"
-    with pytest.raises(ZeroDivisionError), Writer(path, problem) as out:
-        out.write(0.0)
-        raise ZeroDivisionError
-    COMM.Barrier()
-    check_step(path, 0, 0.0, 1)
-
-
-def test_notes_are_kept_and_escaped(folder):
-    problem, path = Problem("triangle", 1), folder / "out.xdmf"
-    with Writer(path, problem, notes={"units": "mm & MPa <N/mm>"}) as out:
-        out.write(0.0)
-    note = ET.parse(path).getroot().find("Domain/Information")
-    assert note is not None and note.attrib == {"Name": "units", "Value": "mm & MPa <N/mm>"}
-
-
-def test_bad_paths_are_named_on_all_ranks(folder):
-    problem = Problem("triangle", 1)
-    for path in (folder / "out.vtu", folder / "missing" / "out.xdmf"):
-        with pytest.raises(ValueError, match=r"^path is "):
-            Writer(path, problem)
-
-
-def test_field_of_another_mesh_is_refused(folder):
-    problem, other = Problem("triangle", 1), Problem("triangle", 1)
-    with Writer(folder / "out.xdmf", problem) as out:
         problem.fields = other.fields
         with pytest.raises(ValueError, match="another mesh"):
             out.write(0.0)
 
 
-def notes_of(path):
-    """Return the notes of a file by name."""
-    found = ET.parse(path).getroot().findall("Domain/Information")
-    return {note.attrib["Name"]: note.attrib["Value"] for note in found}
-
-
-def test_notes_of_any_json_type(folder):
+def test_notes_of_any_json_type(problem, path):
     """Texts are kept as they are, other values in JSON; what is neither is named."""
-    problem, path = Problem("triangle", 1), folder / "out.xdmf"
-    notes = {"E": 206900, "nu": 0.29, "laws": {"1": ["steel", None, True]}, "text": "1"}
+    notes = {"E": 206900, "nu": 0.29, "laws": {"1": ["steel", None, True]}, "text": "<&1>"}
     with Writer(path, problem, notes=notes) as out:
         out.write(0.0)
-    found = notes_of(path)
-    assert found.pop("text") == "1"
+    said = ET.parse(path).getroot().findall("Domain/Information")
+    found = {note.attrib["Name"]: note.attrib["Value"] for note in said}
+    assert found.pop("text") == "<&1>"
     assert {name: json.loads(text) for name, text in found.items()} == {
         name: notes[name] for name in found
     }
@@ -206,37 +152,36 @@ def test_notes_of_any_json_type(folder):
         Writer(path, problem, notes=["mm"])
 
 
-def test_wrong_arguments_are_named_at_construction(folder):
-    problem = Problem("triangle", 1)
+def test_wrong_arguments_are_named_at_construction(problem, path):
     for wrong in (None, 3, problem.solid, SimpleNamespace(solid=problem.solid)):
         with pytest.raises(ValueError, match=r"^problem is .*give a ContactProblem"):
-            Writer(folder / "out.xdmf", wrong)
-    for path in (None, 3, folder / "out"):
+            Writer(path, wrong)
+    for name in (None, 3, path.with_suffix(""), "a\0b.xdmf", "\ud800.xdmf", "nu\0/x.xdmf"):
         with pytest.raises(ValueError, match=r"^path is .*give the name of a file"):
-            Writer(path, problem)
+            Writer(name, problem)
+    for name in (path.with_suffix(".vtu"), path.parent / "missing" / "out.xdmf"):
+        with pytest.raises(ValueError, match=r"^path is "):
+            Writer(name, problem)
 
 
-@pytest.mark.parametrize("t", [0.5, 0.25, np.nan, np.inf, None])
-def test_times_rise(folder, t):
+def test_times_rise(problem, path):
     """ParaView and others take them for an order; what is refused can be written at another one."""
-    problem, path = Problem("triangle", 1), folder / "out.xdmf"
     with Writer(path, problem) as out:
         problem.t = 0.5
         out.write(0.5)
-        words = "times have to rise" if t in (0.5, 0.25) else "finite number"
-        with pytest.raises(ValueError, match=rf"^t is .*{words}"):
-            out.write(t)
+        for t in (0.5, 0.25, np.nan, np.inf, None):
+            words = "times have to rise" if t in (0.5, 0.25) else "finite number"
+            with pytest.raises(ValueError, match=rf"^t is .*{words}"):
+                out.write(t)
         problem.t = 0.75
         out.write(0.75)
     check_step(path, 0, 0.5, 2)
     check_step(path, 1, 0.75, 2)
 
 
-@pytest.mark.parametrize("number", [np.nan, np.inf])
-@pytest.mark.parametrize("name", ["displacement", "von Mises"])
-def test_what_is_not_finite_is_not_written(folder, name, number):
+@pytest.mark.parametrize(("name", "number"), [("displacement", np.nan), ("von Mises", np.inf)])
+def test_what_is_not_finite_is_not_written(problem, path, name, number):
     """Told with the name of the field on all ranks, wherever it is; the file stays as it was."""
-    problem, path = Problem("triangle", 1), folder / "out.xdmf"
     fields = problem.output_fields
     with Writer(path, problem) as out:
         out.write(0.0)
@@ -258,14 +203,7 @@ def test_what_is_not_finite_is_not_written(folder, name, number):
     check_step(path, 1, 1.0, 2)
 
 
-@pytest.mark.parametrize("name", ["a\0b.xdmf", "\ud800.xdmf", "nu\0/x.xdmf"])
-def test_names_that_no_file_can_have(name):
-    with pytest.raises(ValueError, match=r"^path is .*give the name of a file"):
-        Writer(name, Problem("triangle", 1))
-
-
-def test_a_closed_writer_writes_no_more(folder):
-    problem, path = Problem("triangle", 1), folder / "out.xdmf"
+def test_a_closed_writer_writes_no_more(problem, path):
     with Writer(path, problem) as out:
         out.write(0.0)
     with pytest.raises(ValueError, match=r"out\.xdmf' is closed"):
@@ -274,13 +212,12 @@ def test_a_closed_writer_writes_no_more(folder):
     check_step(path, 0, 0.0, 1)
 
 
-def test_one_file_has_one_writer(folder, monkeypatch):
+def test_one_file_has_one_writer(problem, path, monkeypatch):
     """A second one would spoil it, also by another path; once the first is closed it may start."""
-    problem, path = Problem("triangle", 1), folder / "out.xdmf"
     first = Writer(path, problem)
     first.write(0.0)
-    monkeypatch.chdir(folder)
-    for same in (path, "out.xdmf", folder / ".." / folder.name / "out.xdmf"):
+    monkeypatch.chdir(path.parent)
+    for same in (path, "out.xdmf", path.parent / ".." / path.parent.name / "out.xdmf"):
         with pytest.raises(ValueError, match="open in another Writer: close it first"):
             Writer(same, problem)
     check_step(path, 0, 0.0, 1)
@@ -297,19 +234,17 @@ def test_one_file_has_one_writer(folder, monkeypatch):
 
 
 @pytest.mark.parametrize("names", [("von Mises", "von_mises"), ("p [MPa]", "p/MPa/"), ("A", "a")])
-def test_names_that_collide_are_refused(folder, names):
+def test_names_that_collide_are_refused(problem, path, names):
     """In the file they would be one field."""
-    problem = Problem("triangle", 1)
-    with Writer(folder / "out.xdmf", problem) as out:
+    with Writer(path, problem) as out:
         f = problem.fields["linear"]
         problem.output_fields = lambda: dict.fromkeys(names, f)
         with pytest.raises(ValueError, match="would have one name in the file"):
             out.write(0.0)
 
 
-def test_an_error_on_one_rank_is_raised_on_all(folder, monkeypatch):
+def test_an_error_on_one_rank_is_raised_on_all(problem, path, monkeypatch):
     """Neither a bad argument nor a failing disk of one rank lets the others wait."""
-    problem, path = Problem("triangle", 1), folder / "out.xdmf"
     last = COMM.rank == COMM.size - 1
     with pytest.raises(ValueError, match="notes"):
         Writer(path, problem, notes={"a": np.zeros(2) if last else 1})
@@ -336,9 +271,8 @@ def test_an_error_on_one_rank_is_raised_on_all(folder, monkeypatch):
     check_step(path, 1, 2.0, 2)
 
 
-def test_a_full_disk_leaves_what_was_written(folder):
+def test_a_full_disk_leaves_what_was_written(problem, path):
     """The error names the file on all ranks; with space again, the step can be written."""
-    problem, path = Problem("triangle", 1), folder / "out.xdmf"
     with Writer(path, problem) as out:
         out.write(0.0)
         size = COMM.bcast(path.with_suffix(".h5").stat().st_size)
@@ -359,28 +293,14 @@ def test_a_full_disk_leaves_what_was_written(folder):
     check_step(path, 1, 1.0, 2)
 
 
-def test_no_space_for_the_mesh(folder):
-    problem, path = Problem("triangle", 1), folder / "out.xdmf"
-    unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2**10, unlimited[1]))
-    try:
-        with pytest.raises(OSError, match=r"no space for .*out\.h5"):
-            Writer(path, problem)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
-    Writer(path, problem).close()
-
-
 @pytest.mark.parametrize("n", [4, 90])
-def test_the_space_asked_for_is_enough(folder, monkeypatch, n):
+def test_the_space_asked_for_is_enough(path, monkeypatch, n):
     """No file grows by more than what was made sure of, for the mesh and for every step."""
     asked, files = [], dolfinx_mortar.output.xdmf
     monkeypatch.setattr(files, "demand_space", lambda file, size: asked.append(size))
-    m = mesh.create_rectangle(COMM, [[0.0, 0.0], [2.0, 1.0]], (n, n))
-    problem, path = Problem("triangle", 1), folder / "out.xdmf"
-    problem.solid = SimpleNamespace(V=fem.functionspace(m, ("Lagrange", 1, (2,))))
-    cells = {f"c{i}": fem.Function(fem.functionspace(m, ("DG", 0, (i,)))) for i in range(1, 9)}
-    problem.output_fields = lambda: {"u": fem.Function(problem.solid.V)} | cells
+    problem = Problem(n=(n, n))
+    more = problem.fields["plane"]
+    problem.output_fields = lambda: problem.fields | {f"c{i}": more for i in range(5)}
     size = 0
     with Writer(path, problem) as out:
         for step in range(12):

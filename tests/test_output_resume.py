@@ -15,7 +15,6 @@ import dolfinx_mortar as dm
 from dolfinx_mortar.output.xdmf import Step, insert
 from tests import checkpoint_program
 from tests.cases.pressed_blocks import rejected
-from tests.checkpoint_program import LEVELS
 
 meshio = pytest.importorskip("meshio")
 pytest.importorskip("h5py")
@@ -32,13 +31,12 @@ def folder(tmp_path):
     return COMM.bcast(tmp_path)
 
 
-def run(folder, press=None, *, stop=None, before=False, first=True, every=1, levels=LEVELS):
+def run(folder, press=None, *, stop=None, before=False, every=1):
     """Run the program of a user; leave it at a step, before or after that has been written."""
     press = Press() if press is None else press
     with dm.Writer(folder / "out.xdmf", press.problem, resume=True) as out:
-        if first:
-            out.write(0)  # nothing has been restored yet
-        walk = press.walk(levels, checkpoint=folder / "run.h5", every=every, **OPTIONS)
+        out.write(0)  # nothing has been restored yet
+        walk = press.walk(checkpoint=folder / "run.h5", every=every, **OPTIONS)
         for step in walk:
             if before and step.number == stop:
                 sys.exit()
@@ -87,30 +85,13 @@ def at_once(tmp_path_factory):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize(("before", "every"), [(True, 1), (False, 1), (False, 2)])
+@pytest.mark.parametrize(("before", "every"), [(True, 1), (False, 2)])
 def test_a_step_is_neither_lost_nor_there_twice(folder, at_once, before, every):
     """Left in step 3, of which the checkpoint knows nothing; and in step 2 of the second run."""
     stopped(folder, stop=3, before=before, every=every)
     same(content(folder), at_once[: 3 if before else 4])
     stopped(folder, stop=4, before=before, every=every)
     run(folder, every=every)
-    same(content(folder), at_once)
-
-
-def test_without_a_first_write(folder, at_once):
-    stopped(folder, stop=3, first=False)
-    run(folder, first=False)
-    same(content(folder), at_once[1:])
-
-
-def test_a_problem_that_is_restored_first(folder, at_once):
-    """Both ways to go on leave the same, as does a run of which nothing is left to do."""
-    stopped(folder, stop=3)
-    press = Press()
-    press.problem.restore(folder / "run.h5")
-    run(folder, press, first=False)
-    same(content(folder), at_once)
-    run(folder)
     same(content(folder), at_once)
 
 
@@ -126,56 +107,16 @@ def test_who_begins_anew_mixes_nothing(folder, at_once):
     same(content(folder), at_once[:2])
 
 
-def two_walks(folder, stop=None):
-    """Run a program of two walks with a file each, which writes between them, too."""
-    press = Press()
-    with dm.Writer(folder / "out.xdmf", press.problem, resume=True) as out:
-        for name, levels in (("a.h5", LEVELS[:2]), ("b.h5", LEVELS[2:])):
-            for _ in press.walk(levels, checkpoint=folder / name, **OPTIONS):
-                out.write(len(press.problem.history))
-                if len(press.problem.history) == stop:
-                    sys.exit()
-            out.write(len(press.problem.history) + 0.5)
-    COMM.barrier()
-
-
-def test_what_is_written_between_two_walks(folder):
-    """In the second run first of a state that is not the last that the first one has saved."""
-    two_walks(folder)
-    expected = content(folder)
-    assert [time for time, _ in expected] == [1, 2, 2.5, 3, 4, 4.5]
-    COMM.barrier()
-    if COMM.rank == 0:
-        for file in folder.iterdir():
-            file.unlink()
-    COMM.barrier()
-    with pytest.raises(SystemExit):
-        two_walks(folder, stop=4)
-    COMM.barrier()
-    two_walks(folder)
-    same(content(folder), expected)
-
-
-def test_steps_that_are_made_otherwise(folder, at_once):
-    """After the checkpoint the program changes its levels: what the old one wrote beyond goes."""
-    stopped(folder, stop=4, every=2)
-    run(folder, levels=[*LEVELS[:2], 0.9])
-    found = content(folder)
-    same(found[:3], at_once[:3])
-    assert [time for time, _ in found] == [0, 1, 2, 3]
-
-
 @pytest.mark.mpi
-@pytest.mark.parametrize("partition", ["graph", "stripes"])
-def test_the_mesh_of_each_step(folder, at_once, partition, caplog):
+def test_the_mesh_of_each_step(folder, at_once, caplog):
     """The same numbering refers to the first mesh, which all readers know; another is told."""
     stopped(folder, stop=3)
     with caplog.at_level(logging.WARNING, logger="dolfinx_mortar"):
-        run(folder, Press(partition))
+        run(folder, Press("stripes"))
     same(content(folder), at_once)
     grids = ET.parse(folder / "out.xdmf").getroot().findall("Domain/Grid/Grid")
     meshes = {grid.find("Geometry")[0].text for grid in grids}
-    other = partition == "stripes" and COMM.size > 1
+    other = COMM.size > 1
     assert len(meshes) == 1 + other
     told = "nodes are numbered in another way" in caplog.text
     assert told == (other and COMM.rank == 0)

@@ -3,12 +3,8 @@
 
 import json
 import re
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
-
-import pytest
 
 import dolfinx_mortar as dm
 
@@ -43,23 +39,6 @@ def test_the_archive_holds_all_that_the_repository_shows():
     assert HIDDEN <= included()
 
 
-@pytest.mark.parametrize(
-    "path",
-    [
-        *("CHANGELOG.md", "CITATION.cff", "CODE_OF_CONDUCT.md", "CONTRIBUTING.md", "LICENSE"),
-        *("README.md", "ARCHITECTURE.md", ".zenodo.json", ".github/ISSUE_TEMPLATE/bug.yml"),
-        *(".github/workflows/docs.yml", ".github/workflows/test.yml", ".ci/run"),
-        *("paper/paper.md", "paper/paper.bib", "conda/meta.yaml"),
-        *("containers/packages.txt", "containers/dolfinx_mortar.def", "containers/slurm.sh"),
-        *("docs/build", "docs/conf.py", "docs/verification.json", "docs/tools/gallery.py"),
-        *("demos/hertz/hertz.py", "tests/test_packaging.py", "benchmarks/measured/elements.json"),
-    ],
-)
-def test_the_archive_holds(path):
-    assert (ROOT / path).is_file()
-    assert any(f"/{path}" == entry or f"/{path}".startswith(f"{entry}/") for entry in included())
-
-
 def test_the_changelog_tells_of_this_version_in_the_form_that_tools_read():
     text = (ROOT / "CHANGELOG.md").read_text()
     headings = re.findall(r"^## \[(.*?)\]", text, re.MULTILINE)
@@ -90,16 +69,6 @@ def test_every_environment_is_of_one_list_of_packages():
     assert f"python {PROJECT['project']['requires-python']}" in run
 
 
-@pytest.mark.serial
-def test_the_job_says_what_it_needs(tmp_path):
-    job = ROOT / "containers" / "slurm.sh"
-    for arguments, said in ((), "usage"), (("x.py",), "apptainer build"):
-        done = subprocess.run(
-            [str(job), *arguments], cwd=tmp_path, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 2 and said in done.stderr
-
-
 def test_the_paper_cites_what_it_lists():
     text = (ROOT / "paper" / "paper.md").read_text()
     listed = re.findall(r"^@\w+\{(\w+),", (ROOT / "paper" / "paper.bib").read_text(), re.MULTILINE)
@@ -107,13 +76,3 @@ def test_the_paper_cites_what_it_lists():
     for part in ("title:", "authors:", "affiliations:", "# Summary", "# Statement of need"):
         assert part in text
     assert 250 < len(text.split()) < 1000
-
-
-@pytest.mark.serial
-@pytest.mark.parametrize(("extra", "library"), [("checkpoint", "h5py"), ("jax", "jax")])
-def test_extras_are_not_needed(extra, library):
-    code = f"import sys; sys.modules['{library}'] = None; import dolfinx_mortar"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-    needed = {re.split(r"[<>=~ ]", line)[0] for line in PROJECT["project"]["dependencies"]}
-    assert library not in needed
-    assert library in PROJECT["project"]["optional-dependencies"][extra]

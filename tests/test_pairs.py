@@ -241,7 +241,7 @@ def test_overlaps_are_pairs():
             pairs, *_ = create(boxes, show=False)
             assert np.isclose(pairs.found[0].distance, -depth, atol=1e-12)
             continue
-        with pytest.raises(ValueError, match=f"overlap by {depth}, more than half"):
+        with pytest.raises(ValueError, match="overlap by more than half"):
             create(boxes, show=False)
     pairs, *_ = create([(0, 1, 0, 1, 2, 2), (0, 1, 1, 2, 3, 2)], friction=0.25, show=False)
     assert [c.friction for c in pairs.contacts] == [0.25]
@@ -279,7 +279,7 @@ def test_audit_names_bodies_that_come_near_without_a_contact():
 
     told = warnings([dm.Contact(facets, slave=s, master=m) for s, m in joins[:1]])
     assert len(told) == 4
-    assert all(word in told[0] for word in ("the body around", "apart around", "find_pairs"))
+    assert all(word in told[0] for word in ("the body around", "apart, and", "find_pairs"))
     assert sum("are 0.05 apart" in w for w in told) == 2
     assert sum("are 0.1 apart" in w for w in told) == 1
     _, contacts = dm.find_pairs(domain, cells, show=False)

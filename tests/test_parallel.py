@@ -6,8 +6,6 @@ At night all quick tests on two and on three ranks, and slow ones on one of thes
 """
 
 import os
-from collections.abc import Iterable
-from pathlib import Path
 
 from mpi4py import MPI
 
@@ -22,7 +20,7 @@ RANKS = "DOLFINX_MORTAR_TEST_RANKS"
 # the same for any number. The slow run has what stands on that, or pairs in space. The others know
 # little of ranks, as laws and meshes, or solve many problems: at night.
 ON_TWO = """
-    agreement arguments checkpoint_files errors friction_errors mesh_audit msh problem
+    agreement checkpoint_files errors friction_errors mesh_audit msh problem
     point_terms progress regions results summary tags terms written_results
 """.split()
 SLOW_ON_THREE = """
@@ -30,23 +28,23 @@ SLOW_ON_THREE = """
     pairs patch rigid_side same_sums slaves_on_rollers tangent
 """.split()
 AT_NIGHT = """
-    audit axisymmetric_contact axisymmetric_patch axisymmetry bending bolts bolts_restart
-    bolts_several certificate checkpoint checkpoint_damage checkpoint_errors checkpoint_whole
+    audit axisymmetric_contact axisymmetric_patch axisymmetry bending bolts
+    certificate checkpoint checkpoint_damage checkpoint_errors checkpoint_whole
     corners crossings curvature_jumps demo_meshes dynamics edges eigenstrain energies failures
-    finite_in_space finite_loads finite_plane_stress folds friction_state heat_in_time impact jump
+    faceted_shapes finite_in_space finite_loads finite_plane_stress folds heat_in_time impact jump
     jump_errors kinematics law_contact linear linearisation loads locking logarithmic_solid
     looks_change_nothing margin measure near newton numbers_of_steps obstacle
     orthotropic output output_resume own_interface parameters passing plane_stress plotting
-    plotting_space pointwise polyline pretension qp_belt qp_definite ramp reaction resolution
+    plotting_space pointwise pretension qp_belt qp_definite ramp reaction resolution
     rubber skins small_strain smooth_3d smooth_contact smooth_tie solid solid_state
-    stack stand_off stress_laws sweep taylor_bar tie_reach tool_files tool_friction tool_pictures
-    triangles turned_ties tying undone user_laws volumetric
+    stack stand_off stress_laws sweep taylor_bar tie_reach tool_files tool_friction
+    turned_ties tying undone user_laws volumetric
 """.split()
 QUICK = "mpi and not slow and not serial"
 SLOW = "mpi and slow and not nightly and not serial"
 
 
-def run_on_ranks(ranks: int, selection: str, seconds: float, files: Iterable[str]) -> None:
+def run_on_ranks(ranks, selection, seconds, files):
     command = ["-m", "pytest", *sorted(files), "-p", "no:cacheprovider", "-x", "-q"]
     variables = {RANKS: str(ranks), "PYTEST_ADDOPTS": ""}
     where = {"cwd": jobs.ROOT, "seconds": seconds, "variables": variables}
@@ -57,38 +55,40 @@ def run_on_ranks(ranks: int, selection: str, seconds: float, files: Iterable[str
 
 
 @pytest.mark.mpi
-def test_ranks_form_one_job() -> None:
+def test_ranks_form_one_job():
     assert COMM.size == int(os.environ.get(RANKS, COMM.size))
     assert COMM.allreduce(1) == COMM.size
 
 
-def files_of(names: Iterable[str]) -> set[str]:
+def files_of(names):
     """Return the paths of test files."""
     return {f"tests/test_{name}.py" for name in names}
 
 
-def other_files() -> set[str]:
+def other_files():
     """Return the test files that no list names; those of the lists have tests for ranks."""
     named = files_of([*ON_TWO, *SLOW_ON_THREE, *AT_NIGHT])
-    paths = [path for path in jobs.ROOT.glob("tests/test_*.py") if "mark.mpi" in path.read_text()]
+    paths = [
+        path for path in jobs.ROOT.glob("tests/**/test_*.py") if "mark.mpi" in path.read_text()
+    ]
     marked = {str(path.relative_to(jobs.ROOT)) for path in paths}
     assert named <= marked and len(named) == len(ON_TWO) + len(SLOW_ON_THREE) + len(AT_NIGHT)
     return marked - named
 
 
 @pytest.mark.serial
-def test_quick_files_on_two_ranks() -> None:
+def test_quick_files_on_two_ranks():
     run_on_ranks(2, QUICK, 900.0, files_of(ON_TWO))
 
 
 @pytest.mark.serial
-def test_quick_files_on_three_ranks() -> None:
+def test_quick_files_on_three_ranks():
     run_on_ranks(3, QUICK, 900.0, other_files())
 
 
 @pytest.mark.serial
 @pytest.mark.slow
-def test_other_files_on_three_ranks() -> None:
+def test_other_files_on_three_ranks():
     run_on_ranks(3, QUICK, 1800.0, files_of(SLOW_ON_THREE))
 
 
@@ -96,7 +96,7 @@ def test_other_files_on_three_ranks() -> None:
 @pytest.mark.slow
 @pytest.mark.nightly
 @pytest.mark.parametrize("ranks", [2, 3])
-def test_all_tests_on_ranks(ranks: int) -> None:
+def test_all_tests_on_ranks(ranks):
     run_on_ranks(ranks, "not slow and not serial", 3600.0, ["tests"])
 
 
@@ -104,7 +104,7 @@ def test_all_tests_on_ranks(ranks: int) -> None:
 @pytest.mark.slow
 @pytest.mark.nightly
 @pytest.mark.parametrize("ranks", [2, 3])
-def test_slow_tests_on_ranks(ranks: int) -> None:
+def test_slow_tests_on_ranks(ranks):
     on_three = files_of(SLOW_ON_THREE) | other_files()
     run_on_ranks(ranks, SLOW, 7200.0, on_three if ranks == 3 else files_of([*ON_TWO, *AT_NIGHT]))
 
@@ -123,7 +123,7 @@ def test_of_all_ranks():
 @pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.parametrize("rank", [0, 1])
-def test_what_fails_on_one_rank_ends_the_run_on_all(rank: int, tmp_path: Path) -> None:
+def test_what_fails_on_one_rank_ends_the_run_on_all(rank, tmp_path):
     """The others would wait for it in the next test, to the time limit of the run."""
     (tmp_path / "test_it.py").write_text(FAILS_ON_ONE_RANK.format(rank=rank))
     arguments = ["-c", "pyproject.toml", "-p", "tests.conftest", "-x", tmp_path / "test_it.py"]

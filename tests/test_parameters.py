@@ -16,21 +16,22 @@ import ffcx.codegeneration.jit
 import ufl
 from dolfinx import default_scalar_type, fem
 from tests.cases.meshes import BOTTOM
-from tests.cases.pressed_blocks import PressedBlocks
+from tests.cases.pressed_blocks import PressedBlocks, rejected
 from tests.cases.solid import (
+    COMM,
     STEEL,
     create_displacement,
     create_domain,
     create_tags,
     residual,
     set_wave,
+    solid_on,
     total,
 )
 from tests.cases.user_laws import OfHooke
 from tests.choice import quick
 
 pytestmark = pytest.mark.mpi
-COMM = MPI.COMM_WORLD
 
 
 def constant(domain, value):
@@ -46,7 +47,6 @@ def function(domain, value, element=("DG", 0)):
 
 
 def at_points(domain, value, degree=2):
-    """Return a Function at the integration points."""
     element = basix.ufl.quadrature_element(domain.basix_cell(), scheme="default", degree=degree)
     f = fem.Function(fem.functionspace(domain, element))
     f.x.array[:] = value
@@ -78,28 +78,16 @@ def numbers(solid):
     return np.array(found + [solid.max(name) for name in names])
 
 
-@pytest.mark.parametrize(
-    "cell", ["triangle", pytest.param("quadrilateral", marks=pytest.mark.slow)]
-)
-@pytest.mark.parametrize("kind", quick(KINDS, "Constant", "expression"))
-def test_a_parameter_may_be_whatever_has_the_value(kind, cell):
+@pytest.mark.parametrize("kind", quick(KINDS, "Constant", "quadrature", "expression"))
+def test_a_parameter_may_be_whatever_has_the_value(kind):
     """Numbers, Constants, Functions and expressions of equal values make equal solids."""
-    domain = create_domain(cell)
+    domain = create_domain("triangle")
     vary = KINDS[kind]
     law = dm.VonMises(vary(domain, STEEL.E), 0.29, vary(domain, STEEL.Y), STEEL.a)
-    varying = dm.Solid(create_displacement(domain), law, quadrature_degree=2)
-    plain = dm.Solid(create_displacement(domain), STEEL, quadrature_degree=2)
+    varying = solid_on(domain, law, quadrature_degree=2)
+    plain = solid_on(domain, STEEL, quadrature_degree=2)
     assert varying.points.follows and not plain.points.follows
     assert numbers(varying) == pytest.approx(numbers(plain), rel=1e-12)
-
-
-def test_a_graded_body_has_the_energy_of_its_mean_modulus():
-    """A linear modulus under uniform strain: psi = eps^2 int E / 2, with nu = 0."""
-    domain = create_domain("triangle")  # 1 x 2
-    E = function(domain, lambda x: 100.0 + 30.0 * x[0] + 20.0 * x[1], ("Lagrange", 1))
-    solid = dm.Solid(create_displacement(domain), dm.Elastic(E, 0.0))
-    solid.u.interpolate(lambda x: np.stack([0.01 * x[0], 0 * x[1]]))
-    assert total(solid.energy()) == pytest.approx(0.5 * 0.01**2 * 2.0 * (100 + 15 + 20), rel=1e-13)
 
 
 def test_mixed_materials_of_one_class_share_a_region():
@@ -111,7 +99,7 @@ def test_mixed_materials_of_one_class_share_a_region():
     found = []
     for values in (yields, given):
         laws = {i: dm.VonMises(STEEL.E, 0.29, Y, STEEL.a) for i, Y in enumerate(values)}
-        solid = dm.Solid(create_displacement(domain), laws, tags)
+        solid = solid_on(domain, laws, tags)
         assert len(solid.regions) == 1
         found.append(numbers(solid))
     assert found[1] == pytest.approx(found[0], rel=1e-12)
@@ -121,12 +109,7 @@ def test_new_values_need_no_compiler(monkeypatch):
     """Forms and expressions of a solid are the same code whatever the values and their source."""
     domain = create_domain("triangle")
     E, Y = constant(domain, STEEL.E), function(domain, STEEL.Y)
-    solid = dm.Solid(create_displacement(domain), dm.VonMises(E, 0.29, Y, STEEL.a))
-    plain = dm.Solid(create_displacement(domain), STEEL)
-    for name in ("residual", "tangent", "energy", "elastic_norm", "element_force"):
-        forms = [getattr(s.forms, name) for s in (solid, plain)]
-        codes = [getattr(form, "form", form).module.__name__ for form in forms]
-        assert codes[0] == codes[1]
+    solid = solid_on(domain, dm.VonMises(E, 0.29, Y, STEEL.a))
 
     def never(*arguments, **options):
         raise AssertionError("something is compiled")
@@ -143,33 +126,39 @@ def test_new_values_need_no_compiler(monkeypatch):
     assert after[0] != pytest.approx(before[0])
 
 
-@pytest.mark.parametrize("what", ["residual", "tangent", "energy", "norm", "element", "stress"])
-def test_whatever_comes_next_follows_a_change(what):
-    """Elastic answers double with E, whichever is asked for first."""
-    domain = create_domain("triangle")
-    E = function(domain, 1000.0, ("Lagrange", 1))
-    solid = dm.Solid(create_displacement(domain), dm.Elastic(E, 0.3))
-    set_wave(solid.u, 1e-3)
+def norm_of_tangent(solid):
     K = solid.create_matrix()
+    solid.assemble_tangent(K)
+    return K.norm()
 
-    def ask():
-        if what == "residual":
-            return np.sqrt(total(residual(solid) ** 2))
-        if what == "tangent":
-            solid.assemble_tangent(K)
-            return K.norm()
-        if what == "energy":
-            return total(solid.energy())
-        if what == "norm":
-            return solid.elastic_norm(solid.u) ** 2
-        if what == "element":
-            return solid.element_force_norm()
-        solid.evaluate()
-        return solid.max("von_mises")
 
-    before = ask()
-    E.x.array[:] *= 2.0
-    assert ask() == pytest.approx(2.0 * before, rel=1e-13)
+def largest_stress(solid):
+    solid.evaluate()
+    return solid.max("von_mises")
+
+
+ASKED = {
+    "residual": lambda s: np.sqrt(total(residual(s) ** 2)),
+    "tangent": norm_of_tangent,
+    "energy": lambda s: total(s.energy()),
+    "norm": lambda s: s.elastic_norm(s.u) ** 2,
+    "element": lambda s: s.element_force_norm(),
+    "stress": largest_stress,
+}
+
+
+@pytest.mark.parametrize("what", ASKED)
+def test_whatever_comes_next_follows_a_change(what):
+    """Elastic answers double with E, whichever is asked for first; one dilatation per cell, too."""
+    domain, ask = create_domain("quadrilateral"), ASKED[what]
+    E = function(domain, 1000.0, ("Lagrange", 1))
+    for volumetric in ("full", "reduced"):
+        law = dm.Elastic(E, 0.3)
+        solid = solid_on(domain, law, volumetric=volumetric)
+        set_wave(solid.u, 1e-3)
+        before = ask(solid)
+        E.x.array[:] *= 2.0
+        assert ask(solid) == pytest.approx(2.0 * before, rel=1e-12)
 
 
 def test_a_linear_law_with_a_constant_has_no_constant_tangent():
@@ -182,7 +171,7 @@ def test_a_linear_law_with_a_constant_has_no_constant_tangent():
     bcs = [case.bc(BOTTOM)]
     tie = dm.Tie(case.facets, slave=case.contact().slave, master=case.contact().master)
     loads = case.pull((0.0, -0.1))
-    problem = dm.ContactProblem(solid, [tie], bcs=bcs, loads=loads, geometry="reference")
+    problem = case.problem([tie], bcs, solid, loads=loads, geometry="reference")
     reports, sizes = [], []
     for value in (1000.0, 500.0, 2000.0):
         E.value = value
@@ -193,25 +182,11 @@ def test_a_linear_law_with_a_constant_has_no_constant_tangent():
     assert all(report.newton_iterations == 1 for report in reports)
 
 
-def test_a_constant_that_softens_makes_a_body_flow():
-    """The yield radius falls between steps at the same strain; the stress lies on the new one."""
-    domain = create_domain("triangle")
-    Y = constant(domain, 100.0)
-    solid = dm.Solid(create_displacement(domain), dm.VonMises(1000.0, 0.3, Y, 0.0))
-    solid.u.interpolate(lambda x: np.stack([0.05 * x[1], 0 * x[1]]))
-    solid.evaluate()
-    assert not solid.points.flowing().any()
-    Y.value = 10.0
-    solid.evaluate()
-    assert solid.points.flowing().all()
-    assert solid.max("von_mises") == pytest.approx(np.sqrt(1.5) * 10.0, rel=1e-9)
-
-
 def test_output_sees_the_parameters_of_its_points():
     """The back stress is a ep with the a of the point."""
     domain = create_domain("quadrilateral")
     a = function(domain, lambda x: 100.0 * (1 + x[0]), ("Lagrange", 1))
-    solid = dm.Solid(create_displacement(domain), dm.VonMises(1000.0, 0.3, 1.0, a))
+    solid = solid_on(domain, dm.VonMises(1000.0, 0.3, 1.0, a))
     set_wave(solid.u, 0.1)
     solid.evaluate()
     x = dm.solid.sources.create_field(domain, solid.quadrature_degree, (), "a")
@@ -223,40 +198,33 @@ def test_output_sees_the_parameters_of_its_points():
     assert np.ptp(COMM.allreduce(x.x.array[dofs].tolist())) > 50.0
 
 
-def wave_of_stiffness(domain):
-    """Return a modulus that is negative in the right half."""
-    return function(domain, lambda x: np.where(x[0] < 0.5, 1000.0, -x[1]))
-
-
 def test_values_out_of_range_are_counted_and_placed():
     """How many cells on all ranks, where, and which values."""
     domain = create_domain("triangle")  # 4 x 5 x 2 cells
-    E = wave_of_stiffness(domain)
-    with pytest.raises(
-        ValueError, match=r"Elastic: E in \(0.0, inf\) does not hold in 20 cells"
-    ) as caught:
-        dm.Solid(create_displacement(domain), dm.Elastic(E, 0.3))
+    E = function(domain, lambda x: np.where(x[0] < 0.5, 1000.0, -x[1]))
+    with rejected("Elastic: E in (0.0, inf) does not hold in 20 cells") as caught:
+        solid_on(domain, dm.Elastic(E, 0.3))
     low, high = map(float, re.findall(r"E is (\S+) to (\S+)\.", str(caught.value))[0])
     assert -2.0 < low < -1.8 and -0.2 < high < 0.0
     x, y = map(float, re.findall(r"around \((\S+), (\S+)\)", str(caught.value))[0])
     assert 0.5 < x < 1.0 and 0.0 < y < 2.0
     E.x.array[:] = np.nan
-    with pytest.raises(ValueError, match=r"does not hold in 40 cells.*E is NaN"):
-        dm.Solid(create_displacement(domain), dm.Elastic(E, 0.3))
+    with rejected("does not hold in 40 cells", "E is NaN"):
+        solid_on(domain, dm.Elastic(E, 0.3))
 
 
 def test_a_change_out_of_range_is_refused_until_it_is_undone():
     """What was computed with is kept; every call says so, and all goes on when it is mended."""
     domain = create_domain("triangle")
     nu = function(domain, 0.3, ("Lagrange", 1))
-    solid = dm.Solid(create_displacement(domain), dm.Elastic(1000.0, nu))
+    solid = solid_on(domain, dm.Elastic(1000.0, nu))
     set_wave(solid.u, 1e-3)
     before = solid.energy()
     solid.evaluate()
     stress = solid.stress.x.array.copy()
     nu.x.array[:] = 0.5
     for ask in (solid.energy, solid.evaluate, solid.energy):
-        with pytest.raises(ValueError, match=r"nu in \(-1.0, 0.5\) does not hold in 40 cells"):
+        with rejected("nu in (-1.0, 0.5) does not hold in 40 cells"):
             ask()
     assert np.array_equal(solid.stress.x.array, stress)
     nu.x.array[:] = 0.3
@@ -267,11 +235,11 @@ def test_a_change_on_one_rank_is_followed_by_all():
     """A DG0 value of the last rank only."""
     domain = create_domain("triangle")
     E = function(domain, 1000.0)
-    solid = dm.Solid(create_displacement(domain), dm.Elastic(E, 0.3))
+    solid = solid_on(domain, dm.Elastic(E, 0.3))
     solid.energy()
     if COMM.rank == COMM.size - 1:
         E.x.array[:1] = -1.0
-    with pytest.raises(ValueError, match="does not hold in 1 cells"):
+    with rejected("does not hold in 1 cells"):
         solid.energy()
 
 
@@ -288,22 +256,18 @@ class Bounded(OfHooke):
 
 
 @pytest.mark.parametrize(
-    ("E", "nu", "message"),
+    ("E", "words"),
     [
-        (0.5, 0.3, r"Bounded: E in \[1.0, 10.0\) does not hold in 40 cells.*E is 0.5 to 0.5"),
-        (
-            8.0,
-            0.3,
-            r"Bounded: E \* nu < 2 does not hold in 40 cells.*E is 8 to 8, nu is 0.3 to 0.3",
-        ),
+        (0.5, ("Bounded: E in [1.0, 10.0) does not hold in 40 cells", "E is 0.5 to 0.5")),
+        (8.0, ("Bounded: E * nu < 2 does not hold in 40 cells", "E is 8 to 8, nu is 0.3 to 0.3")),
     ],
 )
-def test_ranges_and_rules_of_a_users_law(E, nu, message):
+def test_ranges_and_rules_of_a_users_law(E, words):
     domain = create_domain("triangle")
-    dm.Solid(create_displacement(domain), Bounded(6.0, 0.3))
-    for law in (Bounded(E, nu), Bounded(constant(domain, E), nu)):
-        with pytest.raises(ValueError, match=message):
-            dm.Solid(create_displacement(domain), law)
+    solid_on(domain, Bounded(6.0, 0.3))
+    for law in (Bounded(E, 0.3), Bounded(constant(domain, E), 0.3)):
+        with rejected(*words):
+            solid_on(domain, law)
 
 
 @pytest.mark.mpi
@@ -331,7 +295,7 @@ def test_rules_of_a_law_that_only_some_ranks_have():
         (9.0, "Together.conditions raised ZeroDivisionError: E is too large; it must return"),
     ):
         E.value = value
-        with pytest.raises(ValueError, match=message):
+        with rejected(message):
             solid.energy()
     E.value = 2.0
     assert solid.energy() == 0.0
@@ -342,12 +306,12 @@ def test_what_cannot_be_a_parameter():
     u = create_displacement(domain)
     vector = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (2,))))
     for E, message in [
-        (vector, "Elastic: the parameter E is .*: give a number, a scalar"),
+        (vector, ": give a number, a scalar"),
         (1.0 + u[0] ** 2, "Elastic: E depends on the displacement"),
         (function(other, 1.0), "Elastic: E lives on another mesh"),
         (at_points(domain, 1.0, 3), "quadrature space must have the quadrature_degree"),
     ]:
-        with pytest.raises(ValueError, match=message):
+        with rejected(message):
             dm.Solid(u, dm.Elastic(E, 0.3))
 
 
@@ -357,21 +321,5 @@ def test_uniaxial_numbers_may_vary():
     plain = dm.VonMises.from_uniaxial(STEEL.E, 0.29, *given)
     law = dm.VonMises.from_uniaxial(STEEL.E, 0.29, *(constant(domain, v) for v in given))
     assert list(law.state) == ["plastic_strain"]  # no isotropic hardening, no variable for it
-    found = [numbers(dm.Solid(create_displacement(domain), m)) for m in (plain, law)]
+    found = [numbers(solid_on(domain, m)) for m in (plain, law)]
     assert found[1] == pytest.approx(found[0], rel=1e-12)
-
-
-def test_check_wants_numbers():
-    domain = create_domain("triangle")
-    dm.materials.check(dm.VonMises(constant(domain, 1000.0), 0.3, 1.0, 100.0))
-    with pytest.raises(ValueError, match=r"VonMises: E = .* depends on place.*dataclasses.replace"):
-        dm.materials.check(dm.VonMises(function(domain, 1000.0), 0.3, 1.0, 100.0))
-
-
-def test_a_range_of_no_parameter_is_named():
-    @dataclass(frozen=True)
-    class Misspelt(Bounded):
-        ranges: ClassVar = {"Emodulus": (0.0, 1.0, False)}
-
-    with pytest.raises(ValueError, match="ranges: a name is 'Emodulus': choose 'E' or 'nu'"):
-        dm.materials.check(Misspelt(6.0, 0.3))

@@ -7,7 +7,7 @@ import pytest
 from dolfinx_mortar.geometry import area, segments
 from dolfinx_mortar.geometry.elements import QUAD9, TRI6
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of, tributary_weights
-from dolfinx_mortar.geometry.parts import parts_of
+from dolfinx_mortar.geometry.plane import parts_of
 
 
 @pytest.mark.parametrize("element", [TRI6, QUAD9], ids=["six", "nine"])

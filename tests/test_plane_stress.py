@@ -5,17 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 import dolfinx_mortar as dm
-import ufl
-from dolfinx_mortar.kernels import compile_vectors, constants
-from dolfinx_mortar.materials import plane_stress
+from dolfinx_mortar.materials import response
 from dolfinx_mortar.materials.protocol import create_law
-from dolfinx_mortar.materials.von_mises import LEAST_RATIO, flow_in_plane_stress
-from dolfinx_mortar.solid import pointwise
+from dolfinx_mortar.materials.von_mises import LEAST_RATIO
 from tests.cases.material_point import MaterialPoint
 from tests.cases.pointwise_laws import Radial
 from tests.cases.pressed_blocks import PressedBlocks, rejected
@@ -47,7 +42,7 @@ class Other(dm.VonMises):
 
 
 # Von Mises without the closed root: of another energy, and of a ratio below that of the closed one.
-SOLVED = {
+LAWS |= {
     "other": Other(E, NU, Y, 10_000.0, 5_000.0),
     "auxetic": dm.VonMises(E, -0.95, Y, 1.0, 1.0),
 }
@@ -55,10 +50,9 @@ _POINTS: dict[tuple[str, int], MaterialPoint] = {}
 
 
 def point(name: str, d: int) -> MaterialPoint:
-    """Return a virgin point of a law, in plane stress (d = 2) or in space."""
     if (name, d) not in _POINTS:
         kinematics = "plane_stress" if d == 2 else None
-        _POINTS[name, d] = MaterialPoint((LAWS | SOLVED)[name], d, kinematics)
+        _POINTS[name, d] = MaterialPoint(LAWS[name], d, kinematics)
     _POINTS[name, d].reset()
     return _POINTS[name, d]
 
@@ -97,7 +91,7 @@ def compare(flat: MaterialPoint, space: MaterialPoint, path: list, scale: float)
     return flowed
 
 
-@pytest.mark.parametrize("name", quick(LAWS, "kinematic"))
+@pytest.mark.parametrize("name", quick(LAWS, "perfect", "mixed", "other", "cone", "arrays"))
 def test_plane_stress_is_the_spatial_law_without_stress_out_of_the_plane(name, rng):
     """On a random path with commits, against a root of the spatial law's sigma_zz."""
     path = np.cumsum([5e-3 * in_plane(rng) for _ in range(8)], axis=0)
@@ -106,124 +100,28 @@ def test_plane_stress_is_the_spatial_law_without_stress_out_of_the_plane(name, r
     if name in HARDENING:
         plastic = flat.commit()
         assert abs(np.trace(plastic)) < 1e-15 * (1 + np.abs(plastic).max())
+    material = create_law("law", LAWS[name])
+    assert (material.normal_strain is not None) == (name in (*HARDENING, "stated"))
+    assert (material.tangent is not None) == (name in (*HARDENING, "stated", "auxetic"))
     if name == "mixed":
         k = [p.solid.fields.values("accumulated_plastic_strain")[0, 0] for p in (flat, space)]
         assert k[0] == pytest.approx(k[1], rel=1e-9) and k[0] > 1e-2
 
 
-@settings(max_examples=30)
-@given(
-    st.floats(-0.45, 0.495),
-    st.tuples(st.floats(-4, 2), st.floats(-4, 2)),
-    st.floats(0.3, 100.0),
-    st.integers(0, 2**32 - 1),
-)
-def test_any_parameters(nu, powers, size, seed):
-    """Poisson's ratios, hardening from none to stiffer than the body, strains far beyond yield."""
-    E, Y = 1000.0, 1.0
-    values = [E, nu, Y, *(E * 10.0**power for power in powers)]
-    flat, space = point("mixed", 2), point("mixed", 3)
-    for p in (flat, space):
-        p.solid.regions[0].parameters.function.x.array.reshape(-1, 5)[:] = values
-    try:
-        path = np.cumsum([size * Y / E * in_plane(np.random.default_rng(seed)) for _ in "abc"], 0)
-        compare(flat, space, list(path), Y + (values[3] + values[4]) * np.abs(path).max())
-    finally:
-        mixed = LAWS["mixed"]
-        for p in (flat, space):
-            table = p.solid.regions[0].parameters.function.x.array.reshape(-1, 5)
-            table[:] = [mixed.E, mixed.nu, mixed.Y, mixed.a, mixed.H]
-
-
-def test_a_tangent_belongs_to_its_energy():
-    """A class with an energy of its own does not inherit the tangent of another one."""
-    assert create_law("law", LAWS["mixed"]).tangent is not None
-    assert create_law("law", SOLVED["other"]).tangent is None
-
-
-def test_points_that_do_not_flow_take_one_evaluation(rng, monkeypatch):
-    """The elastic root is where Newton's method starts: virgin, and unloaded after flow."""
-    asked: list[int] = []
-
-    def counted(law, equation, *arguments, **options):
-        def counts(rows, z):
-            asked.append(len(rows))
-            return equation(rows, z)
-
-        return plane_stress.solve(law, counts, *arguments, **options)
-
-    monkeypatch.setattr(pointwise, "solve", counted)
-    flat, strain = point("other", 2), 5e-3 * in_plane(rng)
-    flat.stress(0.01 * strain)
-    assert len(asked) == 1
-    asked.clear()
-    flat.stress(strain)
-    flowed = np.abs(flat.commit()).max()
-    assert flowed > 1e-4 and len(asked) > 1
-    asked.clear()
-    flat.stress(0.9 * strain)
-    assert len(asked) == 1 and np.abs(flat.commit()).max() == flowed
-
-
-def test_the_closed_root_is_that_of_newtons_method(rng):
-    """The same path with the root of the law and with the one that is solved for."""
-    closed, solved = point("mixed", 2), point("other", 2)
-    assert create_law("law", LAWS["mixed"]).normal_strain is not None
-    for name in SOLVED:
-        assert create_law("law", SOLVED[name]).normal_strain is None
-    flowed = 0
-    for _ in range(8):
-        strain = 5e-3 * in_plane(rng)
-        assert np.abs(closed.stress(strain) - solved.stress(strain)).max() < 1e-11 * Y
-        ep = closed.commit()
-        assert np.abs(ep - solved.commit()).max() < 1e-13
-        flowed += ep.any()
-    assert flowed
-
-
-def test_flow_in_plane_stress_is_exact(rng):
-    """The root leaves round-off of N, for parts of all sizes and the whole range of ratios."""
-    c = constants(3)
-    (root,) = compile_vectors([ufl.as_vector([flow_in_plane_stress(c[0], c[1], c[2])])])
-    least = (1 + LEAST_RATIO) / (3 * (1 - LEAST_RATIO))
-    for r in np.geomspace(least, 1.0, 12):
-        for angle in [0.0, np.pi / 2, *np.pi / 2 * rng.random(60), *10.0 ** rng.uniform(-9, 0, 40)]:
-            size = 1 + 10.0 ** rng.uniform(-9, 6)
-            p, q = abs(size * np.cos(angle)), abs(size * np.sin(angle))
-            t = root(np.array([p, q, r]))[0]
-            assert t > 0.0 and abs(np.hypot(p / (1 + r * t), q / (1 + t)) - 1) < 4e-15
-    assert root(np.array([0.6, 0.79, 0.5]))[0] == 0.0 == root(np.array([0.0, 0.0, 0.5]))[0]
-
-
 TIMBER = dm.Orthotropic(11e3, 600.0, 900.0, 0.4, 0.3, 0.3, 700.0, 800.0, 70.0, yaw=0.4)
 
 
-@pytest.mark.parametrize("name", quick(LAWS, "kinematic", "stress", "arrays"))
-def test_check_accepts_the_laws(name):
-    report = dm.materials.check(LAWS[name], plane_stress=True)
-    assert np.isnan(report.energy_error) == (name in ("stress", "arrays"))
-    assert not report.energy_error > 1e-8 and report.tangent_error < 1e-8
-    assert report.skew < 1e-12 and report.state_error < 1e-12 and report.changed > 10
-
-
-@pytest.mark.parametrize(
-    "law",
-    [pytest.param(dm.Elastic(1000.0, 0.3), marks=pytest.mark.slow), TIMBER],
-    ids=["isotropic", "timber"],
-)
-def test_linear_laws_are_condensed_in_the_compiled_code(law, rng):
+def test_linear_laws_are_condensed_in_the_compiled_code(rng):
     """The same compliance in the plane, no unknown at points, and a constant tangent."""
-    report = dm.materials.check(law, plane_stress=True)
-    assert max(report.energy_error, report.tangent_error, report.skew) < 1e-8
-    flat, space = MaterialPoint(law, 2, "plane_stress"), MaterialPoint(law)
+    flat, space = MaterialPoint(TIMBER, 2, "plane_stress"), MaterialPoint(TIMBER)
     strain = 1e-3 * in_plane(rng)
     expected = space.stress(free(space, strain))
     assert np.abs(flat.stress(strain) - expected).max() < 1e-12 * np.abs(expected).max()
     assert flat.solid.linear
 
 
-@pytest.mark.parametrize("nu", [-1 + 1e-9, -0.99, -0.9, -0.5, 0.0, 0.3, 0.49, 0.5 - 1e-7])
-@pytest.mark.parametrize("size", [1e-3, 0.9, 1.1, 3.0, 100.0, 1e4])
+@pytest.mark.parametrize("nu", [-1 + 1e-9, -0.9, -0.5, 0.0, 0.49, 0.5 - 1e-7])
+@pytest.mark.parametrize("size", [0.9, 3.0, 1e4])
 def test_the_whole_range_of_ratios(nu, size, rng):
     """No stress out of the plane, the residual being checked: flow and yield surface say so."""
     flat = point("mixed" if nu >= LEAST_RATIO else "auxetic", 2)
@@ -236,9 +134,8 @@ def test_the_whole_range_of_ratios(nu, size, rng):
         k = flat.solid.fields.values("accumulated_plastic_strain")[0, 0]
         elastic = ((1 + nu) * stress - nu * np.trace(stress) * np.eye(3)) / 1000.0
         found = (elastic + ep)[:2, :2]  # by Hooke's law of a stress in the plane
-        condition = max(
-            (1 + nu) / (1 - 2 * nu), (1 - 2 * nu) / (1 + nu)
-        )  # 3 K / 2 mu or its inverse
+        ratio = (1 + nu) / (1 - 2 * nu)  # 3 K / 2 mu
+        condition = max(ratio, 1 / ratio)
         error = np.abs(found - strain[:2, :2]).max()
         assert error < (1e-12 + 1e-14 * condition) * np.abs(strain).max()
         deviator = stress - np.trace(stress) / 3 * np.eye(3)
@@ -273,59 +170,17 @@ class SlackArrays(dm.materials.PointwiseLaw):
 def test_a_law_that_always_pulls_is_an_error_on_all_ranks(law):
     """No strain out of the plane leaves no stress: that is noticed, not a number."""
     solid = dm.Solid(create_displacement(create_domain("triangle")), law, kinematics="plane_stress")
-    after = f"after {plane_stress.LIMIT} iter"
+    after = f"after {response.LIMIT} iter"
     for ask in (solid.evaluate, solid.element_force_norm):
         with rejected(type(law).__name__, "no strain out of the plane was found", after):
             ask()
-    with rejected("plane stress"):
-        dm.materials.check(law, plane_stress=True)
-
-
-def test_a_bar_is_as_stiff_as_its_modulus():
-    """Stretched with free sides, elastic: sigma = E eps, to round-off."""
-    p = MaterialPoint(dm.Elastic(1000.0, 0.3), 2, "plane_stress")
-    stress = p.stress(np.diag([1e-3, -3e-4, 0.0]))
-    assert np.allclose(stress, np.diag([1.0, 0.0, 0.0]), atol=1e-15)
 
 
 @pytest.mark.mpi
-def test_a_heated_plate():
-    """Free it has no stress, held E alpha dT / (1 - nu), and nothing out of the plane."""
-    solid = dm.Solid(
-        create_displacement(create_domain("triangle")),
-        dm.Elastic(1000.0, 0.3),
-        kinematics="plane_stress",
-        eigenstrain=1e-3,
-    )
-    solid.evaluate()
-    held = -1000.0 * 1e-3 / 0.7
-    assert solid.fields.values("stress_xx") == pytest.approx(held, rel=1e-12)
-    assert solid.fields.values("stress_yy") == pytest.approx(held, rel=1e-12)
-    assert (solid.fields.values("stress_zz") == 0.0).all()
-    solid.u.interpolate(lambda x: 1e-3 * x[:2])
-    solid.evaluate()
-    assert solid.max("von_mises") < 1e-12
-
-
-@pytest.mark.mpi
-def test_it_is_refused_in_space():
-    space = create_displacement(create_domain("tetrahedron"))
-    with rejected("plane_stress", "on a mesh in 3D choose"):
-        dm.Solid(space, dm.Elastic(1.0, 0.3), kinematics="plane_stress")
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("name", quick(["perfect", "mixed", "arrays"], "perfect", "arrays"))
+@pytest.mark.parametrize("name", ["perfect", "arrays"])
 def test_pressed_plates(name):
     """Contact of plates that flow converges, without stress out of the plane."""
     case = PressedBlocks()
-    law = LAWS[name]
-    solid = dm.Solid(case.u, law, kinematics="plane_stress")
-    case.top.value[1] = -0.01
-    problem = dm.ContactProblem(solid, [case.contact()], bcs=case.bcs())
-    report = dm.newton(problem)
-    assert report.converged and solid.max("plastic_strain_norm") > 1e-4
-    assert solid.max("stress_zz") == 0.0
-    stiff = dm.Solid(case.u, law)
-    stiff.evaluate()
-    assert stiff.max("stress_zz") != 0.0
+    solid = dm.Solid(case.u, LAWS[name], kinematics="plane_stress")
+    assert dm.newton(case.problem(law=solid)).converged
+    assert solid.max("plastic_strain_norm") > 1e-4 and solid.max("stress_zz") == 0.0

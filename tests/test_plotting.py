@@ -11,15 +11,15 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import compute_midpoints, locate_entities, meshtags
+from dolfinx.mesh import compute_midpoints, meshtags
 from tests.cases.hertz import ELASTIC, create_case, create_mesh
-from tests.cases.meshes import BOTTOM, TOP, two_blocks
+from tests.cases.meshes import two_blocks
 from tests.cases.msh_files import folder
+from tests.cases.pressed_blocks import PressedBlocks
 
 COMM = MPI.COMM_WORLD
 FIRST = COMM.rank == 0
 pyplot = pytest.importorskip("matplotlib.pyplot")
-CELLS = [("triangle", 1), ("triangle", 2), ("quadrilateral", 1), ("quadrilateral", 2)]
 
 
 @pytest.fixture(autouse=True)
@@ -62,34 +62,7 @@ def test_a_mesh_shows_bodies_and_sides_by_name():
 
 
 @pytest.mark.mpi
-def test_a_facet_that_several_ranks_know_is_drawn_once():
-    mesh = create_mesh("graded", 0.5).mesh
-    below = locate_entities(mesh, 1, lambda x: x[1] < 1e-6)  # between ranks both have them
-    ax = dm.plotting.mesh(mesh, None, meshtags(mesh, 1, below, np.ones_like(below)))
-    if FIRST:
-        middles = [tuple(path.vertices.mean(axis=0).round(9)) for path in lines_of(ax)]
-        assert len(middles) == len(set(middles)) > 100
-
-
-def lines_of(ax):
-    return ax.collections[-1].get_paths()
-
-
-def test_cells_without_a_tag_are_told():
-    mesh = create_mesh("graded", 0.5)
-    every = mesh.cell_tags
-    on = (every.values == 2) | (every.indices % 2 == 0)
-    some = meshtags(mesh.mesh, 2, every.indices[on], every.values[on])
-    ax = dm.plotting.mesh(mesh.mesh, dm.Tags(some, {"disc": 2}))
-    bare = dm.plotting.mesh(mesh.mesh)
-    if FIRST:
-        names = [text.get_text() for text in ax.get_legend().get_texts()]
-        assert names == ["no tag", "tag 1", "disc"]
-        assert bare.get_legend() is None and len(bare.collections) == 1
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize(("cell", "degree"), CELLS)
+@pytest.mark.parametrize(("cell", "degree"), [("triangle", 2), ("quadrilateral", 1)])
 def test_a_field_of_cells_lies_on_the_deformed_bodies(cell, degree):
     """Colours are the cell averages, their cells those at X + scale u, with curved edges."""
     case = pressed(cell, degree)
@@ -146,10 +119,9 @@ def polygons_of_disc(ax):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("degree", [1, 2])
-def test_pressure_along_the_interface(degree):
+def test_pressure_along_the_interface():
     """Facet by facet between the slave nodes; under it lies the force."""
-    case = pressed(degree=degree)
+    case, degree = pressed(degree=2), 2
     nodes = case.contact.gather(case.problem.u)
     ax = dm.plotting.pressure(case.problem)
     force = case.force
@@ -170,30 +142,23 @@ def test_pressure_along_the_interface(degree):
         assert ax.get_xlabel() == "x"
 
 
-def glued(pull, kinds=(dm.Tie,), order=1):
+def glued(pull, kinds=(dm.Tie,)):
     """Return a bar of two blocks with E = 100 and nu = 0, longer by `pull` of its length."""
-    mesh, _, facets = two_blocks(COMM, (4, 2), (3, 2), order=order)
-    values, x = facets.values.copy(), compute_midpoints(mesh, 1, facets.indices)[:, 0]
-    values[(values == 3) & (x > 0.5)] = 30 if len(kinds) > 1 else 3
-    tags = meshtags(mesh, 1, facets.indices, values)
-    V = fem.functionspace(mesh, ("Lagrange", order, (2,)))
-    bcs = []
-    for tag, value in ((BOTTOM, 0.0), (TOP, 2.0 * pull)):
-        dofs = fem.locate_dofs_topological(V, 1, tags.find(tag))
-        bcs.append(fem.dirichletbc(np.array([0.0, value]), dofs, V))
+    case = PressedBlocks(degree=2, order=2)
+    values, x = case.facets.values.copy(), compute_midpoints(case.mesh, 1, case.facets.indices)
+    values[(values == 3) & (x[:, 0] > 0.5)] = 30 if len(kinds) > 1 else 3
+    tags = meshtags(case.mesh, 1, case.facets.indices, values)
     sides = [kind(tags, slave=s, master=4) for kind, s in zip(kinds, (3, 30), strict=False)]
-    law = dm.Elastic(E=100.0, nu=0.0)
-    problem = dm.ContactProblem(dm.Solid(fem.Function(V), law), sides, bcs=bcs)
+    case.top.value[1] = 2.0 * pull
+    problem = case.problem(sides, law=dm.Elastic(E=100.0, nu=0.0))
     dm.newton(problem)
     return problem
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("order", [1, 2])
-def test_what_is_drawn_of_a_tie_is_its_normal_traction(order):
+def test_what_is_drawn_of_a_tie_is_its_normal_traction():
     """The stress of a bar that is pulled, which is no pressure; positive in compression."""
-    problem = glued(0.01, order=order)
-    ax = dm.plotting.pressure(problem)  # nothing else is there
+    ax = dm.plotting.pressure(glued(0.01))  # nothing else is there
     if FIRST:
         assert ax.get_ylabel() == "normal traction"
         (line,) = ax.get_lines()

@@ -79,7 +79,7 @@ def columns(model):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("order", "degree", "ranks"),
-    [(2, 2, 1), (1, 1, 1), (1, 2, 3)],
+    [(2, 2, 1), (1, 2, 3)],
 )
 def test_bodies_in_space_without_a_screen(order, degree, ranks, monkeypatch, tmp_path):
     """As a program of its own: what VTK cannot do ends the program."""
@@ -130,8 +130,7 @@ def test_the_screen_ends_with_the_program_however_that_ends():
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize("display", ["", ":4242"])
-@pytest.mark.parametrize("broken", [False, True])
+@pytest.mark.parametrize(("display", "broken"), [("", False), (":4242", True)])
 def test_without_any_screen_the_error_says_what_to_install(display, broken, monkeypatch, tmp_path):
     """Neither an X server that answers, nor an Xvfb that starts, nor a VTK that draws in memory."""
     pyvista = pytest.importorskip("pyvista")

@@ -11,7 +11,6 @@ import pytest
 from programs import from_arrays, gathered, membrane
 
 from dolfinx_mortar.qp import (
-    BoundQP,
     LinearSolver,
     QPNotSolved,
     UnusableQP,
@@ -27,7 +26,7 @@ N = 40
 pytestmark = pytest.mark.mpi
 
 
-def unsymmetric(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+def unsymmetric(rng):
     """Diffusion with a wind: an M-matrix, for which the conditions have one solution."""
     wind = 0.6
     A = 2.1 * np.eye(N) - (1 + wind) * np.eye(N, k=-1) - (1 - wind) * np.eye(N, k=1)
@@ -35,7 +34,7 @@ def unsymmetric(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     return A, 0.2 * np.ones(N), upper
 
 
-def indefinite(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+def indefinite(rng):
     """Negative diagonal entries of both kinds of unknowns, and zeros.
 
     Half of the unknowns have no bounds; condensed to the others, A_BB - A_BI A_II^-1 A_IB is
@@ -54,13 +53,13 @@ def indefinite(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     return A, rng.standard_normal(N), upper
 
 
-def spread(A: np.ndarray, b: np.ndarray, upper: np.ndarray) -> BoundQP:
+def spread(A, b, upper):
     return replace(from_arrays(A, b, np.full(N, -INF), upper, COMM), definite=False)
 
 
 @pytest.mark.parametrize("make", [unsymmetric, indefinite])
 @pytest.mark.parametrize("options", [{}, {"pc_type": "none"}])
-def test_the_conditions_hold(make, options, rng: np.random.Generator) -> None:
+def test_the_conditions_hold(make, options, rng):
     """By LU and GMRES without being asked; both bounds that are active and open ones."""
     A, b, upper = make(rng)
     linear = LinearSolver(COMM, prefix="general_", options=options)
@@ -74,18 +73,7 @@ def test_the_conditions_hold(make, options, rng: np.random.Generator) -> None:
     assert linear.description == f"gmres + {'none' if options else 'lu (mumps)'}"
 
 
-def test_an_old_factorisation_serves_gmres(rng: np.random.Generator) -> None:
-    A, b, upper = unsymmetric(rng)
-    qp, linear = spread(A, b, upper), LinearSolver(COMM, prefix="old_")
-    first = solve(qp, linear=linear)
-    diagonal = qp.A.getDiagonal()
-    diagonal.array[:] *= 1.001
-    qp.A.setDiagonal(diagonal)
-    second = solve(qp, linear=linear, start_active=first.active)
-    assert second.factorisations == 0 < second.linear_iterations
-
-
-def test_one_solver_takes_both_kinds(rng: np.random.Generator) -> None:
+def test_one_solver_takes_both_kinds(rng):
     """The same matrix, said to be definite or not; Cholesky would read half of the other one."""
     qp, linear = membrane(8), LinearSolver(COMM, prefix="both_")
     expected = gathered(solve(qp, linear=linear).x)
@@ -97,7 +85,7 @@ def test_one_solver_takes_both_kinds(rng: np.random.Generator) -> None:
     assert linear.description == "cg + cholesky (mumps)"
 
 
-def test_what_needs_a_definite_matrix_says_so(rng: np.random.Generator) -> None:
+def test_what_needs_a_definite_matrix_says_so(rng):
     A, b, upper = indefinite(rng)
     with pytest.raises(ValueError, match=r"'interior-point'.*definite matrix.*'active-set'"):
         solve(spread(A, b, upper), "interior-point")
@@ -136,26 +124,6 @@ def test_conjugate_gradients_meet_a_negative_eigenvalue(lowest, monkeypatch):
         assert not met(mine)
     monkeypatch.setattr(operators, "RESOLVED", 3.0)
     assert not met()
-
-
-@pytest.mark.parametrize("lowest", [-1.0, 1.0])
-@pytest.mark.parametrize("method", ["none", "cholesky"])
-def test_a_matrix_that_had_nothing_to_solve(lowest, method):
-    """As after a step that ends where it begins: nothing has been set up for it."""
-    A = PETSc.Mat().createAIJ((N, N), nnz=1, comm=COMM)
-    A.setUp()
-    diagonal = A.createVecRight()
-    diagonal.set(1.0)
-    if COMM.rank == 0:
-        diagonal.array[0] = lowest
-    A.setDiagonal(diagonal)
-    A.assemble()
-    linear = LinearSolver(COMM, prefix="unused_", options={"pc_type": method})
-    linear.set_matrix(A)
-    b, x = A.createVecRight(), A.createVecRight()
-    linear.solve(b, x, np.zeros(0, dtype=np.int32), atol=1.0)
-    assert linear.counts.factorisations == 0
-    assert linear.is_indefinite() == (lowest < 0.0)
 
 
 @pytest.mark.parametrize(("entries", "count"), [((1.0, 2.0), 0), ((1.0, -2.0), 1), ((1.0, 0.0), 1)])

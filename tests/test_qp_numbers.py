@@ -3,7 +3,6 @@
 
 from importlib import import_module
 from pkgutil import walk_packages
-from types import ModuleType
 
 from mpi4py import MPI
 
@@ -13,7 +12,6 @@ from programs import gathered, membrane
 
 from dolfinx_mortar import qp as qp_package
 from dolfinx_mortar.qp import LinearSolver, QPNotSolved, solve
-from dolfinx_mortar.qp.preconditioner import RENEWAL_COST, Renewal
 
 COMM = MPI.COMM_WORLD
 
@@ -26,12 +24,12 @@ CASES = [(name, "cholesky") for name in ("active-set", "interior-point")]
 CASES += [("active-set", "gamg")]
 
 
-def modules() -> list[ModuleType]:
+def modules():
     found = walk_packages(qp_package.__path__, f"{qp_package.__name__}.")
     return [import_module(module.name) for module in found]
 
 
-def test_the_numbers_are_all_known() -> None:
+def test_the_numbers_are_all_known():
     """EPS, TINY and what is no length, rate or count aside.
 
     MOST_FACTORISED is in test_multigrid, RESOLVED in test_qp_definite.
@@ -46,12 +44,12 @@ def test_the_numbers_are_all_known() -> None:
     assert names - {"LOOSE", "TIGHT", "OUT_OF_MEMORY"} - elsewhere == set(NUMBERS)
 
 
-def is_table(value: object) -> bool:
+def is_table(value):
     """Tell whether a value is a table of numbers, not of options."""
     return isinstance(value, dict) and all(isinstance(v, (int, float)) for v in value.values())
 
 
-def scale(monkeypatch: pytest.MonkeyPatch, name: str, factor: float) -> None:
+def scale(monkeypatch, name, factor):
     """Multiply a number wherever it is known."""
     for module in modules():
         if hasattr(module, name):
@@ -64,9 +62,7 @@ def scale(monkeypatch: pytest.MonkeyPatch, name: str, factor: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 @pytest.mark.parametrize("name", NUMBERS)
-def test_no_number_changes_an_answer(
-    monkeypatch: pytest.MonkeyPatch, name: str, factor: float
-) -> None:
+def test_no_number_changes_an_answer(monkeypatch, name, factor):
     """Halved and doubled: for each backend, factorisation and multigrid, two tangents."""
     expected = [two_tangents(backend, pc)[0] for backend, pc in CASES]
     scale(monkeypatch, name, factor)
@@ -76,11 +72,11 @@ def test_no_number_changes_an_answer(
 
 
 @pytest.mark.parametrize("name", NUMBERS)
-def test_an_absurd_number_is_felt(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_an_absurd_number_is_felt(monkeypatch, name):
     """Those that decide leave something unsolved, costs are others: the test above can fail."""
     costs = [two_tangents(backend, pc)[1] for backend, pc in CASES]
     scale(monkeypatch, name, ABSURD[name])
-    found: list[list[int] | None] = []
+    found = []
     for backend, pc in CASES:
         try:
             found.append(two_tangents(backend, pc)[1])
@@ -90,7 +86,7 @@ def test_an_absurd_number_is_felt(monkeypatch: pytest.MonkeyPatch, name: str) ->
     assert found != costs
 
 
-def two_tangents(backend: str, pc: str) -> tuple[np.ndarray, list[int]]:
+def two_tangents(backend, pc):
     """Return the reactions of two neighbouring problems, from loose to tight, and the costs."""
     qp = membrane(14)
     linear = LinearSolver(COMM, prefix="numbers_", options={"pc_type": pc})
@@ -101,18 +97,3 @@ def two_tangents(backend: str, pc: str) -> tuple[np.ndarray, list[int]]:
     second = solve(qp, backend, linear, start_active=first.active, rtol=1e-11)
     costs = [first.updates, second.updates, linear.counts.iterations, linear.counts.factorisations]
     return gathered(second.z), costs
-
-
-def test_levels_of_an_elastic_tangent_serve_a_plastic_step() -> None:
-    """RENEWAL_COST: new levels of a flowing body take 20 iterations where it was elastic in 10.
-
-    So of the excess over 10 that old ones have, 24 iterations, a set-up would save a small part.
-    """
-    renewal = Renewal(RENEWAL_COST["iterative"], direct=False)
-    renewal.learn(np.logspace(0.0, -6.0, 1 + 10).tolist(), stale=False)
-    for _ in range(5):  # Newton iterations of a step
-        assert not renewal.is_far(0)
-        renewal.learn(np.logspace(0.0, -6.0, 1 + 24).tolist(), stale=True)
-    assert not renewal.is_far(0)
-    renewal.learn(np.logspace(0.0, -6.0, 1 + 24).tolist(), stale=True)
-    assert renewal.is_far(0)

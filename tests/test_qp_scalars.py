@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: MIT
 """QPs with friction and scalars: by a dense matrix, by the large one, and by all states in turn."""
 
-import gc
-import weakref
-from dataclasses import replace
 from itertools import product
 
 from petsc4py import PETSc
@@ -21,10 +18,6 @@ from dolfinx_mortar.qp import (
     solve,
     solver,
 )
-from dolfinx_mortar.qp.bound_qp import Sliding
-from dolfinx_mortar.qp.condensed import Dense
-from dolfinx_mortar.qp.operator import FreePart
-from dolfinx_mortar.qp.scalars import Bordered
 
 FREE, CLOSED, STUCK, LEFT, RIGHT = range(5)
 SIGNS = {LEFT: -1.0, RIGHT: 1.0}
@@ -178,44 +171,3 @@ def test_what_nothing_resists():
         solve(p.qp())
     with pytest.raises(ValueError, match="'interior-point', which is for bounds only"):
         solve(p.qp(), "interior-point")
-
-
-def test_nothing_of_a_problem_stays(monkeypatch):
-    """PETSc keeps the contexts of its matrices: none of them may keep a matrix."""
-    made = []
-    for kind in (Bordered, FreePart):
-        begin = kind.__init__
-
-        def init(self, *given, begin=begin):
-            begin(self, *given)
-            made.append(weakref.ref(self))
-
-        monkeypatch.setattr(kind, "__init__", init)
-    solve(Problem(1).qp())
-    gc.collect()
-    assert len(made) == 2 and not any(one() for one in made)
-
-
-def test_columns_are_derivatives_of_solutions_that_slip(rng):
-    """In space, where a slip resists across its direction: the solution is linear in q."""
-    B, E = rng.standard_normal((5, 5)), np.zeros((1, 5))
-    E[0, :3] = rng.standard_normal(3)
-    dense = Dense(B @ B.T + np.eye(5), np.ones(5))
-    b, lower, upper = (dense.matrix.createVecRight() for _ in range(3))
-    b.array[:] = rng.standard_normal(5)
-    lower.set(PETSc.NINFINITY)
-    upper.set(PETSc.INFINITY)
-    normal, rest, part = np.zeros(1, np.int32), np.array([[0.1, -0.2]]), np.full(1, 0.3)
-    law = Friction(normal, np.array([[1, 2]], np.int32), rest, part, part)
-    none = np.zeros((1, 5)), np.zeros((1, 5)), np.zeros((1, 1)), np.zeros(1)
-    scalars = Scalars(E, np.ones(1), *none)
-    border = Bordered(BoundQP(dense.matrix, b, lower, upper, normal, law, scalars=scalars), dense)
-    sliding = Sliding(normal, law, np.array([[0.6, 0.8]]), np.array([2.0]))
-    ends = []
-    for q in (0.0, 1.0):
-        x = b.duplicate()
-        x.array[0] = q * E[0, 0]
-        slips = replace(law, rest=rest + q * E[0, 1:3])
-        dense.solve(b, x, normal, atol=0.0, sliding=replace(sliding, law=slips))
-        ends.append(x.array_r.copy())
-    np.testing.assert_allclose(border._column(0, normal, sliding)[0], ends[1] - ends[0], atol=1e-13)

@@ -15,7 +15,7 @@ PROGRAM = Path(__file__).parent / "ranks_program.py"
 pytestmark = pytest.mark.serial
 
 
-def run(ranks: int, folder: Path) -> dict:
+def run(ranks, folder):
     """Return the results of the program on some ranks."""
     result = folder / f"{ranks}.json"
     done = jobs.run(ranks, PROGRAM, result, seconds=300.0)
@@ -24,12 +24,12 @@ def run(ranks: int, folder: Path) -> dict:
 
 
 @pytest.fixture(scope="module")
-def serial(tmp_path_factory) -> dict:
+def serial(tmp_path_factory):
     """Results on one rank."""
     return run(1, tmp_path_factory.mktemp("ranks"))
 
 
-def compare(found: dict, expected: dict) -> None:
+def compare(found, expected):
     """Compare everything relative to the largest entry of its kind."""
     for name in sorted(expected.keys() - {"iterations"}):
         a, b = np.array(found[name]), np.array(expected[name])

@@ -11,8 +11,8 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.algebra.congruence import as_aij
+from dolfinx_mortar.algebra.csr import Triplets
 from dolfinx_mortar.algebra.parallel import sums_at_nodes
-from dolfinx_mortar.algebra.triplets import Triplets
 from tests.cases.block_piles import COMM, STEEL, Blocks
 
 pytestmark = pytest.mark.mpi

@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The solid: derivatives, norms, quadrature, what is compiled and when, units."""
+"""The solid: norms, quadrature, what is compiled and when; results and committed state."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any, ClassVar
 
-from petsc4py import PETSc
+from mpi4py import MPI
 
 import numpy as np
 import pytest
@@ -14,15 +11,17 @@ import pytest
 import dolfinx.jit
 import ffcx.codegeneration.jit
 import ufl
-from dolfinx import default_scalar_type, fem
+from dolfinx import fem
 from dolfinx_mortar import compat
-from dolfinx_mortar.materials import Elastic, NeoHooke, VonMises
+from dolfinx_mortar.materials import Elastic, VonMises
 from dolfinx_mortar.materials.tensor import from_components
 from dolfinx_mortar.solid import forms
 from dolfinx_mortar.solid.kinematics import kinematics_of_dimension
 from dolfinx_mortar.solid.solid import Solid
+from tests.cases.pressed_blocks import rejected
 from tests.cases.solid import (
     CELLS,
+    COMM,
     STEEL,
     create_displacement,
     create_domain,
@@ -30,67 +29,12 @@ from tests.cases.solid import (
     create_tags,
     residual,
     set_wave,
+    solid_on,
     total,
 )
+from tests.cases.user_laws import OfHooke
 
 pytestmark = pytest.mark.mpi
-
-
-def plastic_share(solid: Solid) -> float:
-    """Return the share of the volume that would yield at u, leaving the committed state alone."""
-    before = solid.fields.values("plastic_strain")
-    solid.evaluate()
-    change = np.abs(solid.fields.values("plastic_strain") - before).max(axis=-1) > 0
-    return total(change * solid.fields.weights) / total(solid.fields.weights)
-
-
-@pytest.mark.parametrize("cell", CELLS)
-def test_derivatives(cell: str) -> None:
-    """F is the derivative of the energy, K that of F, at a partly plastic state; K is symmetric."""
-    solid = create_loaded(cell)
-    assert 0.05 < plastic_share(solid) < 0.98
-    direction = fem.Function(solid.V)
-    set_wave(direction, 1.0, 2.0)
-    start, h = solid.u.x.array.copy(), 1e-8
-    owned = len(residual(solid))
-
-    def along(t: float) -> tuple[float, np.ndarray]:
-        solid.u.x.array[:] = start + t * direction.x.array
-        return total(solid.energy()), residual(solid)
-
-    forces = along(0.0)[1]
-    K = solid.create_matrix()
-    solid.assemble_tangent(K)
-    product = K.createVecLeft()
-    K.mult(direction.x.petsc_vec, product)
-    (e1, f1), (e0, f0) = along(h), along(-h)
-    power = total(forces * direction.x.array[:owned])
-    assert abs((e1 - e0) / (2 * h) - power) < 1e-6 * abs(power)
-    difference = (f1 - f0) / (2 * h) - product.array
-    assert total(difference**2) < 1e-12 * total(product.array**2)
-    skew = K.duplicate(copy=True)
-    skew.axpy(-1.0, PETSc.Mat().createTranspose(K).convert("aij"))
-    assert skew.norm() < 1e-13 * K.norm()
-
-
-def test_tangent_lies_between_its_bounds() -> None:
-    """a/(2 mu + a) K_e <= K <= K_e along random directions."""
-    solid = create_loaded("triangle", 8)
-    elastic = Solid(create_displacement(solid.mesh), Elastic(STEEL.E, STEEL.nu))
-    K, K_e = solid.create_matrix(), elastic.create_matrix()
-    solid.assemble_tangent(K)
-    elastic.assemble_tangent(K_e)
-    v = fem.Function(solid.V)
-    product = K.createVecLeft()
-    lower = STEEL.a / (STEEL.E / (1 + STEEL.nu) + STEEL.a)
-    for seed in range(20):
-        set_wave(v, 1.0, 0.3 * seed)
-        values = []
-        for matrix in (K, K_e):
-            matrix.mult(v.x.petsc_vec, product)
-            values.append(product.dot(v.x.petsc_vec))
-        assert lower < values[0] / values[1] < 1 - 1e-3
-        assert np.isclose(solid.elastic_norm(v) ** 2, values[1], rtol=1e-12)
 
 
 @pytest.mark.parametrize("cell", CELLS)
@@ -102,12 +46,8 @@ def test_element_force_norm(cell: str) -> None:
     W = fem.functionspace(solid.mesh, ("Discontinuous Lagrange", 1, (d,)))
     rule = {"quadrature_degree": solid.quadrature_degree, "quadrature_scheme": "default"}
     dx = ufl.dx(metadata=rule)
-    form = (
-        ufl.inner(
-            from_components(solid.stress), kinematics_of_dimension(d).measure(ufl.TestFunction(W))
-        )
-        * dx
-    )
+    virtual = kinematics_of_dimension(d).measure(ufl.TestFunction(W))
+    form = ufl.inner(from_components(solid.stress), virtual) * dx
     forces = fem.assemble_vector(fem.form(form)).array
     expected = np.sqrt(total(forces[: d * W.dofmap.index_map.size_local] ** 2))
     simplex = cell in ("triangle", "tetrahedron")
@@ -118,42 +58,15 @@ def test_element_force_norm(cell: str) -> None:
 def test_default_quadrature() -> None:
     """One point on simplices, 2 x 2 and 2 x 2 x 2 elsewhere; weights sum to the volume."""
     for cell, points, volume in zip(CELLS, (1, 4, 1, 8), (2.0, 2.0, 3.0, 3.0), strict=True):
-        solid = Solid(create_displacement(create_domain(cell, 2)), STEEL)
+        solid = solid_on(create_domain(cell, 2), STEEL)
         assert solid.fields.weights.shape[1] == points
         assert np.isclose(total(solid.fields.weights), volume, rtol=1e-13)
-    richer = Solid(create_displacement(create_domain("triangle")), STEEL, quadrature_degree=2)
+    richer = solid_on(create_domain("triangle"), STEEL, quadrature_degree=2)
     assert richer.fields.weights.shape[1] == 3
 
 
-@dataclass(frozen=True)
-class StressOnly:
-    """An elastic law that states its stress and has no potential."""
-
-    E: float
-    nu: float
-
-    state: ClassVar[Mapping[str, tuple[int, ...]]] = {}
-    linear: ClassVar[bool] = True
-    elastic_stress = staticmethod(Elastic.elastic_stress)
-    updated_state = staticmethod(Elastic.updated_state)
-    output = staticmethod(Elastic.output)
-
-    @staticmethod
-    def stress(eps: Any, state: Mapping[str, Any], p: SimpleNamespace) -> Any:
-        """Return C : eps."""
-        return Elastic.elastic_stress(eps, p)
-
-
-def test_law_that_gives_its_stress() -> None:
-    """A law may give the stress instead of an energy; only the energy is then missing."""
-    domain = create_domain("quadrilateral")
-    forces = []
-    for law in (StressOnly(3.0, 0.2), Elastic(3.0, 0.2)):
-        solid = Solid(create_displacement(domain), law)
-        set_wave(solid.u, 1e-3)
-        forces.append(residual(solid))
-        assert (solid.energy() is None) == isinstance(law, StressOnly)
-    assert np.allclose(*forces, rtol=0, atol=1e-13 * np.abs(forces[1]).max(initial=1e-9))
+def refuse(*_: Any, **__: Any) -> None:
+    raise AssertionError("a form or expression was created")
 
 
 def test_nothing_is_compiled_for_other_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -165,7 +78,7 @@ def test_nothing_is_compiled_for_other_numbers(monkeypatch: pytest.MonkeyPatch) 
         hard = VonMises(scale * STEEL.E, 0.2, scale * STEEL.Y, 0.0)
         laws = {first: STEEL, first + 1: Elastic(scale, 0.1), first + 2: hard}
         for materials, cell_tags in ((laws, tags), (hard, None)):
-            solid = Solid(create_displacement(domain), materials, cell_tags)
+            solid = solid_on(domain, materials, cell_tags)
             K = solid.create_matrix()
             for size in (1e-4, 1e-2):
                 set_wave(solid.u, size)
@@ -181,33 +94,8 @@ def test_nothing_is_compiled_for_other_numbers(monkeypatch: pytest.MonkeyPatch) 
 
     use(4, 1, 1.0)
 
-    def refuse(*_: Any, **__: Any) -> None:
-        raise AssertionError("a form was compiled")
-
     monkeypatch.setattr(ffcx.codegeneration.jit, "_compile_objects", refuse)
-    for i in range(1, 4):
-        use(4 + i, 10 * i, 10.0**i)
-
-
-def test_a_step_compiles_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All that it calls is there when the solid is made: even what is compiled costs a look-up."""
-    solid = Solid(create_displacement(create_domain("triangle")), STEEL)
-
-    def refuse(*_: Any, **__: Any) -> None:
-        raise AssertionError("a form or expression was created")
-
-    for name in ("compile_forms", "compile_expressions"):
-        monkeypatch.setattr(ffcx.codegeneration.jit, name, refuse)
-    set_wave(solid.u, 1e-2)
-    residual(solid)
-    solid.assemble_tangent(solid.create_matrix())
-    assert min(total(solid.energy()), solid.elastic_norm(solid.u), solid.element_force_norm()) > 0.0
-    solid.evaluate()
-    solid.commit()
-    assert solid.max("plastic_strain_norm") > 0.0
-    assert solid.plastic_area() > 0.0 and solid.gradients.evaluate().left_out.any()
-    with pytest.raises((AssertionError, RuntimeError), match=r"was created|on root node"):
-        fem.form(ufl.div(solid.u) * ufl.dx)  # the refusal works
+    use(5, 10, 10.0)
 
 
 def test_only_sums_of_the_tangent_may_be_reordered(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -221,7 +109,7 @@ def test_only_sums_of_the_tangent_may_be_reordered(monkeypatch: pytest.MonkeyPat
         return compile_forms(forms, *args, **others)
 
     monkeypatch.setattr(ffcx.codegeneration.jit, "compile_forms", look)
-    Solid(create_displacement(create_domain("triangle")), STEEL)
+    solid_on(create_domain("triangle"), STEEL)
     usual = set(dolfinx.jit.get_options()["cffi_extra_compile_args"])
     assert {arguments for arguments, _ in given} == {0, 1, 2} and usual
     sums = {"-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math", "-funroll-loops"}
@@ -229,26 +117,22 @@ def test_only_sums_of_the_tangent_may_be_reordered(monkeypatch: pytest.MonkeyPat
         assert options == (usual | sums if arguments == 2 else usual)
 
 
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
-@pytest.mark.parametrize("level", ["-O0", "-O2"])
-def test_loops_on_cells_of_products_are_unrolled(
-    cell: str, level: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_loops_on_cells_of_products_are_unrolled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the options ask for the usual optimisation; others are the user's."""
-    options = {"cffi_extra_compile_args": [level, "-g0"]}
-    given = []
-    compile_together = compat.compile_together
+    compile_together, given = compat.compile_together, []
 
     def look(*all_forms: ufl.Form, compiler: list[str] | None = None) -> Any:
         given.append(compiler)
         return compile_together(*all_forms)
 
-    monkeypatch.setattr(forms, "get_options", lambda: options)
     monkeypatch.setattr(forms, "in_any_order", dict)
     monkeypatch.setattr(compat, "compile_together", look)
-    Solid(create_displacement(create_domain(cell)), STEEL)
-    usual = cell == "triangle" or level == "-O0"
-    assert given[-1] == ([level, "-g0"] if usual else ["-O3", "-g0", "-fno-trapping-math"])
+    u = create_displacement(create_domain("quadrilateral"))
+    for level, used in (("-O0", ["-O0"]), ("-O2", ["-O3", "-fno-trapping-math"])):
+        options = {"cffi_extra_compile_args": [level]}
+        monkeypatch.setattr(forms, "get_options", lambda options=options: options)
+        Solid(u, STEEL)
+        assert given[-1] == used
 
 
 @pytest.mark.parametrize(
@@ -273,64 +157,17 @@ def test_forms_of_a_law_are_one_module(
         sizes.append(len(forms))
         return compile_forms(forms, *args, **others)
 
-    monkeypatch.setattr(ffcx.codegeneration.jit, "compile_forms", count)
-    domain = create_domain("quadrilateral")
-    Solid(create_displacement(domain), Elastic(STEEL.E, STEEL.nu), **given)  # type: ignore[arg-type]
-    assert sorted(sizes) == modules
-
-
-def test_stress_and_state_of_a_law_are_one_module(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Beside it there is one of strain and rotation, which all laws share."""
-    calls = []
-    compile_expressions = ffcx.codegeneration.jit.compile_expressions
-
-    def count(*args: Any, **others: Any) -> Any:
-        calls.append(args)
+    def count_expressions(*args: Any, **others: Any) -> Any:
+        sizes.append(0)
         return compile_expressions(*args, **others)
 
-    monkeypatch.setattr(ffcx.codegeneration.jit, "compile_expressions", count)
-    domain = create_domain("quadrilateral")
-    solid = Solid(create_displacement(domain), STEEL)
-    assert solid.state and len(calls) == 2
-
-
-def test_values_at_points_have_one_axis_for_each() -> None:
-    """Cells, points and components, which versions of dolfinx give in different forms."""
-    u = create_displacement(create_domain("quadrilateral"))
-    solid = Solid(u, NeoHooke(STEEL.E, STEEL.nu), strain="finite")
-    assert solid.volumes is not None
-    cells = np.arange(u.function_space.mesh.topology.index_map(2).size_local, dtype=np.int32)
-    assert np.array_equal(solid.volumes.source.evaluate(cells), np.ones((len(cells), 4, 1)))
-    assert solid.volumes.smallest() == 1.0
-
-
-def test_forms_of_one_module_are_those_compiled_alone() -> None:
-    """To the last bit, with marked cells, Constants, and a Function that drops out of a form."""
-    V = create_displacement(create_domain("triangle")).function_space
-    u, other = (fem.Function(V) for _ in range(2))
-    for phase, f in enumerate((u, other)):
-        set_wave(f, 1e-2, phase)
-    cells = np.arange(V.mesh.topology.index_map(2).size_local, dtype=np.int32)
-    dx = ufl.Measure("dx", V.mesh, subdomain_data=[(0, cells[::2]), (1, cells[1::2])])
-    v, w = ufl.TestFunction(V), ufl.TrialFunction(V)
-    a, b = (fem.Constant(V.mesh, default_scalar_type(value)) for value in (0.7, 1.9))
-    energy = a * ufl.exp(ufl.inner(ufl.grad(u), ufl.grad(u))) * dx(0) + b * ufl.dot(u, u) * dx(1)
-    linear = ufl.derivative(ufl.dot(other, other) * u[0] * ufl.dx, u, v)
-    forms = [energy, ufl.derivative(energy, u, v), linear, ufl.derivative(ufl.dot(u, w) * dx, u, v)]
-    alone, together = [fem.form(form) for form in forms], compat.compile_together(*forms)
-    assert len({form.module for form in together}) == 1
-    for f, g in zip(alone, together, strict=True):
-        first, second = numbers_of(f), numbers_of(g)
-        assert np.array_equal(first, second) and total(float(np.abs(first).sum())) > 0.0
-
-
-def numbers_of(form: fem.Form) -> np.ndarray:
-    """Return what this rank assembles of a form."""
-    if form.rank == 0:
-        return np.array([fem.assemble_scalar(form)])
-    if form.rank == 1:
-        return np.asarray(fem.assemble_vector(form).array)
-    return np.asarray(fem.assemble_matrix(form).data)
+    compile_expressions = ffcx.codegeneration.jit.compile_expressions
+    monkeypatch.setattr(ffcx.codegeneration.jit, "compile_forms", count)
+    monkeypatch.setattr(ffcx.codegeneration.jit, "compile_expressions", count_expressions)
+    solid_on(create_domain("quadrilateral"), STEEL, **given)  # type: ignore[arg-type]
+    assert sorted(filter(None, sizes)) == modules
+    # stress and state; strain and rotation, which all laws share
+    assert given.get("strain") or sizes.count(0) == 2
 
 
 def test_units_of_length() -> None:
@@ -338,7 +175,7 @@ def test_units_of_length() -> None:
     results = []
     for scale in (1e-6, 1.0, 1e6):
         domain = create_domain("triangle")
-        solid = Solid(create_displacement(domain), STEEL)
+        solid = solid_on(domain, STEEL)
         set_wave(solid.u, 1.5e-3)
         solid.u.x.array[:] *= scale
         domain.geometry.x[:] *= scale
@@ -348,3 +185,118 @@ def test_units_of_length() -> None:
         area = solid.plastic_area() / scale**2
         results.append([energy, area, solid.max("plastic_strain_norm")])
     assert np.allclose(results, results[1], rtol=1e-11)
+
+
+def shown(solid: Solid) -> dict[str, Any]:
+    """Return all that shows results, as numbers."""
+    written = {name: f.x.array.copy() for name, f in solid.output_fields().items()}
+    values = {f"values {name}": solid.fields.values(name) for name in solid.fields.names}
+    largest = {f"max {n}": solid.max(n) for n in ("von_mises", "plastic_strain_norm", "plastic")}
+    return written | values | largest | {"area": solid.plastic_area(), "s": solid.stress.x.array}
+
+
+@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
+def test_results_are_those_of_the_step_before_and_after_its_commit(cell: str) -> None:
+    """Evaluating shows the step at u; accepting it changes nothing that is shown."""
+    solid = create_loaded(cell)
+    committed = {name: f.x.array.copy() for name, f in solid.state.items()}
+    old = {name: np.copy(value) for name, value in shown(solid).items()}
+    solid.evaluate()
+    new = {name: np.copy(value) for name, value in shown(solid).items()}
+    differences = [np.abs(new[n] - old[n]).max(initial=0.0) for n in ("stress", "plastic_strain")]
+    assert COMM.allreduce(differences[0], op=MPI.MAX) > 1e-2 * STEEL.Y
+    assert COMM.allreduce(differences[1], op=MPI.MAX) > 1e-5
+    assert all(np.array_equal(solid.state[n].x.array, values) for n, values in committed.items())
+    solid.commit()
+    after = shown(solid)
+    assert after.keys() == new.keys()
+    assert all(np.array_equal(after[name], value) for name, value in new.items())
+    changed = any(not np.array_equal(solid.state[n].x.array, committed[n]) for n in committed)
+    assert COMM.allreduce(changed, op=MPI.LOR)
+
+
+class Stretched(OfHooke):
+    """A law that is undefined where it is pressed together too much."""
+
+    state: ClassVar = {"wear": ()}
+    energy = staticmethod(Elastic.energy)
+
+    @staticmethod
+    def updated_state(eps, state, p):
+        return {"wear": ufl.ln(1 + 5 * eps[0, 0])}
+
+
+def test_an_evaluation_that_fails_changes_nothing() -> None:
+    """Neither what is shown nor what a later commit takes, on any rank, in any body."""
+    domain = create_domain("triangle", 6)
+    tags = create_tags(domain, lambda x: 1 + (x[:, 0] < 0.5))
+    solid = solid_on(domain, {1: STEEL, 2: Stretched(1.0, 0.3)}, tags)
+    set_wave(solid.u, 1e-2)
+    solid.evaluate()
+    names = ("stress", "wear", "plastic_strain", "plastic", "von_mises")
+    good = {name: solid.fields.values(name).copy() for name in names}
+    everywhere = solid.stress.x.array.copy()
+    solid.u.interpolate(lambda x: np.stack([-0.3 * x[0] * x[1], 0 * x[1]]))
+    with rejected("Stretched: wear is NaN or infinite"):
+        solid.evaluate()
+    assert np.array_equal(solid.stress.x.array, everywhere)
+    assert all(np.array_equal(solid.fields.values(name), good[name]) for name in names)
+    solid.commit()
+    taken = [f.x.array for f in solid.state.values()]
+    assert all(np.isfinite(values).all() for values in taken)
+    assert COMM.allreduce(sum(float(np.abs(values).sum()) for values in taken)) > 0.0
+
+
+def test_output_fields() -> None:
+    """Norms, components, averages and the plastic area agree with the stored components."""
+    solid = create_loaded("quadrilateral")
+    solid.evaluate()
+    solid.commit()
+    ep, s = solid.fields.values("plastic_strain"), solid.fields.values("stress")
+    frobenius = np.sqrt((ep[..., :3] ** 2).sum(-1) + 2 * ep[..., 3] ** 2)
+    assert np.allclose(solid.fields.values("plastic_strain_norm"), frobenius, rtol=1e-14)
+    hardening = STEEL.a * np.sqrt((ep**2).sum(-1))
+    assert np.allclose(solid.fields.values("hardening"), hardening, rtol=1e-14)
+    assert np.array_equal(solid.fields.values("stress_xy"), s[..., 3])
+    xx, yy, zz, xy = np.moveaxis(s, -1, 0)
+    mises = np.sqrt(0.5 * ((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2 + 6 * xy**2))
+    assert np.allclose(solid.fields.values("von_mises"), mises, rtol=1e-12)
+    largest = COMM.allreduce(mises.max(initial=0.0), op=MPI.MAX)
+    assert np.isclose(solid.max("von_mises"), largest, rtol=1e-12)
+    area = total((frobenius > 0) * solid.fields.weights)
+    assert 0.1 < area < 1.9 and np.isclose(solid.plastic_area(), area, rtol=1e-14)
+    average = solid.cell_values("stress")
+    assert average is solid.cell_values("stress")
+    form = fem.form(average[1] * ufl.dx)
+    mean = COMM.allreduce(fem.assemble_scalar(form), op=MPI.SUM)
+    assert np.isclose(mean, total(yy * solid.fields.weights), rtol=1e-12)
+    assert set(solid.fields.names) >= {"stress", "plastic_strain", "back_stress", "von_mises"}
+
+
+PLASTIC = ("plastic", "plastic_strain_norm", "plastic_strain_xy", "back_stress_norm", "hardening")
+
+
+def test_what_plasticity_has_is_zero_in_elastic_bodies() -> None:
+    """A script need not know the material; the shapes are those of plastic bodies."""
+    solids = []
+    for law in (STEEL, Elastic(STEEL.E, STEEL.nu)):
+        solid = solid_on(create_domain("triangle"), law)
+        solid.u.interpolate(lambda x: np.array([0.01 * x[1], 0.02 * x[1]]))
+        solid.evaluate()
+        solid.commit()
+        solids.append(solid)
+        for name in ("stress", "plastic_strain", "back_stress"):
+            with rejected(f"'{name}' is a tensor", f"'{name}_norm'"):
+                solid.max(name)
+        for name in ("vonmises", "plastic_work", "stress_zy"):
+            with rejected("no field", "von_mises"):
+                solid.max(name)
+    plastic, elastic = solids
+    assert elastic.linear and elastic.plastic_area() == 0.0
+    assert not any("plastic" in name for name in elastic.fields.names)
+    for name in (*PLASTIC, "back_stress_vector_norm"):
+        assert plastic.max(name) > 0.0 and elastic.max(name) == 0.0
+        assert elastic.fields.values(name).shape == plastic.fields.values(name).shape
+        average = elastic.cell_values(name)
+        assert average.ufl_shape == plastic.cell_values(name).ufl_shape
+        assert not average.x.array.any()

@@ -130,7 +130,7 @@ def test_modules_form_no_cycle():
 def test_modules_with_a_cache_have_one_name():
     """What numba keeps under one name of a module stops programs that know it by another."""
     folder = Path(__file__).parent
-    cached = [f.stem for f in folder.glob("*.py") if "@numba.njit(cache=True)" in f.read_text()]
+    cached = [f.stem for f in folder.rglob("*.py") if "@numba.njit(cache=True)" in f.read_text()]
     assert "pointwise_laws" in cached
     files = [*folder.rglob("*.py"), *(folder.parent / "benchmarks").glob("*.py")]
     short = re.compile(rf"^\s*(from|import) ({'|'.join(cached)})\b", re.MULTILINE)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from tests.cases.pointwise_laws import Radial
 from tests.cases.pressed_blocks import PressedBlocks
 
@@ -32,13 +32,6 @@ def test_all_ranks_raise(error, elsewhere, rank):
             raise error("no luck")
     assert (f"on rank {failing}" in str(caught.value)) == (failing != COMM.rank)
     assert COMM.allreduce(1) == COMM.size  # nobody is left in another call
-
-
-@pytest.mark.mpi
-def test_no_error_is_no_error():
-    with raised_together(COMM):
-        done = True
-    assert done
 
 
 @pytest.mark.mpi

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rigid tools in files: on their surfaces, where they are at every time, also after a restart."""
+"""Rigid tools in files and pictures: on their surfaces, where they are, also after a restart."""
 
 import sys
 
@@ -9,18 +9,19 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx import fem, mesh
 from dolfinx_mortar.shapes.zero_level import find_zero_level
-from tests.cases.tool import TOP, Block
+from tests.cases.tool import Block, Box
 from tests.cases.triangles import ball
 
 meshio = pytest.importorskip("meshio")
-h5py = pytest.importorskip("h5py")
+pytest.importorskip("h5py")
+pyplot = pytest.importorskip("matplotlib.pyplot")
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi
 TIMES = [0.25, 0.5, 1.0]
 PROFILE = [(5.0, 0.1), (6.5, 0.0), (8.0, 0.9), (8.0, 1.5), (5.0, 1.5)]
+PLANE = dm.shapes.Plane([0.0, 0.1], [0.0, -1.0])
 
 
 @pytest.fixture
@@ -29,42 +30,41 @@ def folder(tmp_path):
     return COMM.bcast(tmp_path)
 
 
-def in_plane(degree=1, **options):
+def in_plane():
     """Return tools of two kinds beside a block that turn and move, their ways, and the problem."""
-    case = Block(n=4, degree=degree)
-    disc = case.tool(dm.shapes.Cylinder([2.0, 1.0], 1.0))
-    bar = case.tool(dm.shapes.Polyline(PROFILE))
-    problem = case.problem([disc, bar], **options)
+    case = Block(n=4)
+    disc, bar = (
+        case.tool(dm.shapes.Cylinder([2.0, 1.0], 1.0)),
+        case.tool(dm.shapes.Polyline(PROFILE)),
+    )
     way = {disc.position: [(0.0, [2.0, 1.0]), (1.0, [2.5, 0.9])]}
     way |= {bar.rotation: [(0.0, 0.0), (1.0, -0.02)], disc.rotation: [(0.0, 0.0), (1.0, 0.5)]}
-    return problem, [disc, bar], way
+    return case.problem([disc, bar]), [disc, bar], way
 
 
 def of_revolution():
     """Return a die beside the axis and a ball on it."""
     case = Block(n=4)
-    ring = case.tool(dm.shapes.Torus([0.0, 0.5], 4.0, 0.5))
-    tip = case.tool(dm.shapes.Sphere([0.0, 1.0], 1.0))
-    problem = case.problem([ring, tip], kinematics="axisymmetric")
-    return problem, [ring, tip], {tip.position: [(0.0, [0.0, 1.0]), (1.0, [0.0, 0.95])]}
+    tools = [
+        case.tool(dm.shapes.Torus([0.0, 0.5], 4.0, 0.5)),
+        case.tool(dm.shapes.Sphere([0.0, 1.0], 1.0)),
+    ]
+    way = {tools[1].position: [(0.0, [0.0, 1.0]), (1.0, [0.0, 0.95])]}
+    return case.problem(tools, kinematics="axisymmetric"), tools, way
 
 
 def in_space():
     """Return a torus that tumbles over a box, and a ball of triangles."""
-    domain = mesh.create_box(COMM, [[-1.0, -1.0, -0.5], [1.0, 1.0, 0.0]], [3, 3, 1])
-    top = mesh.locate_entities_boundary(domain, 2, lambda x: np.isclose(x[2], 0.0))
-    facets = mesh.meshtags(domain, 2, np.sort(top), np.full(len(top), TOP, np.int32))
-    u = fem.Function(fem.functionspace(domain, ("Lagrange", 1, (3,))))
-    V = u.function_space
-    base = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[2], -0.5))
-    shapes = [
-        dm.shapes.Torus([0.5, 0.0, 0.3], 0.4, 0.2, [0.0, 0.1, 1.0]),
-        dm.shapes.Triangles(ball(2, 0.5, (-0.5, 0.0, 0.5)), crease=45.0),
+    case = Box("tetrahedron", (3, 3, 1), (-1.0, -1.0, -0.5), (1.0, 1.0, 0.0))
+    tools = [
+        case.tool(dm.shapes.Torus([0.5, 0.0, 0.3], 0.4, 0.2, [0.0, 0.1, 1.0])),
+        case.tool(dm.shapes.Triangles(ball(2, 0.5, (-0.5, 0.0, 0.5)), crease=45.0)),
     ]
-    tools = [dm.Obstacle(facets, slave=TOP, shape=shape) for shape in shapes]
-    solid = dm.Solid(u, dm.Elastic(200.0, 0.3))
-    problem = dm.ContactProblem(solid, tools, bcs=[fem.dirichletbc(np.zeros(3), base, V)])
-    return problem, tools, {tools[0].rotation: [(0.0, np.zeros(3)), (1.0, [0.1, 0.0, 0.4])]}
+    return (
+        case.problem(tools),
+        tools,
+        {tools[0].rotation: [(0.0, np.zeros(3)), (1.0, [0.1, 0, 0.4])]},
+    )
 
 
 def walk(folder, made, stop=None, every=1):
@@ -73,8 +73,7 @@ def walk(folder, made, stop=None, every=1):
     found = {}
     with dm.Writer(folder / "out.xdmf", problem, resume=True) as out:
         options = {"checkpoint": folder / "run.h5", "every": every, "progress": False}
-        steps = dm.load_steps(problem, TIMES, ramp=way, **options)
-        for step in steps:
+        for step in dm.load_steps(problem, TIMES, ramp=way, **options):
             out.write(step.time)
             found[step.time] = [tool.tool.pose() for tool in tools]
             if step.number == stop:
@@ -91,46 +90,41 @@ def read(file):
         for k, grid in enumerate(reader.collection):
             time, _, of_cells = reader.read_data(k)
             assert time not in found
-            read_item = reader._read_data_item
-            points, cells = (read_item(grid.find(n)[0]) for n in ("Geometry", "Topology"))
-            found[time] = points, cells, of_cells["tool"][0]
+            item = reader._read_data_item
+            points, cells = (item(grid.find(n)[0]) for n in ("Geometry", "Topology"))
+            found[time] = points, cells, of_cells.get("tool", [None])[0]
     COMM.barrier()
     return found
 
 
-def results(folder):
-    """Return the times of the results."""
+def check(folder, poses, tools):
+    """Points lie on the tools where they were, cells are as fine as asked; return the file."""
+    found = read(folder / "out.tools.xdmf")
     with meshio.xdmf.TimeSeriesReader(folder / "out.xdmf") as reader:
         reader.read_points_cells()
         times = [reader.read_data(k)[0] for k in range(reader.num_steps)]
     COMM.barrier()
-    return times
-
-
-def check(found, poses, tools):
-    """Compare a file with where the tools were: points lie on them, cells are as fine as asked."""
-    for time, (points, cells, of) in found.items():
-        if time not in poses:
-            continue
+    assert list(found) == times == TIMES
+    for time in poses:
+        points, cells, of = found[time]
         assert sorted(set(of)) == [0, 1]
         for k, (tool, pose) in enumerate(zip(tools, poses[time], strict=True)):
-            mine = points[np.unique(cells[of == k])][:, : len(tool.reference)]
+            d = len(tool.reference)
+            mine = points[np.unique(cells[of == k])][:, :d]
             assert len(mine) > 10
             assert np.abs(pose.distance(tool.shape, mine).value).max() < 1e-12
-            middles = points[cells[of == k]].mean(axis=1)[:, : len(tool.reference)]
+            middles = points[cells[of == k]].mean(axis=1)[:, :d]
             assert np.abs(pose.distance(tool.shape, middles).value).max() < 0.05
+    return found
 
 
-@pytest.mark.parametrize("made", [in_plane, of_revolution, in_space])
-def test_tools_are_where_they_were(folder, made):
-    problem = made()
-    poses = walk(folder, problem)
-    found = read(folder / "out.tools.xdmf")
-    assert list(found) == results(folder) == TIMES
-    check(found, poses, problem[1])
+@pytest.mark.parametrize("create", [in_plane, of_revolution, in_space])
+def test_tools_are_where_they_were(folder, create):
+    made = create()
+    found = check(folder, walk(folder, made), made[1])
     first, last = found[TIMES[0]][0], found[TIMES[-1]][0]
     assert np.abs(first - last).max() > 0.01
-    if made is of_revolution:
+    if create is of_revolution:
         assert min(points[:, 0].min() for points, _, _ in found.values()) >= -1e-12
 
 
@@ -141,55 +135,47 @@ def test_after_a_restart(folder, stop, every):
         walk(folder, in_plane(), stop, every)
     COMM.barrier()
     made = in_plane()
-    poses = walk(folder, made)
-    found = read(folder / "out.tools.xdmf")
-    assert list(found) == results(folder) == TIMES
-    check(found, poses, made[1])
+    check(folder, walk(folder, made), made[1])
 
 
 def test_a_side_that_leaves_the_box(folder):
     """A plane is drawn around the side; when the tool has gone far, it is cut anew."""
     case = Block(n=4)
-    plane = case.tool(dm.shapes.Plane([0.0, 0.1], [0.0, -1.0]))
-    problem = case.problem([plane])
-    with dm.Writer(folder / "out.xdmf", problem) as out:
+    plane = case.tool(PLANE)
+    with dm.Writer(folder / "out.xdmf", case.problem([plane])) as out:
         for t in range(3):
             plane.position.value[0] = 15.0 * t
             out.write(t)
-    found = read(folder / "out.tools.xdmf")
-    for points, _, _ in found.values():
+    for points, _, _ in read(folder / "out.tools.xdmf").values():
         assert points[:, 0].min() <= 0.0 and points[:, 0].max() >= 10.0
         assert points[:, 1] == pytest.approx(np.full(len(points), 0.1))
-    files = [item.stat().st_size for item in folder.glob("*.tools.h5")]
+    count = len(list(folder.glob("*.tools.h5")))
     COMM.barrier()
-    assert len(files) == 1
+    assert count == 1
 
 
 def test_a_failed_step_may_be_written_again(folder, monkeypatch):
     """Tools are there once, also where the results could not be written after them."""
     case = Block(n=4)
-    plane = case.tool(dm.shapes.Plane([0.0, 0.1], [0.0, -1.0]))
-    problem = case.problem([plane])
+    plane = case.tool(PLANE)
 
     def fail(steps):
         raise OSError("no")
 
-    with dm.Writer(folder / "out.xdmf", problem) as out:
+    with dm.Writer(folder / "out.xdmf", case.problem([plane])) as out:
         with monkeypatch.context() as patch, pytest.raises(OSError, match="no"):
             patch.setattr(out._file, "replace", fail)
             out.write(1.0)
         out.write(1.0)
         plane.position.value[1] = 0.2
         out.write(2.0)
-    heights = {
-        t: points[:, 1].mean() for t, (points, *_) in read(folder / "out.tools.xdmf").items()
-    }
+    found = read(folder / "out.tools.xdmf")
+    heights = {time: points[:, 1].mean() for time, (points, *_) in found.items()}
     assert heights == pytest.approx({1.0: 0.1, 2.0: 0.2})
 
 
 def test_without_tools_there_is_no_file(folder):
-    case = Block(n=2)
-    with dm.Writer(folder / "out.xdmf", case.problem([])) as out:
+    with dm.Writer(folder / "out.xdmf", Block(n=2).problem([])) as out:
         out.write(0.0)
     COMM.barrier()
     assert not list(folder.glob("*tools*"))
@@ -214,7 +200,55 @@ def test_the_whole_surface_is_found(shape, measure):
     cross = np.cross(edges[:, 0], edges[:, -1])
     sizes = np.linalg.norm(edges[:, 0], axis=1) if d == 2 else np.linalg.norm(cross, axis=1) / 2
     assert sizes.sum() == pytest.approx(measure, rel=2e-3)
-    if (
-        0.0 < measure != 2.0
-    ):  # closed: as many points as lines, or 2 more than half of the triangles
+    if 0.0 < measure != 2.0:  # closed: Euler's number of points
         assert len(x) == (len(cells) if d == 2 else len(cells) / 2 + 2)
+
+
+# -- pictures
+
+
+def test_picture_in_the_plane():
+    """The line phi = 0 is the moved circle, behind the body; none where motions are enlarged."""
+    case = Block(n=4)
+    tool = case.tool(dm.shapes.Cylinder([1.0, 2.0], 2.0))
+    problem = case.problem([tool])
+    tool.position.value[:] = 2.0, 1.5
+    axes = dm.plotting.field(problem, "von_mises")
+    if COMM.rank == 0:
+        body, inside, line = axes.collections
+        x = np.concatenate([path.vertices for path in line.get_paths()])
+        away = np.linalg.norm(x - [2.0, 1.5], axis=1)
+        assert len(x) > 100 and away == pytest.approx(np.full(len(x), 2.0), abs=1e-3)
+        assert x[:, 1].min() == pytest.approx(-0.5, abs=1e-3) and inside.zorder < body.zorder
+    for what, options in ((problem, {"scale": 2.0}), (problem.solid, {})):  # which knows no tools
+        axes = dm.plotting.field(what, "von_mises", **options)
+        assert COMM.rank > 0 or len(axes.collections) == 1
+    pyplot.close("all")
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    "shape",
+    [
+        dm.shapes.Sphere((0.2, 0.1, 0.4), 0.4),
+        dm.shapes.Triangles(ball(3, 0.4, (0.2, 0.1, 0.4))),
+        dm.shapes.Plane((0.0, 0.0, 50.0), (0.0, 0.0, -1.0)),
+    ],
+)
+def test_picture_in_space(shape, tmp_path):
+    """Surfaces of grids and of triangles, cut off at the box around the body."""
+    pytest.importorskip("pyvista")
+    case = Box("hexahedron", (2, 2, 1), (-1.0, -1.0, -1.0), (1.0, 1.0, 0.0))
+    file = tmp_path / "tool.png"
+    plotter = dm.plotting.field(case.problem([case.tool(shape)]), "displacement", file=file)
+    actors = [actor for actor in plotter.actors.values() if hasattr(actor, "prop")]
+    drawn = [actor for actor in actors if actor.prop.opacity == 0.35]
+    assert file.stat().st_size > 0
+    if isinstance(shape, dm.shapes.Plane):
+        assert not drawn  # out of the picture
+        return
+    (mesh,) = (actor.mapper.dataset for actor in drawn)
+    r = np.linalg.norm(mesh.points - np.array((0.2, 0.1, 0.4)), axis=1)
+    assert r == pytest.approx(np.full(len(r), 0.4), abs=5e-3)
+    assert mesh.points[:, 2].max() == pytest.approx(0.3, abs=5e-3)
+    plotter.close()

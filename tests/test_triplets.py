@@ -8,7 +8,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from dolfinx_mortar.algebra.triplets import Triplets
+from dolfinx_mortar.algebra.csr import Triplets
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi

@@ -10,9 +10,9 @@ import pytest
 
 import dolfinx_mortar as dm
 import ufl
-from dolfinx import default_scalar_type, fem
-from tests.cases.meshes import two_blocks
-from tests.cases.pressed_blocks import COMM
+from dolfinx import fem
+from tests.cases.meshes import BOTTOM, TOP
+from tests.cases.pressed_blocks import COMM, PressedBlocks
 
 meshio = pytest.importorskip("meshio")
 pytest.importorskip("h5py")
@@ -21,24 +21,15 @@ pytestmark = pytest.mark.mpi
 PRESSURE = 5.0
 
 
-def pressed(law, end=1.1):
-    """Return problem, contact and the traction on an upper block that covers [0, end] of [0, 2]."""
-    mesh, _, facets = two_blocks(COMM, (8, 2), (5, 2), x_lower=(0.0, 2.0), x_upper=(0.0, end))
-    V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    u, v = fem.Function(V), ufl.TestFunction(V)
-    ds = ufl.Measure("ds", mesh, subdomain_data=facets)
-    zero, traction = default_scalar_type(0), fem.Constant(mesh, default_scalar_type(PRESSURE))
-    bottom = fem.locate_dofs_topological(V, 1, facets.find(1))
-    side = fem.locate_dofs_topological(V.sub(0), 1, facets.find(2))
-    bcs = [
-        fem.dirichletbc(np.zeros(2, dtype=default_scalar_type), bottom, V),
-        fem.dirichletbc(zero, side, V.sub(0)),
-    ]
-    contact = dm.Contact(facets, slave=3, master=4)
-    problem = dm.ContactProblem(
-        dm.Solid(u, law), [contact], bcs=bcs, loads=-traction * v[1] * ds(2), geometry="reference"
-    )
-    return problem, contact, traction
+def pressed(law):
+    """Return problem, contact and the traction on an upper block that covers [0, 1.1] of [0, 2]."""
+    case = PressedBlocks(n_lower=(8, 2), n_upper=(5, 2), x_lower=(0.0, 2.0), x_upper=(0.0, 1.1))
+    traction = fem.Constant(case.mesh, PRESSURE)
+    ds = ufl.Measure("ds", case.mesh, subdomain_data=case.facets)
+    loads = -traction * ufl.TestFunction(case.V)[1] * ds(TOP)
+    bcs = [case.bc(BOTTOM), case.roller(TOP, 0)]
+    problem = case.problem(bcs=bcs, law=law, loads=loads, geometry="reference")
+    return problem, problem.contacts[0], traction
 
 
 def test_gap_is_a_distance_or_flagged():

@@ -58,6 +58,60 @@ EXAMPLES = [
         {"tighten_a_bolt.png": "Von Mises stress in the half section; the joint is open."},
         example=True,
     ),
+    Demo(
+        "slide_a_block",
+        "Friction: a block sticks, then slides, and T = mu N.",
+        {"slide_a_block.png": "Von Mises stress of the block that slides."},
+        example=True,
+    ),
+    Demo(
+        "press_a_ball",
+        "A rigid tool without a mesh: the pressure beside Hertz', axisymmetric.",
+        {"press_a_ball.png": "Contact pressure along the radius."},
+        example=True,
+    ),
+    Demo(
+        "fit_two_rings",
+        "A press fit: contact removes an overlap; the pressure is Lamé's.",
+        {"fit_two_rings.png": "Von Mises stress in the section."},
+        example=True,
+    ),
+    Demo(
+        "stack_blocks",
+        "`find_pairs` finds and tags the contacts of a stack.",
+        {"stack_blocks.png": "Vertical stress under the weight."},
+        example=True,
+    ),
+    Demo(
+        "yield_in_contact",
+        "Plasticity: a plate compresses a cube and lets go.",
+        {"yield_in_contact.png": "Stress over compression."},
+        example=True,
+    ),
+    Demo(
+        "squeeze_rubber",
+        "Finite strain: Neo-Hooke's law at 60 % of the height.",
+        {"squeeze_rubber.png": "Horizontal displacement."},
+        example=True,
+    ),
+    Demo(
+        "close_a_gap",
+        "Heat: a bar expands until it touches a wall.",
+        {"close_a_gap.png": "Horizontal displacement, 100 times enlarged."},
+        example=True,
+    ),
+    Demo(
+        "bounce_a_rod",
+        "Dynamics: a rod hits a wall, for the time of a wave.",
+        {"bounce_a_rod.png": "Force over time."},
+        example=True,
+    ),
+    Demo(
+        "stop_and_go_on",
+        "A checkpoint: a walk goes on in another program.",
+        {"stop_and_go_on.png": "Plastic strain after the second walk."},
+        example=True,
+    ),
 ]
 
 DEMOS = [

@@ -328,7 +328,7 @@ def partial_slip() -> Iterator[Row]:
 )
 def partial_slip_in_space() -> Iterator[Row]:
     """Stick zone at the largest force, and the energy of a loop, for either slave."""
-    from tests.test_friction_sphere import SIDES, pushed_ball
+    from tests.test_friction_hertz import SIDES, pushed_ball
 
     for slave in SIDES:
         first, _, last = pushed_ball(0.125, slave, (0.005, -0.005, 0.005))

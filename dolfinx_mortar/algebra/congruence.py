@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 
 
 def as_aij(K: PETSc.Mat) -> PETSc.Mat:
-    """K if its format is AIJ, else a copy, for methods that take no blocks; collective."""
+    """K in the format AIJ, copied if it has blocks; collective."""
     if "baij" not in K.getType():
         return K
     if K.comm.rank == 0:
@@ -29,13 +29,9 @@ def as_aij(K: PETSc.Mat) -> PETSc.Mat:
 
 
 class Congruence:
-    """(I + C)^T K (I + C) = K + K C + (K C)^T + C^T K C of a symmetric K, on a fixed pattern.
-
-    C has few rows, so that all terms but K are small: faster than PETSc's triple product.
-    """
+    """(I + C)^T K (I + C) = K + K C + (K C)^T + C^T K C of a symmetric K, on a fixed pattern."""
 
     def __init__(self, K: PETSc.Mat, C: PETSc.Mat) -> None:
-        """Analyse the patterns; collective."""
         K, other = as_aij(K), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
         self.Ct = C.transpose(PETSc.Mat())
         self.KC = K.matMult(C)
@@ -45,7 +41,7 @@ class Congruence:
             self.product.axpy(1.0, part, other)
 
     def update(self, K: PETSc.Mat, C: PETSc.Mat) -> None:
-        """Recompute with new values on the same patterns; collective."""
+        """Recompute on the same patterns; collective."""
         K = as_aij(K)
         C.transpose(self.Ct)
         K.matMult(C, result=self.KC)
@@ -56,13 +52,12 @@ class Congruence:
 
 
 class ProductOfBases:
-    """(I + C)^T A (I + D) of any A in AIJ, for C and D with few rows, on a fixed pattern.
+    """(I + C)^T A (I + D) in AIJ, for C and D with few rows, on a fixed pattern; collective.
 
-    C changes the basis of test functions, D that of trial functions; `product` is the matrix.
+    `update` computes the values.
     """
 
     def __init__(self, A: PETSc.Mat, C: PETSc.Mat, D: PETSc.Mat) -> None:
-        """Analyse the patterns; `update` computes the values; collective."""
         self._Ct, self._AD = C.transpose(PETSc.Mat()), A.matMult(D)
         self._right = union(self._AD, [A])
         self._CtR = self._Ct.matMult(self._right)
@@ -70,7 +65,7 @@ class ProductOfBases:
         self.product.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
 
     def update(self, A: PETSc.Mat, C: PETSc.Mat, D: PETSc.Mat) -> None:
-        """Recompute with new values on the same patterns; collective."""
+        """Compute on the fixed patterns; collective."""
         C.transpose(self._Ct)
         A.matMult(D, result=self._AD)
         refill(self._right, [self._AD, A])
@@ -79,9 +74,9 @@ class ProductOfBases:
 
 
 class ContextOf:
-    """Context of a PETSc Mat of type python, with a weak reference to its owner.
+    """Context of a PETSc Mat of type python with a weak reference to its owner.
 
-    PETSc's reference to a context is invisible to Python: Mat and owner would never be freed.
+    PETSc's own reference would never be freed.
     """
 
     def __init__(self, owner: object) -> None:
@@ -94,11 +89,8 @@ class ContextOf:
 class _Decoupled(ABC):
     """An operator without a matrix, decoupled at some unknowns.
 
-    Attributes:
-        matrix: a PETSc Mat of type python.
-        decoupled: owned unknowns.
-        diagonal: (n,) before decoupling, maybe approximate.
-        scale: entry at decoupled unknowns, the mean of the diagonal.
+    `scale` is the diagonal entry at decoupled unknowns, the mean of the `diagonal` (n,), which may
+    be approximate.
     """
 
     def __init__(self, like: PETSc.Mat) -> None:
@@ -110,33 +102,28 @@ class _Decoupled(ABC):
 
     @abstractmethod
     def product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with x, without decoupling; collective."""
+        """Set y, without decoupling; collective."""
 
     def changed(self) -> None:
-        """Update PETSc's state and the mean of the diagonal; collective."""
+        """Update PETSc's state and the scale; collective."""
         self.scale = self.diagonal.sum() / self.diagonal.getSize()
         self.matrix.stateIncrease()
 
     # called by PETSc
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with x."""
         x.copy(self._x)
         self._x.array[self.decoupled] = 0.0
         self.product(self._x, y)
         y.array[self.decoupled] = self.scale * x.array_r[self.decoupled]
 
     def getDiagonal(self, mat: PETSc.Mat, d: PETSc.Vec) -> None:
-        """Set d to the diagonal."""
         self.diagonal.copy(d)
         d.array[self.decoupled] = self.scale
 
 
 class OperatorOfBases(_Decoupled):
-    """(I + C)^T A (I + D) for a sum A and products of such factors, decoupled at some unknowns.
-
-    `ProductOfBases` without a matrix.
-    """
+    """`ProductOfBases` without a matrix, for a sum A and nested factors."""
 
     def __init__(self, like: PETSc.Mat) -> None:
         super().__init__(like)
@@ -151,20 +138,13 @@ class OperatorOfBases(_Decoupled):
         decoupled: Ints,
         diagonal: PETSc.Vec,
     ) -> None:
-        """Set the operator.
-
-        Args:
-            parts: terms of A.
-            bases: factors C and D, from left to right.
-            decoupled: owned unknowns with rows and columns of the identity times the mean diagonal.
-            diagonal: (n,) approximate diagonal.
-        """
+        """Set the terms of A, factors C and D from left to right, and the diagonal; collective."""
         self._parts, self._bases, self.decoupled = parts, bases, decoupled
         diagonal.copy(self.diagonal)
         self.changed()
 
     def product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with x, without decoupling; collective."""
+        """Set y, without decoupling; collective."""
         x.copy(self._u)
         for _, D in reversed(self._bases):
             D.mult(self._u, self._change)
@@ -178,7 +158,7 @@ class OperatorOfBases(_Decoupled):
 
 
 def union(A: PETSc.Mat, others: Iterable[PETSc.Mat]) -> PETSc.Mat:
-    """New matrix on the union of the patterns, with the sum of the values; collective."""
+    """Sum of matrices on the union of their patterns; collective."""
     total = A.duplicate(copy=True)
     for other in others:
         total.axpy(1.0, other, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
@@ -186,7 +166,7 @@ def union(A: PETSc.Mat, others: Iterable[PETSc.Mat]) -> PETSc.Mat:
 
 
 def refill(total: PETSc.Mat, parts: Iterable[PETSc.Mat]) -> None:
-    """Set a matrix to the sum of others, whose patterns it contains; collective."""
+    """Sum of matrices, on parts of the pattern of `total`; collective."""
     total.zeroEntries()
     for part in parts:
         total.axpy(1.0, part, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
@@ -199,10 +179,7 @@ def decouple(matrix: PETSc.Mat, rows: Ints, scale: float) -> None:
 
 
 class Halved:
-    """K for products: in space with blocks, a copy of the upper half, read in half the time.
-
-    Its sums have other last digits.
-    """
+    """K for products: in space the upper half of its blocks, which is read faster."""
 
     def __init__(self, K: PETSc.Mat) -> None:
         self.K, self._half = K, PETSc.Mat()
@@ -210,7 +187,7 @@ class Halved:
 
     @property
     def factor(self) -> PETSc.Mat:
-        """K, or the copy, updated to the values of K; collective."""
+        """K, or its half with the present values; collective."""
         K = self.K
         if "baij" not in K.getType() or K.getBlockSize() < 3:
             return K
@@ -224,9 +201,7 @@ class Halved:
 class CongruentOperator(_Decoupled):
     """(I + C)^T K (I + C), decoupled at some unknowns, for changing K, C and unknowns.
 
-    In 3D the matrix would have 2.3 times the entries of K and unequal patterns of the rows of a
-    node: products would take 5 times as long. A copy of `matrix` is explicit. C is None for 0;
-    `half` is K for products.
+    In 3D five times as fast as the matrix; `half` is K for products.
     """
 
     def __init__(self, K: PETSc.Mat, half: Halved | None = None) -> None:
@@ -237,7 +212,7 @@ class CongruentOperator(_Decoupled):
         self._moved = K.createVecRight()
 
     def follow(self, C: PETSc.Mat | None, decoupled: Ints) -> None:
-        """Set C (None for 0) and the decoupled owned unknowns; read the values of K; collective.
+        """Set C (None for 0) and the decoupled owned unknowns, read the values of K; collective.
 
         The diagonal is that of the product with diag(K).
         """
@@ -251,7 +226,6 @@ class CongruentOperator(_Decoupled):
         self.changed()
 
     def _add_change(self, C: PETSc.Mat) -> None:
-        """Add the change of the diagonal by C, sum_r C_rj (C_rj + 2 delta_rj) K_rr; collective."""
         start, columns, values = csr_of(C)
         rows, first = np.repeat(np.arange(len(start) - 1), np.diff(start)), C.getOwnershipRange()[0]
         terms = values * (values + 2.0 * (columns == rows + first)) * self._of_K.array_r[rows]
@@ -259,7 +233,7 @@ class CongruentOperator(_Decoupled):
         self.diagonal.assemble()
 
     def product(self, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with x, without decoupling; collective."""
+        """Set y, without decoupling; collective."""
         if self.C is None:
             self.half.factor.mult(x, y)
             return
@@ -271,11 +245,11 @@ class CongruentOperator(_Decoupled):
     # called by PETSc
 
     def multTranspose(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with x: K is symmetric."""
+        """Set y: K is symmetric."""
         self.mult(mat, x, y)
 
     def duplicate(self, mat: PETSc.Mat, op: int) -> PETSc.Mat:
-        """Explicit matrix."""
+        """Explicit matrix; collective."""
         if self.C is not None:
             explicit = Congruence(self.K, self.C).product
         else:

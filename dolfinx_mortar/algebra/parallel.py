@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Reductions over the ranks: of small arrays, entry by entry, and of values at nodes.
+"""Reductions over the ranks, and errors of some ranks raised on all, so that none waits."""
 
-Mpi4py's lower-case ``allreduce`` has no MAX of arrays.
-"""
-
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from mpi4py import MPI
@@ -11,7 +10,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.triplets import Layout
+from dolfinx_mortar.algebra.csr import Layout
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 
 
@@ -55,7 +54,7 @@ def any_rank(comm: MPI.Comm, *flags: bool | np.bool_) -> Bools:
 def sums_at_nodes(comm: MPI.Comm, layout: Layout, nodes: Longs, values: Floats) -> Floats:
     """Sums (owned nodes, c) of values (e, c) at global nodes (e,) of any rank; collective.
 
-    Unlike those of Vec.setValues they do not depend on the order of messages.
+    The order of summation does not depend on that of messages.
     """
     sums = np.zeros((values.shape[1], layout.size_local))
     if comm.size == 1:  # in the same order
@@ -75,7 +74,7 @@ def sums_at_nodes(comm: MPI.Comm, layout: Layout, nodes: Longs, values: Floats) 
 
 
 def values_at(comm: PETSc.Comm, values: Floats, rows: Longs | Ints) -> Floats:
-    """Rows (r, k), by global numbers of any rank, of owned rows (n, k); collective."""
+    """Rows (r, k), by their global numbers, of owned rows (n, k); collective."""
     if comm.size == 1:
         return np.asarray(values[rows])
     k = values.shape[1]
@@ -88,8 +87,100 @@ def values_at(comm: PETSc.Comm, values: Floats, rows: Longs | Ints) -> Floats:
 
 
 def free_unused(comm: MPI.Comm) -> None:
-    """Free PETSc objects without references; collective.
-
-    On several ranks petsc4py only lists them, as ranks collect garbage at different times.
-    """
+    """Free PETSc objects without references, which petsc4py only lists on ranks; collective."""
     PETSc.garbage_cleanup(comm)
+
+
+@contextmanager
+def raised_together(comm: MPI.Comm) -> Iterator[None]:
+    """Run a block without collective calls; an error of some ranks is raised on all; collective.
+
+    Other ranks raise an OSError, ValueError, KeyboardInterrupt, SystemExit or RuntimeError with the
+    text and rank of the first.
+
+    >>> with raised_together(MPI.COMM_SELF):
+    ...     raise ValueError("E is -1")
+    Traceback (most recent call last):
+    ValueError: E is -1
+    """
+    own: BaseException | None = None
+    try:
+        yield
+    except (Exception, KeyboardInterrupt, SystemExit) as error:
+        own = error
+    raise_together(comm, own)
+
+
+@contextmanager
+def named(name: str) -> Iterator[None]:
+    """Run a block whose errors get a name in their text, or in a note.
+
+    >>> with named("Plane(slave=3): couple()"):
+    ...     raise ValueError("no plane here")
+    Traceback (most recent call last):
+    ValueError: Plane(slave=3): couple(): no plane here
+    """
+    try:
+        yield
+    except Exception as error:
+        if len(error.args) == 1 and isinstance(error.args[0], str):
+            if name not in error.args[0]:
+                error.args = (f"{name}: {error.args[0]}",)
+        else:
+            error.add_note(f"in {name}")
+        raise
+
+
+@contextmanager
+def from_callbacks() -> Iterator[None]:
+    """Run a block, raising unchanged the errors of Python code called by PETSc, also Ctrl-C.
+
+    PETSc leaves vectors locked after such an error: solvers have to be created anew.
+    """
+    try:
+        yield
+    except PETSc.Error as error:
+        cause: BaseException = error
+        while isinstance(cause, PETSc.Error) and cause.__cause__ is not None:
+            cause = cause.__cause__
+        if cause is error:
+            raise
+        raise cause from cause.__cause__
+
+
+def is_ours(thing: object) -> bool:
+    """Whether an object's class is of this package: its errors occur on all ranks or none."""
+    return is_defined_here(type(thing))
+
+
+def is_defined_here(made: Callable[..., Any]) -> bool:
+    """Whether a class or function is of this package."""
+    return str(made.__module__).startswith(f"{__name__.partition('.')[0]}.")
+
+
+def raise_together(comm: MPI.Comm, own: BaseException | None) -> None:
+    """Raise the error of this rank, or else of another rank; collective."""
+    found = comm.allgather(None if own is None else _kind_and_text(own))
+    if own is not None:
+        raise own
+    for rank, other in enumerate(found):
+        if other is not None:
+            kind, told = other  # a text, or the exit status of a program
+            raise _KINDS[kind](f"{told} (on rank {rank})" if isinstance(told, str) else told)
+
+
+_KINDS = (OSError, ValueError, KeyboardInterrupt, SystemExit, RuntimeError)
+
+
+def _kind_and_text(error: BaseException) -> tuple[int, str | int]:
+    """Index in _KINDS of the error on other ranks, and its text or exit status."""
+    for index, kind in enumerate(_KINDS):
+        if isinstance(error, kind):
+            if isinstance(error, SystemExit) and not isinstance(error.code, str):
+                return index, error.code if isinstance(error.code, int) else int(bool(error.code))
+            return index, _text(error)
+    return len(_KINDS) - 1, f"{type(error).__name__}: {_text(error)}"
+
+
+def _text(error: BaseException) -> str:
+    return "; ".join([str(error), *getattr(error, "__notes__", [])])

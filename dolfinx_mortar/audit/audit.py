@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Geometry audit before the first step: errors and warnings about sides and bodies."""
+"""Geometry audit before the first step."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -29,7 +29,6 @@ from dolfinx_mortar.mortar.surface import (
 from dolfinx_mortar.supports.bodies import Bodies, Motion, find_free, name_of
 from dolfinx_mortar.supports.dirichlet import Dirichlet
 
-# for ties with a pretension
 PRETENSION_HINT = (
     ". A tie with a pretension does not hold its sides against its direction: supports, other ties "
     "or contacts have to, at both ends of the bolt"
@@ -63,16 +62,10 @@ def create_audit(
     at: fem.Function | None,
     increment: float,
 ) -> Audit:
-    """Audit bodies and paired interfaces; collective.
+    """Audit bodies and paired interfaces; a ValueError for a body that can move freely; collective.
 
-    Args:
-        x: (n,) X + u.
-        springs: relative resistance of the potential to a motion.
-        at: displacement of the contacts, None for X.
-        increment: largest prescribed one of the next step.
-
-    Raises:
-        ValueError: if a body can move rigidly without resistance.
+    `x` (n,) is X + u, `at` the displacement of the contacts (None for X), `springs` the relative
+    resistance of the potential to a motion, `increment` the largest prescribed one.
     """
     links, empty = system.links, supports.warnings()
     loose, by_contact = find_free_motions(bodies, system, supports, springs)
@@ -108,7 +101,7 @@ def find_free_motions(
     supports: Dirichlet,
     springs: Callable[[PETSc.Vec], Floats],
 ) -> tuple[list[str], list[str]]:
-    """Free rigid motions, and bodies restrained only by contact, by names; collective."""
+    """Free rigid motions, and bodies restrained only by contact; collective."""
     contacts = [link.constrained_motion for link in system.unilateral]
     facets = [_facet_motion(link) for link in system.unilateral]
     held = _held_motions(system, supports, springs)
@@ -174,7 +167,6 @@ def facet_angle(surface: Surface, feature_angle: float, comm: MPI.Comm) -> float
 
 
 def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec, increment: float) -> None:
-    """Raise a ValueError on all ranks if two sides face each other only through their bodies."""
     interface, kept = link.interface, link.coupling.kept.all(axis=1)
     normal = -link.gaps(x)
     shallowest, deepest, some, joined, facing, reached = maximum(
@@ -203,12 +195,11 @@ def _check_sides(link: Link, bodies: Bodies, x: PETSc.Vec, increment: float) -> 
 def warnings_on_neighbours(
     bodies: Bodies, system: InterfaceSystem, at: fem.Function | None
 ) -> list[str]:
-    """Warning for each pair of near bodies (`find_pairs`) without an interface; collective."""
+    """Warning for each near pair (`find_pairs`) without an interface; collective."""
     coupled = _coupled(bodies, system)
     if (coupled | np.eye(bodies.count, dtype=bool)).all():
         return []
-    comm = bodies.V.mesh.comm
-    facets = system.boundary.at(at)
+    comm, facets = bodies.V.mesh.comm, system.boundary.at(at)
     part = bodies.of_cells[system.boundary.cells].astype(np.int64)
     largest = comm.allreduce(float(facet_sizes(facets.x).max(initial=0.0)), op=MPI.MAX)
     boxes = boxes_of(comm, facets.x, part, bodies.count)
@@ -216,38 +207,28 @@ def warnings_on_neighbours(
     skin = Skin(facets, part, np.zeros((len(part), 0), dtype=np.int64))
     found = find_facing(comm, skin, near_others(facets.x, part, boxes))
     found = found[are_near(found, None)]
-    pairs = np.sort(found.part, axis=1)
-    rows: Floats = np.column_stack([pairs, found.distance, found.place])
-    rows = rows[~coupled[pairs[:, 0], pairs[:, 1]]]
-    nearest = _nearest(np.concatenate(comm.allgather(_nearest(rows))))
-    return [_warning(bodies, *map(int, row[:2]), *row[2:].tolist()) for row in nearest]
-
-
-def _nearest(rows: Floats) -> Floats:
-    rows = rows[np.lexsort(rows.T[::-1])]
-    return rows[np.unique(rows[:, :2], axis=0, return_index=True)[1]]
+    least = np.full(coupled.shape, np.inf)
+    np.minimum.at(least, tuple(np.sort(found.part, axis=1).T), found.distance)
+    comm.Allreduce(MPI.IN_PLACE, least, op=MPI.MIN)
+    near = zip(*np.nonzero(np.isfinite(least) & ~coupled), strict=True)
+    return [_warning(bodies, pair, float(least[pair])) for pair in near]
 
 
 def _coupled(bodies: Bodies, system: InterfaceSystem) -> Bools:
     """Mask (bodies, bodies) of coupled bodies; collective."""
-    found = np.zeros((bodies.count, bodies.count))
-    n = len(bodies.label)
-    for sides in system.sides:
+    on = np.zeros((2, len(system.sides), bodies.count))
+    for k, sides in enumerate(system.sides):
         if sides.master is not None:
-            on = [np.unique(bodies.label[mark[:n]]) for mark in (sides.on_slave, sides.on_master)]
-            both = [
-                np.unique(np.concatenate(each))
-                for each in zip(*bodies.V.mesh.comm.allgather(on), strict=True)
-            ]
-            found[np.ix_(*both)] = 1.0
-    return np.asarray((found + found.T) > 0.0)
+            for at, mark in zip(on, (sides.on_slave, sides.on_master), strict=True):
+                at[k, bodies.label[mark[: len(bodies.label)]]] = 1.0
+    slave, master = bodies.V.mesh.comm.allreduce(on)
+    return np.asarray((slave.T @ master + master.T @ slave) > 0.0)
 
 
-def _warning(bodies: Bodies, one: int, other: int, distance: float, *place: float) -> str:
-    who = " and ".join(name_of(bodies, [k]) for k in (one, other))
-    where = f"({', '.join(f'{x:.4g}' for x in place)})"
+def _warning(bodies: Bodies, pair: tuple[int, ...], distance: float) -> str:
+    who = " and ".join(name_of(bodies, [k]) for k in pair)
     how = f"are {distance:.3g} apart" if distance >= 0.0 else f"overlap by {-distance:.3g}"
     return (
-        f"{who} {how} around {where}, and no interface couples them: give them a Contact if they "
+        f"{who} {how}, and no interface couples them: give them a Contact if they "
         "can touch (dm.find_pairs proposes one)"
     )

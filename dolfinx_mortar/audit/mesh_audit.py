@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Audit of the mesh: NaN coordinates; collapsed, inverted or folded cells.
 
-As dolfinx orders nodes freely, only the signs of the Jacobian within a cell are compared, and the
-sides of a facet on which two simplices lie.
+dolfinx orders nodes freely, so that only the signs of the Jacobian within a cell are compared, and
+the sides of a facet on which two simplices lie.
 """
 
 from dataclasses import dataclass
@@ -37,8 +37,7 @@ def check_mesh(mesh: Mesh) -> None:
     """Raise a ValueError on all ranks for invalid cells; collective.
 
     Invalid: unsupported degree of the geometry, NaN or infinite coordinates, no volume, Jacobians
-    that change sign, overlaps with neighbours. Bodies may overlap. Unsupported kinds of cells are
-    ignored.
+    that change sign, overlaps with neighbours. Unsupported kinds of cells are ignored.
     """
     kind, d = mesh.topology.cell_name(), mesh.topology.dim
     if kind not in CELLS or mesh.geometry.dim != d:
@@ -80,14 +79,12 @@ def jacobians(x: Floats, kind: str, points: Floats, degree: int = 1) -> Floats:
 
 
 def _points(kind: str, degree: int) -> Floats:
-    """Reference points (q, d), two per edge of tensor cells, three for degree 2."""
     exact = 3 * degree - 2 if kind in SIMPLICES else 2 * degree + 1
     points, _ = basix.make_quadrature(basix.CellType[kind], exact)
     return np.asarray(points)
 
 
 def _determinants(vectors: list[Floats]) -> Floats:
-    """Determinants (.., n) of d vectors (.., d, n)."""
     components = [np.moveaxis(v, -2, 0) for v in vectors]
     if len(vectors) == 2:
         (a, b), (c, d) = components

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Contacts proposed between bodies that are near and face each other."""
+"""Proposed contacts between bodies."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,12 +14,11 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh, MeshTags, meshtags
 from dolfinx_mortar import compat
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import maximum, sums_at_nodes
+from dolfinx_mortar.algebra.parallel import raised_together, sums_at_nodes
 from dolfinx_mortar.arguments import check, is_number
 from dolfinx_mortar.arrays import Ints, Longs
 from dolfinx_mortar.audit.mesh_audit import check_mesh
-from dolfinx_mortar.audit.roles import Candidates, choose_roles
+from dolfinx_mortar.audit.sides import Candidates, choose_roles
 from dolfinx_mortar.interfaces.constraints import Limit, create_law
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
@@ -60,7 +59,7 @@ class Pairs:
     contacts: list[Contact]
     found: list[Pair]
     joined: dict[tuple[str, str], int]  # nodes shared by two bodies of one part: no contact
-    lost: list[str]  # in words
+    lost: list[str]  # constraints, in words
 
     def __iter__(self) -> Iterator[Any]:
         return iter((self.tags, self.contacts))
@@ -108,30 +107,27 @@ def find_pairs(
     Bodies are the connected parts of the mesh, divided by cell tags; common nodes join bodies. Two
     bodies are a pair if some facet of one, projected along its normal, meets an opposite facet of
     the other, with nothing between them, at most `within` apart; overlaps count up to half of the
-    thinner body. A side is the whole face of such facets, up to edges; faces that face several
-    bodies have one tag.
-    The finer side is the slave, unless nodes would lose a constraint, as slaves of two contacts or
-    in a cycle; then another side is, if not more than twice as coarse. The table tells remaining
-    losses.
+    thinner body. A side is the whole face of such facets, up to edges. The finer side is the slave,
+    unless nodes would lose a constraint, as slaves of two contacts or in a cycle; then the other
+    side, if not more than twice as coarse. The table lists remaining losses.
 
     Args:
         mesh: of all bodies.
         cell_tags: tags of all cells; names of `Tags` become those of the bodies.
         within: largest distance of a pair; default the diameter of the larger facet.
-        surface: of all contacts, as the next ones, see `Contact`.
+        surface: see `Contact`, as the next ones.
         feature_angle: degrees between facets from which on an edge is sharp.
         friction: Coulomb's coefficient.
         tresca: limit of the tangential traction.
         show: whether rank 0 prints the table.
 
     Returns:
-        A record that unpacks as facet tags, such as "disc to block", and contacts, the same on any
-            ranks.
+        A record that unpacks as facet tags, such as "disc to block", and contacts.
 
     Raises:
         ValueError: on all ranks, for an invalid mesh; tags of another mesh or not of all cells;
             invalid options; a single connected body; and if there is no pair, with the nearest
-            distance or least overlap.
+            distance.
     """
     if not isinstance(mesh, Mesh):
         raise ValueError(f"mesh is {mesh!r}: give a dolfinx.mesh.Mesh of all bodies")
@@ -176,7 +172,6 @@ def _check(mesh: Mesh, cell_tags: Any, within: Any, surface: Any) -> None:
 
 
 def _tags_of_cells(mesh: Mesh, cell_tags: MeshTags | None) -> Longs:
-    """Tag (owned cells,) of each cell, else 0; without communication."""
     owned = mesh.topology.index_map(mesh.topology.dim).size_local
     tags = np.zeros(owned, dtype=np.int64)
     if cell_tags is None:
@@ -249,11 +244,7 @@ def _find(
     facing = find_facing(comm, Skin(facets, part_of_cell[cells], label))
     sides = _sides(comm, facing[are_near(facing, within)])
     if not sides:
-        deep = find_facing(comm, Skin(facets, part_of_cell[cells], label), deep=True)
-        deep = deep[deep.distance < 0.0]
-        least = float(maximum(comm, deep.distance.max(initial=-np.inf))[0])
-        deep = deep[deep.distance >= least]
-        _raise_none(_sides(comm, deep if np.isfinite(least) else facing), names, within, told)
+        _raise_none(_sides(comm, facing), names, within, told)
     numbers, common = entities.astype(np.int64), _facing_nodes(V, boundary.nodes, facing, sides)
     return _Found(names, numbers, faces, sides, joined, common)
 
@@ -287,7 +278,7 @@ def _common_nodes(V: fem.FunctionSpace, sets: Sequence[Ints]) -> Longs:
         nodes = layout.local_to_global(np.unique(local).astype(np.int32)).astype(np.int64)
         found = sums_at_nodes(comm, layout, nodes, np.ones((len(nodes), 1)))[:, 0] > 0.0
         on.append(scipy.sparse.csr_array(found.astype(np.int64)[None]))
-    rows = scipy.sparse.vstack(on)  # one long row per set
+    rows = scipy.sparse.vstack(on)
     return np.asarray(comm.allreduce((rows @ rows.T).toarray(), op=MPI.SUM))
 
 
@@ -308,7 +299,6 @@ def _ordered_parts(V: fem.FunctionSpace) -> tuple[Longs, int]:
 
 
 def _names(known: Longs, cell_tags: MeshTags | None) -> list[str]:
-    """Names of bodies (tag, part), sorted: of the tag, numbered if several."""
     if cell_tags is None:
         return [f"body {k + 1}" for k in range(len(known))]
     called = {tag: name for name, tag in names_of(cell_tags).items()}
@@ -328,7 +318,7 @@ def _sides(comm: MPI.Intracomm, facing: Facing) -> dict[tuple[int, int], _Side]:
     least = np.full(len(own), np.inf)
     np.minimum.at(least, which.ravel(), facing.distance)
     one = np.concatenate(comm.allgather(np.column_stack([own, *sums, least])))
-    other = one[:, [1, 0, 3, 2, 4, 6, 5, 7, 8]]  # seen from the other body
+    other = one[:, [1, 0, 3, 2, 4, 6, 5, 7, 8]]  # with both bodies exchanged
     other[:, 4] = 0.0
     sides, rows = {}, np.concatenate([one, other])
     for a, b in np.unique(rows[:, :2].astype(int), axis=0).tolist():
@@ -345,14 +335,12 @@ def _raise_none(
     how = "a facet is long" if within is None else f"within={within:g}"
     none = f"find_pairs: no two bodies face each other at a distance of at most {how}"
     if not sides:
-        raise ValueError(f"{none}, or at all: check the mesh, or tag the sides by hand{told}")
+        raise ValueError(
+            f"{none}, or at all, or they overlap by more than half of the thinner one: check the "
+            f"mesh, or tag the sides by hand{told}"
+        )
     near = min(sides.values(), key=lambda side: (abs(side.distance), side.body, side.other))
     who = f"{names[near.body]!r} and {names[near.other]!r}"
-    if near.distance < 0.0:
-        raise ValueError(
-            f"{none}. {who} overlap by {-near.distance:.4g}, more than half of the thinner one: "
-            f"tag their sides by hand, or let them begin with less overlap{told}"
-        )
     raise ValueError(
         f"{none}. The nearest, {who}, are {near.distance:.4g} apart: give a larger within={told}"
     )

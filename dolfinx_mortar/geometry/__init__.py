@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Facets in space: search, projection, clipping, quadrature points.
-
-Arrays only: no dofs, no ranks, no PETSc.
-"""
+"""Search, projection and clipping of facets; arrays only, without dofs, ranks or PETSc."""

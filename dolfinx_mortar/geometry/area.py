@@ -3,11 +3,8 @@
 
 The plane is normal to the mean normal of a slave facet, through its centre. The intersection of
 both projected facets is split into triangles; weights are areas in the plane over the cosine to the
-slave facet. Facets of second order are clipped in four parts, unless straight and flat.
-
-Integrals of Phi_j N_l are exact on flat triangles and parallelograms. On others the degree grows
-with the change of the Jacobian and of the slopes: constant pressures have an error of 1e-14 down to
-a quality (`facets.distortions`) of 0.6, of 1e-8 at 0.3, where meshes are refused.
+slave facet. Facets of second order are clipped in four parts. Integrals of Phi_j N_l are exact on
+flat triangles and parallelograms, else of a degree by the change of Jacobian and slopes.
 """
 
 from collections.abc import Sequence
@@ -31,19 +28,17 @@ from dolfinx_mortar.geometry.moments import (
     sums,
     turns,
 )
-from dolfinx_mortar.geometry.parts import (
+from dolfinx_mortar.geometry.plane import (
+    VERTICES,
     count,
+    create_planes,
     first_order,
+    height_at,
+    inverse,
     on_facets,
     on_reference,
     pairs_of_parts,
     parts_of,
-)
-from dolfinx_mortar.geometry.plane import (
-    VERTICES,
-    create_planes,
-    height_at,
-    inverse,
     project,
     slopes,
 )
@@ -55,7 +50,6 @@ _HIGHEST = 24
 
 @cache
 def _rules() -> tuple[Floats, Floats, Longs]:
-    """Return points, weights (sum 1) and first points of rules of degree 2, 4, ... ."""
     points, weights, start = [], [], [0]
     for degree in range(2, _HIGHEST + 2, 2):
         p, w = triangle_rule(degree)
@@ -67,7 +61,6 @@ def _rules() -> tuple[Floats, Floats, Longs]:
 
 @numba.njit(**KERNEL)
 def _depth(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
-    """Return the depth of the projected facet M below S at (x, y)."""
     xi, eta, _ = inverse(S, bilinear[0], x, y)
     r, s, _ = inverse(M, bilinear[1], x, y)
     return height_at(S, bilinear[0], xi, eta) - height_at(M, bilinear[1], r, s)
@@ -75,7 +68,6 @@ def _depth(S, M, bilinear, x, y):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _overlap(P, Q):  # type: ignore[no-untyped-def]
-    """Tell whether two projected facets share more than a line."""
     p, q = P.shape[0], Q.shape[0]
     # overlaps as narrow as a thin polygon do not count
     if plane.is_beside(P, p, Q, q, plane.orientation(P, p), -64 * ROUND_OFF):
@@ -85,7 +77,6 @@ def _overlap(P, Q):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _any_overlap(M, count):  # type: ignore[no-untyped-def]
-    """Tell whether any of `count` projected facets overlap."""
     low, high = np.empty(count), np.empty(count)
     for i in range(count):
         low[i] = high[i] = M[i, 0, 0]
@@ -99,7 +90,7 @@ def _any_overlap(M, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _is_hidden(S, M, bilinear, i, j, pieces, sizes, common, spare):  # type: ignore[no-untyped-def]
-    """Tell whether facet j hides facet i, consistently in i and j."""
+    """Whether facet j hides facet i, consistently in i and j."""
     a, b = min(i, j), max(i, j)
     if a == b or not _overlap(M[a], M[b]):
         return False
@@ -113,19 +104,17 @@ def _is_hidden(S, M, bilinear, i, j, pieces, sizes, common, spare):  # type: ign
     return behind if i == a else not behind
 
 
-# Loops, not slices: each array assignment takes a second to compile.
+# Loops: each array assignment takes a second to compile.
 
 
 @numba.njit(**KERNEL)
 def _copy(P, n, Q):  # type: ignore[no-untyped-def]
-    """Copy the first n points of P to Q."""
     for i in range(n):
         Q[i, 0], Q[i, 1] = P[i, 0], P[i, 1]
 
 
 @numba.njit(**KERNEL)
 def _doubled(a):  # type: ignore[no-untyped-def]
-    """Return a copy of the contiguous array a with twice its length."""
     result = np.empty((2 * len(a),) + a.shape[1:], a.dtype)  # noqa: RUF005
     x, y = a.reshape(-1), result.reshape(-1)
     for i in range(len(x)):
@@ -135,7 +124,6 @@ def _doubled(a):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyped-def]
-    """Return the visible parts of polygon i among n: points, sizes, number."""
     pieces = np.empty((2 * VERTICES, VERTICES, 2))
     sizes = np.empty(2 * VERTICES, np.int64)
     common, spare = np.empty((VERTICES, 2)), np.empty((VERTICES, 2))
@@ -168,7 +156,6 @@ def _visible(S, M, bilinear, given, given_sizes, i, n):  # type: ignore[no-untyp
 
 @numba.njit(**KERNEL)
 def _is_far(middle, radius, centre, axes):  # type: ignore[no-untyped-def]
-    """Tell whether the projections of a ball and the slave facet are apart."""
     x = y = square = 0.0
     for i in range(3):
         offset, along = middle[i] - centre[i], axes[0, i]
@@ -180,7 +167,7 @@ def _is_far(middle, radius, centre, axes):  # type: ignore[no-untyped-def]
 def _clip(  # type: ignore[no-untyped-def]
     S, x_m, balls, bilinear, pairs, deepest, first, last, centre, axes, M, pieces, sizes, row
 ):
-    """Fill M, pieces, sizes and row (pair) for one slave facet; return the count."""
+    """Fill one slave facet's M, pieces, sizes and row (pair); return the count."""
     spare = np.empty((VERTICES, 2))
     count = 0
     k, n = S.shape[0], x_m.shape[1]
@@ -189,7 +176,7 @@ def _clip(  # type: ignore[no-untyped-def]
     for r in range(first, last):
         P, m = M[count], pairs[r, 1]
         if _is_far(balls[0][m], balls[1][m], centre, axes):
-            continue  # quick rejection of most candidates
+            continue
         project(x_m[m], centre, axes, P)
         sign = plane.orientation(P, n)
         if sign == 0 or plane.is_beside(P, n, S, k, sign, 0.0):
@@ -208,7 +195,6 @@ def _clip(  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
-    """Append the triangles of a polygon; return the new arrays."""
     if t + VERTICES > len(which):
         which, corners = _doubled(which), _doubled(corners)
     least = ROUND_OFF * plane.measure(P, n)[0]
@@ -226,7 +212,7 @@ def _append_fan(P, n, which, corners, t, pair):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _split(S, x_m, balls, bilinear, pairs, deepest, first, last, centre, axes, which, corners, t):  # type: ignore[no-untyped-def]
-    """Append the triangles of one slave facet; return the arrays, and if masters overlap."""
+    """Append one slave facet's triangles; return the arrays, and if masters overlap."""
     n = last - first
     M, row = np.empty((n, x_m.shape[1], 3)), np.empty(n, np.int64)
     pieces, sizes = np.empty((n, VERTICES, 2)), np.empty(n, np.int64)
@@ -246,11 +232,11 @@ def _split(S, x_m, balls, bilinear, pairs, deepest, first, last, centre, axes, w
 
 @numba.njit(**KERNEL)
 def _triangulate(x_s, x_m, balls, bilinear, pairs, deepest, centre, axes):  # type: ignore[no-untyped-def]
-    """Return pairs (t,), corners (t, 3, 2) of triangles, and where masters overlap."""
+    """Pairs (t,) and corners (t, 3, 2) of triangles, and where masters overlap."""
     p, hidden = len(pairs), np.zeros(len(x_s), np.bool_)
     which, corners = np.empty(4 * p + 64, dtype=np.int64), np.empty((4 * p + 64, 3, 2))
     S = np.empty((x_s.shape[1], 3))
-    t = last = np.int64(0)  # literals have a type of their own: callees would compile twice
+    t = last = np.int64(0)  # literals have another type: callees would compile twice
     while last < p:
         first, s = last, pairs[last, 0]
         while last < p and pairs[last, 0] == s:
@@ -265,7 +251,6 @@ def _triangulate(x_s, x_m, balls, bilinear, pairs, deepest, centre, axes):  # ty
 
 @numba.njit(**KERNEL)
 def _changes(P, bilinear, corners):  # type: ignore[no-untyped-def]
-    """Return the relative change of the Jacobian, and of slopes, squared, over a triangle."""
     if not bilinear:
         return 0.0, 0.0
     low, high, turn = np.inf, 0.0, 0.0
@@ -281,7 +266,6 @@ def _changes(P, bilinear, corners):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners, least):  # type: ignore[no-untyped-def]
-    """Return the rule (t,) of each triangle; `least` is the degree of two functions."""
     rule = np.full(len(which), least // 2 - 1)
     if not (bilinear[0] or bilinear[1]):
         return rule
@@ -295,8 +279,7 @@ def _choose_rules(x_s, x_m, bilinear, pairs, centre, axes, which, corners, least
         variation = max(variation, turn / 2)  # the weight contains sqrt(1 + slope^2)
         degree = float(least)
         if variation > 0.0:
-            # inverse maps are singular 1 / variation triangles away; SAME for one function, of half
-            # the degree
+            # inverse maps are singular 1 / variation triangles away; SAME is for one function
             degree = _HIGHEST
             if variation < 2.0:
                 degree = min(least // 2 + np.log(SAME) / np.log(variation / 2), degree)
@@ -309,7 +292,6 @@ def _place(  # type: ignore[no-untyped-def]
     x_s, x_m, bilinear, pairs, centre, axes, radius, which, corners, size, rule, whole, points,
     weights, start
 ):  # fmt: skip
-    """Return pair, xi_s, xi_m and weight of all points; on parts unless `whole`."""
     total = 0
     for t in range(len(which)):
         total += start[rule[t] + 1] - start[rule[t]]
@@ -337,7 +319,6 @@ def _place(  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _inside(c, r, s):  # type: ignore[no-untyped-def]
-    """Return the point (r, s) of the triangle c (3, 2)."""
     x = c[0, 0] + r * (c[1, 0] - c[0, 0]) + s * (c[2, 0] - c[0, 0])
     return x, c[0, 1] + r * (c[1, 1] - c[0, 1]) + s * (c[2, 1] - c[0, 1])
 
@@ -348,13 +329,13 @@ def _areas(c: Floats) -> Floats:
 
 
 def _degree_of_moments(slave: FacetElement, master: FacetElement, smooth: bool) -> int:
-    """Return the degree for `moments`; errors of derivatives on warped facets are up to 1e-3."""
+    """Degree for `moments`, for errors of derivatives below 1e-3 on warped facets."""
     return max(2 + smooth, min(_least_degree(slave, master), 4))
 
 
 @numba.njit(**KERNEL)
 def _nearest_line(c, e, P, r, best):  # type: ignore[no-untyped-def]
-    """Return distance, polygon r and its corner, of the line nearest to edge e of triangle c."""
+    """Distance, polygon r and its corner, of the line nearest to edge e."""
     f = (e + 1) % 3
     for v in range(len(P)):
         o = (v + 1) % len(P)
@@ -369,7 +350,6 @@ def _nearest_line(c, e, P, r, best):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _is_next(corners, which, t):  # type: ignore[no-untyped-def]
-    """Tell whether triangle t shares its edge 01 with the one before."""
     if t == 0 or t == len(corners) or which[t - 1] != which[t]:
         return False
     same = True
@@ -381,7 +361,7 @@ def _is_next(corners, which, t):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _find_edges(x_s, x_m, bilinear, pairs, centre, axes, which, corners, hidden):  # type: ignore[no-untyped-def]
-    """Return (q, 4) moving edges: triangle, edge, pair with the line (< 0: slave), its corner."""
+    """Moving edges (q, 4): triangle, edge, pair with the line (< 0: slave), its corner."""
     found, q, none = np.empty((3 * len(which), 4), np.int64), 0, np.int64(-1)
     S, M, N = np.empty((x_s.shape[1], 3)), np.empty((x_m.shape[1], 3)), np.empty((x_m.shape[1], 3))
     for t in range(len(which)):
@@ -414,8 +394,7 @@ def moments(
 ) -> None:
     """Add the moments of slave facets and their masters, and derivatives by x and y.
 
-    Args:
-        heights: of pairs (c,), see `create_points`.
+    `heights` of pairs (c,) are those of `create_points`.
     """
     x, _, y, _, place, deepest, factor, reach = sides
     pairs = sides.pairs()
@@ -438,8 +417,6 @@ def moments(
 
 
 class _Given(NamedTuple):
-    """Input of the points of pairs (c,)."""
-
     over: "_Overlaps"
     place: Longs  # see `Sides`
     factor: Floats
@@ -450,7 +427,7 @@ class _Given(NamedTuple):
 
 
 class _OfPairs(NamedTuple):
-    """Points (s, q) of triangles, or of lines, of pairs of facets."""
+    """Points (s, q) of triangles, or of lines, of pairs."""
 
     at: Points
     xi: Floats  # (s, q, 2) on the slave's part
@@ -465,7 +442,7 @@ class _OfPairs(NamedTuple):
 def _create(
     given: _Given, which: Longs, corners: Floats, size: Floats, rule: tuple[Floats, Floats]
 ) -> _OfPairs:
-    """Return the points of a rule on triangles (s, 3, 2); weight 0 off the master."""
+    """Points of a rule on triangles (s, 3, 2); weight 0 off the master."""
     over, tilts = given.over, given.tilts
     slave, master, a = over.slave, over.master, count(over.slave.element)
     first, q = np.zeros(len(which), dtype=np.int64), len(rule[1])
@@ -499,7 +476,7 @@ def _create(
 
 
 def _nodes_of_lines(given: _Given, part: Longs, pair: Longs, corners: Longs) -> Longs:
-    """Return nodes (s, 2) of edges, of slave parts where pair < 0, else of masters."""
+    """Nodes (s, 2) of edges, of slave parts where pair < 0, else of masters."""
     over, sides = given.over, []
     of_master = over.pairs[pair, 1]
     for facets, of in ((over.slave, part), (over.master, of_master)):
@@ -512,14 +489,14 @@ def _nodes_of_lines(given: _Given, part: Longs, pair: Longs, corners: Longs) -> 
 
 
 def _oblique(V: Floats, n: Floats) -> Floats:
-    """Return the vectors (s, q, 2, 3) dual to tangents V, normal to n."""
+    """Vectors (s, q, 2, 3) dual to tangents V, normal to n."""
     first, second = np.cross(V[:, :, 1], n), np.cross(n, V[:, :, 0])
     size = (V[:, :, 0] * first).sum(axis=2)[..., None, None]
     return np.stack([first, second], axis=2) / size
 
 
 def _frames(over: "_Overlaps") -> tuple[Floats, Floats, Floats]:
-    """Return axes u (p, 2, 3) and normals n (p, 3) of planes, and u.dn by nodes (p, 2, k, 3)."""
+    """Axes u (p, 2, 3) and normals n (p, 3) of planes, and u.dn by nodes (p, 2, k, 3)."""
     axes = over.planes[1] * over.planes[2][:, None, None]
     u, n, every = axes[:, :2], axes[:, 2], np.arange(len(axes))
     _, g = turns(over.parts.element, over.parts.x)
@@ -528,13 +505,12 @@ def _frames(over: "_Overlaps") -> tuple[Floats, Floats, Floats]:
 
 
 def _scattered(element: FacetElement, part: Longs) -> Floats:
-    """Return the selection (s, v, k) of nodes of parts in facets."""
     nodes = np.array(element.sub_facets)[part % count(element)]
     return np.eye(element.nodes)[nodes]
 
 
 def _add_inner(over: "_Overlaps", inner: _OfPairs, found: Sums) -> None:
-    """Add the moments of triangles, and their derivatives at points that stay in the plane.
+    """Add the moments of triangles, and their derivatives at points fixed in the plane.
 
     A motion dx of the part's nodes changes xi by -K dx; xi of the master by G times the relative
     motion.
@@ -573,7 +549,6 @@ def _add_inner(over: "_Overlaps", inner: _OfPairs, found: Sums) -> None:
 
 
 def _columns(inner: _OfPairs, found: Sums) -> Longs:
-    """Return the columns (s, k + l + 1) of pairs among those of facets."""
     last = np.full((len(inner.pair), 1), found.values.shape[2] - 1)
     return np.concatenate([inner.nodes, last], axis=1)
 
@@ -587,11 +562,7 @@ def _add_edges(
     ids: Longs,
     found: Sums,
 ) -> None:
-    """Add the derivatives by the motion of edges of triangles (s,).
-
-    Of lines (s, 2, 3) between nodes ids (s, 2), at shares t (q,) of anticlockwise edges with ends
-    (s, 2, 2).
-    """
+    """Add the derivatives by the motion of edges of triangles (s,), anticlockwise."""
     at, (u, normal, tilts) = inner.at, inner.frame
     (s, q, k), radius = at.N.shape, over.planes[2][inner.part]
     lines = lines - over.planes[0][inner.part][:, None]
@@ -615,7 +586,7 @@ def _add_edges(
 
 @numba.njit(**KERNEL)
 def _scatter(to, facets, nodes, columns, values):  # type: ignore[no-untyped-def]
-    """Add values (s, r d, k, n) of nodes (s, r) and columns (s, n) to those of facets (s,)."""
+    """Add values (s, r d, k, n) at nodes (s, r) and columns (s, n) to facets (s,)."""
     d = values.shape[1] // nodes.shape[1]
     for s in range(len(values)):
         for z in range(values.shape[1]):
@@ -628,10 +599,7 @@ def _scatter(to, facets, nodes, columns, values):  # type: ignore[no-untyped-def
 def place_points(
     slave: Facets, master: Facets, pairs: Ints, deepest: Floats
 ) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
-    """Project, clip, split and place quadrature points; folded facets cover nothing.
-
-    See `line.place_points`, but for xi (q, 2).
-    """
+    """See `line.place_points`; folded facets cover nothing."""
     least = _least_degree(slave.element, master.element)
     simple_s, simple_m = first_order(slave), first_order(master)
     if simple_s is not None and simple_m is not None:
@@ -654,7 +622,7 @@ class _Overlaps(NamedTuple):
     slave: Facets  # (ms,)
     master: Facets  # (mm,)
     parts: Facets  # of the slave
-    sides: tuple[Floats, Floats, tuple[bool, bool], Ints]  # parts, bilinear or not, pairs of parts
+    sides: tuple[Floats, Floats, tuple[bool, bool], Ints]  # parts, whether bilinear, pairs of parts
     of: Ints  # (p',) pair of facets
     planes: tuple[Floats, Floats, Floats]  # see `create_planes`
     which: Longs  # (t,) pairs of parts of the triangles
@@ -663,12 +631,10 @@ class _Overlaps(NamedTuple):
 
     @property
     def pairs(self) -> Ints:
-        """Pairs of parts (p', 2)."""
         return self.sides[3]
 
 
 def _find_overlaps(slave: Facets, master: Facets, pairs: Ints, deepest: Floats) -> _Overlaps:
-    """Return the triangles in which facets overlap."""
     parts_s, parts_m = parts_of(slave), parts_of(master)
     pairs, of = pairs_of_parts(pairs, slave.element, master.element)
     planes = create_planes(parts_s.x)
@@ -680,10 +646,9 @@ def _find_overlaps(slave: Facets, master: Facets, pairs: Ints, deepest: Floats) 
 
 
 def _least_degree(slave: FacetElement, master: FacetElement) -> int:
-    """Return the degree for products of two functions on affine facets.
+    """Degree for products of two functions on affine facets.
 
-    Facets that turn by phi have errors of 1e-5 phi^4 in D_jj, 2e-3 phi^2 D_jj (triangles) and 1e-6
-    phi^2 D_jj (quadrilaterals) in M; forces and constants stay exact, since both sides have the
-    same points.
+    With twists phi relative errors are up to 1e-5 phi^4 in D_jj and 2e-3 phi^2 in M; forces are
+    exact.
     """
     return max(slave.degree, master.degree) * (4 if slave.bilinear or master.bilinear else 2)

@@ -1,21 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Smooth surfaces through the nodes of facets: normals, and heights over the facets.
+"""Smooth surfaces through the nodes of facets: normals, and heights h over the facets.
 
-See theory.md, Curved sides. With unit normals n_a at the nodes x_a, the height over a facet is
-
-    h = 1/2 sum_{a<b} N_a N_b c_ab,     c_ab = (n_b - n_a).(x_b - x_a)
-
-over all pairs of nodes, at X; on a sphere of radius R, c_ab = |x_b - x_a|^2 / R, and by Lagrange's
-identity h is exact to leading order. Bodies of equal stiffness in contact have the curvature K =
-(K_s - K_m) / 2, each for its own outward normal, with e_ab.K e_ab = c_ab: c_ab is the mean of both
-sides (of one alone, Hertzian forces are 1 to 10 % too large). Facets of second order become curved
-with u: each side has its own c_ab, times the stretch along the normal.
+See theory.md, Curved sides, for h and c_ab. Sides in contact have the common curvature K = (K_s -
+K_m) / 2, each for its own outward normal, with e_ab.K e_ab = c_ab: c_ab is the mean of both. On
+second-order facets each side has its own, times the stretch along the normal.
 
 Normals are those of Max (J. Graphics Tools 4, 1999), n_a ~ sum (e_1 x e_2) / (|e_1|^2 |e_2|^2) with
-the edges of each facet at the node; in 2D the chords' normals over their lengths. They are exact on
-spheres and circles if facets surround the node. Otherwise edges in space are first projected on the
-tangent plane, by half of |e|^2 times the deviatoric curvature; in 2D facets at a jump of curvature
-have that of their other end.
+the edges of each facet at the node; in 2D the chords' normals over their lengths. Unless facets
+surround the node, edges in space are first projected on the tangent plane, by half of |e|^2 times
+the deviatoric curvature; in 2D facets at a jump of curvature have that of their other end.
 """
 
 from __future__ import annotations
@@ -44,9 +37,9 @@ SIAM Review 40, 1998)."""
 class NodeNormals:
     """Normals of a smooth surface at nodes."""
 
-    n: Floats  # (n, d) unit vectors, zero where there is none
-    open: Bools  # (n,) facets lie on one side only: the normal may be one-sided
-    sharp: Bools  # (n,) on an edge: no normal of a smooth surface
+    n: Floats  # (n, d) unit, or zero
+    open: Bools  # (n,) not surrounded: the normal may be one-sided
+    sharp: Bools  # (n,) on an edge: no normal
     jumps: Bools | None = None  # (n,) the curvature jumps: the normal is one-sided
 
     @property
@@ -59,7 +52,7 @@ class NodeNormals:
 def one_ring_sums(
     facets: Facets, n: Floats | None = None, K: Floats | None = None
 ) -> tuple[Floats, Floats]:
-    """Return the terms of each facet (m,) in the sums over the one-rings of its nodes.
+    """Terms of each facet (m,) in the sums over the one-rings of its nodes.
 
     (m, k, d) for normals, and (m, k, c) with the sum zero where facets surround the node. With
     normals n (m, k, d) and curvatures K (m, k, d, d) at the nodes, edges are projected.
@@ -89,10 +82,7 @@ def one_ring_sums(
 
 
 def end_angles(facets: Facets, n: Floats) -> tuple[Floats, Floats]:
-    """Return sines (m, 2) of the angles between lines and tangents at their ends, and lengths (m,).
-
-    By normals n (m, 2, 2). On a circle of radius R a sine is half of the length over R.
-    """
+    """Sines (m, 2) of the angles between lines and tangents at their ends, and lengths (m,)."""
     chord = edges(facets)[:, 0]
     length = np.linalg.norm(chord, axis=1)
     ends = np.array([-1.0, 1.0])[:, None]
@@ -101,22 +91,21 @@ def end_angles(facets: Facets, n: Floats) -> tuple[Floats, Floats]:
 
 
 def _projected(e: Floats, n: Floats, K: Floats) -> Floats:
-    """Return edges e + 1/2 |e|^2 (t.K t) n (m, k, d) on the tangent plane, t tangential."""
+    """Edges e + 1/2 |e|^2 (t.K t) n (m, k, d) on the tangent plane, t tangential."""
     t = unit(e - np.einsum("mki,mki->mk", e, n)[..., None] * n)
     below = 0.5 * (e**2).sum(axis=2) * np.einsum("mki,mkij,mkj->mk", t, K, t)
     return np.asarray(e + below[..., None] * n)
 
 
 def _inverted(e: Floats) -> Floats:
-    """Return e / |e|^2: spheres through the origin become planes."""
     return np.asarray(e / np.maximum((e**2).sum(axis=-1), TINY)[..., None])
 
 
 def normal_changes(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
-    """Return changes of normals m_ab (m, e, d), n_b - n_a unless the normal of an end is one-sided.
+    """Changes of normals m_ab (m, e, d), n_b - n_a unless the normal of an end is one-sided.
 
     If only b is regular, m_ab = 2 n_b, exact on spheres and cylinders; if none is, n_b - n_a, or
-    zero where an end is sharp. Nodes (m, k) are the facets'.
+    zero at edges. Nodes are (m, k).
     """
     a, b = node_pairs(first_order(facets.element))
     at_a, at_b = (normals.n[nodes[:, end]] for end in (a, b))
@@ -129,14 +118,14 @@ def normal_changes(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
 
 
 def edge_sagittas(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
-    """Return c_ab = m_ab.(x_b - x_a) (m, e) for the pairs of nodes, see `normal_changes`."""
+    """Products c_ab = m_ab.(x_b - x_a) (m, e) for the pairs of nodes, see `normal_changes`."""
     return np.einsum("mei,mei->me", normal_changes(facets, normals, nodes), edges(facets))
 
 
 def own_curvatures(facets: Facets) -> Floats:
-    """Return the curvatures K (m, d, d), symmetric, fitted to the nodes of second-order facets.
+    """Curvatures K (m, d, d), symmetric, fitted to the nodes of second-order facets.
 
-    Over the tangent plane in the middle a surface of constant curvature has the height w = const +
+    Over the tangent plane at the centre a surface of constant curvature has the height w = const +
     g.y - y.K y / 2 - |K y|^2 y.K y / 8. The larger curvature k is added as k n n^T: K is I / R on
     spheres and (I - a a^T) / R on cylinders with the axis a.
 
@@ -167,14 +156,11 @@ def own_curvatures(facets: Facets) -> Floats:
 
 
 def curved_sagittas(facets: Facets, K: Floats, at_vertices: Floats) -> Floats:
-    """Return c_ab = e_ab.(K + 2/3 dK) e_ab (m, e) for all pairs of nodes of curved facets.
+    """Products c_ab = e_ab.(K + 2/3 dK) e_ab (m, e) for all pairs of nodes of curved facets.
 
     Right to third order, with the change dK of the curvature halfway, times max(1 - 2 max |dK| /
-    |K|, 0), since a jump of the curvature is no change along the facet.
-
-    Args:
-        K: (m, d, d) of the facets.
-        at_vertices: (m, v, d, d) nodal means of K.
+    |K|, 0), as a jump of the curvature is no change along the facet. K (m, d, d) is that of facets,
+    at_vertices (m, v, d, d) has nodal means.
 
     >>> from dolfinx_mortar.geometry.elements import LINE3
     >>> facet = Facets(LINE3, np.array([[[0.1, 0.0], [-0.1, 0.0], [0.0, 0.001]]]))
@@ -194,10 +180,9 @@ def curved_sagittas(facets: Facets, K: Floats, at_vertices: Floats) -> Floats:
 
 
 def sagitta_tensors(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats:
-    """Return C_ab (m, e, d, d), the symmetric part of m_ab (x_b - x_a)^T; its trace is c_ab.
+    """Tensors C_ab (m, e, d, d), the symmetric part of m_ab (x_b - x_a)^T, with trace c_ab.
 
-    A strain E of the surface changes c_ab by C_ab : E. m_ab is without its component along the
-    facet's normal.
+    A strain E of the surface changes c_ab by C_ab : E. m_ab is tangential.
     """
     change, n = normal_changes(facets, normals, nodes), facet_normals(facets)[:, None]
     change -= (change * n).sum(axis=2, keepdims=True) * n
@@ -206,7 +191,7 @@ def sagitta_tensors(facets: Facets, normals: NodeNormals, nodes: Ints) -> Floats
 
 
 def curvatures(facets: Facets, sagitta: Floats) -> Floats:
-    """Return K (m, d, d) of facets, tangential and symmetric: e_ab.K e_ab = c_ab, least squares.
+    """Curvatures K (m, d, d), tangential and symmetric: e_ab.K e_ab = c_ab, least squares.
 
     >>> from dolfinx_mortar.geometry.elements import LINE2
     >>> facet = Facets(LINE2, np.array([[[2.0, 0.0], [0.0, 0.0]]]))
@@ -230,7 +215,7 @@ def curvatures(facets: Facets, sagitta: Floats) -> Floats:
 
 
 def curvature_slopes(facets: Facets, sagitta: Floats) -> Floats:
-    """Return the derivatives (m, k, d, d, d) of `curvatures` by the nodes, by complex steps."""
+    """Derivatives (m, k, d, d, d) of `curvatures` by the nodes, by complex steps."""
     m, k, d = facets.x.shape
     x = facets.x[:, None] + 1j * STEP * np.eye(k * d).reshape(-1, k, d)
     moved = Facets(facets.element, x.reshape(m * k * d, k, d))
@@ -239,24 +224,23 @@ def curvature_slopes(facets: Facets, sagitta: Floats) -> Floats:
 
 
 def _divided(v: Floats, square: Floats) -> Floats:
-    """Return v / square, zero where that is zero; also for complex numbers."""
+    """Quotient, zero where `square` is; also for complex numbers."""
     return np.asarray(v / np.where(square.real > 0.0, square, np.inf)[..., None])
 
 
 def _unit(v: Floats) -> Floats:
-    """Return unit vectors, zero for zero; also for complex numbers."""
+    """Unit vectors, zero for zero; also for complex numbers."""
     return _divided(v, np.sqrt((v * v).sum(axis=-1)))
 
 
 def _frame(facets: Facets) -> Floats:
-    """Return two orthonormal tangents (m, 3, 2) of facets."""
     n, first = _unit(area_vectors(facets)), facets.x[:, 1] - facets.x[:, 0]
     second = _unit(np.asarray(np.cross(n, first)))
     return np.stack([np.cross(second, n), second], axis=2)
 
 
 def height_table(element: FacetElement, e: int) -> Floats:
-    """Return N_a N_b / 2 (e, k, k), symmetric, as products of N of an element, for e c_ab."""
+    """Coefficients N_a N_b / 2 (e, k, k), symmetric, as products of N, for e c_ab."""
     of = height_element(element, np.empty((0, e)))
     V = np.eye(element.nodes) if of is element else of.shape_functions(element.points).T
     a, b = node_pairs(of)
@@ -265,17 +249,16 @@ def height_table(element: FacetElement, e: int) -> Floats:
 
 
 def common_sagittas(facets: Facets, sagitta: Floats, K_other: Floats) -> Floats:
-    """Return c_ab (m, e) of the surface that two sides share where they touch.
+    """Products c_ab (m, e) of the surface that two sides share where they touch.
 
-    By c_ab (m, e) of one side, and the curvatures (m, d, d) of the other for its own outward
-    normal.
+    From those of one side, and curvatures (m, d, d) of the other for its own outward normal.
     """
     e = edges(facets)
     return np.asarray(0.5 * (sagitta - np.einsum("mei,mij,mej->me", e, K_other, e)))
 
 
 def heights(facets: Facets, sagitta: Floats, which: Ints, xi: Floats) -> Floats:
-    """Return the heights (q,) of the smooth surface over points of facets, along their normals.
+    """Heights (q,) of the smooth surface over points of facets, along their normals.
 
     Args:
         sagitta: c_ab (p, e), or tensors C_ab (p, e, d, d).
@@ -289,9 +272,9 @@ def heights(facets: Facets, sagitta: Floats, which: Ints, xi: Floats) -> Floats:
 
 
 def arcs_of_chords(facets: Facets, sagitta: Floats) -> Floats:
-    """Return k and cos^2 b (m, 2) of the arcs over lines with c_ab (m, 1).
+    """Curvature k = c_ab / L^2 and cos^2 b (m, 2) of the arcs over lines with c_ab (m, 1).
 
-    k = c_ab / L^2 is the curvature, b the angle between chord and end tangent, sin b = k L / 2.
+    b is the angle between chord and end tangent, sin b = k L / 2.
     """
     a, b = facets.element.vertices
     chord = np.linalg.norm(facets.x[:, b] - facets.x[:, a], axis=1)
@@ -300,10 +283,10 @@ def arcs_of_chords(facets: Facets, sagitta: Floats) -> Floats:
 
 
 def heights_of_arcs(arcs: Floats, h: Floats) -> Floats:
-    """Return the heights (q,) over chords, exact on circles: h^2 k + 2 h cos b = 2 h_0.
+    """Heights (q,) over chords, exact on circles: h^2 k + 2 h cos b = 2 h_0.
 
-    With h_0 of `heights` (q,) pressures of second-order pins in holes with 30 facets are 3 % off.
-    For arcs (q, 2) see `arcs_of_chords`; k = 0 gives h_0.
+    h_0 (q,) of `heights` is too inexact for pressures in second order. For arcs (q, 2) see
+    `arcs_of_chords`; k = 0 gives h_0.
 
     >>> from dolfinx_mortar.geometry.elements import LINE3
     >>> facet = Facets(LINE3, np.array([[[0.6, 0.8], [-0.6, 0.8], [0.0, 0.8]]]))
@@ -317,24 +300,24 @@ def heights_of_arcs(arcs: Floats, h: Floats) -> Floats:
 
 
 def edges(facets: Facets, element: FacetElement | None = None) -> Floats:
-    """Return x_b - x_a (m, e, d) for the pairs of vertices of facets, or of nodes of `element`."""
+    """Edges x_b - x_a (m, e, d) for the pairs of vertices, or of nodes of `element`."""
     a, b = node_pairs(element or first_order(facets.element))
     return np.asarray(facets.x[:, b] - facets.x[:, a])
 
 
 def first_order(element: FacetElement) -> FacetElement:
-    """Return the type of the straight facets with these vertices."""
+    """The type of straight facets with these vertices."""
     return element.part or element
 
 
 def height_element(element: FacetElement, sagitta: Floats) -> FacetElement:
-    """Return the type with the functions N_a of heights: `element` if curved, or `first_order`."""
+    """The type with the functions N_a of heights."""
     first = first_order(element)
     return first if sagitta.shape[1] == len(node_pairs(first)[0]) else element
 
 
 def node_pairs(element: FacetElement) -> tuple[list[int], list[int]]:
-    """Return the first and the second nodes of all pairs of nodes of a facet.
+    """First and second nodes of all pairs of nodes of a facet.
 
     >>> from dolfinx_mortar.geometry.elements import TRI3
     >>> node_pairs(TRI3)

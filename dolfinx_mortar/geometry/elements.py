@@ -25,7 +25,7 @@ class FacetElement:
     """Type of a facet."""
 
     cell: str  # dolfinx's name of the reference facet
-    size: float  # its length or area
+    size: float  # length or area of the reference facet
     degree: int  # of the displacement along an edge
     points: Floats  # (k, d-1) nodes on the reference facet
     shape_functions: Functions  # N (q, k)
@@ -38,7 +38,7 @@ class FacetElement:
     order: tuple[int, ...]  # node i of the cyclic order is dolfinx's order[i]
     mirrored: tuple[int, ...]  # nodes in the opposite cyclic order
     part: FacetElement | None = None  # type of the parts; None if undivided
-    # mid-side nodes and the ends of their edges: mortar.duals.absorbed
+    # mid-side nodes and the ends of their edges
     shares: tuple[tuple[int, int, int], ...] = ()
 
     @property
@@ -77,7 +77,7 @@ class FacetElement:
 
 
 def _interval(xi: Floats) -> Floats:
-    """Return the linear functions of the interval (q, 2) at xi (q, 1).
+    """Linear functions of the interval (q, 2) at xi (q, 1).
 
     >>> _interval(np.array([[-1.0], [0.5]]))
     array([[1.  , 0.  ],
@@ -91,7 +91,7 @@ def _interval_derivatives(xi: Floats) -> Floats:
 
 
 def _quadratic_interval(xi: Floats) -> Floats:
-    """Return the quadratic functions of the interval (q, 3): ends, middle.
+    """Quadratic functions of the interval (q, 3): ends, middle.
 
     >>> _quadratic_interval(np.array([[0.5]]))
     array([[-0.125,  0.375,  0.75 ]])
@@ -107,8 +107,7 @@ def _quadratic_interval_derivatives(xi: Floats) -> Floats:
 
 
 def _triangle(xi: Floats) -> Floats:
-    """Return the linear functions of the triangle (q, 3)."""
-    (r, s), N = xi.T, np.empty((3, len(xi)))  # values of a function contiguous
+    (r, s), N = xi.T, np.empty((3, len(xi)))  # contiguous by function
     N[0], N[1], N[2] = 1 - r - s, r, s
     return N.T
 
@@ -118,7 +117,7 @@ def _triangle_derivatives(xi: Floats) -> Floats:
 
 
 def _quadratic_triangle(xi: Floats) -> Floats:
-    """Return the quadratic functions of the triangle (q, 6): vertices, edges 01, 12, 20."""
+    """Quadratic functions of the triangle (q, 6): vertices, edges 01, 12, 20."""
     L, N = _triangle(xi).T, np.empty((6, len(xi)))
     for i in range(3):
         np.multiply(L[i], 2 * L[i] - 1, out=N[i])
@@ -132,12 +131,12 @@ def _quadratic_triangle_derivatives(xi: Floats) -> Floats:
     return np.concatenate([(4 * L - 1) * dL, 4 * (L * d_beside + beside * dL)], axis=1)
 
 
-# functions of the interval (ends, middle) for each node of the square: vertices, edges, centre
+# functions of the interval for each node of the square
 _R, _S = [0, 1, 1, 0, 2, 1, 2, 0, 2], [0, 0, 1, 1, 0, 2, 1, 2, 2]
 
 
 def _products(functions: Functions, xi: Floats) -> Floats:
-    """Return products (q, k) of functions of the interval on the square.
+    """Products (q, k) of functions of the interval on the square.
 
     >>> _products(_interval, np.array([[0.0, 0.5]]))
     array([[0.125, 0.125, 0.375, 0.375]])
@@ -150,7 +149,7 @@ def _products(functions: Functions, xi: Floats) -> Floats:
 
 
 def _product_derivatives(functions: Functions, derivatives: Functions, xi: Floats) -> Floats:
-    """Return the derivatives of `_products` (q, k, 2).
+    """Derivatives of `_products` (q, k, 2).
 
     >>> _product_derivatives(_interval, _interval_derivatives, np.array([[0.0, 0.5]]))[0].T
     array([[-0.125,  0.125,  0.375, -0.375],
@@ -163,14 +162,14 @@ def _product_derivatives(functions: Functions, derivatives: Functions, xi: Float
 
 
 def _gauss(n: int, tdim: int) -> tuple[Floats, Floats]:
-    """Return n Gauss points per direction and weights, sum 1."""
+    """Gauss points and weights, sum 1."""
     points, weights = np.polynomial.legendre.leggauss(n)
     xi = np.stack(np.meshgrid(*tdim * [points]), axis=-1).reshape(-1, tdim)
     return xi, np.asarray(reduce(np.multiply.outer, tdim * [weights / 2])).ravel()
 
 
 def triangle_rule(degree: int) -> tuple[Floats, Floats]:
-    """Return points (q, 2) and weights (q,), sum 1, of a rule on the triangle."""
+    """Points (q, 2) and weights (q,), sum 1, of a rule on the triangle."""
     found = basix.make_quadrature(basix.CellType.triangle, degree)
     points, weights = (np.array(part, dtype=np.float64, order="C") for part in found)
     return points, weights / weights.sum()
@@ -243,7 +242,7 @@ QUAD4 = FacetElement(
     rule=_gauss(3, 2),
     vertices=(0, 1, 2, 3),
     sub_facets=((0, 1, 2, 3),),
-    order=(0, 1, 3, 2),  # dolfinx counts like a tensor product
+    order=(0, 1, 3, 2),  # dolfinx has a tensor product
     mirrored=(3, 2, 1, 0),
 )
 QUAD9 = replace(

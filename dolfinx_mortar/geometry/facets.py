@@ -23,7 +23,7 @@ class Facets:
 
 
 def area_vectors(facets: Facets) -> Floats:
-    """Return the integral (m, d) of the outward unit normal over facets.
+    """Integral (m, d) of the outward unit normal over facets.
 
     (t_y, -t_x) with t = x_2 - x_1 in 2D; in 3D nodes are anticlockwise as seen from outside.
 
@@ -45,7 +45,7 @@ def area_vectors(facets: Facets) -> Floats:
 
 
 def facet_normals(facets: Facets) -> Floats:
-    """Return the mean outward unit normals (m, d) of facets.
+    """Mean outward unit normals (m, d) of facets.
 
     Example:
         >>> from dolfinx_mortar.geometry.elements import LINE2
@@ -56,12 +56,12 @@ def facet_normals(facets: Facets) -> Floats:
 
 
 def unit(v: Floats) -> Floats:
-    """Return vectors (.., d) of length one, zero for zero."""
+    """Vectors (.., d) of length one, zero for zero."""
     return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1), TINY)[..., None])
 
 
 def normals_at_nodes(facets: Facets) -> Floats:
-    """Return outward unit normals (m, k, d) of facets at nodes; for degree 1 the mean normal."""
+    """Outward unit normals (m, k, d) of facets at nodes; for degree 1 the mean normal."""
     element, m = facets.element, len(facets.x)
     if element.degree == 1:
         return np.repeat(facet_normals(facets)[:, None], element.nodes, axis=1)
@@ -71,16 +71,15 @@ def normals_at_nodes(facets: Facets) -> Floats:
 
 
 def points_of(facets: Facets, which: Ints, xi: Floats) -> Floats:
-    """Return points x = sum_l N_l x_l (q, d) of facets `which` (q,) at xi (q, d-1)."""
+    """Points x = sum_l N_l x_l (q, d) of facets `which` (q,) at xi (q, d-1)."""
     N = facets.element.shape_functions(xi)
     return np.asarray(np.einsum("ql,qli->qi", N, facets.x[which]))
 
 
 def surface_gradients(facets: Facets, which: Ints, xi: Floats) -> tuple[Floats, Floats]:
-    """Return surface gradients (q, k, d) of shape functions, and outward unit normals (q, d).
+    """Surface gradients (q, k, d) of shape functions, and outward unit normals (q, d).
 
-    grad N_l = sum_a dN_l/dxi_a a^a with a^a dual to the tangents a_a = sum_l dN_l/dxi_a x_l, at xi
-    (q, d-1) of facets (q,).
+    grad N_l = sum_a dN_l/dxi_a a^a with a^a dual to the tangents a_a = sum_l dN_l/dxi_a x_l.
 
     >>> from dolfinx_mortar.geometry.elements import LINE2
     >>> line = Facets(LINE2, np.array([[[7.0, 7.0], [4.0, 3.0]]]))
@@ -95,7 +94,7 @@ def surface_gradients(facets: Facets, which: Ints, xi: Floats) -> tuple[Floats, 
 
 
 def dual_basis(a: Floats) -> tuple[Floats, Floats]:
-    """Return the dual tangents (.., d-1, d) of a, and normals (.., d) as long as its size."""
+    """Dual tangents (.., d-1, d) of a, and normals (.., d) as long as its size."""
     normal, dual = _normals(a), a
     if a.shape[-1] > 2:
         turned = np.stack([a[..., 1, :], -a[..., 0, :]], axis=-2)
@@ -105,14 +104,13 @@ def dual_basis(a: Floats) -> tuple[Floats, Floats]:
 
 
 def _normals(a: Floats) -> Floats:
-    """Return normals (.., d) to tangents, as long as their length or area."""
     if a.shape[-1] == 2:
         return np.stack([a[..., 0, 1], -a[..., 0, 0]], axis=-1)
     return np.asarray(np.cross(a[..., 0, :], a[..., 1, :]), dtype=np.float64)
 
 
 def bounding_balls(x: Floats) -> tuple[Floats, Floats]:
-    """Return centre (m, d) and radius (m,) of balls around facets with nodes x (m, k, d).
+    """Centres (m, d) and radii (m,) of balls around facets with nodes x (m, k, d).
 
     Second-order facets, too, unless the audit refuses their distortion.
     """
@@ -121,12 +119,12 @@ def bounding_balls(x: Floats) -> tuple[Floats, Floats]:
 
 
 def facet_sizes(x: Floats) -> Floats:
-    """Return the diameter (m,) of facets with nodes x (m, k, d)."""
+    """Diameters (m,) of facets with nodes x (m, k, d)."""
     return 2 * bounding_balls(x)[1]
 
 
 def are_inside(x: Floats, n: Floats, p: Floats) -> Bools:
-    """Tell (m,) whether points p (m, d), along n (m, d), lie in facets x (m, k, d), with edges.
+    """Whether (m,) points p (m, d), along n (m, d), lie in facets x (m, k, d), with edges.
 
     Example:
         >>> x = np.array([[[0.0, 0], [2, 0]]])
@@ -141,13 +139,13 @@ def are_inside(x: Floats, n: Floats, p: Floats) -> Bools:
 
 
 def scaled_normals(facets: Facets, xi: Floats) -> Floats:
-    """Return normals (m, q, d) at xi (q, d-1), as long as the Jacobian; means are areas."""
+    """Normals (m, q, d) at xi (q, d-1), as long as the Jacobian; means are areas."""
     dN = facets.element.derivatives(xi)
     return facets.element.size * _normals(np.einsum("qka,mki->mqai", dN, facets.x))
 
 
 def tributary_weights(facets: Facets, factor: Floats | None = None) -> Floats:
-    """Return the integrals (m, k) of N_j over facets, times a factor (m, q) at the rule's points.
+    """Integrals (m, k) of N_j over facets, times a factor (m, q) at the rule's points.
 
     Example:
         >>> from dolfinx_mortar.geometry.elements import LINE2
@@ -162,10 +160,10 @@ def tributary_weights(facets: Facets, factor: Floats | None = None) -> Floats:
 
 
 def distortions(facets: Facets) -> Floats:
-    """Return the least quality (m,) over the nodes of facets: 1 is best, 0 or less degenerate.
+    """Least quality (m,) over the nodes of facets: 1 is best, 0 or less degenerate.
 
     The cosine between the normal there and the mean normal; for second order at most the ratio of
-    the Jacobian to its mean. Negative where facets are folded or inverted.
+    the Jacobian to its mean.
 
     Example:
         >>> from dolfinx_mortar.geometry.elements import QUAD4

@@ -20,7 +20,7 @@ from dolfinx_mortar.geometry.segments import Cones, are_facing, find_meeting
 
 
 def distances(a: Floats, b: Floats) -> Floats:
-    """Return the distances (p,) of lines or triangles a and b (p, d, d), 0 where they meet.
+    """Distances (p,) of lines or triangles a and b (p, d, d), 0 where they meet.
 
     Ericson, Real-Time Collision Detection, 2005, sections 5.1.9 and 5.1.10.
 
@@ -49,7 +49,6 @@ def distances(a: Floats, b: Floats) -> Floats:
 
 
 def _between_lines(p: Floats, q: Floats, r: Floats, s: Floats) -> Floats:
-    """Return the squared distances (m,) of lines p to q and r to s, (m, d) each."""
     v, w, across = q - p, s - r, p - r
     a, e, b = (np.einsum("mi,mi->m", *of) for of in ((v, v), (w, w), (v, w)))
     c, f = (np.einsum("mi,mi->m", of, across) for of in (v, w))
@@ -68,7 +67,6 @@ def _between_lines(p: Floats, q: Floats, r: Floats, s: Floats) -> Floats:
 
 
 def _pierce(p: Floats, q: Floats, x: Floats, n: Floats) -> Bools:
-    """Tell (m,) whether lines p to q, (m, 3) each, pierce triangles x with normals n."""
     before, after = (np.einsum("mi,mi->m", end - x[:, 0], n) for end in (p, q))
     crosses = before * after < 0.0
     share = before / np.where(crosses, before - after, 1.0)
@@ -76,7 +74,7 @@ def _pierce(p: Floats, q: Floats, x: Floats, n: Floats) -> Bools:
 
 
 def facet_distances(a: Facets, b: Facets) -> Floats:
-    """Return the distances (p,) of facets a and b, flat or two flat halves between vertices."""
+    """Distances (p,) of facets, flat or two halves between vertices."""
     found = np.full(len(a.x), np.inf)
     for x in _halves(a):
         for y in _halves(b):
@@ -85,15 +83,12 @@ def facet_distances(a: Facets, b: Facets) -> Floats:
 
 
 def _halves(facets: Facets) -> list[Floats]:
-    """Return the lines or triangles (m, d, d) of facets."""
     x = facets.x[:, np.array(facets.element.vertices)]
     return [x[:, [0, 1, 2]], x[:, [0, 2, 3]]] if facets.element.bilinear else [x]
 
 
 def bounds(x: Floats) -> tuple[Floats, Floats]:
-    """Return the smallest and largest coordinates (m, d) of few points (m, k, d).
-
-    Two to five times as fast as NumPy's reduction.
+    """Smallest and largest coordinates (m, d) of few points (m, k, d), faster than NumPy.
 
     Example:
         >>> [end.tolist() for end in bounds(np.array([[[0.0, 3.0], [1.0, 2.0]]]))]
@@ -106,7 +101,7 @@ def bounds(x: Floats) -> tuple[Floats, Floats]:
 
 
 def near_others(x: Floats, body: Longs, boxes: Floats) -> Bools:
-    """Tell (m,) which facets x (m, k, d) of bodies meet the box (bodies, 2, d) of another one."""
+    """Which facets (m,) of bodies meet the box (bodies, 2, d) of another one."""
     low, high = bounds(x)
     near = np.zeros(len(x), dtype=bool)
     for other in range(len(boxes)):
@@ -116,11 +111,11 @@ def near_others(x: Floats, body: Longs, boxes: Floats) -> Bools:
 
 
 def find_overlaps(x: Floats, off: Floats, pairs: Longs) -> tuple[Floats, Floats]:
-    """Return how deep (p,) pairs of lines or triangles x (m, d, d) lie in each other, and where.
+    """Penetrations (p,) of pairs of lines or triangles x (m, d, d), and their places.
 
-    0 if some axis separates them. The shortest way that parts them, along the normal of one out of
-    its body or, in space, along a common normal of two edges, less `off` (m,), distances of
-    surfaces from facets: of both, but not of a vertex that lies over the other facet.
+    0 if some axis separates them. The shortest translation that parts them, along the normal of one
+    out of its body or, in space, along a common normal of two edges, less `off` (m,), the distances
+    of surfaces from facets, but not for vertices over the other facet.
 
     Example:
         >>> line = np.array([[[1.0, 0.0], [-1.0, 0.0]], [[0.5, 3.0], [0.5, -1.0]]])
@@ -144,7 +139,7 @@ def find_overlaps(x: Floats, off: Floats, pairs: Longs) -> tuple[Floats, Floats]
             r = np.linalg.norm(x[b] - p[:, None], axis=2).min(axis=1)
             arc = off[b] * np.minimum(4.0 * r / size[b], 1.0)
             less = np.where(are_inside(x[b], n[b], p), arc, less)
-        # facets that touch with their ends may be parts of surfaces that cross there
+        # facets that touch at their ends may belong to surfaces that cross there
         meet = ~skew | (np.minimum(deep, back) > -noise[a] - noise[b])
         deep = (deep if k else np.minimum(deep, back)) - less
         nearer = skew & (deep < best[:, 0])
@@ -155,13 +150,9 @@ def find_overlaps(x: Floats, off: Floats, pairs: Longs) -> tuple[Floats, Floats]
 
 
 def near_pairs(x: Floats, group: Longs, apart: Bools) -> Longs:
-    """Return pairs (p, 2) of facets with vertices x (m, k, d) whose boxes meet, each once.
+    """Pairs (p, 2) of facets with vertices x (m, k, d) whose boxes meet, each once.
 
-    By classes of size, and distances relative to extents in each direction.
-
-    Args:
-        group: (m,) number of the group of each.
-        apart: (groups, groups) which to compare, symmetric.
+    Of groups (m,) to be compared by `apart` (groups, groups), symmetric.
     """
     low, high = bounds(x)
     centre, half = (low + high) / 2, (high - low) / 2
@@ -177,7 +168,7 @@ def near_pairs(x: Floats, group: Longs, apart: Bools) -> Longs:
         unit = half[larger].max(axis=0) + half[smaller].max(axis=0)
         unit = np.maximum(unit, HALF_OF_DIGITS * np.maximum(unit.max(), TINY))
         tree = scipy.spatial.cKDTree(centre[larger] / unit)
-        reach = 1.0 + HALF_OF_DIGITS  # beyond round-off
+        reach = 1.0 + HALF_OF_DIGITS  # round-off
         near = tree.query_ball_point(centre[smaller] / unit, reach, p=np.inf)
         counts = [len(b) for b in near]
         a = np.repeat(smaller, counts)
@@ -189,7 +180,7 @@ def near_pairs(x: Floats, group: Longs, apart: Bools) -> Longs:
 
 
 def flat_parts(facets: Facets) -> Floats:
-    """Return lines (m, 2, 2) or triangles (m or 2m, 3, 3) between the vertices of facets.
+    """Lines (m, 2, 2) or triangles (m or 2m, 3, 3) between the vertices of facets.
 
     Example:
         >>> from dolfinx_mortar.geometry.elements import QUAD4
@@ -201,7 +192,7 @@ def flat_parts(facets: Facets) -> Floats:
 
 
 def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
-    """Return the points (q,) that pass from before a facet to behind it, ascending.
+    """Points (q,) that pass from before a facet to behind it, ascending.
 
     All is linear in time, from points p (n, d) and outward lines or triangles x (m, d, d) at start
     and end.
@@ -216,7 +207,7 @@ def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
     """
     if len(p[0]) == 0 or len(x[0]) == 0:
         return np.zeros(0, dtype=np.int64)
-    carried = (x[1] - x[0]).mean(axis=(0, 1))  # subtract the common translation
+    carried = (x[1] - x[0]).mean(axis=(0, 1))  # the common translation
     p, x = (p[0], p[1] - carried), (x[0], x[1] - carried)
     middle = (x[0] + x[1]).mean(axis=1) / 2
     reach = np.linalg.norm(np.stack(x) - middle[:, None], axis=3).max()
@@ -238,10 +229,10 @@ def find_passing(p: tuple[Floats, Floats], x: tuple[Floats, Floats]) -> Longs:
 
 
 def thickness(facets: Facets, others: Facets) -> Floats:
-    """Return the thickness (m,) of the body behind facets, flat between their vertices.
+    """Thickness (m,) of the body behind facets, flat between their vertices.
 
-    The distance from the middle, against the normal, to the nearest other facet that faces the
-    opposite way, or inf.
+    The distance from the centre, against the normal, to the nearest other facet that faces the
+    opposite direction, or inf.
 
     Example:
         >>> from dolfinx_mortar.geometry.elements import LINE2

@@ -3,8 +3,7 @@
 
 A slave facet x_s(xi) = sum_i N_i(xi) x_i, xi in [-1, 1], is projected along the interpolated
 averaged nodal normals n(xi) = sum_i N_i n_i: (x_s(xi) - x_m(eta)) x n(xi) = 0. Second-order facets
-are clipped as parabolas a + b xi + c xi^2; with chords, ends would be off by a share of the
-sagitta.
+are clipped as parabolas a + b xi + c xi^2, not as chords.
 """
 
 from collections.abc import Sequence
@@ -24,13 +23,11 @@ from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND
 
 @numba.njit(**KERNEL)
 def _at(v, xi, i):  # type: ignore[no-untyped-def]
-    """Return component i of the polynomial v (3, 2) at xi."""
     return v[0, i] + xi * (v[1, i] + xi * v[2, i])
 
 
 @numba.njit(**KERNEL)
 def _moment(x, n, y0, y1, xi):  # type: ignore[no-untyped-def]
-    """Return (x(xi) - y) x n(xi) and its derivative."""
     p0, p1 = _at(x, xi, FIRST) - y0, _at(x, xi, SECOND) - y1
     n0, n1 = _at(n, xi, FIRST), _at(n, xi, SECOND)
     dx0, dx1 = x[1, 0] + 2 * xi * x[2, 0], x[1, 1] + 2 * xi * x[2, 1]
@@ -40,9 +37,9 @@ def _moment(x, n, y0, y1, xi):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
-    """Return xi in [-1, 1] where the slave's normal meets y, or the nearer end.
+    """Coordinate xi in [-1, 1] where the slave's normal meets y, or the nearer end.
 
-    nan behind the centre of curvature of a concave facet. Newton's method with bisection.
+    NaN behind the centre of curvature of a concave facet.
     """
     first, last = _moment(x, n, y0, y1, -1.0)[0], _moment(x, n, y0, y1, 1.0)[0]
     if first <= 0.0 or last >= 0.0:
@@ -66,7 +63,7 @@ def _project_node(x, n, y0, y1):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _opposite(x, n, y, xi):  # type: ignore[no-untyped-def]
-    """Return eta in [-1, 1] of the master on the slave's normal at xi, near the chord's."""
+    """Coordinate eta in [-1, 1] of the master on the slave's normal at xi."""
     n0, n1 = _at(n, xi, FIRST), _at(n, xi, SECOND)
     C = (y[0, 0] - _at(x, xi, FIRST)) * n1 - (y[0, 1] - _at(x, xi, SECOND)) * n0
     B = y[1, 0] * n1 - y[1, 1] * n0
@@ -78,7 +75,7 @@ def _opposite(x, n, y, xi):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _distances(x, n, y, xi):  # type: ignore[no-untyped-def]
-    """Return the distance along n(xi) to y, and the depth of y behind the mean plane."""
+    """Distance along n(xi) to y, and the depth of y behind the mean plane."""
     eta = _opposite(x, n, y, xi)
     p0, p1 = _at(x, xi, FIRST) - _at(y, eta, FIRST), _at(x, xi, SECOND) - _at(y, eta, SECOND)
     t0, t1 = x[1, 0], x[1, 1]
@@ -87,7 +84,6 @@ def _distances(x, n, y, xi):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _nearest(x, n, x_m, master, deepest, low, high, a, b):  # type: ignore[no-untyped-def]
-    """Return the candidate that covers [a, b] at the smallest distance, or -1."""
     best, least = -1, np.inf
     for c in range(len(master)):
         if low[c] <= a and high[c] >= b:
@@ -107,7 +103,7 @@ def _insert(cuts, count, value):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _clip_facet(x, n, x_m, ends_m, pairs, deepest, first, last, which, ends, q):  # type: ignore[no-untyped-def]
-    """Append the disjoint segments of one slave facet; return the count."""
+    """Append one slave facet's disjoint segments; return the count."""
     p, c, start = last - first, 0, q
     low, high, cuts = np.empty(p), np.empty(p), np.empty(2 * p)
     index, master, most = np.empty(p, np.int32), np.empty(p, np.int32), np.empty(p)
@@ -139,7 +135,6 @@ def _clip_facet(x, n, x_m, ends_m, pairs, deepest, first, last, which, ends, q):
 
 @numba.njit(**KERNEL)
 def _clip(x_s, n_s, x_m, ends_m, pairs, deepest):  # type: ignore[no-untyped-def]
-    """Return the pair and the ends in xi of all segments."""
     p = len(pairs)
     which, ends = np.empty(2 * p, dtype=np.int32), np.empty((2 * p, 2))
     q = last = np.int64(0)
@@ -154,7 +149,6 @@ def _clip(x_s, n_s, x_m, ends_m, pairs, deepest):  # type: ignore[no-untyped-def
 
 @numba.njit(**KERNEL)
 def _point(x, n, y, low, high, t):  # type: ignore[no-untyped-def]
-    """Return xi, eta and the length per t at t in [-1, 1] of a segment."""
     half = (high - low) / 2
     xi = (low + high) / 2 + half * t
     dx0, dx1 = x[1, 0] + 2 * xi * x[2, 0], x[1, 1] + 2 * xi * x[2, 1]
@@ -163,7 +157,6 @@ def _point(x, n, y, low, high, t):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _place(x_s, n_s, x_m, pairs, which, ends, points, weights):  # type: ignore[no-untyped-def]
-    """Return xi_s, xi_m and weight of all points, ordered by segment."""
     k = len(points)
     xi_s, xi_m = np.empty(len(which) * k), np.empty(len(which) * k)
     weight = np.empty(len(which) * k)
@@ -181,8 +174,7 @@ def moments(
 ) -> None:
     """Add the moments of slave facets and their masters, and derivatives by x, n and y.
 
-    Args:
-        heights: of pairs (c,), see `create_points`.
+    `heights` of pairs (c,) are those of `create_points`.
     """
     x, n, y, _, place, deepest, factor, reach = sides
     pairs = sides.pairs()
@@ -226,7 +218,6 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 
 def _by_nodes(N: Floats, M: Floats, n: Floats, apart: Floats) -> Floats:
-    """Return the derivatives (s, q, 2 (2 k + m)) of (x - y) x n by the nodes."""
     along, across = (v[:, :, None, ::-1] * [1.0, -1.0] for v in (n, apart))
     N, M = N[..., None], M[..., None]
     parts = np.concatenate([N * along, -N * across, -M * along], axis=2)
@@ -236,7 +227,6 @@ def _by_nodes(N: Floats, M: Floats, n: Floats, apart: Floats) -> Floats:
 def _end_rates(
     slave: FacetElement, ends: Floats, x: Floats, n: Floats, y: Floats, is_end: Bools
 ) -> Floats:
-    """Return the derivatives (s, 2, 2 (2 k + m)) of segments' ends, 0 where a side ends."""
     N, dN, _ = functions(slave, ends[..., None])
     normal, apart = N @ n, (N @ x)[:, :, None] - y[:, None]
     off = np.where(is_end[:, None], np.abs(_cross(apart, normal[:, :, None])), np.inf)
@@ -250,7 +240,7 @@ def _end_rates(
 
 
 def _polynomials(element: FacetElement, v: Floats) -> Floats:
-    """Return the coefficients (m, 3, 2) of 1, xi, xi^2 for nodal values v (m, k, 2).
+    """Coefficients (m, 3, 2) of 1, xi, xi^2 for nodal values v (m, k, 2).
 
     >>> from dolfinx_mortar.geometry.elements import LINE3
     >>> _polynomials(LINE3, np.array([[[0.0, 1.0], [2.0, 1.0], [1.0, 3.0]]])).tolist()
@@ -261,17 +251,16 @@ def _polynomials(element: FacetElement, v: Floats) -> Floats:
 
 @cache
 def gauss_points(n: int) -> tuple[Floats, Floats]:
-    """Return n Gauss points on [-1, 1] and their weights, sum 2; read only.
+    """Gauss points on [-1, 1] and their n weights, sum 2; read only.
 
     >>> gauss_points(1)[0].tolist(), gauss_points(1)[1].tolist()
     ([0.0], [2.0])
     """
-    points, weights = np.polynomial.legendre.leggauss(n)  # 0.5 ms
+    points, weights = np.polynomial.legendre.leggauss(n)
     return points, weights
 
 
 def _count(slave: FacetElement, master: FacetElement) -> int:
-    """Return the number of Gauss points of a segment."""
     return 2 * max(slave.degree, master.degree) + 1
 
 
@@ -285,11 +274,10 @@ def place_points(
     Args:
         n_s: (ms, k, 2) averaged normals at the nodes.
         pairs: (p, 2) of facing facets, ordered by slave facet.
-        deepest: (p,) largest distance of the master behind the slave facet, in the middle of a
-            part.
+        deepest: (p,) largest distance of the master behind the slave facet.
 
     Returns:
-        Index into the pairs (q,), xi_s (q, 1), xi_m (q, 1) and weight (q,) of the points.
+        Index into the pairs (q,), xi_s (q, 1), xi_m (q, 1) and weight (q,).
     """
     x_s, n = (_polynomials(slave.element, v) for v in (slave.x, n_s))
     x_m = _polynomials(master.element, master.x)

@@ -1,13 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Moments of pairs of facets, from which forces, gaps and dual functions of contact follow.
+"""Moments of pairs of facets, for forces, gaps and dual functions (theory.md, The exact tangent).
 
-Over the part of a slave facet that faces a master facet, with the shape functions N of both, the
-heights h of smooth surfaces and the weight of the integrals,
+    S_jk = int N_j N_k,     R_jl = int N_j N_l,     H_j = int N_j h
 
-    S_jk = int N_j N_k,     R_jl = int N_j N_l,     H_j = int N_j h.
-
-`line.moments` and `area.moments` add them up over the segments of a slave facet, with their
-derivatives by the coordinates of the nodes: see theory.md, The exact tangent.
+with the functions N of both sides, and the heights h of smooth surfaces.
 """
 
 import math
@@ -34,7 +30,7 @@ class Sides(NamedTuple):
     reach: Floats  # (p, 2) see `Segments`; (p, 0) without
 
     def pairs(self) -> Ints:
-        """Return the pairs (c, 2) of slave facets and masters."""
+        """Pairs (c, 2) of slave facets and masters."""
         of = np.repeat(np.arange(len(self.x), dtype=np.int32), np.diff(self.start))
         return np.stack([of, np.arange(len(of), dtype=np.int32)], axis=1)
 
@@ -42,11 +38,11 @@ class Sides(NamedTuple):
 class Sums(NamedTuple):
     """Moments of slave facets (p,) with k nodes, m nodes of their masters, c pairs."""
 
-    values: Floats  # (p, k, k + m + 1) S, R and H side by side
-    changes: Floats  # (p, z, k, k + m + 1) their derivatives
-    E_s: Floats  # (c, k, k, k) dH_j by Q_ab of slave heights; (0, ..) if not needed
+    values: Floats  # (p, k, k + m + 1) S, R and H
+    changes: Floats  # (p, z, k, k + m + 1) derivatives
+    E_s: Floats  # (c, k, k, k) dH_j by Q_ab of slave heights; (0, ..) unused
     E_m: Floats  # (c, k, l, l) of master heights
-    chords: Floats  # (c, k, 2) dH_j by log lengths of both chords; (0, ..) without arcs
+    chords: Floats  # (c, k, 2) dH_j by log lengths of chords; (0, ..) unused
 
     def add_heights(self, points: "Points", pairs: Ints) -> None:
         """Add the derivatives of H by heights, at the points of pairs (s,)."""
@@ -71,15 +67,15 @@ class Points(NamedTuple):
     U: Floats  # (s, q, d-1, d) of the master
     apart: Floats  # (s, q, d) x_m - x_s
     weight: Floats  # (s, q)
-    by_xi: Floats  # (s, q, 2 d-2) d log weight by xi of both facets
-    by_nodes: Floats  # (s, q, k + l, d) by the nodes at fixed xi
+    by_xi: Floats  # (s, q, 2 d-2) d log weight by both xi
+    by_nodes: Floats  # (s, q, k + l, d) at fixed xi
     own: tuple[Floats, Floats]  # N of both facets
     by_chords: list[Floats]  # (s, q) dh by log lengths of chords
 
     def differentiate(self, by_s: Floats, by_m: Floats, by_w: Floats) -> tuple[Floats, Floats]:
-        """Return the moments (s, k, k + l + 1), and their derivatives (s, z, k, k + l + 1).
+        """Moments (s, k, k + l + 1), and their derivatives (s, z, k, k + l + 1).
 
-        By derivatives (s, q, d-1, z) of both xi, and (s, q, z) of the log weight at fixed xi.
+        By derivatives (s, q, d-1, z) of both xi, and (s, q, z) of the log weight.
         """
         e, v = by_s.shape[2], self.weight[..., None] * self.N
         rates = self.by_xi[:, :, None]
@@ -92,7 +88,7 @@ class Points(NamedTuple):
 
 
 def products(v: Floats, f: Floats, by_v: Floats, by_f: Floats) -> tuple[Floats, Floats]:
-    """Return sums over points of v_j f_a (s, k, n), and their derivatives (s, z, k, n)."""
+    """Sums over points of v_j f_a (s, k, n), and their derivatives (s, z, k, n)."""
     (s, q, z, k), n, v = by_v.shape, f.shape[2], np.swapaxes(v, 1, 2)
     changes = (np.swapaxes(by_v.reshape(s, q, z * k), 1, 2) @ f).reshape(s, z, k, n)
     changes += np.swapaxes((v @ by_f.reshape(s, q, z * n)).reshape(s, k, z, n), 1, 2)
@@ -100,7 +96,7 @@ def products(v: Floats, f: Floats, by_v: Floats, by_f: Floats) -> tuple[Floats, 
 
 
 def functions(element: FacetElement, xi: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return N (s, q, k) at xi (s, q, d-1), dN (s, q, d-1, k), ddN (s, q, d-1, d-1, k)."""
+    """Functions N (s, q, k) at xi (s, q, d-1), dN (s, q, d-1, k), ddN (s, q, d-1, d-1, k)."""
     (s, q, e), k = xi.shape, element.nodes
     one, both = np.ones(s * q), xi.reshape(-1, e).T
     powers = [np.stack([one, v, v * v]) for v in (*both, 0.0 * one)[:2]]  # in the plane eta is 0
@@ -110,15 +106,15 @@ def functions(element: FacetElement, xi: Floats) -> tuple[Floats, Floats, Floats
 
 
 def sums(N: Floats, x: Floats) -> Floats:
-    """Return sum_k N_k x_k (s, q, .., d) of values N (s, q, .., k) and nodes x (s, k, d)."""
+    """Sums of N_k x_k (s, q, .., d) for N (s, q, .., k) and nodes x (s, k, d)."""
     rows = N.reshape(len(x), math.prod(N.shape[1:-1]), x.shape[1])
     return (rows @ x).reshape(*N.shape[:-1], x.shape[2])
 
 
 def turns(element: FacetElement, x: Floats) -> tuple[Floats, Floats]:
-    """Return normals n (m, d) of facets x (m, k, d), and g (m, k, d): dn = -sum_a g_a (n.dx_a).
+    """Normals n (m, d) of facets x (m, k, d), and g (m, k, d): dn = -sum_a g_a (n.dx_a).
 
-    In the middle, by the vertices.
+    At the centre, by the vertices.
     """
     part = element.part or element
     xi = part.points[list(part.vertices)].mean(axis=0)
@@ -129,10 +125,7 @@ def turns(element: FacetElement, x: Floats) -> tuple[Floats, Floats]:
 
 
 def height(N: Floats, Q: Floats, arcs: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return heights N.Q N (s, q) of arcs (s, 2), see `curvature.heights_of_arcs`.
-
-    And derivatives by N (s, q, k), and by the logarithm of the chord's length.
-    """
+    """Heights N.Q N (s, q) of arcs (s, 2), and derivatives by N and the log chord length."""
     QN, curvature, square = N @ Q, arcs[:, None, 0], arcs[:, None, 1]
     h, left = (QN * N).sum(axis=2), 1.0 - square
     root, across = np.sqrt(square), np.sqrt(square + 2.0 * curvature * h)
@@ -152,17 +145,17 @@ def create_points(
     heights: Sequence[Floats],
     spread: Floats | None = None,
 ) -> Points:
-    """Return points of pairs of facets.
+    """Points of pairs of facets.
 
     Args:
         slave: N, dN, ddN of `functions`.
         master: N and dN.
         nodes: (s, k, d) and (s, l, d).
         weight: (s, q) on the slave's reference facet.
-        given: nodal weights (s, k) of the integrals; reach (s, 2) of `Segments`, or (s, 0).
+        given: nodal weights (s, k); reach (s, 2) of `Segments`, or (s, 0).
         tilts: `turns` of the slave facets.
         heights: Q (s, k, k), (s, l, l) and arcs (s, 2, 2), or empty.
-        spread: (s, l, m) the master's nodes among m, for results by these.
+        spread: (s, l, m) the master's nodes among m.
     """
     (N, dN, ddN), (M, dM), (x, y), (factor, reach) = slave, master, nodes, given
     own, factor = (N, M), factor[:, :, None]
@@ -199,10 +192,10 @@ def create_points(
 def whole(
     facets: Facets, xi: Floats, weights: Floats, phi: Floats, by_x: Floats
 ) -> tuple[Floats, Floats]:
-    """Return the moments (p, k, k + 1) of whole facets below a tool, where H is minus int N_j phi.
+    """Moments (p, k, k + 1) of whole facets below a tool, and derivatives (p, d k, k, k + 1).
 
-    And derivatives (p, d k, k, k + 1). For weights (p, q) on the reference facet, phi (p, q) at xi
-    (q, d-1), and its derivatives by the nodes (p, q, k, d).
+    For weights (p, q) on the reference facet, distances phi (p, q) and derivatives (p, q, k, d) at
+    xi; H = -int N_j phi.
     """
     N, dN, _ = (v[0] for v in functions(facets.element, xi[None]))
     dual, normal = dual_basis(dN @ facets.x[:, None])

@@ -1,18 +1,198 @@
 # SPDX-License-Identifier: MIT
-"""Auxiliary planes of slave facets, and the convex polygons in them (compiled kernels, 3D).
+"""Parts of slave facets in space, their auxiliary planes, convex polygons in these (kernels).
 
-In a plane the slave facet has radius 1. Polygons are anticlockwise, with `n` vertices in an array;
-vertices nearer to a line than ROUND_OFF lie on it. Numba's cache of a caller in another file does
-not notice changes here: touch that file, too.
+A part is a facet of first order, or one of four between the nodes of a facet of second order. All
+are x = sum_ab c_ab xi^a eta^b with a, b <= 2. In a plane the slave facet has radius 1. Polygons are
+anticlockwise, with `n` vertices in an array; vertices nearer to a line than ROUND_OFF lie on it.
+Numba's cache of a caller in another file does not notice changes here: touch that file, too.
 """
 
 import numba
 import numpy as np
 
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints
-from dolfinx_mortar.geometry.facets import Facets, bounding_balls, unit
-from dolfinx_mortar.geometry.parts import count, pairs_of_parts, parts_of
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, TINY, Bools, Floats, Ints
+from dolfinx_mortar.geometry.elements import FacetElement
+from dolfinx_mortar.geometry.facets import Facets, bounding_balls, facet_normals, facet_sizes, unit
 from dolfinx_mortar.geometry.tolerances import FIRST, KERNEL, ROUND_OFF, SECOND, THIRD
+
+
+def count(element: FacetElement) -> int:
+    """Number s of parts of a facet."""
+    return len(element.sub_facets)
+
+
+def parts_of(facets: Facets) -> Facets:
+    """Parts (m * s,) of facets (m,), ordered by facet."""
+    element = facets.element
+    if element.part is None:
+        return facets
+    x = facets.x[:, np.array(element.sub_facets)]
+    return Facets(element.part, np.ascontiguousarray(x.reshape(-1, *x.shape[2:])))
+
+
+def first_order(facets: Facets) -> Facets | None:
+    """Equal facets of first order, None unless all are straight and flat."""
+    element, x = facets.element, facets.x
+    if element.part is None:
+        return facets
+    corners = x[:, list(element.vertices)]
+    off = x - element.vertex_functions(element.points) @ corners
+    heights = np.einsum(
+        "mki,mi->mk", corners - corners.mean(axis=1, keepdims=True), facet_normals(facets)
+    )
+    limit = 8 * ROUND_OFF * facet_sizes(x)[:, None]
+    if (np.abs(off).max(axis=2, initial=0.0) > limit).any() or (np.abs(heights) > limit).any():
+        return None
+    return Facets(element.part, np.ascontiguousarray(corners))
+
+
+def pairs_of_parts(pairs: Ints, slave: FacetElement, master: FacetElement) -> tuple[Ints, Ints]:
+    """Pairs of parts (p', 2), ordered by slave, and the pair (p',) of each.
+
+    >>> from dolfinx_mortar.geometry.elements import TRI3
+    >>> pairs, of = pairs_of_parts(np.array([[0, 3], [0, 5]], dtype=np.int32), TRI3, TRI3)
+    >>> pairs.tolist(), of.tolist()
+    ([[0, 3], [0, 5]], [0, 1])
+    """
+    a, b = count(slave), count(master)
+    if a * b == 1:
+        return pairs, np.arange(len(pairs), dtype=np.int32)
+    every, of = all_pairs(pairs, a, b)
+    return every, of
+
+
+@numba.njit(**KERNEL)
+def all_pairs(pairs, a, b):  # type: ignore[no-untyped-def]
+    """See `pairs_of_parts`, for a and b parts."""
+    size = len(pairs) * a * b
+    every, of = np.empty((size, 2), np.int32), np.empty(size, np.int32)
+    first, k = 0, 0
+    while first < len(pairs):
+        last = first
+        while last < len(pairs) and pairs[last, 0] == pairs[first, 0]:
+            last += 1
+        for i in range(a):
+            for p in range(first, last):
+                for j in range(b):
+                    every[k, 0], every[k, 1], of[k] = pairs[p, 0] * a + i, pairs[p, 1] * b + j, p
+                    k += 1
+        first = last
+    return every, of
+
+
+def on_reference(element: FacetElement) -> Floats:
+    """Coefficients (s, 3, 9) of parts of the reference facet."""
+    x = element.points[np.array(element.sub_facets)]  # (s, k', d-1)
+    return coefficients(Facets(element.part or element, np.pad(x, ((0, 0), (0, 0), (0, 1)))))
+
+
+def coefficients(facets: Facets) -> Floats:
+    """Coefficients c (m, 3, 9) of facets: of x_i at 3 a + b.
+
+    Example:
+        >>> from dolfinx_mortar.geometry.elements import TRI3
+        >>> x = np.array([[[5.0, 0, 0], [7, 0, 0], [5, 1, 0]]])
+        >>> coefficients(Facets(TRI3, x))[0, 0].tolist()
+        [5.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    """
+    return np.ascontiguousarray(np.swapaxes(facets.element.table.T @ facets.x, 1, 2))
+
+
+# by number: a view of each facet costs as much as a point
+
+
+@numba.njit(**KERNEL)
+def _component(c, m, i, r, s):  # type: ignore[no-untyped-def]
+    c1, c2, c4, c5, c7, c8 = c[m, i, 1], c[m, i, 2], c[m, i, 4], c[m, i, 5], c[m, i, 7], c[m, i, 8]
+    mid, high = c[m, i, 3] + s * (c4 + s * c5), c[m, i, 6] + s * (c7 + s * c8)
+    along = (c1 + 2 * s * c2) + r * ((c4 + 2 * s * c5) + r * (c7 + 2 * s * c8))
+    return c[m, i, 0] + s * (c1 + s * c2) + r * (mid + r * high), mid + 2 * r * high, along
+
+
+@numba.njit(**KERNEL)
+def _point(c, m, r, s):  # type: ignore[no-untyped-def]
+    x0, a0, b0 = _component(c, m, FIRST, r, s)
+    x1, a1, b1 = _component(c, m, SECOND, r, s)
+    x2, a2, b2 = _component(c, m, THIRD, r, s)
+    n0, n1, n2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+    return x0, x1, x2, np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+
+
+@numba.njit(**KERNEL)
+def _on_facet(c, r, s):  # type: ignore[no-untyped-def]
+    return c[0, 0] + s * c[0, 1] + r * c[0, 3], c[1, 0] + s * c[1, 1] + r * c[1, 3]
+
+
+@numba.njit(**KERNEL)
+def along(c, m, axes, P):  # type: ignore[no-untyped-def]
+    """Write the coefficients of facet m in a plane into P."""
+    for a in range(2):
+        for k in range(9):
+            P[0, a, k] = 0.0
+            for j in range(3):
+                P[0, a, k] += axes[a, j] * c[m, j, k]
+
+
+@numba.njit(**KERNEL)
+def meet(P, x, y, r, s):  # type: ignore[no-untyped-def]
+    """Where (r, s) a projected facet has the point (x, y), or NaN, by Newton."""
+    for _ in range(LIMIT):
+        y0, a0, b0 = _component(P, FIRST, FIRST, r, s)
+        y1, a1, b1 = _component(P, FIRST, SECOND, r, s)
+        e0, e1, inverse = x - y0, y - y1, 1.0 / (a0 * b1 - a1 * b0)
+        dr, ds = (e0 * b1 - e1 * b0) * inverse, (a0 * e1 - a1 * e0) * inverse
+        r, s = r + dr, s + ds
+        if max(abs(dr), abs(ds)) <= HALF_OF_DIGITS:  # the next one is round-off
+            return r, s
+    return np.nan, np.nan
+
+
+@numba.njit(**KERNEL)
+def _place(  # type: ignore[no-untyped-def]
+    slave, master, reference_s, reference_m, axes, part, xi_s, xi_m, weight, scale
+):
+    on_s, on_m, area = np.empty(xi_s.shape), np.empty(xi_m.shape), np.empty(len(weight))
+    P = np.empty((1, 2, 9))
+    a, b = len(reference_s), len(reference_m)
+    i = j = of_i = of_j = np.int64(0)  # one type of integers: compiled once
+    for q in range(len(weight)):
+        if q == 0 or part[q, 0] != i or part[q, 1] != j:
+            i, j = np.int64(part[q, 0]), np.int64(part[q, 1])
+            of_i, of_j = i // a, j // b
+            along(master, of_j, axes[i], P)
+        r, s = _on_facet(reference_s[i - a * of_i], xi_s[q, 0], xi_s[q, 1])
+        x, y, z, J = _point(slave, of_i, r, s)
+        u = axes[i, 0, 0] * x + axes[i, 0, 1] * y + axes[i, 0, 2] * z
+        v = axes[i, 1, 0] * x + axes[i, 1, 1] * y + axes[i, 1, 2] * z
+        p, t = _on_facet(reference_m[j - b * of_j], xi_m[q, 0], xi_m[q, 1])
+        on_s[q, 0], on_s[q, 1], area[q] = r, s, weight[q] * scale * J
+        on_m[q, 0], on_m[q, 1] = meet(P, u, v, p, t)
+    return on_s, on_m, area
+
+
+def on_facets(
+    slave: Facets,
+    master: Facets,
+    axes: Floats,
+    part: Ints,
+    *,
+    xi_s: Floats,
+    xi_m: Floats,
+    weight: Floats,
+) -> tuple[Floats, Floats, Floats]:
+    """Coordinates xi_s, xi_m (q, 2) and weights (q,) of points on the facets' true surfaces.
+
+    xi_m is NaN where the line through a point misses the master. `axes` (ms * s, 3, 3) are of the
+    slave parts' planes, the last the direction of projection; xi_s, xi_m and weight belong to the
+    parts (q, 2).
+    """
+    part_s = slave.element.part or slave.element
+    scale = slave.element.size / (count(slave.element) * part_s.size)
+    facets = (coefficients(f) for f in (slave, master))
+    references = (on_reference(f.element) for f in (slave, master))
+    on_s, on_m, area = _place(*facets, *references, axes, part, xi_s, xi_m, weight, scale)
+    return on_s, on_m, area
+
 
 VERTICES = 32
 """Space for the vertices of a polygon (cost only): 8 common to two quadrilaterals, one more for
@@ -55,7 +235,7 @@ def halve(P, n, Q):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def measure(P, n):  # type: ignore[no-untyped-def]
-    """Return area and centroid of P, or the mean of its vertices if the area is 0."""
+    """Area and centroid of P, or the mean of its vertices if the area is 0."""
     area, x, y, mx, my = 0.0, 0.0, 0.0, P[0, 0], P[0, 1]
     for i in range(1, n):
         mx, my = mx + P[i, 0], my + P[i, 1]
@@ -74,7 +254,7 @@ def measure(P, n):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def is_thin(P, n):  # type: ignore[no-untyped-def]
-    """Tell whether P is as narrow as the errors of some cuts, or no polygon."""
+    """Whether P is as narrow as errors of cuts, or no polygon."""
     if n < 3:
         return True
     square = 0.0
@@ -86,9 +266,9 @@ def is_thin(P, n):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def orientation(P, n):  # type: ignore[no-untyped-def]
-    """Return 1 or -1 for an anticlockwise or clockwise convex polygon, 0 for any other.
+    """Sign 1 or -1 of an anticlockwise or clockwise convex polygon, 0 for any other.
 
-    Corners with less than HALF_OF_DIGITS of the sum of areas are straight.
+    Corners below HALF_OF_DIGITS of the areas are straight.
     """
     least, most, whole = np.inf, -np.inf, 0.0
     for i in range(n):
@@ -120,7 +300,7 @@ def intersect(P, n, Q, m, sign, out, spare):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def is_beside(P, n, Q, m, sign, distance):  # type: ignore[no-untyped-def]
-    """Tell whether an edge of P has all of Q beyond a distance."""
+    """Whether an edge of P has all of Q beyond a distance."""
     for i in range(n):
         j = i + 1 if i + 1 < n else 0
         dx, dy = sign * (P[j, 0] - P[i, 0]), sign * (P[j, 1] - P[i, 1])
@@ -158,7 +338,7 @@ def subtract(P, n, Q, m, sign, pieces, sizes, count, spare):  # type: ignore[no-
 
 
 def create_planes(x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return centres (m, 3), axes (m, 3, 3) and radii (m,) of the auxiliary planes of facets x.
+    """Centres (m, 3), axes (m, 3, 3) and radii (m,) of the auxiliary planes of facets x.
 
     Rows of the axes are two tangents and the normal, over the radius.
     """
@@ -172,7 +352,7 @@ def create_planes(x: Floats) -> tuple[Floats, Floats, Floats]:
 
 @numba.njit(**KERNEL)
 def project(x, centre, axes, P):  # type: ignore[no-untyped-def]
-    """Write the facet x (k, 3) in a plane's tangents and height into P."""
+    """Write a facet in a plane's tangents and height into P."""
     for j in range(x.shape[0]):
         for i in range(3):
             P[j, i] = 0.0
@@ -182,14 +362,14 @@ def project(x, centre, axes, P):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def bilinear_map(P, i):  # type: ignore[no-untyped-def]
-    """Return m, a, b, c of component i of a bilinear map m + xi a + eta b + xi eta c."""
+    """Coefficients m, a, b, c of component i of a bilinear map m + xi a + eta b + xi eta c."""
     p, q, r, s = P[0, i], P[1, i], P[2, i], P[3, i]
     return (p + q + r + s) / 4, (q + r - p - s) / 4, (r + s - p - q) / 4, (p + r - q - s) / 4
 
 
 @numba.njit(**KERNEL)
 def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
-    """Return xi, eta and the Jacobian's size where the projected facet P meets (x, y).
+    """Coordinates xi, eta and the Jacobian's size where the projected facet P meets (x, y).
 
     With p = m - (x, y), p + xi a + eta (b + xi c) = 0 times b + xi c is C + B xi + A xi^2 = 0,
     whose derivative is the Jacobian: at the root inside it has the sign of a x b.
@@ -222,7 +402,7 @@ def inverse(P, bilinear, x, y):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def height_at(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
-    """Return the height of the facet's point (xi, eta)."""
+    """Height of the facet's point (xi, eta)."""
     if not bilinear:
         return (1 - xi - eta) * P[0, 2] + xi * P[1, 2] + eta * P[2, 2]
     m, a, b, c = bilinear_map(P, THIRD)
@@ -231,7 +411,7 @@ def height_at(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
-    """Return the two slopes s of a facet against the plane at (xi, eta), minus those of its normal.
+    """Both slopes s of a facet against the plane at (xi, eta), minus those of its normal.
 
     Its area is sqrt(1 + s_0^2 + s_1^2) of the projection.
     """
@@ -248,7 +428,6 @@ def slopes(P, bilinear, xi, eta):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _are_near(x_s, x_m, pairs, centre, axes, radius, margin):  # type: ignore[no-untyped-def]
-    """Tell (p,) whether the projections are closer than the margins."""
     near = np.ones(len(pairs), dtype=np.bool_)
     k, n = x_s.shape[1], x_m.shape[1]
     S, M = np.empty((k, 3)), np.empty((n, 3))
@@ -268,7 +447,7 @@ def _are_near(x_s, x_m, pairs, centre, axes, radius, margin):  # type: ignore[no
 
 
 def are_near(slave: Facets, master: Facets, pairs: Ints, margin: Floats) -> Bools:
-    """Tell (p,) which ordered pairs, projected on the slave's plane, are within a margin (ms,)."""
+    """Which ordered pairs (p,), projected on the slave's plane, are within a margin (ms,)."""
     a, b = parts_of(slave), parts_of(master)
     of_parts, of = pairs_of_parts(pairs, slave.element, master.element)
     margins = np.repeat(margin, count(slave.element))

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Segments: parts of slave facets projected on one master facet, with their quadrature points.
 
-A slave facet is projected along the interpolated averaged nodal normals in 2D (`line`), along its
-mean normal in 3D (`area`).
-
-Candidate pairs are found at any distance, in O(n log n): unbounded double cones around the
-projections are tested against a hierarchy of balls around the master facets.
+Projection is along the interpolated averaged nodal normals in 2D (`line`), along the mean normal in
+3D (`area`). Candidate pairs are found at any distance, in O(n log n): double cones around the
+projections against a hierarchy of balls around the master facets.
 """
 
 from dataclasses import dataclass
@@ -24,7 +22,7 @@ from dolfinx_mortar.geometry.facets import (
     facet_sizes,
     tributary_weights,
 )
-from dolfinx_mortar.geometry.parts import count, parts_of
+from dolfinx_mortar.geometry.plane import count, parts_of
 from dolfinx_mortar.geometry.tolerances import KERNEL
 
 FACING = 0.2
@@ -45,17 +43,15 @@ class Cones:
     """
 
     centre: Floats  # (m, d)
-    axis: Floats  # (m, d) unit vectors
+    axis: Floats  # (m, d) unit
     radius: Floats  # (m,)
     slope: Floats  # (m,)
 
 
 def create_cones(x_s: Floats, n_s: Floats, margin: Floats) -> Cones:
-    """Bound the projections of slave facets, plus a lateral margin (m,).
+    """Bound the projections of facets, or groups, with nodes x_s and unit normals n_s (m, k, d).
 
-    Args:
-        x_s: (m, k, d) nodes, of facets or of groups of them.
-        n_s: (m, k, d) unit nodal normals.
+    With a lateral margin (m,).
     """
     centre, radius = bounding_balls(x_s)
     axis = n_s.mean(axis=1)
@@ -69,7 +65,6 @@ def create_cones(x_s: Floats, n_s: Floats, margin: Floats) -> Cones:
 
 @numba.njit(**KERNEL)
 def _meets(c, axis, radius, slope, p, rho):  # type: ignore[no-untyped-def]
-    """Tell whether a cone can meet the ball at p."""
     axial = 0.0
     square = 0.0
     for i in range(c.size):
@@ -81,10 +76,10 @@ def _meets(c, axis, radius, slope, p, rho):  # type: ignore[no-untyped-def]
 
 @numba.njit(**KERNEL)
 def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-untyped-def]
-    """Return all pairs (cone, ball of the first level) that can meet.
+    """All pairs (cone, ball of the first level) that can meet.
 
-    Level l has balls start[l] to start[l + 1]; ball i encloses i b to (i + 1) b - 1 of the level
-    below, b = 2^d.
+    Level l has balls start[l] to start[l + 1]; ball i encloses balls i b to (i + 1) b - 1 below, b
+    = 2^d.
     """
     branches = 2 ** centre.shape[1]
     pairs = np.empty((8 * (len(radius) + start[1]) + 64, 2), dtype=np.int32)
@@ -119,10 +114,9 @@ def _meeting(centre, axis, radius, slope, ball, rho, start):  # type: ignore[no-
 
 
 def sort_in_space(x: Floats) -> Longs:
-    """Return an order of points x (n, d) with compact aligned blocks of 2^j points, j >= d.
+    """Order of points x (n, d) with compact aligned blocks of 2^j points, j >= d, by halving.
 
-    By halving; orders of scipy's cKDTree or Morton's curve make the search two to four times as
-    long.
+    Faster than a k-d tree's or Morton's curve.
     """
     order = np.arange(len(x))
     half = smallest = 2 ** x.shape[1]
@@ -143,7 +137,6 @@ def sort_in_space(x: Floats) -> Longs:
 
 @numba.njit(**KERNEL)
 def _enclose(ball, rho, start):  # type: ignore[no-untyped-def]
-    """Fill the balls of higher levels."""
     branches, d = 2 ** ball.shape[1], ball.shape[1]
     for level in range(1, len(start) - 1):
         for k in range(start[level], start[level + 1]):
@@ -160,9 +153,9 @@ def _enclose(ball, rho, start):  # type: ignore[no-untyped-def]
 
 
 def find_meeting(cones: Cones, centre: Floats, radius: Floats, order: Longs | None = None) -> Ints:
-    """Return the pairs (p, 2) of cones and balls that can meet, ordered by cone, then ball.
+    """Pairs (p, 2) of cones and balls that can meet, ordered by cone, then ball.
 
-    The order of the balls in space affects speed only; made here by default.
+    The order of the balls affects speed only.
     """
     n = len(radius)
     if len(cones.radius) == 0 or n == 0:
@@ -190,12 +183,12 @@ class Segments:
     pair: Ints  # (q,) index into the candidate pairs
     slave: Ints  # (q,) slave facet, ascending
     master: Ints
-    xi_s: Floats  # (q, d-1) reference coordinates
+    xi_s: Floats  # (q, d-1)
     xi_m: Floats  # (q, d-1) of the projected point
     weight: Floats  # (q,) positive
-    facet_weights: Floats  # (ms, k) integral of N_j over each whole slave facet
+    facet_weights: Floats  # (ms, k) int N_j over whole facets
     element: FacetElement  # of the slave facets
-    reach: Floats | None = None  # (ms, 2) gap above which weights fall, and slope; or None
+    reach: Floats | None = None  # (ms, 2) gap above which weights fall, and slope
 
     @cached_property
     def N(self) -> Floats:
@@ -204,21 +197,21 @@ class Segments:
 
     @property
     def covered(self) -> Ints:
-        """Slave facets (c,), ascending, that are covered in part."""
+        """Slave facets (c,), ascending, with points."""
         first = np.ones(len(self.slave), dtype=bool)
         np.not_equal(self.slave[1:], self.slave[:-1], out=first[1:])
         return self.slave[first]
 
 
 def projection_directions(slave: Facets, n_s: Floats) -> Floats:
-    """Return the directions of projection (m, k, d) in 2D, which are n_s, or (m, 1, d) in 3D."""
+    """Directions of projection (m, k, d) in 2D, n_s, or (m, 1, d) in 3D."""
     if slave.x.shape[2] == 2:
         return n_s
     return facet_normals(slave)[:, None]
 
 
 def bounding_directions(slave: Facets, n_s: Floats) -> Floats:
-    """Return unit vectors (m, k or 1, d) whose cone contains all projections along n_s."""
+    """Unit vectors whose cone contains all projections."""
     if slave.x.shape[2] > 2:
         n = facet_normals(parts_of(slave))
         return n.reshape(len(slave.x), count(slave.element), 3)
@@ -231,25 +224,21 @@ def bounding_directions(slave: Facets, n_s: Floats) -> Floats:
 
 
 def sliding_margins(x_s: Floats) -> Floats:
-    """Return the sliding (m,) for which candidates of slave facets x_s (m, k, d) suffice.
-
-    One facet in 2D, half an edge in 3D.
-    """
+    """Sliding (m,) for which candidates suffice."""
     return _SLIDING[x_s.shape[2]] * facet_sizes(x_s)
 
 
 def are_facing(n_s: Floats, n_m: Floats) -> Bools:
-    """Tell (p,) whether facets with directions n_s (p, k, d) face those with n_m (p, d)."""
+    """Whether (p,) facets with directions n_s (p, k, d) face those with n_m (p, d)."""
     return np.einsum("pki,pi->pk", n_s, n_m).max(axis=1, initial=-1.0) < -FACING
 
 
 def find_candidates(
     slave: Facets, n_s: Floats, master: Facets, margin: Floats, order: Longs | None = None
 ) -> Ints:
-    """Find the pairs (p, 2) of facets that can share a segment, ordered, at any distance.
+    """Pairs (p, 2) of facets that can share a segment, ordered, at any distance.
 
-    Without margins (ms,) still a superset of the pairs with segments. Unit averaged normals n_s
-    (ms, k, d).
+    A superset, also without margins (ms,). n_s (ms, k, d) are averaged unit normals.
     """
     cones = create_cones(slave.x, bounding_directions(slave, n_s), margin)
     pairs = find_meeting(cones, *bounding_balls(master.x), order)
@@ -264,8 +253,7 @@ def create_segments(
 ) -> Segments:
     """Project, clip, split and place quadrature points.
 
-    The nearest of several master facets covers the slave; those too deep, behind the body, neither
-    cover nor hide.
+    The nearest master facet covers the slave; those too deep neither cover nor hide.
 
     Args:
         n_s: (ms, k, d) averaged normals at the nodes.

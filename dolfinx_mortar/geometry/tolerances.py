@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Round-off relative to the size of a facet, and options of numba's kernels.
-
-Numba's cache does not notice a change here: touch the files with kernels, too.
-"""
+"""Round-off relative to a facet's size, and numba's options: touch kernels after changes here."""
 
 import numpy as np
 

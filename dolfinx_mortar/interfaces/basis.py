@@ -1,29 +1,262 @@
 # SPDX-License-Identifier: MIT
 """Change of basis u = T y of a problem, in which every constraint is a bound.
 
-T contains P = D^-1 M: row j of B_I T = N^T (D - M) T is D_jj times a unit vector (theory.md,
-Constraints become bounds). T = (I - Q)^-1 W, W = blockdiag(R_j), is W + Q without references to
-slave nodes, in a stack of bodies the product of the interfaces' matrices in topological order.
-Sides of six-node triangles have two matrices, first that of the mid-side nodes.
+See theory.md, Constraints become bounds. T = (I - Q)^-1 W, W = blockdiag(R_j), is W + Q without
+references to slave nodes, in a stack of bodies the product of the interfaces' matrices in
+topological order. Sides of six-node triangles have two matrices, first that of the mid-side nodes.
+A slave node of several interfaces has multipliers of only one.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.algebra.congruence import Congruence
-from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
-from dolfinx_mortar.interfaces.claims import Claims
-from dolfinx_mortar.interfaces.coupling import create_blocks
+from dolfinx_mortar.interfaces.coupling import (
+    CoupledSides,
+    Pattern,
+    Sides,
+    create_blocks,
+    with_ghosts,
+)
+from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import Link
+from dolfinx_mortar.mortar.duals import LEAST_COVERAGE, Coverage
+from dolfinx_mortar.mortar.integrals import find_segments
+from dolfinx_mortar.mortar.pairing import create_pairing
+from dolfinx_mortar.mortar.surface import nodal_normals, sum_at_nodes
+
+
+@dataclass(frozen=True)
+class Claims:
+    """Owners of slave nodes, and order of the interfaces."""
+
+    owner: Ints  # (owned nodes,) interface
+    banned: list[Bools]  # of each (local nodes,): slave nodes of others
+    dependencies: frozenset[tuple[int, int]]  # i depends on slave nodes of k: T_i is left of T_k
+    order: list[int]  # of the transformations
+    notes: list[str]
+
+
+def referenced(sides: Sides, pattern: Pattern) -> Bools:
+    """Owned nodes on which candidate pairs depend; collective."""
+    columns, layout = pattern.column[pattern.split :], sides.V.dofmap.index_map
+    counts = sums_at_nodes(sides.V.mesh.comm, layout, columns, np.ones((len(columns), 1)))
+    return np.asarray(counts[:, 0] > 0)
+
+
+def choose_owners(sides: Sequence[Sides], coverage: Sequence[Coverage]) -> Ints:
+    """Owner (n,) of each owned node: first interface that faces or covers it."""
+    n = sides[0].n_owned
+    owner, best = np.zeros(n, dtype=np.int32), np.full(n, -1)
+    for k, (side, found) in enumerate(zip(sides, coverage, strict=True)):
+        level = np.full(n, -1)
+        level[side.nodes] = 1 * (found.share > 0.0) + found.faces
+        owner[level > best] = k
+        best = np.maximum(best, level)
+    return owner
+
+
+def find_referenced(sides: Sides, pattern: Pattern, banned: Bools, coverage: Coverage) -> Bools:
+    """Nodes to which P may refer: of masters, and removed slave nodes; collective."""
+    leant_on = referenced(sides, pattern)
+    leant_on[sides.nodes[coverage.reached & banned[sides.nodes]]] = True
+    return leant_on
+
+
+def _why_claimed(
+    sides: Sequence[Sides], interfaces: Sequence[Interface], owners: Ints, k: int
+) -> str:
+    first = int(owners.min(initial=k))
+    pair = sides[k].V.mesh.comm.allreduce(first, op=MPI.MIN), k
+    why = "claimed by an earlier interface that they face as well; "
+    if all(sides[i].master is None for i in pair):
+        return why + (
+            "where the body may slide from one tool onto the other, give one Obstacle the Union of "
+            "their shapes"
+        )
+    opens = [interfaces[i] for i in pair if sides[i].unilateral]
+    if len(opens) == 1:
+        return why + f"let the other side of {opens[0]} be the slave"
+    return why + "give both masters one tag"
+
+
+def _common(
+    interfaces: Sequence[Interface],
+    sides: Sequence[Sides],
+    coverage: Sequence[Coverage],
+    owner: Ints,
+) -> Bools:
+    """Owned nodes on one face with the owner, covered by both masters; collective."""
+    d, own = sides[0].V.mesh.geometry.dim, np.arange(len(owner))
+    whole = np.zeros((len(sides), len(owner)), dtype=bool)
+    of_sides = np.zeros((*whole.shape, d))
+    for on, n, side, found in zip(whole, of_sides, sides, coverage, strict=True):
+        on[side.nodes] = found.share >= 1.0 - LEAST_COVERAGE
+        n[side.nodes] = nodal_normals(side.slave, side.slave.X)[: side.slave.owned]
+    angles = np.radians([interface.feature_angle for interface in interfaces])
+    one_face = (of_sides * of_sides[owner, own]).sum(axis=2) > np.cos(angles)[:, None]
+    return np.asarray(whole & whole[owner, own] & one_face)
+
+
+def _lost(sides: Sides, coverage: Coverage, banned: Bools, common: Bools) -> Bools:
+    """Removed owned nodes that lose contact, not at ``common`` ends; collective."""
+    slave = sides.slave
+    taken = np.asarray(with_ghosts(sides.V, banned)[slave.nodes][slave.facets].all(axis=1))
+    alone = np.repeat(taken[:, None, None], slave.facets.shape[1], axis=1)
+    lost = np.zeros(sides.n_owned, dtype=bool)
+    lost[sides.nodes] = coverage.faces & (
+        ~common[sides.nodes] | (sum_at_nodes(slave, alone)[: slave.owned, 0] > 0)
+    )
+    return np.asarray(lost & banned)
+
+
+def resolve_claims(
+    interfaces: Sequence[Interface],
+    sides: Sequence[Sides],
+    patterns: Sequence[Pattern],
+    coverage: Sequence[Coverage],
+) -> Claims:
+    """Assign every slave node to one interface and order the interfaces; collective.
+
+    The later interface loses nodes that would close a cycle.
+    """
+    comm, n = sides[0].V.mesh.comm, sides[0].n_owned
+    owner = choose_owners(sides, coverage)
+    slaves = [s.on_slave[:n] for s in sides]
+    banned = [slave & (owner != k) for k, slave in enumerate(slaves)]
+    notes: list[str] = []
+    dependencies: set[tuple[int, int]] = set()
+
+    def note(k: int, nodes: Bools, why: str) -> None:
+        count = comm.allreduce(int(nodes.sum()), op=MPI.SUM)
+        if count:
+            notes.append(f"{interfaces[k]}: {count} slave nodes removed, {why}")
+
+    def dependent(i: int, k: int) -> Bools:
+        leant_on = find_referenced(sides[i], patterns[i], banned[i], coverage[i])
+        return np.asarray(leant_on & slaves[k] & ~banned[k])
+
+    def remove(k: int, nodes: Bools, why: str) -> None:
+        note(k, nodes, why)
+        banned[k] |= nodes
+
+    common = _common(interfaces, sides, coverage, owner)
+    for k in range(len(sides)):
+        lost = _lost(sides[k], coverage[k], banned[k], common[k])
+        note(k, lost, _why_claimed(sides, interfaces, owner[lost], k))
+        both = dependent(k, k)  # in self-contact the ends of the slave side
+        if sides[k].meet_themselves:
+            banned[k] |= both
+        else:
+            remove(k, both, "they are master nodes of the same interface")
+        dependencies |= {(k, i) for i in range(k) if any_rank(comm, dependent(k, i).any())[0]}
+        for i in range(k):
+            hit = dependent(i, k)
+            if not any_rank(comm, hit.any())[0]:
+                continue
+            if _reaches(dependencies, k, i):
+                remove(k, hit, f"they would close a cycle with {interfaces[i]}")
+            else:
+                dependencies.add((i, k))
+    shared = [with_ghosts(s.V, b) for s, b in zip(sides, banned, strict=True)]
+    return Claims(
+        owner, shared, frozenset(dependencies), _topological(len(sides), dependencies), notes
+    )
+
+
+def are_outdated(claims: Claims, links: Sequence[CoupledSides]) -> bool:
+    """Whether claims must be resolved again after slides; collective."""
+    sides = [link.sides for link in links]
+    coverage = [link.coupling.coverage for link in links]
+    if len(sides) < 2:
+        return False
+    n = sides[0].n_owned
+    best = choose_owners(sides, coverage)
+    faces = np.zeros((len(sides), n), dtype=bool)
+    for k, (side, found) in enumerate(zip(sides, coverage, strict=True)):
+        faces[k, side.nodes] = found.faces
+    own = np.arange(n)
+    outdated = [bool((~faces[claims.owner, own] & faces[best, own]).any())]
+    for i, link in enumerate(links):
+        leant_on = find_referenced(link.sides, link.pattern, claims.banned[i][:n], coverage[i])
+        for k, other in enumerate(sides):
+            hit = leant_on & other.on_slave[:n] & ~claims.banned[k][:n]
+            outdated.append(bool(hit.any()) and i != k and (i, k) not in claims.dependencies)
+    return bool(any_rank(sides[0].V.mesh.comm, any(outdated))[0])
+
+
+def _reaches(edges: set[tuple[int, int]], a: int, b: int) -> bool:
+    return any(c == a and (e == b or _reaches(edges, e, b)) for c, e in edges)
+
+
+def _topological(n: int, edges: set[tuple[int, int]]) -> list[int]:
+    order: list[int] = []
+    while len(order) < n:
+        order.append(
+            next(
+                k
+                for k in range(n)
+                if k not in order and all(i in order for i, e in edges if e == k)
+            )
+        )
+    return order
+
+
+def notes_on_splits(
+    interfaces: Sequence[Interface],
+    sides: Sequence[Sides],
+    coverage: Sequence[Coverage],
+    displacements: Sequence[fem.Function | None],
+) -> list[str]:
+    """Notes on facets of two slave sides below one master; collective."""
+    comm, n = sides[0].V.mesh.comm, sides[0].n_owned
+    numbers = [k for k, side in enumerate(sides) if side.master not in (None, side.slave)]
+    shares = np.full((len(sides), n), np.nan)
+    for share, side, found in zip(shares, sides, coverage, strict=True):
+        share[side.nodes] = found.share
+    notes = []
+    for k, i in permutations(numbers, 2):
+        open_ = (shares[k] < 1.0 - LEAST_COVERAGE) & (shares[i] > LEAST_COVERAGE)
+        if not any_rank(comm, open_.any())[0]:
+            continue
+        between = _between(sides[k], sides[i], displacements[k])
+        count = comm.allreduce(int((between > LEAST_COVERAGE).sum()), op=MPI.SUM)
+        if count:
+            notes.append(
+                f"{interfaces[k]}: {count} slave facets face the master of {interfaces[i]}, to "
+                "which they are not coupled, beside the nodes of both slave sides; divide slave "
+                "and master at the same place, or give both masters one tag"
+            )
+    return notes
+
+
+def _between(side: Sides, other: Sides, u: fem.Function | None) -> Floats:
+    """Part (m,) of facets that only the other side's master covers; collective."""
+    facets = side.slave.nodes[side.slave.facets]
+    beside, shared = other.on_slave[facets], other.on_master[facets].all(axis=1).any()
+    if other.master is None or side.master is None or any_rank(side.V.mesh.comm, shared)[0]:
+        return np.zeros(len(facets))
+    parts = []
+    for master in (side.master, other.master):
+        pairing = create_pairing(side.V, side.slave, master, u, moving=False, again=True)
+        segments, _ = find_segments(pairing, u)
+        covered = np.bincount(segments.slave, segments.weight, minlength=len(facets))
+        parts.append(covered / segments.facet_weights.sum(axis=1))
+    uncoupled = np.minimum(parts[1], 1.0 - parts[0])
+    return np.asarray(uncoupled * (beside.any(axis=1) & ~beside.all(axis=1)))
 
 
 class Transformation:
-    """T and T^T K T on patterns that are fixed as long as the pairings."""
+    """T and T^T K T on the patterns of the pairings."""
 
     def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], claims: Claims) -> None:
         # without chains one matrix saves products
@@ -38,7 +271,7 @@ class Transformation:
 
     @property
     def chained(self) -> bool:
-        """Whether interfaces may depend on each other's slave nodes."""
+        """Whether interfaces may depend on others' slave nodes."""
         return bool(self.claims.dependencies)
 
     def serves(self, claims: Claims) -> bool:
@@ -68,26 +301,21 @@ class Transformation:
 
     @property
     def change(self) -> PETSc.Mat:
-        """C of T = I + C, a copy; collective."""
+        """Copy of C, T = I + C; collective."""
         C = _product([factor.C for factor in self.factors])
         return C.copy() if len(self.factors) == 1 else C
 
-    # -- multigrid basis v, y = (I - E) v: at open nodes v_n = n_j.u_j, uncoupled from the master;
-    # for chains v = y
+    # multigrid basis v, y = (I - E) v: at open nodes v_n = n_j.u_j; for chains v = y
 
     def uncouple(self, held: Ints) -> tuple[PETSc.Mat, PETSc.Mat | None]:
-        """Return C of u = (I + C) v, without stored zeros, and E or None; collective.
-
-        Args:
-            held: owned fixed unknowns of y.
-        """
+        """C of u = (I + C) v, and E or None, for owned fixed unknowns of y; collective."""
         if self.chained:
             return self.change, None
         Cs, Es = zip(*(factor.uncouple(self.links, held) for factor in self.factors), strict=True)
         C, E = _product(Cs), Es[0]
         for other in Es[1:]:
             E.axpy(1.0, other, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-        if len(Es) > 1:  # v of vertices with mid-side nodes is not their u
+        if len(Es) > 1:  # vertices with mid-side nodes: v is not their u
             E.axpy(1.0, E.matMult(C), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         return C, E
 
@@ -113,7 +341,7 @@ class Transformation:
         return bool(self._congruences)
 
     def transform(self, K: PETSc.Mat) -> PETSc.Mat:
-        """Return T^T K T, refilled in place; collective."""
+        """T^T K T, refilled in place; collective."""
         fresh = not self.formed
         for k, factor in enumerate(self.factors):
             if fresh:
@@ -156,7 +384,6 @@ class _Factor:
         self.C = self._blocks.matrix
 
     def update(self, links: Sequence[Link]) -> None:
-        """Refill the matrix; collective."""
         values = []
         for k, mine, here in self.parts:
             link = links[k]
@@ -165,7 +392,7 @@ class _Factor:
         self._blocks.fill(np.concatenate(values))
 
     def uncouple(self, links: Sequence[Link], held: Ints) -> tuple[PETSc.Mat, PETSc.Mat]:
-        """Return C of constraints at held unknowns, without stored zeros, and E; collective."""
+        """See `Transformation.uncouple`; collective."""
         V, d = self.V, self.V.dofmap.index_map_bs
         first, n = V.dofmap.index_map.local_range[0], V.dofmap.index_map.size_local
         is_held = np.zeros(d * n, dtype=bool)
@@ -191,7 +418,7 @@ class _Factor:
         return _create(V, C), _create(V, E)
 
     def inverse(self, links: Sequence[Link], u: PETSc.Vec) -> PETSc.Vec:
-        """Return y with T y = u: w_j = R_j^-1 (u_j - sum_l Q_jl u_l); collective."""
+        """Return w_j = R_j^-1 (u_j - sum_l Q_jl u_l); collective."""
         difference, d = u.copy(), self.V.dofmap.index_map_bs
         for k, _, here in self.parts:
             moved = (links[k].Q * u).array_r.reshape(-1, d)
@@ -206,7 +433,6 @@ class _Factor:
 
 
 def _product(Cs: Sequence[PETSc.Mat]) -> PETSc.Mat:
-    """C of the product of I + C_k; collective."""
     total = Cs[0]
     for C in Cs[1:]:
         both = total.matMult(C)

@@ -19,10 +19,7 @@ from dolfinx_mortar.spaces import check_nodal
 
 @dataclass(frozen=True)
 class Constraints:
-    """Bounds on increments of unknowns y, u = T y, in this rank's numbering.
-
-    An upper bound for contact, two equal ones for ties and Dirichlet data.
-    """
+    """Bounds on increments of unknowns y in this rank's numbering, equal ones for equalities."""
 
     dofs: Ints  # (k,) owned unknowns of y, each once
     lower: Floats  # (k,) -inf if free
@@ -31,12 +28,12 @@ class Constraints:
 
     @property
     def equal(self) -> Bools:
-        """Mask (k,) of equalities."""
+        """Equalities (k,)."""
         return np.asarray(self.lower == self.upper)
 
     @property
     def scale(self) -> float:
-        """Largest value of an equality; on this rank."""
+        """Largest value of an equality on this rank."""
         return float(np.abs(self.upper[self.equal]).max(initial=0.0))
 
     def select(self, mask: Bools) -> Constraints:
@@ -47,7 +44,7 @@ class Constraints:
 def check_shapes(
     name: str, found: object, shapes: Mapping[str, tuple[int, ...]], *, infinite: bool = False
 ) -> None:
-    """Raise a ValueError for arrays of wrong ``shapes``, by field names, or with NaN."""
+    """Raise a ValueError for wrong ``shapes``, by field names, or NaN."""
     for field, shape in shapes.items():
         values = np.asarray(getattr(found, field))
         if values.shape != shape:
@@ -57,7 +54,7 @@ def check_shapes(
 
 
 def check_constraints(name: str, found: Constraints, nodes: Ints, directions: Bools) -> None:
-    """Raise a ValueError for invalid bounds at nodes (n,) in directions (n, d)."""
+    """Raise a ValueError for invalid bounds at nodes in directions (n, d)."""
     shape = np.shape(found.dofs)[:1]
     check_shapes(name, found, {"dofs": shape, "weight": shape})
     check_shapes(name, found, {"lower": shape, "upper": shape}, infinite=True)
@@ -83,7 +80,7 @@ def equalities(dofs: Ints, values: Floats, weight: Floats | None = None) -> Cons
 
 
 def upper_bounds(nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
-    """Return w_n <= gap; arguments as in `Interface.constraints`."""
+    """Bounds w_n <= gap; arguments as in `Interface.constraints`."""
     on = directions[:, 0]
     gap = -slip[on, 0]
     dofs = (directions.shape[1] * nodes[on]).astype(np.int32)
@@ -97,52 +94,48 @@ def join(parts: Sequence[Constraints]) -> Constraints:
     return Constraints(dofs.astype(np.int32), lower, upper, weight)
 
 
-# Elastic slip of friction at nodes with prescribed slip, in facets. The stiffness mu p / ROOM over
-# the facet must be below E for friction of the last iterate to converge (pressures of E / 200, mu =
-# .3: contraction .1, with .01 .35).
+# Elastic slip at prescribed slips, in facets: the stiffness mu p / ROOM must be below E for the
+# friction of the last iterate to converge.
 ROOM = 0.05
 
 
 @dataclass(frozen=True)
 class SlipLimits:
-    """Limits of the tangential reactions at nodes with friction.
+    """Limits of the tangential reactions at nodes with friction, in this rank's numbering.
 
-    |z_t| <= coefficient z_n + cohesion where closed, in this rank's numbering. In prescribed
-    directions the slip s_e is known, not z_t; with the elastic slip a the share of the limit there
-    is
+    |z_t| <= coefficient z_n + cohesion where closed. In prescribed directions the slip s_e is
+    known, not z_t; with the elastic slip a and the other slip s_t its share of the limit is
 
-        q / max(|q + s_t / a|, 1),     q = (share at the last commit) + s_e / a,
-
-    the rest is for the tangential unknowns.
+        q / max(|q + s_t / a|, 1),     q = (share at the last commit) + s_e / a.
     """
 
     nodes: Ints  # (m,) owned
     normal: Ints  # (m,) bounded unknown w_n of y
     tangential: Ints  # (m, d - 1) unknowns of y, -1 where prescribed
-    axes: Floats  # (m, d - 1, d) their directions
+    axes: Floats  # (m, d - 1, d) directions of these
     slip: Floats  # (m, d - 1) since the last commit
     coefficient: Floats  # (m,) mu
     cohesion: Floats  # (m,) force, D_jj times traction
     weight: Floats  # (m,) D_jj
-    beside: Floats  # (m, d) slip in prescribed directions, as vector
-    before: Floats  # (m, d) share at the last commit, as vector
+    beside: Floats  # (m, d) slip vector in prescribed directions
+    before: Floats  # (m, d) share at the last commit
     room: Floats  # (m,) a
     opening: Floats  # (m, d) motion of the node by unit w_n
 
     @property
     def shares(self) -> Floats:
-        """Shares (m, d) of the limit in prescribed directions, as vectors."""
+        """Vectors (m, d) of the share of the limit in prescribed directions."""
         q, size = self._asked()
         return np.asarray(q / np.maximum(size, 1.0)[:, None])
 
     @property
     def slides(self) -> Bools:
-        """Mask (m,) of nodes whose prescribed slip takes the rest of the limit."""
+        """Nodes (m,) whose prescribed slip takes the whole limit."""
         q, size = self._asked()
         return np.asarray(q.any(axis=1) & (size >= 1.0))
 
     def _asked(self) -> tuple[Floats, Floats]:
-        """Vectors q (m, d), and the sizes (m,) of q + s_t / a."""
+        """Vectors q (m, d), and sizes (m,) of q + s_t / a."""
         a = self.room[:, None]
         q = self.before + self.beside / a
         return q, np.hypot(np.linalg.norm(q, axis=1), np.linalg.norm(self.slip / a, axis=1))
@@ -155,7 +148,7 @@ class SlipLimits:
 
     @property
     def wedging(self) -> Floats:
-        """Factor (m,) of lambda_j by which friction in prescribed directions opens the contact."""
+        """Factor (m,) of lambda_j by which prescribed slip opens the contact."""
         return self.coefficient * np.asarray((self.opening * self.shares).sum(axis=1))
 
     def known(self, multipliers: Floats) -> Floats:
@@ -165,7 +158,7 @@ class SlipLimits:
 
     @property
     def some(self) -> Bools:
-        """Mask (m, d - 1) of tangential unknowns."""
+        """Tangential unknowns (m, d - 1)."""
         return np.asarray(self.tangential >= 0)
 
     def along(self, vectors: Floats) -> Floats:
@@ -214,7 +207,7 @@ REMEDY = "give a number, a scalar fem.Constant, or a scalar Lagrange fem.Functio
 class FrictionLaw:
     """Limit of the tangential traction tau of a closed contact with pressure p.
 
-    Coulomb, "friction": abs(tau) <= mu p. Tresca, "tresca": abs(tau) <= s.
+    "friction": abs(tau) <= mu p (Coulomb); "tresca": abs(tau) <= s.
     """
 
     name: str
@@ -222,18 +215,14 @@ class FrictionLaw:
 
     @property
     def by_pressure(self) -> bool:
-        """Whether the limit is proportional to the pressure; else it acts at open nodes, too."""
+        """Whether the limit is proportional to the pressure, zero at open nodes."""
         return self.name == "friction"
 
     def values(self, scalar: fem.FunctionSpace) -> Floats:
-        """Values at the owned nodes of a scalar space; collective.
-
-        Raises:
-            ValueError: on all ranks, for negative or non-finite values.
-        """
+        """Values at the owned nodes; a ValueError for negative or non-finite ones; collective."""
         comm, n = scalar.mesh.comm, scalar.dofmap.index_map.size_local
         if isinstance(self.value, fem.Function):
-            self.value.x.scatter_forward()  # values may come from ghosts
+            self.value.x.scatter_forward()  # ghosts may be set
             at_nodes = fem.Function(scalar)
             at_nodes.interpolate(self.value)
             values = np.asarray(at_nodes.x.array[:n], dtype=np.float64)
@@ -252,7 +241,7 @@ class FrictionLaw:
 
 
 def create_law(friction: Limit | None, tresca: Limit | None) -> FrictionLaw | None:
-    """Law, None for neither argument and the number 0; a ValueError for both or invalid ones."""
+    """The law, or None; a ValueError for both or invalid ones."""
     if friction is not None and tresca is not None:
         raise ValueError(
             f"friction is {friction!r} and tresca is {tresca!r}: give one of the two, a "

@@ -1,12 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Unilateral contact, between two sides and as a base class.
-
-The bounds w_n <= g_j / D_jj, with reactions D_jj lambda_j, are the conditions of
-
-    Pi_c = lambda^T g(u),     g(u) = -N^T (D - M) (X + u) = c_I - B_I u,     B_I = N^T (D - M)
-
-(theory.md, Equations 12 to 15) in the basis of `interfaces.basis`, with D, M and N of the iterate.
-"""
+"""Unilateral contact, between two sides and as a base class (theory.md, Equations 12 to 15)."""
 
 from typing import Any
 
@@ -23,13 +16,12 @@ from dolfinx_mortar.interfaces.results import NoResult
 from dolfinx_mortar.mortar.operators import SmoothSides
 from dolfinx_mortar.spaces import check_mesh
 
-# Least free part of a node's normal (84 degrees off) for a multiplier, which else exceeds the free
-# force tenfold.
+# Least free part of a node's normal for a multiplier, which may exceed the free force tenfold.
 MIN_FREE_NORMAL = 0.1
 
 
 class Unilateral(Interface):
-    """w_n <= gap, pressure >= 0, pressure * opening = 0; perhaps with friction, see `Contact`."""
+    """Bounds w_n <= gap, pressure >= 0, pressure * opening = 0; perhaps with friction."""
 
     unilateral = True
 
@@ -64,7 +56,7 @@ class Unilateral(Interface):
         return self.law.value if self.law is not None and self.law.name == name else None
 
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
-        """Mask (n, 1) of nodes whose normal is not prescribed."""
+        """Nodes (n, 1) whose normal is not prescribed."""
         return np.asarray((left >= MIN_FREE_NORMAL)[:, None])
 
     def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
@@ -79,7 +71,7 @@ class Unilateral(Interface):
         return Frame(R, slot, directions, np.where(kept, normals, 0.0))
 
     def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
-        """Return P_jl R_j S_j R_j^-1; without friction P_jl r_j n_j^T, r_j the first of R_j."""
+        """P_jl R_j S_j R_j^-1; without friction P_jl r_j n_j^T, r_j the first column of R_j."""
         if self.law is None:
             r, n = frame.R[row, :, 0], frame.normals[row]
             return np.asarray(P[:, 0, None, None] * r[:, :, None] * n[:, None, :])
@@ -130,29 +122,27 @@ class Contact(Unilateral, MortarInterface):
     ``gap`` (>= 0 when open; not-a-number at nodes that face no master), ``active`` (1 in contact,
     else 0). ``force`` is the resultant on the slave side, -sum_j D_jj lambda_j n_j plus friction.
     ``pressure`` and ``traction`` are per area of the slave side at X + u with geometry="updated",
-    at X with "reference", and belong to the part that faces the master, also at a node just beyond
-    its end: their integral exceeds the force unless all of the side faces the master.
+    at X with "reference", and of the part that faces the master: their integral exceeds the force
+    unless all of the side does.
     Friction: abs(tau) <= mu p, with equality against the slip R_t^T (D^-1 (D - M) (u -
-    u_committed)), the tangential motion relative to the master since the last commit. Further
-    results: ``traction`` (tangential, on the slave side), ``step_slip`` (of the last step, a
-    length), ``slip`` (accumulated), ``status`` (0 open, 1 stick, 2 slip), and ``dissipation``
-    (energy since the start). Where Dirichlet data prescribe the slip, friction reaches its limit
-    over a twentieth of a facet.
+    u_committed)) since the last commit. Further results: ``traction`` (tangential, on the slave
+    side), ``step_slip`` (of the last step, a length), ``slip`` (accumulated), ``status`` (0 open, 1
+    stick, 2 slip), and ``dissipation`` (energy since the start). Where Dirichlet data prescribe the
+    slip, friction reaches its limit over a twentieth of a facet.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
         slave: tag or name (see `Tags`) of the side with the multipliers.
-        master: tag or name of the other side; equal to ``slave`` for self-contact, see
-            `dolfinx_mortar.mortar.self_contact`.
+        master: tag or name of the other side; equal to ``slave`` for self-contact.
         surface: "smooth" measures the gap between smooth surfaces through the nodes, g_j - sum_q w
             Phi_j (h_s + h_m) with the heights h of `dolfinx_mortar.geometry.curvature`; "facets"
             between the facets, as the paper.
-        feature_angle: degrees between facets from which on an edge is sharp; for smooth surfaces.
+        feature_angle: least angle of an edge between facets in degrees, for smooth surfaces.
         friction: Coulomb's coefficient mu: a number, a scalar Constant, or a scalar Lagrange
-            Function on the mesh of the displacement, read at every step.
+            Function on this mesh, read at every step.
         tresca: limit of the tangential traction instead, of the same kinds, at every slave node
-            that faces the master, whatever the pressure; a step is then a convex minimisation. In
-            axisymmetry per circumference at X for small strains.
+            that faces the master; a step is then a convex minimisation. In axisymmetry per
+            circumference at X for small strains.
     Source: the paper, eqs. 12 to 20; friction: S. Hueeber, G. Stadler, B. Wohlmuth, SIAM J. Sci.
     Comput. 30 (2008) 572-596; M. Gitterle, A. Popp, M. W. Gee, W. A. Wall, Int. J. Numer. Methods
     Engrg. 84 (2010) 543-571.
@@ -183,5 +173,5 @@ class Contact(Unilateral, MortarInterface):
         return self.slave == self.master
 
     def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
-        """Arguments for the heights of smooth surfaces."""
+        """Heights of smooth surfaces."""
         return {"heights_of": smooth}

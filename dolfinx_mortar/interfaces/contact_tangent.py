@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Derivatives of forces, weighted gaps and slips of one contact by the displacement.
 
-The system is in `moving_geometry`, the product rule in `mortar.tangent`. On a tool tractions
-lambda_j n_j + tau_j turn with dn_j = -(I - n n^T) Hess phi dx_j, and phi is that of `point_gaps`.
-Changes of heights of second order by normal strain are left out.
+See `moving_geometry` and `mortar.tangent`. Below a tool tractions turn with dn_j = -(I - n n^T)
+Hess phi dx_j. Changes of heights of second order by normal strain are left out.
 """
 
 from __future__ import annotations
@@ -17,13 +16,13 @@ import numpy as np
 import scipy
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.csr import owned_rows
-from dolfinx_mortar.algebra.triplets import (
+from dolfinx_mortar.algebra.csr import (
     BlockEntries,
     Blocks,
     BlockSums,
     SumWithProducts,
     Triplets,
+    owned_rows,
 )
 from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints
 from dolfinx_mortar.geometry.facets import scaled_normals
@@ -35,6 +34,7 @@ from dolfinx_mortar.mortar.common_normals import carried, in_planes
 from dolfinx_mortar.mortar.curvature_correction import side_slopes
 from dolfinx_mortar.mortar.duals import find_duals
 from dolfinx_mortar.mortar.integrals import some_points
+from dolfinx_mortar.mortar.operators import WholeSide, rule_of, whole_facets
 from dolfinx_mortar.mortar.pairing import receive
 from dolfinx_mortar.mortar.surface import (
     Surface,
@@ -45,13 +45,12 @@ from dolfinx_mortar.mortar.surface import (
     normal_derivatives,
 )
 from dolfinx_mortar.mortar.tangent import Derivatives, Tractions, differentiate, differentiate_whole
-from dolfinx_mortar.mortar.whole_side import WholeSide, rule_of, whole_facets
 from dolfinx_mortar.shapes.shape import unit_vectors
 
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Layout of the unknowns of a vector space, see `algebra.triplets.Layout`."""
+    """Layout of the unknowns of a vector space, see `algebra.csr.Layout`."""
 
     size_local: int
     size_global: int
@@ -61,7 +60,7 @@ class Unknowns:
 class SlipRows:
     """Rows of the slips of a contact, s.(du_j - P du) + m.dt, m being the present motion.
 
-    The tangents t turn with the normal. s = t, but on tools, where m depends on the normal: + t.dm.
+    s = t, which turns with the normal; on tools, where m depends on the normal: + t.dm.
     """
 
     link: CoupledSides
@@ -110,24 +109,20 @@ class SlipRows:
 
 
 class LinkDerivatives(ABC):
-    """Derivatives of forces, gaps and slips of an interface on a moving surface."""
+    """Derivatives of forces, gaps and slips of an interface."""
 
     @abstractmethod
     def serves(self, link: CoupledSides) -> bool:
-        """Whether the pattern fits another link; on this rank."""
+        """Whether the pattern fits another link, on this rank."""
 
     @abstractmethod
     def differentiate(
         self, link: CoupledSides, u: fem.Function, multipliers: Floats, tangential: Floats | None
     ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
-        """Derivatives of forces and gaps, and a mask (n,) of known rows of the latter; collective.
+        """Derivatives d(B^T lambda)/du, dG_j in rows w_n, and which (n,) are known; collective.
 
-        d(B^T lambda)/du, and dG_j in the rows w_n; the next call refills the matrices.
-
-        Args:
-            link: the interface at X + u.
-            multipliers: lambda_j (owned nodes,).
-            tangential: tangential tractions (owned nodes, d), None without friction.
+        The next call refills the matrices. Multipliers are lambda_j (owned nodes,), tangential
+        tractions (owned nodes, d).
         """
 
     @abstractmethod
@@ -138,14 +133,12 @@ class LinkDerivatives(ABC):
 
 
 class ContactDerivatives(LinkDerivatives):
-    """Derivatives of the forces and weighted gaps of one contact.
+    """Derivatives of the forces and weighted gaps of one contact, F_x + F_n C + F_p N.
 
-    F_x + F_n C + F_p N, with derivatives C of contact normals and N of averaged ones (along which
-    facets are projected in 2D).
+    C are derivatives of contact normals, N of averaged ones (for projections in 2D).
     """
 
     def __init__(self, link: CoupledSides) -> None:
-        """Create the patterns for all candidates; collective."""
         V, slave, pairing = link.sides.V, link.sides.slave, link.pairing
         assert pairing is not None
         self._found, pairs = pairing, pairing.pairs
@@ -183,7 +176,7 @@ class ContactDerivatives(LinkDerivatives):
     def differentiate(
         self, link: CoupledSides, u: fem.Function, multipliers: Floats, tangential: Floats | None
     ) -> tuple[PETSc.Mat, PETSc.Mat, Bools]:
-        """See `LinkDerivatives`; in space gap rows of loaded facets and neighbours; collective."""
+        """See `LinkDerivatives`; in space known gap rows are those near loaded facets."""
         slave, (_, operators) = link.sides.slave, link.mortar
         x = coordinates(slave, u)
         given, keep = tractions_of(link, multipliers, tangential)
@@ -227,7 +220,7 @@ class _Normals:
     """
 
     def __init__(self, link: CoupledSides, x: BlockEntries, y: BlockEntries, N: PETSc.Mat) -> None:
-        """Create the patterns; x, y: sum_l dM_jl n_l by coordinates, by normals N; collective."""
+        """Patterns; x, y: sum_l dM_jl n_l by coordinates, by normals N; collective."""
         V, pattern, n = link.sides.V, link.pattern, len(link.nodes)
         assert link.sides.master is not None
         d, of = V.dofmap.index_map_bs, (V.mesh.comm, layout_of(V))
@@ -250,7 +243,6 @@ class _Normals:
         return self._sum.zero()
 
     def fill(self, link: CoupledSides, u: fem.Function, found: Derivatives) -> PETSc.Mat:
-        """Derivatives, given those of the averaged normals; collective."""
         master, common, M = link.sides.master, link.coupling.common, link.mortar[1].M[:, :1]
         assert master is not None and common is not None
         N_m = self._of_master.fill(_in_planes(link, coordinates(master, u)))
@@ -268,7 +260,6 @@ class _Normals:
 
 
 def _in_planes(link: CoupledSides, x: Floats) -> Floats:
-    """Derivatives of the master's normals, projected onto planes of symmetry."""
     master, spreads, common = link.sides.master, link.sides.spreads, link.coupling.common
     assert master is not None and spreads is not None and common is not None
     n, by_n = in_planes(nodal_normals(master, x), spreads.mirrors[master.nodes])
@@ -280,7 +271,6 @@ def _in_planes(link: CoupledSides, x: Floats) -> Floats:
 
 
 def _averaged(surface: Surface) -> Triplets:
-    """Pattern of the derivatives of averaged normals of a side; collective."""
     V, d = surface.V, surface.X.shape[1]
     nodes = V.dofmap.index_map.local_to_global(surface.nodes).astype(np.int64)
     at = (d * nodes[:, None] + np.arange(d))[surface.facets]
@@ -295,7 +285,6 @@ def _in_space(link: CoupledSides) -> bool:
 
 
 def _neighbours(slave: Surface, marked: Bools) -> Bools:
-    """Mask (n,) of slave nodes of facets with a marked node; collective."""
     found = np.zeros((len(slave.nodes), 1))
     found[slave.facets[marked[slave.facets].any(axis=1)]] = 1.0
     return np.asarray(accumulate(slave, found)[:, 0] > 0.0)
@@ -323,10 +312,7 @@ def layout_of(V: fem.FunctionSpace) -> Unknowns:
 def tractions_of(
     link: CoupledSides, multipliers: Floats, tangential: Floats | None
 ) -> tuple[Tractions, Bools]:
-    """Normals, tractions, and the mask of kept local slave nodes; collective.
-
-    Arguments as in `LinkDerivatives.differentiate`.
-    """
+    """Normals, tractions, and local slave nodes with a multiplier; collective."""
     slave, nodes, kept = link.sides.slave, link.nodes, link.coupling.kept[:, :1]
     n = np.where(kept, link.coupling.normals, 0.0)
     at, d = multipliers[nodes, None], n.shape[1]
@@ -343,10 +329,9 @@ def tractions_of(
 
 
 class ToolDerivatives(LinkDerivatives):
-    """Derivatives for all facets of a side."""
+    """Derivatives for all facets of a side below a tool."""
 
     def __init__(self, link: CoupledSides, side: WholeSide, tool: Tool) -> None:
-        """Create the patterns; collective."""
         V, slave = link.sides.V, link.sides.slave
         self.side, self.tool = side, tool
         n, d = len(slave.nodes), V.dofmap.index_map_bs
@@ -361,7 +346,7 @@ class ToolDerivatives(LinkDerivatives):
         self.N = BlockSums(*of, BlockEntries(alone, (d, d), dofs, dofs))
 
     def serves(self, link: CoupledSides) -> bool:
-        """Return True: the pattern is that of the side."""
+        """True: the pattern is that of the side."""
         return True
 
     def differentiate(
@@ -411,7 +396,7 @@ class ToolDerivatives(LinkDerivatives):
         return SlipRows(link, partners, tangents @ by_n, N, tangents @ by_x)
 
     def _turning(self, x: Floats) -> Floats:
-        """Derivatives dn_j/dx_j (n, d, d) at x (n, d), n = -grad phi / |grad phi|."""
+        """Derivatives dn_j/dx_j (n, d, d), n = -grad phi / |grad phi|."""
         found = self.tool.pose().distance(self.tool.asked, x)
         size, g = unit_vectors(found.gradient)
         across = np.eye(x.shape[1]) - g[:, :, None] * g[:, None]

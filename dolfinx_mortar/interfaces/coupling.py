@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Results of the search and the update of one interface, as immutable records.
 
-The change of basis of theory.md, "Constraints become bounds":
+See theory.md, Constraints become bounds:
 
     u_j = R_j w_j + sum_l Q_jl u_l,      Q_jl = R_j S_j R_j^-1 P_jl,     P = D^-1 (M - D_other)
 
-D_other are the entries of D off the diagonal: columns of removed nodes, and of vertices on which
-mid-side nodes of six-node triangles depend (`mortar.duals`). Smooth ties add D_jj^-1 int Phi_j A_l
-of `curvature_correction.point_motions` to P_jl I.
+D_other are the entries of D off the diagonal, of removed nodes and of vertices on which mid-side
+nodes depend (`mortar.duals`). Smooth ties add D_jj^-1 int Phi_j A_l of
+`curvature_correction.point_motions` to P_jl I.
 Where a component e is prescribed and n = n_f + n_e e, R_j^-1 has the rows n, e, .., t, and R_j the
 columns n_f / |n_f|^2, e - n_e n_f / |n_f|^2, .., t. A reaction z exerts R^-T z on the slave side
 and -P^T R^-T z on the master.
@@ -25,8 +25,8 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem, la
+from dolfinx_mortar.algebra.csr import BlockMatrix
 from dolfinx_mortar.algebra.parallel import sums_at_nodes
-from dolfinx_mortar.algebra.triplets import BlockMatrix
 from dolfinx_mortar.arrays import TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.interfaces.constraints import check_shapes
@@ -40,7 +40,7 @@ from dolfinx_mortar.mortar.surface import Surface
 
 @dataclass(frozen=True)
 class Sides:
-    """Surfaces of an interface in the displacement space."""
+    """Surfaces of an interface."""
 
     V: fem.FunctionSpace
     slave: Surface
@@ -48,17 +48,17 @@ class Sides:
     on_slave: Bools  # (local nodes,)
     on_master: Bools  # (local nodes,)
     fixed: Bools  # (local nodes, d) directions with Dirichlet data
-    mirrors: Bools  # (local nodes, d) planes of symmetry: `find_mirrors`
+    mirrors: Bools  # (local nodes, d) components across planes of symmetry
     dependent: Bools  # (n,) owned slave nodes that depend on others
     unilateral: bool
     weight: Weight | None = None  # of all integrals; None for 1
-    spreads: Spreads | None = None  # of two-sided contacts
+    spreads: Spreads | None = None  # of contacts between two sides
     judged: Sequence[tuple[Bools, Floats]] = ()  # of both sides: `judge_supports`
-    shapes: Sequence[NodeShape] = ()  # of both sides: `find_shape`; empty unless used
+    shapes: Sequence[NodeShape] = ()  # of both sides, if used: `find_shape`
 
     @property
     def meet_themselves(self) -> bool:
-        """Self-contact, divided at each search."""
+        """Whether both are one surface, divided at each search."""
         return self.master is self.slave
 
     @property
@@ -84,11 +84,11 @@ class Sides:
 
 @dataclass(frozen=True)
 class Pattern:
-    """Sparsity of the coupling of slave nodes; fixed between two searches."""
+    """Sparsity of the coupling, fixed between two searches."""
 
-    row: Ints  # (e,) index into the owned slave nodes
+    row: Ints  # (e,) of the owned slave nodes
     column: Longs  # (e,) global node
-    split: int  # entries before it are of D_other, the others of M
+    split: int  # entries before it are of D_other, others of M
     blocks: BlockMatrix  # for Q
     scalars: BlockMatrix  # for P
     smooth: tuple[SmoothSide, SmoothSide] | None = None  # in place of facets
@@ -97,24 +97,24 @@ class Pattern:
 
 @dataclass(frozen=True)
 class Coupling:
-    """One interface in one configuration, at its owned slave nodes."""
+    """One interface in one configuration, at owned slave nodes."""
 
     blocks: Floats  # (e, d, d) entries of Q, read-only
-    P: Floats  # (e, c) D^-1 (M - D_other), for c choices of direction
+    P: Floats  # (e, c) for c choices of direction
     R: Floats  # (n, d, d) frames as columns
     slot: Ints  # (n, d) column of R of a prescribed axis, else -1
     directions: Bools  # (n, d) constrained directions
     kept: Bools  # (n, c) nodes with a multiplier
-    weight: Floats  # (n, c) D_jj, 0 where not kept
-    normals: Floats  # (n, d) outward; 0 if wholly prescribed
-    heights: Floats  # (n,) reduction of the gap n.(P x - x_j), see `gaps`
+    weight: Floats  # (n, c) D_jj, 0 without multiplier
+    normals: Floats  # (n, d) outward; 0 if all directions are prescribed
+    heights: Floats  # (n,) reduction of the gap n.(P x - x_j)
     coverage: Coverage
     operators: MortarOperators | None = None
-    common: CommonNormals | None = None  # of two-sided contacts
+    common: CommonNormals | None = None  # of contacts between two sides
 
     @cached_property
     def rows(self) -> Floats:
-        """R^-1 (n, d, d): rows are the directions of motions and forces."""
+        """Rows of R^-1 (n, d, d), directions of motions and forces."""
         return np.asarray(np.linalg.inv(self.R))
 
 
@@ -140,7 +140,7 @@ def check_coupling(name: str, found: Coupling, sides: Sides, pattern: Pattern) -
 
 
 def create_blocks(V: fem.FunctionSpace, rows: Ints, columns: Longs) -> BlockMatrix:
-    """Matrix of d x d blocks at owned ``rows`` (p,), global ``columns`` (p,); collective."""
+    """Matrix of d x d blocks at owned ``rows``, global ``columns``; collective."""
     return BlockMatrix(V.mesh.comm, V.dofmap.index_map, V.dofmap.index_map_bs, rows, columns)
 
 
@@ -152,7 +152,7 @@ def create_pattern(
     smooth: tuple[SmoothSide, SmoothSide] | None = None,
     nearby: tuple[SmoothSide, SmoothSide] | None = None,
 ) -> Pattern:
-    """Create a pattern with its matrices; collective."""
+    """Pattern with its matrices; collective."""
     V, rows = sides.V, sides.nodes[row]
     scalars = BlockMatrix(V.mesh.comm, V.dofmap.index_map, 1, rows, column)
     return Pattern(row, column, split, create_blocks(V, rows, column), scalars, smooth, nearby)
@@ -167,7 +167,7 @@ def with_ghosts(V: fem.FunctionSpace, owned: Bools) -> Bools:
 
 
 def mark(surface: Surface) -> Bools:
-    """Mask (local nodes,) of nodes on a surface; collective."""
+    """Nodes (local nodes,) on a surface; collective."""
     owned = np.zeros(surface.V.dofmap.index_map.size_local, dtype=bool)
     owned[surface.nodes[: surface.owned]] = True
     return with_ghosts(surface.V, owned)
@@ -195,7 +195,7 @@ class CoupledSides:
 
     @property
     def mortar(self) -> tuple[Pairing, MortarOperators]:
-        """Facet pairs and mortar operators of a link with a master."""
+        """Facet pairs and operators of a link with a master."""
         assert self.pairing is not None and self.coupling.operators is not None
         return self.pairing, self.coupling.operators
 
@@ -210,19 +210,18 @@ class CoupledSides:
         return self.coupling.directions
 
     def relative(self, v: PETSc.Vec) -> Floats:
-        """Return R^-1 (v_j - sum_l Q_jl v_l) at the owned slave nodes, (n, d); collective.
+        """Return R^-1 (v_j - sum_l Q_jl v_l) (n, d); collective.
 
-        In constrained directions this is the relative motion R_j^-1 (v_j - P v).
+        In constrained directions this is R_j^-1 (v_j - P v).
         """
         difference = v.array_r - (self.Q * v).array_r
         local = difference.reshape(-1, self.coupling.R.shape[1])[self.nodes]
         return np.asarray(np.einsum("nij,nj->ni", self.coupling.rows, local))
 
     def gaps(self, v: PETSc.Vec) -> Floats:
-        """Return n_j.(P v - v_j) - h_j at the owned slave nodes (n,) for v = X + u; collective.
+        """Return n_j.(P v - v_j) - h_j (n,) for v = X + u; collective.
 
-        The distance along the normal, less the mean height h_j of smooth surfaces; without a master
-        P = 0, and -h_j is the position of the tool along the normal.
+        Without a master P = 0, and -h_j is the position of the tool along the normal.
         """
         normals = self.coupling.normals
         moved = (self.Q * v).array_r - v.array_r
@@ -230,19 +229,19 @@ class CoupledSides:
         return np.asarray(along - self.coupling.heights)
 
     def constrained_motion(self, v: PETSc.Vec) -> Floats:
-        """Constrained components of the relative motion of all slave nodes; collective."""
+        """Constrained components of the relative motion; collective."""
         return np.asarray(self.relative(v)[self.coupling.directions])
 
     def transpose(self, forces: Floats) -> tuple[Floats, Floats]:
         """Owned nodal forces (I - Q)^T v of slave forces v (n, d); collective.
 
-        Two summands: on the slave side (I and D) and the master side (M).
+        On the slave side (I and D) and on the master side (M).
         """
         moved = -np.einsum("eij,ei->ej", self.coupling.blocks, forces[self.pattern.row])
         return self._on_both_sides(forces, moved)
 
     def exert(self, forces: Floats) -> tuple[Floats, Floats]:
-        """Same with P for Q, for contact forces in any direction; collective."""
+        """Same with P for Q, for forces in any direction; collective."""
         row = self.pattern.row
         return self._on_both_sides(forces, -self.coupling.P[:, :1] * forces[row])
 
@@ -257,10 +256,7 @@ class CoupledSides:
 
 
 def relative_motions(coupled: CoupledSides, v: PETSc.Vec) -> Floats:
-    """Return D^-1 (D - M) v (c, n, d) at the slave nodes for c choices of direction; collective.
-
-    Zero at nodes without a multiplier in that choice.
-    """
+    """Return D^-1 (D - M) v (c, n, d), 0 without multiplier; collective."""
     P, coupling = coupled.pattern.scalars, coupled.coupling
     result = np.zeros((coupling.P.shape[1], *coupling.normals.shape))
     for c in range(len(result)):
@@ -290,7 +286,7 @@ def along_and_across(relative: Floats, normals: Floats) -> tuple[Floats, Floats]
 
 
 def slipped(coupled: CoupledSides, u: PETSc.Vec) -> Floats:
-    """Tangential part (n,) of D^-1 (D - M) u, its largest length over the choices; collective."""
+    """Tangential part (n,) of D^-1 (D - M) u, the largest of the choices; collective."""
     _, across = along_and_across(relative_motions(coupled, u), coupled.coupling.normals)
     return np.asarray(across.max(axis=0))
 
@@ -300,29 +296,24 @@ class Frame:
     """Directions at the owned slave nodes, and which are constrained."""
 
     R: Floats  # (n, d, d) frames as columns
-    slot: Ints  # (n, d) column of R of a prescribed axis, else -1
+    slot: Ints  # (n, d) column of a prescribed axis, else -1
     directions: Bools  # (n, d) constrained columns
-    normals: Floats  # (n, d) 0 without a multiplier
+    normals: Floats  # (n, d) 0 without multiplier
 
 
 def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
     """Orthonormal frames with the normal first and prescribed axes among the tangents.
 
-    Args:
-        normals: (n, d) unit normals; zero in every prescribed direction.
-        fixed: (n, d) prescribed Cartesian directions.
-
-    Returns:
-        R (n, d, d) with the frame vectors as columns, and slot (n, d): the column of R of a
-            prescribed axis, else -1.
+    Unit normals (n, d) are zero in prescribed Cartesian directions (n, d). Returns R (n, d, d) with
+    the frame vectors as columns, and slot (n, d), the column of R of a prescribed axis, else -1.
 
     >>> R, slot = create_frames(np.array([[0.0, -1.0]]), np.array([[True, False]]))
     >>> R[0].tolist(), slot[0].tolist()
     ([[0.0, 1.0], [-1.0, 0.0]], [1, -1])
     """
     n, d = normals.shape
-    # Without the free axis closest to n, [n, axes] is regular. Others keep their order, lest
-    # tangents swap under small rotations, for which reused multigrid levels are poor.
+    # Without the free axis closest to n, [n, axes] is regular. Others keep their order: tangents
+    # that swap under small rotations would spoil reused multigrid levels.
     order = np.argsort(np.abs(normals) - 2.0 * fixed, axis=1, kind="stable")[:, : d - 1]
     order = np.sort(order, axis=1)
     columns = np.concatenate([normals[:, None, :], np.eye(d)[order]], axis=1)
@@ -334,15 +325,9 @@ def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
 
 
 def normal_frames(normals: Floats, kept: Bools, fixed: Bools) -> tuple[Floats, Ints, Bools]:
-    """Frames whose normal is constrained at nodes with multipliers; Cartesian elsewhere.
+    """Frames whose normal is constrained at kept nodes (n,); Cartesian elsewhere.
 
-    Args:
-        normals: (n, d) unit normals, not wholly prescribed at kept nodes.
-        kept: (n,) nodes that carry a multiplier.
-        fixed: (n, d) prescribed Cartesian directions.
-
-    Returns:
-        R and slot as in `create_frames`, and the constrained directions (n, d).
+    Arguments and results as of `create_frames`, and the constrained directions (n, d).
 
     >>> n, e = np.array([[0.6, 0.8]]), np.array([[True, False]])
     >>> R, slot, directions = normal_frames(n, np.array([True]), e)
@@ -362,7 +347,7 @@ def normal_frames(normals: Floats, kept: Bools, fixed: Bools) -> tuple[Floats, I
 
 
 def free_directions(normals: Floats, fixed: Bools) -> tuple[Floats, Floats]:
-    """Unit normals (n, d), or 0, without prescribed directions, and their lengths (n,)."""
+    """Unit normals (n, d), or 0, without prescribed directions, and their lengths."""
     free = normals * ~fixed
     left = np.linalg.norm(free, axis=1)
     some = (left > ROUND_OFF)[:, None]

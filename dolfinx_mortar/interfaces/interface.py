@@ -15,7 +15,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.algebra.errors import is_defined_here, named, raised_together
+from dolfinx_mortar.algebra.parallel import is_defined_here, named, raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import (
     Constraints,
@@ -42,8 +42,7 @@ from dolfinx_mortar.mortar.pairing import Pairing, Weight
 from dolfinx_mortar.mortar.surface import check_tags, create_surface, dependent_nodes
 from dolfinx_mortar.tags import check_tag, label, tag_of
 
-# Default angle between normals at a sharp edge: round sides have at least nine facets per circle
-# (40 degrees), chamfers 45 degrees.
+# Default least angle of an edge: circles of at least nine facets are smooth, chamfers not.
 FEATURE_ANGLE = 40.0
 
 
@@ -67,7 +66,7 @@ class Interface(Collective, Results, ABC):
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
-        slave: tag or name (see `Tags`) of the nonmortar side, with multipliers and integration.
+        slave: tag or name (see `Tags`) of the nonmortar side.
 
     Raises:
         ValueError: for invalid tags and unknown names.
@@ -76,8 +75,8 @@ class Interface(Collective, Results, ABC):
         unilateral: whether it can open: one-sided bounds.
         stays: whether it is always coupled at X.
         smooth: whether facets approximate smooth surfaces.
-        feature_angle: degrees between facets from which on an edge is sharp.
-        within: largest distance of partners, None by the facets.
+        feature_angle: least angle of an edge in degrees.
+        within: largest distance of facets that are paired, None for a multiple of their size.
         master: tag of the other side, or None.
         rigid: rigid body that holds or meets the side, or None.
         tool: the same, if it meets the side.
@@ -103,16 +102,13 @@ class Interface(Collective, Results, ABC):
         return f"{type(self).__name__}(slave={label(self.facet_tags, self.slave)})"
 
     def given(self) -> dict[str, Any]:
-        """Arguments that must agree among ranks, by name; see `agreement`."""
+        """Arguments that must agree among ranks, by name."""
         return {"facet_tags": self.facet_tags, "slave": self.slave}
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Raise a ValueError if a problem cannot take it.
 
-        Args:
-            V: space of the displacement.
-            revolved: whether the problem is axisymmetric.
-            strain: "small" or "finite".
+        `revolved`: whether it is axisymmetric; `strain`: "small" or "finite".
         """
 
     def find_sides(self, V: fem.FunctionSpace, fixed: Bools, weight: Weight | None = None) -> Sides:
@@ -121,7 +117,7 @@ class Interface(Collective, Results, ABC):
         Args:
             V: vector space of the displacement.
             fixed: (local nodes, d) prescribed directions.
-            weight: factor of all integrals over the interface, None for 1.
+            weight: factor of all integrals, None for 1.
         """
         sides = [create_surface(V, self.facet_tags, self.slave, "slave")]
         if self.master is not None and self.master != self.slave:
@@ -155,7 +151,7 @@ class Interface(Collective, Results, ABC):
 
         Args:
             u: displacement, None for X.
-            again: whether sides may have turned away, an error at first.
+            again: a later search, in which no pairs are no error.
             earlier: of an earlier search, returned for the same pairs.
         """
         if earlier is not None:
@@ -166,7 +162,7 @@ class Interface(Collective, Results, ABC):
     def measure_coverage(
         self, sides: Sides, pairing: Pairing | None, u: fem.Function | None
     ) -> Coverage:
-        """Coverage of slave nodes at X + u, full without a master; collective."""
+        """Coverage of slave nodes at X + u; collective."""
         return full_coverage(sides)
 
     @abstractmethod
@@ -178,16 +174,13 @@ class Interface(Collective, Results, ABC):
         banned: Bools,
         u: fem.Function | None,
     ) -> Coupling:
-        """Frames, weights and Q at X + u; collective.
+        """Frames, weights and Q at X + u (X for None); collective.
 
-        Args:
-            pairing: candidate pairs.
-            banned: (local nodes,) slave nodes that may not carry a multiplier.
-            u: displacement, None for X.
+        `banned` (local nodes,) are slave nodes without multiplier.
         """
 
     def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
-        """Prescribed displacement (n, d) of tied sides at slave nodes (n,), or None; collective."""
+        """Prescribed displacement (n, d) of tied sides at nodes (n,), or None; collective."""
         return None
 
     def constraints(self, nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
@@ -208,7 +201,7 @@ class Interface(Collective, Results, ABC):
         return equalities(dofs, -slip[node, axis], weight)
 
     def derivatives(self, link: CoupledSides) -> LinkDerivatives | None:
-        """Derivatives of forces and gaps for the pattern of a link, None for none; collective."""
+        """Derivatives for the pattern of a link, or None; collective."""
         return None
 
     def driven(self) -> Driven | None:
@@ -216,10 +209,7 @@ class Interface(Collective, Results, ABC):
         return None
 
     def warnings(self, link: CoupledSides, x: PETSc.Vec) -> list[str]:
-        """Warnings for the audit, the same on all ranks; collective.
-
-        Args:
-            x: (n,) present positions.
+        """Warnings for the audit at positions x (n,), the same on all ranks; collective.
 
         Raises:
             ValueError: on all ranks, for unsolvable cases.
@@ -229,8 +219,7 @@ class Interface(Collective, Results, ABC):
     def state(self, ended: bool) -> dict[str, Floats]:
         """Copies of the state except results, finite arrays of fixed names and lengths; collective.
 
-        Args:
-            ended: whether for the start of the next step.
+        `ended`: at the start of the next step.
         """
         return {}
 
@@ -263,7 +252,7 @@ _RETURNS: Mapping[str, tuple[type, ...]] = {
 
 
 def _raised_together(name: str, method: Callable[..., Any]) -> Callable[..., Any]:
-    """Method whose errors on one rank are raised on all; collective."""
+    """Method with errors of one rank raised on all; collective."""
 
     @wraps(method)
     def asked(self: Interface, *args: Any, **options: Any) -> Any:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""An interface in one configuration: constraints, acting nodes, results."""
+"""An interface in one configuration: constraints, active nodes, results."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ class Link(CoupledSides):
 
     @property
     def prescribed(self) -> Bools:
-        """Slave nodes (n,) that face the master, but whose multiplier Dirichlet data prevent."""
+        """Slave nodes (n,) without multiplier because of Dirichlet data."""
         kept, coverage = self.coupling.kept.any(axis=1), self.coupling.coverage
         left_out = coverage.faces & ~kept & ~coverage.weightless
         return np.asarray(left_out & self.sides.fixed[self.nodes].any(axis=1))
 
     def prescribed_facets(self) -> Bools:
-        """Mask (m,) of slave facets with such nodes only; collective."""
+        """Slave facets (m,) with such nodes only; collective."""
         slave = self.sides.slave
         marks = np.zeros(len(slave.nodes))
         marks[: slave.owned] = self.prescribed
@@ -100,18 +100,14 @@ class Link(CoupledSides):
         return replace(found, beside=beside, before=before, room=room)
 
     def acting(self, closed: Bools) -> Bools:
-        """Mask (n,) of slave nodes at which the interface acts.
-
-        Args:
-            closed: (owned nodes,) closed nodes.
-        """
+        """Slave nodes (n,) at which the interface acts, given closed nodes."""
         some = self.constrained.any(axis=1)
         if self.unilateral:
             return np.asarray(closed[self.nodes] & some)
         return np.asarray(self.coupling.kept.any(axis=1))
 
     def apart(self) -> Floats | None:
-        """Prescribed distance of tied sides (n, d), None for none; collective."""
+        """Prescribed distance of tied sides (n, d), or None; collective."""
         sides = self.sides
         found = None if self.unilateral else self.interface.apart(sides.V, self.nodes)
         if found is None:
@@ -119,7 +115,7 @@ class Link(CoupledSides):
         return np.where((sides.on_slave & sides.on_master)[self.nodes, None], 0.0, found)
 
     def missed(self, u: PETSc.Vec) -> Floats:
-        """Relative motion (n, d) of tied sides minus the prescribed one; collective."""
+        """Relative motion (n, d) of ties minus the prescribed one; collective."""
         apart = self.apart()
         return self.relative(u if apart is None else u - self.spread(apart))
 
@@ -130,7 +126,7 @@ class Link(CoupledSides):
         return v
 
     def shown_gap(self, gap: Floats) -> Floats:
-        """Gap (n,) for output, of ties the opening by a jump, from contact gaps (owned nodes,)."""
+        """Gap (n,) for output, of ties the opening by a jump."""
         if self.unilateral:
             return np.asarray(gap[self.nodes])
         apart = None if self.sides.hold else self.apart()
@@ -151,11 +147,11 @@ def set_results_of(
 
     Args:
         reaction: (n, d) D_jj lambda_j in the frames, 0 in unconstrained directions.
-        known: (n, d) friction in prescribed directions, as vectors.
+        known: (n, d) friction vectors in prescribed directions.
         gap: (n,) nodal gaps, of ties the opening by a jump.
         active: (n,)
         x: (owned nodes, d) coordinates of the forces.
-        growth: (n,) area per D_jj, for tractions.
+        growth: (n,) area per D_jj.
     """
     found = link.interface
     kept: Bools = np.asarray(link.coupling.kept.any(axis=1))
@@ -173,7 +169,7 @@ def set_results_of(
     found.pressure.x.array[:] = np.nan_to_num(found.pressure.x.array)
     _fill(found.gap, link, gap, kept)
     _fill(found.active, link, active.astype(np.float64), kept)
-    # nodes without weight, on the axis, are active with a neighbour
+    # nodes on the axis, without weight, are active with a neighbour
     around = link.coupling.coverage.weightless & (found.active.x.array[link.nodes] > 0.0)
     found.active.x.array[:] = 0.0
     found.active.x.array[link.nodes] = active | around
@@ -184,7 +180,7 @@ def set_results_of(
 def set_sliding(
     link: Link, traction: Floats, step_slip: Floats, slip: Floats, status: Floats, energy: Floats
 ) -> None:
-    """Set the results of friction at the owned slave nodes, (n, d) and (n,); collective."""
+    """Set the results of friction at the owned slave nodes; collective."""
     interface, nodes = link.interface, link.nodes
     # on the axis closed nodes stick
     on = link.coupling.coverage.weightless & (interface.active.x.array[nodes] > 0.0)
@@ -202,7 +198,6 @@ def set_sliding(
 def _resultants(
     link: Link, forces: Floats, known: Floats, multiplier: Floats, x: Floats
 ) -> tuple[Resultants, tuple[float, float]]:
-    """Resultants and balances of slave forces and prescribed friction; collective."""
     comm, n, d = link.sides.V.mesh.comm, link.sides.n_owned, forces.shape[1]
     f, points = np.zeros((2, n, 3)), np.zeros((n, 3))
     f[:, :, :d], points[:, :d] = link.transpose(forces), x
@@ -231,7 +226,7 @@ def _place_of(interface: Interface) -> Floats:
 
 
 def _balances(comm: MPI.Comm, f: Floats, points: Floats, h: float) -> tuple[float, float]:
-    """Relative imbalances of forces f (2, n, 3) and moments (theory.md, Moments); collective."""
+    """Relative imbalances of forces (2, n, 3) and moments (theory.md, Moments); collective."""
     size = np.linalg.norm(f[0], axis=1)
     whole = comm.allreduce(np.append(size @ points, size.sum()), op=MPI.SUM)
     arms, both = points - whole[:3] / np.maximum(whole[3], TINY), f.sum(axis=0)
@@ -243,13 +238,12 @@ def _balances(comm: MPI.Comm, f: Floats, points: Floats, h: float) -> tuple[floa
 
 
 def _fill(function: fem.Function, link: Link, values: Floats, kept: Bools) -> None:
-    """Set a Function to nodal values on the slave side, zero off it; collective."""
     result = _extended(link, values[:, None], kept[:, None])[:, 0]
     function.x.array[:] = np.where(link.sides.on_slave, result, 0.0)
 
 
 def _extended(link: Link, values: Floats, kept: Bools) -> Floats:
-    """Nodal values (local nodes, k) of those (n, k) at kept slave nodes (n, k); collective.
+    """Nodal values (local nodes, k) of those (n, k) at kept slave nodes; collective.
 
     Other covered nodes have the mean of kept neighbours, nodes off the master not-a-number.
     """

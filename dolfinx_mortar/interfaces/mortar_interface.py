@@ -43,10 +43,10 @@ class MortarInterface(Interface):
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
-        slave: tag or name (see `Tags`) of the nonmortar side, with multipliers and integration.
+        slave: tag or name (see `Tags`) of the nonmortar side.
         master: tag or name of the mortar side.
         surface: "facets", or "smooth" for smooth surfaces through the nodes.
-        feature_angle: degrees between facets from which on an edge is sharp.
+        feature_angle: least angle of an edge between facets in degrees.
 
     Raises:
         ValueError: for invalid arguments.
@@ -88,17 +88,12 @@ class MortarInterface(Interface):
         }
 
     def reach(self, sizes: Floats, nearest: float) -> Floats:
-        """Largest distance (q,) of partners, if ``within`` is finite.
-
-        Args:
-            sizes: (q,) diameter of the larger facet.
-            nearest: least distance of the sides.
-        """
+        """Largest distances (q,) of paired points, by facet diameters and the least distance."""
         return np.full(len(sizes), np.inf)
 
     @abstractmethod
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
-        """Mask (n, c) of nodes that may carry a multiplier, for c choices of direction.
+        """Nodes (n, c) that may have a multiplier, for c choices of direction.
 
         Args:
             left: (n,) length of the unit normals without prescribed directions.
@@ -107,11 +102,11 @@ class MortarInterface(Interface):
 
     @abstractmethod
     def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
-        """Frames for unit normals (n, d), kept nodes (n, c), Dirichlet data (n, d)."""
+        """Frames for unit normals (n, d), kept nodes (n, c), fixed directions (n, d)."""
 
     @abstractmethod
     def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
-        """Entries (e, d, d) of Q for P (e, c) in rows (e,) of the frame."""
+        """Entries (e, d, d) of Q for P (e, c) in rows (e,)."""
 
     @abstractmethod
     def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:

@@ -4,8 +4,8 @@
     (K + H) du + B^T lambda+ = r,    G_j + dG_j.du >= 0,    H = d(B^T lambda)/du at fixed lambda,
 
 with weighted gaps G. Test functions are those of T; du = T_g y with y_n = -dG_j.du / D_jj makes
-gaps bounds: K^ = T^T (K + H) T_g. In rows of T_g the parts of neighbouring slave nodes are lumped
-on node j; the neglected part, a few per cent, corrects the bounds once du is known.
+gaps bounds: K^ = T^T (K + H) T_g. In T_g the parts of neighbouring slave nodes are lumped on node
+j; the neglected part corrects the bounds once du is known.
 With friction y_t is the change of the slip t.m, t.(du_j - P du) + m.dt, with the partners' P
 (`slip_partners`) and the motion m; dt = -r (t.dn), r the first column of R.
 """
@@ -30,8 +30,7 @@ from dolfinx_mortar.algebra.congruence import (
 )
 from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
-from dolfinx_mortar.interfaces.basis import Transformation
-from dolfinx_mortar.interfaces.claims import Claims
+from dolfinx_mortar.interfaces.basis import Claims, Transformation
 from dolfinx_mortar.interfaces.contact_tangent import SlipRows
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.slip_partners import Partners
@@ -39,7 +38,7 @@ from dolfinx_mortar.interfaces.slip_partners import Partners
 
 @dataclass(frozen=True)
 class GeometryTangent:
-    """Contribution of moving surfaces to a linearisation; valid until the next one."""
+    """Contribution of moving surfaces; valid until the next one."""
 
     forces: Sequence[PETSc.Mat]  # (n, n) H = d(B^T lambda)/du of each contact
     trial: Transformation  # T_g
@@ -48,7 +47,7 @@ class GeometryTangent:
     products: Products
 
     def closing(self, du: PETSc.Vec) -> Floats:
-        """Closing of gaps and added slips (n,) at w by du; collective."""
+        """Closing of gaps and added slips (n,) by du; collective."""
         total = np.zeros(du.local_size)
         for rows in self.gaps:
             total += (rows * du).array_r
@@ -63,12 +62,9 @@ class GeometryTangent:
     def follow(
         self, K: PETSc.Mat, T: Transformation, decoupled: Ints, diagonal: PETSc.Vec
     ) -> OperatorOfBases:
-        """Same as an operator, valid until the next call; collective.
+        """Same as an operator, decoupled at owned unknowns, valid until the next call; collective.
 
-        Args:
-            T: of the test functions.
-            decoupled: owned decoupled unknowns.
-            diagonal: (n,) of T^T K T.
+        `diagonal` (n,) is that of T^T K T.
         """
         return self.products.follow([K, *self.forces], T, self.trial, decoupled, diagonal)
 
@@ -77,7 +73,6 @@ class Products:
     """Matrices of T^T (K + H) T_g, on fixed patterns."""
 
     def __init__(self) -> None:
-        """Start empty."""
         self._total: PETSc.Mat | None = None
         self._factors: list[ProductOfBases] = []
         self._operator: OperatorOfBases | None = None
@@ -116,17 +111,16 @@ class Products:
 
 
 class MovingGeometry:
-    """Derivatives of contacts, on the patterns of their pairs."""
+    """Derivatives of contacts, on the patterns of their pairs; collective."""
 
     def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], claims: Claims) -> None:
-        """Create the patterns; collective."""
         found = {k: link.interface.derivatives(link) for k, link in enumerate(links)}
         self._contacts = {k: one for k, one in found.items() if one is not None}
         self._trial = Transformation(V, links, claims)
         self._products = Products()
 
     def serves(self, links: Sequence[Link]) -> bool:
-        """Whether the patterns fit the pairs of links with the same T."""
+        """Whether the patterns fit other links."""
         return all(contact.serves(links[k]) for k, contact in self._contacts.items())
 
     def linearise(
@@ -137,7 +131,7 @@ class MovingGeometry:
         tangential: Floats | None,
         slips: tuple[PETSc.Vec, Sequence[Partners | None]],
     ) -> GeometryTangent:
-        """Derivatives at X + u, see `InterfaceSystem.linearise_geometry`; collective."""
+        """See `InterfaceSystem.linearise_geometry`; collective."""
         moved, H, gaps, sliding = list(links), [], [], []
         since, partners = slips
         for k, contact in self._contacts.items():
@@ -156,8 +150,7 @@ class MovingGeometry:
 def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None) -> Link:
     """Scale rows dG_j to w_n, and return the link of T_g; collective.
 
-    Lest T_g be singular, rows of T replace unknown gap rows, those with a small own part along n_j,
-    and dependent slip rows.
+    Rows of T replace unknown or dependent rows, and those with a small part along n_j.
     """
     coupling, nodes, row = link.coupling, link.nodes, link.pattern.row
     kept, R, across = coupling.kept[:, 0], coupling.R, coupling.rows
@@ -173,7 +166,7 @@ def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None
         for t in range(1, d):
             slid[:, t], q[:, t] = _lumped(link, slips.rows(t - 1))
         slid[:, 1:] = np.where(coupling.directions[:, 1:, None], slid[:, 1:], across[:, 1:])
-        # lumped partners beyond the pattern may leave a singular block
+        # lumped partners outside of the sparsity pattern may make a block singular
         regular = np.linalg.det(slid) * np.linalg.det(R) > 0.5
         faced = (slips.partners.known & regular)[:, None, None]
         rows, moved = np.where(faced, slid, rows), np.where(faced[row], q, moved)
@@ -186,7 +179,7 @@ def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None
 
 
 def _lumped(link: Link, rows: scipy.sparse.csr_array) -> tuple[Floats, Floats]:
-    """Own parts (n, d) of rows, with other parts lumped on them, and minus parts (e, d)."""
+    """Rows' parts (n, d) with others lumped on them, and minus the others (e, d)."""
     coupling, pattern = link.coupling, link.pattern
     used = np.arange(len(pattern.row)) >= pattern.split
     used |= coupling.P[:, 0] != 0.0
@@ -205,7 +198,6 @@ def _lumped(link: Link, rows: scipy.sparse.csr_array) -> tuple[Floats, Floats]:
 
 
 def _values_at(keys: Longs, values: Floats, asked: Longs) -> Floats:
-    """Values (e,) at some of the ascending keys, else 0."""
     if not len(keys):
         return np.zeros(len(asked))
     place = np.minimum(np.searchsorted(keys, asked), len(keys) - 1)

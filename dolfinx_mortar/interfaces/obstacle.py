@@ -2,7 +2,7 @@
 """Unilateral contact of a side with a rigid tool without a mesh.
 
 Multipliers lambda_j exert the forces -D_jl lambda_j n_j, n_j = -grad phi(x_j), on the nodes l of
-the side, and the opposite on the tool. Smooth surfaces: `point_gaps`; tangent: `contact_tangent`.
+the side, and the opposite on the tool.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import any_rank, maximum, raised_together
 from dolfinx_mortar.arguments import check_optional
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
 from dolfinx_mortar.interfaces.constraints import Force, Limit, create_law
@@ -44,23 +43,18 @@ from dolfinx_mortar.interfaces.tool import (
 )
 from dolfinx_mortar.mortar.curvature_correction import find_smooth_side
 from dolfinx_mortar.mortar.duals import Coverage
+from dolfinx_mortar.mortar.operators import create_whole_side, integrate_side, means
 from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import (
     accumulate,
     coordinates,
     mean_facet_length,
 )
-from dolfinx_mortar.mortar.whole_side import (
-    create_whole_side,
-    integrate_side,
-    means,
-)
 from dolfinx_mortar.shapes import Distance, Shape
 
 # Largest | |grad phi| - 1 | within a facet of the surface, the error of forces and gaps.
 NO_DISTANCE = 0.1
-# A tool is near within so many facets: next to a touching node the gap is below two for surfaces
-# inclined by less than 63 degrees.
+# Reach of a tool in facets: next to a touching node the gap is below it up to 63 degrees.
 FACETS = 2.0
 
 
@@ -76,7 +70,7 @@ class Obstacle(Movable, Unilateral):
     along grad phi on the side, and opposite on the tool.
     The tool's point ``reference`` is at ``position``, and ``rotation`` turns it about this point
     (an angle in the plane, a rotation vector in space; radians). Both are Constants, read in every
-    step, which ``ramp`` and ``on_time`` of `load_steps` may set.
+    step.
     Results are those of a `Contact` with the tool as master; slip is relative to the moving tool.
     ``tool_force`` and ``tool_moment`` (about its point) act on the tool. A node faces a tool within
     two facet lengths. Facets inclined by 78 degrees or more to the tool's surface, and untagged
@@ -147,7 +141,7 @@ class Obstacle(Movable, Unilateral):
         self.tool.check(V.mesh.geometry.dim, revolved)
 
     def take(self, owner: object, V: fem.FunctionSpace) -> None:
-        """Assign to a problem; slips count from the present pose; collective."""
+        """Assign to a problem; slips count from here; collective."""
         super().take(owner, V)
         self.tool.began = self.tool.pose()
         self.tool.asked.alone = V.mesh.comm.size == 1
@@ -196,7 +190,7 @@ class Obstacle(Movable, Unilateral):
     def measure_coverage(
         self, sides: Sides, pairing: Pairing | None, u: fem.Function | None
     ) -> Coverage:
-        """Return which slave nodes are close to the tool at X + u; collective."""
+        """See `Interface.measure_coverage`; collective."""
         slave, own = sides.slave, slice(None, sides.slave.owned)
         length = mean_facet_length(slave)
         with raised_together(sides.V.mesh.comm):
@@ -216,7 +210,7 @@ class Obstacle(Movable, Unilateral):
         banned: Bools,
         u: fem.Function | None,
     ) -> Coupling:
-        """Integrate D and the gaps at X + u, see `Interface.couple`; collective."""
+        """See `Interface.couple`; collective."""
         assert isinstance(pattern, SidePattern) and pattern.side is not None
         side, slave, own = pattern.side, sides.slave, slice(None, sides.slave.owned)
         comm, x = sides.V.mesh.comm, coordinates(slave, u)
@@ -236,7 +230,7 @@ class Obstacle(Movable, Unilateral):
         frame = self.frame(into[own], found.kept, sides.fixed[sides.nodes])
         gaps, _ = point_gaps(pattern, pose, self.tool.asked, u, found.segments, found.x)
         at = means(side, found, np.column_stack([found.x, gaps]))
-        # makes the gap n.(P x - x_j) - h_j the mean of phi
+        # the gap n.(P x - x_j) - h_j is the mean of phi
         heights = -(frame.normals * at[:, :-1]).sum(axis=1) - at[:, -1]
         kept = found.kept
         return couple_in(
@@ -250,7 +244,6 @@ class Obstacle(Movable, Unilateral):
         )
 
     def _check_distance(self, at_nodes: Distance, x: Floats, length: float) -> None:
-        """Raise a ValueError where |grad phi| is not 1 near the surface."""
         size = np.linalg.norm(at_nodes.gradient, axis=1)
         off = np.where(np.abs(at_nodes.value) <= length * size, np.abs(size - 1.0), 0.0)
         if off.max(initial=0.0) > NO_DISTANCE:
@@ -262,7 +255,7 @@ class Obstacle(Movable, Unilateral):
             )
 
     def derivatives(self, link: CoupledSides) -> ToolDerivatives:
-        """Derivatives of forces and gaps for the pattern of a link; collective."""
+        """See `Interface.derivatives`; collective."""
         assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
         return ToolDerivatives(link, link.pattern.side, self.tool)
 
@@ -307,8 +300,5 @@ class Obstacle(Movable, Unilateral):
 
     @property
     def tool_moment(self) -> Floats:
-        """Moment (3,) of the forces on the tool about its point; in the plane the last component.
-
-        Of rings, see `moment`.
-        """
+        """Moment (3,) of the forces on the tool about its point; in the plane the last one."""
         return self._about_place(self.master_moment, self.master_force)

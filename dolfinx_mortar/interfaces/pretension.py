@@ -2,8 +2,7 @@
 """Pretension of a bolt cut by a tie: an unknown overlap s with given conjugate force F.
 
 The tie constrains w_j = jump_j + e_j s, e_j being n without directions with Dirichlet data and
-shares of nodes without multiplier; its reactions r_j satisfy sum_j e_j . r_j = F (theory.md,
-Pretension).
+shares of nodes without multiplier; sum_j e_j . r_j = F for its reactions (theory.md, Pretension).
 """
 
 from __future__ import annotations
@@ -23,11 +22,9 @@ from dolfinx_mortar.mortar.surface import Surface, facets_at
 Direction = Sequence[float] | Floats | None
 """Components of a vector of any length."""
 
-# Least cosine with the outward normal: below is shear, or inward if negative. Cuts at 60 degrees to
-# the axis are above.
+# Least cosine with the outward normal: below is shear, or inward if negative.
 ALONG = 0.45
-# Least mean unit normal of a side that is not around a shank: an arc of the angle 2 a has sin(a) /
-# a, below for more than 327 degrees.
+# Least mean unit normal of a side that is not around a shank, sin(a) / a for an arc of angle 2 a.
 AROUND = 0.1
 
 
@@ -38,7 +35,7 @@ class Bolt:
     axis: Floats  # (d,) n
     force: Callable[[], float]
     tighten: Callable[[Floats], None]
-    overlap: Floats  # (d,) present
+    overlap: Floats  # (d,)
     name: str
 
     holds = True
@@ -50,15 +47,15 @@ class Bolt:
     )
 
     def loads(self) -> Floats:
-        """Return F (1,)."""
+        """The force F (1,)."""
         return np.array([self.force()])
 
     def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
-        """Return n at each node (1, n, d)."""
+        """Unit vector n at each node (1, n, d)."""
         return np.tile(self.axis, (1, len(X), 1))
 
     def curve(self, X: Floats, amounts: Floats) -> Floats:
-        """Return 0: n is fixed."""
+        """Zero: n is fixed."""
         return np.zeros_like(X)
 
     def move(self, amounts: Floats) -> None:
@@ -66,11 +63,7 @@ class Bolt:
         self.tighten(amounts[0] * self.axis)
 
     def check(self, sides: Sides, largest: float) -> None:
-        """Raise a ValueError where the sides cannot overlap; collective.
-
-        Args:
-            largest: largest |e_j|.
-        """
+        """Raise a ValueError where the sides cannot overlap; collective."""
         common = (sides.on_slave & sides.on_master)[: sides.n_owned]
         count = sides.V.mesh.comm.allreduce(int(common.sum()), op=MPI.SUM)
         if count:
@@ -112,7 +105,7 @@ def find_axis(normal: Floats, direction: Direction, who: str) -> Floats:
 
 
 def describe_shear(normal: Floats, axis: Floats, who: str) -> str:
-    """Warning if n runs along the cut, or "" (always around a shank)."""
+    """Warning if n runs along the cut, or ""."""
     length = float(np.linalg.norm(normal))
     if length <= AROUND or float(axis @ normal) >= ALONG * length:
         return ""
@@ -126,7 +119,7 @@ def describe_shear(normal: Floats, axis: Floats, who: str) -> str:
 
 
 def mean_normal(slave: Surface) -> Floats:
-    """Mean of the outward unit normals (d,) of a side at X; collective."""
+    """Mean outward unit normal (d,) of a side at X; collective."""
     found = facets_at(slave, slave.X)
     own = np.append(area_vectors(found).sum(axis=0), tributary_weights(found).sum())
     total = slave.V.mesh.comm.allreduce(own, op=MPI.SUM)

@@ -33,10 +33,10 @@ class Resultants:
     moment: Floats  # (3,) about the origin
     master_force: Floats  # (d,) on the master side
     master_moment: Floats  # (3,)
-    multiplier: Floats  # (n,) or (n, d) lambda_j = reaction_j / D_jj at owned slave nodes
+    multiplier: Floats  # (n,) or (n, d) at owned slave nodes
     nodes: Ints  # (n,) their local numbers
     carries: Bools  # (n,) with a multiplier
-    place: Floats  # (3,) position of a tool or rigid side, else 0
+    place: Floats  # (3,) position of a tool or rigid side
 
 
 class Results:
@@ -45,8 +45,7 @@ class Results:
     Attributes:
         law: of friction, or None.
         owner: problem to which the interface belongs.
-        nodal: Functions by name: "pressure", "gap", "active", and with friction "traction",
-            "step_slip", "slip", "status", "energy" (dissipated since the start).
+        nodal: Functions by name.
         resultants: None until the first step.
         dissipated: energy of all ranks.
     """
@@ -60,7 +59,7 @@ class Results:
         self.nodal: dict[str, fem.Function] = {}
 
     def take(self, owner: object, V: fem.FunctionSpace) -> None:
-        """Assign to a problem with Functions on V, without results; collective."""
+        """Assign to a problem, without results; collective."""
         self.owner, self.resultants, self.dissipated = owner, None, 0.0
         scalar = V.sub(0).collapse()[0]
         spaces = dict.fromkeys(("pressure", "gap", "active"), scalar)
@@ -87,7 +86,7 @@ class Results:
             f.x.array[:] = 0.0
 
     def sum_up(self, comm: MPI.Comm, nodes: Ints) -> None:
-        """Sum the energies of the owned slave nodes, with friction; collective."""
+        """Sum the energies of the owned slave nodes; collective."""
         if "energy" in self.nodal:
             energy = self.nodal["energy"].x.array[nodes]
             self.dissipated = comm.allreduce(float(energy.sum()), op=MPI.SUM)
@@ -153,12 +152,12 @@ class Results:
         return self._function("active")
 
     def gather(self, u: fem.Function) -> Mapping[str, Floats]:
-        """Slave nodes of all ranks on every rank; collective.
+        """Slave nodes of all ranks on every rank, ordered by X; collective.
 
         Returns:
             "X" (n, d) reference and "x" (n, d) current coordinates at u, "pressure", "gap" and
-                "active" (n,), with friction also "traction" (n, d), "step_slip" (n, d), "slip" and
-                "status" (n,), ordered by X.
+            "active" (n,), with friction also "traction" (n, d), "step_slip" (n, d), "slip" and
+            "status" (n,).
 
         Raises:
             NoResult: before the first step.
@@ -188,11 +187,10 @@ def _at_nodes(f: fem.Function) -> Floats:
 def merge_results(
     sides: Sequence[Sides], interfaces: Sequence[Results], name: str, function: fem.Function
 ) -> fem.Function:
-    """Fill a Function with results of all interfaces; collective.
+    """Fill a Function with results of all interfaces, "pressure" to "slip" or "facing"; collective.
 
-    "pressure", "gap", "status", "facing", or with friction "traction" and "slip". A node of several
-    slave sides has the value of the interface with its multiplier, else of the first whose master
-    it faces; elsewhere 0.
+    A node of several slave sides has the value of the interface with its multiplier, else of the
+    first whose master it faces; elsewhere 0.
     """
     n, size = sides[0].n_owned, function.function_space.dofmap.index_map_bs
     merged, best = np.zeros((n, size)), np.full(n, -1)

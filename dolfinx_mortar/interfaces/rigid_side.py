@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A side of a body glued to a rigid plate.
-
-Unknown motions with given force F or moment M have the equations sum_j f_j = F and sum_j R (X_j -
-c) x f_j = M for the nodal forces f_j, see `RigidSide`.
-"""
+"""A side of a body glued to a rigid plate: sum_j f_j = F, sum_j R (X_j - c) x f_j = M if driven."""
 
 from __future__ import annotations
 
@@ -28,11 +24,7 @@ from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals,
 
 
 class Plate(RigidBody):
-    """Rigid body glued to a side.
-
-    Attributes:
-        small: whether rotations are linearised.
-    """
+    """Rigid body glued to a side; rotations are linearised if `small`."""
 
     holds = True
 
@@ -45,7 +37,7 @@ class Plate(RigidBody):
         return self.travel + self.steps(amounts) if self.small else super().ahead(amounts)
 
     def turned(self, arm: Floats, rotation: Floats) -> Floats:
-        """Arms (n, d) turned by a rotation, linearised at small strain."""
+        """Arms (n, d) turned by a rotation."""
         if not self.small:
             origin = np.zeros(len(self.point))
             return Pose(origin, rotation, origin).to_space(arm)
@@ -84,8 +76,7 @@ class RigidSide(Movable, Interface):
 
     Its point c = ``reference`` is at ``position`` = c + t, turned by ``rotation`` about it (an
     angle in the plane, a rotation vector in space; radians). Both are Constants, read in every
-    step, which ``ramp`` and ``on_time`` of `load_steps` may set. With the rotation matrix R or
-    vector theta
+    step. With the rotation matrix R or vector theta
 
         u_j = t + R (X_j - c) - (X_j - c)      at finite strain,
         u_j = t + theta x (X_j - c)            at small strain.

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Slip in a step, relative to the master points (partners) at the last commit.
 
-With the present P slips would change with every geometry update (15 instead of 10 Newton iterations
-of a Hertz step). The tangential distance of a node and its partner must not slip in rigid
-rotations: in the plane it turns with the normal; in space, where it may spin, the slave side
-carries it.
+The tangential distance of a node and its partner must not slip in rigid rotations: in the plane it
+turns with the normal; in space, where it may spin, the slave side carries it.
 On a moving rigid tool slips are along arcs of its surface. The nearest point of the tool at the
 last commit moves with it to y, its normal (into the tool) to n_0; the nearest point is now z, with
 the normal n. With d = z - y, c = n_0.n, h = |n_0 + n|, the angle b between n_0 and n, f = (b/2) /
@@ -13,9 +11,9 @@ sin(b/2), and tangents t at z, the slip is
     t.(d - B n_0),   B = d.(n + n_0) / h^2 + K d.(n - n_0),
     K = (f - 1) / (2 - 2 c) + f / (h (2 + h)),
 
-exact on planes, cylinders and spheres up to half a turn, and zero in common motions. Rotation about
-the normal uses the chord. With frozen geometry the tool's motion at X is s + theta x (X - p), with
-rotation theta, translation s of its point, and p the middle of its path.
+exact on planes, cylinders and spheres up to half a turn, and zero in common motions. With frozen
+geometry the tool's motion at X is s + theta x (X - p), with rotation theta, translation s of its
+point, and p the middle of its path.
 """
 
 from __future__ import annotations
@@ -26,8 +24,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.triplets import Triplets
+from dolfinx_mortar.algebra.csr import Triplets
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arrays import EPS, HALF_OF_DIGITS, TINY, Bools, Floats
 from dolfinx_mortar.interfaces.coupling import CoupledSides, node_motions
 from dolfinx_mortar.interfaces.tool import Pose, Tool, spun, turn_between
@@ -36,13 +34,13 @@ from dolfinx_mortar.mortar.surface import accumulate, carrying
 
 @dataclass(frozen=True)
 class Partners:
-    """P of a contact and its distances at the start of a step; in space see `carrying`."""
+    """P of a contact and its distances at the start of a step."""
 
     P: PETSc.Mat  # (nodes, nodes) between nodes, scalar
-    known: Bools  # (n,) slave nodes that face the master
+    known: Bools  # (n,) that face the master
     normals: Floats  # (n, d) unit normals at the start
-    apart: Floats  # (n,) n.(x_j - P x) at the last commit
-    along: Floats  # (n, d) tangential part of x_j - P x there, in the plane
+    apart: Floats  # (n,) n.(x_j - P x)
+    along: Floats  # (n, d) tangential part of x_j - P x, in the plane
 
     def completed(self, link: CoupledSides, other: Partners) -> Partners:
         """These, with the others at nodes without a partner; collective."""
@@ -71,13 +69,13 @@ class Partners:
         return np.asarray(whole + tilt[:, None] * both)
 
     def slip(self, link: CoupledSides, moved: PETSc.Vec) -> Floats:
-        """Motion (n, d) by the displacement ``moved``, in present frames; collective."""
+        """Motion (n, d) by ``moved``, in present frames; collective."""
         in_frames = np.einsum("nij,nj->ni", link.coupling.rows, self.motion(link, moved))
         return np.where(self.known[:, None], in_frames, link.relative(moved))
 
 
 def partners_on_master(link: CoupledSides, x: PETSc.Vec) -> Partners:
-    """Partners in the present configuration of a contact, x (n,) at the last commit; collective."""
+    """Partners in the present configuration, x (n,) at the last commit; collective."""
     scalars, coupling = link.pattern.scalars, link.coupling
     scalars.fill(coupling.P[:, 0, None, None])
     P = scalars.matrix.copy()
@@ -89,14 +87,13 @@ def partners_on_master(link: CoupledSides, x: PETSc.Vec) -> Partners:
 
 
 def _distances(link: CoupledSides, P: PETSc.Mat, x: PETSc.Vec) -> tuple[Floats, Floats]:
-    """Normal (n,) and tangential part (n, d) of x_j - P x; collective."""
     distance, normals = node_motions(link, P, x), link.coupling.normals
     apart = np.einsum("ni,ni->n", distance, normals)
     return apart, distance - apart[:, None] * normals
 
 
 def _carried(link: CoupledSides, x: PETSc.Vec, along: Floats) -> PETSc.Mat:
-    """Slave matrix W (nodes, nodes), W x = ``along`` (n, d) but for normal parts; collective."""
+    """Slave matrix W, W x = ``along`` (n, d) up to normal parts; collective."""
     slave, index_map = link.sides.slave, link.sides.V.dofmap.index_map
     d, kept = along.shape[1], link.coupling.kept[:, :1]
     columns = np.zeros((len(slave.nodes), 3 * d))
@@ -110,10 +107,10 @@ def _carried(link: CoupledSides, x: PETSc.Vec, along: Floats) -> PETSc.Mat:
 
 @dataclass(frozen=True)
 class ToolPartners(Partners):
-    """Partners on a tool: P = 0, the motion is relative to the tool."""
+    """Partners on a tool, with P = 0."""
 
     at: Floats  # (n, d) positions at the last commit, X if frozen
-    place: Floats  # (n, d) nearest points of the tool, in its initial position
+    place: Floats  # (n, d) nearest, in the tool's initial position
     into: Floats  # (n, d) normals there, into the tool
     tool: Tool
     began: Pose
@@ -121,7 +118,7 @@ class ToolPartners(Partners):
 
     @classmethod
     def create(cls, link: CoupledSides, x: PETSc.Vec, tool: Tool, *, frozen: bool) -> ToolPartners:
-        """Partners of a link, x (n,) being positions at the last commit; collective."""
+        """Partners of a link, x (n,) at the last commit; collective."""
         n, scalars = link.coupling.normals, link.pattern.scalars
         scalars.fill(np.zeros((len(link.coupling.P), 1, 1)))
         at = x.array_r.reshape(-1, n.shape[1])[link.nodes]
@@ -159,7 +156,7 @@ class ToolPartners(Partners):
         return np.asarray(arcs.motion - arcs.lift[:, None] * arcs.end)
 
     def derivatives(self, link: CoupledSides, moved: PETSc.Vec) -> tuple[Floats, Floats]:
-        """Derivatives (n, d, d) of the motion by x_j and by n, but for parts along n."""
+        """Derivatives (n, d, d) of the motion by x_j and by n."""
         x = self.at + moved.array_r.reshape(-1, self.at.shape[1])[link.nodes]
         arcs, found = self._arcs(link, x), self.tool.pose().distance(self.tool.asked, x)
         g = found.gradient
@@ -178,10 +175,9 @@ class ToolPartners(Partners):
 
 
 class _Arcs:
-    """Arcs of a surface from their chords and the normals at their ends."""
+    """Arcs of a surface from chords and normals at their ends."""
 
     def __init__(self, chord: Floats, start: Floats, end: Floats) -> None:
-        """Take the chords d and unit normals n_0 and n (n, d)."""
         self.chord, self.start, self.end = chord, start, end
         both, apart = end + start, end - start
         h, w = np.linalg.norm(both, axis=1), np.linalg.norm(apart, axis=1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""All interfaces of a problem: pairs of facets, claims on slave nodes, couplings, and one T."""
+"""All interfaces of a problem: pairs of facets, owners of slave nodes, couplings, and one T."""
 
 from __future__ import annotations
 
@@ -15,11 +15,15 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.errors import is_ours
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import any_rank, is_ours, maximum
 from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.interfaces.basis import Transformation
-from dolfinx_mortar.interfaces.claims import Claims, are_outdated, notes_on_splits, resolve_claims
+from dolfinx_mortar.interfaces.basis import (
+    Claims,
+    Transformation,
+    are_outdated,
+    notes_on_splits,
+    resolve_claims,
+)
 from dolfinx_mortar.interfaces.constraints import (
     Constraints,
     SlipLimits,
@@ -56,7 +60,7 @@ from dolfinx_mortar.spaces import with_values
 
 @dataclass(frozen=True)
 class Configuration:
-    """All interfaces at given positions, for given positions of the pairing."""
+    """All interfaces at given positions."""
 
     links: Sequence[Link] = ()
     claims: Claims | None = None
@@ -64,26 +68,26 @@ class Configuration:
     paired_at: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) displacement; empty for X
 
     def largest_slip(self, u: PETSc.Vec) -> float:
-        """Largest deviation of tied sides from their jumps; collective."""
+        """Largest deviation of ties from their jumps; collective."""
         missed = [link.missed(u)[link.constrained] for link in self.links if not link.unilateral]
         largest = np.abs(np.concatenate([np.zeros(0), *missed])).max(initial=0.0)
         return float(maximum(u.comm.tompi4py(), largest)[0])
 
     def partners(self, x: PETSc.Vec, *, frozen: bool) -> list[Partners | None]:
-        """Slip partners of contacts with friction, see `Link.partners`; collective."""
+        """See `Link.partners`; collective."""
         return [link.partners(x, frozen=frozen) for link in self.links]
 
 
 @dataclass(frozen=True)
 class Reused:
-    """Last search and last T, whose matrices are reused where their patterns fit."""
+    """Last search and T, whose matrices are reused where their patterns fit."""
 
     pairs: Sequence[tuple[Pairing | None, Pattern]] = ()
     claims: Claims | None = None
     at_X: Mapping[int, Coupling] = field(default_factory=dict)
     paired_at: Floats | None = None
     transformation: Transformation | None = None
-    held: Sequence[Any] = ()  # dependencies of its pattern, see `_pattern_of`
+    held: Sequence[Any] = ()  # of its pattern, see `_pattern_of`
     moving: MovingGeometry | None = None
 
 
@@ -93,12 +97,12 @@ class InterfaceSystem:
     Args:
         interfaces: in the order in which they claim slave nodes.
         fixed: (local nodes, d) prescribed directions.
-        weight: factor of all integrals over interfaces, None for 1.
+        weight: factor of all integrals, None for 1.
 
     Attributes:
         present: configuration in use.
         searches: number of pairings.
-        middles: mid-surface points of both sides of each contact, see `newton_method.failures`.
+        middles: mid-surface points of both sides of each contact.
         faced: whether the sides have faced each other, and may turn away.
         facet_length: largest mean slave facet, 1 without interfaces.
     """
@@ -110,7 +114,6 @@ class InterfaceSystem:
         fixed: Bools,
         weight: Weight | None = None,
     ) -> None:
-        """Find the surfaces; collective."""
         self.V, self.interfaces = V, list(interfaces)
         self.sides: list[Sides] = [i.find_sides(V, fixed, weight) for i in interfaces]
         self._find_spreads()
@@ -164,7 +167,7 @@ class InterfaceSystem:
 
     @property
     def opposite(self) -> list[tuple[Surface, ...]]:
-        """Sides of each interface that may pass through each other or a tool."""
+        """Sides that may pass through each other or a tool."""
         return [
             tuple(sides.surfaces) if sides.unilateral and (sides.master or interface.tool) else ()
             for interface, sides in zip(self.interfaces, self.sides, strict=True)
@@ -183,7 +186,7 @@ class InterfaceSystem:
 
     @property
     def can_open(self) -> Bools:
-        """Marks (local nodes,) of nodes of contacts."""
+        """Nodes (local nodes,) of contacts."""
         layout = self.V.dofmap.index_map
         marks = np.zeros(layout.size_local + layout.num_ghosts, dtype=bool)
         for side in self.sides:
@@ -192,10 +195,7 @@ class InterfaceSystem:
         return marks
 
     def tools_at(self, u: fem.Function) -> list[tuple[Outline, Floats]]:
-        """Outlines of the rigid tools, each with a box in its frame; collective.
-
-        The box (2, d) encloses the side at X + u on all ranks.
-        """
+        """Outlines of the rigid tools, with boxes (2, d) of sides in their frames; collective."""
         tools = []
         for interface, sides in zip(self.interfaces, self.sides, strict=True):
             if interface.tool is None:
@@ -222,14 +222,13 @@ class InterfaceSystem:
         return self.links[next(k for k, i in enumerate(self.interfaces) if i is interface)]
 
     def at(self, u: fem.Function | None) -> Configuration:
-        """Pair and couple the surfaces at X + u and resolve the claims, without T; collective."""
+        """Pair and couple the surfaces at X + u, without T; collective."""
         if not self.interfaces:
             return Configuration()
         at = self._pair(u)
         return Configuration(self._coupled(u), self._reused.claims, paired_at=at)
 
     def _pair(self, u: fem.Function | None) -> Floats:
-        """Pair the surfaces at X + u, resolve the claims; return u (n,); collective."""
         self.searches += 1
         every = list(zip(self.interfaces, self.sides, strict=True))
         at = [None if interface.stays else u for interface in self.interfaces]
@@ -269,7 +268,7 @@ class InterfaceSystem:
         parts: tuple[Sides, Pairing | None, Pattern, Bools],
         u: fem.Function | None,
     ) -> Coupling:
-        """Couple interface k at X + u, ties and frozen contacts once per search; collective."""
+        """Couple interface k at X + u, ties and frozen contacts once per search."""
         interface, reused = self.interfaces[k], self._reused
         at = None if interface.stays else u
         lasts = at is None and parts[1] is not None and is_ours(interface)
@@ -281,19 +280,16 @@ class InterfaceSystem:
         return found
 
     def _followed(self, k: int, link: Link, u: fem.Function | None) -> Link:
-        """Couple an interface with the same pairs at X + u; collective."""
         if u is not None and link.interface.stays and link.pairing and is_ours(link.interface):
             return link
         parts = link.sides, link.pairing, link.pattern, link.banned
         return replace(link, coupling=self._couple(k, parts, u))
 
     def begin(self, u: fem.Function | None, known: Floats | None) -> Configuration:
-        """First configuration of a step at X + u, without T; collective.
+        """First configuration of a step at X + u (X for None), without T; collective.
 
-        Args:
-            u: displacement, None for X.
-            known: (n,) displacement of the last committed pairing, kept while it fits, empty for X;
-                None pairs the surfaces at X + u.
+        Paired at the committed displacement `known` (n,) while that fits, empty for X, or at X + u
+        for None.
         """
         if known is None or not self.interfaces:
             return self.at(u)
@@ -309,7 +305,7 @@ class InterfaceSystem:
         return Configuration(links, claims, paired_at=known)
 
     def follow(self, u: fem.Function | None) -> bool:
-        """Update to X + u (X for None) in a step; return whether T is a new one; collective."""
+        """Update to X + u (X for None) in a step; whether T is new; collective."""
         before = self.present
         if not self.interfaces:
             return False
@@ -324,9 +320,9 @@ class InterfaceSystem:
         return False
 
     def enter(self, found: Configuration) -> bool:
-        """Make a configuration the present one; return whether T is a new one; collective."""
+        """Make a configuration the present one; whether T is new; collective."""
         links, claims, held = found.links, found.claims, _pattern_of(found.links)
-        if claims is None:  # without interfaces
+        if claims is None:  # no interfaces
             self.present = found
             return False
         reused, T = self._reused, self._reused.transformation
@@ -342,7 +338,6 @@ class InterfaceSystem:
         return T is not reused.transformation
 
     def _slid(self, u: fem.Function | None) -> bool:
-        """Whether sides slid beyond the margins of the last search; collective."""
         slid = []
         for interface, (pairing, _) in zip(self.interfaces, self._reused.pairs, strict=True):
             if not interface.stays and u is not None and pairing is not None:
@@ -351,11 +346,11 @@ class InterfaceSystem:
 
     @contextmanager
     def put_back(self) -> Iterator[None]:
-        """Restore the present configuration after the block, except a first one; collective."""
+        """Restore the present configuration after the block; collective."""
         present, reused = self.present, self._reused
         try:
             yield
-        finally:  # perhaps on this rank: no communication
+        finally:  # perhaps on this rank only: no communication
             if present.transformation is not None:
                 self.present, self._reused = present, reused
         if present.transformation is not None:
@@ -370,10 +365,8 @@ class InterfaceSystem:
     ) -> GeometryTangent:
         """Derivatives of the moving geometry at X + u; collective.
 
-        Args:
-            multipliers: lambda_j (owned nodes,).
-            tangential: tangential tractions (owned nodes, d), None without friction.
-            slips: displacement since the last commit, and the partners of each interface.
+        `slips` are the displacement since the last commit, and the partners; others as in
+        `LinkDerivatives`.
         """
         T, moving = self.transformation, self._reused.moving
         assert T is not None
@@ -384,12 +377,7 @@ class InterfaceSystem:
         return moving.linearise(self.links, u, multipliers, tangential, slips)
 
     def constraints(self, x: PETSc.Vec, u: PETSc.Vec) -> Constraints:
-        """Bounds of all interfaces on increments of y; collective.
-
-        Args:
-            x: (n,) X + u, also with frozen geometry.
-            u: (n,) displacement.
-        """
+        """Bounds of all interfaces on increments of y, at x = X + u, also frozen; collective."""
         parts = []
         for link in self.links:
             slip = link.relative(x) if link.unilateral else link.missed(u)
@@ -417,13 +405,12 @@ class InterfaceSystem:
         partners: Sequence[Partners | None],
         sliding: Floats | None = None,
     ) -> SlipLimits | None:
-        """Limits of friction, None without; collective.
+        """Limits of friction, or None; collective.
 
         Args:
             moved: (n,) displacement since the last commit.
-            limits: (owned nodes,) coefficients or tractions of each interface, None without
-                friction.
-            partners: of each interface at the start of the step, None for present ones.
+            limits: (owned nodes,) of each interface, or None.
+            partners: at the start of the step, None for present ones.
             sliding: (owned nodes, d) directions of slip at the last commit.
         """
         parts = []
@@ -433,7 +420,7 @@ class InterfaceSystem:
         return join_limits(parts) if parts else None
 
     def exert(self, forces: Floats) -> Floats:
-        """Nodal forces, on both sides, of forces (owned nodes, d) at slave nodes; collective."""
+        """Nodal forces on both sides of forces (owned nodes, d); collective."""
         total = np.zeros_like(forces)
         for link in self.unilateral:
             slave, master = link.exert(np.where(link.constrained[:, :1], forces[link.nodes], 0.0))
@@ -441,7 +428,7 @@ class InterfaceSystem:
         return total
 
     def slots(self) -> Ints:
-        """Return (owned nodes, d): the unknown of each node that is a Cartesian component."""
+        """Unknown (owned nodes, d) of each node that is a Cartesian component."""
         d = self.V.dofmap.index_map_bs
         slot: Ints = np.tile(np.arange(d, dtype=np.int32), (self.n, 1))
         for link in self.links:

@@ -11,7 +11,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import array, check, check_optional, number
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import FORCE, Force, present_force
@@ -34,8 +34,8 @@ from ufl.core.expr import Expr
 Jump = Sequence[float] | Floats | fem.Constant | fem.Function | Callable[[Floats], Floats] | None
 """A vector in Cartesian components, the same everywhere or one at each point."""
 
-# Default reach of ties beyond the least distance, in larger facets. Sagittas are tan(a / 4) / 2 of
-# a facet, a the angle between two: together less than 0.42 up to right angles.
+# Default reach of ties beyond the least distance, in larger facets: sagittas of both sides are
+# less, up to right angles between facets.
 WITHIN = 0.5
 
 REACH = number("the largest distance over which to tie, a length", above=0.0)
@@ -49,32 +49,30 @@ class Tie(MortarInterface):
     overlap s along the unit vector n is unknown, with the equation ``force @ n == pretension``.
     Prescribed displacement components are not tied. Jumps, tightenings and directions do not rotate
     with the bodies: where these rotate by R, multiply them by R in each step, or a bolt loses
-    force. The offset between separated sides rotates (linearised) with ``surface="smooth"``, not
-    with "facets". ``force`` is the resultant on the slave side; ``pressure`` the normal traction
-    per area at X, positive in compression; ``gap`` the normal part of the jump, negative where the
-    sides overlap.
+    force. The offset between separated sides rotates (linearised) with ``surface="smooth"`` only.
+    ``force`` is the resultant on the slave side; ``pressure`` the normal traction per area at X,
+    positive in compression; ``gap`` the normal part of the jump, negative where the sides overlap.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
         slave: tag or name (see `Tags`) of the side with the multipliers.
         master: tag or name of the other side.
-        jump: displacement of the slave side relative to the master side, a length: d Cartesian
-            components, a Constant, a Function on the displacement's mesh, or a function of points x
-            (3, n) that returns (d, n), evaluated at the slave nodes in every step. A vector from
-            the slave side into the master side makes them overlap, the opposite opens a slit.
+        jump: displacement of the slave side relative to the master side, a length: d components, a
+            Constant, a Function on this mesh, or a function of points x (3, n) that returns (d, n),
+            evaluated at the slave nodes in every step. A vector from the slave side into the master
+            side makes them overlap, the opposite opens a slit.
         pretension: resultant on the slave side along ``direction``, a force, positive in tension: a
-            number or a scalar Constant, read in every step. Half a bolt on a plane of symmetry has
-            half the force. None keeps jump and tightening: later loads change the force of a tight
+            number or a scalar Constant, read in every step; half of it for half a bolt on a plane
+            of symmetry. None keeps jump and tightening: later loads change the force of a tight
             bolt.
         direction: d numbers of any length, out of the slave side: the axis of the bolt; default the
             mean normal of the slave side.
-        surface: "facets" ties points of facets, u_s = P u_m as in the paper; "smooth" the smooth
-            surfaces through their nodes: where facets are apart by r, u_s = P u_m + (motion of r),
-            see `dolfinx_mortar.mortar.curvature_correction.point_motions`.
-        feature_angle: degrees between facets from which on an edge is sharp; for smooth surfaces.
+        surface: "facets" ties points of facets, u_s = P u_m; "smooth" the smooth surfaces through
+            their nodes: where facets are apart by r, u_s = P u_m + (motion of r).
+        feature_angle: least angle of an edge between facets in degrees, for smooth surfaces.
         within: largest distance between tied facets at X, a length; default the least distance
-            between the sides plus half of the larger of two facets (the audit warns where that may
-            be wrong).
+            between the sides plus half of the larger facet (the audit warns where that may be
+            wrong).
     Source: the paper, section 4, eq. 16 with equality.
 
     Raises:
@@ -115,7 +113,7 @@ class Tie(MortarInterface):
 
     @property
     def jump(self) -> Jump:
-        """Displacement of the slave side relative to the master side, without the tightening."""
+        """Displacement of the slave side, without the tightening."""
         return self._jump
 
     @jump.setter
@@ -133,7 +131,7 @@ class Tie(MortarInterface):
 
     @property
     def pretension(self) -> Force | None:
-        """Resultant on the slave side along the direction; None keeps the jump."""
+        """Resultant along the direction; None keeps the jump."""
         return self._pretension
 
     @pretension.setter
@@ -142,7 +140,7 @@ class Tie(MortarInterface):
 
     @property
     def direction(self) -> Direction:
-        """Unit vector (d,) of the pretension, None for the mean normal of the slave side."""
+        """Unit vector (d,) of the pretension, None for the mean normal."""
         return self._direction
 
     @direction.setter
@@ -175,34 +173,34 @@ class Tie(MortarInterface):
         check_mesh("jump", self.jump, V)
 
     def reach(self, sizes: Floats, nearest: float) -> Floats:
-        """Largest distance (q,) between partners of facet size ``sizes``."""
+        """Largest distances (q,) of paired points by facet sizes (q,)."""
         if self.within is not None:
             return np.full(len(sizes), self.within)
         return nearest + WITHIN * sizes
 
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
-        """Return (n, d): directions without Dirichlet data."""
+        """Directions (n, d) without Dirichlet data."""
         return ~fixed
 
     def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
-        """Return Cartesian frames constrained in the kept directions."""
+        """Cartesian frames constrained in the kept directions."""
         n, d = normals.shape
         slot = np.where(fixed, np.arange(d, dtype=np.int32), -1).astype(np.int32)
         return Frame(np.broadcast_to(np.eye(d), (n, d, d)), slot, kept, normals)
 
     def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
-        """Return P_jl I."""
+        """Blocks P_jl I."""
         return np.asarray(P[:, :, None] * np.eye(P.shape[1]))
 
     def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
-        """Arguments for the motions of offset vectors."""
+        """Motions of offset vectors."""
         return {"motions_of": smooth}
 
     def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
-        """Jump plus tightening (n, d) at slave nodes; None for none; collective.
+        """Jump plus tightening (n, d) at slave nodes, or None; collective.
 
         Raises:
-            ValueError: on all ranks, for a jump on another mesh, or not a vector at each node.
+            ValueError: on all ranks, for jumps on another mesh or of another shape.
         """
         if self.jump is None and not self.tightening.any():
             return None
@@ -244,7 +242,6 @@ class Tie(MortarInterface):
 
 
 def _check_jump(jump: Any, d: int) -> Any:
-    """Checked jump, numbers as an array; without communication."""
     if jump is None:
         return None
     example = ", ".join(["0"] * (d - 1) + ["0.1"])
@@ -270,7 +267,7 @@ def _check_jump(jump: Any, d: int) -> Any:
 
 
 def _nodal_function(jump: Any, V: fem.FunctionSpace) -> Any:
-    """Function as one of V, all else unchanged; collective for Functions."""
+    """Functions as one of V; collective for these."""
     if not isinstance(jump, fem.Function) or jump.function_space == V:
         return jump
     jump.x.scatter_forward()
@@ -280,7 +277,6 @@ def _nodal_function(jump: Any, V: fem.FunctionSpace) -> Any:
 
 
 def _values_at(jump: Any, V: fem.FunctionSpace, nodes: Ints) -> Floats:
-    """Jump (n, d) at owned nodes; without communication."""
     d = V.dofmap.index_map_bs
     if jump is None:
         return np.zeros((len(nodes), d))

@@ -13,7 +13,7 @@ import scipy
 import basix.ufl
 import ufl
 from dolfinx import default_real_type, fem
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import array, check, check_optional
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.geometry.facets import facet_normals
@@ -21,16 +21,16 @@ from dolfinx_mortar.geometry.segments import FACING, Segments
 from dolfinx_mortar.interfaces.constraints import FORCE, Force, present_force
 from dolfinx_mortar.interfaces.coupling import Pattern
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, side_heights
+from dolfinx_mortar.mortar.operators import WholeSide
 from dolfinx_mortar.mortar.passing import SeenByTool
 from dolfinx_mortar.mortar.surface import coordinates, facets_at
-from dolfinx_mortar.mortar.whole_side import WholeSide
 from dolfinx_mortar.shapes import Distance, Shape
 from dolfinx_mortar.shapes.shape import check_finite, check_returned, unit_vectors
 from dolfinx_mortar.shapes.zero_level import find_zero_level
 
 
 class Driven(Protocol):
-    """A rigid tool or side with m unknown motions driven by given forces; same on all ranks."""
+    """A rigid tool or side with m motions driven by given forces; same on all ranks."""
 
     @property
     def holds(self) -> bool:
@@ -41,19 +41,19 @@ class Driven(Protocol):
         """Names (m) of the motions and their forces."""
 
     def loads(self) -> Floats:
-        """Given forces (m,) on the tool; a ValueError for NaN and infinity."""
+        """Given forces (m,); a ValueError for NaN and infinity."""
 
     def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
         """Displacements (m, n, d) of points by one unit of each motion.
 
         Args:
             x: (n, d) present positions, X with frozen geometry.
-            X: (n, d) positions at the start.
-            moved: (m,) motions from the present pose at which to linearise; may be neglected.
+            X: (n, d) initial positions.
+            moved: (m,) motions at which to linearise; may be neglected.
         """
 
     def curve(self, X: Floats, amounts: Floats) -> Floats:
-        """Motion by amounts (m,) minus its linearisation (n, d) at X (n, d); only where `holds`."""
+        """Motion by amounts (m,) minus its linearisation (n, d) at X; only where `holds`."""
 
     def move(self, amounts: Floats) -> None:
         """Move the tool by amounts (m,) of its motions."""
@@ -61,11 +61,11 @@ class Driven(Protocol):
 
 @dataclass(frozen=True)
 class Pose:
-    """Pose of a tool: x = position + R (xi - point) of a point xi in its initial position."""
+    """Pose of a tool: x = position + R (xi - point) of a point with initial position xi."""
 
-    position: Floats  # (d,) of the tool's point
+    position: Floats  # (d,)
     rotation: Floats  # (1,) or (3,) rotation vector
-    point: Floats  # (d,) its initial position
+    point: Floats  # (d,) initial position
 
     @property
     def R(self) -> Floats:
@@ -80,11 +80,11 @@ class Pose:
         return (x - self.position) @ self.R + self.point
 
     def to_space(self, xi: Floats) -> Floats:
-        """Present positions of points of the tool (n, d)."""
+        """Present positions of the tool's points (n, d)."""
         return (xi - self.point) @ self.R.T + self.position
 
     def distance(self, shape: Shape, x: Floats) -> Distance:
-        """Distances of points x (n, d) from the surface of a shape."""
+        """Distances of points (n, d) from a shape."""
         found, R = shape.distance(self.to_tool(x)), self.R
         return Distance(found.value, found.gradient @ R.T, R @ found.hessian @ R.T)
 
@@ -105,8 +105,7 @@ class RigidBody:
         point: (d,) initial position of the reference point.
         position: Constant (d,), position of this point without ``travel``.
         rotation: Constant, an angle in the plane, a rotation vector (3,) in space.
-        revolved: whether the problem is axisymmetric.
-        load: given forces and moments by names of `motions_in`.
+        load: given forces and moments by name.
         travel: (3,) or (6,) additional motion by the loads.
     """
 
@@ -124,7 +123,7 @@ class RigidBody:
         self.travel: Floats = np.zeros(len(motions_in(d)))
 
     def pose(self, travel: Floats | None = None) -> Pose:
-        """Present pose, or the one with another travel; a ValueError for NaN, and off an axis."""
+        """Present pose, or with another travel; a ValueError for NaN, and off an axis."""
         position: Floats = np.array(self.position.value, dtype=np.float64)
         rotation: Floats = np.array(self.rotation.value, dtype=np.float64).reshape(-1)
         for name, value in (("position", position), ("rotation", rotation)):
@@ -204,11 +203,11 @@ class RigidBody:
         return self.along(x - self.pose().position)
 
     def curve(self, X: Floats, amounts: Floats) -> Floats:
-        """See `Driven`; 0."""
+        """Zero, see `Driven`."""
         return np.zeros_like(X)
 
     def along(self, arm: Floats) -> Floats:
-        """Displacements (m, n, d) by one unit of each driven motion at arms (n, d)."""
+        """Displacements (m, n, d) by one unit of each motion at arms (n, d)."""
         n, d = arm.shape
         every = np.zeros((len(motions_in(d)), n, d))
         every[np.arange(d), :, np.arange(d)] = 1.0
@@ -219,13 +218,13 @@ class RigidBody:
         return every[self._driven]
 
     def steps(self, amounts: Floats) -> Floats:
-        """Amounts (m,) of the driven motions among all motions, (3,) or (6,)."""
+        """Amounts (m,) among all motions, (3,) or (6,)."""
         step = np.zeros(len(self.travel))
         step[self._driven] = amounts
         return step
 
     def ahead(self, amounts: Floats) -> Floats:
-        """Travel (3,) or (6,) plus amounts (m,) of the driven motions."""
+        """Travel (3,) or (6,) plus amounts (m,)."""
         step, d = self.steps(amounts), len(self.point)
         return np.concatenate([self.travel[:d] + step[:d], after(self.travel[d:], step[d:])])
 
@@ -235,7 +234,7 @@ class RigidBody:
 
 
 class Movable:
-    """Position, rotation and load of an interface with a rigid body."""
+    """Position, rotation and load of an interface."""
 
     rigid: RigidBody
 
@@ -251,7 +250,7 @@ class Movable:
 
     @property
     def rotation(self) -> fem.Constant:
-        """Rotation since the start in radians, an angle or a vector (3,); set its value."""
+        """Rotation in radians, an angle or a vector (3,); set its value."""
         return self.rigid.rotation
 
     @property
@@ -277,7 +276,7 @@ class Movable:
 
     @property
     def travel(self) -> Floats:
-        """Motion by loads in addition to position and rotation, (3,) or (6,)."""
+        """Motion by loads, (3,) or (6,)."""
         return self.rigid.travel.copy()
 
 
@@ -327,16 +326,9 @@ class Asked(Shape):
 
 
 class Tool(RigidBody):
-    """A shape and its pose.
-
-    Attributes:
-        asked: the shape with checks.
-        began: pose at the last commit.
-        probes: (q, d) points whose distances identify the shape.
-    """
+    """A shape and its pose; `began` is that of the last commit, `probes` identify the shape."""
 
     def __init__(self, shape: Any, reference: Any, d: int) -> None:
-        """Check the shape and the reference point, in d dimensions."""
         if not isinstance(shape, Shape):
             raise ValueError(
                 f"shape is {shape!r}: give one of dolfinx_mortar.shapes, such as Plane(point, "
@@ -358,7 +350,7 @@ class Tool(RigidBody):
         self.revolved = revolved
 
     def probed(self) -> list[float] | str:
-        """Largest coordinate and the distances at the probes, or how they fail."""
+        """Largest coordinate and distances at the probes, or how they fail."""
         try:
             found = [*map(float, self.shape.values(self.probes))]
         except Exception as error:
@@ -376,7 +368,7 @@ class Tool(RigidBody):
         return super().identity | {"distances": self.probed()}
 
     def state(self, ended: bool) -> dict[str, Floats]:
-        """See `Interface.state`: also the pose at the last commit, or of the next one."""
+        """See `Interface.state`: also the pose `began`."""
         began = self.pose() if ended else self.began
         return super().state(ended) | {"position": began.position, "rotation": began.rotation}
 
@@ -388,7 +380,7 @@ class Tool(RigidBody):
     def way(self, before: Floats, after: Floats) -> Floats:
         """Displacement of points (n, d) that move with the tool since the last commit.
 
-        Mean for the material points ``before`` and ``after``.
+        Mean for the points ``before`` and ``after``.
         """
         began, now = self.began, self.pose()
         forth = now.to_space(began.to_tool(before)) - before
@@ -400,7 +392,7 @@ class Tool(RigidBody):
         return turn_between(self.began, self.pose())
 
     def seen(self) -> SeenByTool:
-        """Motion since the last commit as seen from the tool."""
+        """Motion since the last commit relative to the tool."""
         began, now, shape = self.began, self.pose(), self.shape
         turn = self.turn()
         return SeenByTool(
@@ -426,12 +418,12 @@ class Outline:
 
     @property
     def surface(self) -> tuple[Floats, Longs] | None:
-        """Present points (n, d) with lines or triangles; None of an analytic shape."""
+        """Present points (n, d) with lines or triangles, or None."""
         found = self.shape.surface
         return None if found is None else (self.pose.to_space(found[0]), found[1])
 
     def cut(self, low: Floats, high: Floats) -> tuple[Floats, Longs]:
-        """Points (n, d) in initial position, and their lines or triangles (m, d), in a box (d,)."""
+        """Points in initial position, and their lines or triangles (m, d), in a box."""
         if (found := self.shape.surface) is not None:
             return found
         if self.revolved:
@@ -447,7 +439,7 @@ def spun(arm: Floats, rotation: Floats) -> Floats:
 
 
 def turn_between(before: Pose, now: Pose) -> Floats:
-    """Rotation, an angle (1,) or a vector (3,), between two poses, with whole turns."""
+    """Rotation (1,) or (3,) between two poses, with whole turns."""
     change = now.rotation - before.rotation
     if len(change) > 1 and np.cross(before.rotation, now.rotation).any():
         return _vector_near(
@@ -475,7 +467,7 @@ def _vector_near(turned: scipy.spatial.transform.Rotation, guess: Floats) -> Flo
 
 
 def on_the_way(before: Pose, now: Pose, turn: Floats, t: float) -> Pose:
-    """Pose at a time t in [0, 1]: uniform translation of the point and rotation ``turn``."""
+    """Pose at a time t in [0, 1] of a uniform motion with the rotation ``turn``."""
     if t in (0.0, 1.0):
         return now if t else before
     position = (1.0 - t) * before.position + t * now.position
@@ -483,7 +475,7 @@ def on_the_way(before: Pose, now: Pose, turn: Floats, t: float) -> Pose:
 
 
 def find_facing(side: WholeSide, pose: Pose, shape: Shape, x: Floats) -> Bools:
-    """Mask (m,) of facets that face the tool within 78 degrees, for nodes at x (n, d)."""
+    """Facets (m,) that face the tool within 78 degrees, for nodes at x."""
     facets = facets_at(side.slave, x)
     tool = pose.distance(shape, facets.x.mean(axis=1)).gradient
     return np.asarray(-(facet_normals(facets) * tool).sum(axis=1) > FACING)
@@ -496,7 +488,7 @@ class SidePattern(Pattern):
     side: WholeSide | None = None
     own: SmoothSide | None = None  # for facets of second order
     nodal: bool = False  # distances at nodes, for first order
-    faceted: Bools | None = None  # (owned nodes,) facets are exact
+    faceted: Bools | None = None  # (owned nodes,)
 
 
 def point_gaps(
@@ -510,12 +502,8 @@ def point_gaps(
     """Gaps (q,) between a tool and the smooth slave surface, and the distances; collective.
 
     Smooth surfaces of first order interpolate the distances of all nodes; facets of second order
-    are nearer by the height of the smooth surface.
-
-    Args:
-        u: displacement, None for X.
-        segments: whole facets.
-        points: (q, d) their points at X + u.
+    are nearer by the height of the smooth surface. `points` (q, d) are those of whole facets at X +
+    u (X for None).
     """
     assert pattern.side is not None
     slave = pattern.side.slave

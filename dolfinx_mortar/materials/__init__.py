@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Material laws: a 3x3 strain, state and parameters give stress or energy and new state.
-
-They know no meshes, functions or contact; `check` tries a law out.
-"""
+"""Material laws: stress or energy, and new state, of a 3x3 strain."""
 
 from typing import Any
 
@@ -28,7 +25,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Load `check`, a companion, at first use."""
+    """Load `check` at first use."""
     if name == "check":
         from dolfinx_mortar.materials.law_check import check
 

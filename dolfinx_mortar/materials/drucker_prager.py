@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Drucker and Prager's cone: plasticity that depends on pressure, for soil, rock and concrete."""
+"""Pressure-dependent plasticity by Drucker and Prager."""
 
 from __future__ import annotations
 
@@ -23,14 +23,12 @@ from ufl.core.expr import Expr
 
 
 class _Return(NamedTuple):
-    """The return mapping of a trial stress."""
-
-    s: Expr  # trial deviator, 3x3
-    norm: Expr  # |s|
-    p: Expr  # trial mean stress
+    s: Expr
+    norm: Expr
+    p: Expr
     g: Expr  # |dev dep| on the cone
     yields: Expr
-    apex: Expr  # condition: beyond the cone, in the normals of its apex
+    apex: Expr  # condition: return to the apex
 
 
 @dataclass(frozen=True)
@@ -51,8 +49,8 @@ class DruckerPrager(Material):
         psi = 1/2 e:C:e - f^2 / (2 (2 mu + K beta^2))      on the cone
         psi = Y / beta tr e - (Y / beta)^2 / (2 K)          at the apex.
 
-    Plastic flow dilates: tr dep = beta |dev dep|. Without hardening there are limit loads, and a
-    part with all points at the apex has no stiffness.
+    Plastic flow dilates: tr dep = beta |dev dep|. Without hardening there are limit loads; a body
+    with all points at the apex has no stiffness.
 
     Source: D. C. Drucker, W. Prager, Q. Appl. Math. 10 (1952) 157-165; E. A. de Souza Neto, D.
     Peric, D. R. J. Owen, Computational Methods for Plasticity (2008), section 8.3.
@@ -85,7 +83,7 @@ class DruckerPrager(Material):
     ) -> DruckerPrager:
         """Create the law from cohesion and angle of friction.
 
-        `match` is where the cone meets Mohr and Coulomb's pyramid:
+        `match` is where the cone meets the pyramid of Mohr and Coulomb:
 
         * "compression": triaxial compression, the outer edges (the largest cone);
         * "extension": triaxial extension, the inner edges;
@@ -97,7 +95,7 @@ class DruckerPrager(Material):
             match: see above.
 
         Raises:
-            ValueError: for other values, naming these arguments.
+            ValueError: for other values, naming the argument.
         """
         check_parameters(
             "DruckerPrager.from_mohr_coulomb",
@@ -105,7 +103,6 @@ class DruckerPrager(Material):
             friction_angle=(friction_angle, 0.0, 90.0, False),
         )
         sine, cosine = (f(math.radians(friction_angle)) for f in (math.sin, math.cos))
-        # sqrt(J2) + (sine tr sigma / 3 - cosine cohesion) scale <= 0
         scales = {
             "compression": 6 / (math.sqrt(3) * (3 - sine)),
             "extension": 6 / (math.sqrt(3) * (3 + sine)),
@@ -121,7 +118,6 @@ class DruckerPrager(Material):
 
     @staticmethod
     def _return(strain: Expr, state: Mapping[str, Expr], p: Any) -> _Return:
-        """Mapping of the trial stress."""
         elastic = strain - state["plastic_strain"]
         mu, K = shear_modulus(p), bulk_modulus(p)
         s, mean = 2 * mu * ufl.dev(elastic), K * ufl.tr(elastic)
@@ -133,7 +129,7 @@ class DruckerPrager(Material):
 
     @staticmethod
     def energy(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return the incremental potential psi."""
+        """Return psi."""
         r, elastic = DruckerPrager._return(strain, state, p), strain - state["plastic_strain"]
         stored = Elastic.energy(elastic, {}, p)
         cone = stored - r.g**2 * (2 * shear_modulus(p) + bulk_modulus(p) * p.beta**2) / 2
@@ -142,7 +138,7 @@ class DruckerPrager(Material):
 
     @staticmethod
     def stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Stress inside, on the cone or at its apex."""
+        """Return sigma."""
         r = DruckerPrager._return(strain, state, p)
         g = ufl.conditional(r.yields, r.g, 0.0)
         shrunk = 1 - 2 * shear_modulus(p) * g / r.norm
@@ -152,7 +148,7 @@ class DruckerPrager(Material):
 
     @staticmethod
     def updated_state(strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-        """Return the plastic strain at the end of the step."""
+        """Return ep."""
         r, ep = DruckerPrager._return(strain, state, p), state["plastic_strain"]
         cone = r.g * (r.s / r.norm + p.beta / 3 * ufl.Identity(3))
         apex = strain - ep - p.Y / (3 * p.beta * bulk_modulus(p)) * ufl.Identity(3)

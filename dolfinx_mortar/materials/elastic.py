@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Linear elasticity: isotropic, and orthotropic as of wood, fibre composites, rolled plates."""
+"""Linear elasticity, isotropic and orthotropic."""
 
 import math
 from collections.abc import Mapping
@@ -12,17 +12,17 @@ from ufl.core.expr import Expr
 
 
 def shear_modulus(p: Any) -> Any:
-    """Return mu = E / (2 (1 + nu)), of numbers, arrays or UFL."""
+    """Return mu = E / (2 (1 + nu))."""
     return p.E / (2 * (1 + p.nu))
 
 
 def lame_modulus(p: Any) -> Any:
-    """Return lambda = E nu / ((1 + nu)(1 - 2 nu)), of numbers, arrays or UFL."""
+    """Return lambda = E nu / ((1 + nu)(1 - 2 nu))."""
     return p.E * p.nu / ((1 + p.nu) * (1 - 2 * p.nu))
 
 
 def bulk_modulus(p: Any) -> Any:
-    """K = E / (3 (1 - 2 nu)), of numbers, arrays or UFL."""
+    """Return K = E / (3 (1 - 2 nu))."""
     return p.E / (3 * (1 - 2 * p.nu))
 
 
@@ -109,7 +109,7 @@ class Orthotropic(Material):
 
     @staticmethod
     def conditions(p: Any) -> dict[str, Any]:
-        """Leading minors of the compliance, positive for a positive energy."""
+        """Positive leading minors of the compliance."""
         return {
             "nu12^2 < E1 / E2": p.nu12**2 < p.E1 / p.E2,
             "nu13^2 < E1 / E3": p.nu13**2 < p.E1 / p.E3,
@@ -121,7 +121,7 @@ class Orthotropic(Material):
 
     @staticmethod
     def elastic_stress(strain: Expr, p: Any) -> Expr:
-        """Return C : strain, by the strain in the axes of the material."""
+        """Return C : strain."""
         R = _axes(p)
         e = R.T * strain * R
         nu21, nu31, nu32 = p.nu12 * p.E2 / p.E1, p.nu13 * p.E3 / p.E1, p.nu23 * p.E3 / p.E2
@@ -150,14 +150,13 @@ class Orthotropic(Material):
 
 
 def _determinant(p: Any) -> Any:
-    """Determinant of the compliance of normal strains times E1 E2 E3, of numbers, arrays or UFL."""
     coupled = 2 * p.nu12 * p.nu23 * p.nu13 * p.E3 / p.E1
     pairs = p.nu12**2 * p.E2 / p.E1 + p.nu23**2 * p.E3 / p.E2 + p.nu13**2 * p.E3 / p.E1
     return 1 - pairs - coupled
 
 
 def _axes(p: Any) -> Expr:
-    """Matrix (3, 3) whose columns are the axes of the material."""
+    """Axes of the material as columns (3, 3)."""
     (cz, sz), (cy, sy), (cx, sx) = ((ufl.cos(t), ufl.sin(t)) for t in (p.yaw, p.pitch, p.roll))
     yaw = ufl.as_tensor([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
     pitch = ufl.as_tensor([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Rubber: neo-Hookean, by Mooney and Rivlin, and by Ogden, laws of the deformation gradient."""
+"""Laws of rubber."""
 
 import math
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ import ufl
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials import logarithms
 from dolfinx_mortar.materials.elastic import Elastic, lame_modulus, shear_modulus
-from dolfinx_mortar.materials.logarithmic import NORMAL, as_tensors
+from dolfinx_mortar.materials.logarithmic import as_tensors
 from dolfinx_mortar.materials.protocol import Material, Parameter, PointwiseLaw, Range, check_fields
 from dolfinx_mortar.materials.tensor import GRADIENT, INDEX
 from ufl.core.expr import Expr
@@ -49,7 +49,7 @@ class NeoHooke(Material):
 
     @staticmethod
     def energy(F: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return psi per volume at X."""
+        """Return psi."""
         log_J = ufl.ln(ufl.det(F))
         return (
             shear_modulus(p) / 2 * (ufl.inner(F, F) - 3 - 2 * log_J)
@@ -58,12 +58,12 @@ class NeoHooke(Material):
 
     @staticmethod
     def volumetric(J: Expr, p: Any) -> Expr:
-        """Part of psi with the factor lambda, a function of J alone."""
+        """Part of psi with the factor lambda."""
         return lame_modulus(p) / 2 * ufl.ln(J) ** 2
 
     @staticmethod
     def stress(F: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return P = d psi / dF."""
+        """Return P."""
         inverse = ufl.transpose(ufl.inv(F))
         log_J = ufl.ln(ufl.det(F))
         return shear_modulus(p) * (F - inverse) + lame_modulus(p) * log_J * inverse
@@ -99,18 +99,18 @@ class MooneyRivlin(Material):
 
     @staticmethod
     def conditions(p: Any) -> dict[str, Any]:
-        """Conditions on several parameters."""
+        """Positive shear modulus."""
         return {"C10 + C01 > 0": p.C10 + p.C01 > 0.0}
 
     @staticmethod
     def elastic_stress(strain: Expr, p: Any) -> Expr:
-        """Return C : strain of a small strain."""
+        """Return C : strain."""
         mu = 2 * (p.C10 + p.C01)
         return p.K * ufl.tr(strain) * ufl.Identity(3) + 2 * mu * ufl.dev(strain)
 
     @staticmethod
     def energy(F: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return psi per volume at X."""
+        """Return psi."""
         C, J = ufl.transpose(F) * F, ufl.det(F)
         first = ufl.tr(C) * J ** (-2 / 3)
         second = (ufl.tr(C) ** 2 - ufl.inner(C, C)) / 2 * J ** (-4 / 3)
@@ -118,7 +118,7 @@ class MooneyRivlin(Material):
 
     @staticmethod
     def volumetric(J: Expr, p: Any) -> Expr:
-        """Part of psi that is a function of J alone."""
+        """Return K/2 (J - 1)^2."""
         return p.K / 2 * (J - 1) ** 2
 
 
@@ -126,9 +126,9 @@ class MooneyRivlin(Material):
 class Ogden(PointwiseLaw):
     """psi(F) = sum_i mu_i / alpha_i (a_1^alpha_i + a_2^alpha_i + a_3^alpha_i - 3) + K/2 (J - 1)^2.
 
-    a_k = lambda_k / J^(1/3) are the principal stretches without the change of volume, J = det F.
-    The shear modulus at F = I is sum_i mu_i alpha_i / 2. A law of arrays. Source: Ogden, Proc. R.
-    Soc. Lond. A 326 (1972) 565-584; Holzapfel, Nonlinear Solid Mechanics (2000), section 6.5.
+    a_k = lambda_k / J^(1/3) are the isochoric principal stretches, J = det F. The shear modulus at
+    F = I is sum_i mu_i alpha_i / 2. A law of arrays. Source: Ogden, Proc. R. Soc. Lond. A 326
+    (1972) 565-584; Holzapfel, Nonlinear Solid Mechanics (2000), section 6.5.
 
     Raises:
         ValueError: naming a parameter out of its range, or a shear modulus that is not positive.
@@ -155,18 +155,18 @@ class Ogden(PointwiseLaw):
 
     @staticmethod
     def conditions(p: Any) -> dict[str, Any]:
-        """Conditions on several parameters."""
+        """Positive shear modulus, exponents that are not zero."""
         rules = {f"alpha[{i}] is not 0": alpha != 0.0 for i, alpha in enumerate(p.alpha)}
         return {"sum of mu * alpha > 0": _twice_shear_modulus(p) > 0.0} | rules
 
     @staticmethod
     def elastic_stress(strain: Expr, p: Any) -> Expr:
-        """Return C : strain of a small strain."""
+        """Return C : strain."""
         return p.K * ufl.tr(strain) * ufl.Identity(3) + _twice_shear_modulus(p) * ufl.dev(strain)
 
     @staticmethod
     def energy(F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> Floats:
-        """Return psi (q,) per volume at X."""
+        """Return psi (q,)."""
         a, J = np.linalg.svd(F, compute_uv=False), np.linalg.det(F)
         psi = p.K / 2 * (J - 1) ** 2
         for mu, alpha in zip(p.mu, p.alpha, strict=True):
@@ -180,10 +180,7 @@ class Ogden(PointwiseLaw):
     def update(
         F: Floats, state: Mapping[str, Floats], p: SimpleNamespace
     ) -> tuple[Floats, Floats, dict[str, Floats]]:
-        """P (q, 3, 3), dP/dF (q, 3, 3, 3, 3) and no state.
-
-        By the principal Kirchhoff stresses T_a = d psi / d ln lambda_a and L = dT / d ln lambda.
-        """
+        """P (q, 3, 3) and dP/dF (q, 3, 3, 3, 3) from the principal Kirchhoff stresses."""
         q = len(F)
         x, logs, *tensors = np.empty((q, 3)), np.empty((q, 3)), *np.empty((3, q, 3, 3))
         logarithms.decompose(F - np.eye(3), np.zeros((1, 3, 3)), True, x, logs, *tensors)
@@ -197,17 +194,15 @@ class Ogden(PointwiseLaw):
             T += power - power.mean(axis=1, keepdims=True)
             slope = alpha[:, None, None] * (np.eye(3) * power[:, None] - power[..., None] / 3)
             L += slope - slope.mean(axis=1, keepdims=True)
-            # divided differences of T, exact at any distance
+            # exact for coincident stretches
             t = alpha[:, None] * apart
             share = np.where(t == 0.0, 1.0, np.expm1(t) / np.where(t == 0.0, 1.0, t))
             G += alpha[:, None] / 2 * power[:, second] * share
-        rows, columns = np.array(NORMAL).T
         P, A = np.empty((q, 9)), np.empty((q, 45))
-        law = np.hstack([T, L[:, rows, columns], G])
-        logarithms.respond(INDEX, True, law, x, logs, *tensors, P, A)
+        law = np.hstack([T, L[:, *np.triu_indices(3)], G])
+        logarithms.respond(GRADIENT[3], True, law, x, logs, *tensors, P, A)
         return (*as_tensors(P, A, GRADIENT[3]), {})
 
 
 def _twice_shear_modulus(p: Any) -> Any:
-    """sum_i mu_i alpha_i."""
     return sum(mu * alpha for mu, alpha in zip(p.mu, p.alpha, strict=True))

@@ -1,21 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Small-strain laws at finite strain: functions of a logarithmic strain, with its dual stress as P.
 
-**Multiplicative form**, for isotropic laws with plastic strain and scalars as state
-(`Law.isotropic`). With F = F_e F_p, C_p = F_p^T F_p, and the logarithmic plastic strain E_p = 1/2
-ln C_p in the state,
+Derivation: theory.md, Small-strain laws at finite strain. **Multiplicative form**, for isotropic
+laws (`Law.isotropic`), with C_p = F_p^T F_p and 1/2 ln C_p as the plastic strain of the state:
 
     E = 1/2 ln(C_p^-1/2 F^T F C_p^-1/2),         psi = psi(E; plastic strain 0, scalars),
     C_p^-1 = C_pn^-1/2 exp(-2 dep) C_pn^-1/2,    dep the plastic strain that the law gives.
 
-E has the principal values of 1/2 ln b_e, b_e = F C_pn^-1 F^T, d psi / dE are Kirchhoff's principal
-stresses, and the update is the exponential map: exact for any shear, isochoric where the law is.
-
-**Additive form**, for all others: the law of small strain at E = 1/2 ln(F^T F). It is exact where
-the principal directions do not turn; in simple shear by gamma = 1 perfect plasticity is 3 % too
-soft, by gamma = 2 17 %.
-
-In both forms P = d psi / dF, and the tangent is symmetric and complete.
+**Additive form**, for all others: the law of small strain at E = 1/2 ln(F^T F), exact where the
+principal directions do not rotate; in simple shear by 1 perfect plasticity is 3 % too soft, by 2
+17 %.
 
 Sources: J. C. Simo, Comput. Methods Appl. Mech. Engrg. 99 (1992) 61-112; C. Miehe, N. Apel, M.
 Lambrecht, Comput. Methods Appl. Mech. Engrg. 191 (2002) 5383-5425.
@@ -32,9 +26,14 @@ import ufl
 from dolfinx_mortar.arrays import Floats, Ints
 from dolfinx_mortar.kernels import Kernel, compile_kernel, constants, tabulate
 from dolfinx_mortar.materials import logarithms
-from dolfinx_mortar.materials.plane_stress import solve
 from dolfinx_mortar.materials.protocol import PLASTIC, Law, grouped, ungrouped
-from dolfinx_mortar.materials.response import PointValues, Response, respond, values_at_points
+from dolfinx_mortar.materials.response import (
+    PointValues,
+    Response,
+    respond,
+    solve_normal_strain,
+    values_at_points,
+)
 from dolfinx_mortar.materials.tensor import (
     GRADIENT,
     INDEX,
@@ -46,19 +45,18 @@ from dolfinx_mortar.materials.tensor import (
 from ufl.core.expr import Expr
 
 CHUNK = 512  # points that are treated together, for the cache
-NORMAL = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # ab of L_aabb
 
 
 @dataclass(frozen=True)
 class Start:
-    """Data of q points at the start of a step, for each evaluation."""
+    """Data of q points at the start of a step."""
 
     state: Mapping[str, Floats]  # committed, (q,) or (q, 3, 3)
-    parameters: Mapping[str, Floats]  # (q,) of a law of arrays
+    parameters: Mapping[str, Floats]
     roots: Floats | None  # C_pn^-1/2 - I (q, 3, 3), if not zero
     numbers: Floats  # (q, n) arguments of a law in UFL, with space for the strain
 
-    def at(self, points: Ints) -> "Start":
+    def at(self, points: Ints | slice) -> "Start":
         """Data of some points."""
         state, parameters = (
             {name: values[points] for name, values in of.items()}
@@ -73,9 +71,7 @@ class LogarithmicLaw:
     """A small-strain law as a function of H = F - I at points, see the module.
 
     Attributes:
-        law: its parts.
         multiplicative: the form; else additive.
-        has_energy: whether there is a potential.
         components: row and column of the k entries of P that may differ from zero.
     """
 
@@ -87,16 +83,12 @@ class LogarithmicLaw:
         dimension: int = 3,
         jit: Callable[[Expr], Kernel] = compile_kernel,
     ) -> None:
-        """Compile a law in UFL.
+        """Compile a law in UFL; a ValueError if it raises, or returns a wrong shape or name.
 
         Args:
-            law: its parts.
             parameters: their names.
             dimension: 2 if H is in the plane but for H_zz.
-            jit: options of the compiler.
-
-        Raises:
-            ValueError: if the law raises, or returns something of the wrong shape or name.
+            jit: compiler of an expression.
         """
         self.law, self.multiplicative = law, law.isotropic
         self.has_energy = law.energy is not None and law.update is None
@@ -108,18 +100,12 @@ class LogarithmicLaw:
         self._tensors = np.empty((3, CHUNK, 3, 3))
 
     def start(self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Start:
-        """Data that are constant in a step, of the committed state and the parameters.
-
-        Args:
-            q: number of points.
-            state: by name, (q,) or (q, 3, 3).
-            parameters: by name, (q,); those of a tuple as name[0], name[1] ..
-        """
+        """Prepare a step of q points; state (q,) or (q, 3, 3), parameters (q,)."""
         roots = None
         if self.multiplicative and PLASTIC in self.law.state:
             roots = np.empty_like(state[PLASTIC])
             logarithms.roots(state[PLASTIC], roots)
-        numbers = self._inner.numbers(q, state, parameters)  # with those of a law in UFL
+        numbers = self._inner.numbers(q, state, parameters)
         return Start(state, parameters if self.law.update else {}, roots, numbers)
 
     def respond(self, start: Start, H: Floats, P: Floats, A: Floats, psi: Floats) -> None:
@@ -130,22 +116,20 @@ class LogarithmicLaw:
             H: displacement gradient (q, 3, 3).
             P: d psi / dF, the k `components` (q, k).
             A: dP / dF, its upper triangle row by row (q, k (k + 1) / 2).
-            psi: (q,), per volume of the undeformed body; unchanged without a potential.
+            psi: (q,), per volume at X; unchanged without a potential.
         """
         for some in _chunks(len(H)):
             parts = self._decompose(start, H[some], some)
             x, logs, N = parts[:3]
             found = self._inner.moduli(start, some, logs, N)
-            logarithms.respond(self._pairs, self.multiplicative, found, *parts, P[some], A[some])
+            logarithms.respond(
+                self.components, self.multiplicative, found, *parts, P[some], A[some]
+            )
             if self.has_energy:
                 psi[some] = np.where(np.isnan(x[:, 0]), np.inf, found[:, -1])
 
     def find_normal(self, start: Start, H: Floats) -> None:
-        """Set H_zz of q points such that P_zz = 0, NaN where the law is undefined.
-
-        Raises:
-            ValueError: where it is not found.
-        """
+        """Set H_zz for P_zz = 0, NaN if the law is undefined; a ValueError without a root."""
         k = len(self.components)
         c = self.components.index((2, 2))
         last = _upper(k).index((c, c))
@@ -153,16 +137,14 @@ class LogarithmicLaw:
         def equation(points: Ints, z: Floats) -> Floats:
             trial = H[points]
             trial[:, 2, 2] = z[:, 0]
-            q = len(points)
-            P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
-            self.respond(start.at(points), trial, P, A, psi)
+            P, A, _ = self._evaluate(start.at(points), trial)
             stiffest, norm = np.abs(A).max(axis=1, initial=0.0), np.linalg.norm(P, axis=1)
             return np.stack([P[:, c], A[:, last], stiffest, norm], axis=1)[:, None]
 
-        H[:, 2, 2] = solve(self.law.name, equation, (len(H), 1), finite=True)[:, 0]
+        H[:, 2, 2] = solve_normal_strain(self.law.name, equation, (len(H), 1), finite=True)[:, 0]
 
     def condense(self, P: Floats, A: Floats) -> None:
-        """Convert stress and tangent of `respond` to plane stress, in place."""
+        """Convert stress and tangent to plane stress, in place."""
         k, c = len(self.components), self.components.index((2, 2))
         number = {pair: t for t, pair in enumerate(_upper(k))}
         with_normal = [A[:, number[min(a, c), max(a, c)]].copy() for a in range(k)]
@@ -173,7 +155,7 @@ class LogarithmicLaw:
         P[:, c] = 0.0
 
     def update(self, start: Start, H: Floats) -> dict[str, Floats]:
-        """Internal variables at the end of the step, (q,) or (q, 3, 3)."""
+        """New internal variables, (q,) or (q, 3, 3)."""
         new = {name: np.array(values) for name, values in start.state.items()}
         for some in _chunks(len(H)) if new else ():
             _, logs, N, _, _ = self._decompose(start, H[some], some)
@@ -187,30 +169,34 @@ class LogarithmicLaw:
 
     def values(self, F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> PointValues:
         """All values at F (q, 3, 3) as tensors, see `response.values_at_points`."""
-        q, k = len(F), len(self.components)
         H = np.ascontiguousarray(F - np.eye(3))
-        P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
-        start = self.start(q, state, ungrouped(p))
-        self.respond(start, H, P, A, psi)
+        start = self.start(len(F), state, ungrouped(p))
+        P, A, psi = self._evaluate(start, H)
         stress, tangent = as_tensors(P, A, self.components)
         energy = psi if self.has_energy else None
         return PointValues(stress, tangent, self.update(start, H), energy=energy)
 
     def stress_lost(self, start: Start, H: Floats) -> Floats:
-        """Return 1 - |dev tau| / |dev T|, tau Kirchhoff's stress and T that of the law, (q,).
-
-        Zero in the multiplicative form, and in the additive one wherever T has the principal
-        directions of E; where a point flows it is the error of the yield stress.
-        """
+        """Return 1 - |dev tau| / |dev T| (q,), 0 in the multiplicative form, T the law's stress."""
         share = np.zeros(len(H))
         for some in () if self.multiplicative else _chunks(len(H)):
-            x, logs, N, _, _ = self._decompose(start, H[some], some)
-            found = self._inner.moduli(start, some, logs, N)
-            logarithms.lost(self._pairs, found, x, logs, N, share[some])
+            _, logs, N, _, _ = self._decompose(start, H[some], some)
+            T = tensor_of(self._inner.moduli(start, some, logs, N)[:, : len(self._pairs)])
+            P, A, _ = self._evaluate(start.at(some), H[some])
+            tau, _ = as_tensors(P, A, self.components)
+            tau += tau @ np.swapaxes(H[some], 1, 2)
+            inner, outer = (_deviator(stress) for stress in (T, tau))
+            share[some] = 1 - np.divide(outer, inner, out=np.ones_like(inner), where=inner > 0.0)
         return share
 
+    def _evaluate(self, start: Start, H: Floats) -> tuple[Floats, Floats, Floats]:
+        """P, A and psi of `respond`."""
+        q, k = len(H), len(self.components)
+        found = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
+        self.respond(start, H, *found)
+        return found
+
     def _decompose(self, start: Start, H: Floats, some: slice) -> list[Floats]:
-        """x, logs, N, y, m, see `logarithms`, at some points."""
         parts = [part[: len(H)] for part in (*self._vectors, *self._tensors)]
         roots = _NONE if start.roots is None else start.roots[some]
         logarithms.decompose(H, roots, start.roots is None, *parts)
@@ -220,7 +206,7 @@ class LogarithmicLaw:
 def as_tensors(
     P: Floats, A: Floats, components: Sequence[tuple[int, int]]
 ) -> tuple[Floats, Floats]:
-    """Return P (q, 3, 3) and dP/dF (q, 3, 3, 3, 3) of components and the upper triangle."""
+    """P (q, 3, 3) and dP/dF (q, 3, 3, 3, 3) of components and the upper triangle."""
     stress, tangent = np.zeros((len(P), 3, 3)), np.zeros((len(P), 3, 3, 3, 3))
     for n, entry in enumerate(components):
         stress[:, *entry] = P[:, n]
@@ -230,32 +216,33 @@ def as_tensors(
     return stress, tangent
 
 
+def _deviator(tensors: Floats) -> Floats:
+    """Norm (q,) of the deviators of tensors (q, 3, 3)."""
+    mean = np.trace(tensors, axis1=1, axis2=2)[:, None, None] / 3
+    return np.asarray(np.linalg.norm(tensors - mean * np.eye(3), axis=(1, 2)))
+
+
 _NONE = np.zeros((1, 3, 3))
 
 
 def _upper(k: int) -> list[tuple[int, int]]:
-    """Rows and columns of the upper triangle, row by row."""
     return [(a, b) for a in range(k) for b in range(a, k)]
 
 
 def _chunks(q: int) -> list[slice]:
-    """Slices of points that are treated together."""
     return [slice(i, min(i + CHUNK, q)) for i in range(0, q, CHUNK)]
 
 
 def _answers(
     law: Law, size: int
 ) -> tuple[Sequence[tuple[int, int]], list[tuple[int, int, int, int]]]:
-    """Return which entries of T and L `logarithms` takes, of an isotropic law principal ones."""
     pairs = INDEX[:size]
-    if not law.isotropic:
-        return pairs, [(*pairs[a], *pairs[b]) for a, b in _upper(size)]
-    ways = [(i, i, j, j) for i, j in NORMAL] + [(i, j, i, j) for i, j in pairs[3:]]
-    return INDEX[:3], ways
+    ways = [ab for ab in _upper(size) if not law.isotropic or ab[1] < 3 or ab[0] == ab[1]]
+    return pairs[: 3 if law.isotropic else size], [(*pairs[a], *pairs[b]) for a, b in ways]
 
 
 class _InUFL:
-    """A law in UFL, compiled as a function of numbers."""
+    """A law in UFL, compiled."""
 
     def __init__(
         self, law: Law, parameters: list[str], size: int, jit: Callable[[Expr], Kernel]
@@ -292,11 +279,10 @@ class _InUFL:
         return np.ascontiguousarray(np.hstack(columns))
 
     def moduli(self, start: Start, some: slice, logs: Floats, N: Floats) -> Floats:
-        """T and L, see `logarithms`, and psi as the last column if there is a potential."""
+        """T, L and (if any) psi, see `logarithms`."""
         return tabulate(self._moduli, self._at(start, some, logs, N))
 
     def update(self, start: Start, some: slice, logs: Floats, N: Floats) -> dict[str, Floats]:
-        """New internal variables; plastic strains in the eigenvectors (q, 3)."""
         assert self._state is not None
         found, first = tabulate(self._state, self._at(start, some, logs, N)), 0
         new = {}
@@ -308,16 +294,14 @@ class _InUFL:
         return new
 
     def _at(self, start: Start, some: slice, logs: Floats, N: Floats) -> Floats:
-        """Arguments with the strain."""
         numbers = start.numbers[some]
         if self._law.isotropic:
             numbers[:, :3] = logs
         else:
-            logarithms.compose_stored(N, logs, self._size, numbers)
+            numbers[:, : self._size] = stored(_composed(N, logs), self._size)
         return numbers
 
     def _response(self) -> Response:
-        """Response of the law to symbols."""
         sizes = [self._size if shape else 1 for shape in self._memory.values()]
         count = self._width + sum(sizes) + len(self._names)
         numbers = constants(count)
@@ -345,7 +329,6 @@ class _OfArrays:
     def numbers(
         self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]
     ) -> Floats:
-        """Nothing: the law gets the arrays themselves."""
         return np.empty((0, 0))
 
     def moduli(self, start: Start, some: slice, logs: Floats, N: Floats) -> Floats:
@@ -358,14 +341,12 @@ class _OfArrays:
         return np.stack(columns, axis=1)
 
     def update(self, start: Start, some: slice, logs: Floats, N: Floats) -> dict[str, Floats]:
-        """New internal variables; plastic strains in the eigenvectors (q, 3)."""
         new = self._values(start, some, logs, N).state
         if self._law.isotropic and PLASTIC in new:
             new[PLASTIC] = np.ascontiguousarray(new[PLASTIC][:, range(3), range(3)])
         return new
 
     def _values(self, start: Start, some: slice, logs: Floats, N: Floats) -> PointValues:
-        """Values of the law."""
         state = {name: values[some] for name, values in start.state.items()}
         p = grouped({name: values[some] for name, values in start.parameters.items()})
         strain = np.zeros((len(logs), 3, 3))
@@ -374,12 +355,17 @@ class _OfArrays:
             if PLASTIC in state:
                 state[PLASTIC] = np.zeros_like(state[PLASTIC])
         else:
-            strain[:] = np.einsum("qia,qa,qja->qij", N, logs, N)
+            strain[:] = _composed(N, logs)
         return values_at_points(self._law, strain, state, p)
 
 
+def _composed(N: Floats, values: Floats) -> Floats:
+    """sum_a values_a N_a (x) N_a of eigenvectors (q, 3, 3)."""
+    return np.asarray((N * values[:, None]) @ np.swapaxes(N, 1, 2))
+
+
 def _unit(i: int, j: int) -> Expr:
-    """Symmetric tensor with entries ij and ji, whose sum is one."""
+    """Symmetric tensor whose entries ij and ji add up to one."""
     entries = [[0.0] * 3 for _ in range(3)]
     entries[i][j] += 0.5
     entries[j][i] += 0.5

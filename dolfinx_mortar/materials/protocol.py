@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The protocol of material laws: parameters and their ranges, a response in UFL or arrays."""
+"""The protocol of material laws."""
 
 import dataclasses
 import math
@@ -25,7 +25,7 @@ Range = tuple[float, float, bool]
 
 
 def named_parameters(material: Any) -> dict[str, Any]:
-    """Parameters of a material by name; those of a tuple as ``name[0]``, ``name[1]`` ..
+    """Parameters by name; those of a tuple as ``name[0]``, ``name[1]`` ..
 
     >>> from dolfinx_mortar.materials import Ogden
     >>> named_parameters(Ogden(mu=(0.6, -0.1), alpha=(1.3, -2.0), K=1e3))["mu[1]"]
@@ -64,10 +64,7 @@ def ungrouped(p: SimpleNamespace) -> dict[str, Any]:
 
 
 def check_fields(law: Any) -> None:
-    """Raise ValueError unless the numbers among the parameters of a law are in its ranges.
-
-    What may change is judged by the `Solid`.
-    """
+    """Raise ValueError for numbers out of range; the `Solid` checks UFL."""
     kind = type(law)
     given = {name: (getattr(law, name), *limits) for name, limits in kind.ranges.items()}
     check_parameters(kind.__name__, **given)
@@ -81,7 +78,7 @@ def check_fields(law: Any) -> None:
 
 
 def check_parameters(law: str, **ranges: tuple[Parameter, float, float, bool]) -> None:
-    """Raise ValueError unless each parameter=(value, *`Range`) is a finite number in it, or UFL."""
+    """Raise ValueError unless parameter=(value, *`Range`) is a finite number in it, or UFL."""
     for name, (value, lower, upper, closed) in ranges.items():
         if not isinstance(value, Expr):
             above, least = (-np.inf, lower) if closed else (lower, -np.inf)
@@ -94,7 +91,7 @@ def wrong_values(
     rules: Callable[..., Any] | None,
     values: Mapping[str, Floats],
 ) -> dict[str, Bools]:
-    """Violated rules, in words, and the places (n,)."""
+    """Violated rules, in words, with masks (n,)."""
     found = {
         f"{name} in {interval(*limits)}": ~_inside(values[name], *limits)
         for name, limits in ranges.items()
@@ -108,7 +105,7 @@ def wrong_values(
 def conditions(
     law: str, rules: Callable[..., Any] | None, values: Mapping[str, Any]
 ) -> dict[str, Bools]:
-    """Conditions of a law on several parameters, in words, and whether or where they hold."""
+    """Rules for several parameters, and whether or where they hold."""
     if rules is None:
         return {}
     shape = np.shape(next(iter(values.values()), 0.0))
@@ -124,13 +121,12 @@ def conditions(
 
 
 def _inside(values: Floats, lower: float, upper: float, closed: bool) -> Bools:
-    """Whether values are finite and in a range."""
     above = values >= lower if closed else values > lower
     return np.asarray(np.isfinite(values) & above & (values < upper))
 
 
 def interval(lower: float, upper: float, closed: bool) -> str:
-    """Range in the notation of messages.
+    """Format a range for messages.
 
     >>> interval(-1.0, 0.5, False)
     '(-1.0, 0.5)'
@@ -143,56 +139,50 @@ PLASTIC = "plastic_strain"
 
 
 class Material(Protocol):
-    """A frozen dataclass whose fields are the parameters, with the law as static methods.
+    """A frozen dataclass of parameters, with the law as static methods.
 
     The law gets the strain (3x3 UFL), the committed state and the parameters `p` (attributes named
-    like the fields; of a tuple of numbers a tuple) as UFL symbols, so that the compiled code is the
-    same for all values of the parameters, constant or not (see `Parameter`). It has either of
+    like the fields) as UFL symbols, so that the compiled code is the same for all values of the
+    parameters (see `Parameter`). It has either of
 
-    * `energy(strain, state, p)`, the incremental potential psi of the step; the stress is
-      d psi / d strain and the tangent its derivative, both taken by UFL, or
+    * `energy(strain, state, p)`, the incremental potential psi of the step; UFL derives stress and
+      tangent, or
     * `stress(strain, state, p)`, for a law without a potential (no line search on the energy).
 
     With both, UFL only differentiates the stress. The tangent must be symmetric.
-    `dolfinx_mortar.materials.check` tries a law out without a mesh.
+    `dolfinx_mortar.materials.check` tests a law without a mesh.
 
-    Where UFL should not differentiate the stress (the solution of a local equation), a law states
-    its derivative: `tangent(strain, state, p, direction)`, d stress / d strain : direction. A
-    subclass with another energy or stress does not inherit it.
-
-    In plane stress the strain out of the plane is solved for at every integration point. A law with
-    this strain in closed form saves most of the time by `normal_strain(strain, state, p)`, None, or
-    a property that gives None, where there is no such form. It is inherited as `tangent` is.
+    Optional methods, inherited only together with energy and stress:
+    `tangent(strain, state, p, direction)`, d stress / d strain : direction, where UFL should not
+    differentiate the stress;
+    `normal_strain(strain, state, p)`, the closed form of the strain out of the plane in plane
+    stress, or None.
 
     A law may inherit from this class, or just have its methods.
 
-    **Finite strain.** A law with ``strain = "finite"`` gets the deformation gradient F (3x3, not
-    symmetric, det F > 0) in place of the strain: `energy(F, state, p)` is psi per volume at X,
-    `stress(F, state, p)` the first Piola-Kirchhoff stress P = d psi / dF, `tangent` dP/dF :
-    direction, for any direction. Only `elastic_stress` is that of a small strain, at F = I. psi has
-    to be objective, psi(Q F) = psi(F) for rotations Q, as are functions of C = F^T F. A part of psi
-    that depends on J = det F alone may be stated as `volumetric(J, p)`, in UFL, for
-    ``volumetric="reduced"``. Such a law needs ``Solid(.., strain="finite")``, which transforms all
-    other laws to F itself.
+    **Finite strain.** A law with ``strain = "finite"``, for ``Solid(.., strain="finite")``, gets
+    the deformation gradient F (3x3, det F > 0) in place of the strain: `energy(F, state, p)` is psi
+    per volume at X, objective, psi(Q F) = psi(F) for rotations Q; `stress` is the first
+    Piola-Kirchhoff stress P = d psi / dF, `tangent` dP/dF : direction. Only `elastic_stress` takes
+    a small strain, at F = I. A part of psi that depends on J = det F alone may be
+    `volumetric(J, p)`, in UFL, for ``volumetric="reduced"``. All other laws are transformed to F.
 
     Attributes:
         strain: "small" or "finite", the first argument of the law.
-        state: internal variables, name -> shape; () or (3, 3) (symmetric). A property where the
-            parameters decide.
+        state: internal variables, name -> shape, () or (3, 3) (symmetric); may be a property.
         linear: True if the stress is a linear function of the strain and nothing else.
         splits: True if psi(strain) = psi(dev strain) + K/2 tr(strain)^2 with the constant K of
-            `elastic_stress`, so that the volumetric part may be integrated otherwise. Optional.
+            `elastic_stress`, for reduced integration of the volumetric part. Optional.
         isotropic: True if stress and energy depend on the strain less the internal variable
-            ``plastic_strain``, if there is one, and on no direction: no other tensor, no back
-            stress, no axes. At finite strain such a law takes the multiplicative form, see
-            `logarithmic`. A property where the parameters decide. Optional.
+            ``plastic_strain`` only, without directions (no axes, no back stress). At finite strain
+            such a law takes the multiplicative form, see `logarithmic`. May be a property.
+            Optional.
         ranges: of the parameters, name -> (lower end, upper end, is the lower end allowed); others
-            may be any number. Checked in every cell of the law, and whenever a parameter has
-            changed.
+            may be any number. Checked in every cell, and after changes.
 
     Rules for several parameters are a static method `conditions(p)`, rule in words -> whether or
-    where it holds, of numbers or arrays. `check_fields`, called in ``__post_init__``, checks
-    numbers when a law is made.
+    where it is satisfied. `check_fields`, called in ``__post_init__``, checks numbers when a law is
+    made.
     """
 
     state: ClassVar[Mapping[str, tuple[int, ...]]]
@@ -202,15 +192,12 @@ class Material(Protocol):
 
     @staticmethod
     def elastic_stress(strain: Expr, p: Any) -> Expr:
-        """Return C : strain, the stress of a small elastic strain, in UFL.
-
-        It defines the energy norm, and the stiffness in estimates.
-        """
+        """Return C : strain of a small strain, for energy norm and estimates."""
         raise NotImplementedError
 
     @staticmethod
     def updated_state(strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-        """Internal variables at the end of the step, one per name in `state`."""
+        """Internal variables at the end of the step, by name."""
         return {}
 
     @staticmethod
@@ -222,9 +209,9 @@ class Material(Protocol):
 class PointwiseLaw(Material):
     """A law without a closed form: stress, tangent and new state at all points, from arrays.
 
-    A frozen dataclass of parameters like any `Material`, whose `update` replaces energy, stress and
-    updated_state. One solid may also have laws in UFL. There is no energy, so Newton's method takes
-    whole steps. With JAX, whose derivatives make the tangent (Hooke's law; jax in 64 bits):
+    A frozen dataclass of parameters like any `Material`, with `update` in place of energy, stress
+    and updated_state. Without an energy Newton's method takes whole steps. With JAX (64 bits),
+    whose derivatives make the tangent of Hooke's law:
 
         def stress(strain, E, nu):
             G, L = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
@@ -258,21 +245,20 @@ class PointwiseLaw(Material):
 
         Args:
             strain: (q, 3, 3), symmetric; q may be 0.
-            state: committed internal variables, (q,) or (q, 3, 3), not to be changed.
+            state: committed internal variables, (q,) or (q, 3, 3), read-only.
             p: parameters by name, (q,) each.
 
         Returns:
             Stress (q, 3, 3), tangent d stress_ij / d strain_kl (q, 3, 3, 3, 3) with the symmetry ij
-            <-> kl, and the internal variables at the end of the step by name. What does not flow
-            should keep its state exactly. Of derivatives that differ in kl and lk the mean is
-            taken.
+            <-> kl (the mean of kl and lk is used), and the internal variables at the end of the
+            step by name, exactly unchanged where nothing flows.
         """
         raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """The parts of a law, looked up once in the class of a material; None is a part it lacks."""
+    """The parts of a law, None if missing; looked up once."""
 
     name: str
     strain: str  # "small" or "finite": the first argument of the methods
@@ -291,11 +277,11 @@ class Law:
     update: Callable[..., Any] | None
     output: Callable[..., Any] | None
     conditions: Callable[..., Any] | None
-    volumetric: Callable[..., Any] | None  # of a law of F: the part U(J) of its energy
+    volumetric: Callable[..., Any] | None  # part U(J) of the energy of a law of F
 
     @property
     def condensed(self) -> bool:
-        """Whether the strain out of the plane is an unknown at each point, see `plane_stress`."""
+        """Whether z is an unknown at each point."""
         return self.plane_stress and self.update is None and not self.linear
 
 
@@ -308,7 +294,7 @@ _REMEDIES = {
     "stress(strain, state, p), or update(strain, state, p) of arrays",
     "updated_state": "add updated_state(strain, state, p) for the internal variables of `state`",
 }
-# Fields written beside those of the laws, which must have other names.
+# Names of fields that no law may use.
 RESERVED = (
     *("stress", "von_mises", "J", "stored_energy", "dissipated_energy"),
     *("displacement", "pressure", "gap", "facing", "status"),
@@ -317,11 +303,7 @@ RESERVED = (
 
 
 def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
-    """Parts of a material's law; `name` is that of the user's argument.
-
-    Raises:
-        ValueError: unless the material declares all parts.
-    """
+    """Parts of a material's law; a ValueError, with `name`, for a missing or wrong part."""
     if not dataclasses.is_dataclass(material) or isinstance(material, type):
         raise ValueError(f"{name} = {material!r} is not a material such as Elastic(E, nu).")
     kind = type(material)
@@ -364,7 +346,6 @@ def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
 
 
 def _check_parameters(law: Law, material: Any) -> None:
-    """Raise a ValueError unless the parameters are numbers or UFL, and ranges name parameters."""
     given = named_parameters(material)
     for name in law.ranges:
         check(f"{law.name}: ranges: a name", name, one_of(*given))
@@ -379,7 +360,6 @@ def _check_parameters(law: Law, material: Any) -> None:
 
 
 def _is_isotropic(name: str, material: Any, state: Any) -> bool:
-    """Whether a law declares to be isotropic; a ValueError if its state is not."""
     isotropic = bool(getattr(material, "isotropic", False))
     tensors = [variable for variable, shape in state.items() if shape and variable != PLASTIC]
     if isotropic and tensors:
@@ -391,14 +371,12 @@ def _is_isotropic(name: str, material: Any, state: Any) -> bool:
 
 
 def _method(kind: type, name: str) -> Callable[..., Any] | None:
-    """Method of a class, None if it is missing or abstract."""
     found = getattr(kind, name, None)
     given = found not in (Material.elastic_stress, PointwiseLaw.update)
     return found if callable(found) and given else None
 
 
 def _fitting(material: Any, part: str) -> Callable[..., Any] | None:
-    """A derivative of the stress, if it belongs to the law's own energy and stress."""
     places = [
         next((i for i, kind in enumerate(type(material).__mro__) if name in vars(kind)), math.inf)
         for name in (part, "energy", "stress")
@@ -408,7 +386,7 @@ def _fitting(material: Any, part: str) -> Callable[..., Any] | None:
 
 
 def _checked_state(law: str, state: Any) -> Mapping[str, tuple[int, ...]]:
-    """Declared internal variables, or a ValueError for a name or shape."""
+    """Declared internal variables; a ValueError for a name or shape."""
     check(f"{law}: state", state, instance(Mapping, "give a dictionary, name -> shape"))
     free = Rule[str](
         f"choose a text other than {', '.join(RESERVED)}",

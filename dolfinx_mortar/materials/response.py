@@ -1,5 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""The response of a law to a strain, with checks of the values that its methods return."""
+"""The response of a law to a strain, with checks of the values of its methods.
+
+Plane stress by condensation at each point, with the strain e in the plane and z out of it:
+
+    sigma_zz(e, z) = 0,         psi(e) = psi(e, z),
+    d sigma / d e = C - C : zz (x) zz : C / C_zzzz.
+
+At finite strain e is F in the plane, sigma is P and z the stretch out of the plane less 1. For a
+linear law z = -sigma_zz(e, 0) / C_zzzz; else Newton's method solves for z before assembly.
+"""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -7,19 +16,12 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
+import numba
 import numpy as np
 
 import ufl
 from dolfinx_mortar.arguments import check, instance
-from dolfinx_mortar.arrays import Bools, Floats, Ints
-from dolfinx_mortar.materials import plane_stress
-from dolfinx_mortar.materials.plane_stress import (
-    NORMAL,
-    condensed,
-    in_plane,
-    with_normal_strain,
-    with_normal_stretch,
-)
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, ROUND_OFF, Bools, Floats, Ints
 from dolfinx_mortar.materials.protocol import PLASTIC, Law, grouped, ungrouped
 from dolfinx_mortar.materials.tensor import mean_of_shears
 from ufl.algorithms import expand_derivatives
@@ -28,31 +30,149 @@ from ufl.core.expr import Expr
 from ufl.corealg.map_dag import map_expr_dag
 from ufl.corealg.multifunction import MultiFunction
 
+NORMAL = ufl.as_tensor([[0.0, 0, 0], [0, 0, 0], [0, 0, 1.0]])
+
+
+def with_normal_strain(strain: Expr, z: Any) -> Expr:
+    """The symmetrised in-plane part, with zz = z."""
+    shear = (strain[0, 1] + strain[1, 0]) / 2
+    return ufl.as_tensor([[strain[0, 0], shear, 0], [shear, strain[1, 1], 0], [0, 0, z]])
+
+
+def with_normal_stretch(F: Expr, z: Any) -> Expr:
+    """The in-plane part, with F_zz = 1 + z."""
+    return _with_normal(F, 1.0 + z)
+
+
+def _with_normal(tensor: Expr, normal: Any) -> Expr:
+    (a, b), (c, d) = ((tensor[i, 0], tensor[i, 1]) for i in range(2))
+    return ufl.as_tensor([[a, b, 0], [c, d, 0], [0, 0, normal]])
+
+
+def in_plane(tensor: Expr) -> Expr:
+    """The in-plane part."""
+    rows = [[tensor[i, j] for j in range(2)] for i in range(2)]
+    return ufl.as_tensor([[*rows[0], 0], [*rows[1], 0], [0, 0, 0]])
+
+
+def condensed(change: Callable[[Expr], Expr], *, finite: bool = False) -> Callable[[Expr], Expr]:
+    """Return d -> C : d - C : zz (C : d)_zz / C_zzzz in the plane, from the function d -> C : d."""
+    flat = _with_normal if finite else with_normal_strain
+
+    def in_plane_change(direction: Expr) -> Expr:
+        fixed, normal = change(flat(direction, 0.0)), change(NORMAL)
+        return in_plane(fixed - fixed[2, 2] / normal[2, 2] * normal)
+
+    return in_plane_change
+
+
+Equation = Callable[[Ints, Floats], Floats]
+"""Rows (k,) and z (k, m) there -> sigma_zz, C_zzzz, elastic C_zzzz, |sigma|: (k, m, 4)."""
+
+
+def solve_normal_strain(
+    law: str,
+    equation: Equation,
+    shape: tuple[int, int],
+    *,
+    finite: bool = False,
+    start: Floats | None = None,
+) -> Floats:
+    """Return z with sigma_zz(z) = 0, NaN where the law is undefined.
+
+    Newton's method, with bisection outside the bracket between pressure and tension, twice the
+    elastic step where C_zzzz <= 0, and at finite strain at most half of the way to z = -1.
+
+    Args:
+        law: its name.
+        equation: of rows that are evaluated together, such as cells.
+        shape: number of rows, and of points in each.
+        finite: whether z is a stretch less 1.
+        start: of z, a function of strain and state alone.
+
+    Raises:
+        ValueError: naming the law, if Newton's method fails at a point.
+    """
+    floor = ROUND_OFF if finite else 0.0
+    z = np.zeros(shape) if start is None else np.where(np.isfinite(start), start, 0.0)
+    high = np.full(shape, np.inf)
+    low = np.full(shape, -1.0 if finite else -np.inf)
+    rows: Ints = np.arange(shape[0], dtype=np.int32)
+    for iteration in range(LIMIT):
+        values = equation(rows, z[rows])
+        # half of the digits suffice before the last, quadratic iteration
+        rows = rows[: _advance(z, low, high, rows, values, HALF_OF_DIGITS, floor, 0.5**iteration)]
+        if not rows.size:
+            return z
+    raise ValueError(
+        f"{law}: in plane stress, no strain out of the plane was found that leaves no stress there "
+        f"around {len(rows)} points after {LIMIT} iterations; check the law with "
+        f"dolfinx_mortar.materials.check(law{'' if finite else ', plane_stress=True'}), or take "
+        "smaller steps"
+    )
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _advance(z, low, high, rows, values, share, floor, softer):  # type: ignore[no-untyped-def]
+    """Iterate some rows; move unfinished ones to the front, return their number."""
+    left = 0
+    for k in range(len(rows)):
+        row, done = rows[k], True
+        for q in range(z.shape[1]):
+            residual, modulus, elastic, stress = values[k, q]
+            if residual == 0.0:
+                continue
+            step = -residual / (softer * elastic)
+            new = z[row, q] - residual / modulus if modulus > 0.0 else z[row, q] + step
+            if floor > 0.0:  # a stretch is at most halved
+                new = max(new, (z[row, q] - 1.0) / 2)
+            small = abs(residual) <= max(share * stress, floor * elastic) and np.isfinite(stress)
+            if not small:
+                if residual < 0.0:
+                    low[row, q] = z[row, q]
+                else:
+                    high[row, q] = z[row, q]
+                new, narrow = _kept_between(low[row, q], high[row, q], new, z[row, q] + step)
+                # a law undefined from the start counts as finished
+                done = done and (narrow or (softer == 1.0 and np.isnan(stress)))
+            z[row, q] = new
+        if not done:
+            rows[left] = row
+            left += 1
+    return left
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _kept_between(low, high, new, instead):  # type: ignore[no-untyped-def]
+    """Iterate within the bracket, else its middle, and whether the bracket is exhausted."""
+    if low < new < high:
+        return new, False
+    middle = (low + high) / 2
+    if not np.isfinite(middle):
+        return instead, False
+    return middle, middle == low or middle == high
+
 
 @dataclass(frozen=True)
 class Response:
     """Response of a law in UFL to a strain."""
 
-    stress: Expr  # (3, 3)
+    stress: Expr
     energy: Expr | None  # the incremental potential, if the law has one
     updated: dict[str, Expr]  # internal variables at the end of the step, () or (3, 3)
     change: Callable[[Expr], Expr]  # direction, 3x3 -> d stress / d strain : direction
-    # sigma_zz, C_zzzz, the elastic C_zzzz and |sigma| in plane stress, see `plane_stress.solve`
+    # sigma_zz, C_zzzz, the elastic C_zzzz and |sigma| in plane stress, see `solve_normal_strain`
     equation: tuple[Expr, Expr, Expr, Expr] | None = None
-    normal_strain: Expr | None = None  # replaces the equation: its root, if in closed form
-    start: Expr | None = None  # root of the equation if nothing flows
+    normal_strain: Expr | None = None
+    start: Expr | None = None  # elastic root
 
 
 def respond(
     law: Law, strain: Expr, state: Mapping[str, Expr], p: Any, z: Expr | None = None
 ) -> Response:
-    """Stress, energy and new internal variables of a law in UFL.
+    """Stress, energy and new internal variables of a law in UFL; a ValueError if the law fails.
 
-    The stress of a law without one is the derivative of its energy. In plane stress the strain out
-    of the plane leaves no stress: z, if `law.condensed`; at finite strain F has the stretch 1 + z.
-
-    Raises:
-        ValueError: if a method of the law raises, or returns something of the wrong shape or name.
+    z is the strain out of the plane if `law.condensed`; F_zz = 1 + z at finite strain.
     """
     equation = root = start = None
     finite = law.strain == "finite"
@@ -79,46 +199,38 @@ def respond(
 
 
 def _stress(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-    """Stress of a law, or the derivative of its energy."""
     if law.stress is not None:
         return _call(law, "stress", (3, 3), strain, state, p)
-    # not ufl.variable: its running number would enter the signature of the compiled code
+    # not ufl.variable: its running number would enter the compiled signature
     variable = Variable(strain, Label(-1))
     return ufl.diff(_call(law, "energy", (), variable, state, p), variable)
 
 
 def _change(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any, direction: Expr) -> Expr:
-    """Return d stress / d strain : direction, as the law states it or by UFL."""
+    """Return d stress / d strain : direction, from the law or by UFL."""
     if law.tangent is not None:
         return _call(law, "tangent", (3, 3), strain, state, p, direction)
     step = Variable(ufl.as_ufl(0.0), Label(-2))
     change = ufl.diff(_stress(law, strain + step * direction, state, p), step)
-    return without_variables(expand_derivatives(change))  # without terms that step = 0 removes
+    return without_variables(expand_derivatives(change))  # removes terms that step = 0 cancels
 
 
 def without_variables(expression: Expr) -> Expr:
-    """An expression with the operands of its Variables.
-
-    UFL's `strip_variables` visits repeated parts each time, which takes half of the time to create
-    a `Solid` with plastic flow.
-    """
+    """Expression without Variables; UFL's `strip_variables` visits shared parts repeatedly."""
     return map_expr_dag(_VariableStripper(), expression)
 
 
 class _VariableStripper(MultiFunction):
-    """Rules of `without_variables`."""
-
     expr = MultiFunction.reuse_if_untouched
 
     def variable(self, o: Variable, expression: Expr, label: Label) -> Expr:
-        """Operand of the Variable."""
+        """Return the operand."""
         return expression
 
 
 def _equation(
     law: Law, strain: Expr, state: Mapping[str, Expr], p: Any
 ) -> tuple[Expr, Expr, Expr, Expr]:
-    """Equation of the strain out of the plane, see `Response.equation`."""
     stress = _stress(law, strain, state, p)
     modulus = _change(law, strain, state, p, NORMAL)[2, 2]
     elastic = _call(law, "elastic_stress", (3, 3), NORMAL, p)[2, 2]
@@ -126,7 +238,6 @@ def _equation(
 
 
 def _elastic_root(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-    """Elastic strain out of the plane that leaves no stress there."""
     elastic = with_normal_strain(strain, 0.0)
     if law.state.get(PLASTIC) == (3, 3):
         elastic = elastic - state[PLASTIC]
@@ -135,7 +246,7 @@ def _elastic_root(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> 
 
 
 def elastic_response(law: Law, strain: Expr, p: Any) -> Expr:
-    """C : strain of a law, 3x3; its mistakes are ValueErrors."""
+    """C : strain, 3x3; mistakes of laws are ValueErrors."""
 
     def elastic(e: Expr) -> Expr:
         return _call(law, "elastic_stress", (3, 3), e, p)
@@ -144,7 +255,6 @@ def elastic_response(law: Law, strain: Expr, p: Any) -> Expr:
 
 
 def _updated_state(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-    """New internal variables, one for each that is declared."""
     if law.updated_state is None:
         return {}
     new = _guarded(law, "updated_state", strain, state, p)
@@ -154,7 +264,6 @@ def _updated_state(law: Law, strain: Expr, state: Mapping[str, Expr], p: Any) ->
 
 
 def _check_state(law: Law, where: str, new: Any) -> None:
-    """Raise a ValueError unless a law returns its declared internal variables."""
     check(f"{where}: the state", new, instance(Mapping, "return a dictionary by name"))
     if set(new) != set(law.state):
         given, declared = (", ".join(sorted(names)) or "nothing" for names in (new, law.state))
@@ -162,12 +271,10 @@ def _check_state(law: Law, where: str, new: Any) -> None:
 
 
 def _call(law: Law, method: str, shape: tuple[int, ...], *arguments: Any) -> Any:
-    """Return what a method of a law gives, as UFL, or an array, of the right shape."""
     return _shaped(f"{law.name}.{method}", _guarded(law, method, *arguments), shape)
 
 
 def _guarded(law: Law, method: str, *arguments: Any) -> Any:
-    """Call a method of a law; its errors name it."""
     try:
         return getattr(law, method)(*arguments)
     except Exception as error:
@@ -184,8 +291,8 @@ _ARGUMENTS = {"elastic_stress": "(strain, p)", "tangent": "(strain, state, p, di
 
 
 def _shaped(what: str, value: Any, shape: tuple[int, ...]) -> Any:
-    """Return a value as UFL, or, of a law of arrays, as an array; a ValueError if it is neither."""
-    arrays = len(shape) % 2 == 1  # points are the first axis
+    """A value as UFL, or as an array for a law of arrays; else a ValueError."""
+    arrays = len(shape) % 2 == 1  # the first axis is the points
     found: Any
     try:
         found = np.asarray(value, dtype=np.float64) if arrays else ufl.as_ufl(value)
@@ -207,7 +314,7 @@ class PointValues:
     stress: Floats  # (q, 3, 3), at finite strain P
     tangent: Floats  # (q, 3, 3, 3, 3), for a small strain with the symmetry k <-> l
     state: dict[str, Floats]  # (q,) or (q, 3, 3)
-    normal: Floats | None = None  # (q,) z of plane stress, see `plane_stress`
+    normal: Floats | None = None  # (q,) z of plane stress, see `solve_normal_strain`
     energy: Floats | None = None  # (q,) of a law of F that has one
 
     @property
@@ -217,7 +324,7 @@ class PointValues:
         parts += [] if self.energy is None else [self.energy]
         found = np.zeros(len(self.stress), dtype=bool)
         for part in parts:
-            if not np.isfinite(part.sum()):  # much faster than each
+            if not np.isfinite(part.sum()):  # faster than a test of each
                 found |= ~np.isfinite(part.reshape(len(part), -1)).all(axis=1)
         return found
 
@@ -225,13 +332,10 @@ class PointValues:
 def values_at_points(
     law: Law, strain: Floats, state: Mapping[str, Floats], p: SimpleNamespace
 ) -> PointValues:
-    """Values of a law of arrays at q points.
+    """Values of a law of arrays at q points; a ValueError for a wrong form, name or shape.
 
-    For a symmetric strain (q, 3, 3), or F, committed internal variables (q,) or (q, 3, 3),
-    parameters (q,).
-
-    Raises:
-        ValueError: if it raises, or returns something of another form, name or shape.
+    `strain` symmetric (q, 3, 3), or F; committed internal variables (q,) or (q, 3, 3); parameters
+    (q,).
     """
     z, finite = None, law.strain == "finite"
     if law.plane_stress:
@@ -245,7 +349,6 @@ def values_at_points(
 
 
 def _flat(strain: Floats, normal: Floats) -> Floats:
-    """The part in the plane of tensors (q, 3, 3), with zz entries (q,)."""
     whole = np.zeros_like(strain)
     whole[:, :2, :2], whole[:, 2, 2] = strain[:, :2, :2], normal
     return whole
@@ -254,7 +357,7 @@ def _flat(strain: Floats, normal: Floats) -> Floats:
 def _normal_at_points(
     law: Law, strain: Floats, state: Mapping[str, Floats], p: SimpleNamespace
 ) -> Floats:
-    """Strain, or stretch less 1, (q,) out of the plane that leaves no stress."""
+    """Strain, or stretch less 1, (q,) with sigma_zz = 0."""
     finite, parameters = law.strain == "finite", ungrouped(p)
 
     def equation(points: Ints, z: Floats) -> Floats:
@@ -266,11 +369,10 @@ def _normal_at_points(
         parts = [found.stress[:, 2, 2], C[:, 2, 2, 2, 2], stiffest, norm]
         return np.stack(parts, axis=1)[:, None]
 
-    return plane_stress.solve(law.name, equation, (len(strain), 1), finite=finite)[:, 0]
+    return solve_normal_strain(law.name, equation, (len(strain), 1), finite=finite)[:, 0]
 
 
 def _condensed(found: PointValues, z: Floats) -> PointValues:
-    """Values with stress and tangent of plane stress."""
     stress, C = found.stress.copy(), found.tangent
     stress[:, 2], stress[:, :, 2] = 0.0, 0.0
     with np.errstate(all="ignore"):
@@ -284,7 +386,6 @@ def _condensed(found: PointValues, z: Floats) -> PointValues:
 def _updated(
     law: Law, strain: Floats, state: Mapping[str, Floats], p: SimpleNamespace
 ) -> PointValues:
-    """Call a law of arrays at q points, see `values_at_points`."""
     where, q = f"{law.name}.update", len(strain)
     found = _guarded(law, "update", strain, state, p)
     if not isinstance(found, tuple) or len(found) != 3:
@@ -302,7 +403,7 @@ def _updated(
 
 
 def _remedy(error: Exception) -> str:
-    """Remedy for an error of a user's function, "" if unknown; numba caches by module name."""
+    """Remedy for an error, or ""; numba caches by module name."""
     if not isinstance(error, ModuleNotFoundError):
         return ""
     return (

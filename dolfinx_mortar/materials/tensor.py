@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Symmetric 3x3 tensors and their stored components.
 
-Laws always get 3x3 tensors; those of plane problems have zeros xz and yz. The stored shear is the
-tensor component (not the engineering strain), once.
-
-==== ===================
+The stored shear is the tensor component (not the engineering strain), once.
 """
 
 import numpy as np
@@ -14,24 +11,23 @@ from dolfinx_mortar.arrays import Floats
 from ufl.core.expr import Expr
 
 COMPONENTS = {2: ("xx", "yy", "zz", "xy"), 3: ("xx", "yy", "zz", "xy", "yz", "xz")}
-# Row and column of each entry of F or P that may be non-zero, in the stored order.
+# Row and column of the entries of F or P that may be non-zero, in the stored order.
 GRADIENT = {
     2: ((0, 0), (0, 1), (1, 0), (1, 1), (2, 2)),
     3: tuple((i, j) for i in range(3) for j in range(3)),
 }
-# Row and column of each stored component.
 INDEX = tuple(("xyz".index(name[0]), "xyz".index(name[1])) for name in COMPONENTS[3])
 
 
 def from_components(c: Expr) -> Expr:
-    """3x3 tensor with the stored components c (4 or 6)."""
+    """Tensor (3, 3) of stored components c (4 or 6)."""
     xx, yy, zz, xy = (c[i] for i in range(4))
     yz, xz = (c[4], c[5]) if c.ufl_shape == (6,) else (0, 0)
     return ufl.as_tensor([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def to_components(tensor: Expr, size: int) -> Expr:
-    """Vector of the first `size` (4 or 6) stored components of a 3x3 tensor."""
+    """The first `size` (4 or 6) stored components of a 3x3 tensor."""
     return ufl.as_vector([tensor[i, j] for i, j in INDEX[:size]])
 
 
@@ -55,9 +51,7 @@ def double_contraction(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def vector_norm(c: np.ndarray) -> np.ndarray:
-    """Euclidean norm of the stored components (..., 4 or 6), shear counted once.
-
-    Not invariant under rotation; some papers plot it of the back stress as "hardening".
+    """Euclidean norm of the stored components (..., 4 or 6), shear counted once (not invariant).
 
     >>> float(vector_norm(np.array([3.0, 0.0, 0.0, 4.0])))
     5.0
@@ -89,13 +83,13 @@ def tensor_of(components: Floats) -> Floats:
 
 
 def stored(tensors: Floats, size: int = 6) -> Floats:
-    """The first `size` (4 or 6) stored components (q, size) of tensors (q, 3, 3)."""
+    """The first `size` (4 or 6) stored components of tensors (q, 3, 3)."""
     rows, columns = zip(*INDEX[:size], strict=True)
     return np.asarray((tensors[:, rows, columns] + tensors[:, columns, rows]) / 2)
 
 
 def mean_of_shears(tangent: Floats) -> Floats:
-    """Return derivatives (q, 3, 3, 3, 3) by nine entries with the means of kl and lk."""
+    """Average derivatives (q, 3, 3, 3, 3) over kl and lk."""
     mean = tangent.copy()
     for k, m in INDEX[3:]:
         mean[..., k, m] = mean[..., m, k] = (tangent[..., k, m] + tangent[..., m, k]) / 2

@@ -25,12 +25,10 @@ from dolfinx_mortar.materials.protocol import (
 )
 from ufl.core.expr import Expr
 
-# Committed plastic points lie on the yield surface up to round-off of 2 mu eps; without this band
-# some would flow again. Wide enough for 1e5 yield strains.
+# Dead band of the yield condition: round-off of 2 mu eps up to 1e5 yield strains.
 YIELD_TOLERANCE = 1e-10
 LEAST_RATIO = -0.9
 """Poisson's ratio down to which `flow_in_plane_stress` is exact: below, its root has two scales."""
-# Name of the internal variable beside the plastic strain
 ACCUMULATED = "accumulated_plastic_strain"
 
 
@@ -44,7 +42,7 @@ def shifted_stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Exp
 def _tangent(law: Any, strain: Expr, state: Mapping[str, Expr], p: Any, direction: Expr) -> Expr:
     """Return d sigma / d eps : direction of sigma = C (eps - ep_n) - 2 mu g n, n = xi / |xi|.
 
-    With t = g / |xi| and the slope s = dg / d|xi|, both 0 where nothing flows, that is
+    With t = g / |xi| and s = dg / d|xi|, both 0 in elastic states,
 
         C : direction - 4 mu^2 (t dev(direction) + (s - t) (n : direction) n).
     """
@@ -56,17 +54,17 @@ def _tangent(law: Any, strain: Expr, state: Mapping[str, Expr], p: Any, directio
 
 
 def _updated_state(law: Any, strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-    """Return the plastic strain and, if it is there, k at the end of the step."""
+    """Plastic strain and, with isotropic hardening, k at the end of the step."""
     xi, norm, g, _ = law._flow(strain, state, p)
     new = {PLASTIC: state[PLASTIC] + g / norm * xi}
     return new | ({ACCUMULATED: state[ACCUMULATED] + g} if ACCUMULATED in state else {})
 
 
 def flow_in_plane_stress(p: Expr, q: Expr, r: Expr) -> Expr:
-    """Return the root t > 0 of p^2 / (1 + r t)^2 + q^2 / (1 + t)^2 = 1, 0 if p^2 + q^2 <= 1.
+    """Root t > 0 of p^2 / (1 + r t)^2 + q^2 / (1 + t)^2 = 1, 0 if p^2 + q^2 <= 1.
 
-    With N^2 the left side, 1/N is a concave function of t. Three steps of Halley's method from a
-    lower bound leave round-off of N for p and q from 0 to 1e6, .0175 <= r <= 1.
+    With N^2 the left side, 1/N is concave in t. Three steps of Halley's method from a lower bound
+    reach the round-off of N for p, q in [0, 1e6], .0175 <= r <= 1.
     """
     first = ufl.sqrt(p**2 + q**2)
     both, from_p = first - 1, (p - 1) / r
@@ -90,21 +88,21 @@ class VonMises(Material):
         xi = 2 mu dev(eps) - (2 mu + a) ep_n          (deviatoric stress minus back stress a ep_n)
 
     and the accumulated plastic strain k_n = int |dep|, a point yields when |xi| > Y + H k_n in the
-    Frobenius norm, and then (return mapping along the radius)
+    Frobenius norm, and then (radial return)
 
         dgam  = (|xi| - Y - H k_n)_+ / (2 mu + a + H),   n = xi / |xi|,   k = k_n + dgam
         sigma = C (eps - ep_n) - 2 mu dgam n,   ep = ep_n + dgam n,   back stress = a ep.
 
-    This is the gradient of an incremental potential,
+    The incremental potential is
 
         psi = 1/2 (eps - ep_n):C:(eps - ep_n) + a/2 |ep_n|^2 + H/2 k_n^2
               - (|xi| - Y - H k_n)_+^2 / (2 (2 mu + a + H)).
 
-    In tension, plastic strain p = sqrt(2/3) k, the stress at first loading is
-    sqrt(3/2) Y + 3/2 (a + H) p. Only with H is there an internal variable
-    ``accumulated_plastic_strain``, k; times sqrt(2/3) it is the equivalent plastic strain.
+    In tension, with plastic strain p = sqrt(2/3) k, the stress at first loading is sqrt(3/2) Y +
+    3/2 (a + H) p. Only with H is there an internal variable ``accumulated_plastic_strain``, k;
+    sqrt(2/3) k is the equivalent plastic strain.
 
-    Source: M. Cermak, S. Sysala, J. Valdman, Appl. Math. Comput. 355 (2019) 595-614, for the law.
+    Source: M. Cermak, S. Sysala, J. Valdman, Appl. Math. Comput. 355 (2019) 595-614.
 
     Raises:
         ValueError: naming a parameter that is out of its range.
@@ -137,12 +135,12 @@ class VonMises(Material):
 
     @property
     def isotropic(self) -> bool:
-        """Whether there is no back stress."""
+        """Whether there is no kinematic hardening."""
         return isinstance(self.a, Real) and self.a == 0
 
     @property
     def normal_strain(self) -> Callable[..., Expr] | None:
-        """The strain out of the plane in plane stress, for a nu that is a number above -0.9."""
+        """Closed form of z in plane stress, for a constant nu above -0.9."""
         exact = isinstance(self.nu, Real) and float(self.nu) >= LEAST_RATIO
         return self._normal_strain if exact else None
 
@@ -162,12 +160,11 @@ class VonMises(Material):
             yield_stress: uniaxial; Y = sqrt(2/3) yield_stress.
             plastic_modulus: d sigma / d (plastic strain) in tension; a + H = 2/3 plastic_modulus. A
                 test's tangent modulus E_t gives plastic_modulus = E E_t / (E - E_t).
-            isotropic: share of the hardening that widens the yield surface, from 0 to 1; the rest
-                moves it. Only a reversal tells: the bar then yields 2 (yield_stress + isotropic
-                (stress - yield_stress)) lower.
+            isotropic: share of isotropic hardening, from 0 to 1; the rest is kinematic. On reversal
+                the bar yields 2 (yield_stress + isotropic (stress - yield_stress)) lower.
 
         Raises:
-            ValueError: for the same ranges, naming these arguments.
+            ValueError: naming an argument that is out of its range.
         """
         check_parameters(
             "VonMises.from_uniaxial",
@@ -176,18 +173,17 @@ class VonMises(Material):
             isotropic=(isotropic, 0.0, math.nextafter(1.0, 2.0), True),
         )
         modulus = 2 / 3 * plastic_modulus
-        # 0 * modulus is no number in UFL: there would be an unused k
+        # 0 * modulus is not a number in UFL: k would be unused
         a, H = ((1 - isotropic) * modulus, isotropic * modulus) if isotropic else (modulus, 0.0)
         return cls(E, nu, math.sqrt(2 / 3) * yield_stress, a, H)
 
     @staticmethod
     def _memory(state: Mapping[str, Expr], p: Any) -> tuple[Any, Any]:
-        """k_n and H, zeros without isotropic hardening."""
         return (state[ACCUMULATED], p.H) if ACCUMULATED in state else (0.0, 0.0)
 
     @staticmethod
     def _flow(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr, Expr, Expr]:
-        """Return xi, |xi|, dgam and its slope d dgam / d|xi|, with the dead band at zero."""
+        """Return xi, |xi|, dgam and d dgam / d|xi|."""
         xi, norm = shifted_stress(strain, state, p)
         k, H = VonMises._memory(state, p)
         radius, slope = p.Y + H * k, 1 / (2 * shear_modulus(p) + p.a + H)
@@ -197,7 +193,7 @@ class VonMises(Material):
 
     @staticmethod
     def energy(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return the incremental potential psi."""
+        """Return psi."""
         ep, (k, H) = state[PLASTIC], VonMises._memory(state, p)
         _, _, g, _ = VonMises._flow(strain, state, p)
         stored = p.a / 2 * ufl.inner(ep, ep) + H / 2 * k**2
@@ -209,18 +205,7 @@ class VonMises(Material):
 
     @staticmethod
     def _normal_strain(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return the strain zz that leaves no stress zz.
-
-        In the plane stress minus back stress has the sum S = xx + yy, the difference D = xx - yy
-        and the shear T; |xi|^2 = S^2 / 6 + D^2 / 2 + 2 T^2. With phi = dgam / (Y + H k_n) and the
-        trial values on the right,
-
-            S = S (1 + H phi) / (1 + (A + H) phi),     A = E / (3 (1 - nu)) + a,
-            D = D (1 + H phi) / (1 + (B + H) phi),     B = 2 mu + a,    T likewise,
-
-        where |xi| = Y + H k determines phi (`flow_in_plane_stress`). Source: J. C. Simo, R. L.
-        Taylor, Int. J. Numer. Methods Eng. 22 (1986) 649-670.
-        """
+        """Strain zz with sigma_zz = 0 (theory.md, Axisymmetry, plane stress ..)."""
         ep, (k, H) = state[PLASTIC], VonMises._memory(state, p)
         e, mu, bulk = strain - ep, shear_modulus(p), p.E / (1 - p.nu)
         S = bulk * (e[0, 0] + e[1, 1]) + 3 * p.a * ep[2, 2]
@@ -238,11 +223,11 @@ class VonMises(Material):
 
     @staticmethod
     def output(state: Mapping[str, np.ndarray], p: SimpleNamespace) -> dict[str, np.ndarray]:
-        """Return the back stress a ep (q, components)."""
+        """Back stress a ep (q, components)."""
         return {"back_stress": p.a[:, None] * state["plastic_strain"]}
 
 
-# Below, exp(3 y) is round-off, and three terms of the series of omega in exp(y) are exact.
+# Below it exp(3 y) is round-off, and three terms of the series of omega are exact.
 SERIES_BELOW = float(np.log(np.cbrt(EPS)))
 
 
@@ -251,7 +236,7 @@ def wright_omega(y: Any) -> Expr:
     z, t, high = ufl.exp(ufl.min_value(y, 0.0)), y - 1, ufl.max_value(y, 1.0)
     w = ufl.conditional(
         ufl.lt(y, 4.0),
-        1 + t / 2 + t**2 / 16,  # Taylor's polynomial where w = 1
+        1 + t / 2 + t**2 / 16,  # Taylor polynomial at w = 1
         high * (1 - 5.4 / (high + 16.0)),  # to 1 %
     )
     w = ufl.conditional(ufl.lt(y, -0.5), z / (1 + z), w)  # to 7 %
@@ -261,17 +246,10 @@ def wright_omega(y: Any) -> Expr:
 
 
 def increment(excess: Any, rest: Any, M: Any, b: Any, log_ratio: Any) -> tuple[Expr, Expr]:
-    """Root g of M g + rest (1 - exp(-b g)) = excess, and its slope dg / d excess.
+    """Root g of M g + rest (1 - exp(-b g)) = excess, and its slope dg / d excess; all positive.
 
-    A step of Chebyshev's method, of third order, corrects omega to the round-off of excess and
-    rest.
-
-    Args:
-        excess: positive.
-        rest: largest part of the exponential, positive.
-        M: slope of the line, positive.
-        b: rate of the exponential, positive.
-        log_ratio: ln(b rest / M).
+    `log_ratio` is ln(b rest / M). One step of Chebyshev's method, of third order, corrects omega to
+    round-off.
     """
     level = (excess - rest) / M
     y = log_ratio - b * level
@@ -294,17 +272,16 @@ class VonMisesVoce(Material):
         R(k) = Y + H k + Q (1 - exp(-b k)),      k = int |dep|.
 
     The increment g of k in a step is the root of |xi| = (2 mu + a) g + R(k_n + g), in closed form
-    by Wright's omega function. Stress and consistent tangent are those of the radial return
-    mapping,
+    by Wright's omega function. Radial return mapping gives stress and consistent tangent,
 
         sigma = C (eps - ep_n) - 2 mu g n,       dg / d|xi| = 1 / (2 mu + a + R'(k_n + g));
 
-    the potential of the step is
+    and the incremental potential is
 
         psi = 1/2 (eps - ep_n):C:(eps - ep_n) + a/2 |ep_n|^2
               - |xi| g + (2 mu + a)/2 g^2 + Y g + I(k_n + g),     I' = R - Y.
 
-    Source: E. Voce, J. Inst. Metals 74 (1948) 537-562, for the saturation.
+    Source: E. Voce, J. Inst. Metals 74 (1948) 537-562.
 
     Raises:
         ValueError: naming a parameter that is out of its range.
@@ -347,7 +324,7 @@ class VonMisesVoce(Material):
             hardening: saturation, rate (per plastic strain), and optionally modulus (0).
 
         Raises:
-            ValueError: for values out of range, naming these arguments.
+            ValueError: naming an argument that is out of its range.
         """
         known = {"modulus": 0.0} | hardening
         if set(known) != {"saturation", "rate", "modulus"}:
@@ -370,20 +347,20 @@ class VonMisesVoce(Material):
 
     @staticmethod
     def _flow(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr, Expr, Expr]:
-        """Return xi, |xi|, the increment g of k and its slope dg / d|xi|."""
+        """Return xi, |xi|, the increment g of k and dg / d|xi|."""
         xi, norm = shifted_stress(strain, state, p)
         k = state[ACCUMULATED]
-        rest = p.Q * ufl.exp(-p.b * k)  # possible further growth of the radius
+        rest = p.Q * ufl.exp(-p.b * k)
         radius = p.Y + p.H * k + p.Q - rest
         M = 2 * shear_modulus(p) + p.a + p.H
-        # ln(b rest / M), of which one part is the same at all points of a cell
+        # split: one part is the same at all points of a cell
         found = increment(norm - radius, rest, M, p.b, ufl.ln(p.b * p.Q / M) - p.b * k)
         yields = ufl.gt(norm - radius, YIELD_TOLERANCE * radius)
         return xi, norm, *(ufl.conditional(yields, value, 0.0) for value in found)
 
     @staticmethod
     def energy(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
-        """Return the incremental potential psi."""
+        """Return psi."""
         ep, k = state[PLASTIC], state[ACCUMULATED]
         _, norm, g, _ = VonMisesVoce._flow(strain, state, p)
         new = k + g

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Meshes of bodies that touch, each in one distributed mesh: from files, or a disc or a ball."""
+"""Meshes of bodies in contact, one distributed mesh: from files, or a disc or ball on a block."""
 
 from dolfinx_mortar.meshing.msh import read_msh
 from dolfinx_mortar.meshing.two_bodies import TaggedMesh, hertz, sphere

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Meshes from files of Gmsh, with the names of their physical groups."""
+"""Meshes from files of Gmsh."""
 
 import logging
 import os
@@ -15,7 +15,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_mortar import compat
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import check, instance
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Longs
 from dolfinx_mortar.disk import check_path
@@ -36,8 +36,8 @@ class Group:
     """Physical groups of one name, on one rank."""
 
     dim: int
-    tag: int  # of the first
-    name: str  # empty if it has none
+    tag: int
+    name: str
     elements: Longs  # (m,) numbers of its elements
     nodes: dict[int, Longs]  # (elements, nodes of an element) by Gmsh's number of their kind
 
@@ -88,13 +88,10 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
 
 
 def _open(file: Path, stack: ExitStack) -> Any:
-    """Gmsh with the model of a file, until the stack closes.
+    """Gmsh with the model of a file, until the stack closes; OSError, ValueError, RuntimeError.
 
-    In version 2 elements may lack a tag of geometry, as written by meshio: gmsh puts all of them in
-    entity 0, of all groups. Then the tags of groups replace those of entities.
-
-    Raises:
-        OSError, ValueError, RuntimeError: without the file, if gmsh cannot read it, without gmsh.
+    gmsh puts elements without a tag of geometry (meshio) in entity 0: then tags of groups replace
+    those of entities.
     """
     _check_file(file)
     try:
@@ -120,14 +117,12 @@ def _open(file: Path, stack: ExitStack) -> Any:
 
 
 def _renew(gmsh: Any) -> None:
-    """Replace the present model by an empty one."""
     name = gmsh.model.getCurrent()
     gmsh.model.remove()
     gmsh.model.add(name)
 
 
 def _check_file(file: Path) -> None:
-    """Raise an OSError if there is no file, and a ValueError if it is not of Gmsh."""
     if not file.is_file():
         raise FileNotFoundError(f"path = {str(file)!r}: there is no such file in {Path.cwd()}.")
     with file.open("rb") as stream:
@@ -159,7 +154,6 @@ def _read_groups(model: Any, file: Path) -> list[Group]:
 
 
 def _named(file: Path) -> Iterator[tuple[int, int, str]]:
-    """Yield dimension, tag and name of the groups that a file names."""
     with file.open("rb") as stream:
         for line in stream:
             if line.startswith((b"$EndPhysicalNames", b"$Entities", b"$Nodes")):
@@ -169,7 +163,6 @@ def _named(file: Path) -> Iterator[tuple[int, int, str]]:
 
 
 def _read_group(model: Any, dim: int, tag: int, name: str, entities: list[int]) -> Group:
-    """A group with the elements of its entities."""
     found: dict[int, list[tuple[Longs, Longs]]] = {}
     for entity in entities:
         for kind, *arrays in zip(*model.mesh.getElements(dim, entity), strict=True):
@@ -182,7 +175,6 @@ def _read_group(model: Any, dim: int, tag: int, name: str, entities: list[int]) 
 
 
 def _create_model(gmsh: Any, groups: list[Group]) -> Any:
-    """New model with one entity for each group, one kind of elements, and contiguous nodes."""
     tags, x, _ = gmsh.model.mesh.getNodes()
     parts = [nodes.ravel() for g in groups for nodes in g.nodes.values()]
     used = np.unique(np.concatenate(parts))
@@ -201,7 +193,6 @@ def _create_model(gmsh: Any, groups: list[Group]) -> Any:
 
 
 def _check(model: Any, groups: list[Group], path: str) -> list[Group]:
-    """Bodies and sides; raise a ValueError if they make no valid mesh."""
     if not groups:
         raise ValueError(
             f"{path} has no physical groups, so that nothing tells bodies and sides apart: in "
@@ -234,14 +225,13 @@ def _check(model: Any, groups: list[Group], path: str) -> list[Group]:
 
 
 def _check_cells(model: Any, bodies: list[Group], path: str) -> None:
-    """Raise a ValueError unless all cells are of one known kind, and in a group."""
     dim = bodies[0].dim
     if dim < 2:
         raise ValueError(
             f"{path}: the physical groups are of dimension {dim}; bodies are surfaces in 2D or "
             "volumes in 3D: add a physical surface or volume for each."
         )
-    every = {d: model.mesh.getElements(d)[1] for d in range(dim, 4)}  # partitions repeat cells
+    every = {d: model.mesh.getElements(d)[1] for d in range(dim, 4)}
     left = {d: len(np.unique(np.concatenate([*tags, []]))) for d, tags in every.items()}
     left[dim] -= len(np.unique(np.concatenate([g.elements for g in bodies])))
     for d, n in reversed(left.items()):
@@ -265,7 +255,7 @@ def _check_cells(model: Any, bodies: list[Group], path: str) -> None:
 
 
 def _check_facets(model: Any, bodies: list[Group], sides: list[Group], path: str) -> None:
-    """Raise a ValueError if elements of sides are no facets of a body, of which dolfinx aborts."""
+    """Raise a ValueError for elements of sides that are no facets: dolfinx would abort."""
     (kind,) = {kind for g in bodies for kind in g.nodes}
     k = CELLS[kind]
     parts = [nodes[:, :k] for g in sides for nodes in g.nodes.values()]
@@ -289,7 +279,7 @@ def _check_facets(model: Any, bodies: list[Group], sides: list[Group], path: str
 
 
 def _are_in(facets: Longs, known: Longs) -> Bools:
-    """Mask (m,) of facets (m, k) that are among known ones (n, k), by their nodes in any order."""
+    """Mask (m,) of facets (m, k) among known ones (n, k), in any order of nodes."""
     if facets.shape[1] != known.shape[1]:
         return np.zeros(len(facets), dtype=bool)
     every = np.sort(np.concatenate([known, facets]), axis=1)
@@ -298,7 +288,6 @@ def _are_in(facets: Longs, known: Longs) -> Bools:
 
 
 def _check_plane(model: Any, bodies: list[Group], path: str) -> None:
-    """Raise a ValueError if surfaces are not in the plane z = 0."""
     if bodies[0].dim == 3:
         return
     tags, x, _ = model.mesh.getNodes()
@@ -313,7 +302,6 @@ def _check_plane(model: Any, bodies: list[Group], path: str) -> None:
 
 
 def _check_apart(groups: list[Group], path: str) -> None:
-    """Raise a ValueError if an element is in two groups, of one dimension; its tag is one."""
     for kind in sorted({kind for g in groups for kind in g.nodes}):
         parts = [(g, g.nodes[kind]) for g in groups if kind in g.nodes]
         owner = np.concatenate([np.full(len(n), i) for i, (_, n) in enumerate(parts)])

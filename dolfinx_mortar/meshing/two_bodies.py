@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A disc or a ball on a block: disconnected bodies in one mesh, made on rank 0 and distributed.
-
-Each has a gmsh model of its own, so that no node is shared where they touch; halves are mirrored.
-"""
+"""A disc or a ball on a block: disconnected bodies in one mesh, made on rank 0 and distributed."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -19,7 +16,7 @@ import basix.ufl
 import ufl
 from dolfinx import mesh as dmesh
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import POSITIVE, array, check, number, one_of
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.tags import Tags
@@ -28,7 +25,6 @@ Arrays = tuple[Floats, Longs]  # nodes (n, d), cells (m, k)
 PAPER_DIVISIONS = (34, 20)  # half block: 34 x 20 rectangles, 2720 triangles in the whole block
 PAPER_DISC_SIZE = 0.45 / 8.0  # element size over radius that gives about 1200 triangles
 
-# All options of gmsh that are set here, with their defaults.
 GMSH_OPTIONS = {
     "General.Terminal": 0.0,
     "Mesh.Algorithm": 6.0,
@@ -47,7 +43,7 @@ GMSH_OPTIONS = {
 class TaggedMesh(NamedTuple):
     """A mesh with names of its bodies and their sides."""
 
-    mesh: dmesh.Mesh  # of all bodies
+    mesh: dmesh.Mesh  # all bodies
     cell_tags: Tags  # bodies
     facet_tags: Tags  # sides and supports
 
@@ -67,27 +63,26 @@ def hertz(
 ) -> TaggedMesh:
     """Mesh a half disc above a block, non-matching where they touch (collective).
 
-    The block is [-w/2, w/2] x [-t, 0] with (w, t) = ``block``. The disc has its lowest point at
-    (0, ``gap``) and its flat face on top at y = ``radius + gap``. The mesh is symmetric in x and
-    (0, 0), (0, ``gap``) are nodes. Bodies: "block", "disc". Sides: "bottom" and "top" of the block,
-    "flat" and "arc" of the disc, and "axis", which is x = 0 in the half.
+    The block is [-w/2, w/2] x [-t, 0] with (w, t) = ``block``, the disc has its lowest point at (0,
+    ``gap``) and its flat face on top. The mesh is symmetric in x; (0, 0) and (0, ``gap``) are
+    nodes. Bodies: "block", "disc". Sides: "bottom", "top", "flat", "arc", and "axis", x = 0 in the
+    half.
 
     Args:
-        comm: communicator; gmsh runs on its rank 0 only.
-        kind: "paper": about 1200 cells in the disc and 2720 in the block (as triangles, for any
-            ``radius`` and ``block``); "graded": element size ``h`` within ``core`` of the first
-            contact point and h (1 + r - core), at most ``limit`` h, at distance r mm.
+        kind: "paper": about 1200 cells in the disc and 2720 in the block (as triangles); "graded":
+            size ``h`` within ``core`` of the first contact point and h (1 + r - core), at most
+            ``limit`` h, at distance r mm.
         h: element size of the graded mesh [mm]; a pair gives (block, disc) separately.
         radius: of the disc [mm].
         block: width and thickness [mm].
-        gap: initial vertical gap between the bodies [mm]; negative for an overlap.
+        gap: initial gap [mm], negative for an overlap.
         cell: "triangle" or "quadrilateral".
         half: leave out x < 0; the rest is also the section of a ball on a round plate.
-        limit: largest size of the graded mesh over h, greater than 1.
+        limit: largest size over h, greater than 1.
         core: distance at which the graded mesh begins to coarsen [mm].
 
     Raises:
-        ValueError: on all ranks, if an argument is out of range, or differs between ranks.
+        ValueError: on all ranks, if an argument is out of range or differs between ranks.
         RuntimeError: on all ranks, if gmsh is missing or fails.
     """
     given = dict(locals())
@@ -123,7 +118,7 @@ def hertz(
         return p[0]
 
     def mesh_half(draw: Callable[[Any], int], size: float, uniform: float) -> Arrays:
-        """Mesh the surface, graded from the point that ``draw`` returns, or uniformly."""
+        """Mesh the surface, graded from the point of ``draw``, or uniformly."""
         # 6 = frontal Delaunay; 8 and 3 = its variant and blossom-full-quad recombination
         options = {
             "Mesh.Algorithm": 8.0 if cell == "quadrilateral" else 6.0,
@@ -164,27 +159,23 @@ def sphere(
 ) -> TaggedMesh:
     """Mesh a quarter of a half ball above a block, non-matching where they touch (collective).
 
-    The whole block is [-w/2, w/2] x [-l/2, l/2] x [-t, 0] with (w, l, t) = ``block``. The half ball
-    has its lowest point at (0, 0, ``gap``) and its flat face on top at z = ``radius + gap``. The
-    quarter x, y >= 0 of both is meshed; (0, 0, 0) and (0, 0, ``gap``) are nodes. Bodies: "block",
-    "ball". Sides: "bottom" and "top" of the block, "flat" and "sphere" of the ball, "symmetry_x"
-    and "symmetry_y", on x = 0 and y = 0.
+    As `hertz`, with the quarter x, y >= 0 of the block [-w/2, w/2] x [-l/2, l/2] x [-t, 0], (w, l,
+    t) = ``block``. Bodies: "block", "ball". Sides: "bottom", "top", "flat", "sphere", and
+    "symmetry_x" and "symmetry_y", on x = 0 and y = 0.
 
     Args:
-        comm: Communicator of the mesh; it is created on rank 0 and distributed.
         cell: "hexahedron" or "tetrahedron" (which needs gmsh).
-        h: Element size at the first contact point [mm]; a pair gives (block, ball) separately. The
-            ball's hexahedra are one more along the edge of the core, so that they do not match.
-        radius: Of the ball [mm].
-        block: Width, length and thickness of the whole block [mm].
-        gap: Initial gap [mm], negative for an overlap.
-        core: Distance from the contact point within which the size is ``h`` [mm], by default an
-            eighth of the radius; beyond, sizes grow in proportion to the distance.
-        half: Whether to mesh the half y >= 0 of both instead, for loads along x; the part x < 0 is
-            the mirror image of the quarter, and nothing is "symmetry_x" then.
+        h: element size at the first contact point [mm]; a pair gives (block, ball) separately. The
+            ball has one hexahedron more along the edge of the core, so that meshes do not match.
+        radius: of the ball [mm].
+        block: width, length and thickness [mm].
+        gap: initial gap [mm], negative for an overlap.
+        core: distance from the contact point with size ``h`` [mm], by default an eighth of the
+            radius; beyond, sizes grow in proportion to the distance.
+        half: whether to mesh the half y >= 0 instead, without "symmetry_x".
 
     Raises:
-        ValueError: on all ranks, for an argument out of range, or not the same on all ranks.
+        ValueError: on all ranks, if an argument is out of range or differs between ranks.
         RuntimeError: on all ranks, if gmsh is missing or fails.
     """
     given = dict(locals())
@@ -210,7 +201,7 @@ def sphere(
     mesh, first = distribute(comm, create, cell)
     mesh.name = "sphere"
     of = {"thickness": block[2], "radius": radius, "gap": gap}
-    planes = ("symmetry_x", "symmetry_y")  # the first is no side of the half
+    planes = ("symmetry_x", "symmetry_y")
     return name_sides(mesh, first, **of, names=("ball", "sphere"), planes=planes)
 
 
@@ -221,11 +212,7 @@ def _block_of_hexahedra(corner: Floats, core: float, h: float) -> Arrays:
 
 
 def _ball_of_hexahedra(radius: float, gap: float, core: float, h: float) -> Arrays:
-    """Mesh a half ball of twice the radius, and take its inversion around (0, 0, 2R).
-
-    That maps the plane z = 0 to the ball's surface and the sphere of radius 2R to the flat face;
-    it is conformal, so that well-shaped cells stay so.
-    """
+    """Mesh a half ball of twice the radius, inverted (a conformal map) around (0, 0, 2R)."""
     n = int(np.ceil(core / h - 1e-9)) + 1
 
     def outer(p: Floats) -> Floats:
@@ -239,7 +226,7 @@ def _ball_of_hexahedra(radius: float, gap: float, core: float, h: float) -> Arra
     return x, cells
 
 
-HXT = {"Mesh.Algorithm3D": 10.0}  # a fast Delaunay algorithm
+HXT = {"Mesh.Algorithm3D": 10.0}
 
 
 def _block_of_tetrahedra(corner: Floats, core: float, h: float) -> Arrays:
@@ -253,7 +240,7 @@ def _ball_of_tetrahedra(radius: float, gap: float, core: float, h: float) -> Arr
     with gmsh_model(HXT) as gmsh:
         occ = gmsh.model.occ
         part = [(3, occ.addSphere(0, 0, 0, radius, -1, 0.0, np.pi / 2, np.pi / 2))]
-        # the pole of the parametrisation lies on the rim, away from the contact
+        # moves the pole of the parametrisation away from the contact
         occ.rotate(part, 0, 0, 0, 0, 1, 0, np.pi / 2)
         occ.translate(part, 0, 0, radius + gap)
         return _tetrahedra(gmsh, (0.0, 0.0, gap), core, h, 2.0 * radius)
@@ -262,7 +249,6 @@ def _ball_of_tetrahedra(radius: float, gap: float, core: float, h: float) -> Arr
 def _tetrahedra(
     gmsh: Any, contact: tuple[float, float, float], core: float, h: float, far: float
 ) -> Arrays:
-    """Mesh the model; sizes grow from h at the contact point to h far / core at distance far."""
     gmsh.model.occ.synchronize()
     points = np.array([gmsh.model.getValue(0, tag, []) for _, tag in gmsh.model.getEntities(0)])
     nearest = int(np.linalg.norm(points - contact, axis=1).argmin())
@@ -273,17 +259,17 @@ def _tetrahedra(
 
 
 def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], Floats]) -> Arrays:
-    """Mesh an octant x, y, z >= 0 whose outer boundary can be seen from the origin, by hexahedra.
+    """Mesh an octant x, y, z >= 0 by hexahedra, its outer boundary star-shaped about the origin.
 
     The cube at the origin has n^3 equal cells; each shell around it repeats the 3 n^2 facets of its
-    three outer faces, larger in proportion to the distance.
+    outer faces, larger in proportion to the distance.
 
     Args:
         edge: edge of the cube.
         n: cells along it.
-        radius: typical distance of the outer boundary, which sets the number of shells.
-        outer: maps points (p, 3) on the three far faces of the unit cube to the outer boundary;
-            points with a zero coordinate must keep it.
+        radius: typical distance of the outer boundary, for the number of shells.
+        outer: maps points (p, 3) on the far faces of the unit cube to the outer boundary; zero
+            coordinates remain zero.
 
     Returns:
         Nodes (p, 3) and cells (m, 8) in the order of dolfinx.
@@ -294,14 +280,14 @@ def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], 
     """
     lattice = np.stack(np.meshgrid(*[np.arange(n + 1)] * 3, indexing="ij"), axis=-1)
     lattice = lattice.reshape(-1, 3)
-    far = np.flatnonzero(lattice.max(axis=1) == n)  # nodes on the three far faces
+    far = np.flatnonzero(lattice.max(axis=1) == n)
     shells = max(1, round(n * np.log(radius / edge)))
     radii = edge * (radius / edge) ** (np.arange(1, shells + 1) / shells)
     s = ((radii - edge) / (radius - edge))[:, None, None]
     inner, boundary = edge * lattice[far] / n, outer(lattice[far] / n)
     x = np.concatenate([edge * lattice / n, ((1.0 - s) * inner + s * boundary).reshape(-1, 3)])
     nodes = np.arange(len(lattice)).reshape([n + 1] * 3)
-    ends = slice(0, n), slice(1, n + 1)  # of the cells along an edge
+    ends = slice(0, n), slice(1, n + 1)
     cube = [nodes[i, j, k].ravel() for i in ends for j in ends for k in ends]
     faces = [np.take(nodes, n, axis=axis) for axis in range(3)]
     quads = np.concatenate(
@@ -315,7 +301,7 @@ def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], 
 
 @contextmanager
 def gmsh_model(options: Mapping[str, float] = MappingProxyType({})) -> Iterator[Any]:
-    """Yield gmsh with a new empty model and options; restore its state afterwards."""
+    """Yield gmsh with an empty model and options; then restore its state."""
     import gmsh
 
     started = not gmsh.isInitialized()
@@ -343,10 +329,7 @@ def gmsh_model(options: Mapping[str, float] = MappingProxyType({})) -> Iterator[
 def set_graded_size(
     gmsh: Any, origin: int, h: float, *, core: float, limit: float, beyond: float
 ) -> None:
-    """Set the size to h within ``core`` of the point ``origin``, growing linearly to limit h.
-
-    The growth takes the length ``beyond``.
-    """
+    """Set the size to h within ``core`` of the point ``origin``, then linearly to limit h."""
     field = gmsh.model.mesh.field
     distance, size = field.add("Distance"), field.add("Threshold")
     field.setNumbers(distance, "PointsList", [origin])
@@ -362,7 +345,7 @@ def set_graded_size(
 
 
 def read_cells(gmsh: Any, cell: str) -> Arrays:
-    """Nodes (n, 3) and cells (m, k) of the current gmsh model, all of one kind."""
+    """Nodes (n, 3) and cells (m, k) of the model, all of one kind."""
     tags, x, _ = gmsh.model.mesh.getNodes()
     _, (numbers,), (cells,) = gmsh.model.mesh.getElements(gmsh.model.getDimension())
     position = np.zeros(int(tags.max()) + 1, dtype=np.int64)
@@ -404,11 +387,7 @@ def distribute(
 ) -> tuple[dmesh.Mesh, int]:
     """Mesh of the two bodies that ``create`` returns on rank 0; collective.
 
-    Also the number of input cells of the first body, which come first, with nodes in dolfinx's
-    order.
-
-    Raises:
-        RuntimeError: if gmsh is missing or fails, on all ranks.
+    Also the number of input cells of the first body, which come first. RuntimeError without gmsh.
     """
     d = np.asarray(basix.geometry(basix.CellType[cell])).shape[1]
     element = basix.ufl.element("Lagrange", cell, degree, shape=(d,))
@@ -433,7 +412,7 @@ def distribute(
 
 
 def exterior_facets(mesh: dmesh.Mesh, in_first: Bools) -> tuple[Ints, Bools, Floats]:
-    """Exterior facets (m,), whether they bound the first body, and nodal coordinates (m, k, 3)."""
+    """Exterior facets (m,), whether of the first body, and nodes (m, k, 3)."""
     d = mesh.topology.dim
     mesh.topology.create_connectivity(d - 1, d)
     facets = dmesh.exterior_facet_indices(mesh.topology)
@@ -481,7 +460,7 @@ def name_sides(
 ) -> TaggedMesh:
     """Name the first cells a block with its top at height 0, the others a round body above it.
 
-    `names`: round body and its round side; `planes`: sides x = 0, y = 0 ..
+    `names`: round body and its side; `planes`: sides x = 0, y = 0 ..
     """
     in_block = mesh.topology.original_cell_index < first
     facets, of_block, x = exterior_facets(mesh, in_block)
@@ -499,7 +478,7 @@ def name_sides(
 
 
 def check_sizes(h: Any, radius: Any, block: Any, gap: Any, sides: str) -> tuple[float, ...]:
-    """Element sizes of a block and of a round body on it, after checks.
+    """Check the element sizes of a block and of a round body on it.
 
     `sides`: names of the block's sides, separated by commas, the thickness last.
     """

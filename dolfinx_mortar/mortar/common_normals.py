@@ -1,16 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Normals of contact nodes, common to both sides (theory.md, Normals).
 
-With the spread S = mean (n_f - n')(n_f - n')^T, n' = mean n_f, of the normals of exterior facets at
-a node, the normal of node j is the least-squares mean of those of both sides, a_j and b_j,
-
-    n_j = unit [C_m (C_s + C_m)^-1 a_j + C_s (C_s + C_m)^-1 b_j],   C_s = a_j a_j^T + S_s + eps I,
-
-C_m likewise, and b_j = -unit sum_l M_jl n_l. Spreads at X turn with the surface, without tied
-facets; eps contains a part of neighbouring spreads, so that the end of a flat part yields to the
-other side's face. Across an edge a_j and n_l are means of the facets that face the other side; up
-to half of the spread at the feature angle averaged normals, in between parts of both. On planes of
-symmetry sums include images, and no facets in the plane.
+C_s = a_j a_j^T + S_s + eps I, where eps has a part of neighbouring spreads, so that the end of a
+flat part yields to the other side's face. On planes of symmetry sums include mirror images, without
+facets in the plane.
 """
 
 from collections.abc import Callable, Sequence
@@ -47,21 +40,21 @@ face differ by 1e-4, of crossing edges by 0.002."""
 
 @dataclass(frozen=True, eq=False)
 class Spreads:
-    """Spreads of normals of exterior facets around the nodes of contacts."""
+    """Spreads of normals around the nodes of contacts."""
 
     V: fem.FunctionSpace
-    nodes: Ints  # (s,) local nodes of contacts, ascending
-    sums: PETSc.Vec  # work vector of `accumulate` for these
+    nodes: Ints  # (s,) local nodes, ascending
+    sums: PETSc.Vec  # work vector of `accumulate`
     S: Floats  # (s, d, d) S + eps I at X
     mirrors: Bools  # (local nodes, d) components across planes of symmetry
-    turned: Longs  # indices of the nodes with a spread
+    turned: Longs  # nodes with a spread
     boundary: Boundary  # facets around these
     places: Ints  # (m, k) of their nodes in `nodes`, or len(nodes)
-    gradients: Floats  # (m, k, d) of N in the middle at X
-    normals: Floats  # (m, d) there
+    gradients: Floats  # (m, k, d) of N at facets' centres at X
+    normals: Floats  # (m, d) at these
 
     def at(self, u: fem.Function | None) -> Floats:
-        """Return S + eps I (s, d, d) at X + u, turned by the rotations of dx/dX; collective."""
+        """Spreads S + eps I (s, d, d) at X + u, turned by the rotations of dx/dX; collective."""
         S, d = self.S.copy(), self.S.shape[1]
         if u is None:
             return S
@@ -83,13 +76,10 @@ def find_spreads(
     ties: Sequence[Surface] = (),
     mirrors: Bools | None = None,
 ) -> Spreads:
-    """Return the spreads of normals at X; collective.
+    """Spreads of normals at X; collective.
 
-    Args:
-        boundary: all exterior facets.
-        contacts: sides of contacts, one or more.
-        ties: sides that are tied.
-        mirrors: (local nodes, d), see `find_mirrors`.
+    `contacts` are sides of contacts, `ties` tied sides, which do not count, `mirrors` (local nodes,
+    d) those of `find_mirrors`.
     """
     V, nodes = contacts[0].V, boundary.nodes
     marks = la.vector(V.dofmap.index_map)
@@ -131,13 +121,11 @@ def find_spreads(
 
 
 def _with_images(S: Floats, mirrors: Bools) -> Floats:
-    """Return the means (n, d, d) of tensors and their images in planes."""
     off = ~np.eye(S.shape[1], dtype=bool) & (mirrors[:, :, None] | mirrors[:, None])
     return np.where(off, 0.0, S)
 
 
 def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Bools) -> Floats:
-    """Return S (local nodes, d, d) at facets' nodes (m, k); collective."""
     n = facet_normals(facets)
     d = n.shape[1]
     products = (n[:, :, None] * n[:, None]).reshape(len(n), d * d)
@@ -148,24 +136,24 @@ def _covariances(V: fem.FunctionSpace, nodes: Ints, facets: Facets, mirrors: Boo
 
 
 def _rotations(F: Floats) -> Floats:
-    """Return the rotations (n, d, d) of tensors by Newton-Schulz iterations."""
+    """Rotations by Newton-Schulz iterations."""
     R = F * np.sqrt(F.shape[1]) / np.linalg.norm(F, axis=(1, 2), keepdims=True)
     for _ in range(LIMIT):
         off = np.swapaxes(R, 1, 2) @ R - np.eye(R.shape[1])
         R -= R @ off / 2
-        if np.abs(off).max(initial=0.0) < HALF_OF_DIGITS:  # quadratic: the last step squares it
+        if np.abs(off).max(initial=0.0) < HALF_OF_DIGITS:  # the last step squares it
             break
     return np.asarray(R)
 
 
 @dataclass(frozen=True, eq=False)
 class CommonNormals:
-    """Normals at the owned slave nodes, and their derivatives by the averaged ones."""
+    """Normals at the owned slave nodes, and their derivatives."""
 
     n: Floats  # (n, d)
-    of_master: Floats  # (m, d) n_l at the owned nodes of the master
-    below_edges: Bools  # (n,) coupled to an edge of the master, on none
-    differentiate: Callable[[], tuple[Floats, Floats]]  # returns by_slave, by_master
+    of_master: Floats  # (m, d) n_l at the owned master nodes
+    below_edges: Bools  # (n,) coupled to an edge of the master, not on one
+    differentiate: Callable[[], tuple[Floats, Floats]]  # -> by_slave, by_master
 
     @cached_property
     def _derivatives(self) -> tuple[Floats, Floats]:
@@ -173,16 +161,16 @@ class CommonNormals:
 
     @property
     def by_slave(self) -> Floats:
-        """The derivatives (n, d, d) by the averaged normal of the node."""
+        """Derivatives (n, d, d) by the averaged normal of the node."""
         return self._derivatives[0]
 
     @property
     def by_master(self) -> Floats:
-        """The derivatives (n, d, d) by sum_l M_jl n_l."""
+        """Derivatives (n, d, d) by sum_l M_jl n_l."""
         return self._derivatives[1]
 
     def everywhere(self, slave: Surface) -> Floats:
-        """Return the normals at all local slave nodes (n, d); collective."""
+        """Normals at all local slave nodes (n, d); collective."""
         local = np.zeros_like(slave.X)
         local[: slave.owned] = self.n
         return accumulate(slave, local)
@@ -197,14 +185,10 @@ def common_normals(
     spreads: Spreads,
     feature_angle: float,
 ) -> CommonNormals:
-    """Return the normals of both sides at X + u; collective.
+    """Normals of both sides at X + u; collective.
 
-    The averaged ones where nothing is coupled, or no direction agrees with both sides.
-
-    Args:
-        M: its entries (f,).
-        averaged: of the slave (n, d).
-        feature_angle: least angle of an edge, in degrees.
+    Averaged ones (n, d) where nothing is coupled, or no direction agrees with both sides. M has
+    entries (f,); the angle is in degrees.
     """
     slave, master, V = pairing.slave, pairing.master, pairing.slave.V
     own, nodes, d = slave.nodes[: slave.owned], master.nodes[: master.owned], slave.X.shape[1]
@@ -232,7 +216,6 @@ def common_normals(
     n[met] = unit(mean[met])
 
     def differentiate() -> tuple[Floats, Floats]:
-        """Return the derivatives."""
         by_slave, by_master = by_averaged.copy(), np.zeros_like(by_averaged)
         turning = _across(n[met]) / np.linalg.norm(mean[met], axis=1)[:, None, None]
         by_a, by_b = _mean_slopes(a[met], b[met], S_s[met], S_b[met])
@@ -246,9 +229,9 @@ def common_normals(
 
 
 def in_planes(n: Floats, mirrors: Bools) -> tuple[Floats, Floats]:
-    """Return unit vectors n (n, d) without the components across planes, and their derivatives.
+    """Unit vectors (n, d) without the components across planes, and their derivatives.
 
-    (I - m m^T) P / |P n| with m = P n / |P n|; I where there is no plane, as dn is normal to n.
+    m = P n / |P n| has (I - m m^T) P / |P n|; I without a plane, as dn is normal to n.
     """
     some: Longs = np.flatnonzero(mirrors.any(axis=1))
     n, by_n = n.copy(), np.eye(n.shape[1])[None].repeat(len(n), axis=0)
@@ -263,20 +246,19 @@ def in_planes(n: Floats, mirrors: Bools) -> tuple[Floats, Floats]:
 
 
 def carried(n: Floats, a: Floats) -> Floats:
-    """Return the derivatives (n, d, d) of unit vectors a that turn with n, without spin."""
+    """Derivatives (n, d, d) of unit vectors a that turn with n."""
     along = (n * a).sum(axis=1)[:, None, None]
     return np.asarray(along * np.eye(n.shape[1]) - n[:, :, None] * a[:, None])
 
 
 def _across(n: Floats) -> Floats:
-    """Return I - n n^T (n, d, d)."""
     return np.asarray(np.eye(n.shape[1]) - n[:, :, None] * n[:, None])
 
 
 def _facing(
     pairing: Pairing, segments: Segments, u: fem.Function | None, edged: Bools, edged_m: Bools
 ) -> tuple[Floats, Floats]:
-    """Return sums (owned nodes, d) of w N_j n_s and w N_l n_m at edged nodes; collective."""
+    """Sums (owned nodes, d) of w N_j n_s and w N_l n_m at nodes on edges; collective."""
     V, slave, master = pairing.slave.V, pairing.slave, pairing.master
     flags = np.zeros_like(master.X)
     flags[:, 0] = edged_m
@@ -302,12 +284,11 @@ def _facing(
 
 
 def _edged(S: Floats, limit: float) -> Bools:
-    """Return the nodes (n,) on an edge: tr S of more than half of the limit."""
     return np.asarray(np.trace(S, axis1=1, axis2=2) > limit / 2)
 
 
 def _of_side(averaged: Floats, facing: Floats, S: Floats, limit: float) -> Floats:
-    """Return the normals (n, d) of a side: averaged, or across edges facing."""
+    """Normals (n, d) of a side: averaged, on edges `facing`."""
     edged = np.flatnonzero(_edged(S, limit) & facing.any(axis=1))
     if not len(edged):
         return averaged.copy()
@@ -321,7 +302,7 @@ def _of_side(averaged: Floats, facing: Floats, S: Floats, limit: float) -> Float
 
 
 def _mean(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> Floats:
-    """Return the mean y (n, d) of unit vectors with given spreads.
+    """Mean y (n, d) of unit vectors with given spreads.
 
     A = a a^T + S_a, B = b b^T + S_b, K = (A + B)^-1, z = K (b - a): y = B K a + A K b = a + A z.
     """
@@ -331,7 +312,7 @@ def _mean(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> Floats:
 
 
 def _mean_slopes(a: Floats, b: Floats, S_a: Floats, S_b: Floats) -> tuple[Floats, Floats]:
-    """Return the derivatives of `_mean` by a and b, with which the spreads turn.
+    """Derivatives of `_mean` by a and b, with which the spreads turn.
 
     dy = B K (da + dA z) + A K (db - dB z), dA = da a^T + a da^T + W S_a - S_a W, W = da a^T - a
     da^T.

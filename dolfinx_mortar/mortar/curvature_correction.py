@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Smooth surfaces over the facets of two sides: corrections of their gap and of offset vectors.
+"""Smooth surfaces over the facets of two sides (theory.md, Curved sides): heights and offsets.
 
-Arguments: `fixed` are components (local nodes, d) with Dirichlet data, `feature_angle` the least
-angle of an edge in degrees, `u` the displacement (None: X), `sides` smooth surfaces at X, `which`
-(q,) the facets and `xi` (q, d-1) the reference coordinates of points, `segments` those at X + u.
+`fixed` are components (local nodes, d) with Dirichlet data, `sides` smooth surfaces at X, `which`
+(q,) facets and `xi` (q, d-1) reference coordinates of points, `segments` those at X + u; feature
+angles are in degrees.
 """
 
 from collections.abc import Callable, Sequence
@@ -64,11 +64,10 @@ NodeShape: TypeAlias = NodeNormals | Floats
 def smooth_normals(
     surface: Surface, x: Floats, fixed: Bools, feature_angle: float, mirrors: Bools | None = None
 ) -> NodeNormals:
-    """Return the normals of the smooth surface at the nodes with coordinates x (n, d); collective.
+    """Normals of the smooth surface at the nodes, at x (n, d); collective.
 
-    n = 0 where a facet's normal has no positive component along it, as at a cusp. On planes of
-    symmetry (`mirrors`), mirror images complete the facets. In space, edges are projected by the
-    deviatoric curvature of these normals, and the sums repeated. `fixed` is (n, d).
+    n = 0 where a facet's normal has no positive component along it. Mirror images complete facets
+    at planes of symmetry. In space the deviatoric curvature projects edges. `fixed` is (n, d).
     """
     facets = facets_at(surface, x)
     if mirrors is None:
@@ -84,7 +83,6 @@ def smooth_normals(
 
 
 def _find_jumps(surface: Surface, facets: Facets, normals: NodeNormals) -> Bools:
-    """Return the nodes (n,) in the plane where the curvature jumps; collective."""
     ends = surface.facets[:, :2]
     angles, length = end_angles(facets, normals.n[ends])
     halves = np.repeat(length[:, None] / 2, 2, axis=1)
@@ -94,23 +92,22 @@ def _find_jumps(surface: Surface, facets: Facets, normals: NodeNormals) -> Bools
     change = np.where(known, np.diff(curvature[ends], axis=1)[:, 0], 0.0)
     both = np.stack([change, np.abs(change), known], axis=1)[:, None].repeat(2, axis=1)
     across, around, count = _at_ends(surface, both).T
-    beyond = around[ends[:, ::-1]] - np.abs(change)[:, None]  # along the facet at the other end
+    beyond = around[ends[:, ::-1]] - np.abs(change)[:, None]  # along the facet, at its other end
     size = np.abs(across)
     largest = size[ends] > size[ends[:, ::-1]]  # a jump changes both ends of short facets
     sure = (count[ends[:, ::-1]] == 2.0) & largest
     others, neighbours = _at_ends(surface, np.stack([beyond, sure], axis=2)).T
-    above_round_off = size * total[:, 1] > HALF_OF_DIGITS  # an angle
+    above_round_off = size * total[:, 1] > HALF_OF_DIGITS
     return np.asarray((size > JUMP * others) & (neighbours == 2.0) & above_round_off)
 
 
 def _at_ends(surface: Surface, values: Floats) -> Floats:
-    """Return nodal sums (n, c) of values (m, 2, c) of lines; collective."""
     m, k = surface.facets.shape
     return sum_at_nodes(surface, np.concatenate([values, np.zeros((m, k - 2, values.shape[2]))], 1))
 
 
 def _deviators(surface: Surface, facets: Facets, normals: NodeNormals) -> Floats:
-    """Return deviatoric curvatures (n, d, d), means of regular facets; collective."""
+    """Deviatoric curvatures (n, d, d), means over regular facets; collective."""
     K = curvatures(facets, edge_sagittas(facets, normals, surface.facets))
     known = np.asarray(normals.regular[surface.facets].all(axis=1))
     n = facet_normals(facets)
@@ -129,10 +126,10 @@ def _classify(
     mirrors: Bools,
     feature_angle: float,
 ) -> NodeNormals:
-    """Return the normals of one-ring sums, and which are open or sharp; collective."""
+    """Normals of one-ring sums, open and edge nodes; collective."""
     (n, gap, limit), d = ring_sums(surface, parts), mirrors.shape[1]
     is_open = np.linalg.norm(gap, axis=1) > limit
-    limits = np.cos(np.radians(feature_angle / 2)), HALF_OF_DIGITS  # of cosines
+    limits = np.cos(np.radians(feature_angle / 2)), HALF_OF_DIGITS  # cosines
     completed = straightened = is_open & mirrors.any(axis=1)
     if d > 2:  # one mirror closes a one-ring between its ends; in 2D any
         off_plane = np.linalg.norm(np.where(mirrors, gap, 0.0), axis=1) > limit
@@ -155,14 +152,14 @@ class SmoothSide:
     normals: NodeNormals | None  # of all nodes; None over curved facets
     nodes: Ints  # (m, k) the facets' nodes
     sagitta: Floats  # (m, e) c_ab of `edge_sagittas`, or `curved_sagittas`
-    edges: Ints  # (2,) owned nodes on an edge, without a normal
+    edges: Ints  # (2,) numbers of owned nodes on an edge, and without a normal
 
 
 @timed("~Mortar: smooth surfaces")
 def find_shape(
     surface: Surface, fixed: Bools, feature_angle: float, mirrors: Bools | None = None
 ) -> NodeShape:
-    """Return the shape of a side at its nodes at X; collective."""
+    """Normals of a side at its nodes at X, or curvatures of curved facets; collective."""
     if surface.curved:
         return _nodal_curvatures(surface)
     return smooth_normals(surface, surface.X, fixed[surface.nodes], feature_angle, mirrors)
@@ -174,11 +171,7 @@ def find_smooth_sides(
     feature_angle: float,
     shapes: Sequence[NodeShape] = (),
 ) -> tuple[SmoothSide, SmoothSide]:
-    """Return the smooth surfaces of the slave and of the received master facets; collective.
-
-    Args:
-        shapes: of both sides, see `find_shape`, if known.
-    """
+    """Smooth surfaces of the slave and of the received master facets; collective."""
     slave, master = pairing.slave, pairing.master
     own, other = shapes or [find_shape(side, fixed, feature_angle) for side in (slave, master)]
     facets, count = received_facets(pairing, None), _count_edges(other, master.owned)
@@ -193,14 +186,13 @@ def find_smooth_sides(
 
 
 def find_smooth_side(surface: Surface, fixed: Bools, feature_angle: float) -> SmoothSide:
-    """Return the smooth surface of a side alone; collective."""
+    """Smooth surface of a side alone; collective."""
     shape = find_shape(surface, fixed, feature_angle)
     count = _count_edges(shape, surface.owned)
     return _over(facets_at(surface, surface.X), shape, surface.facets, count)
 
 
 def _over(facets: Facets, shape: NodeShape, nodes: Ints, count: Ints) -> SmoothSide:
-    """Return the smooth surface over facets (m,) of a shape at nodes."""
     if isinstance(shape, NodeNormals):
         return SmoothSide(facets, shape, nodes, edge_sagittas(facets, shape, nodes), count)
     at_vertices = shape[nodes[:, list(facets.element.vertices)]]
@@ -209,7 +201,6 @@ def _over(facets: Facets, shape: NodeShape, nodes: Ints, count: Ints) -> SmoothS
 
 
 def _nodal_curvatures(surface: Surface) -> Floats:
-    """Return mean curvatures (n, d, d) of curved facets at nodes; collective."""
     facets, d = facets_at(surface, surface.X), surface.X.shape[1]
     K = own_curvatures(facets).reshape(-1, d * d)
     columns = np.concatenate([K, np.ones((len(K), 1))], axis=1)[:, None]
@@ -220,7 +211,7 @@ def _nodal_curvatures(surface: Surface) -> Floats:
 def side_heights(
     surface: Surface, side: SmoothSide, u: dolfinx.fem.Function | None, which: Ints, xi: Floats
 ) -> Floats:
-    """Return the heights (q,) of a second-order side over its facets at X + u; collective."""
+    """Heights (q,) of a second-order side at X + u; collective."""
     facets, c, arcs = _at(surface, side, u)
     h = heights(facets, c, which, xi)
     return h if arcs is None else heights_of_arcs(arcs[which], h)
@@ -229,7 +220,6 @@ def side_heights(
 def _at(
     surface: Surface, side: SmoothSide, u: dolfinx.fem.Function | None
 ) -> tuple[Facets, Floats, Floats | None]:
-    """Return second-order facets at X + u, c_ab and arcs, if any; collective."""
     facets, c = facets_at(surface, coordinates(surface, u)), side.sagitta
     if u is None:
         return facets, c, None
@@ -241,7 +231,7 @@ def _at(
 def side_slopes(
     surface: Surface, side: SmoothSide, u: dolfinx.fem.Function, which: Ints, xi: Floats
 ) -> Floats:
-    """Return derivatives (q, k, d) of `side_heights` by nodes, at constant strain; collective."""
+    """Derivatives (q, k, d) of `side_heights`, at constant strain; collective."""
     facets, c, arcs = _at(surface, side, u)
     slopes = np.zeros((len(which), *facets.x.shape[1:]))
     if arcs is not None:
@@ -255,7 +245,6 @@ def side_slopes(
 
 
 def _count_edges(normals: NodeShape, owned: int) -> Ints:
-    """Return the numbers of owned nodes on an edge, without a normal."""
     if not isinstance(normals, NodeNormals):
         return np.zeros(2, dtype=np.int32)
     none = np.abs(normals.n[:owned]).max(axis=1, initial=0.0) == 0.0
@@ -264,15 +253,15 @@ def _count_edges(normals: NodeShape, owned: int) -> Ints:
 
 @dataclass(frozen=True)
 class Curved:
-    """Facets of one side at X + u, and the smooth surface over them."""
+    """Facets of one side at X + u, and their smooth surface."""
 
     facets: Facets  # (m,)
     sagitta: Floats  # (m, e) c_ab of the smooth surface
-    which: Ints  # (m,) their numbers; a facet may occur in several pairs
+    which: Ints  # (m,) their numbers; one may occur in several pairs
 
     @cached_property
     def K(self) -> Floats:
-        """Their curvatures (m, d, d)."""
+        """Curvatures (m, d, d)."""
         if self.facets.x.shape[2] == 2:  # cheaper than a search for equal ones
             return curvatures(self.facets, self.sagitta)
         first, again = self._first
@@ -280,13 +269,12 @@ class Curved:
 
     @property
     def slopes(self) -> Floats:
-        """Derivatives (m, k, d, d, d) of K by their nodes."""
+        """Derivatives (m, k, d, d, d) of K by the nodes."""
         first, again = self._first
         return curvature_slopes(self.facets[first], self.sagitta[first])[again]
 
     @cached_property
     def _first(self) -> tuple[Ints, Ints]:
-        """Positions of the distinct facets, and the index of each (m,)."""
         _, again = distinct(self.which)
         first = np.empty(again.max(initial=-1) + 1, dtype=np.int32)
         first[again] = np.arange(len(again))
@@ -299,10 +287,7 @@ def find_curved(
     sides: tuple[SmoothSide, SmoothSide],
     pairs: Ints,
 ) -> tuple[Curved, Curved]:
-    """Return the slave's and the master's facets of pairs (p,) with their curvatures; collective.
-
-    Facets are at X + u, c_ab at X, which rigid motions do not change.
-    """
+    """Facets of both sides of pairs (p,), at X + u, with curvatures; c_ab at X; collective."""
     s, m = pairing.pairs[pairs, 0], pairing.pairs[pairs, 1]
     slave = facets_at(pairing.slave, coordinates(pairing.slave, u))
     moved = slave[s], received_facets(pairing, u)[m]
@@ -314,9 +299,9 @@ def find_curved(
 
 
 def distinct(numbers: Ints) -> tuple[Ints, Ints]:
-    """Return the distinct ones of numbers (q,), ascending, and the index of each among these (q,).
+    """Distinct numbers (q,), small and nonnegative, ascending, and the index of each (q,).
 
-    For small, nonnegative numbers; `np.unique` takes 10 to 12 % of an update.
+    Faster than `np.unique`.
 
     >>> [found.tolist() for found in distinct(np.array([3, 1, 3, 5]))]
     [[1, 3, 5], [1, 0, 1, 2]]
@@ -334,11 +319,10 @@ def point_heights(
     u: dolfinx.fem.Function | None,
     sides: tuple[SmoothSide, SmoothSide],
 ) -> Floats:
-    """Return the sum of heights (q,), by which smooth surfaces are closer than facets; collective.
+    """Sum of heights (q,), by which smooth surfaces are closer than facets; collective.
 
-    First-order sides share one surface, see `common_sagittas`. On second-order ones heights are h
-    (1 + e_n), e_n the strain along the normal, since mid-side nodes move with the bodies; with h
-    alone the error of pressures is of first order, E h e_n over a facet's length.
+    First-order sides share one surface, see `common_sagittas`. Second-order heights are h (1 + e_n)
+    with the strain e_n along the normal, as mid-side nodes move with the bodies.
     """
     pairs, of = distinct(segments.pair)
     c_s, c_m, arcs = pair_sagittas(pairing, u, sides, pairs)
@@ -355,9 +339,9 @@ def pair_sagittas(
     sides: tuple[SmoothSide, SmoothSide],
     pairs: Ints,
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the own c_ab (p, e) of both facets of pairs (p,), and arcs (p, 2, 2); collective.
+    """Each facet's c_ab (p, e) of pairs (p,), and arcs (p, 2, 2); collective.
 
-    For second order with the strain, and curved arcs over lines straight at X.
+    For second order with the strain.
     """
     a, b = find_curved(pairing, u, sides, pairs)
     c, arcs = [a.sagitta, b.sagitta], np.tile([0.0, 1.0], (len(pairs), 2, 1))
@@ -375,10 +359,9 @@ def missed_heights(
     u: dolfinx.fem.Function | None,
     sides: tuple[SmoothSide, SmoothSide],
 ) -> Floats:
-    """Return the fourth-order error (q,) of heights of degree 1 over round surfaces; collective.
+    """Fourth-order error (q,) of heights of degree 1 over round surfaces; collective.
 
-    With |x|^2 = R^2 - 2 R h over facets of a sphere, R - |x| = h + h^2 / (2 R). And
-    `common_sagittas` shortens edges by a projection.
+    Over facets of a sphere |x|^2 = R^2 - 2 R h, R - |x| = h + h^2 / (2 R).
     """
     pairs, of = distinct(segments.pair)
     a, b = find_curved(pairing, u, sides, pairs)
@@ -386,7 +369,6 @@ def missed_heights(
 
 
 def _missed(side: Curved, other: Curved, of: Ints, xi: Floats) -> Floats:
-    """Return the error (q,) of one side."""
     e, n = edges(side.facets), facet_normals(other.facets)[:, None]
     seen = e - (e * n).sum(axis=2, keepdims=True) * n
     square = (e**2).sum(axis=2)
@@ -396,12 +378,12 @@ def _missed(side: Curved, other: Curved, of: Ints, xi: Floats) -> Floats:
     h, found = (heights(side.facets, c, of, xi) for c in (right, common))
     along = right / np.maximum(square, TINY)
     least, k = along.min(axis=1), along.max(axis=1)
-    k = np.where(-least > k, least, k)  # the larger curvature
+    k = np.where(-least > k, least, k)
     return np.asarray(h + k[of] * h**2 / 2 - found)
 
 
 def facet_stretches(pairing: Pairing, u: dolfinx.fem.Function) -> tuple[Floats, Floats]:
-    """Return the factors of heights on slave (m, 1) and master facets (m', 1); collective."""
+    """Factors of heights on slave (m, 1) and master facets (m', 1); collective."""
     slave, own = (thickness_stretches(side, u) for side in (pairing.slave, pairing.master))
     columns = np.zeros((len(own), pairing.slave.X.shape[1]))
     columns[:, 0] = own
@@ -413,18 +395,16 @@ def facet_stretches(pairing: Pairing, u: dolfinx.fem.Function) -> tuple[Floats, 
 def point_motions(
     segments: Segments, sides: tuple[SmoothSide, SmoothSide]
 ) -> Callable[[slice], Floats]:
-    """Return a function that gives A_l (q, k, d, d) of offset vectors at a part of the points.
+    """Return a function: part of the points -> A_l (q, k, d, d) of offset vectors.
 
-    The offset r = x_s - x_m moves with the bodies; u_s = u_m would strain rotating bodies and have
-    a moment. To first order the constraint is u_s = u_m + sum_l A_l u_l, with g_l = grad N_l on the
-    master,
+    The offset r = x_s - x_m moves with the bodies. To first order u_s = u_m + sum_l A_l u_l, with
+    g_l = grad N_l on the master,
 
         A_l u_l = u_l (g_l.r) - (r.n) g_l (n.u_l) + n (H_t g_l).u_l:
 
     the displacement at the foot of x_s on the tangent plane, the rotation -(grad u)^T n of the
     normal part of r, and the change H : E of the heights by the strain, H = 1/2 sum_{a<b} N_a N_b
-    C_ab of both sides, H_t its tangential part. A rigid motion u = a + W x gives W r, so that
-    moments balance. All at X.
+    C_ab of both sides, H_t its tangential part. A rigid motion u = a + W x gives W r. All at X.
     """
     slave, master = sides
     C_s, C_m = (_tensors(side) for side in sides)
@@ -455,10 +435,9 @@ def find_parting(
     u: dolfinx.fem.Function | None,
     sides: tuple[SmoothSide, SmoothSide],
 ) -> float:
-    """Return the mean of |k_s + k_m| over that of max(|k_s|, |k_m|), k = tr K; collective.
+    """Mean of |k_s + k_m| over that of max(|k_s|, |k_m|), k = tr K; collective.
 
-    1 for a ball on a plane, c / R for a pin in a hole of radius R with the clearance c, infinite
-    for planes.
+    1 for a ball on a plane, c / R for a pin with clearance c, infinite for planes.
     """
     pairs, of = distinct(segments.pair)
     size = np.bincount(of, segments.weight, minlength=len(pairs))
@@ -471,7 +450,6 @@ def find_parting(
 
 
 def _received(pairing: Pairing, own: NodeNormals) -> NodeNormals:
-    """Return the normals at received master nodes; collective."""
     flags = np.zeros_like(own.n)
     flags[:, 0] = own.open + 2 * own.sharp + (0 if own.jumps is None else 4 * own.jumps)
     n, flags = receive(pairing, own.n), receive(pairing, flags)

@@ -1,25 +1,19 @@
 # SPDX-License-Identifier: MIT
-"""Dual functions of the Lagrange multiplier, and the slave nodes that carry one.
+"""Dual functions of the Lagrange multiplier, and the slave nodes with a multiplier.
 
-Phi_j of the paper's eq. 20, biorthogonal over the covered part G of each facet: Phi = A N, A = D
-m^-1, D = diag(int_G N_j), m = int_G N N^T. m, almost singular at little coverage, is not formed:
-with the weights w and sqrt(w) N = Q R, sqrt(w) Phi = Q R^-T D and m^-1 = R^-1 R^-T; if a diagonal
-entry of R is round-off, all functions of the facet are equal.
+Phi = D m^-1 N (eq. 20), D = diag(int_G N_j), m = int_G N N^T over the covered part G of each facet.
+m, almost singular at little coverage, is not formed: with sqrt(w) N = Q R, sqrt(w) Phi = Q R^-T D
+and m^-1 = R^-1 R^-T; if a diagonal entry of R is round-off, all functions of the facet are equal.
 
-Nodes with little coverage or a negative integral have no multiplier (theory.md, Partly covered
-facets). The functions of the others are biorthogonal among themselves; 1 - sum_j Phi_j, orthogonal
-to their N_j, is added to them in equal parts. So constants remain in the space of multipliers, D
-stays diagonal, and functions are bounded.
+1 - sum_j Phi_j over the nodes with a multiplier, orthogonal to their N_j, is added to these in
+equal parts: constants remain (theory.md, Partly covered facets).
 
-Vertex functions of six-node triangles integrate to zero. With shares of the mid-side functions
-(Popp, Wohlmuth, Gee and Wall, SIAM J. Sci. Comput. 34, 2012),
+Vertex functions of six-node triangles integrate to zero. So Phi is biorthogonal to N~ (after Popp,
+Wohlmuth, Gee and Wall, SIAM J. Sci. Comput. 34, 2012, whose 1 / 5 loses half an order in ties),
 
     N~_v = N_v + alpha sum_m N_m,      N~_m = (1 - 2 alpha) N_m,      alpha = 1 / 12,
 
-Phi is biorthogonal to N~; D has D_vv and D_mm on the diagonal and D_mv = -alpha D_mm at both ends
-of an edge. Mid-side nodes without multiplier share nothing, so that no vertex depends on another
-one. Tied tetrahedra have the orders 3.0 and 1.98 in L2 and H1; with 1/5 as in that paper 2.54 and
-1.54.
+and D_mv = -alpha D_mm at both ends of an edge, unless the mid-side node has no multiplier.
 """
 
 from collections.abc import Sequence
@@ -73,7 +67,7 @@ int (x - x_v) sum_m N_m = A/5 (d_1 + d_2) of the two mid-side functions.
 def absorbed(
     shares: Sequence[tuple[int, int, int]], values: Floats, kept: Bools | None = None
 ) -> Floats:
-    """Return N~ (q, k) for values N (q, k), or integrals, of the slave shape functions.
+    """N~ (q, k) for values N (q, k), or integrals, of the slave shape functions.
 
     Args:
         shares: of the FacetElement.
@@ -95,7 +89,7 @@ def absorbed(
 
 
 def absorbing(shares: Sequence[tuple[int, int, int]], kept: Bools) -> Floats:
-    """Return T (m, k, k) with N~ = T N on facets, for nodes (m, k) with multipliers."""
+    """T (m, k, k) with N~ = T N on facets, for nodes (m, k) with multipliers."""
     T = np.repeat(np.eye(kept.shape[1])[None], len(kept), axis=0)
     for middle, *ends in shares:
         part = ALPHA * kept[:, middle]
@@ -106,11 +100,11 @@ def absorbing(shares: Sequence[tuple[int, int, int]], kept: Bools) -> Floats:
 
 @numba.njit(**SUMS)
 def _orthonormalise(Q, R):  # type: ignore[no-untyped-def]
-    """Replace A^T (k, q) by Q^T of A = Q R; return the least R_jj / |row j|, or 0."""
+    """Replace A^T by Q^T of A = Q R; return the least R_jj / |row j|, or 0."""
     least = 1.0
     for j in range(len(Q)):
         length = np.sqrt(product(Q[j], Q[j]))
-        for _ in range(2):  # the second pass makes Q orthogonal to round-off
+        for _ in range(2):  # the second pass is accurate to round-off
             for i in range(j):
                 r = product(Q[i], Q[j])
                 R[i, j] += r
@@ -126,7 +120,7 @@ def _orthonormalise(Q, R):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SUMS)
 def _biorthogonalise(Q, roots, Phi, inverse):  # type: ignore[no-untyped-def]
-    """Fill Phi (k, q), biorthogonal to Q = sqrt(w) N (lost), and m^-1 if accurate."""
+    """Fill Phi, biorthogonal to Q = sqrt(w) N (overwritten), and m^-1 if accurate."""
     k = len(Q)
     R, D, z = np.zeros((k, k)), np.empty(k), np.zeros((k, k))
     for j in range(k):
@@ -135,7 +129,7 @@ def _biorthogonalise(Q, roots, Phi, inverse):  # type: ignore[no-untyped-def]
     if least == 0.0:
         return False
     for j in range(k):
-        for i in range(j, k):  # R^T z = e_j
+        for i in range(j, k):
             z[j, i] = 1.0 if i == j else 0.0
             for h in range(j, i):
                 z[j, i] -= R[h, i] * z[j, h]
@@ -150,7 +144,6 @@ def _biorthogonalise(Q, roots, Phi, inverse):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SUMS)
 def _facet_dual(N, weight, kept, count, first, last, Phi, inverse):  # type: ignore[no-untyped-def]
-    """Fill the functions (k, q) of one facet, `count` kept, and m^-1."""
     Q, found = np.empty((count, last - first)), np.zeros((count, last - first))
     roots, which = np.sqrt(weight[first:last]), np.flatnonzero(kept)
     among = np.zeros((count, count))
@@ -173,9 +166,9 @@ def _facet_dual(N, weight, kept, count, first, last, Phi, inverse):  # type: ign
 
 @numba.njit(**SUMS)
 def _all_duals(N, weight, slave, keep):  # type: ignore[no-untyped-def]
-    """Return Phi (k, q) and m^-1 (m, k, k) of kept nodes; points ordered by facet."""
+    """Phi (k, q) and m^-1 (m, k, k) of kept nodes; points ordered by facet."""
     Phi, inverse = np.zeros(N.shape), np.zeros((len(keep), len(N), len(N)))
-    a = np.int64(0)  # literals have a type of their own, also below: compiled twice
+    a = np.int64(0)  # literals have another type: compiled twice
     while a < len(slave):
         b = a
         while b < len(slave) and slave[b] == slave[a]:
@@ -184,7 +177,7 @@ def _all_duals(N, weight, slave, keep):  # type: ignore[no-untyped-def]
         count = np.int64(0)
         for j in range(len(kept)):
             count += kept[j]
-        if count == 1:  # exact, also where almost nothing is covered
+        if count == 1:  # exact also at little coverage
             for j in range(len(kept)):
                 for q in range(a, b):
                     Phi[j, q] = kept[j]
@@ -196,7 +189,7 @@ def _all_duals(N, weight, slave, keep):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True, eq=False)
 class Duals:
-    """Dual functions of slave facets (m,), and their data.
+    """Dual functions of slave facets (m,).
 
     Phi_j = sum_b A_jb N~_b + (1 - sum_ib A_ib N~_b) / count over the kept nodes of a facet, A =
     diag(d) m^-1, d = int N~, m = int N~ N~^T.
@@ -204,18 +197,18 @@ class Duals:
 
     Phi: Floats  # (q, k) at the points
     kept: Bools  # (m, k) nodes with a multiplier
-    inverse: Floats  # (m, k, k) m^-1, 0 for other nodes, and where it is inaccurate
+    inverse: Floats  # (m, k, k) m^-1, 0 for others, and where inaccurate
 
     def of(self, facets: Longs) -> "Duals":
-        """Return the functions of some facets, at all points."""
+        """Data of some facets."""
         return Duals(self.Phi, self.kept[facets], self.inverse[facets])
 
 
 def create_duals(N: Floats, weight: Floats, slave: Ints, kept: Bools) -> Duals:
     """Return the dual functions Phi (eq. 20) of slave facets.
 
-    sum_q w Phi_i N_j = delta_ij sum_q w N_j for i and j kept. Functions of other nodes are zero;
-    those of the kept nodes of a facet add up to one.
+    sum_q w Phi_i N_j = delta_ij sum_q w N_j for i and j kept; the kept ones of a facet add up to
+    one, others are zero.
 
     Args:
         N: (q, k) values N~.
@@ -233,9 +226,9 @@ def create_duals(N: Floats, weight: Floats, slave: Ints, kept: Bools) -> Duals:
 def node_weights(
     pairing: Integrated, segments: Segments, keep: Bools | None = None
 ) -> tuple[Floats, Floats]:
-    """Return int N~_j (n,) over the covered part, and over the whole slave side (collective).
+    """Int N~_j (n,) over the covered part, and over the whole slave side (collective).
 
-    The former is D_jj of eq. 19 if all nodes have a multiplier (`keep` is None) and N~ is N.
+    The former is D_jj if all nodes have a multiplier and N~ is N.
     """
     slave = pairing.slave
     shares, kept = slave.element.shares, None if keep is None else keep[slave.facets]
@@ -250,13 +243,13 @@ class Coverage:
     """Coverage of the owned slave nodes by the master."""
 
     share: Floats  # (n,) covered share of the tributary weight
-    reached: Bools  # (n,) on a facet that is covered in part
-    weightless: Bools  # (n,) without tributary weight: never a multiplier
-    near: Bools | None = None  # (n,) of a tool: within its reach; None for all
+    reached: Bools  # (n,) on a partly covered facet
+    weightless: Bools  # (n,) without tributary weight: no multiplier
+    near: Bools | None = None  # (n,) of a tool: within its reach
 
     @property
     def faces(self) -> Bools:
-        """Nodes (n,) that are covered enough to carry a multiplier."""
+        """Nodes (n,) with enough coverage for a multiplier."""
         return np.asarray(
             (self.share > LEAST_COVERAGE) & (True if self.near is None else self.near)
         )
@@ -265,7 +258,7 @@ class Coverage:
 def find_coverage(
     pairing: Integrated, segments: Segments, covered: Floats, tributary: Floats
 ) -> Coverage:
-    """Return the coverage of the owned slave nodes; the weights are of `node_weights`."""
+    """Coverage of the owned slave nodes."""
     slave = pairing.slave
     nodes = slave.facets[segments.covered].ravel()
     reached = accumulate(slave, np.bincount(nodes, minlength=len(slave.nodes))) > 0
@@ -275,10 +268,7 @@ def find_coverage(
 
 
 def _find_weightless(pairing: Integrated, segments: Segments) -> tuple[Bools, Floats]:
-    """Return the slave nodes (n,) without weight, and covered shares of their facets (collective).
-
-    Second-order functions of nodes on an axis, with the weight 2 pi r.
-    """
+    """Slave nodes without weight (on an axis), and the coverage of their facets."""
     slave = pairing.slave
     if slave.element.degree == 1:  # positive functions
         return np.zeros(len(slave.nodes), dtype=bool), np.zeros(len(slave.nodes))
@@ -297,11 +287,9 @@ def default_keep(
     tributary: Floats,
     allowed: Bools | None = None,
 ) -> Bools:
-    """Return the slave nodes (n,) that may carry a multiplier, the same on any ranks (collective).
+    """Slave nodes (n,) that may have a multiplier, the same on any ranks (collective).
 
-    More than `LEAST_COVERAGE` of their weight is covered, see `node_weights`. Of a covered facet
-    without such a node the best covered `allowed` one is kept: no covered part is without
-    multiplier.
+    With more coverage than `LEAST_COVERAGE`, or the best `allowed` node of a covered facet.
     """
     allowed = np.ones(len(covered), dtype=bool) if allowed is None else allowed
     none, _ = _find_weightless(pairing, segments)
@@ -326,13 +314,12 @@ def choose_duals(
     weights: tuple[Floats, Floats],
     allowed: Bools,
 ) -> tuple[Bools, Floats]:
-    """Return the slave nodes (n,) that carry a multiplier, and w Phi_j (q, k) (collective).
+    """Slave nodes (n,) with a multiplier, and w Phi_j (q, k) (collective).
 
-    Nodes of `default_keep` with int Phi_j > 0, the force of a unit pressure; at second-order
-    vertices whose facets are covered in far corners it is negative. The choice is repeated without
-    such nodes. For weights of `node_weights`, and `allowed` nodes (n,).
+    Nodes of `default_keep` with int Phi_j > 0, the force of a unit pressure; chosen again without
+    the others.
     """
-    while True:  # each time with fewer nodes
+    while True:  # with fewer nodes each time
         keep = default_keep(pairing, segments, *weights, allowed)
         Phi = weighted_duals(pairing, segments, keep)
         force = integrate_values(pairing, segments, Phi, np.ones(len(Phi)))
@@ -343,7 +330,7 @@ def choose_duals(
 
 
 def _best_nodes(coverage: Floats, X: Floats) -> Ints:
-    """Return the best covered node (m,) of each facet, or the last by x, y, z."""
+    """Best covered node of each facet, of equal ones the last by x, y, z."""
     best = coverage >= (1 - HALF_OF_DIGITS) * coverage.max(axis=1, initial=0.0)[:, None]
     size = facet_sizes(X)
     for x in np.moveaxis(X, 2, 0):
@@ -353,15 +340,12 @@ def _best_nodes(coverage: Floats, X: Floats) -> Ints:
 
 
 def find_duals(pairing: Integrated, segments: Segments, keep: Bools) -> Duals:
-    """Return the dual functions at the points of segments, for slave nodes `keep` (n,).
-
-    A node has the same `keep` on all ranks.
-    """
+    """Dual functions at the points; `keep` (n,) is equal on all ranks."""
     element, kept = pairing.slave.element, keep[pairing.slave.facets]
     N = absorbed(element.shares, segments.N, kept[segments.slave])
     return create_duals(N, segments.weight, segments.slave, kept)
 
 
 def weighted_duals(pairing: Integrated, segments: Segments, keep: Bools) -> Floats:
-    """Return w Phi_j (q, k) at the points of segments, w their weights; see `find_duals`."""
+    """Return w Phi_j (q, k) at the points."""
     return find_duals(pairing, segments, keep).Phi * segments.weight[:, None]

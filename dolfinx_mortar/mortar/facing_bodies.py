@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Which exterior facets of a body face another body, and their distances; over all ranks.
 
-Each facet is projected along its normal, as a slave facet is; the nearest facet hides those behind
-it, also one of its own body. An overlap is a negative distance.
+Facets are projected along their normals; the nearest facet hides those behind it, also of its own
+body. An overlap is a negative distance.
 """
 
 from dataclasses import dataclass, fields
@@ -38,46 +38,39 @@ from dolfinx_mortar.mortar.surface import (
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """Exterior facets of this rank, with connected parts of the mesh."""
+    """Exterior facets of this rank."""
 
     facets: Facets  # (m,)
-    part: Longs  # (m,)
-    label: Longs  # (m, c) further labels of facets
+    part: Longs  # (m,) connected part of the mesh
+    label: Longs
 
 
 @dataclass(frozen=True, eq=False)
 class Facing:
-    """Pairs of facets of different parts that face each other, first that of this rank."""
+    """Pairs of facets of different parts that face each other, the first of this rank."""
 
     facet: Longs  # (p,) index into the skin
-    part: Longs  # (p, 2) connected parts of both
-    label: Longs  # (p, 2, c) their labels
+    part: Longs  # (p, 2)
+    label: Longs
     size: Floats  # (p, 2) their diameters
     area: Floats  # (p,) of the first that faces the second
-    distance: Floats  # (p,) negative: depth of the first in the other part
-    place: Floats  # (p, d) middle of the first
+    distance: Floats  # (p,) negative: penetration
+    place: Floats  # (p, d) centre of the first
 
     def __getitem__(self, which: Bools | Longs) -> "Facing":
         return Facing(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
-def find_facing(
-    comm: MPI.Intracomm, skin: Skin, asked: Bools | None = None, *, deep: bool = False
-) -> Facing:
+def find_facing(comm: MPI.Intracomm, skin: Skin, asked: Bools | None = None) -> Facing:
     """Return the facets of other parts that facets of a skin face, at any distance; collective.
 
-    Not those deeper in another body than half of the thinner body (`pairing.THROUGH`), unless
-    `deep`.
+    Not those deeper in another body than half of the thinner body (`pairing.THROUGH`).
 
     Args:
         skin: all exterior facets of this rank.
         asked: (m,) facets to project; all if None.
     """
-    depth = (
-        np.full(len(skin.part), np.inf)
-        if deep
-        else THROUGH * thickness_of_bodies(comm, skin.facets, skin.part, skin.facets, skin.part)
-    )
+    depth = THROUGH * thickness_of_bodies(comm, skin.facets, skin.part, skin.facets, skin.part)
     own = np.flatnonzero(np.ones(len(depth), dtype=bool) if asked is None else asked)
     facets = skin.facets[own]
     others, part, label, behind = _receive(comm, facets, skin, depth)
@@ -89,7 +82,7 @@ def find_facing(
     least = _least_gaps(facets, others, segments, n[:, 0], len(pairs))
     a, b = pairs.T
     size = np.stack([facet_sizes(facets.x)[a], facet_sizes(others.x)[b]], axis=1)
-    # side by side they overlap by round-off
+    # neighbours overlap by round-off
     over = area > HALF_OF_DIGITS * size[:, 0] ** (facets.x.shape[2] - 1)
     found = np.flatnonzero(over & (part[b] != skin.part[own][a]))
     distance = _distances(facets[a[found]], others[b[found]], least[found])
@@ -110,7 +103,6 @@ def find_facing(
 def _least_gaps(
     facets: Facets, others: Facets, segments: Segments, n: Floats, count: int
 ) -> Floats:
-    """Return the least gaps (count,) along the normals of facets."""
     apart = points_of(others, segments.master, segments.xi_m)
     apart -= points_of(facets, segments.slave, segments.xi_s)
     least = np.full(count, np.inf)
@@ -119,9 +111,9 @@ def _least_gaps(
 
 
 def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
-    """Return distances (p,) of pairs; inf where a facet sees a flank past the edge of a body.
+    """Distances (p,) of pairs, inf for a flank seen past the edge of a body.
 
-    Facets that cross at less than 45 degrees touch, as on curved sides that fit.
+    Facets that cross at less than 45 degrees touch, as on fitting curved sides.
     """
     size, vertices = facet_sizes(facets.x), others.x[:, np.array(others.element.vertices)]
     n, other = facet_normals(facets), facet_normals(others)
@@ -141,7 +133,7 @@ def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
 def _receive(
     comm: MPI.Intracomm, asking: Facets, skin: Skin, depth: Floats
 ) -> tuple[Facets, Longs, Longs, Floats]:
-    """Return the facets of all ranks that facets of this rank can face; collective."""
+    """Facets of all ranks that this rank's can face; collective."""
     if comm.size == 1:
         return skin.facets, skin.part, skin.label, depth
     n = facet_normals(asking)[:, None]
@@ -154,13 +146,13 @@ def _receive(
 
 
 def are_near(facing: Facing, within: float | None) -> Bools:
-    """Mask (p,) of pairs of facets `within` a distance, default the diameter of the larger."""
+    """Pairs `within` a distance, default the larger diameter."""
     reach = facing.size.max(axis=1, initial=0.0) if within is None else within
     return np.asarray(facing.distance <= reach)
 
 
 def boxes_of(comm: MPI.Comm, x: Floats, body: Longs, count: int) -> Floats:
-    """Boxes (count, 2, d) of bodies from facets x (m, k, d) of bodies (m,); collective."""
+    """Boxes (count, 2, d) of bodies from facets of bodies (m,); collective."""
     boxes = np.full((count, 2, x.shape[2]), np.inf)
     low, high = bounds(x)
     np.minimum.at(boxes[:, 0], body, low)
@@ -171,11 +163,7 @@ def boxes_of(comm: MPI.Comm, x: Floats, body: Longs, count: int) -> Floats:
 
 
 def check_angle(feature_angle: Any) -> float:
-    """Return the least angle of an edge between facets, in degrees.
-
-    Raises:
-        ValueError: unless 0 < feature_angle <= 180.
-    """
+    """Return the least angle of an edge, in degrees; ValueError unless in (0, 180]."""
     if not is_number(feature_angle) or not 0.0 < feature_angle <= 180.0:
         raise ValueError(
             f"feature_angle is {feature_angle!r}: give degrees, 0 < feature_angle <= 180"
@@ -186,10 +174,9 @@ def check_angle(feature_angle: Any) -> float:
 def find_faces(
     V: fem.FunctionSpace, facets: Facets, nodes: Ints, body: Longs, feature_angle: float
 ) -> Longs:
-    """Return the smooth face (m,) of each exterior facet of this rank; collective.
+    """Smooth face (m,) of each exterior facet of this rank, numbered over all ranks; collective.
 
-    Numbers are those of all ranks; nodes (m, k) are local. Facets of one body with a common edge
-    (in 2D: vertex) are of one face where their normals differ by less than the feature angle, in
+    Neighbours of one body are of one face where their normals differ by less than the angle, in
     degrees.
     """
     comm = V.mesh.comm
@@ -202,7 +189,7 @@ def find_faces(
     parts, local = _components(m, owner[first[smooth]], owner[second[smooth]])
     own: Longs = local + (comm.exscan(parts) or 0)
 
-    # at edges between ranks, all ranks join faces
+    # facets at edges between ranks are joined on all ranks
     single = np.ones(len(keys), dtype=bool)
     single[first], single[second] = False, False
     sent = *(column[single] for column in columns), own[owner[single]]
@@ -214,7 +201,7 @@ def find_faces(
 
 
 def _edges(V: fem.FunctionSpace, facets: Facets, nodes: Ints) -> Longs:
-    """Return the global ends (m, e, 2 or 1) of facets' edges, ascending."""
+    """Global ends (m, e, 2 or 1) of facets' edges, ascending."""
     local = nodes[:, np.array(facets.element.vertices)]
     numbers = V.dofmap.index_map.local_to_global(local.ravel().astype(np.int32))
     corners: Longs = np.asarray(numbers, dtype=np.int64).reshape(local.shape)
@@ -224,7 +211,7 @@ def _edges(V: fem.FunctionSpace, facets: Facets, nodes: Ints) -> Longs:
 
 
 def _meeting(keys: Longs, normals: Floats, limit: float) -> tuple[Longs, Longs, Bools]:
-    """Return pairs of rows (q,), (q,) with equal keys, and where normals are close."""
+    """Pairs of rows with equal keys, and where normals are close."""
     order = np.lexsort(keys.T)
     sorted_keys = keys[order]
     found: list[Longs] = [np.zeros((0, 2), dtype=np.int64)]
@@ -240,7 +227,6 @@ def _meeting(keys: Longs, normals: Floats, limit: float) -> tuple[Longs, Longs, 
 
 
 def _components(n: int, a: Longs, b: Longs) -> tuple[int, Longs]:
-    """Return the number of connected parts of a graph, and that of each vertex (n,)."""
     parts, found = scipy.sparse.csgraph.connected_components(
         scipy.sparse.coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), False
     )

@@ -2,8 +2,7 @@
 """Segments of a pair at X + u, and integrals over them.
 
 Each slave facet is integrated by its owner; master facets are copied there. The weight of a
-pairing, such as 2 pi r, is a factor of all integrals, at points of the slave side at X, where it is
-positive.
+pairing, such as 2 pi r, is positive, taken on the slave side at X.
 """
 
 from collections.abc import Callable
@@ -41,15 +40,15 @@ _FALL = 0.3
 """Least fall of weights, as a share of the size of a facet, see `_near_parts`: a lower step counts
 in part, and changes a gap by up to a sixth of it."""
 
-_OF_POINTS = "pair", "slave", "master", "xi_s", "xi_m", "weight"  # of each point
+_OF_POINTS = "pair", "slave", "master", "xi_s", "xi_m", "weight"
 
-# loops compile three times as fast as array expressions; sums in any order are vectorised
+# loops compile faster than array expressions
 SUMS = {**KERNEL, "fastmath": {"reassoc", "contract", "nsz"}}
 
 
 @numba.njit(**SUMS)
 def product(a, b):  # type: ignore[no-untyped-def]
-    """Return the scalar product of a and b (q,)."""
+    """Scalar product of a and b (q,)."""
     result = 0.0
     for q in range(len(a)):
         result += a[q] * b[q]
@@ -65,10 +64,9 @@ def add(factor, a, b):  # type: ignore[no-untyped-def]
 
 @numba.njit(**SUMS)
 def _add_products(blocks, Phi, N, where):  # type: ignore[no-untyped-def]
-    """Add Phi (k, q) times N (l, q) to blocks (size, k, l)."""
     first = 0
     while first < len(where):
-        last = first  # points of a block mostly are neighbours
+        last = first  # neighbouring points mostly share a block
         while last < len(where) and where[last] == where[first]:
             last += 1
         for i in range(len(Phi)):
@@ -78,20 +76,14 @@ def _add_products(blocks, Phi, N, where):  # type: ignore[no-untyped-def]
 
 
 def sums_of_products(Phi: Floats, N: Floats, where: Ints, size: int) -> Floats:
-    """Return the sums (size, k, l) of Phi (q, k) times N (q, l) over the points of each place (q,).
-
-    Phi contains weights.
-    """
+    """Sums (size, k, l) of weighted Phi (q, k) times N (q, l) by places (q,)."""
     blocks = np.zeros((size, Phi.shape[1], N.shape[1]))
     _add_products(blocks, np.ascontiguousarray(Phi.T), np.ascontiguousarray(N.T), where)
     return blocks
 
 
 def sums_of_values(Phi: Floats, values: Floats, where: Ints, size: int) -> Floats:
-    """Return the sums (size, k) of Phi (q, k) times values (q,) over the points of each place (q,).
-
-    Phi contains weights; `np.bincount` takes ten times as long.
-    """
+    """Sums (size, k) of weighted Phi (q, k) times values (q,) by places (q,)."""
     sums = np.zeros((size, Phi.shape[1]))
     _add_values(sums, np.ascontiguousarray(Phi.T), np.ascontiguousarray(values), where)
     return sums
@@ -99,14 +91,13 @@ def sums_of_values(Phi: Floats, values: Floats, where: Ints, size: int) -> Float
 
 @numba.njit(cache=True)
 def _add_values(sums, Phi, values, where):  # type: ignore[no-untyped-def]
-    """Add Phi (k, q) times values (q,) to sums (size, k)."""
     for i in range(len(Phi)):
         for q in range(len(where)):
             sums[where[q], i] += Phi[i, q] * values[q]
 
 
 def covered_weights(N_s: Floats, weight: Floats, slave: Ints, m: int) -> Floats:
-    """Return the integrals (m, k) of N_j over the covered part of every slave facet (eq. 19).
+    """Integrals (m, k) of N_j over the covered part of every slave facet (eq. 19).
 
     Example:
         >>> covered_weights(np.array([[0.75, 0.25]]), np.array([1.0]), np.array([1]), 2)
@@ -117,7 +108,7 @@ def covered_weights(N_s: Floats, weight: Floats, slave: Ints, m: int) -> Floats:
 
 
 class Integrated(Protocol):
-    """Data for integrals over a slave side: a `Pairing`, or a side alone."""
+    """Data for integrals over a slave side."""
 
     @property
     def slave(self) -> Surface:
@@ -126,10 +117,7 @@ class Integrated(Protocol):
 
 @timed("~Mortar: segments")
 def find_segments(pairing: Pairing, u: dolfinx.fem.Function | None) -> tuple[Segments, Floats]:
-    """Find the segments and the averaged slave normals (n, d) at X + u (collective).
-
-    Their weights contain that of the pairing.
-    """
+    """Find the segments, weighted, and the averaged slave normals (n, d) at X + u (collective)."""
     slave = pairing.slave
     x = coordinates(slave, u)
     normals = nodal_normals(slave, x)
@@ -142,15 +130,10 @@ def find_segments(pairing: Pairing, u: dolfinx.fem.Function | None) -> tuple[Seg
 
 
 def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Facets) -> Segments:
-    """Return the segments with less weight of parts far behind the nearest one (collective).
+    """Reduce the weights of segments far behind the nearest one (collective).
 
-    With the rise H over the nearest point and r = min(8 mean |tan a|, 3/2) h that inclinations a
-    explain, over all facets at the nodes of a slave facet of size h, weights have the factor
-
-        1 - (H - r) / max(r, .3 h),     at least 0, at most 1.
-
-    8: lower factors slow a rolling disc. 3/2: with 1 a round disc changes by 4e-4; with 7/4 sliding
-    cantilevers have an error of 1.03 instead of 0.99 %. See theory.md, Edges and corners.
+    See theory.md, Edges and corners: 8 and 3/2 leave rolling discs and sliding cantilevers
+    unchanged.
     """
     slave, on, w = pairing.slave, segments.slave, segments.weight
     count, N = len(facets.x), (segments.N, pairing.master.element.shape_functions(segments.xi_m))
@@ -168,7 +151,7 @@ def _near_parts(pairing: Pairing, segments: Segments, facets: Facets, master: Fa
 
 
 def _reaches(slave: Surface, least: Floats, sums: Floats, size: Floats) -> Floats:
-    """Return the gap (m, 2) above which weights fall, and the slope; collective."""
+    """Gap above which weights fall, and the slope; collective."""
     nearest = np.full(len(slave.nodes), -np.inf)
     np.maximum.at(nearest, slave.facets, -least[:, None])
     least = -accumulate(slave, nearest, largest=True)[slave.facets].max(axis=1, initial=-np.inf)
@@ -201,7 +184,7 @@ def _measure(gap, least, sums, N_s, N_m, x_s, x_m, n_s, n_m, slave, master, weig
 def point_distances(
     pairing: Pairing, segments: Segments, u: dolfinx.fem.Function | None
 ) -> tuple[Floats, Floats]:
-    """Return |x_s - x_m| (q,), and the larger diameter (q,) at X of their facets (collective)."""
+    """Distances |x_s - x_m| (q,), and the larger diameter (q,) at X of both facets (collective)."""
     slave = facets_at(pairing.slave, coordinates(pairing.slave, u))
     offsets = points_of(slave, segments.slave, segments.xi_s)
     offsets -= points_of(received_facets(pairing, u), segments.master, segments.xi_m)
@@ -217,11 +200,9 @@ def drop_far(
     u: dolfinx.fem.Function | None,
     reach: Callable[[Floats, float], Floats],
 ) -> Segments:
-    """Return the segments without the pairs that are too far apart, as a whole (collective).
+    """The segments without pairs that are too far apart as a whole (collective).
 
-    Args:
-        reach: sizes of facets (q,), see `point_distances`, and the least distance -> largest
-            distances (q,).
+    `reach`: sizes of facets (q,), least distance -> largest distances (q,).
     """
     distances, larger = point_distances(pairing, segments, u)
     comm = pairing.slave.V.mesh.comm
@@ -232,13 +213,12 @@ def drop_far(
 
 
 def some_points(segments: Segments, which: Bools) -> Segments:
-    """Return the segments with some of their points (q,)."""
+    """Some points (q,) of the segments."""
     points = {name: getattr(segments, name)[which] for name in _OF_POINTS}
     return replace(segments, **points)
 
 
 def _weigh(pairing: Pairing, segments: Segments, facets: Facets) -> Segments:
-    """Return segments with the weight of the pairing."""
     if pairing.weight is None:
         return segments
     at_X, xi = facets_at(pairing.slave, pairing.slave.X), facets.element.rule[0]
@@ -256,7 +236,7 @@ def _weigh(pairing: Pairing, segments: Segments, facets: Facets) -> Segments:
 def integrate_values(
     pairing: Integrated, segments: Segments, Phi: Floats, values: Floats
 ) -> Floats:
-    """Return int Phi_j f (n,) at the slave nodes, Phi of `weighted_duals`, f (q,) (collective)."""
+    """Int Phi_j f (n,) at the slave nodes for f (q,) (collective)."""
     slave = pairing.slave
     parts = sums_of_values(Phi, values, segments.slave, len(slave.facets))
     return sum_at_nodes(slave, parts[:, :, None])[:, 0]

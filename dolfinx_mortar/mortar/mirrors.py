@@ -1,13 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Which supports at the ends of a side are planes of symmetry, by the curvature of the side.
+"""Which supports at the ends of a side are planes of symmetry (theory.md, Curved sides).
 
-On a plane of symmetry with the fixed component e, the image continues the side, so that its normal
-has no component along e; on a roller at an angle it has. Where normals change linearly, as on
-spheres and cylinders,
-
-    (n_j + n_k).(x_k - x_j) = 0,
-
-so that the vertices x_k off the support give the normal n_j. With the normals n_f of these facets
+On smooth sides chords have (n_j + n_k).(x_k - x_j) = 0, so that the vertices x_k off the support
+give the normal n_j. With the fixed component e and the normals n_f of these facets
 
     A = mean of n_f.e,     B = A - n_j.e:
 
@@ -25,17 +20,16 @@ from dolfinx_mortar.mortar.surface import Surface, facets_at, sum_at_nodes
 
 
 def find_mirrors(surface: Surface, fixed: Bools, feature_angle: float) -> Bools:
-    """Return the components (n, d) across planes of symmetry, see `judge_supports`; collective."""
+    """Components (n, d) across planes of symmetry; collective."""
     return judge_supports(surface, fixed, feature_angle)[0]
 
 
 def judge_supports(surface: Surface, fixed: Bools, feature_angle: float) -> tuple[Bools, Floats]:
-    """Return the components (n, d) across planes of symmetry, and n_j.e (n, d), at X; collective.
+    """Components (n, d) across planes of symmetry, and n_j.e (n, d), at X; collective.
 
-    Where A and B have the same sign and differ by a factor of at most two, or where A vanishes or
-    is less than the scatter of n_f.e. Not where all components are fixed (n, d), nor inside a side.
-    Mid-side nodes have means of the vertices. Edges of more than `feature_angle` degrees tell no
-    curvature.
+    Where A and B have the same sign and differ by a factor of at most two, or A is less than the
+    scatter of n_f.e; not where all components are fixed, nor inside a side. Mid-side nodes have
+    means of the vertices. Edges of more than `feature_angle` degrees have no curvature.
     """
     n, gap, limit = ring_sums(surface, one_ring_sums(facets_at(surface, surface.X)))
     closed = np.asarray(np.linalg.norm(gap, axis=1) <= limit)
@@ -51,7 +45,6 @@ def judge_supports(surface: Surface, fixed: Bools, feature_angle: float) -> tupl
 def _judge(
     side: Surface, n: Floats, closed: Bools, fixed: Bools, i: int, feature_angle: float
 ) -> tuple[Bools, Floats]:
-    """Return mirrors and n_j.e of component i at the nodes (n,) where it is prescribed."""
     vertices = side.facets[:, list(side.element.vertices)]
     held, n_f = fixed[vertices], facet_normals(facets_at(side, side.X))
     weights = np.where(closed[vertices], 1.0, QUARTER_OF_DIGITS)  # others only if alone
@@ -77,7 +70,7 @@ def _judge(
 
 
 def _by_chords(side: Surface, n: Floats, weights: Floats, which: Bools) -> Floats:
-    """Return the normals (n, d) by chords at some nodes, else n; collective."""
+    """Normals (n, d) by chords at some nodes, else n; collective."""
     corners, d = list(side.element.vertices), n.shape[1]
     ends = side.facets[:, corners]
     x = side.X[ends]
@@ -99,10 +92,7 @@ def _by_chords(side: Surface, n: Floats, weights: Floats, which: Bools) -> Float
 
 
 def ring_sums(surface: Surface, parts: tuple[Floats, Floats]) -> tuple[Floats, Floats, Floats]:
-    """Return unit normals (n, d), gaps (n, c) and their limits (n,) of one-rings; collective.
-
-    From `one_ring_sums`; closed if |gap| is within its limit.
-    """
+    """Unit normals (n, d), gaps (n, c), and limits (n,) for closed one-rings; collective."""
     n, around = parts
     columns = np.concatenate([n, around, np.abs(around).sum(axis=2, keepdims=True)], axis=2)
     total, d = sum_at_nodes(surface, columns), n.shape[2]

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Mortar operators D and M of a pair of surfaces, and P = D^-1 M.
+"""Mortar operators over the covered part of the slave side (eqs. 19 and 20), and P = D^-1 M.
 
-    D_jl = int Phi_j N_l^s,      M_jl = int Phi_j N_l^m      over the covered part of the slave side
+    D_jl = int Phi_j N_l^s,      M_jl = int Phi_j N_l^m
 
-(eqs. 19 and 20 of the paper). D is diagonal over the nodes with a multiplier, but for mid-side
-nodes that depend on vertices.
+D is diagonal over the nodes with a multiplier, except at mid-side nodes that depend on vertices.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,9 +13,11 @@ import numpy as np
 
 import dolfinx
 from dolfinx.common import timed
+from dolfinx_mortar.algebra.csr import Triplets
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.arrays import CHUNK, Bools, Floats
-from dolfinx_mortar.geometry.elements import FacetElement
+from dolfinx_mortar.arrays import CHUNK, Bools, Floats, Ints, Longs
+from dolfinx_mortar.geometry.elements import FacetElement, triangle_rule
+from dolfinx_mortar.geometry.facets import points_of, scaled_normals, tributary_weights
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.mortar.curvature_correction import SmoothSide, point_heights, point_motions
 from dolfinx_mortar.mortar.duals import (
@@ -27,7 +28,8 @@ from dolfinx_mortar.mortar.duals import (
     weighted_duals,
 )
 from dolfinx_mortar.mortar.integrals import Integrated, integrate_values, sums_of_products
-from dolfinx_mortar.mortar.pairing import Pairing
+from dolfinx_mortar.mortar.pairing import Pairing, Weight, pattern_of_P
+from dolfinx_mortar.mortar.surface import Surface, facets_at, mean_facet_length
 
 SmoothSides = tuple[SmoothSide, SmoothSide]
 
@@ -36,20 +38,20 @@ SmoothSides = tuple[SmoothSide, SmoothSide]
 class MortarOperators:
     """D, M and P in one configuration, for c choices of the nodes with a multiplier.
 
-    One choice per direction of the multipliers, as Dirichlet data allow. Nodes are the n owned
-    slave nodes; entries follow the patterns of the pairing.
+    One per direction of the multipliers, as Dirichlet data allow, at the n owned slave nodes;
+    entries follow the pairing.
     """
 
     segments: Segments
     normals: Floats  # (n, d) outward, unit
     kept: Bools  # (n, c) nodes with a multiplier
-    D: Floats  # (e, c) entries of D; 0 in rows of other nodes
-    M: Floats  # (f, c) entries of M
+    D: Floats  # (e, c) entries; 0 in rows without multiplier
+    M: Floats  # (f, c) entries
     weight: Floats  # (n, c) D_jj, 0 where not kept
-    P: Floats  # (g, c) D_jj^-1 (M - D_other), D_other off-diagonal
-    heights: Floats  # (n,) of smooth surfaces, to be subtracted from gaps
+    P: Floats  # (g, c) D_jj^-1 (M - D_other)
+    heights: Floats  # (n,) of smooth surfaces, subtracted from gaps
     coverage: Coverage
-    motions: Floats | None = None  # (f, d, d) D_jj^-1 int Phi_j A_l, see `point_motions`
+    motions: Floats | None = None  # (f, d, d) D_jj^-1 int Phi_j A_l
 
 
 def create_operators(
@@ -66,13 +68,13 @@ def create_operators(
 
     Args:
         normals: outward unit normals (n, d) of the local slave nodes.
-        allowed: (n, c) local slave nodes that may carry a multiplier.
+        allowed: (n, c) local slave nodes that may have a multiplier.
         heights_of: smooth surfaces at X for heights.
-        motions_of: smooth surfaces at X for offsets in P.
+        motions_of: the same for offsets in P.
     """
     comm, own = pairing.slave.V.mesh.comm, slice(None, pairing.slave.owned)
     weights = node_weights(pairing, segments)
-    # choices that keep the same nodes share one integration
+    # equal choices share one integration
     differ = any_rank(comm, *(allowed != allowed[:, :1]).any(axis=0))
     choices = [c if differ[c] else 0 for c in range(allowed.shape[1])]
     Phi: dict[int, Floats] = {}
@@ -121,15 +123,9 @@ def integrate_matrices(
     keep: Bools,
     Phi: Floats | None = None,
 ) -> tuple[Floats, Floats]:
-    """Return the entries of D (eq. 19) and M (eq. 20) on the patterns of the pairing (collective).
+    """Entries of D (e,) and M (f,) on the patterns of the pairing (collective).
 
-    Args:
-        keep: (n,) slave nodes with a multiplier, equal on all ranks.
-        Phi: of `weighted_duals`, if known.
-
-    Returns:
-        Entries (e,) of D and (f,) of M. Rows of removed nodes vanish; their columns in D do not.
-        Over the kept nodes D is exactly diagonal, but for mid-side nodes that depend on vertices.
+    `keep` (n,) is equal on all ranks. Rows without multiplier vanish, their columns in D do not.
     """
     N_m = pairing.master.element.shape_functions(segments.xi_m)
     kept = keep[pairing.slave.facets]
@@ -143,7 +139,7 @@ def integrate_matrices(
 
 
 def in_D(element: FacetElement) -> Bools:
-    """Return (k, k) entries of D between kept nodes of a facet."""
+    """Entries (k, k) of D between kept nodes of a facet."""
     found = np.eye(element.nodes, dtype=bool)
     for middle, *ends in element.shares:
         found[middle, ends] = True
@@ -157,10 +153,7 @@ def integrate_motions(
     Phi: Sequence[Floats],
     motions: Callable[[slice], Floats],
 ) -> Floats:
-    """Return int Phi_j A_l (f, d, d) at the entries of M (collective).
-
-    Phi (q, k) of `weighted_duals` for each row of A_l; for motions see `point_motions`.
-    """
+    """Int Phi_j A_l (f, d, d) at the entries of M, see `point_motions` (collective)."""
     d, k, m = len(Phi), pairing.slave.element.nodes, pairing.master.element.nodes
     blocks = np.zeros((d, len(pairing.pairs), k, m * d))
     for first in range(0, len(segments.pair), CHUNK):
@@ -177,9 +170,109 @@ def integrate_motions(
 def mean_values(
     pairing: Integrated, segments: Segments, Phi: Floats, weight: Floats, at_points: Floats
 ) -> Floats:
-    """Return int Phi_j f / D_jj (n,) at the owned slave nodes, or 0 (collective).
-
-    Phi of `weighted_duals`, weight D_jj (n,), f (q,).
-    """
+    """Int Phi_j f / D_jj (n,) at the owned slave nodes, or 0, for f (q,) (collective)."""
     total = integrate_values(pairing, segments, Phi, at_points)[: pairing.slave.owned]
     return np.asarray(total * inverse(weight))
+
+
+@dataclass(frozen=True, eq=False)
+class WholeSide:
+    """A slave side and the pattern of D."""
+
+    slave: Surface
+    D: Triplets  # of all facets
+    row: Ints  # (e,) owned slave node of each entry off the diagonal
+    column: Longs  # (e,) its global node
+    off_diagonal: Ints  # (e,) its position in D
+    diagonal: tuple[Ints, Ints]  # positions of D_jj in D, and nodes j
+    facet_length: float  # mean, at X
+    weight: Weight | None = None  # of all integrals, at X
+
+
+@dataclass(frozen=True, eq=False)
+class SideOperators:
+    """D of a side, see `MortarOperators`."""
+
+    segments: Segments  # whole facets
+    x: Floats  # (q, d) their points
+    Phi: Floats  # (q, k) weighted dual functions
+    keep: Bools  # (local slave nodes,)
+    kept: Bools  # (n, 1) owned
+    weight: Floats  # (n, 1) D_jj, 0 where not kept
+    P: Floats  # (e, 1) - D_jl / D_jj off the diagonal
+    coverage: Coverage
+
+
+def create_whole_side(slave: Surface, weight: Weight | None) -> WholeSide:
+    """Fix the pattern of D of all facets; collective."""
+    index_map = slave.V.dofmap.index_map
+    nodes = index_map.local_to_global(slave.nodes)[slave.facets]
+    block = (*nodes.shape, nodes.shape[1])
+    places = (np.broadcast_to(v, block) for v in (nodes[:, :, None], nodes[:, None]))
+    D = Triplets(slave.V.mesh.comm, index_map, *places)
+    length = mean_facet_length(slave)
+    return WholeSide(slave=slave, D=D, **pattern_of_P(slave, D), facet_length=length, weight=weight)
+
+
+def rule_of(element: FacetElement) -> tuple[Floats, Floats]:
+    """Points and weights, sum 1, exact for products of functions."""
+    if len(element.rule[1]) >= element.nodes:
+        return element.rule
+    return triangle_rule(4)
+
+
+def whole_facets(side: WholeSide, x: Floats, facing: Bools) -> tuple[Segments, Floats]:
+    """Facing facets (m,) as segments, and their points (q, d)."""
+    slave = side.slave
+    facets, element = facets_at(slave, x), slave.element
+    xi, weights = rule_of(element)
+    jacobians = np.linalg.norm(scaled_normals(facets, xi), axis=2) * weights
+    m, q = jacobians.shape
+    which = np.repeat(np.arange(m, dtype=np.int32), q)
+    at, whole = np.tile(xi, (m, 1)), None
+    if side.weight is not None:  # at X, where it is positive
+        points, _ = element.rule
+        others = np.repeat(np.arange(m, dtype=np.int32), len(points))
+        at_X = facets_at(slave, slave.X)
+        jacobians *= side.weight(points_of(at_X, which, at)).reshape(m, q)
+        at_rule = points_of(at_X, others, np.tile(points, (m, 1)))
+        whole = side.weight(at_rule).reshape(m, len(points))
+    some = facing[which]
+    which, at = which[some], at[some]
+    none = np.full(len(which), -1, dtype=np.int32)
+    sums = tributary_weights(facets, whole)
+    weight = jacobians.ravel()[some]
+    segments = Segments(none, which, none, at, 0.0 * at, weight, sums, element)
+    return segments, points_of(facets, which, at)
+
+
+def integrate_side(side: WholeSide, x: Floats, facing: Bools, allowed: Bools) -> SideOperators:
+    """Integrate D over the facing facets (m,) of this rank, at x; collective."""
+    slave, own = side.slave, slice(None, side.slave.owned)
+    segments, points = whole_facets(side, x, facing)
+    weights = node_weights(side, segments)
+    keep, Phi = choose_duals(side, segments, weights, allowed)
+    blocks = sums_of_products(Phi, segments.N, segments.slave, len(slave.facets))
+    among = keep[slave.facets]
+    blocks[(among[:, :, None] & among[:, None]) & ~in_D(slave.element)] = 0.0
+    entries = side.D.sum(blocks)
+    weight = np.zeros((slave.owned, 1))
+    places, nodes = side.diagonal
+    weight[nodes, 0] = entries[places]
+    return SideOperators(
+        segments=segments,
+        x=points,
+        Phi=Phi,
+        keep=keep,
+        kept=keep[own, None] & (weight > 0.0),
+        weight=weight,
+        P=-entries[side.off_diagonal, None] * inverse(weight)[side.row],
+        coverage=find_coverage(side, segments, *weights),
+    )
+
+
+def means(side: WholeSide, found: SideOperators, at_points: Floats) -> Floats:
+    """As `mean_values`, (n, c) for f (q, c); collective."""
+    weight = found.weight[:, 0]
+    at = side, found.segments, found.Phi, weight
+    return np.stack([mean_values(*at, f) for f in at_points.T], axis=1)

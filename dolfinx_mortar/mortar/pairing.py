@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Candidate pairs of slave and master facets over all ranks, reused while the bodies slide.
 
-Each slave facet is integrated by its owner; master facets that it may meet are copied to that rank.
+Each slave facet is integrated by its owner, which receives the master facets it may face.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import numpy as np
 
 import dolfinx
 from dolfinx.common import timed
+from dolfinx_mortar.algebra.csr import Triplets
 from dolfinx_mortar.algebra.parallel import any_rank
-from dolfinx_mortar.algebra.triplets import Triplets
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.facets import Facets, facet_normals
 from dolfinx_mortar.geometry.segments import (
@@ -56,39 +56,38 @@ same iterations and forces.
 class Pairing:
     """Candidate pairs of facets at one configuration, with a margin.
 
-    Matrices have a row for each owned slave node j; columns of P = D^-1 (M - D_other) are those of
-    D off its diagonal, then of M.
+    Matrices have a row for each owned slave node; columns of P = D^-1 (M - D_other) are those of D
+    off its diagonal, then of M.
     """
 
     slave: Surface
     master: Surface
     pairs: Ints  # (p, 2) own slave facet, received master facet; ordered
-    master_nodes: Longs  # (nm,) global nodes of received facets
+    master_nodes: Longs  # (nm,) global
     master_facets: Ints  # (mm, k) indices into these
-    master_X: Floats  # (nm, d) their reference coordinates
-    deepest: Floats  # (p,) largest depth of a partner, or inf
-    sent: Bools  # (own master facets, ranks) that have received them
+    master_X: Floats  # (nm, d)
+    deepest: Floats  # (p,) largest depth of a master, or inf
+    sent: Bools  # (own master facets, ranks)
     groups: list[Ints]  # groups of neighbouring slave facets
     scatter: PETSc.Scatter  # from a vector of V to displacements of master_nodes
-    source: PETSc.Vec  # a vector of V: source of the scatter
-    received: PETSc.Vec  # (d * nm) on this rank: its target
-    D: Triplets  # int Phi_j N_l^s of all slave facets with candidates
-    M: Triplets  # int Phi_j N_l^m of all candidate pairs
-    row: Ints  # (e,) owned slave node of each entry of P
-    column: Longs  # (e,) its global node
-    off_diagonal: Ints  # positions among D's entries of those of P
-    diagonal: tuple[Ints, Ints]  # positions of D_jj among D's entries, and nodes j
+    source: PETSc.Vec  # of V: source
+    received: PETSc.Vec  # (d * nm) on this rank: target
+    D: Triplets  # int Phi_j N_l^s
+    M: Triplets  # int Phi_j N_l^m
+    row: Ints  # (e,) owned slave node
+    column: Longs  # (e,) global node
+    off_diagonal: Ints  # positions in D of those of P
+    diagonal: tuple[Ints, Ints]  # positions of D_jj in D, and nodes j
     weight: Weight | None = None  # of all integrals over the slave side; None for 1
     roles: Roles | None = None  # of a surface in self-contact
 
     @cached_property
     def order(self) -> Longs:
-        """The received master facets (mm,), sorted in space at X."""
+        """Received master facets (mm,), sorted in space at X."""
         return sort_in_space(self.master_X[self.master_facets].mean(axis=1))
 
 
 def _slave_facets(slave: Surface, u: dolfinx.fem.Function | None) -> tuple[Facets, Floats]:
-    """Return facets and directions of projection (m, k or 1, d) (collective)."""
     x = coordinates(slave, u)
     facets = facets_at(slave, x)
     return facets, projection_directions(facets, nodal_normals(slave, x)[slave.facets])
@@ -110,7 +109,6 @@ def _send_facets(
 
 
 def _deepest(surface: Surface, u: dolfinx.fem.Function | None, itself: bool) -> Floats:
-    """Return the largest depth (m,) of partners behind facets."""
     if u is None or not itself:
         return THROUGH * surface.thickness
     stretch = thickness_stretches(surface, u)[surface.facets].min(axis=1, initial=np.inf)
@@ -120,7 +118,6 @@ def _deepest(surface: Surface, u: dolfinx.fem.Function | None, itself: bool) -> 
 def _create_scatter(
     V: dolfinx.fem.FunctionSpace, nodes: Longs
 ) -> tuple[PETSc.Scatter, PETSc.Vec, PETSc.Vec]:
-    """Create the scatter of V at global nodes to this rank (collective)."""
     d, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
     size = (d * index_map.size_local, d * index_map.size_global)
     source = PETSc.Vec().createMPI(size, comm=V.mesh.comm)
@@ -132,7 +129,6 @@ def _create_scatter(
 def _create_triplets(
     slave: Surface, pairs: Ints, nodes: Longs, facets: Ints
 ) -> tuple[Triplets, Triplets]:
-    """Fix the patterns of D and M (collective)."""
     index_map = slave.V.dofmap.index_map
     rows = index_map.local_to_global(slave.nodes)[slave.facets]
     paired, found = np.unique(pairs[:, 0]), []
@@ -147,7 +143,7 @@ def _create_triplets(
 
 
 def pattern_of_P(slave: Surface, D: Triplets, *M: Triplets) -> dict[str, Any]:
-    """Return rows and columns of P, and the places of P and D_jj in D."""
+    """Rows and columns of P, and places in D."""
     index_map = slave.V.dofmap.index_map
     nodes = slave.nodes[: slave.owned]
     position = np.full(index_map.size_local, -1, dtype=np.int32)
@@ -168,7 +164,6 @@ def _check_surfaces(
     master: Surface,
     u: dolfinx.fem.Function | None,
 ) -> None:
-    """Raise a ValueError on all ranks unless surfaces are a pair."""
     if slave.V != V or master.V != V:
         raise ValueError("slave and master have to be surfaces of V.")
     if u is not None and (not isinstance(u, dolfinx.fem.Function) or u.function_space != V):
@@ -182,7 +177,6 @@ def _check_surfaces(
 
 
 def _check_finite(u: dolfinx.fem.Function | None, *sides: Surface) -> None:
-    """Raise a ValueError on all ranks unless X + u is finite (collective)."""
     finite = all(np.isfinite(coordinates(side, u)).all() for side in sides)
     if any_rank(sides[0].V.mesh.comm, not finite)[0]:
         raise ValueError(
@@ -191,7 +185,6 @@ def _check_finite(u: dolfinx.fem.Function | None, *sides: Surface) -> None:
 
 
 def _check_facing(pairs: Ints, slave: Surface, master: Surface, n_s: Floats, n_m: Floats) -> None:
-    """Raise a ValueError on all ranks if no two facets face each other (collective)."""
     comm = slave.V.mesh.comm
     if comm.allreduce(len(pairs)):
         return
@@ -216,19 +209,19 @@ def create_pairing(
     weight: Weight | None = None,
     earlier: Pairing | None = None,
 ) -> Pairing:
-    """Find the candidate pairs at X + u and fix the patterns of D and M for them (collective).
+    """Find the candidate pairs at X + u and fix the patterns of D and M (collective).
 
-    Pairs of moving surfaces allow a relative sliding by half an edge or more, see `outside_margin`.
-    With one surface as both sides, its slave facets are chosen at each search.
+    Pairs of moving surfaces allow a sliding by half an edge. In self-contact slave facets are
+    chosen anew.
 
     Args:
-        again: a later search: sides that have turned away have no pairs, and raise no error.
+        again: a later search, in which no pairs are no error.
         weight: factor of all integrals over the slave side; None for 1.
         earlier: of the same surfaces; its patterns are reused if the pairs are the same.
 
     Raises:
         ValueError: On all ranks, if the sides share facets, belong to another space, u is not
-            finite there, or no slave facet faces a master facet at the first search.
+            finite there, or at the first search no facets face each other.
     """
     _check_surfaces(V, slave, master, u)
     _check_finite(u, slave, master)
@@ -280,7 +273,6 @@ def create_pairing(
 
 
 def _has_pairs(pairing: Pairing, pairs: Ints, nodes: Longs, facets: Ints) -> bool:
-    """Tell whether a pairing has just these candidates on this rank."""
     same = np.array_equal(pairing.pairs, pairs) and np.array_equal(pairing.master_nodes, nodes)
     return same and np.array_equal(pairing.master_facets, facets)
 
@@ -292,7 +284,6 @@ def _master_coordinates(
     received: PETSc.Vec,
     u: dolfinx.fem.Function | None,
 ) -> Floats:
-    """Return X + u (nm, d) of the received master nodes (collective)."""
     if u is None:
         return X
     # not u.x.petsc_vec: dolfinx destroys it with u, at different times on ranks: a deadlock
@@ -302,7 +293,7 @@ def _master_coordinates(
 
 
 def receive(pairing: Pairing, values: Floats) -> Floats:
-    """Return owners' values (n, d) at the received master nodes (nm, d); collective."""
+    """Owners' values (n, d) at the received master nodes (nm, d); collective."""
     master, d = pairing.master, values.shape[1]
     own = slice(None, master.owned)
     pairing.source.array_w.reshape(-1, d)[master.nodes[own]] = values[own]
@@ -311,7 +302,7 @@ def receive(pairing: Pairing, values: Floats) -> Floats:
 
 
 def received_facets(pairing: Pairing, u: dolfinx.fem.Function | None) -> Facets:
-    """Return the received master facets at X + u (collective)."""
+    """Received master facets at X + u (collective)."""
     vectors = pairing.scatter, pairing.source, pairing.received
     x = _master_coordinates(pairing.master_X, *vectors, u)
     return Facets(pairing.master.element, x[pairing.master_facets])
@@ -319,10 +310,9 @@ def received_facets(pairing: Pairing, u: dolfinx.fem.Function | None) -> Facets:
 
 @timed("~Mortar: margin")
 def outside_margin(pairing: Pairing, u: dolfinx.fem.Function | None) -> bool:
-    """Tell whether a segment at X + u can belong to a pair that is not a candidate (collective).
+    """Whether a segment at X + u can belong to a pair that is not a candidate (collective).
 
-    A search without margin must not find a new pair: the answer depends on the relative motion
-    only, and False is certain. True where u is not finite: the next search raises the error.
+    By the relative motion only; False is certain. True where u is not finite.
     """
     comm = pairing.slave.V.mesh.comm
     slave, n_s = _slave_facets(pairing.slave, u)

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Whether one side has passed through the other in a step, undetected by contact.
 
-Facets deeper than a part of the thinner body, or beyond an edge, are not paired (`THROUGH`). So the
-middle of the body behind each facet, if inside the body at the start, must not enter the other body
-or a rigid tool; nor the tool's point the body.
+Facets deeper than a part of the thinner body are not paired (`THROUGH`). So the middle of the body
+behind each facet must not enter the other body or a rigid tool; nor the tool's point the body.
 
-The rigid motion x -> R x + c that fits a step from x_0 to x_1 best is taken as steady, a rotation
-about a fixed line (in 2D, a point) with a shift along it:
+The best-fitting rigid motion x -> R x + c of a step is taken as steady, about a fixed line (in 2D,
+a point) with a shift along it:
 
     x(t) = R^t ((1 - t) x_0 + t R^-1 x_1).
 """
@@ -23,8 +22,7 @@ import numpy as np
 import scipy
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, QUARTER_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import LINE2, TRI3
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, facet_sizes
@@ -35,13 +33,13 @@ from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, thick
 
 @dataclass(frozen=True)
 class Middles:
-    """The middles of the bodies behind the facets of a surface."""
+    """Middles of the bodies behind facets."""
 
     surface: Surface
-    depth: Floats  # (m,) distance from each facet at X
+    depth: Floats  # (m,) distance from the facet at X
 
     def at(self, u: fem.Function) -> tuple[Floats, Floats]:
-        """Return facets' centres (k, d) and middles (k, d), where the depth is finite."""
+        """Centres and middles (k, d) of facets of finite depth."""
         finite, own = np.isfinite(self.depth), self.surface
         facets = facets_at(own, coordinates(own, u))[np.flatnonzero(finite)]
         faces = facets.x[:, np.array(own.element.vertices)].mean(axis=1)
@@ -49,10 +47,9 @@ class Middles:
 
 
 def find_middles(surface: Surface, body_of: Ints, skin: Facets, bodies: Ints) -> Middles:
-    """Return the middles of the bodies behind a surface; collective.
+    """The middles of the bodies behind a surface; collective.
 
-    body_of (m,) and bodies number the bodies of its facets and of this rank's exterior facets,
-    skin.
+    `body_of` (m,) and `bodies` are the bodies of its facets and of this rank's exterior facets.
     """
     facets = facets_at(surface, surface.X)
     depth = thickness_of_bodies(surface.V.mesh.comm, facets, body_of, skin, bodies)
@@ -64,12 +61,12 @@ class SeenByTool:
     """Motion of points relative to a rigid tool."""
 
     at: Callable[[float, Floats], Floats]  # time in (0, 1), points (.., d) -> tool's frame
-    turn: Floats  # (1,) or (3,) rotation of the tool in the step, radians, with whole turns
-    distance: Callable[[Floats], Floats]  # of such points (n,) from the tool, negative inside
+    turn: Floats  # (1,) or (3,) rotation in the step, radians
+    distance: Callable[[Floats], Floats]  # (n,) of such points, negative inside
     point: Floats  # (d,) of the tool
 
     def turns_round(self, body: RigidMotion) -> bool:
-        """Tell whether the relative rotation of tool and body is half a turn or more."""
+        """Whether the relative rotation is half a turn or more."""
         against = body.rotation()
         against[-len(self.turn) :] -= self.turn
         return bool(np.linalg.norm(against) >= np.pi - HALF_OF_DIGITS)
@@ -79,8 +76,8 @@ class SeenByTool:
     ) -> Callable[[Floats, Floats], list[Floats]]:
         """Return a function: points (.., d) in space at start and end -> paths in the tool's frame.
 
-        One array for each time. For less than half a turn the relative motion, `seen`, is steady;
-        else `body` turns steadily in space, and the tool about its point, which moves straight.
+        Below half a turn the relative motion, `seen`, is steady; else `body` turns steadily in
+        space, and the tool about its point, which moves straight.
         """
         if not self.turns_round(body):
             steady = times_of([seen])
@@ -99,16 +96,13 @@ class Passing:
     """Bodies that have passed through a surface, on all ranks."""
 
     surface: Surface | None  # None for a tool
-    count: int  # facets whose middle has passed
-    place: tuple[float, ...]  # of one of these facets, at the start
-    depth: float  # distance of its middle
+    count: int  # whose middle has passed
+    place: tuple[float, ...]  # of one of these, at the start
+    depth: float  # distance to its middle
 
 
 def is_far(slave: Middles, master: Middles, before: Floats, now: Floats) -> bool:
-    """Tell whether relative displacements of sides reach the least depth of a middle; collective.
-
-    Otherwise neither has passed the other. Displacements are (owned nodes, d).
-    """
+    """Whether relative displacements (owned nodes, d) reach the least depth; collective."""
     sides = slave.surface, master.surface
     nodes = np.concatenate([side.nodes[: side.owned] for side in sides])
     least_depth = min(side.depth.min(initial=np.inf) for side in (slave, master))
@@ -122,7 +116,7 @@ def is_far(slave: Middles, master: Middles, before: Floats, now: Floats) -> bool
 def find_passed(
     slave: Middles, master: Middles, before: fem.Function, now: fem.Function
 ) -> Passing | None:
-    """Return the side through which the other one has passed, or None; collective.
+    """The side through which the other one has passed, or None; collective.
 
     All ranks get all facets of a side: call `is_far` first.
     """
@@ -133,7 +127,6 @@ def find_passed(
 def _passed(
     side: Middles, other: Surface, before: fem.Function, now: fem.Function
 ) -> Passing | None:
-    """Return how a side's middles have passed through a surface; collective."""
     own, comm = side.surface, other.V.mesh.comm
     facets = [facets_at(own, coordinates(own, u)) for u in (before, now)]
     (faces, start_at), (_, end_at) = side.at(before), side.at(now)
@@ -159,13 +152,12 @@ def _passed(
 
 
 def _outside(faces: Floats, middles: Floats, skin: Floats) -> Longs:
-    """Return the middles (q,) that have left their body as it bends, ascending."""
+    """Middles (q,) that have left their body as it bends, ascending."""
     inward = skin[:, ::-1]
     return find_passing((faces, middles), (inward, inward))
 
 
 def _first(side: Middles, through: Surface | None, faces: Floats, passed: Longs) -> Passing | None:
-    """Return the Passing of facets of this rank; collective."""
     comm, depth = side.surface.V.mesh.comm, side.depth[np.isfinite(side.depth)]
     count = comm.allreduce(len(passed), op=MPI.SUM)
     if not count:
@@ -178,12 +170,12 @@ def _first(side: Middles, through: Surface | None, faces: Floats, passed: Longs)
 def find_passed_tool(
     side: Middles, before: fem.Function, now: fem.Function, seen: SeenByTool
 ) -> Passing | None:
-    """Return whether a body and a rigid tool have passed through each other; collective.
+    """Whether a body and a rigid tool have passed through each other; collective.
 
-    Either middles of the body have entered the tool, or the tool's point, deeper in it than the
-    facet is long or its middle deep, has passed a facet; if less deep, by the difference farther,
-    since chords lie behind a tip. Parts of a path in the tool are detected if longer than
-    `QUARTER_OF_DIGITS` of the depth of the middle.
+    Either middles of the body have entered the tool, or the tool's point has passed a facet moved
+    inward to the depth of its middle (at most its size) less the point's depth in the tool, as
+    chords lie behind a tip. Parts of paths shorter than `QUARTER_OF_DIGITS` of the depth are
+    missed.
     """
     comm, own = side.surface.V.mesh.comm, side.surface
     x = [coordinates(own, u) for u in (before, now)]
@@ -214,7 +206,7 @@ def find_passed_tool(
 
 
 def depth_of_point(comm: MPI.Comm, seen: SeenByTool) -> float:
-    """Return the depth of the tool's point in it, -inf if it has no distance; collective."""
+    """Depth of the tool's point in it, -inf if it has no distance; collective."""
     try:
         apart = float(seen.distance(seen.point[None])[0])
     except Exception:  # of a user's function
@@ -223,16 +215,14 @@ def depth_of_point(comm: MPI.Comm, seen: SeenByTool) -> float:
 
 
 def _behind(parts: Floats, most: float, less: float) -> Floats:
-    """Return lines or triangles (m, d, d) moved inward by min(size, `most`) - less."""
+    """Lines or triangles moved inward by min(size, `most`) - less."""
     facets = Facets(LINE2 if parts.shape[2] == 2 else TRI3, parts)
     shift = np.maximum(np.minimum(facet_sizes(parts), most) - less, 0.0)
     return np.asarray(parts - (shift[:, None] * facet_normals(facets))[:, None])
 
 
 def _enter(ways: list[Floats], least: Floats, distance: Callable[[Floats], Floats]) -> Bools:
-    """Return which paths, (n, d) at each time, lead from positive distances to negative ones.
-
-    Parts shorter than `least` (n,) are not looked for.
+    """Which paths, (n, d) at each time, enter negative distances by at least `least` (n,).
 
     Example:
         >>> ways = [np.array([[-3.0, 0.0], [-3.0, 2.0]]), np.array([[9.0, 0.0], [9.0, 2.0]])]
@@ -257,7 +247,7 @@ def _cross(
     least: Floats,
     distance: Callable[[Floats], Floats],
 ) -> Bools:
-    """Return which straight paths (n, d) enter negative distances, by bisection."""
+    """As `_enter`, for straight paths, by bisection."""
     (a, b), (near, far) = ends, phi
     inside, left = far < 0.0, np.arange(len(a))
     while left.size:
@@ -282,35 +272,35 @@ cos(5 degrees) = 0.4 % of the radius, that of two such parts by 1.5 %."""
 
 @dataclass(frozen=True)
 class RigidMotion:
-    """x -> R x + c."""
+    """The motion x -> R x + c."""
 
     R: Floats  # (d, d)
     c: Floats  # (d,)
 
     def at(self, x: Floats) -> Floats:
-        """Return the images of points (.., d)."""
+        """Images of points (.., d)."""
         return np.asarray(x @ self.R.T + self.c)
 
     def back(self, x: Floats) -> Floats:
-        """Return the preimages of points (.., d)."""
+        """Preimages of points (.., d)."""
         return np.asarray((x - self.c) @ self.R)
 
     def seen_from(self, other: RigidMotion) -> RigidMotion:
-        """Return the motion relative to another one."""
+        """The motion relative to another one."""
         return RigidMotion(other.R.T @ self.R, other.back(self.c))
 
     def rotation(self) -> Floats:
-        """Return the rotation vector (3,) in radians; in 2D along the third axis."""
+        """Rotation vector (3,) in radians; in 2D along the third axis."""
         R, d = np.eye(3), len(self.c)
         R[:d, :d] = self.R
         return np.asarray(scipy.spatial.transform.Rotation.from_matrix(R).as_rotvec())
 
     def angle(self) -> float:
-        """Return the angle of the rotation in degrees."""
+        """Angle of the rotation in degrees."""
         return float(np.degrees(np.linalg.norm(self.rotation())))
 
     def part(self, t: float) -> RigidMotion:
-        """Return the share t of a steady motion with a rotation.
+        """The share t of a steady motion with a rotation.
 
         Example:
             >>> quarter = RigidMotion(np.array([[0.0, -1.0], [1.0, 0.0]]), np.array([2.0, 0.0]))
@@ -326,13 +316,13 @@ class RigidMotion:
 
 
 def rigid_sums(start: Floats, end: Floats) -> Floats:
-    """Return the sums over points (n, d) for `best_motion`; they add up over ranks."""
+    """Sums for `best_motion`; they add up over ranks."""
     one = np.ones((len(start), 1))
     return np.concatenate([one, start], axis=1).T @ np.concatenate([one, start, end], axis=1)
 
 
 def best_motion(sums: Floats) -> RigidMotion:
-    """Return the rigid motion that fits best (Kabsch 1976), from the sums of `rigid_sums`.
+    """The rigid motion that fits best (Kabsch 1976), from the sums of `rigid_sums`.
 
     Example:
         >>> x = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
@@ -351,13 +341,13 @@ def best_motion(sums: Floats) -> RigidMotion:
 
 
 def times_of(motions: list[RigidMotion]) -> Floats:
-    """Return times in [0, 1] between which no motion turns by more than `TURN`."""
+    """Times between which no motion turns by more than `TURN`."""
     most = max((motion.angle() for motion in motions), default=0.0)
     return np.asarray(np.linspace(0.0, 1.0, max(int(np.ceil(most / TURN)), 1) + 1), dtype=float)
 
 
 def path(motion: RigidMotion, times: Floats, start: Floats, end: Floats) -> Floats:
-    """Return points (t, .., d) at the times of a path between its start and end."""
+    """Points (t, .., d) of a path between its start and end."""
     if motion.angle() <= TURN:
         return np.stack([(1.0 - t) * start + t * end for t in times])
     held = motion.back(end)

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Self-contact: facets of a surface that can touch, and which of two is the slave.
 
-At each search the facets near others are divided into slaves and masters. A node of both kinds
-carries no multiplier, since T expresses slave nodes by master nodes. Arguments: own facets (ms,),
-received `copies` (mm,), global `nodes` (ms, k) and (mm, k) of both, their coordinates `X`, `pairs`
-(p, 2) of facing ones, and `deepest`, how far behind a facet a partner may lie.
+A node of both kinds has no multiplier. Arguments: own facets (ms,), received `copies` (mm,), global
+`nodes` (ms, k) and (mm, k) of both, their coordinates `X`, `pairs` (p, 2) that face each other, and
+`deepest`, how far behind a facet its master may lie.
 """
 
 from dataclasses import dataclass
@@ -30,17 +29,17 @@ class Roles:
     slave: Bools  # (ms,) own facets
     copies: Bools  # (mm,) received ones that are slaves
     nodes: tuple[Longs, Longs]  # (ms, k), (mm, k) global nodes
-    deepest: tuple[Floats, Floats]  # (ms,), (mm,) largest depth of a partner
-    seen: Longs  # (q,) near pairs: own facet * mm + received one, ascending
+    deepest: tuple[Floats, Floats]  # (ms,), (mm,)
+    seen: Longs  # (q,) near pairs: own facet * mm + received one
     distance: Floats  # (q,) of these
 
 
 def distances_in_reach(
     facets: Facets, copies: Facets, pairs: Ints, nodes: tuple[Longs, Longs], deepest: Floats
 ) -> Floats:
-    """Return the distances (p,) of pairs, in diameters of the larger facet; inf if not near.
+    """Distances (p,) of pairs, in diameters of the larger facet; inf if not near.
 
-    Facets with a common node are not near, nor are those deeper behind a facet than `deepest` (p,).
+    Facets with a common node, or too deep, are not near.
     """
     found = np.full(len(pairs), np.inf)
     f, g = pairs.T
@@ -64,12 +63,11 @@ def choose_roles(
     nodes: tuple[Longs, Longs],
     X: tuple[Floats, Floats],
 ) -> tuple[Bools, Bools]:
-    """Return which own (ms,) and which received facets (mm,) are slaves; collective.
+    """Which own (ms,) and which received facets (mm,) are slaves; collective.
 
-    Pair by pair, the nearest first by distances (p,) in diameters: facets that face each other have
-    opposite roles; neighbours, a diameter apart, the same; then the finer one at X, by powers of
-    two, is the slave. Undecided parts begin with a slave in the order of coordinates, so that roles
-    do not change with every near facet. All ranks decide the same.
+    Pair by pair, the nearest first: facets that face each other have opposite roles; neighbours, a
+    diameter apart, the same; then the finer one at X is the slave. Undecided parts begin with a
+    slave in the order of coordinates, on all ranks.
     """
     rows = np.sort(nodes[0], axis=1), np.sort(nodes[1], axis=1)
     f, g = pairs.T
@@ -85,18 +83,15 @@ def choose_roles(
 
 
 def _are_among(rows: Longs, keys: Longs) -> Bools:
-    """Tell (m,) which rows (m, k) are among others (n, k)."""
     _, number = np.unique(np.concatenate([keys, rows]), axis=0, return_inverse=True)
     number = number.ravel()
     return np.asarray(np.isin(number[len(keys) :], number[: len(keys)]))
 
 
 def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Bools:
-    """Return which facets (n,), with nodes `keys` (n, k), are slaves, by pairs a, b (p,)."""
     n = len(keys)
     if n == 0:
         return np.zeros(0, dtype=bool)
-    # independent of the ranks
     size = facet_sizes(X)
     grain = HALF_OF_DIGITS * size.max()
     place = np.column_stack([np.sort(X, axis=1).mean(axis=1), X.max(axis=1) - X.min(axis=1)])
@@ -109,7 +104,6 @@ def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Boo
     unequal = powers != 0.0
     finer = np.stack([a[unequal], np.full(int(unequal.sum()), slaves)])
     first, second = np.concatenate([np.stack([a, b]), beside, finer], axis=1)
-    # neighbours are a diameter apart
     apart = np.concatenate([distance, np.ones(beside.shape[1]), 1.0 + distance[unequal]])
     different = np.concatenate(
         [np.ones(len(a)), np.zeros(beside.shape[1]), powers[unequal] > 0.0]
@@ -123,7 +117,6 @@ def _divide(keys: Longs, X: Floats, a: Longs, b: Longs, distance: Floats) -> Boo
 
 
 def _neighbours(keys: Longs, least: int) -> Longs:
-    """Return the pairs (2, p) of facets with `least` common nodes."""
     n, k = keys.shape
     nodes, column = np.unique(keys, return_inverse=True)
     shape = (n, len(nodes))
@@ -144,7 +137,7 @@ def divide(
     X: tuple[Floats, Floats],
     deepest: tuple[Floats, Floats],
 ) -> tuple[Ints, Roles]:
-    """Return the candidates (p, 2) from slaves to masters, and the roles; collective."""
+    """Candidates (p, 2) from slaves to masters, and roles; collective."""
     limit = np.minimum(deepest[0][pairs[:, 0]], deepest[1][pairs[:, 1]])
     distance = distances_in_reach(facets, copies, pairs, nodes, limit)
     near = np.flatnonzero(distance < np.inf)
@@ -156,9 +149,9 @@ def divide(
 
 
 def has_changed(roles: Roles, facets: Facets, copies: Facets, pairs: Ints) -> bool:
-    """Tell whether facets of this rank are near others that were not divided from them.
+    """Whether pairs within half of the reach are new, or of equal roles and at half their distance.
 
-    Within half of the reach; equal roles once the distance is half of that at the division.
+    On this rank, since the roles were chosen.
     """
     limit = np.minimum(roles.deepest[0][pairs[:, 0]], roles.deepest[1][pairs[:, 1]])
     nodes = roles.nodes
@@ -174,21 +167,20 @@ def has_changed(roles: Roles, facets: Facets, copies: Facets, pairs: Ints) -> bo
         known = roles.seen[place] == keys
         then = roles.distance[place]
     own, other = roles.slave[pairs[:, 0]], roles.copies[pairs[:, 1]]
-    settled = ~own & other  # the rank of the slave tests it
+    settled = ~own & other  # the slave's rank tests it
     settled |= own & ~other & known
     settled |= (own == other) & known & (distance > then / 2)
     return bool((~settled).any())
 
 
 class _Parts:
-    """Facets with roles relative to a root (union-find with parity)."""
+    """Roles of facets relative to a root (union-find with parity)."""
 
     def __init__(self, n: int) -> None:
         self.above = list(range(n))
-        self.odd = [False] * n  # whether the role differs from that above
+        self.odd = [False] * n  # role relative to the parent
 
     def find(self, k: int) -> tuple[int, bool]:
-        """Return the root of a facet, and whether its role differs."""
         way, odd = [], False
         while self.above[k] != k:
             way.append(k)
@@ -199,7 +191,6 @@ class _Parts:
         return k, odd
 
     def join(self, a: int, b: int, different: bool) -> None:
-        """Give two facets different roles, or the same, unless already decided."""
         (r, p), (s, q) = self.find(a), self.find(b)
         if r != s:
             self.above[max(r, s)] = min(r, s)

@@ -15,8 +15,7 @@ import numpy.typing as npt
 import basix
 import dolfinx
 from dolfinx_mortar import compat
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
 from dolfinx_mortar.geometry.facets import (
@@ -41,11 +40,11 @@ mean normal, along which the facet is projected. At 0.3 areas are divided by mor
 
 
 class Nodes(Protocol):
-    """Local nodes that every owner knows."""
+    """Local nodes; each is also among the nodes of its owner."""
 
     @property
     def V(self) -> dolfinx.fem.FunctionSpace:
-        """The space."""
+        """Displacement space."""
 
     @property
     def sums(self) -> PETSc.Vec:
@@ -56,20 +55,20 @@ class Nodes(Protocol):
 class Surface:
     """The marked facets that this rank integrates, and their nodes.
 
-    A facet belongs to the rank of its cell. Nodes include owned ones of other ranks' facets.
+    A facet belongs to the rank of its cell; this rank's nodes of other ranks' facets are included.
     """
 
     V: dolfinx.fem.FunctionSpace
     tag: int
-    label: str  # of its tag, for messages
-    nodes: Ints  # (n,) local nodes, ascending: owned ones before ghosts
+    label: str  # tag, for messages
+    nodes: Ints  # (n,) local, ascending: owned before ghosts
     owned: int
     element: FacetElement
-    facets: Ints  # (m, k) indices into nodes; area vectors point outwards
+    facets: Ints  # (m, k) of nodes; area vectors point outwards
     entities: Ints  # (m,) local facets of the mesh
-    X: Floats  # (n, d) reference coordinates
+    X: Floats
     thickness: Floats  # (m,) of the body behind each facet at X, or inf
-    sums: PETSc.Vec  # one entry per node, ghosted: work vector of `accumulate`
+    sums: PETSc.Vec  # work vector of `accumulate`
 
     @property
     def curved(self) -> bool:
@@ -78,9 +77,9 @@ class Surface:
 
     @cached_property
     def behind(self) -> tuple[Ints, Floats, Floats, Floats]:
-        """Cells behind facets: nodes (m, k), X (m, k, d), slopes (d, m, k), volume over area (m,).
+        """Cells behind facets: nodes (m, k), X (m, k, d), dN/dxi (d, m, k), volume over area (m,).
 
-        Slopes are dN/dxi in the middle of the facet.
+        Derivatives are at the facet's centre.
         """
         V, cell = self.V, self.V.mesh.basix_cell()
         cells, local = _cells_behind(V, self.entities)
@@ -100,7 +99,6 @@ def check_tags(facet_tags: Any) -> None:
 
 
 def _owned_facets_with(facet_tags: dolfinx.mesh.MeshTags, tag: int) -> Ints:
-    """Return the owned facets that any rank has marked."""
     facet_map = facet_tags.topology.index_map(facet_tags.dim)
     mark = dolfinx.la.vector(facet_map)
     mark.array[:] = 0.0
@@ -110,7 +108,7 @@ def _owned_facets_with(facet_tags: dolfinx.mesh.MeshTags, tag: int) -> Ints:
 
 
 def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str) -> Ints:  # type: ignore[no-untyped-def]
-    """Return the owned marked facets; raise a ValueError on all ranks."""
+    """Owned marked facets; a ValueError on all ranks."""
     topology, comm = V.mesh.topology, V.mesh.comm
     fdim = topology.dim - 1
     check_tags(facet_tags)
@@ -147,12 +145,10 @@ def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str
 
 
 def _element(V: dolfinx.fem.FunctionSpace) -> FacetElement:
-    """Return the type of the facets of a space."""
     return FACETS_OF[V.mesh.topology.cell_name(), V.element.basix_element.degree]
 
 
 def _cells_behind(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
-    """Return the cells (m,) behind exterior facets, and the facets' numbers in them."""
     topology = V.mesh.topology
     tdim = topology.dim
     facet_cells = topology.connectivity(tdim - 1, tdim)
@@ -164,7 +160,6 @@ def _cells_behind(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, I
 
 
 def _facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
-    """Return the local nodes (m, k) around facets, and cells (m,)."""
     tdim, (cells, local) = V.mesh.topology.dim, _cells_behind(V, entities)
     count = len(basix.topology(V.mesh.basix_cell())[tdim - 1])
     order, layout = _element(V).order, V.dofmap.dof_layout
@@ -173,7 +168,6 @@ def _facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, In
 
 
 def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.FunctionSpace) -> Ints:
-    """Reverse facets whose normal points into their cell."""
     element, x = _element(V), X[nodes]
     outwards = x.mean(axis=1) - X[V.dofmap.list[cells]].mean(axis=1)
     wrong = (facet_normals(Facets(element, x)) * outwards).sum(axis=1) < 0
@@ -181,7 +175,7 @@ def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.Function
 
 
 def create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, PETSc.Vec]:
-    """Return nodes, including owned ones of other ranks' facets; the number owned; the vector."""
+    """Nodes, with owned ones of other ranks' facets; their number; the vector; collective."""
     index_map = V.dofmap.index_map
     number = dolfinx.la.vector(index_map)
     number.array[:] = 0.0
@@ -198,7 +192,6 @@ def create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, P
 
 
 def _check_shapes(facets: Facets, comm: MPI.Comm, name: str) -> None:
-    """Raise a ValueError on all ranks for unusable facets."""
     finite = np.isfinite(facets.x).all()
     quality = distortions(facets) if finite else np.ones(len(facets.x))
     unusable = np.flatnonzero(quality < _MOST_WARPED)
@@ -223,9 +216,9 @@ def create_surface(
     """Collect the exterior facets marked with `tag`, a number or name, on any rank (collective).
 
     Raises:
-        ValueError: On all ranks, naming the argument, for an unsupported space, tags of another
-            mesh or dimension, a tag that is no 32 bit integer or marks no or interior facets, and
-            facets that are not finite, degenerate, inverted or badly warped.
+        ValueError: On all ranks, for an unsupported space, tags of another mesh or dimension, a tag
+            that is no 32 bit integer or marks no or interior facets, and facets that are not
+            finite, degenerate, inverted or badly warped.
     """
     check_space(V)
     element = _element(V)
@@ -254,7 +247,6 @@ def create_surface(
 
 
 def _thickness(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) -> Floats:
-    """Return the thickness (m,) behind facets of a side, within it or its body; collective."""
     comm = V.mesh.comm
     result = thickness_behind(facets, facets, comm)
     unknown = np.isinf(result)
@@ -273,7 +265,7 @@ def _thickness(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) -> Flo
 def thickness_of_bodies(
     comm: MPI.Intracomm, facets: Facets, body: Ints | Longs, others: Facets, of: Ints | Longs
 ) -> Floats:
-    """Return the `thickness` (m,) behind facets among others of their own body; collective."""
+    """Thickness (m,) behind facets among others of their own body; collective."""
     found = np.full(len(body), np.inf)
     for one in np.unique(np.concatenate(comm.allgather(np.unique(body)))):
         mine = np.flatnonzero(body == one)
@@ -282,7 +274,7 @@ def thickness_of_bodies(
 
 
 def _meet_at_edges(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) -> bool:
-    """Tell whether facets of this rank meet others at more than 60 degrees; collective."""
+    """Whether facets meet at more than 60 degrees; collective."""
     n = facet_normals(facets)
     mean = means_at_nodes(V, nodes, n)[nodes]
     along = (mean * n[:, None]).sum(axis=2)
@@ -290,7 +282,7 @@ def _meet_at_edges(V: dolfinx.fem.FunctionSpace, facets: Facets, nodes: Ints) ->
 
 
 def means_at_nodes(V: dolfinx.fem.FunctionSpace, nodes: Ints, values: Floats) -> Floats:
-    """Return means (local nodes, c) over facets at nodes (m, k) of values (m, c); collective."""
+    """Means (local nodes, c) of values (m, c) of facets with nodes (m, k); collective."""
     c = values.shape[1] + 1
     sums = dolfinx.la.vector(V.dofmap.index_map, c)
     sums.array[:] = 0.0
@@ -302,7 +294,7 @@ def means_at_nodes(V: dolfinx.fem.FunctionSpace, nodes: Ints, values: Floats) ->
 
 
 def thickness_behind(facets: Facets, others: Facets, comm: MPI.Intracomm) -> Floats:
-    """Return the `thickness` (m,) behind facets of this rank among those of all; collective."""
+    """Thickness (m,) behind facets of this rank among those of all; collective."""
     if comm.size > 1:
         n = facet_normals(facets)[:, None]
         cones = group_cones(facets.x, n, create_groups(facets.x), np.zeros(len(n)))
@@ -317,16 +309,16 @@ class Boundary:
     """All exterior facets of a mesh that this rank integrates, at X."""
 
     facets: Facets  # (m,)
-    cells: Ints  # (m,) owned cells behind them
-    entities: Ints  # (m,) numbers in the mesh
-    nodes: Ints  # (m, k) local nodes
+    cells: Ints  # (m,) owned
+    entities: Ints  # (m,) local facets of the mesh
+    nodes: Ints  # (m, k) local
 
     def __getitem__(self, which: Longs) -> "Boundary":
         cells, entities, nodes = (v[which] for v in (self.cells, self.entities, self.nodes))
         return Boundary(self.facets[which], cells, entities, nodes)
 
     def at(self, u: dolfinx.fem.Function | None) -> Facets:
-        """Return the facets at X + u."""
+        """The facets at X + u."""
         if u is None:
             return self.facets
         X = self.facets.x
@@ -334,14 +326,13 @@ class Boundary:
 
 
 def _connect(topology: dolfinx.mesh.Topology) -> None:
-    """Create the connectivities between facets and cells; collective."""
     d = topology.dim
     topology.create_connectivity(d - 1, d)
     topology.create_connectivity(d, d - 1)
 
 
 def find_boundary(V: dolfinx.fem.FunctionSpace) -> Boundary:
-    """Return all exterior facets; collective."""
+    """All exterior facets; collective."""
     _connect(V.mesh.topology)
     entities = dolfinx.mesh.exterior_facet_indices(V.mesh.topology)
     nodes, cells = _facet_nodes(V, entities)
@@ -351,12 +342,12 @@ def find_boundary(V: dolfinx.fem.FunctionSpace) -> Boundary:
 
 
 def cells_of(surface: Surface) -> Ints:
-    """Return the owned cell (m,) behind each facet."""
+    """Owned cell (m,) behind each facet."""
     return _facet_nodes(surface.V, surface.entities)[1]
 
 
 def accumulate(surface: Nodes, values: npt.NDArray[Any], *, largest: bool = False) -> Floats:
-    """Return sums over ranks of nodal values (n,) or (n, c), or maxima; ghosts too (collective)."""
+    """Sums over ranks of nodal values (n,) or (n, c), or maxima, also at ghosts (collective)."""
     mode = PETSc.InsertMode.MAX_VALUES if largest else PETSc.InsertMode.ADD_VALUES
     result = np.array(values, dtype=float)
     if surface.V.mesh.comm.size == 1:
@@ -373,7 +364,7 @@ def accumulate(surface: Nodes, values: npt.NDArray[Any], *, largest: bool = Fals
 
 
 def sum_at_nodes(surface: Surface, values: npt.NDArray[Any]) -> Floats:
-    """Return the sums (n, c) of values (m, k, c) of all ranks' facets at nodes (collective)."""
+    """Sums (n, c) of values (m, k, c) of all ranks' facets at nodes (collective)."""
     sums = np.zeros((len(surface.nodes), values.shape[2]))
     add_at_nodes(sums, surface.facets, np.ascontiguousarray(values, dtype=np.float64))
     return accumulate(surface, sums)
@@ -381,7 +372,7 @@ def sum_at_nodes(surface: Surface, values: npt.NDArray[Any]) -> Floats:
 
 @numba.njit(cache=True)
 def add_at_nodes(sums, nodes, values):  # type: ignore[no-untyped-def]
-    """Add values (m, k, c) of facets' nodes (m, k) to sums (n, c)."""
+    """Add values (m, k, c) at nodes (m, k) to sums (n, c)."""
     for f in range(len(nodes)):
         for i in range(nodes.shape[1]):
             for c in range(sums.shape[1]):
@@ -389,7 +380,7 @@ def add_at_nodes(sums, nodes, values):  # type: ignore[no-untyped-def]
 
 
 def dependent_nodes(surface: Surface) -> Bools:
-    """Return the nodes (n,) whose rows of D depend on other kept ones (collective)."""
+    """Nodes (n,) whose rows of D depend on other nodes with multiplier (collective)."""
     count = np.zeros(len(surface.nodes))
     for middle, *_ in surface.element.shares:
         count[surface.facets[:, middle]] = 1.0
@@ -397,32 +388,29 @@ def dependent_nodes(surface: Surface) -> Bools:
 
 
 def coordinates(surface: Surface, u: dolfinx.fem.Function | None) -> Floats:
-    """Return the coordinates X + u (n, d) of the nodes; ghosts of u must be up to date."""
+    """Coordinates X + u (n, d) of the nodes; ghosts of u must be up to date."""
     if u is None:
         return surface.X
     return surface.X + u.x.array.reshape(-1, surface.X.shape[1])[surface.nodes]
 
 
 def facets_at(surface: Surface, x: Floats) -> Facets:
-    """Return the facets of a surface with nodes at x (n, d)."""
+    """Facets with nodes at x (n, d)."""
     return Facets(surface.element, x[surface.facets])
 
 
 def nodal_normals(surface: Surface, x: Floats) -> Floats:
-    """Return the averaged unit normals (n, d) of the nodes (collective).
-
-    Of the unit normals of all facets of the surface at the node; zero where these cancel.
-    """
+    """Averaged unit normals (n, d) of the nodes, zero where those of facets cancel (collective)."""
     total = sum_at_nodes(surface, normals_at_nodes(facets_at(surface, x)))
     length = np.linalg.norm(total, axis=1)[:, None]
     return np.where(length > 8 * ROUND_OFF, total / np.maximum(length, TINY), 0.0)
 
 
 def nodal_sagittas(surface: Surface, x: Floats, feature_angle: float) -> Floats:
-    """Return the mean deviation (n,) of a surface from its flat parts at each node; collective.
+    """Mean deviation (n,) of a surface from its flat parts at each node; collective.
 
-    L a / 8 for an arc of chord L and angle a, twice that between facet and nodal normals, unless an
-    edge is there; facets of degree 2 have parts half as long.
+    L a / 8 for an arc of chord L and angle a, twice that between facet and nodal normals, without
+    edges; parts of second order are half as long.
     """
     facets = facets_at(surface, x)
     normals = nodal_normals(surface, x)[surface.facets]
@@ -436,10 +424,10 @@ def nodal_sagittas(surface: Surface, x: Floats, feature_angle: float) -> Floats:
 
 
 def normal_derivatives(surface: Surface, x: Floats) -> Floats:
-    """Return the terms (m, k, d, k, d) of facets in the derivatives of nodal normals (collective).
+    """Terms (m, k, d, k, d) of facets in the derivatives of nodal normals (collective).
 
     [f, j, :, l, :] is the change of n_j with x_l by facet f: dn_j = -(I - n_j n_j^T) / |S| sum_f
-    G_l (n_f.dx_l), with its normal n_f and surface gradients G_l at node j, and S = sum_f n_f.
+    G_l (n_f.dx_l), with surface gradients G_l at node j and S = sum_f n_f.
     """
     facets = facets_at(surface, x)
     at_nodes = normals_at_nodes(facets)
@@ -454,10 +442,10 @@ def normal_derivatives(surface: Surface, x: Floats) -> Floats:
 
 
 def _gradients_at_nodes(facets: Facets) -> Floats:
-    """Return surface gradients (m, k, k, d): [f, j, l] of N_l at node j."""
+    """Surface gradients [f, j, l] of N_l at node j."""
     element, (m, k, d) = facets.element, facets.x.shape
     points = element.points
-    if element.degree == 1:  # the mean normal is that in the middle
+    if element.degree == 1:  # the mean normal is that at the centre
         points = np.broadcast_to(points.mean(axis=0), points.shape)
     which = np.repeat(np.arange(m, dtype=np.int32), k)
     gradients, _ = surface_gradients(facets, which, np.tile(points, (m, 1)))
@@ -465,11 +453,11 @@ def _gradients_at_nodes(facets: Facets) -> Floats:
 
 
 def carrying(surface: Surface, x: Floats, n: Floats, vectors: Floats) -> Floats:
-    """Return W (m, k, k), by which tangential vectors v_j (n, d) move with the surface; collective.
+    """Coefficients W (m, k, k), by which tangential v_j (n, d) move with the surface; collective.
 
-    sum_f sum_l W_fjl x_l, over the facets of node j, is v_j but for a part along n_j (n, d): the
-    mean of F_f a_j with the deformation gradients F_f = sum_l x_l grad N_l^T, I - n_f n_f^T at x.
-    Zero where n_j is, or where facets have no common tangent.
+    sum_f sum_l W_fjl x_l over the facets of node j is v_j up to a part along n_j: the mean of F_f
+    a_j with the deformation gradients F_f = sum_l x_l grad N_l^T. Zero where n_j is, or without a
+    common tangent.
     """
     facets, d = facets_at(surface, x), x.shape[1]
     n_f = normals_at_nodes(facets)
@@ -490,9 +478,9 @@ def carrying(surface: Surface, x: Floats, n: Floats, vectors: Floats) -> Floats:
 
 
 def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
-    """Return the stretch 1 / |F^-T n| (n,) of the bodies along the normals at X (collective).
+    """Stretch 1 / |F^-T n| (n,) of the bodies along the normals at X (collective).
 
-    Means over facets of the change of volume over area at the centre.
+    Means of the change of volume over area.
     """
     element, (nodes, X, slopes, height) = surface.element, surface.behind
     x = X + u.x.array.reshape(-1, X.shape[2])[nodes]
@@ -503,7 +491,6 @@ def thickness_stretches(surface: Surface, u: dolfinx.fem.Function) -> Floats:
 
 
 def _heights_behind(surface: Surface, x: Floats, of_nodes: Floats, slopes: Floats) -> Floats:
-    """Return volume over area (m,) at facets' middles, of cells x (m, k, d)."""
     volume = np.linalg.det(np.einsum("amk,mki->mai", slopes, x))
     middle = surface.element.points[list(surface.element.vertices)].mean(axis=0)
     normals = scaled_normals(facets_at(surface, of_nodes), middle[None])[:, 0]
@@ -511,7 +498,7 @@ def _heights_behind(surface: Surface, x: Floats, of_nodes: Floats, slopes: Float
 
 
 def mean_facet_length(surface: Surface) -> float:
-    """Return the mean length of the facets' first edges at X (collective)."""
+    """Mean length of first edges at X (collective)."""
     first, second = surface.element.vertices[:2]
     edges = surface.X[surface.facets[:, second]] - surface.X[surface.facets[:, first]]
     local = np.array([np.linalg.norm(edges, axis=1).sum(), len(edges)])
@@ -520,10 +507,10 @@ def mean_facet_length(surface: Surface) -> float:
 
 
 def create_groups(x: Floats) -> list[Ints]:
-    """Divide facets x (m, k, d) into at most ceil(sqrt(m)) compact groups."""
+    """Divide facets into at most ceil(sqrt(m)) compact groups."""
     order = sort_in_space(x.mean(axis=1)).astype(np.int32)
     size = 1
-    while size**2 < len(x):  # powers of 2: blocks are compact
+    while size**2 < len(x):  # powers of 2: groups are compact
         size *= 2
     return [order[first : first + size] for first in range(0, len(x), size)]
 
@@ -539,7 +526,7 @@ def group_cones(x: Floats, directions: Floats, groups: list[Ints], margin: Float
 
 
 def find_receivers(comm: MPI.Intracomm, cones: Cones, facets: Facets) -> Bools:
-    """Return which own facets (m, ranks) other ranks can need, by their cones (collective)."""
+    """Own facets (m, ranks) that other ranks may need (collective)."""
     needed = np.zeros((len(facets.x), comm.size), dtype=bool)
     balls = bounding_balls(facets.x)
     for rank, others in enumerate(comm.allgather(cones)):

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Derivatives of contact forces and weighted gaps by the coordinates of both sides.
+"""Derivatives of contact forces and weighted gaps by coordinates (theory.md, The exact tangent).
 
-Letters and formulas are those of theory.md, The exact tangent. For tools, without a master, H is
-minus the integral of N_j phi. Derivatives by the normals n_j, which depend on facets of other
-ranks, are separate.
+For tools H = -int N_j phi. Derivatives by the normals n_j, which depend on facets of other ranks,
+are separate.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import numpy as np
 
 import dolfinx
 from dolfinx.common import timed
-from dolfinx_mortar.algebra.triplets import Blocks
+from dolfinx_mortar.algebra.csr import Blocks
 from dolfinx_mortar.arrays import CHUNK, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry import area, line
 from dolfinx_mortar.geometry.curvature import common_sagittas, first_order, height_table, node_pairs
@@ -40,21 +39,21 @@ from dolfinx_mortar.mortar.surface import coordinates, facets_at, nodal_normals
 class Tractions:
     """Normals and tractions at local slave nodes, as functions of the normals."""
 
-    normals: Floats  # (n, d) n_j of gaps; zero without multiplier
+    normals: Floats  # (n, d) n_j; zero without multiplier
     tractions: Floats  # (n, d) c_j = lambda_j n_j + tau_j
     changes: Floats  # (n, d, d) dc_j/dn_j
 
 
 @dataclass(frozen=True, eq=False)
 class Derivatives:
-    """Derivatives of forces F, gaps G and b, of this rank's slave facets; sums of parts.
+    """Derivatives of forces F, gaps G and b; sums of parts.
 
-    Rows of F: coordinates of the slave nodes, then of the received master nodes.
+    Coordinates are those of the slave nodes, then of the received master nodes.
     """
 
     F_x: Sequence[Blocks]  # (d n + d nm, d n + d nm) by the coordinates
     F_n: Sequence[Blocks]  # (d n + d nm, d n) by the normals
-    G_x: Sequence[Blocks]  # (n, d n + d nm)
+    G_x: Sequence[Blocks]
     G_n: Sequence[Blocks]  # (n, d n)
     F_p: Sequence[Blocks] = ()  # (d n + d nm, d n) by the directions of projection (2D)
     G_p: Sequence[Blocks] = ()  # (n, d n)
@@ -63,8 +62,6 @@ class Derivatives:
 
 
 class _Surfaces(NamedTuple):
-    """Smooth surfaces over the facets of pairs (P,)."""
-
     c_s: Floats  # (P, e) c_ab, or (P, 0)
     c_m: Floats  # (P, e')
     arcs: Floats  # (P, 2, 2) see `curvature_correction.pair_sagittas`
@@ -74,7 +71,6 @@ class _Surfaces(NamedTuple):
 
 
 def _add_motions_of_heights(sides: Sides, surfaces: _Surfaces, sums: Sums) -> None:
-    """Add the derivatives of H by c_ab or chords."""
     (p, k, d), others = sides.x.shape, sides.x.shape[2] * (sides.x.shape[1] + sides.n.shape[1])
     if surfaces.lengths:
         rates = sums.chords
@@ -96,7 +92,6 @@ def _differentiate(
     basis: Basis,
     fixed: Fixed,
 ) -> Results:
-    """Return the derivatives of all facets."""
     (k, d), (c, l) = sides.x.shape[1:], sides.place.shape  # noqa: E741
     others, lengths = d * (k + sides.n.shape[1]), c * surfaces.lengths
     Q_s: Floats = np.empty((0, k, k))
@@ -119,7 +114,6 @@ def _sums(
     types: tuple[FacetElement, FacetElement],
     counts: tuple[int, int],
 ) -> Sums:
-    """Return the moments; counts of derivatives by Q, and by lengths."""
     (p, k, d), m, l = sides.x.shape, sides.y.shape[1], sides.place.shape[1]  # noqa: E741
     z, n = d * (k + sides.n.shape[1] + m), k + m + 1
     E_s, E_m = (np.zeros((counts[0], k, v, v)) for v in (k, l))
@@ -131,12 +125,10 @@ def _sums(
 def differentiate_whole(
     facets: Facets, xi: Floats, weights: Floats, phi: Floats, by_x: Floats, duals: Duals, c: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return dF (f, k, d, k, d), dg (f, k, k, d) and D (f, k, k) on whole facets, below a tool.
+    """Derivatives dF (f, k, d, k, d), dg (f, k, k, d), and D (f, k, k) on facets below a tool.
 
-    Args:
-        weights: (f, q) on the reference facet, with all factors.
-        phi: (f, q) distances at xi (q, d-1); by_x (f, q, k, d) their derivatives.
-        c: (f, k, d) tractions.
+    For weights (f, q) on the reference facet, distances phi (f, q) and derivatives by_x (f, q, k,
+    d) at xi, tractions c (f, k, d).
     """
     (p, k, d), element, kept = facets.x.shape, facets.element, duals.kept
     T = absorbing(element.shares, kept)
@@ -157,7 +149,7 @@ def differentiate(
     smooth: tuple[SmoothSide, SmoothSide] | None = None,
     normals: Floats | None = None,
 ) -> Derivatives:
-    """Return the derivatives of forces and weighted gaps at X + u (collective).
+    """Derivatives of forces and weighted gaps at X + u (collective).
 
     Args:
         segments: of all slave facets or of some.
@@ -209,7 +201,6 @@ def _surfaces(
     smooth: tuple[SmoothSide, SmoothSide] | None,
     used: Ints,
 ) -> _Surfaces:
-    """Return the heights of pairs (P,); collective."""
     slave, master = pairing.slave.element, pairing.master.element
     c_s: Floats = np.empty((len(used), 0))
     arcs: Floats = np.empty((len(used), 2, 2))
@@ -230,7 +221,6 @@ def _surfaces(
 
 
 def _slopes(side: Curved, other: Curved, shared: bool) -> tuple[Floats, Floats]:
-    """Return the `slopes` (P, e, k, d) of one side by the nodes of both."""
     e, (a, b) = edges_of(side.facets), node_pairs(first_order(side.facets.element))
     (P, k, d), count = side.facets.x.shape, len(a)
     by_nodes, by_others = (
@@ -249,7 +239,6 @@ def _slopes(side: Curved, other: Curved, shared: bool) -> tuple[Floats, Floats]:
 
 
 def _some(surfaces: _Surfaces, pairs: Longs) -> _Surfaces:
-    """Return the heights of some pairs."""
     c_s, c_m, arcs, slopes = (v[pairs] for v in surfaces[:4])
     return surfaces._replace(c_s=c_s, c_m=c_m, arcs=arcs, slopes=slopes)
 
@@ -259,14 +248,13 @@ class _Group:
     """Slave facets with the same number of master nodes."""
 
     facets: Longs  # (p,)
-    nodes: Ints  # (p, m) received master nodes
-    pairs: Longs  # (P,) positions of their pairs, ordered by facet
+    nodes: Ints  # (p, m) received
+    pairs: Longs  # (P,) positions, ordered by facet
     start: Longs  # (p + 1,) first pair of each facet
-    place: Longs  # (P, l) master facets' nodes among these
+    place: Longs  # (P, l) master facets' nodes among `nodes`
 
 
 def _groups(pairing: Pairing, used: Ints) -> list[_Group]:
-    """Return the groups of slave facets of pairs."""
     s, m = pairing.pairs[used].T.astype(np.int64)
     nodes = pairing.master_facets[m].astype(np.int64)
     size = len(pairing.master_nodes)
@@ -284,7 +272,6 @@ def _groups(pairing: Pairing, used: Ints) -> list[_Group]:
 
 
 def _parts(count: Longs, pairing: Pairing) -> Iterator[Longs]:
-    """Return facets with equal numbers of master nodes, in limited memory."""
     k, d = pairing.slave.element.nodes, pairing.slave.X.shape[1]
     for m in np.unique(count):
         which = np.flatnonzero(count == m)
@@ -300,7 +287,6 @@ def _add_parts(
     own: Ints,
     others: Ints,
 ) -> None:
-    """Add the derivatives of facets with nodes (p, k) and (p, m) to the parts."""
     (_, k, d), lines = sides.x.shape, sides.n.shape[1]
     both = np.concatenate([own, others], axis=1)
     z = found.F.shape[-1]
@@ -318,20 +304,20 @@ def _add_parts(
     parts["F_n"].append(Blocks(both, own, forces))
     v = found.M @ sides.y - found.D @ sides.x
     gaps = v.reshape(-1, 1, 1, 1, d)
-    each = own.reshape(-1, 1)  # gaps depend on their node's normal
+    each = own.reshape(-1, 1)  # gaps depend on their own node's normal
     parts["G_n"].append(Blocks(each, each, gaps))
 
 
 class Basis(NamedTuple):
-    """Data of the dual functions of facets (p,)."""
+    """Dual functions of facets (p,)."""
 
     T: Floats  # (p, k, k)
-    inverse: Floats  # (p, k, k) m^-1, 0 for nodes without multiplier
+    inverse: Floats  # (p, k, k) m^-1, 0 without multiplier
     kept: Bools  # (p, k)
 
 
 class Fixed(NamedTuple):
-    """Data that do not change with the coordinates."""
+    """Data that do not depend on the coordinates."""
 
     c: Floats  # (p, k, d)
     n: Floats  # (p, k, d)
@@ -339,7 +325,7 @@ class Fixed(NamedTuple):
 
 
 class Results(NamedTuple):
-    """Derivatives by the z coordinates: slave facet, directions, masters."""
+    """Values, and derivatives by the z coordinates: slave facet, directions, masters."""
 
     F: Floats  # (p, k + m, d, z)
     G: Floats  # (p, k, z)
@@ -349,15 +335,14 @@ class Results(NamedTuple):
 
 
 def duals(S: Floats, dS: Floats, T: Floats, inverse: Floats, kept: Bools) -> tuple[Floats, Floats]:
-    """Return C (p, k, k), Phi_j = sum_b C_jb N_b, and its changes (p, z, k, k) for S and dS.
+    """Coefficients C (p, k, k), Phi_j = sum_b C_jb N_b, and changes (p, z, k, k), for S and dS.
 
-    With N~ = T N, m = T S T^T, d = T S 1: A = diag(d) m^-1, C = (A - mean of its rows) T + 1 /
-    count.
+    C = (A - mean of its rows) T + 1 / count, A = diag(d) m^-1, m = T S T^T, d = T S 1.
     """
     (p, z, k, _), V = dS.shape, inverse @ T
     part = kept / np.maximum(kept.sum(axis=1, keepdims=True), 1)
     AT = (T @ S).sum(axis=2)[:, :, None] * V
-    # diag(dd) - A dm by dS, before m^-1, which may be large: no cancellation
+    # diag(dd) - A dm before m^-1, which may be large: no cancellation
     rates = np.eye(k)[:, :, None, None] * T[:, :, None, :, None]
     rates = rates - AT[:, :, None, :, None] * T[:, None, :, None]
     change = dS.reshape(p, z, k * k) @ rates.reshape(p, k * k, k * k).swapaxes(1, 2)
@@ -375,11 +360,10 @@ def apply(
     y: Floats,
     others: int,
 ) -> Results:
-    """Return the derivatives of facets with nodes x (p, k, d) and masters' nodes y (p, m, d).
+    """Derivatives of facets with nodes x (p, k, d) and masters' nodes y (p, m, d).
 
-    Args:
-        moments: (p, k, k + m + 1) S, R and H.
-        changes: (p, z, k, k + m + 1) by the coordinates; `others` is the first of a master.
+    From S, R and H side by side (p, k, k + m + 1) and changes (p, z, k, k + m + 1) by the
+    coordinates; `others` is the first of a master.
     """
     (p, k, d), m, (_, z, _, size) = x.shape, y.shape[1], changes.shape
     C, dC = duals(moments[:, :, :k], changes[..., :k], *basis)

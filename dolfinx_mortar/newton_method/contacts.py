@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: MIT
-"""Active set and Lagrange multipliers of an iterate: warm start of the next QP."""
+"""Active set and multipliers of an iterate, warm start of the next QP, and its KKT residuals."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.arrays import Bools, Floats
+from dolfinx import fem
+from dolfinx_mortar.algebra.parallel import maximum, norm, ratio
+from dolfinx_mortar.arrays import ROUND_OFF, Bools, Floats
 from dolfinx_mortar.interfaces.constraints import SlipLimits
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.newton_method.linearisation import Balance, Linearisation
+from dolfinx_mortar.newton_method.linearisation import Balance, Linearisation, find_extent
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import Friction, QPSolution, Sliders
 
@@ -22,17 +25,17 @@ class Contacts:
 
     active: Bools  # (owned nodes,)
     multipliers: Floats  # (owned nodes,) lambda_j, 0 if inactive
-    # with friction: tangential reactions over D_jj, and opposed directions of slip
+    # with friction: tangential reactions over D_jj
     tangential: Floats | None = None  # (owned nodes, d)
-    # (owned nodes, d), 0 if it sticks or is open; in prescribed directions `SlipLimits.shares`
+    # (owned nodes, d) directions of slip or 0; `SlipLimits.shares` in prescribed directions
     sliding: Floats | None = None
 
     def reactions(self, balance: Balance) -> Floats:
-        """Return D_jj lambda_j (k,) on the bounded unknowns of a configuration."""
+        """Reactions D_jj lambda_j (k,) on the bounded unknowns."""
         return np.asarray(balance.bounds.weight * self.multipliers[balance.nodes])
 
     def tangential_reactions(self, limits: SlipLimits) -> Floats:
-        """Return D_jj tangential_j (m, d - 1) in the frames of a configuration."""
+        """Reactions D_jj tangential_j (m, d - 1) in the frames."""
         if self.tangential is None:
             return np.zeros(limits.slip.shape)
         return limits.weight[:, None] * limits.along(self.tangential[limits.nodes])
@@ -40,8 +43,8 @@ class Contacts:
     def after(self, last: "Contacts", limits: SlipLimits | None) -> "Contacts":
         """Correct multipliers for friction in prescribed directions.
 
-        At an inclined support it opens the contact by c lambda_j, so that lambda_j becomes
-        (lambda_j + c last lambda_j) / (1 + c).
+        At an inclined support it opens the contact by c lambda_j: lambda_j becomes (lambda_j + c
+        last lambda_j) / (1 + c).
         """
         if limits is None:
             return self
@@ -66,7 +69,7 @@ class Contacts:
         return replace(self, tangential=tangential, sliding=sliding)
 
     def directions(self, limits: SlipLimits | None) -> Floats | None:
-        """Directions of slip (m, d - 1) in these frames; None without friction."""
+        """Directions of slip (m, d - 1) in these frames."""
         if limits is None or self.sliding is None:
             return None
         along = limits.along(self.sliding[limits.nodes])
@@ -74,7 +77,7 @@ class Contacts:
         return np.divide(along, size, out=np.zeros_like(along), where=size > 0.0)
 
     def kappa(self, limits: SlipLimits | None) -> Floats | None:
-        """Tangential reactions over slips (m,), inf for zeros; None without friction."""
+        """Tangential reactions over slips (m,), inf for zeros."""
         if limits is None:
             return None
         force = np.linalg.norm(self.tangential_reactions(limits), axis=1)
@@ -88,12 +91,8 @@ def go_on(
 ) -> Contacts:
     """Initial active set of a step: that of the last one, without multipliers.
 
-    Slipping nodes start as slipping, lest a sliding body pass through free states, but as sticking
-    where the rigid prediction reverses their slip by more than ``noise``.
-
-    Args:
-        contacts: active set and slip directions at the end of the last step.
-        limits: of the step's first balance; None without friction.
+    Slipping nodes start as slipping, but as sticking where the rigid prediction reverses their slip
+    by more than ``noise``. `contacts` are the last active set and slip directions.
     """
     active, sliding = contacts
     if limits is not None and sliding is not None:
@@ -123,7 +122,7 @@ def found_by(lin: Linearisation, solved: QPSolution, n: int) -> Contacts:
 def find_sliders(
     limits: SlipLimits, contacts: Contacts, diagonal: PETSc.Vec, noise: float
 ) -> Sliders:
-    """Slips above ``noise``, tangential reactions, limits mu D_jj lambda_j at friction nodes."""
+    """Slips above ``noise``, reactions and limits at friction nodes."""
     size = np.linalg.norm(limits.slip, axis=1, keepdims=True)
     share = np.divide(np.maximum(size - noise, 0.0), size, out=np.zeros_like(size), where=size > 0)
     position = np.arange(len(size), dtype=np.int32)
@@ -135,7 +134,7 @@ def find_sliders(
 
 
 def contact_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
-    """Contact forces (n,) on both sides in the present geometry; collective."""
+    """Contact forces (n,) on both sides; collective."""
     total = normal_forces(problem, contacts)
     if contacts.tangential is not None:
         total = total + tangential_forces(problem, contacts)
@@ -143,7 +142,7 @@ def contact_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
 
 
 def normal_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
-    """Return B^T lambda (owned nodes, d) of the contacts; collective."""
+    """Forces B^T lambda (owned nodes, d) of the contacts; collective."""
     return _on_both_sides(
         problem, lambda link: contacts.multipliers[link.nodes, None] * link.coupling.normals
     )
@@ -158,9 +157,150 @@ def tangential_forces(problem: ContactProblem, contacts: Contacts) -> Floats:
 
 
 def _on_both_sides(problem: ContactProblem, tractions: Callable[[Link], Floats]) -> Floats:
-    """Nodal forces (owned nodes, d) of tractions at slave nodes; collective."""
     total: Floats = np.zeros((problem.n, problem.d))
     for link in problem.system.unilateral:
         slave, master = link.exert(link.coupling.weight[:, :1] * tractions(link))
         total += slave + master
     return total
+
+
+# Error of a QP relative to the residual expected next (Eisenstat and Walker 1996).
+FORCING = {"direct": 1e-3, "iterative": 1e-1}
+# Share of the step's tolerance for a QP; the first one, and those after no progress, get a digit
+# more, as small missing forces are large plastic motions.
+DIGIT = 0.1
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Scales of the residuals; diverging iterates do not enlarge them.
+
+    Without forces the first residual and the round-off of K u, at finite strain of K h.
+    """
+
+    facet_length: float
+    begun: float = 0.0  # largest force norm at the start
+    first: float = 0.0  # norm of the first QP's right-hand side
+    work: float = 0.0  # |u|_e^2 at the start
+    extent: float = np.inf  # mesh size plus largest prescribed displacement
+    cells: Floats | float = 0.0  # cell size around each owned dof, 0 at small strain
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Residuals at an iterate; ``excess`` <= 1 means convergence."""
+
+    forces: float  # |T^T (f - F(u)) - z| on free unknowns, relative
+    contact: float  # penetration and complementarity, relative
+    excess: float  # largest residual over its tolerance
+    limit: float  # tolerance of the force norm
+    loads: float = 0.0  # largest relative residual of a driving load
+
+
+def round_off(
+    u: fem.Function,
+    diagonal: PETSc.Vec,
+    extent: float = np.inf,
+    cells: Floats | float = 0.0,
+) -> float:
+    """Round-off of K u, ROUND_OFF |diag(K) (|u| + h)|, h = ``cells``; collective.
+
+    u is clipped at ``extent``: a singular tangent would loosen the force tolerance.
+    """
+    near = np.abs(u.x.array[: diagonal.local_size]).clip(max=extent) + cells
+    return ROUND_OFF * norm(u.function_space.mesh.comm, diagonal.array_r * near)
+
+
+def gap_round_off(u: fem.Function) -> float:
+    """Round-off of gaps, which are differences of coordinates; collective."""
+    return ROUND_OFF * find_extent(u.function_space.mesh, u.x.array)
+
+
+def largest_force(comm: MPI.Comm, balance: Balance, z: Floats) -> float:
+    """Largest norm of external, contact, support and element forces; collective."""
+    supports = balance.reduced.array_r[balance.equal.dofs]
+    return max(balance.external, balance.elements, norm(comm, z), norm(comm, supports))
+
+
+def measure(
+    u: fem.Function,
+    balance: Balance,
+    contacts: Contacts,
+    diagonal: PETSc.Vec,
+    scales: Scales,
+    elastic_norm: float,
+    rtol: float,
+) -> Residuals:
+    """KKT residuals of an iterate with given multipliers; collective.
+
+    `diagonal` of the last K^ scales penetrations to forces; `elastic_norm` is |u|_e.
+    """
+    comm, z = u.function_space.mesh.comm, contacts.reactions(balance)
+    free = balance.reduced.array_r.copy()
+    free[balance.bounds.dofs] -= z
+    noise = gap_round_off(u)
+    missing, carried = np.zeros(0), z
+    if (limits := balance.limits) is not None:
+        sliders = find_sliders(limits, contacts, diagonal, noise)
+        free[limits.tangential[limits.some]] -= sliders.reaction[limits.some]
+        missing = sliders.error().ravel()
+        carried = np.concatenate([z, sliders.reaction.ravel()])
+    free[balance.equal.dofs] = 0.0
+    forces, floor = norm(comm, free), round_off(u, diagonal, scales.extent, scales.cells)
+    now = largest_force(comm, balance, carried)
+    acting = max(scales.begun, now)
+    scale, limit = acting, max(rtol * acting, floor)
+    if acting <= (left := tightest(rtol) * scales.first):
+        scale, limit = left / rtol, max(limit, left)
+    if acting <= floor:
+        scale = max(scale, floor / ROUND_OFF)
+    of_gaps = norm(comm, noise * diagonal.array_r[balance.bounds.dofs])
+    if now <= of_gaps:
+        limit = max(limit, of_gaps)
+
+    active, gap = contacts.active[balance.nodes], balance.bounds.upper
+    off = np.maximum(np.where(active, np.abs(gap), np.maximum(-gap, 0.0)) - noise, 0.0)
+    missed = np.maximum(np.abs(balance.equal.upper) - noise, 0.0)
+    stiffness = diagonal.array_r
+    pull = norm(
+        comm,
+        np.where(active, 0.0, stiffness[balance.bounds.dofs] * off),
+        stiffness[balance.equal.dofs] * missed,
+        missing,
+    )
+    work = comm.allreduce(float(np.abs(z) @ off), op=MPI.SUM)
+    whole = max(scales.work, elastic_norm**2, limit * scales.facet_length)
+    widest = float(maximum(comm, off.max(initial=0.0))[0]) / scales.facet_length
+    excess = max(ratio(forces, limit), ratio(pull, limit), ratio(work, rtol * whole), widest / rtol)
+    contact = max(ratio(pull, scale), ratio(work, whole))
+    return Residuals(ratio(forces, scale), contact, excess, limit)
+
+
+def tightest(rtol: float) -> float:
+    """Relative tolerance of the only QP of a linear step.
+
+    >>> tightest(1e-6)
+    1e-09
+    """
+    return max(ROUND_OFF, FORCING["direct"] * rtol)
+
+
+def next_tolerance(kind: str, rtol: float, size: float, residuals: Sequence[Residuals]) -> float:
+    """Relative tolerance of the next QP of a nonlinear step, "direct" or "iterative".
+
+    `size` is the norm of the QP's right-hand side, `residuals` are those of the iterates so far.
+
+    >>> round(next_tolerance("iterative", 1e-6, 1.0, []), 12)
+    0.01
+    """
+    first = DIGIT * FORCING[kind]
+    if not residuals:
+        return max(tightest(rtol), first)
+    last = residuals[-1]
+    before = residuals[-2].excess if len(residuals) > 1 else np.inf
+    contraction = min(1.0, last.excess / before) if 0.0 < before < np.inf else 1.0
+    least = int(np.argmin([residual.excess for residual in residuals]))
+    stalled = len(residuals) - 1 - least
+    share = FORCING[kind] * DIGIT**stalled * contraction
+    allowed = max(DIGIT, share * last.excess) * last.limit
+    return float(max(tightest(rtol), min(first, allowed / size if size > 0.0 else 1.0)))

@@ -1,18 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Bolts, rigid sides and tools driven by forces: unknowns of the QPs of a Newton step.
+"""Bolts, rigid sides and tools driven by forces: scalar unknowns of the QPs, see `qp.scalars`.
 
-The motions e_a (in the frames of the nodes) of the unknowns q_a of the tools move the bounds and
-slips of nodes,
+The motions e_a (in the frames of the nodes) of the unknowns q_a move bounds and slips,
 
-    w_n <= g + e_n.q,    slip = slip_0 + w_t - e_t.q,
+    w_n <= g + e_n.q,    slip = slip_0 + w_t - e_t.q.
 
-and with the reactions z(q) they solve F_a + e_a.z(q) = 0: they are scalars of the QP, see
-`qp.scalars`.
-
-Nodes of a rigid side follow it, w = w_0 + e.q, as those of a bolt's cut do, and are eliminated:
-q changes the right-hand side, and z = r^ - K^ y there. The arms of moments turn with the side,
-e = e_0 + De q, with the reactions z_0 of the iterate in De q.z_0. A step t q rotates the side as a
-rigid body: its nodes move on arcs, not to u_0 + t e.q.
+Nodes of a rigid side or of a bolt's cut follow, w = w_0 + e.q, and are eliminated: z = r^ - K^ y
+there. The arms of moments turn with the side, e = e_0 + De q, with the reactions z_0 of the iterate
+in De q.z_0. A step t q moves its nodes on arcs, not to u_0 + t e.q.
 """
 
 from __future__ import annotations
@@ -40,7 +35,7 @@ from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.tool import Driven
-from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.newton_method.contacts import Contacts, Residuals
 from dolfinx_mortar.newton_method.failures import StepFailed
 from dolfinx_mortar.newton_method.linearisation import (
     Balance,
@@ -48,7 +43,6 @@ from dolfinx_mortar.newton_method.linearisation import (
     to_displacement,
     to_reduced,
 )
-from dolfinx_mortar.newton_method.residuals import Residuals
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution, Scalars, moved
 
@@ -58,7 +52,7 @@ DISTINCT = 0.5
 
 @dataclass(frozen=True)
 class Settled:
-    """A QP in which the tools are in balance with their loads."""
+    """A QP in which the tools are in equilibrium with their loads."""
 
     lin: Linearisation
     solved: QPSolution
@@ -77,12 +71,12 @@ class Drives:
     tools: list[tuple[Interface, Driven]]
     motions: Floats  # e, of the owned unknowns of y
     loads: Floats  # (m,) F
-    reach: Floats  # (m,) largest motion of a slave node by each unknown, in any direction
+    reach: Floats  # (m,) largest motion of a slave node by each
     held: Ints  # (k,) owned unknowns of y that follow rigid sides and bolts
     follows: Bools  # motions of rigid sides and bolts
     sides: Bools  # motions of rigid sides
-    moved: Callable[[Floats], Floats]  # q (m,) -> e (m, n) there, to first order
-    curve: Callable[[Floats], Floats]  # q (m,) -> rotations of sides minus e.q (n,)
+    moved: Callable[[Floats], Floats]  # q (m,) -> e (m, n), to first order
+    curve: Callable[[Floats], Floats]  # q (m,) -> rotations minus e.q (n,)
     product: Callable[[PETSc.Vec], PETSc.Vec]  # y -> K^ y; collective
     comm: MPI.Comm
 
@@ -95,18 +89,18 @@ class Drives:
             first = end
 
     def missing(self, reactions: Floats) -> tuple[Floats, Floats]:
-        """F + e.z (m,) for reactions z (n,), and the size of its terms (m,); collective."""
+        """Residuals F + e.z (m,) for reactions z (n,), and sizes of terms; collective."""
         parts = self.motions * reactions
         sums = np.stack([parts.sum(axis=1), np.abs(parts).sum(axis=1)])
         total, size = self.comm.allreduce(sums, op=MPI.SUM)
         size = np.maximum(size, np.abs(self.loads))
-        if (on := self.sides).any():  # each of its forces is as accurate as the largest
+        if (on := self.sides).any():  # each force is as accurate as the largest
             arms = np.maximum(self.arms(), TINY)
             size[on] = (size[on] / arms[on]).max() * arms[on]
         return self.loads + total, size
 
     def noise(self, balance: Balance) -> Floats:
-        """Round-off (m,) of the reactions, from the forces in the bodies; collective."""
+        """Round-off (m,) of the reactions; collective."""
         return np.asarray(ROUND_OFF * balance.elements * self.arms())
 
     def arms(self) -> Floats:
@@ -114,24 +108,15 @@ class Drives:
         return maximum(self.comm, *np.abs(self.motions).max(axis=1, initial=0.0))
 
     def allowed(self, force: float) -> Floats:
-        """Tolerances (m,) of loads on rigid sides and bolts, for one of forces; collective."""
+        """Tolerances (m,) of loads on rigid sides and bolts; collective."""
         on = self.sides | (self.follows & (self.loads == 0.0))
         return np.where(on, force * self.arms(), 0.0)
 
     def check_gaps(self, balance: Balance, active: Bools, facet_length: float) -> None:
-        """Raise if an open gap separates a body from a loaded tool; collective.
+        """Raise a StepFailed if an open gap separates a body from a loaded tool; collective.
 
-        With inertia a load would move tools, which have no mass, across it instantaneously. A tool
-        of radius R >= h in contact is h^2 / (8 R) <= h / 8 from the next node: smaller gaps are due
-        to the mesh.
-
-        Args:
-            balance: at an iterate.
-            active: (owned nodes,) the active set there.
-            facet_length: h.
-
-        Raises:
-            StepFailed: if so.
+        With inertia a load would move tools, which have no mass, across it instantaneously. Gaps of
+        the mesh are below h / 8: h^2 / (8 R) at a tool of radius R >= h, the facet length.
         """
         loaded, first = np.abs(self.loads) > self.noise(balance), 0
         left = np.where(active[balance.nodes], 0.0, balance.bounds.upper)
@@ -152,8 +137,7 @@ class Drives:
 def find_drives(problem: ContactProblem, known: Floats | None = None) -> Drives | None:
     """Motions of the driven tools in the present geometry, None for none; collective.
 
-    The motion of a slave node is the mean sum_l D_jl e_l / D_jj, which is e_j where D is diagonal.
-    Reactions `known` (owned nodes, d) act on the tools like loads.
+    A slave node moves by sum_l D_jl e_l / D_jj. Reactions `known` (owned nodes, d) act like loads.
     """
     offered = [(link, link.interface.driven()) for link in problem.system.links]
     parts = [(link, tool) for link, tool in offered if tool is not None]
@@ -210,7 +194,6 @@ def find_drives(problem: ContactProblem, known: Floats | None = None) -> Drives 
 
 
 def _ways(problem: ContactProblem, link: Link, tool: Driven, x: Floats) -> Floats:
-    """Motions (m, n, d) of the slave nodes for unit amounts."""
     return tool.motions(x[link.nodes], problem.X[link.nodes], np.zeros(len(tool.names)))
 
 
@@ -220,7 +203,7 @@ def _loads(
     x: Floats,
     known: Floats | None,
 ) -> Floats:
-    """Loads (m,), with the work of given reactions on unit motions; collective."""
+    """Loads (m,), with the work of given reactions; collective."""
     loads = np.concatenate([tool.loads() for _, tool in parts])
     if known is None:
         return loads
@@ -234,18 +217,15 @@ def _loads(
 
 
 def _unknowns(link: Link, d: int) -> Ints:
-    """Owned unknowns of y that a link constrains."""
     node, axis = np.nonzero(link.constrained)
     return (d * link.nodes[node] + axis).astype(np.int32)
 
 
 def as_scalars(drives: Drives, lin: Linearisation, rtol: float, begun: float) -> Scalars:
-    """Motions as scalars of the QP of an iterate; collective.
+    """Motions as scalars of the QP of an iterate, scaled to lengths; collective.
 
-    Each is scaled to a length, the largest motion of a node. On rigid sides, whose nodes are
-    eliminated, the reaction is r^ - K^ y, and arms turn with the side. Tolerances are `rtol` times
-    the forces on a tool, on rigid sides also times `begun`, the largest force at the start of the
-    step.
+    On rigid sides the reaction is r^ - K^ y, and arms turn. Tolerances are `rtol` times the forces
+    on a tool, on rigid sides also times `begun`, the largest force at the start of the step.
     """
     e, held, equal = drives.motions.copy(), drives.held, lin.balance.equal
     m, inverse = len(e), 1.0 / drives.reach
@@ -306,12 +286,11 @@ def settle(drives: Drives, lin: Linearisation, solved: QPSolution, extent: float
 
 
 def _names(drives: Drives) -> list[tuple[str, Interface, Driven]]:
-    """Unknowns (m,) by name, owner and tool."""
     return [(name, owner, tool) for owner, tool in drives.tools for name in tool.names]
 
 
 def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> StepFailed:
-    """Error that names the load (m,) of largest `which`, which nothing resists; collective."""
+    """Error that names the load of largest `which`; collective."""
     k = int(np.argmax(which))
     name, owner, tool = _names(drives)[k]
     if tool.holds:
@@ -343,7 +322,7 @@ def unresisted(drives: Drives, lin: Linearisation, which: Floats) -> StepFailed:
 def miss(
     problem: ContactProblem, balance: Balance, contacts: Contacts, residual: Residuals, rtol: float
 ) -> Residuals:
-    """Residuals including the loads of bolts, tools and rigid sides; collective."""
+    """Residuals with the loads of bolts, tools and rigid sides; collective."""
     drives = find_drives(problem, balance.known(contacts.multipliers))
     if drives is None:
         return residual

@@ -21,13 +21,11 @@ from dolfinx_mortar.mortar.surface import cells_of
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.step_report import NewtonNotConverged, Note, StepReport
 from dolfinx_mortar.supports.bodies import name_of
-from dolfinx_mortar.terms.pressure import Pressure
+from dolfinx_mortar.terms.loads import Pressure
 
-# Softness u.K u / u.K_e u at a limit load: up to 3e-5 (von Mises) or 6e-3 (Drucker-Prager) in
-# failed steps without hardening; with modulus H about H / E, .05 and more for metals.
+# Softness u.K u / u.K_e u at a limit load: at most 6e-3 without hardening, .05 and more for metals.
 SOFT = 0.01
-# Stretch of nearly inverted cells: 0 to .1 in steps that ended by it (rubber, metal pressed to a
-# fifth), .69 and more in others.
+# Stretch of cells that are nearly inverted: 0 to .1; that of others is .69 and more.
 SQUEEZED = 0.3
 AS_BEFORE = (
     ". The displacement and the committed state are as before the step: retry with a smaller one "
@@ -65,8 +63,7 @@ CORNERS = (
     "radius of a quarter of a facet to a whole one"
 )
 HARDEN = "or give the law hardening"
-# Blocks of MooneyRivlin (NeoHooke), K/mu = 500, between smooth plates become unstable at a height
-# of .62 (.64) with quadrilaterals of degree 2, of .54 as a continuum.
+# Blocks of MooneyRivlin buckle at a height of .62 with quadrilaterals of degree 2, exactly at .54.
 BY_THEMSELVES = (
     "Under compression by 30 % or more, cells of degree 2 with volumetric='reduced' may buckle "
     "by themselves, in waves as long as cells: compare with cells of degree 1 or, where the law is "
@@ -78,7 +75,6 @@ class StepFailed(Exception):
     """A step failed; nothing has been undone or diagnosed yet."""
 
     def __init__(self, seen: str, why: str = "") -> None:
-        """Set message and explanation."""
         super().__init__(seen)
         self.why = why
 
@@ -123,7 +119,6 @@ def explain(
 
 
 def _look_at(problem: ContactProblem, u: Floats) -> tuple[str, str]:
-    """Flowing body and shortened cells at a displacement; collective."""
     before, shown = problem.u.x.array.copy(), problem.solid.points.keep()
     try:
         problem.u.x.array[:] = u
@@ -181,7 +176,7 @@ def _own_laws(problem: ContactProblem) -> str:
 
 
 def _flow(problem: ContactProblem) -> str:
-    """Body at a limit load, where u.K u is small beside u.K_e u; collective."""
+    """Body at a limit load, where u.K u is small compared with u.K_e u; collective."""
     solid, u = problem.solid, problem.u
     try:
         solid.evaluate()
@@ -207,8 +202,6 @@ def _flow(problem: ContactProblem) -> str:
 
 def describe_passing(problem: ContactProblem) -> str:
     """Describe bodies or tools that passed through each other since the last commit; collective.
-
-    Empty for none.
 
     Raises:
         ValueError: on all ranks, if all nodes of the slave side are prescribed.
@@ -271,7 +264,6 @@ def _through_tool(found: Passing, at: list[float]) -> str:
 
 
 def _find_middles(problem: ContactProblem) -> list[tuple[Middles, ...]]:
-    """Mid-surface points of the bodies on all sides of each contact; collective."""
     if not any(problem.system.opposite):
         return [()] * len(problem.interfaces)
     body_of = problem.bodies.of_cells

@@ -18,10 +18,10 @@ import numpy as np
 
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.arrays import EPS, QUARTER_OF_DIGITS, Floats
+from dolfinx_mortar.newton_method.contacts import gap_round_off, round_off
 from dolfinx_mortar.newton_method.driven_tools import Settled
 from dolfinx_mortar.newton_method.failures import StepFailed
 from dolfinx_mortar.newton_method.linearisation import Linearisation, to_displacement
-from dolfinx_mortar.newton_method.residuals import gap_round_off, round_off
 from dolfinx_mortar.newton_method.subproblem import Iterate, Solution
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import QPSolution
@@ -29,8 +29,7 @@ from dolfinx_mortar.solid.solid import volume_step
 from dolfinx_mortar.spaces import with_values
 from dolfinx_mortar.terms.sum import Energy, VolumeStep
 
-# Sufficient decrease relative to the slope (Armijo; Nocedal and Wright 2006), and least step
-# length: 14 halvings.
+# Sufficient decrease relative to the slope (Armijo; Nocedal and Wright 2006), and least length.
 ARMIJO = 1e-4
 
 Curve = Callable[[float], Floats]
@@ -50,9 +49,9 @@ class Direction:
     motion: Floats  # (k,) of bounded unknowns
     gap: Floats  # (k,) bounds including round-off
     penalty: Floats  # (k,) s D_jj
-    noise: float  # error of r.du: round-off of forces and gaps, residual of the QP
-    slip: Floats  # (m, d - 1) at the start, with friction
-    slide: Floats  # (m, d - 1) slip in the step
+    noise: float  # error of r.du by round-off and the QP's residual
+    slip: Floats  # (m, d - 1) at the start
+    slide: Floats  # (m, d - 1) in the step
     limits: Floats  # (m,) of friction
     pull: float = 0.0  # -F.q of driven tools (one rank), and known friction
     curve: Curve | None = None
@@ -90,16 +89,14 @@ class Moved:
     length: float  # t
     halvings: int
     energy: Energy | None  # J at the end
-    travel: Floats  # (m,) of driven tools since the load step began
+    travel: Floats  # (m,) of driven tools since the step began
     pressure: Floats | None  # (owned cells,) linearised mean stresses
 
 
 def take_step(problem: ContactProblem, found: Solution, largest: float, old: Iterate) -> Moved:
     """Move u and driven tools along the solution of the QP; collective.
 
-    Args:
-        largest: largest multiplier so far.
-        old: the iterate.
+    `largest` is the largest multiplier so far.
     """
     lin = found.lin
     T = problem.system.transformation if lin.geometry is None else lin.geometry.trial
@@ -119,7 +116,6 @@ def take_step(problem: ContactProblem, found: Solution, largest: float, old: Ite
 
 
 def _check_distance(du: PETSc.Vec, extent: float) -> None:
-    """Raise if a step is far longer than the model: singular tangent."""
     farthest = du.norm(PETSc.NormType.INFINITY)
     if not QUARTER_OF_DIGITS * farthest <= extent:
         raise StepFailed(
@@ -168,11 +164,10 @@ def search(
     """Backtrack along a Newton direction until the merit decreases; u is moved; collective.
 
     Args:
-        solved: the QP's solution.
         du: the step in u.
-        multiplier: largest multiplier so far; s is twice as large.
+        multiplier: largest so far; s is twice as large.
         before: J at the start.
-        volumes: with mean stresses as unknowns, see `mean_volume`; J then has linearised volumes.
+        volumes: with mean stresses as unknowns, see `mean_volume`.
         driven: motions of tools, which are not moved here.
 
     Returns:
@@ -271,7 +266,6 @@ def create_path(
 
 
 def _friction(lin: Linearisation, solved: QPSolution) -> tuple[Floats, Floats, Floats]:
-    """Slip, its change, and the limits of the QP's solution."""
     law, bounds = lin.qp.friction, lin.balance.bounds
     if law is None:
         return np.zeros((0, 1)), np.zeros((0, 1)), np.zeros(0)
@@ -281,7 +275,7 @@ def _friction(lin: Linearisation, solved: QPSolution) -> tuple[Floats, Floats, F
 
 
 def find_slope(problem: ContactProblem, lin: Linearisation, path: Direction) -> float:
-    """Return phi'(0), with the whole decrease of the penalty; collective.
+    """Slope phi'(0), with the whole decrease of the penalty; collective.
 
     A solution of the QP closes violated gaps in proportion to t.
     """

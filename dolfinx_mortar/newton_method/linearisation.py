@@ -33,15 +33,15 @@ from dolfinx_mortar.solid.kinematics import on_axis
 class Balance:
     """Residual forces and constraints at the present u and geometry."""
 
-    r: PETSc.Vec  # (n,) -dJ/du, external less internal forces
+    r: PETSc.Vec  # (n,) -dJ/du, external minus internal forces
     reduced: PETSc.Vec  # (n,) T^T r
-    equal: Constraints  # increments of Dirichlet data and ties
+    equal: Constraints  # of Dirichlet data and ties
     bounds: Constraints  # of contact
     elements: float  # norm of the unassembled element forces
     external: float  # largest norm of the forces of one term
     limits: SlipLimits | None = None
-    from_committed: bool = False  # whether bodies are linearised about the committed state
-    friction: Floats | None = None  # (n,) at prescribed slips, contained in r
+    from_committed: bool = False  # bodies are linearised about the committed state
+    friction: Floats | None = None  # (n,) part of r at prescribed slips
 
     def known(self, multipliers: Floats) -> Floats:
         """Friction reactions (owned nodes, d) at prescribed slips."""
@@ -91,7 +91,7 @@ def find_balance(
 
     Args:
         overlap: depth of an initial overlap left to later steps.
-        multipliers: lambda_j (owned nodes,), for friction at prescribed slips; None without.
+        multipliers: lambda_j (owned nodes,), for friction at prescribed slips.
         from_committed: linearise forces of bodies about the committed state.
     """
     with problem.timings("assembly"):
@@ -134,7 +134,7 @@ def _known_friction(
 def _present_limits(
     problem: ContactProblem, limits: Sequence[Floats | None]
 ) -> Sequence[Floats | None]:
-    """Coefficients, and given tractions per present circumference (`growth`); collective."""
+    """Coefficients, and tractions per present circumference; collective."""
     if problem.solid.strain != "finite":
         return limits
     now: list[Floats | None] = []
@@ -149,8 +149,8 @@ def _present_limits(
 def growth(problem: ContactProblem, link: Link) -> Floats:
     """Ratio (n,) of present to initial circumference at the slave nodes; collective.
 
-    In axisymmetry D has the present section, but 2 pi r at X; times this it is the present area. On
-    the axis the mean of other nodes of the facets; one elsewhere and at X.
+    In axisymmetry D has the present section, but 2 pi r at X. On the axis the mean of other nodes
+    of the facets; one elsewhere and at X.
     """
     kinematics, slave = problem.solid.kinematics, link.sides.slave
     u = None if link.interface.stays else problem.configuration
@@ -167,7 +167,7 @@ def growth(problem: ContactProblem, link: Link) -> Floats:
 
 
 def support_slots(problem: ContactProblem) -> tuple[Ints, Ints]:
-    """Owned prescribed dofs (m,) of u, and their unknowns in y."""
+    """Owned prescribed dofs (m,), and their unknowns in y."""
     node, component = np.nonzero(problem.supports.owned)
     slots = problem.d * node + problem.system.slots()[node, component]
     return problem.d * node + component, slots
@@ -187,12 +187,12 @@ def linearise(
     Args:
         tangent: assemble K anew; linear laws need it once.
         shift: multiple of the elastic stiffness added to an indefinite K.
-        pressure: mean stresses of a linearisation, see `Solid.add_tangent`.
-        linear: linear solver; default that of the problem.
+        pressure: mean stresses of a linearisation.
+        linear: default that of the problem.
     """
     T, linear = problem.system.transformation, linear or problem.linear
     direct = linear.direct
-    spoilt = direct and T is None  # the elimination then acts on K itself
+    spoilt = direct and T is None  # the elimination acts on K itself
     if tangent or spoilt or not problem.K.isAssembled():
         with problem.timings("assembly"):
             first = balance.from_committed
@@ -200,7 +200,7 @@ def linearise(
             if shift > 0.0:
                 problem.solid.forms.add_elastic(problem.K, shift)
     change = None if T is None else T.change
-    formed = direct  # a factorisation needs the matrix, an iteration its products
+    formed = direct  # a factorisation needs the matrix
     if direct and not problem.system.driven:
         formed = interface_unknowns(problem.K, change, linear.options) is None
     if formed and T is not None and not T.formed:
@@ -240,13 +240,9 @@ def linearise_all(
 ) -> Linearisation:
     """Assemble the QP of the exact tangent; arguments as in `linearise`; collective.
 
-    K^ = T^T (K + H) T_g is unsymmetric (`interfaces.moving_geometry`); H contains the antisymmetric
-    tangents of terms. With multigrid K^ is an operator, preconditioned by T^T K T.
-
-    Args:
-        partners: of each interface, for its slips; empty without friction.
-        multipliers: lambda_j (owned nodes,).
-        tangential: tangential tractions (owned nodes, d), None without friction.
+    K^ = T^T (K + H) T_g is unsymmetric (`interfaces.moving_geometry`); with multigrid it is an
+    operator, preconditioned by T^T K T. Multipliers are lambda_j (owned nodes,), tangential
+    tractions (owned nodes, d); with friction `partners` of each interface.
     """
     linear = linear or problem.linear
     with problem.timings("mortar"):
@@ -275,24 +271,18 @@ def linearise_all(
 class Corrections:
     """Parts v of the gap rows that T_g neglects, by Anderson mixing of QP solutions.
 
-    For a given active set the fixed point is affine; results since its first appearance are mixed.
+    For a given active set the fixed point is affine.
     """
 
     def __init__(self) -> None:
-        """Begin with v = 0."""
         self.given: Floats | None = None  # v of the last QP, (n,)
         self.sets: list[Actives] = []
-        self.weights: list[Floats] = []  # (n,) stiffness of their active bounds, 0 elsewhere
+        self.weights: list[Floats] = []  # (n,) stiffness of active bounds, else 0
         self.found: list[Floats] = []  # v at the solutions
         self.changes: list[Floats] = []  # differences to the v of their QPs
 
     def apply(self, lin: Linearisation, solved: QPSolution) -> tuple[Linearisation, float]:
-        """QP with the next v, and the largest force by a change of a bound; collective.
-
-        Args:
-            lin: of the exact tangent.
-            solved: solution of it, or of the last QP.
-        """
+        """QP with the next v, and the largest force by a change of a bound; collective."""
         assert lin.geometry is not None
         dofs, bounds, comm = lin.balance.bounds.dofs, lin.balance.bounds, lin.qp.comm
         closing = lin.geometry.closing(to_displacement(lin.geometry.trial, solved.x))
@@ -326,7 +316,7 @@ class Corrections:
 def least_change(
     comm: MPI.Comm, found: Sequence[Floats], changes: Sequence[Floats], weight: Floats
 ) -> Floats:
-    """Return sum a_i found_i, sum a_i = 1, of the least |weight sum a_i changes_i|; collective.
+    """Sum of a_i found_i, sum a_i = 1, of the least |weight sum a_i changes_i|; collective.
 
     Anderson mixing; found_i is the image of found_i - changes_i.
 
@@ -381,7 +371,7 @@ def _follow(
 def _lifted(
     problem: ContactProblem, balance: Balance, operator: CongruentOperator | OperatorOfBases
 ) -> tuple[PETSc.Mat, PETSc.Vec, PETSc.Vec]:
-    """Operator K^, r^ after the elimination, and the diagonal of T^T K T before."""
+    """As `_eliminated`, for an operator."""
     dy, b = problem.vector(), balance.reduced.copy()
     dy.array[balance.equal.dofs] = balance.equal.upper
     if dy.norm(PETSc.NormType.INFINITY) != 0.0:  # zero once supports have their values
@@ -392,7 +382,7 @@ def _lifted(
 
 
 def count_changes(lin: Linearisation, solved: QPSolution, start: Actives, limit: float) -> int:
-    """Number of changes of the active set by more than a force ``limit``; collective."""
+    """Number of changes of the active set above a force ``limit``; collective."""
     bounds = lin.balance.bounds
     z = np.abs(solved.z.array_r[bounds.dofs])
     opening = np.abs(bounds.upper - solved.x.array_r[bounds.dofs])
@@ -402,7 +392,7 @@ def count_changes(lin: Linearisation, solved: QPSolution, start: Actives, limit:
 
 
 def to_reduced(T: Transformation | None, forces: PETSc.Vec) -> PETSc.Vec:
-    """Return T^T times a force vector; None is the identity; collective."""
+    """Return T^T f; None is the identity; collective."""
     result = forces.copy()
     if T is not None:
         T.apply_transposed(forces, result)
@@ -410,7 +400,7 @@ def to_reduced(T: Transformation | None, forces: PETSc.Vec) -> PETSc.Vec:
 
 
 def to_displacement(T: Transformation | None, dy: PETSc.Vec) -> PETSc.Vec:
-    """Return du = T dy; None is the identity; collective."""
+    """Return T dy; None is the identity; collective."""
     du = dy.copy()
     if T is not None:
         T.apply(dy, du)

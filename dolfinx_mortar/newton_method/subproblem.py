@@ -1,10 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""QP of a Newton iteration and its solution: tangent, shift, accuracy.
-
-The tangent is that of the bodies in the present geometry (a fixed point), or the exact one
-(theory.md, The exact tangent). At finite strain multiples of the elastic stiffness are added to an
-indefinite one.
-"""
+"""QP of a Newton iteration and its solution: tangent, shift, accuracy."""
 
 from __future__ import annotations
 
@@ -21,7 +16,14 @@ from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Floats
 from dolfinx_mortar.interfaces.constraints import equalities, join
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.newton_method import driven_tools
-from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.newton_method.contacts import (
+    DIGIT,
+    Contacts,
+    Residuals,
+    Scales,
+    next_tolerance,
+    tightest,
+)
 from dolfinx_mortar.newton_method.linearisation import (
     Balance,
     Corrections,
@@ -32,27 +34,18 @@ from dolfinx_mortar.newton_method.linearisation import (
     to_displacement,
     to_reduced,
 )
-from dolfinx_mortar.newton_method.residuals import (
-    DIGIT,
-    Residuals,
-    Scales,
-    next_tolerance,
-    tightest,
-)
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.problem.step_data import StepData
 from dolfinx_mortar.qp import LinearSolver, QPSolution
 from dolfinx_mortar.qp.solver import ACTIVE_SET
 from dolfinx_mortar.terms.sum import Energy
 
-# Relative residual of forces below which an indefinite tangent is used unshifted: with shifts it
-# stays above 3e-3 where a metal cube is pressed to half its height in one step.
+# Relative residual of forces below which an indefinite tangent is used unshifted.
 STABLE = 1e-2
-# Least and largest multiple of the elastic stiffness added to an indefinite tangent. Compression by
-# a share e of the moduli needs about e, a column e (length / thickness)^2.
+# Multiples of the elastic stiffness added to an indefinite tangent: a column needs about the strain
+# times (length / thickness)^2.
 SHIFTS = 0.01, 1000.0
-# Corrections of a QP for neglected parts of gap rows; iterations of five plane cases with 0, 1, 2,
-# 4: 219, 194, 192, 192.
+# Corrections of a QP for neglected parts of gap rows; more save no iterations.
 CORRECTIONS = 3
 
 
@@ -62,10 +55,10 @@ class Iterate:
 
     u: Floats  # (n,)
     tools: list[tuple[Interface, dict[str, Floats]]]  # of driven interfaces
-    travel: Floats  # (m,) their motion in the step
+    travel: Floats  # (m,) motion in the step
     balance: Balance
     contacts: Contacts
-    start: Actives  # initial active set of the QP
+    start: Actives  # active set of the QP
     scales: Scales
     energy: Energy | None
     norm: float  # |u|_e
@@ -76,7 +69,7 @@ class Iterate:
     negative: bool = False  # whether the last tangent is indefinite
     turned: float = np.inf  # change of contact forces by the geometry update
     slow: bool = False  # whether the fixed point converges slowly
-    barred: float = np.inf  # residual above which the exact tangent is not used
+    barred: float = np.inf  # residual above which the tangent is not exact
 
 
 @dataclass(frozen=True)
@@ -128,19 +121,14 @@ class Subproblem:
 
     @property
     def may_be_exact(self) -> bool:
-        """Whether the exact tangent is available, and useful with driven tools."""
+        """Whether the exact tangent is available and useful."""
         if not self.moving or self.backend != ACTIVE_SET:
             return False
         others = [link.interface.driven() is None for link in self.problem.system.unilateral]
         return not self.driven or (self.finite and any(others))
 
     def solve(self, old: Iterate, residuals: Sequence[Residuals], *, exact: bool) -> Solution:
-        """Solve the QP at an iterate; collective.
-
-        Args:
-            residuals: of all iterates of the step so far.
-            exact: use the exact tangent unless its QP has no solution.
-        """
+        """Solve the QP at an iterate, at first with the exact tangent if `exact`; collective."""
         tangent = not self.linear or (not residuals and self.problem.terms.vary(self.problem.K))
         rejected = ""
         if exact:
@@ -167,9 +155,8 @@ class Subproblem:
     def definite(self, old: Iterate, residuals: Sequence[Residuals], tangent: bool) -> Solution:
         """Solve the QP of the bodies' tangent, made positive definite; collective.
 
-        Multiples of the elastic stiffness are added until K is positive definite on the free
-        unknowns, first a tenth of the last one; near equilibrium none, so that unstable equilibria
-        converge.
+        Multiples of the elastic stiffness are added until K is positive definite, first a tenth of
+        the last one; near equilibrium none, so that unstable equilibria converge.
         """
         near = bool(residuals) and residuals[-1].forces < STABLE
         least, most = SHIFTS
@@ -196,7 +183,7 @@ class Subproblem:
     def shifted(
         self, shift: float, old: Iterate, residuals: Sequence[Residuals], tangent: bool
     ) -> Solution:
-        """Solve the QP with a multiple of the elastic stiffness; collective."""
+        """Solve with a multiple of the elastic stiffness; collective."""
         lin = linearise(
             self.problem,
             old.balance,
@@ -214,7 +201,7 @@ class Subproblem:
         return Solution(lin, solved, shift=shift, negative=negative)
 
     def exact(self, old: Iterate, residuals: Sequence[Residuals], tangent: bool) -> Solution:
-        """Solve the QP of the exact tangent and correct its bounds; collective."""
+        """Solve with the exact tangent and correct bounds; collective."""
         lin = linearise_all(
             self.problem,
             old.balance,
@@ -257,7 +244,7 @@ class Subproblem:
 
     def accuracy(self, lin: Linearisation, residuals: Sequence[Residuals]) -> float:
         """Relative tolerance of the next QP."""
-        if self.driven:  # deep drawing: 606 iterations without, 153 with
+        if self.driven:  # loose QPs take four times the iterations
             return tightest(self.rtol)
         if self.linear and not self.moving:
             return tightest(self.rtol)  # single QP
@@ -267,8 +254,7 @@ class Subproblem:
         stiff = self.finite and self.problem.solid.volumetric != "full"
         if self.solver.direct or not (stiff or lin.balance.limits is not None):
             return found
-        # Bulk forces hide shear: with K/mu = 5000, 1e-2 takes 7 to 48 iterations, 1e-4 4 to 6.
-        # Loose friction changes slips: a bolted tee takes 53 with 1e-2, 26 with 1e-3.
+        # Bulk forces hide shear at K/mu = 5000, and loose friction changes slips.
         most = QUARTER_OF_DIGITS if stiff else DIGIT**3
         return max(tightest(self.rtol), min(found, most))
 
@@ -283,7 +269,7 @@ class Subproblem:
         """Solve a QP; collective."""
         limits, kappa = old.balance.limits, None
         if self.finite:
-            # diag(A) is a hundred times too large where nodes slide: GMRES stagnates
+            # diag(A) is far too large where nodes slide: GMRES stagnates
             kappa = old.contacts.kappa(limits)
         with self.problem.timings("linear_solves"):
             try:
@@ -299,7 +285,7 @@ class Subproblem:
                 )
             except backends.NoResistance as error:
                 raise driven_tools.unresisted(lin.drives, lin, error.which) from error
-        if solved.travel is None:  # else `driven_tools.settle`
+        if solved.travel is None:
             # exactly, also by an iterative solver
             equal = lin.balance.equal
             solved.x.array[equal.dofs] = equal.upper
@@ -309,16 +295,9 @@ class Subproblem:
 def respond(
     problem: ContactProblem, forces: Floats, rtol: float, linear: LinearSolver
 ) -> Floats | None:
-    """Return y with K y = f, K the last tangent; collective.
+    """Return y (owned nodes, d) with K y = f, K the last tangent, or None; collective.
 
-    Supports and ties hold, contacts neither hold nor push. The factorisation of the step serves.
-
-    Args:
-        problem: at the end of a step.
-        forces: f (owned nodes, d).
-
-    Returns:
-        (owned nodes, d), None if the linear solver finds no solution.
+    Supports and ties hold, contacts do not act.
     """
     T, r = problem.system.transformation, problem.vector(forces)
     found = problem.system.constraints(problem.positions(), problem.vector(problem.owned_u))

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The writer of results: each step is one grid with the mesh and all fields, for meshio, too.
-
-Numbers are written in parallel; points are the nodes of the displacement space.
-"""
+"""The writer of results: each step is one grid with the mesh and all fields."""
 
 from __future__ import annotations
 
@@ -20,7 +17,7 @@ import numpy as np
 
 from dolfinx import fem, plot
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import FLAG, NUMBER, check
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.disk import check_path
@@ -39,7 +36,7 @@ TOPOLOGY = {  # XDMF names by (cell, nodes per cell); nodes in VTK order
     ("hexahedron", 8): "Hexahedron",
     ("hexahedron", 27): "Hexahedron_27",
 }
-KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}  # XDMF attribute types by components
+KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}
 
 
 class Writer:
@@ -49,17 +46,16 @@ class Writer:
             ...
             out.write(t)
 
-    The fields are ``problem.output_fields()``: Lagrange Functions on the problem's mesh, written
-    at the nodes of ``problem.solid.V`` (interpolated if their degree differs), and
-    piecewise-constant Functions (DG0), written per cell. Vectors are padded to three components
-    (x, y, z), symmetric tensors stored in four or six components in the order of
-    `materials.tensor` to nine (xx, xy, xz, yx, ...); other shapes are written as a flat row.
+    The fields are ``problem.output_fields()``: Lagrange Functions, written at the nodes of
+    ``problem.solid.V`` (interpolated if their degree differs), and piecewise-constant Functions
+    (DG0), written per cell. Vectors are padded to three components, stored symmetric tensors
+    (`materials.tensor`) to nine (xx, xy, xz, yx, ...); other shapes are written as a flat row.
 
-    Rigid tools go to a second file, out.tools.xdmf with the same times: their surfaces near the
-    sides that meet them, with the number of the tool in "tool".
+    Surfaces of rigid tools near the sides are written to a second file, out.tools.xdmf with the
+    same times, with the number of the tool in "tool".
 
-    After every step the HDF5 file is closed and the XDMF file replaced in one move, so what has
-    been written stays readable whatever happens next. An error on one rank is raised on all.
+    After every step the HDF5 file is closed and the XDMF file replaced atomically, so that earlier
+    steps stay readable. An error on one rank is raised on all.
     """
 
     def __init__(
@@ -73,15 +69,15 @@ class Writer:
         """Create the files and write the mesh.
 
         Args:
-            path: File to write, ending in .xdmf; the numbers go next to it, ending in .h5. Earlier
-                files of these names are replaced; the folder must exist.
-            problem: A `ContactProblem`, or what else has ``solid.V`` and ``output_fields()``, and
+            path: file to write, ending in .xdmf; the numbers go to a neighbour ending in .h5.
+                Earlier files of these names are replaced; the folder must exist.
+            problem: a `ContactProblem`, or any object with ``solid.V`` and ``output_fields()``, and
                 perhaps ``steps_done``.
-            notes: Kept in the file, such as {"units": "mm, MPa"}; texts as they are, other values
+            notes: kept in the file, such as {"units": "mm, MPa"}; texts as they are, other values
                 in JSON.
-            resume: Continue the file of an earlier run, if there is one: its steps stay, and a
-                step computed again, after a checkpoint, replaces the earlier one. New values go to
-                another HDF5 file, such as out.2.h5.
+            resume: continue the file of an earlier run, if there is one: a step computed again,
+                after a checkpoint, replaces the earlier one. New values go to another HDF5 file,
+                such as out.2.h5.
 
         Raises:
             ValueError: on all ranks, naming a wrong argument, as files that cannot be written,
@@ -104,7 +100,7 @@ class Writer:
                 raise ValueError(f"problem: {cell[0]} cells with {cell[1]} nodes: no XDMF name.")
         notes = {} if notes is None else notes
         self._open = True
-        self._tools: _ToolFile | None = None  # on rank 0
+        self._tools: _ToolFile | None = None
         self._file = File(self.comm, self.path, notes, resume=resume)
         try:
             self._grid_head = self._write_mesh(V, TOPOLOGY[cell])
@@ -123,13 +119,13 @@ class Writer:
         """Add the problem's current fields as the step at time (or load) t.
 
         Args:
-            t: More than those before; where loads fall, give the number of the step.
+            t: greater than before; for falling loads, give the number of the step.
 
         Raises:
-            ValueError: After `close`, for a time that does not rise, for fields of another mesh,
+            ValueError: after `close`, for a time that does not rise, for fields of another mesh,
                 with names that collide, or with values that are NaN or infinite.
-            OSError: If there is no space on the disk, naming the file; what was written before
-                stays readable, and the step may be written again.
+            OSError: naming the file, if there is no space on the disk; earlier steps stay readable,
+                and the step may be written again.
         """
         if not self._open:
             raise ValueError(f"Writer of {str(self.path)!r} is closed: make a new one.")
@@ -166,7 +162,7 @@ class Writer:
                 item = file.write(viewer, f"{keys[name]}_{number:06d}", values)
                 ET.SubElement(grid, "Attribute", about).append(item)
         with raised_together(self.comm):
-            if self._tools is not None:  # first: what the results lack is dropped
+            if self._tools is not None:  # first: steps that the results lack are dropped
                 self._tools.write_step(steps, step, tools)
         file.replace(steps)
 
@@ -192,15 +188,11 @@ class Writer:
             self._leave()
 
     def _outlines(self) -> Sequence[tuple[Any, Floats]]:
-        """Return the tools of the problem, see `ContactProblem.output_tools`; collective."""
         find = getattr(self.problem, "output_tools", None)
         return () if find is None else find()
 
     def _write_mesh(self, V: fem.FunctionSpace, topology: str) -> list[ET.Element]:
-        """Write cells and points, to which the grids of all steps refer; return these references.
-
-        Those of an earlier run serve if nodes and cells are numbered in the same way.
-        """
+        """Write cells and points, or reuse equal ones; return their references."""
         file = self._file
         nodes, _, _ = plot.vtk_mesh(V)
         k = V.dofmap.dof_layout.num_dofs
@@ -229,7 +221,6 @@ class Writer:
 
 
 def _digest(comm: MPI.Comm, cells: Ints, x: Floats) -> str:
-    """Return a digest of cells and points of all ranks; collective."""
     own = hashlib.sha256(cells.astype(np.int64).tobytes() + x.astype(np.float64).tobytes())
     return hashlib.sha256("".join(comm.allgather(own.hexdigest())).encode()).hexdigest()
 
@@ -238,10 +229,10 @@ def _digest(comm: MPI.Comm, cells: Ints, x: Floats) -> str:
 
 
 def _values(V: fem.FunctionSpace, function: fem.Function) -> tuple[Floats, str]:
-    """Return the owned values, padded, shape (n, components), and "Node" or "Cell"; collective.
+    """Owned values, padded, shape (n, components), and "Node" or "Cell"; collective.
 
-    They are in the order of V's owned nodes, or of the owned cells: two spaces of the same element
-    may number their nodes differently. A Function of another degree than V is interpolated.
+    In the order of V's owned nodes, or of the owned cells: spaces of one element may differ in
+    numbering.
     """
     degree, shape = V.ufl_element().degree, function.ufl_shape
     of_cells = function.function_space.ufl_element().degree == 0
@@ -285,19 +276,19 @@ def _pad(values: Floats, shape: tuple[int, ...]) -> Floats:
 class _ToolFile(File):
     """The surfaces of rigid tools, of rank 0.
 
-    They are found in the frames of the tools, in a box around the side, enlarged by its diagonal,
-    and moved. When the side leaves the box, they are found anew.
+    Cut in the frames of the tools, in a box around the side, enlarged by its diagonal, and moved,
+    until the side leaves the box.
     """
 
     written = 0  # steps, by this run, also those that the results lack
     boxes: Sequence[tuple[Floats, Floats]] = ()  # of the last cuts
     points: Sequence[Floats] = ()
-    head: Sequence[ET.Element] = ()  # references to their cells
+    head: Sequence[ET.Element] = ()
 
     def write_step(
         self, steps: Sequence[Step], new: Step, tools: Sequence[tuple[Any, Floats]]
     ) -> None:
-        """Write the tools at a new step, and keep only steps that the results have."""
+        """Write the tools at a new step, and drop steps that the results lack."""
         number, self.written = self.written, self.written + 1
         known = len(self.boxes) == len(tools) and all(
             (low <= box[0]).all() and (box[1] <= high).all()
@@ -329,7 +320,6 @@ class _ToolFile(File):
         self.replace(sorted([*kept, step], key=lambda one: one.time))
 
     def _write_cells(self, number: int, cells: Longs, of: Floats) -> list[ET.Element]:
-        """Write lines or triangles (m, d), and which tool (m, 1) each belongs to."""
         about = {"TopologyType": "Triangle", "NumberOfElements": str(len(cells))}
         if cells.shape[1] == 2:
             about |= {"TopologyType": "Polyline", "NodesPerElement": "2"}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""An XDMF file with a grid for each step, and the HDF5 file beside it with the numbers."""
+"""An XDMF file with a grid for each step, and the HDF5 file with its numbers."""
 
 import json
 import re
@@ -17,7 +17,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import default_scalar_type
-from dolfinx_mortar.algebra.errors import raise_together, raised_together
+from dolfinx_mortar.algebra.parallel import raise_together, raised_together
 from dolfinx_mortar.arguments import check, instance
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.disk import (
@@ -28,11 +28,11 @@ from dolfinx_mortar.disk import (
     space_for,
 )
 
-# The open files of this program by path, on rank 0.
+# Open files of this program by path, on rank 0.
 _OPEN: WeakValueDictionary[Path, "File"] = WeakValueDictionary()
-# Characters that XML cannot hold.
+# Characters forbidden in XML.
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-# Names of what a grid contains beside fields: number of load steps, digest of mesh and numbering
+# Attributes of a grid: number of load steps, digest of mesh and numbering
 DONE, MESH = "load steps", "mesh"
 
 
@@ -41,10 +41,10 @@ class Step:
     """A grid of the XDMF file: all data of one step."""
 
     grid: ET.Element
-    done: int  # load steps completed before it was written
+    done: int  # load steps completed before
     time: float
     mesh: str  # digest of the mesh with its numbering of nodes
-    earlier: bool = False  # written by an earlier run
+    earlier: bool = False
 
     @property
     def files(self) -> set[str]:
@@ -52,7 +52,7 @@ class Step:
         return {str(item.text).partition(":")[0].strip() for item in self.grid.iter("DataItem")}
 
     def begin(self, number: int) -> None:
-        """Store in the grid what it is, also for `_read`."""
+        """Store these data in the grid, for `_read`."""
         self.grid.set("Name", f"step {number}")
         ET.SubElement(self.grid, "Time", Value=repr(self.time))
         for name, value in ((DONE, self.done), (MESH, self.mesh)):
@@ -64,7 +64,7 @@ class File:
 
     Attributes:
         path: the XDMF file.
-        data: the HDF5 file, one that no step of an earlier run refers to.
+        data: the HDF5 file, not one of an earlier run.
         steps: in the file.
     """
 
@@ -74,8 +74,8 @@ class File:
         """Reserve both files, and remove earlier ones except an XDMF file that is resumed.
 
         Raises:
-            ValueError: on all ranks, if rank 0 cannot create them, another `File` has them, no
-                such file can be resumed, or notes are no texts and no JSON values.
+            ValueError: on all ranks, if rank 0 cannot create or resume them, another `File` has
+                them, or notes are neither text nor JSON.
         """
         self.comm, self.path = comm, path
         with raised_together(comm):
@@ -89,16 +89,12 @@ class File:
         self.data = free_name(path, self.steps)
 
     def close(self) -> None:
-        """Let others have the files; without communication."""
+        """Release the files; not collective."""
         if _OPEN.get(self.path.resolve()) is self:
             del _OPEN[self.path.resolve()]
 
     def replace(self, steps: Sequence[Step]) -> None:
-        """Replace the XDMF file by one with these steps, in one move.
-
-        Raises:
-            OSError: on all ranks, naming the file.
-        """
+        """Replace the XDMF file by one with these steps, atomically; an OSError on all ranks."""
         self._collection[:] = [one.grid for one in steps]
         with raised_together(self.comm):
             if self.comm.rank == 0:
@@ -114,14 +110,10 @@ class File:
 
     @contextmanager
     def numbers(self, mode: str, size: int = 0, fields: int = 0) -> Iterator[PETSc.Viewer]:
-        """Open the HDF5 file within a ``with`` block, if it can grow by what is to be written.
+        """Open the HDF5 file within a ``with`` block, if the disk has space for the data.
 
-        A disk that is full during a parallel write leaves a broken file and a deadlock.
-
-        Args:
-            mode: "w" or "a".
-            size: bytes of the values of this rank.
-            fields: number of fields.
+        A full disk during a parallel write leaves a broken file and a deadlock. `mode`: "w" or "a";
+        `size`: bytes of this rank.
         """
         total = space_for(fields, self.comm.allreduce(size))
         with raised_together(self.comm):
@@ -136,7 +128,7 @@ class File:
             self._together(viewer.destroy)
 
     def write(self, viewer: PETSc.Viewer, key: str, values: Floats) -> ET.Element:
-        """Write the rows of this rank, shape (n, components), and return the reference to them."""
+        """Write rows (n, components) of this rank; return the reference."""
         n, components = values.shape
         vector = PETSc.Vec().createWithArray(
             np.ascontiguousarray(values, dtype=default_scalar_type).reshape(-1),
@@ -148,7 +140,7 @@ class File:
         return self._item(key, (rows, components) if components > 1 else (rows,), "Float", 8)
 
     def write_cells(self, viewer: PETSc.Viewer, key: str, cells: Ints | Longs) -> ET.Element:
-        """Write the nodes (n, k) of the cells of this rank, and return the reference to them."""
+        """Write the nodes (n, k) of cells of this rank; return the reference."""
         k = cells.shape[1]
         indices = PETSc.IS().createGeneral(cells.ravel().astype(PETSc.IntType), comm=self.comm)
         indices.setBlockSize(k)
@@ -156,7 +148,6 @@ class File:
         return self._item(key, shape, "Int", np.dtype(PETSc.IntType).itemsize)
 
     def _view(self, viewer: PETSc.Viewer, key: str, of_petsc: Any) -> int:
-        """Write a vector or an index set, and return how many numbers it has."""
         of_petsc.setName(key)
         self._together(lambda: of_petsc.view(viewer))
         size = int(of_petsc.getSize())
@@ -164,7 +155,7 @@ class File:
         return size
 
     def _together(self, action: Callable[[], Any]) -> None:
-        """Do something collective; an error on one rank is raised on all, naming the file."""
+        """Call a collective action; an error on one rank is raised on all, naming the file."""
         failed = None
         try:
             action()
@@ -180,7 +171,7 @@ class File:
 
 
 def _reserve(file: File, data: Path, resume: bool) -> None:
-    """Register a file, remove what it replaces, and create its HDF5 file; on rank 0."""
+    """Register a file, remove replaced ones, and create its HDF5 file; on rank 0."""
     path, other = file.path, "choose an existing, writable folder"
     if path.resolve() in _OPEN:
         raise ValueError(f"path is {str(path)!r}, open in another Writer: close it first.")
@@ -201,7 +192,6 @@ def _reserve(file: File, data: Path, resume: bool) -> None:
 
 
 def _create_tree(notes: Mapping[str, Any]) -> tuple[ET.Element, ET.Element]:
-    """Return the XDMF document and its collection of steps."""
     root = ET.Element("Xdmf", Version="3.0")
     domain = ET.SubElement(root, "Domain")
     steps = ET.SubElement(domain, "Grid", Name="steps", GridType="Collection")
@@ -222,16 +212,15 @@ def _create_tree(notes: Mapping[str, Any]) -> tuple[ET.Element, ET.Element]:
 
 
 def _check_xml(what: str, text: Any) -> None:
-    """Raise a ValueError for what is no text that XML can hold."""
     if not isinstance(text, str) or _NOT_XML.search(text):
         raise ValueError(f"{what}: {text!r} is no text that XML can hold.")
 
 
 def field_keys(names: Iterable[str]) -> dict[str, str]:
-    """Return the name of each field in the HDF5 file: letters, digits and underscores.
+    """Name of each field in the HDF5 file: letters, digits and underscores.
 
     Raises:
-        ValueError: if two fields have names that differ only in other characters or in case.
+        ValueError: if two names differ only in other characters or in case.
 
     >>> field_keys(["von Mises", "p [MPa]"])
     {'von Mises': 'von_Mises', 'p [MPa]': 'p_MPa_'}
@@ -254,11 +243,7 @@ def field_keys(names: Iterable[str]) -> dict[str, str]:
 
 
 def _read(path: Path) -> list[Step]:
-    """Return the steps in the file of an earlier run; on rank 0.
-
-    Raises:
-        ValueError: if it is no file of a `Writer`, or its HDF5 files are missing.
-    """
+    """Steps of an earlier run, or a ValueError; on rank 0."""
     told = f"path is {str(path)!r}, which cannot be resumed, as"
     steps = []
     try:
@@ -282,16 +267,11 @@ def _read(path: Path) -> list[Step]:
 
 
 def insert(steps: Sequence[Step], new: Step, *, made: bool) -> list[Step]:
-    """Return the steps in order of time with a new one, less those of an earlier run it replaces.
+    """Insert a step in order of time, and drop steps of an earlier run that it replaces.
 
-    A load step computed by this run replaces itself and all later ones. A state restored from a
-    checkpoint replaces only itself, as a later checkpoint may follow. Before the first load step,
-    steps without load steps are replaced from the new time on.
-
-    Args:
-        steps: in the file.
-        new: the new one.
-        made: whether its load step was computed by this run, not restored from a checkpoint.
+    A load step `made` by this run replaces itself and all later ones, one restored from a
+    checkpoint only itself; before the first load step, the new one replaces steps without load
+    steps from its time on.
 
     Raises:
         ValueError: if times would not rise.
@@ -316,7 +296,7 @@ def insert(steps: Sequence[Step], new: Step, *, made: bool) -> list[Step]:
 
 
 def free_name(path: Path, steps: Iterable[Step]) -> Path:
-    """Return the HDF5 file for new numbers, one that no step refers to.
+    """New name for the HDF5 file.
 
     >>> free_name(Path("out.xdmf"), [])
     PosixPath('out.h5')

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""The committed state of a problem: how it is saved, compared and restored."""
+"""The committed state of a problem: saved, compared and restored."""

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Checkpoints of a problem: saving its committed state, and restoring it as a whole.
+"""Checkpoints: saving and restoring the committed state of a problem.
 
-Displacement, internal variables, stress, contacts, slips, forces of supports and load level;
-results of the interfaces; tightening of ties; history of load steps, tables of their ramps. What a
-program sets before each step is not saved: loads, supports, jumps, changing parameters.
+Not the data that a program sets before each step: loads, supports, jumps, changing parameters.
 """
 
 import dataclasses
@@ -19,8 +17,7 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar import compat
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import any_rank, maximum, raised_together
 from dolfinx_mortar.arguments import as_numbers
 from dolfinx_mortar.arrays import SAME, Floats
 from dolfinx_mortar.disk import check_path
@@ -78,10 +75,9 @@ def read(state: ProblemState, path: str | os.PathLike[str]) -> "Saved":
     """Read a checkpoint of this problem, from any number of ranks; collective.
 
     Raises:
-        OSError: on all ranks, if there is no such file, or it cannot be read.
-        ValueError: on all ranks, if it is no checkpoint, cut off or damaged, of another version or
-            of another problem, with all differences in the message; or if an interface is used by a
-            problem made later.
+        OSError: on all ranks, if it cannot be read.
+        ValueError: on all ranks, if it is no checkpoint, damaged, of another version or problem,
+            with all differences; or if a later problem uses one of the interfaces.
     """
     file, comm = check_path(state.comm, path), state.comm
     check_owned(state.interfaces, state.supports)
@@ -110,19 +106,15 @@ class Saved:
     state: ProblemState
     about: Mapping[str, Any]
     tables: Values
-    steps: list[LoadStep]  # the history
+    steps: list[LoadStep]
 
     @property
     def walk(self) -> list[float]:
-        """The levels that the last call of `load_steps` has reached."""
+        """The levels of the last call of `load_steps`."""
         return [step.time for step in self.steps[len(self.steps) - self.about["walked"] :]]
 
     def put(self) -> None:
-        """Make it the state of the problem; collective.
-
-        Raises:
-            Exception: on all ranks, that of `Interface.restore`; nothing is changed.
-        """
+        """Restore it, or raise an error on all ranks and change nothing; collective."""
         before = Before(self.state, None)
         try:
             self._put()
@@ -162,7 +154,6 @@ class Saved:
         state.system.faced = True
 
     def _put_results(self, k: int) -> None:
-        """Set the results of an interface, or clear them; collective."""
         state, interface = self.state, self.state.interfaces[k]
         resultants, values = self.about["interfaces"][k], self.tables[SLAVES.format(k)]
         nodes = state.system.sides[k].nodes
@@ -182,7 +173,7 @@ class Saved:
         interface.sum_up(state.comm, nodes)
 
     def _paired(self) -> Floats | None:
-        """Return where the surfaces were paired, empty for X; None where that is not known."""
+        """Displacement of the pairing, empty for X; None if unknown."""
         found = self.tables[NODES].get("paired")
         if found is None:
             return np.zeros(0) if self.state.geometry == "reference" else None
@@ -193,14 +184,12 @@ class Saved:
 
 
 def _places_of(state: ProblemState) -> dict[str, Floats]:
-    """Return the places of the tables; collective."""
     nodes, points = find_places(state.solid.V), find_places(state.solid.stress.function_space)
     slaves = {SLAVES.format(k): nodes[side.nodes] for k, side in enumerate(state.system.sides)}
     return {NODES: nodes, POINTS: points} | slaves
 
 
 def _at_nodes(state: ProblemState) -> dict[str, Floats]:
-    """Return what is kept at the owned nodes."""
     u, committed = _owned(state.u), state.committed
     found = {"displacement": u, "slid": committed.slid.T, "dissipated": committed.dissipated.T}
     found["active"] = committed.active[:, None].astype(float)
@@ -218,7 +207,6 @@ def _at_nodes(state: ProblemState) -> dict[str, Floats]:
 
 
 def _at_points(state: ProblemState) -> dict[str, Floats]:
-    """Return the fields at the owned points; those that are shown only if not committed as well."""
     fields = {name: _owned(f) for name, f in state.solid.points.lasting_fields().items()}
     for name in [name for name in fields if name.startswith("shown/")]:
         differs = not np.array_equal(fields[name], fields[name.replace("shown/", "committed/")])
@@ -228,7 +216,6 @@ def _at_points(state: ProblemState) -> dict[str, Floats]:
 
 
 def _at_slaves(state: ProblemState, k: int) -> dict[str, Floats]:
-    """Return the results of an interface at its owned slave nodes."""
     interface, nodes = state.interfaces[k], state.system.sides[k].nodes
     if (found := interface.resultants) is None:
         return {}
@@ -238,7 +225,6 @@ def _at_slaves(state: ProblemState, k: int) -> dict[str, Floats]:
 
 
 def _owned(f: fem.Function) -> Floats:
-    """Return the owned values (n, c) of a Function."""
     dofmap = f.function_space.dofmap
     return np.asarray(f.x.array.reshape(-1, dofmap.bs)[: dofmap.index_map.size_local])
 
@@ -247,11 +233,9 @@ def _owned(f: fem.Function) -> Floats:
 
 
 def describe(state: ProblemState) -> dict[str, Any]:
-    """Return what identifies a problem on any ranks, by argument; collective.
+    """Identity of a problem on any ranks, by argument; collective.
 
-    Loads, supports and other data that a program sets before each step are not part of it. A law
-    is known by its name: changes of its code are not seen, nor are the values of parameters that
-    may change between steps.
+    Without loads, supports and changing parameters. Laws are known by name, not by their code.
     """
     solid, V = state.solid, state.solid.V
     domain, cells = V.mesh, V.mesh.topology.index_map(V.mesh.topology.dim)
@@ -288,7 +272,7 @@ def describe(state: ProblemState) -> dict[str, Any]:
 
 
 def material_numbers(solid: Solid) -> Floats:
-    """Return the number of the material (points, 1) at the owned integration points."""
+    """Number of the material (points, 1) at the owned points."""
     dofmap = solid.stress.function_space.dofmap
     numbers = np.zeros((dofmap.index_map.size_local + dofmap.index_map.num_ghosts, 1))
     for k, (_, cells) in enumerate(part for region in solid.regions for part in region.parts):
@@ -297,13 +281,13 @@ def material_numbers(solid: Solid) -> Floats:
 
 
 def differences(saved: Mapping[str, Any], present: Mapping[str, Any]) -> list[str]:
-    """Return in words how the problem of a checkpoint differs from the present one."""
+    """Differences of two problems in words."""
     told = []
     for name in {**present, **saved}:
         before, now = saved.get(name, "missing"), present.get(name, "missing")
         a, b = as_numbers(before), as_numbers(now)
         if isinstance(now, list) and a is not None and b is not None and a.shape == b.shape:
-            off = float(np.abs(a - b).max(initial=0.0))  # beyond round-off
+            off = float(np.abs(a - b).max(initial=0.0))
             if off > SAME * np.abs(b).max(initial=0.0):
                 told.append(f"{name} is off by up to {off:.3g} from the checkpoint")
         elif before != now:

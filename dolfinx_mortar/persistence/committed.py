@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The committed state of a problem in one record, of which checkpoints are made; its undoing."""
+"""The committed state of a problem, for checkpoints and undoing."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class SupportForces:
     points: Floats  # (owned nodes, d) at which they act
 
 
-@dataclass(frozen=True, eq=False)  # compared by identity: two calls may have the same levels
+@dataclass(frozen=True, eq=False)  # two calls may have the same levels
 class Walk:
     """A call of `load_steps` or `time_steps`."""
 
-    start: float  # level at which it began
+    start: float
     ramp: list[list[list[float]]]  # tables, see `steps.ramp`
     settings: dict[str, Any]  # of its steps by name
 
@@ -48,47 +48,47 @@ class Slips:
 
 @dataclass(frozen=True)
 class Gained:
-    """What Newton's iterations have added in a step to the motion with which it began."""
+    """Additions of Newton's iterations to the predicted motion of a step."""
 
     by: Floats  # (n,) displacement
-    travel: Floats  # (m,) motions of tools that forces drive
-    duration: float  # by how much the level has risen
+    travel: Floats  # (m,) motions of tools driven by forces
+    duration: float  # increment of the level
 
 
 @dataclass(frozen=True)
 class StepOutcome:
-    """Results of a converged step that `Committed.commit` takes."""
+    """Results of a converged step for `Committed.commit`."""
 
     at: Floats  # (n,) displacement at the end of the step
     active: Bools  # (owned nodes,) closed contacts
-    sliding: Floats | None  # (owned nodes, d) slip directions of closed nodes, 0 if stuck
-    paired: Floats | None  # (n,) displacement of the pairing; empty for X
+    sliding: Floats | None
+    paired: Floats | None
     slips: Slips | None  # with friction
-    # (owned nodes, d) forces of the contacts on both sides, normal to them and along
+    # (owned nodes, d) normal contact forces on both sides
     normal: Floats | None = None
     tangential: Floats | None = None
     ended: Sequence[Any] = ()  # of the interfaces, see `Interface.state`
-    level: float | None = None  # at which the step ends; None for that of the committed state
+    level: float | None = None  # level at its end; None for that of the committed state
     gained: Gained | None = None  # None without a level
     before: Before | None = None  # the last commit
 
 
 @dataclass
 class Committed:
-    """The state from which the next step starts, beside u and the internal variables."""
+    """The state at the start of the next step, without u and the internal variables."""
 
     active: Bools  # (owned nodes,) closed contacts
-    displacement: Floats  # (n,) owned, from which slips are measured
+    displacement: Floats  # (n,) owned, origin of slips
     slid: Floats  # (interfaces, owned nodes), see `Slips`
     dissipated: Floats  # (interfaces, owned nodes), see `Slips`
     begun: bool = False  # a step has been committed
-    sliding: Floats | None = None  # (owned nodes, d) slip directions of closed nodes, 0 if stuck
-    paired: Floats | None = None  # (n,) displacement of the pairing; empty for X
+    sliding: Floats | None = None
+    paired: Floats | None = None
     level: float = 0.0  # load level, of the last step of `load_steps`
-    history: list[LoadStep] = field(default_factory=list)  # all steps of `load_steps`
-    brought: int = 0  # how many of them a checkpoint has restored
-    walked: int = 0  # how many of them belong to the last call
-    walk: Walk | None = None  # the last call of `load_steps`, the only one that may continue
+    history: list[LoadStep] = field(default_factory=list)
+    brought: int = 0  # of them, number restored by a checkpoint
+    walked: int = 0  # of them, number of the last call
+    walk: Walk | None = None  # the last call of `load_steps`, which may continue
     supports: SupportForces | None = None  # of the last step that has converged
     gained: Gained | None = None  # in the last step, see `ContactProblem.begin_step`
 
@@ -98,7 +98,7 @@ class Committed:
         return self.history[len(self.history) - self.walked :]
 
     def commit(self, u: Floats, outcome: StepOutcome | None) -> None:
-        """Commit the displacement (n,), with the outcome of the step that has ended there."""
+        """Commit the displacement (n,), with the outcome of the step."""
         self.begun, self.displacement, self.gained = True, u.copy(), None
         if outcome is None:
             return
@@ -120,7 +120,7 @@ class ProblemState:
     supports: Dirichlet
     geometry: str
     committed: Committed
-    terms: Sequence[tuple[str, Term]]  # what else adds forces, by name
+    terms: Sequence[tuple[str, Term]]
 
     @property
     def u(self) -> fem.Function:
@@ -129,7 +129,7 @@ class ProblemState:
 
     @property
     def states_of_terms(self) -> dict[str, fem.Function]:
-        """States of the terms by the name of their column in a checkpoint; collective."""
+        """States of the terms by column of a checkpoint; collective."""
         return {
             f"{COLUMN_OF_TERM} {k} {name}": f
             for k, state in enumerate(self.ask_terms("state"))
@@ -137,7 +137,7 @@ class ProblemState:
         }
 
     def ask_terms(self, name: str) -> list[dict[str, Any]]:
-        """Return a mapping that terms have, of each of them; collective."""
+        """Mapping of each term by a method; collective."""
 
         def ask_one(named: str, term: Term) -> dict[str, Any]:
             return ask_term(self.comm, f"{named}: {name}", term, lambda: dict(getattr(term, name)))
@@ -151,15 +151,10 @@ class ProblemState:
 
 
 class Before:
-    """All that a step and its commit change, as it was before: displacement, results, state."""
+    """Copy of all that a step and its commit change: displacement, results, state."""
 
     def __init__(self, state: ProblemState, outcome: StepOutcome | None) -> None:
-        """Copy it; collective.
-
-        Args:
-            state: of the problem, to which no reference is kept.
-            outcome: of a step before that has not been committed.
-        """
+        """Copy the state, and an outcome that has not been committed; collective."""
         self.state, self.outcome = state, outcome
         functions = [state.u, *state.states_of_terms.values()]
         self._values = [(f, f.x.array.copy()) for f in functions]
@@ -168,7 +163,7 @@ class Before:
         self._committed = vars(state.committed) | {"history": [*state.committed.history]}
 
     def restore(self) -> None:
-        """Put it back, perhaps on this rank only: without communication."""
+        """Restore the copy, perhaps on this rank only; not collective."""
         state = self.state
         for f, values in self._values:
             f.x.array[:] = values
@@ -176,7 +171,7 @@ class Before:
         for interface, kept, began in self._results:
             interface.put_back(kept)
             interface.restore(began)
-        history = state.committed.history  # which programs may hold
+        history = state.committed.history  # the user may refer to this list
         history[:] = self._committed["history"]
         vars(state.committed).update(self._committed, history=history)
         for term in (state.solid, *(term for _, term in state.terms)):

@@ -8,15 +8,13 @@ r"""One HDF5 file of values at places, written by any number of ranks and read b
     about            JSON: what the caller gives; columns of each table, rows and box of each rank
     NAME    (N, c)   a table: in each row a place, and the values there
 
-Numbers of nodes depend on the ranks, and nodes of sides in contact may be at the same point. The
-place of a node, or of an integration point, is therefore
+Node numbers depend on the ranks, and nodes of both sides may coincide, so places are
 
     (x, c),    c the mean of the midpoints of its cells.
 
-Rank 0 writes, and receives the rows of one rank at a time. The file gets its name when it is on the
-disk, with its checksum: a program that is killed leaves the old or the new one. A rank reads the
-rows of ranks whose boxes meet its own, and takes the nearest place. HDF5 may crash on a damaged
-file, so the checksum comes first.
+Rank 0 receives the rows of one rank at a time. The file is renamed once complete. A rank reads rows
+of ranks whose boxes meet its own, and takes the nearest place. HDF5 may crash on a damaged file, so
+the checksum is tested first.
 """
 
 import errno
@@ -34,7 +32,7 @@ import numpy as np
 import scipy
 
 from dolfinx import fem, la, mesh
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arrays import SAME, Floats, Longs
 from dolfinx_mortar.disk import (
     CHECKPOINT,
@@ -45,17 +43,14 @@ from dolfinx_mortar.disk import (
     space_for,
 )
 
-FORMAT = 8  # raise this when what is written changes its meaning
-HEAD = 512  # bytes: the least that HDF5 leaves to programs, its "user block"
+FORMAT = 8  # raise this when the meaning of the content changes
+HEAD = 512  # bytes: HDF5's smallest "user block"
 CHECKSUM = b"sha256 of what follows: "
 Values = Mapping[str, Mapping[str, Floats]]  # (n, c) by column by table
 
 
 def find_places(V: fem.FunctionSpace) -> Floats:
-    """Return the places (n, 2d) of the owned blocks of a Lagrange or quadrature space; collective.
-
-    They are the same on any ranks up to round-off.
-    """
+    """Places (n, 2d) of owned blocks of a nodal space, independent of ranks; collective."""
     domain, imap = V.mesh, V.dofmap.index_map
     d, owned = domain.geometry.dim, domain.topology.index_map(domain.topology.dim).size_local
     cells = np.arange(owned, dtype=np.int32)
@@ -72,7 +67,7 @@ def find_places(V: fem.FunctionSpace) -> Floats:
 
 
 def import_h5py() -> Any:
-    """Return the module h5py, or raise an ImportError with what to install."""
+    """The module h5py, or an ImportError with the remedy."""
     try:
         import h5py
     except ImportError as error:
@@ -83,12 +78,7 @@ def import_h5py() -> Any:
 
 
 def check_folder(comm: MPI.Comm, path: Path) -> None:
-    """Raise on all ranks unless a file can be written there, by rank 0; collective.
-
-    Raises:
-        OSError: if not, naming the folder.
-        RuntimeError: if h5py is missing (on rank 0, an ImportError).
-    """
+    """Raise an OSError or RuntimeError on all ranks unless rank 0 can write there; collective."""
     with raised_together(comm):
         if comm.rank == 0:
             import_h5py()
@@ -100,7 +90,7 @@ def check_folder(comm: MPI.Comm, path: Path) -> None:
                 draft = draft_of(path)
                 draft.touch()
                 draft.unlink()
-            except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+            except (OSError, ValueError) as error:  # ValueError: an impossible file name
                 raise OSError(
                     f"path is {str(path)!r}, which cannot be written ({error}): choose a file in "
                     "an existing, writable folder"
@@ -114,12 +104,7 @@ def write(
     places: Mapping[str, Floats],
     values: Values,
 ) -> None:
-    """Write a file and replace an older one of this name; collective.
-
-    Args:
-        about: JSON values, the same on all ranks.
-        places: (n, k) of this rank, by table.
-        values: at these places.
+    """Write values at places (n, k) by table, and `about`, to a new file; collective.
 
     Raises:
         OSError: on all ranks, if rank 0 cannot write; an older file stays.
@@ -141,7 +126,7 @@ def write(
 
 
 def _rows(comm: MPI.Comm, columns: list[Floats]) -> Iterator[Floats]:
-    """Yield the rows of all ranks on rank 0, which has to take them; others send; collective."""
+    """Yield rows of all ranks on rank 0, which must exhaust them; others send; collective."""
     rows = np.hstack(columns)
     if comm.rank > 0:
         comm.send(rows, dest=0)
@@ -152,7 +137,6 @@ def _rows(comm: MPI.Comm, columns: list[Floats]) -> Iterator[Floats]:
 
 
 def _write_file(path: Path, about: Mapping[str, Any], rows: Iterator[tuple[str, Floats]]) -> None:
-    """Write tables, part by part, and replace the file; on rank 0."""
     draft = draft_of(path)
     try:
         text = np.frombuffer(json.dumps(about, default=_plain).encode(), dtype=np.uint8)
@@ -180,12 +164,11 @@ def _write_file(path: Path, about: Mapping[str, Any], rows: Iterator[tuple[str, 
 
 
 def _plain(value: Any) -> Any:
-    """Return a NumPy number or array as JSON can hold it."""
     return value.tolist() if isinstance(value, np.generic | np.ndarray) else str(value)
 
 
 def _first_line() -> bytes:
-    """Return the first line; before 1.0 a minor version may change what laws and forms mean."""
+    """First line; before 1.0 a minor version may change laws and forms."""
     package = sys.modules[__name__.partition(".")[0]]
     minor = ".".join(package.__version__.split(".")[:2])
     return CHECKPOINT + f", format {FORMAT}, version {minor}\n".encode()
@@ -196,13 +179,12 @@ def _shown(line: bytes) -> str:
 
 
 def _second_line(stream: IO[bytes]) -> bytes:
-    """Return the second line, with the checksum of the rest of a stream."""
     digest = hashlib.file_digest(stream, "sha256")  # type: ignore[arg-type]
     return CHECKSUM + digest.hexdigest().encode() + b"\n"
 
 
 def seal(file: Path) -> None:
-    """Write the head of a file that is complete otherwise."""
+    """Write the head of an otherwise complete file."""
     first = _first_line()
     with file.open("r+b") as stream:
         stream.seek(len(first + CHECKSUM) + 65)  # 64 digits and the end of the line
@@ -215,13 +197,7 @@ def seal(file: Path) -> None:
 
 
 def read_about(comm: MPI.Comm, path: Path) -> dict[str, Any]:
-    """Return the JSON part of a file; collective.
-
-    Raises:
-        OSError: on all ranks, if there is no such file, or it cannot be read.
-        ValueError: on all ranks, if it is no checkpoint, has another format or version, or is not
-            as it was written.
-    """
+    """JSON part of a file; an OSError or ValueError on all ranks; collective."""
     about: Any = {}
     with raised_together(comm):
         if comm.rank == 0:
@@ -234,16 +210,9 @@ def read_about(comm: MPI.Comm, path: Path) -> dict[str, Any]:
 def read_tables(
     comm: MPI.Comm, path: Path, about: Mapping[str, Any], places: Mapping[str, Floats], size: float
 ) -> tuple[dict[str, dict[str, Floats]], dict[str, str]]:
-    """Return the values at the places of this rank; collective.
+    """Values by column by table at places (n, k), up to round-off of `size`; collective.
 
-    Args:
-        path: the file.
-        about: what `read_about` has returned of it.
-        places: (n, k) of this rank, by table.
-        size: largest coordinate, which scales what counts as the same place.
-
-    Returns:
-        Values by column by table; and by table, in words, how places differ, if they do.
+    Also, by table, how places differ, in words.
     """
     found: dict[str, dict[str, Floats]] = {}
     hits: dict[str, Longs] = {}
@@ -260,7 +229,7 @@ def read_tables(
 def _read_table(
     table: Any, about: Mapping[str, Any], own: Floats, size: float
 ) -> tuple[dict[str, Floats], Longs]:
-    """Return the values at own places (n, k), and how many rows were found for each."""
+    """Values at own places (n, k), and number of rows of each."""
     (n, k), widths = own.shape, about["columns"]
     tree = scipy.spatial.cKDTree(own) if n else None
     values, hits = np.zeros((n, sum(widths.values()))), np.zeros(n, dtype=np.int64)
@@ -281,11 +250,10 @@ def _read_table(
 
 
 def _difference(comm: MPI.Comm, own: Floats, hits: Longs, there: int) -> str:
-    """Return in words how places differ from those of the file, nothing if they do not."""
     total = comm.allreduce(len(own), op=MPI.SUM)
     if total != there:
         return f"there are {total}, in the checkpoint {there}"
-    # numbers are equal, so where one is there twice another one is missing: name the cause first
+    # numbers are equal, so a duplicate implies a missing place: name the cause first
     for wrong, text in ((hits > 1, "there more than once"), (hits == 0, "not in the checkpoint")):
         some = comm.allgather((int(wrong.sum()), own[wrong][:1, : own.shape[1] // 2]))
         count = sum(n for n, _ in some)
@@ -297,12 +265,11 @@ def _difference(comm: MPI.Comm, own: Floats, hits: Longs, there: int) -> str:
 
 
 def _opened(path: Path) -> Any:
-    """Open a file for reading."""
     return import_h5py().File(path, "r", locking="best-effort")
 
 
 def _check_head(path: Path) -> None:
-    """Raise an error unless a file is a checkpoint of this format and version, as written."""
+    """Raise unless a file is an undamaged checkpoint of this format and version."""
     import_h5py()
     if not path.exists():
         raise FileNotFoundError(

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Pictures in one line each: a mesh with its tags, a field on the deformed bodies, pressures.
+"""Pictures: a mesh with its tags, a field on the deformed bodies, pressures.
 
     dm.plotting.mesh(*dm.meshing.read_msh("bearing.msh"))
     dm.plotting.field(problem, "von_mises", file="stress.png")
     dm.plotting.pressure(problem)
 
 Bodies in the plane are drawn by matplotlib, bodies in space by PyVista (``pip install
-dolfinx_mortar[demo]``), which are imported when the first picture is made. All functions are
-collective and gather what they draw on rank 0: for models that fit there. For larger ones there is
-`Writer`, and ParaView.
+dolfinx_mortar[demo]``), imported at first use. All functions are collective and gather on rank 0;
+for models that do not fit there use `Writer`, and ParaView.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from dolfinx import fem, plot
 from dolfinx import mesh as dmesh
 from dolfinx_mortar import compat
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import check, check_optional, instance, one_of
 from dolfinx_mortar.arrays import Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import FACETS_OF
@@ -52,13 +51,13 @@ def mesh(
 ) -> Any:
     """Draw a mesh with its bodies and sides in colours, and their names if the tags have some.
 
-    Collective; all is gathered on rank 0.
+    Collective.
 
     Args:
         mesh: the mesh.
         cell_tags: of its bodies, see `Tags` for names.
-        facet_tags: of its sides; in space they have a pane of their own.
-        file: picture to write (.png); no window is opened then.
+        facet_tags: of its sides; in space in their own pane.
+        file: picture to write (.png), without opening a window.
         view: in space, the direction (x, y, z) to look from.
         ax: axes of matplotlib to draw in, in the plane; on rank 0.
 
@@ -69,7 +68,7 @@ def mesh(
     Raises:
         ValueError: for no mesh, tags of another one, `view` in the plane, `ax` in space.
         ImportError: without matplotlib or PyVista; the message names the extra.
-        RuntimeError: in space, if there is no screen to draw on.
+        RuntimeError: in space, without a screen.
     """
     if not isinstance(mesh, dmesh.Mesh) or mesh.topology.cell_name() not in CELLS:
         unpack = "; unpack what a reader returns, mesh(*found)" if isinstance(mesh, tuple) else ""
@@ -104,21 +103,20 @@ def field(
     view: Any = None,
     ax: Any = None,
 ) -> Any:
-    """Draw a field on the deformed bodies. Collective; all is gathered on rank 0.
+    """Draw a field on the deformed bodies. Collective.
 
-    Rigid tools are drawn where they are now, as far as they reach around the bodies, unless
-    displacements are enlarged.
+    Rigid tools are drawn near the bodies, unless displacements are enlarged.
 
     Args:
         problem: a `ContactProblem`, or a `Solid`, which has no tools.
         name: of a scalar field of `Solid.cell_values`, such as "von_mises", "stress_yy" or
             "plastic_strain_norm", with one colour per cell; "displacement" for its length, or
             "displacement_x".
-        scale: by how much displacements are enlarged.
-        file: as `view` and `ax` and what is returned, see `mesh`.
+        scale: factor of displacements.
+        file: as `view`, `ax` and the result, see `mesh`.
 
     Raises:
-        ValueError: for unknown names and tensors; else as `mesh` does.
+        ValueError: for unknown names and tensors; else as `mesh`.
     """
     solid = getattr(problem, "solid", problem)
     V = getattr(solid, "V", None)
@@ -147,18 +145,17 @@ def pressure(
 ) -> Any:
     """Draw the contact pressure: along the slave side in the plane, over it in space.
 
-    Collective; all is gathered on rank 0. In the plane the abscissa is the axis along which the
-    sides are longer. Of ties the normal traction is drawn, positive in compression like a pressure
-    and negative in tension.
+    Collective. In the plane the abscissa is the axis along which the sides are longer. Of ties the
+    normal traction is drawn, positive in compression.
 
     Args:
-        problem: a `ContactProblem` that has made a step.
-        interfaces: one or several of its interfaces, by default its contacts, or its ties if it
-            has none.
-        file: as `view` and `ax` and what is returned, see `mesh`.
+        problem: a `ContactProblem` after a step.
+        interfaces: one or several of its interfaces, by default its contacts, or its ties if it has
+            none.
+        file: as `view`, `ax` and the result, see `mesh`.
 
     Raises:
-        ValueError: for interfaces of other problems; else as `mesh` does.
+        ValueError: for interfaces of other problems; else as `mesh`.
         NoResult: before the first step.
     """
     chosen = _chosen(problem, interfaces)
@@ -178,7 +175,6 @@ def pressure(
 
 
 def _chosen(problem: Any, interfaces: Any) -> list[Any]:
-    """Return the interfaces to draw; collective."""
     if not hasattr(problem, "check_owned"):
         raise ValueError(f"problem is {problem!r}: give a ContactProblem.")
     problem.check_owned()
@@ -195,7 +191,7 @@ def _chosen(problem: Any, interfaces: Any) -> list[Any]:
 
 
 def _values_of(solid: Any, name: str) -> tuple[Floats, bool]:
-    """Return a field at the local nodes or in the owned cells, and whether at nodes; collective."""
+    """Field at the local nodes or in the owned cells, and whether at nodes; collective."""
     V: fem.FunctionSpace = solid.V
     d, topology = V.mesh.geometry.dim, V.mesh.topology
     components = [f"displacement_{axis}" for axis in "xyz"[:d]]
@@ -211,7 +207,6 @@ def _values_of(solid: Any, name: str) -> tuple[Floats, bool]:
 
 
 def _moved(V: fem.FunctionSpace, u: fem.Function, scale: float) -> Floats:
-    """Return the local nodes (n, 3) at X + scale u."""
     x = V.tabulate_dof_coordinates().copy()
     d = V.mesh.geometry.dim
     x[:, :d] += scale * u.x.array.reshape(-1, d)
@@ -226,10 +221,7 @@ def _on_rank_0(
     ax: Any,
     panes: int = 1,
 ) -> Any:
-    """Draw on rank 0 and return axes or plotter; errors are raised on all ranks; collective.
-
-    The module that draws is imported on all ranks; axes may be given on rank 0 alone.
-    """
+    """Draw on rank 0 and return axes or plotter; errors are raised on all ranks; collective."""
     dim = domain.geometry.dim
     with raised_together(domain.comm):
         check_optional("file", file, instance((str, os.PathLike), "give the name of a picture"))
@@ -259,27 +251,23 @@ def _on_rank_0(
 
 @dataclass(frozen=True)
 class Parts:
-    """Cells in the plane, or facets, of all ranks, with values at their nodes or one for each."""
+    """Cells in the plane, or facets, of all ranks, with nodal or constant values."""
 
     x: Floats  # (n, 3)
-    nodes: Longs  # (m, k): vertices in order around the part, middles of edges, the one inside
+    nodes: Longs  # (m, k): vertices in order around the part, middles of edges, interior node
     values: np.ndarray  # (n,) at nodes, or (m,)
     at_nodes: bool
 
     @property
     def polygons(self) -> Longs:
-        """The nodes (m, p) around the parts: vertices, with middles of edges between."""
+        """Nodes (m, p) around the parts."""
         k = self.nodes.shape[1]
         n = 3 if k in (3, 6) else 4
         return self.nodes if k == n else self.nodes[:, np.arange(2 * n).reshape(2, n).T.ravel()]
 
     @property
     def triangles(self) -> Longs:
-        """The nodes (t, 3) of triangles that fill the parts, part after part.
-
-        They meet at the node inside, or else at the first but one of the polygon: a middle if there
-        are some, from which no other two nodes lie on one line.
-        """
+        """Nodes (t, 3) of triangles of the parts, in order, around an interior or mid node."""
         around = self.polygons
         if self.nodes.shape[1] > around.shape[1]:
             tip, rim = self.nodes[:, -1:], np.hstack([around, around[:, :1]])
@@ -291,7 +279,7 @@ class Parts:
     def by_tag(
         self, tags: dmesh.MeshTags | None, colours: Sequence[str]
     ) -> Iterator[tuple[str, str, Parts]]:
-        """Yield name, colour and parts of each tag; colours are repeated if there are too few."""
+        """Yield name, colour and parts of each tag, with colours repeated."""
         names = {tag: name for name, tag in names_of(tags).items()} | {NO_TAG: "no tag"}
         for tag, colour in zip(np.unique(self.values), cycle(colours), strict=False):
             on = self.values == tag
@@ -302,15 +290,9 @@ class Parts:
 def gather_bodies(
     V: fem.FunctionSpace, x: Floats, values: np.ndarray, at_nodes: bool
 ) -> Parts | None:
-    """Return the cells of bodies in the plane, or the outer facets of others, on rank 0.
+    """Gather cells in the plane, or outer facets in space, on rank 0; collective.
 
-    Collective; None on all other ranks.
-
-    Args:
-        V: Lagrange space of degree 1 or 2; its nodes are those of the parts.
-        x: (n, 3) where its local nodes are drawn.
-        values: at the local nodes (n,), or of the owned cells.
-        at_nodes: which of both.
+    `x` (n, 3) are positions of local nodes; values at the local nodes (n,), or of the owned cells.
     """
     topology = V.mesh.topology
     if topology.dim == 2:
@@ -329,7 +311,6 @@ def _gather_facets(
     tag: int | None = None,
     values: Floats | None = None,
 ) -> Parts | None:
-    """Return the facets that have tags, or one of them, with values at nodes or their tags."""
     chosen = tags.indices < V.mesh.topology.index_map(tags.dim).size_local
     if tag is not None:
         chosen &= tags.values == tag
@@ -339,7 +320,6 @@ def _gather_facets(
 
 
 def _nodes_of(V: fem.FunctionSpace, facets: Ints) -> tuple[Longs, Ints]:
-    """Return the nodes (m, k) of facets, and the cells (m,) that they belong to."""
     topology, d = V.mesh.topology, V.mesh.topology.dim
     for pair in ((d - 1, d), (d, d - 1)):
         topology.create_connectivity(*pair)
@@ -357,7 +337,7 @@ def _nodes_of(V: fem.FunctionSpace, facets: Ints) -> tuple[Longs, Ints]:
 def _gather(
     V: fem.FunctionSpace, nodes: Longs, x: Floats, values: np.ndarray, at_nodes: bool
 ) -> Parts | None:
-    """Return the parts of all ranks on rank 0, None elsewhere; collective."""
+    """Parts of all ranks on rank 0, None elsewhere; collective."""
     used, own = np.unique(nodes, return_inverse=True)
     ranks = V.mesh.comm.gather(
         (x[used], own.reshape(nodes.shape), values[used] if at_nodes else values)

@@ -21,7 +21,7 @@ BODIES = ("#c6d8ea", "#ecd3b4", "#cfe3c4", "#dccbe6", "#e8e0b0", "#d9d9d9")
 
 
 def begin(file: Any, ax: Any, panes: int) -> Any:
-    """Return axes: given ones, of a figure of pyplot, or of a figure for a file only."""
+    """Axes: given ones, of pyplot, or for a file only."""
     if ax is not None:
         return ax
     figure = pyplot.figure(layout="constrained") if file is None else Figure(layout="constrained")
@@ -41,7 +41,7 @@ def draw_mesh(
     cell_tags: dmesh.MeshTags | None,
     facet_tags: dmesh.MeshTags | None,
 ) -> None:
-    """Draw bodies in pale colours and tagged sides as thick lines, with their names."""
+    """Draw bodies, and tagged sides as thick lines, with names."""
     entries: list[Any] = []
     for name, colour, body in cells.by_tag(cell_tags, BODIES):
         _add_cells(axes, body, facecolor=colour, edgecolor="#20415c80")
@@ -57,7 +57,7 @@ def draw_mesh(
 
 
 def draw_field(axes: Any, cells: Parts, name: str) -> None:
-    """Draw a field of cells (flat colours) or of nodes (shaded) with its scale."""
+    """Draw a field of cells (flat) or nodes (shaded) with its scale."""
     if cells.at_nodes:
         x, y = cells.x[:, :2].T
         style = {"shading": "gouraud", "cmap": "viridis"}
@@ -70,7 +70,7 @@ def draw_field(axes: Any, cells: Parts, name: str) -> None:
 
 
 def draw_tools(axes: Any, tools: list[Any], low: Floats, high: Floats) -> None:
-    """Draw where the signed distances of tools are negative, in the box from low to high (2,)."""
+    """Draw the interior of tools, in the box from low to high (2,)."""
     x, y = (np.linspace(low[i], high[i], GRID) for i in range(2))
     points = np.stack(np.meshgrid(x, y), axis=-1)
     for tool in tools:
@@ -82,11 +82,11 @@ def draw_tools(axes: Any, tools: list[Any], low: Floats, high: Floats) -> None:
 
 
 def draw_pressure(axes: Any, sides: list[tuple[str, Parts]], title: str) -> None:
-    """Draw pressures over x or y, facet by facet, where there are some and as far again beside."""
+    """Draw pressures over x or y, facet by facet."""
     axis = int(np.argmax(sum(np.ptp(side.x[:, :2], axis=0) for _, side in sides if len(side.x))))
     for (name, side), colour in zip(sides, SIDES * len(sides), strict=False):
         order = _in_order(side)
-        gap = np.full((len(order), 1), np.nan)  # between two facets no line is drawn
+        gap = np.full((len(order), 1), np.nan)  # no line between facets
         s = np.hstack([side.x[order, axis], gap]).ravel()
         p = np.hstack([side.values[order], gap]).ravel()
         axes.plot(s, p, ".-", color=colour, ms=4, lw=1.0, label=name)
@@ -99,12 +99,10 @@ def draw_pressure(axes: Any, sides: list[tuple[str, Parts]], title: str) -> None
 
 
 def _in_order(facets: Parts) -> Any:
-    """Return the nodes of facets along the lines that they are."""
     return facets.nodes[:, (0, 2, 1) if facets.nodes.shape[1] == 3 else (0, 1)]
 
 
 def _add_cells(axes: Any, cells: Parts, **style: Any) -> Any:
-    """Draw cells as polygons along their nodes, with edges that do not hide their colours."""
     polygons: Any = cells.x[cells.polygons][:, :, :2]
     drawn = PolyCollection(polygons, linewidth=0.2, cmap="viridis", **style)
     axes.add_collection(drawn)

@@ -25,11 +25,7 @@ BODIES = ("#6f9bc4", "#cf9650", "#7fae69", "#a583bd", "#b5a53c", "#909090")  # a
 
 
 def begin(file: Any, ax: Any, panes: int) -> Any:
-    """Return a plotter, without a window where there is no screen, or a file is asked for.
-
-    Raises:
-        RuntimeError: if nothing can be drawn.
-    """
+    """A plotter, off-screen for a file or without a screen; a RuntimeError if VTK cannot draw."""
     find_screen()
     plotter: Any = pyvista.Plotter(
         off_screen=pyvista.OFF_SCREEN or file is not None,
@@ -42,7 +38,7 @@ def begin(file: Any, ax: Any, panes: int) -> Any:
 
 
 def finish(plotter: Any, file: Any, view: Any) -> None:
-    """Set the direction of view, and write a picture if there is a file for it."""
+    """Set the view, and write a picture if there is a file."""
     if view is not None:
         _look(plotter, np.asarray(view, dtype=float))
     if file is not None:
@@ -56,7 +52,7 @@ def draw_mesh(
     cell_tags: dmesh.MeshTags | None,
     facet_tags: dmesh.MeshTags | None,
 ) -> None:
-    """Draw the bodies in one pane and the tagged sides in another one, with their names."""
+    """Draw bodies and tagged sides in two panes, with names."""
     panes: list[Any] = [(outside, cell_tags, BODIES, {"ambient": 0.4})]
     if facets is not None:
         panes.append((facets, facet_tags, SIDES, {"ambient": 0.6, "opacity": 0.5}))
@@ -76,13 +72,13 @@ def draw_mesh(
 
 
 def draw_field(plotter: Any, outside: Parts, name: str) -> None:
-    """Draw a field of cells (flat colours) or of nodes (shaded) with its scale."""
+    """Draw a field of cells (flat) or nodes (shaded) with its scale."""
     _add_values(plotter, outside, name)
     _finish_pane(plotter)
 
 
 def draw_tools(plotter: Any, tools: list[Any], low: Floats, high: Floats) -> None:
-    """Draw the surfaces of tools, one can see through them, in the box from low to high (3,)."""
+    """Draw transparent tools, in the box from low to high (3,)."""
     for tool in tools:
         if tool.surface is not None:
             surface = pyvista.PolyData.from_regular_faces(*tool.surface)
@@ -98,7 +94,7 @@ def draw_tools(plotter: Any, tools: list[Any], low: Floats, high: Floats) -> Non
 
 
 def draw_pressure(plotter: Any, sides: list[tuple[str, Parts]], title: str) -> None:
-    """Draw pressures on the slave sides, seen along the direction in which these extend least."""
+    """Draw pressures on the slave sides, seen along their least extent."""
     for _, side in sides:
         _add_values(plotter, side, title)
     _finish_pane(plotter)
@@ -109,14 +105,13 @@ def draw_pressure(plotter: Any, sides: list[tuple[str, Parts]], title: str) -> N
 
 
 def _look(plotter: Any, towards: Floats) -> None:
-    """Look from a direction (3,), with z upwards, or y where that is the direction."""
+    """Look from a direction (3,), with z upwards, or y for a view along z."""
     upright = np.linalg.norm(towards[:2]) > 0.1 * abs(towards[2])
     for renderer in plotter.renderers:
         renderer.view_vector(towards, viewup=(0, 0, 1) if upright else (0, 1, 0))
 
 
 def _add_values(plotter: Any, parts: Parts, title: str) -> None:
-    """Draw values of parts or at nodes in colours, with their scale."""
     bar = {"title": f"{title}\n", "color": "black", "vertical": True, "position_x": 0.85}
     bar |= {"fmt": "%.3g", "title_font_size": 18, "label_font_size": 18}
     style = {"cmap": "viridis", "lighting": False, "scalar_bar_args": bar}
@@ -124,7 +119,6 @@ def _add_values(plotter: Any, parts: Parts, title: str) -> None:
 
 
 def _add_facets(plotter: Any, facets: Parts, **style: Any) -> None:
-    """Draw facets, shaded ones in triangles, and their edges in front of them."""
     surface: Any = pyvista.PolyData.from_regular_faces
     around = surface(facets.x, facets.polygons)
     drawn = surface(facets.x, facets.triangles) if facets.at_nodes else around
@@ -141,13 +135,9 @@ def _finish_pane(plotter: Any) -> None:
 
 
 def find_screen() -> None:
-    """Make sure that VTK can draw; set ``pyvista.OFF_SCREEN`` without a screen.
+    """Make sure that VTK can draw, off-screen if necessary, or raise a RuntimeError.
 
-    A VTK before 9.4, as in Debian 13, draws in X windows only and ends the program if no X server
-    answers. Then one in memory (Xvfb) is started.
-
-    Raises:
-        RuntimeError: if there is neither.
+    A VTK before 9.4, as in Debian 13, ends the program without an X server: then Xvfb is started.
     """
     display = os.environ.get("DISPLAY", "")
     if sys.platform in ("darwin", "win32") or _connect(display):
@@ -166,17 +156,17 @@ def find_screen() -> None:
 
 @cache
 def _connect(display: str) -> bool:
-    """Tell whether an X server answers, and stay connected for the rest of the program."""
+    """Whether an X server answers; stays connected."""
     library = ctypes.util.find_library("X11")
     if not display or library is None:
         return bool(display)
     x11 = ctypes.CDLL(library)
-    x11.XOpenDisplay.restype = ctypes.c_void_p  # not the integer of 32 bits that is the default
+    x11.XOpenDisplay.restype = ctypes.c_void_p  # not the default, an integer of 32 bits
     return bool(x11.XOpenDisplay(display.encode()))
 
 
 def _start() -> str:
-    """Start an X server in memory, which ends after its last client; return its display."""
+    """Start Xvfb, which ends after its last client; return its display."""
     server = subprocess.Popen(
         "Xvfb -displayfd 1 -terminate -nolisten tcp -screen 0 1600x1200x24".split(),
         stdin=subprocess.DEVNULL,

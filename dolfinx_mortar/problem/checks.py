@@ -13,8 +13,7 @@ import ufl
 from dolfinx import fem
 from dolfinx_mortar import qp as backends
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.arguments import (
     NUMBER,
     check,
@@ -41,7 +40,7 @@ def check_arguments(
     geometry: str,
     **options: Any,
 ) -> tuple[list[Interface], list[fem.DirichletBC]]:
-    """Check the arguments of a problem; return interfaces and conditions as lists; collective."""
+    """Check the arguments; return interfaces and conditions as lists; collective."""
     check("solid", solid, instance(Solid, "give a Solid(u, materials, cell_tags)"))
     given, conditions = _unrolled(interfaces), _unrolled(bcs)
     check_same_on_all_ranks(
@@ -65,13 +64,13 @@ def check_arguments(
 
 
 def check_problem(problem: Any, kind: type) -> None:
-    """Raise a ValueError unless a problem is of its class, which this module cannot import."""
+    """Raise a ValueError unless a problem is of its class."""
     remedy = f"give a {kind.__name__}(solid, interfaces, bcs=...)"
     check("problem", problem, instance(kind, remedy))
 
 
 def check_controls(qp: Any, rtol: Any, max_it: Any) -> None:
-    """Raise a ValueError for invalid controls of Newton's method, see `newton`."""
+    """Raise a ValueError for invalid controls of Newton's method."""
     backends.check_name(qp)
     check("rtol", rtol, number(above=0.0, below=1.0))
     check("max_it", max_it, integer(1))
@@ -123,7 +122,6 @@ def _check_interfaces(interfaces: list[Any]) -> list[Interface]:
 
 
 def _check_weight(solid: Solid) -> None:
-    """Raise a ValueError on all ranks unless interfaces can evaluate the weight."""
     x = np.array(solid.mesh.geometry.x[:, : solid.mesh.geometry.dim], dtype=np.float64)
     i = solid.kinematics.radius
     if i is not None:

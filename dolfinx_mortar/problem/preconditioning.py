@@ -14,10 +14,9 @@ from dolfinx_mortar.supports.dirichlet import Dirichlet
 
 
 class UnknownsOfBodies:
-    """Unknowns of multigrid: those of the QP, but displacements at open contacts.
+    """Unknowns of multigrid: those of the QP, except displacements at open contacts.
 
-    Rigid motions of the whole, the near-null space, have w_n = 0 at closed nodes only; at open ones
-    the change of basis is reversed (`Transformation.uncouple`).
+    Rigid motions, the near-null space, have w_n = 0 at closed nodes only.
     """
 
     def __init__(
@@ -31,7 +30,7 @@ class UnknownsOfBodies:
         self.operator = CongruentOperator(operator.K, operator.half)
 
     def change(self, held: Ints) -> Change:
-        """Return v for the present geometry, contacts and tangent; collective."""
+        """See `Unknowns`; collective."""
         T = self.system.transformation
         eliminated = eliminated_dofs(self.system, self.supports)
         decoupled = np.union1d(eliminated, held).astype(np.int32)
@@ -40,7 +39,7 @@ class UnknownsOfBodies:
         return Change(E, self.operator.matrix)
 
     def motions(self, change: Change) -> list[PETSc.Vec]:
-        """Return the rigid motions, zero where these unknowns are decoupled; collective."""
+        """See `Unknowns`; collective."""
         T, motions = self.system.transformation, rigid_motions(self.bodies)
         if T is not None:
             motions = [T.uncoupled(motion, change.E) for motion in motions]

@@ -5,10 +5,8 @@ The deformation below a slider (a dent) moves with it by the sliding path c:
 
     u(X) <- u(X) + w(X - C) - w(X),   w = u0 - A X,   C = (1 + A)^-1 c,
 
-with the displacement u0 of the last step, at the nearest point of the body if X - C is outside;
-prescribed components stay. A X + b is the fit of u0 at the nodes: rotation and mean strain. Paths
-below a facet are ignored. The dented body shows in the remaining overlap: in demos/ironing 2 to 5 %
-if the block's displacement is moved, 105 to 115 % for the tool's.
+with the displacement u0 of the last step; prescribed components stay. A X + b is the fit of u0 at
+the nodes. The dent is in the body whose motion reduces the overlap.
 """
 
 from dataclasses import dataclass, replace
@@ -35,9 +33,9 @@ from dolfinx_mortar.supports.bodies import Bodies
 def predict(
     problem: ContactProblem, data: StepData, level: float | None, before: Floats
 ) -> StepData:
-    """Predict u at the end of a step, after the rigid motion with the supports; collective.
+    """Predict u at the end of a step; return the data with the motion of tools; collective.
 
-    Returns the data with the motion of tools. Level: at the end; before: (n,) u before that motion.
+    `before` (n,) is u before the rigid motion with the supports.
     """
     _convect(problem, problem.owned_u - before, before)
     data = replace(data, begun=problem.owned_u.copy())
@@ -47,7 +45,7 @@ def predict(
 
 
 def _convect(problem: ContactProblem, carried: Floats, before: Floats) -> None:
-    """Move the deformation of the side of a contact by which the overlap halves; collective."""
+    """Move the deformation of a side by which the overlap halves; collective."""
     if problem.solid.strain == "small" or problem.geometry == "reference":
         return
     closed, began = problem.committed.active & ~_stuck(problem), with_values(problem.V, before)
@@ -75,8 +73,7 @@ def _convect(problem: ContactProblem, carried: Floats, before: Floats) -> None:
 def _go_on(problem: ContactProblem, level: float, target: Floats) -> Floats | None:
     """Add the scaled gain of the last step; return the motion (m,) of tools; collective.
 
-    On flowing bodies (deep drawing takes 153 iterations instead of 458): nearly incompressible
-    elastic ones would be far from equilibrium.
+    On flowing bodies only.
     """
     gained, tools = problem.committed.gained, [i.driven() for i in problem.interfaces]
     if gained is None or problem.solid.strain == "small":
@@ -100,7 +97,6 @@ def _go_on(problem: ContactProblem, level: float, target: Floats) -> Floats | No
 
 
 def _stuck(problem: ContactProblem) -> Bools:
-    """Mask (owned nodes,) of slave nodes that stick."""
     stuck, sliding = np.zeros(problem.n, dtype=bool), problem.committed.sliding
     if sliding is not None:
         for interface, sides in zip(problem.interfaces, problem.system.sides, strict=True):
@@ -110,7 +106,6 @@ def _stuck(problem: ContactProblem) -> Bools:
 
 
 def _overlap(problem: ContactProblem) -> float:
-    """Norm of the overlaps of contact nodes at u; collective."""
     with problem.timings("mortar"):
         links = problem.system.at(problem.configuration).links
         gap = np.minimum(nodal_gaps(links, problem.positions(), problem.n), 0.0)
@@ -122,19 +117,19 @@ class Dent:
     """A group of tied bodies dented by a slider."""
 
     group: int
-    way: Floats  # (d,) path in this step, relative to the group, along the contact
+    way: Floats  # (d,) path in this step relative to the group
 
 
 def find_slides(
     system: InterfaceSystem, closed: Bools, bodies: Bodies, carried: Floats, u: fem.Function
 ) -> list[list[Dent]]:
-    """Return for each sliding contact which of its sides may be dented; collective.
+    """Sides of each sliding contact that may be dented; collective.
 
     Closed contacts that slide by a facet or more, each side in one group that does not rotate;
     first the group that moves less.
 
     Args:
-        closed: (owned nodes,) slave nodes that were closed and did not stick at the last commit.
+        closed: (owned nodes,) closed without stick at the last commit.
         carried: (owned nodes, d) displacement by the supports.
         u: displacement at the start of the step.
     """
@@ -179,7 +174,7 @@ def find_slides(
 
 
 def elastic_groups(solid: Solid, bodies: Bodies) -> Bools:
-    """Mask (bodies,) of groups without internal variables, which would stay at X; collective."""
+    """Groups without internal variables, which would stay at X; collective."""
     inelastic = np.zeros(bodies.count)
     for region in solid.regions:
         if region.law.state:
@@ -207,7 +202,7 @@ def convected(u: fem.Function, bodies: Bodies, dent: Dent) -> Floats:
 
 
 def mean_gradient(X: Floats, u: Floats, comm: MPI.Comm) -> Floats:
-    """Return A (d, d) of the least-squares fit A X + b to displacements u (n, d); collective."""
+    """Gradient A (d, d) of the fit A X + b to displacements u (n, d); collective."""
     d, ones = X.shape[1], np.ones((len(X), 1))
     rows = np.hstack([X, ones, u])
     n, *total = comm.allreduce(np.array([len(X), *rows.sum(axis=0)]), op=MPI.SUM)
@@ -217,11 +212,7 @@ def mean_gradient(X: Floats, u: Floats, comm: MPI.Comm) -> Floats:
 
 
 def values_near(u: fem.Function, cells: Ints, points: Floats, reach: float) -> Floats:
-    """Return u (p, d) at points (p, 3), or at nearest points of owned cells; collective.
-
-    Args:
-        reach: largest distance of a point.
-    """
+    """Values u (p, d) at points (p, 3), or at nearest points within reach; collective."""
     V, comm = u.function_space, u.function_space.mesh.comm
     x = V.mesh.geometry.x[cell_nodes(V.mesh)[cells].ravel()]
     margin = (1.0 + QUARTER_OF_DIGITS) * reach
@@ -238,7 +229,7 @@ def values_near(u: fem.Function, cells: Ints, points: Floats, reach: float) -> F
 
 
 def _nearest_values(u: fem.Function, cells: Ints, points: Floats) -> tuple[Floats, Floats]:
-    """Distances (p,) of points from the cells of this rank, and u (p, d) at the nearest ones."""
+    """Distances (p,) of points from this rank's cells, and u (p, d) there."""
     mesh, d = u.function_space.mesh, u.function_space.dofmap.index_map_bs
     if not len(cells) or not len(points):
         return np.full(len(points), np.inf), np.zeros((len(points), d))
@@ -251,7 +242,7 @@ def _nearest_values(u: fem.Function, cells: Ints, points: Floats) -> tuple[Float
 
 
 def _nearest_points(mesh: Mesh, cells: Ints, points: Floats) -> tuple[Floats, Ints, Floats]:
-    """Distances (p,) of points from cells of this rank, the nearest cells, and points in them."""
+    """Distances (p,) from this rank's cells, these, and points in them."""
     tdim, corners = mesh.topology.dim, cell_nodes(mesh)
     tree = geometry.bb_tree(mesh, tdim, entities=cells)
     inside = geometry.compute_collisions_points(tree, points)

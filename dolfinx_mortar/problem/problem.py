@@ -22,8 +22,13 @@ from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks, find_constants
 from dolfinx_mortar.algebra.congruence import CongruentOperator
 from dolfinx_mortar.algebra.csr import owned_rows
-from dolfinx_mortar.algebra.errors import from_callbacks, raise_together, raised_together
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import (
+    any_rank,
+    from_callbacks,
+    maximum,
+    raise_together,
+    raised_together,
+)
 from dolfinx_mortar.arrays import ROUND_OFF, TINY, Bools, Floats
 from dolfinx_mortar.audit.audit import Audit, create_audit, find_free_motions
 from dolfinx_mortar.audit.mesh_audit import check_mesh
@@ -94,7 +99,6 @@ class ContactProblem:
         petsc_options_prefix: str = "dolfinx_mortar_",
         petsc_options: Mapping[str, Any] | None = None,
     ) -> None:
-        """Check the arguments; create matrices, solver and interfaces; collective."""
         sides, conditions = check_arguments(
             *(solid, interfaces, bcs, loads, potential, geometry),
             terms=terms,
@@ -186,7 +190,7 @@ class ContactProblem:
 
     @property
     def fixed(self) -> Bools:
-        """Mask (local nodes, d) of displacement components with Dirichlet data."""
+        """Displacement components (local nodes, d) with Dirichlet data."""
         return self.supports.fixed
 
     @property
@@ -221,7 +225,7 @@ class ContactProblem:
         return v
 
     def check_ranks(self, **controls: Any) -> None:
-        """Raise a ValueError on all ranks if Constants, jumps or controls differ; collective."""
+        """Raise a ValueError on all ranks if arguments differ; collective."""
         check_same_on_all_ranks(self.comm, **controls, **self._inputs)
 
     @property
@@ -233,18 +237,15 @@ class ContactProblem:
         return find_constants(self._inputs)
 
     def check_owned(self) -> None:
-        """Raise a ValueError if a problem made later uses one of the interfaces."""
+        """Raise a ValueError if a later problem uses an interface."""
         check_owned(self.interfaces, self.supports)
 
     def begin_step(self, level: float | None = None, predict: Predictor | None = None) -> StepData:
         """Read loads, Dirichlet values and jumps, predict u, pair the surfaces; collective.
 
         Bodies, tied ones together, are translated by the mean of their prescribed increments. The
-        result depends only on the displacement and the committed state.
-
-        Args:
-            level: load level of the step; None for the committed one.
-            predict: further prediction, see `problem.predictors`.
+        result depends only on the displacement and the committed state. `level` is that of the
+        step, None for the committed one; `predict` is a further prediction.
 
         Raises:
             ValueError: for NaN, infinity or contradictions in data, displacement, potential or
@@ -283,13 +284,12 @@ class ContactProblem:
         return data
 
     def raise_failed(self) -> None:
-        """Raise on all ranks an error of a tool's shape on any rank; collective."""
+        """Raise errors of tools' shapes on all ranks; collective."""
         tools = [one.tool.asked for one in self.interfaces if one.tool is not None]
         failed = [error for shape in tools if (error := shape.failed()) is not None]
         raise_together(self.comm, failed[0] if failed else None)
 
     def _read(self, level: float | None) -> StepData:
-        """Data of a step from the present displacement; collective."""
         limits = []
         if self.system.has_friction:
             laws = [(one.law, one.nodal["gap"].function_space) for one in self.interfaces]
@@ -317,12 +317,10 @@ class ContactProblem:
         return StepData(target, asked, largest, contacts, limits, flows=flows)
 
     def _mean(self, asked: Floats) -> Floats:
-        """Mean increments (n,) of the bodies; collective."""
         mean = self.bodies.mean(asked, self.supports.owned)[self.bodies.label]
         return np.asarray(mean * self.bodies.shifts).ravel()
 
     def _carried(self, asked: Floats, u: Floats) -> Floats:
-        """Rigid displacement (n,) of supported bodies; collective."""
         mean = self._mean(asked)
         if self.solid.strain == "small" or not self.bodies.shifts.all():
             return mean
@@ -333,7 +331,7 @@ class ContactProblem:
         return self.vector(self.X.ravel() + self.committed.displacement)
 
     def _partners(self, target: Floats) -> list[Sequence[Partners | None] | None]:
-        """Slip partners at the last commit, at first also after the rigid motion; collective."""
+        """Slip partners at the last commit, at first also after the rigid motion."""
         if not self.system.has_friction or self.geometry == "reference":
             return [None]
         began = self.committed.displacement
@@ -355,7 +353,7 @@ class ContactProblem:
     def _completed(
         self, here: Configuration, partners: Sequence[Sequence[Partners | None] | None]
     ) -> list[Partners | None]:
-        """Partners, missing ones from later choices; None is those of ``here``; collective."""
+        """Partners, missing ones from later choices."""
         first, *others = (self._found_partners(here) if p is None else p for p in partners)
         result = list(first)
         for other in others:
@@ -368,11 +366,11 @@ class ContactProblem:
         return found.partners(self._committed_positions(), frozen=frozen)
 
     def audit(self) -> Audit:
-        """Geometry audit at the present displacement, which stays; collective.
+        """Geometry audit at the present displacement; collective.
 
         Raises:
-            ValueError: if a body can move freely, two surfaces can never meet, or another problem
-                uses one of the interfaces.
+            ValueError: if a body can move freely, two surfaces can never meet, or a later problem
+                uses an interface.
         """
         self.check_owned()
         self._check_mesh()
@@ -400,7 +398,7 @@ class ContactProblem:
         return set()
 
     def is_new(self, warning: str) -> bool:
-        """Mark a warning as logged; tell whether it was not before."""
+        """Mark a warning as logged; whether it is new."""
         new = warning not in self._logged
         self._logged.add(warning)
         return new
@@ -411,7 +409,7 @@ class ContactProblem:
         return []
 
     def diagnose(self) -> list[str]:
-        """Notes on the last step, or on its failure, with explanations and remedies."""
+        """Notes on the last step, or on its failure, with remedies."""
         return [
             ". ".join(filter(None, (note, getattr(note, "why", "")))) for note in chain(*self.told)
         ]
@@ -444,13 +442,12 @@ class ContactProblem:
                 self.linear.clear()
 
     def _enter(self, found: Configuration) -> None:
-        """Make a configuration the present one; collective."""
         with self.timings("mortar"):
             if self.system.enter(found):
                 self.linear.clear()
 
     def positions(self) -> PETSc.Vec:
-        """Return X + u as a vector."""
+        """Vector X + u."""
         x = self.vector(self.X)
         x.array[:] += self.u.x.array[: x.local_size]
         return x
@@ -461,7 +458,7 @@ class ContactProblem:
         An error of a term or an interface, or Ctrl-C, restores the last commit.
 
         Raises:
-            ValueError: if a problem made later uses one of the interfaces.
+            ValueError: if a later problem uses an interface.
         """
         self.check_owned()
         outcome = self.ended_here()
@@ -517,7 +514,7 @@ class ContactProblem:
         ]
 
     def ended_here(self) -> StepOutcome | None:
-        """Outcome of the last step, None if u has been changed since; collective."""
+        """Outcome of the last step, None if u has changed; collective."""
         elsewhere = self.outcome is None or not np.array_equal(self.outcome.at, self.owned_u)
         return None if any_rank(self.comm, elsewhere)[0] else self.outcome
 
@@ -545,13 +542,11 @@ class ContactProblem:
         by cell cannot be restored.
 
         Args:
-            path: HDF5 file in an existing folder; replaced once the new one is complete on the
-                disk.
+            path: HDF5 file in an existing folder; replaced once the new one is complete.
 
         Raises:
             OSError: on all ranks, if it cannot be written; the older file remains.
-            ValueError: if a problem made later uses one of the interfaces, or the last step is not
-                committed.
+            ValueError: if the last step is not committed, or another problem uses an interface.
             RuntimeError: if h5py is missing (an ImportError on rank 0).
         """
         if self.ended_here() is not None:
@@ -567,9 +562,6 @@ class ContactProblem:
         Mesh, materials and interfaces must be the same; the mesh may be numbered differently.
         Before an evaluation set loads to ``committed.level``, and after changes of parameters call
         ``solid.follow()``; `load_steps` does both.
-
-        Args:
-            path: file of `save` or `load_steps`.
 
         Raises:
             OSError: on all ranks, if the file is missing or unreadable.
@@ -601,10 +593,7 @@ class ContactProblem:
         return fields
 
     def output_tools(self) -> list[tuple[Outline, Floats]]:
-        """Outlines of the rigid tools, each with a box in its frame; collective.
-
-        The box (2, d) encloses the side at X + u on all ranks.
-        """
+        """Outlines of the rigid tools, with boxes (2, d) of sides in their frames; collective."""
         return self.system.tools_at(self.u)
 
 

@@ -22,13 +22,13 @@ class StepData:
 
     target: Floats  # (n,) prescribed displacements, 0 where free
     asked: Floats  # (owned nodes, d) prescribed minus initial values
-    increment: float  # largest of these and of jumps, all ranks
-    # initial active set (owned nodes,) and slip directions (owned nodes, d)
+    increment: float  # largest of these and of jumps
+    # active set (owned nodes,) and directions of slip (owned nodes, d)
     contacts: tuple[Bools, Floats | None] = (np.zeros(0, dtype=bool), None)
     # with friction, of each interface: limits (owned nodes,), and slip partners, None for present
     limits: Sequence[Floats | None] = ()
     partners: Sequence[Partners | None] = ()
-    # whether bodies flow by the changes, and the committed state is linearised
+    # bodies flow by the changes: the committed state is linearised
     flows: bool = False
     begun: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) u before the prediction
     travel: Floats | None = None  # (m,) predicted motion of tools, or None
@@ -55,7 +55,7 @@ def check_jumps(system: InterfaceSystem) -> None:
 
 
 def check_tightening(system: InterfaceSystem) -> str:
-    """Describe a pretension that needs an overlap longer than the model, or ""; collective."""
+    """Describe a pretension that needs a too large overlap, or ""; collective."""
     size = diagonal(system.V)
     for interface in system.interfaces:
         if isinstance(bolt := interface.driven(), Bolt):

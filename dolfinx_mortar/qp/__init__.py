@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Bound-constrained quadratic programs: data, backends, and one check of their solutions.
+"""Quadratic programs with bounds and friction: data, backends, linear systems, one check.
 
-For min 1/2 x'Ax - b'x over lower <= x <= upper, with friction, and the linear systems inside.
-Uses PETSc matrices, vectors and options; imports nothing of meshes, forms or contact.
+For PETSc matrices and vectors; without meshes, forms or contact.
 """
 
 from dolfinx_mortar.qp.bound_qp import (

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Primal-dual active set: semi-smooth Newton on z = max(0, z + c (x - upper)), and on lower bounds.
 
-With friction also on z_t = q min(1, s / |q|), see `qp.bound_qp`. Where MUMPS gives the Schur
-complement of the unknowns with bounds, the QP is condensed to these, see `condensed`.
+With friction also on z_t = q min(1, s / |q|), see `qp.bound_qp`.
 """
 
 from dataclasses import dataclass, replace
@@ -12,7 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.errors import from_callbacks
+from dolfinx_mortar.algebra.parallel import from_callbacks
 from dolfinx_mortar.arrays import EPS, LIMIT, Floats
 from dolfinx_mortar.qp.bound_qp import (
     KKT,
@@ -28,7 +27,7 @@ from dolfinx_mortar.qp.held import LOOSE, SHARE, TIGHT, HeldProblem, Outcome, So
 from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 from dolfinx_mortar.qp.scalars import Bordered, NoResistance, moved, no_friction
 
-# Linearisation of friction: for limits by the pressure of the solution, or of a previous one
+# Friction limits by the pressure of this solution, or of the previous one
 EXACT, GIVEN = "exact linearisation", "given limits"
 FEW = (
     "Where few nodes touch, as at a corner or on a coarse mesh, they may open and close in turn: "
@@ -38,8 +37,6 @@ FEW = (
 
 @dataclass(frozen=True)
 class _Found:
-    """A solution."""
-
     x: Floats  # (n,)
     q: Floats  # (m,)
     state: State
@@ -57,15 +54,10 @@ def solve(
     rtol: float,
     guess: PETSc.Vec | None = None,
 ) -> QPSolution:
-    """Solve a bound-constrained QP by active-set updates, condensed where that serves (collective).
+    """Solve a bound-constrained QP by active-set updates, condensed where possible (collective).
 
-    Args:
-        start: initial active set and directions of slip.
-        guess: (n,) first x, 0 by default.
-
-    Returns:
-        The solution; its active set is that of the last linear system, in which weakly active
-        unknowns may be in either state.
+    The active set of the solution is that of the last linear system; weakly active unknowns may be
+    in either state. `guess` (n,) is the first x.
 
     Raises:
         QPNotSolved: if no updates end.
@@ -78,7 +70,7 @@ def solve(
         at, x, z, kkt = _of_whole(qp, found)
     state, directions = found.state, None
     active = state.active
-    if is_noise(at, x, z):  # with signs at random
+    if is_noise(at, x, z):
         active = np.where(active * z.array_r[qp.bounded] < 0.0, 0, active).astype(np.int8)
     if law is not None:
         directions = np.where(state.slips(law)[:, None], state.directions, 0.0)
@@ -92,7 +84,7 @@ def solve(
 
 
 def _of_whole(qp: BoundQP, found: _Found) -> tuple[BoundQP, PETSc.Vec, PETSc.Vec, KKT]:
-    """The QP moved by its scalars, x, b - A x there, and the check; collective."""
+    """The QP moved by its scalars, x, b - A x, and the check; collective."""
     at = qp if qp.scalars is None else moved(qp, found.q)
     x = qp.b.duplicate()
     x.array[:] = found.x
@@ -103,11 +95,7 @@ def _of_whole(qp: BoundQP, found: _Found) -> tuple[BoundQP, PETSc.Vec, PETSc.Vec
 def _find_condensed(
     qp: BoundQP, linear: LinearSolver, start: State, rtol: float
 ) -> tuple[_Found, BoundQP, PETSc.Vec, PETSc.Vec, KKT]:
-    """Solve by a dense matrix, and again for what round-off has left; see `_find`.
-
-    Raises:
-        LinAlgError: if neither passes the check.
-    """
+    """Solve by a dense matrix; LinAlgError if the check fails."""
     condensed = Condensed(qp, linear, SHARE * rtol * qp.b.norm())
     x = None
     for _ in range(2):
@@ -124,12 +112,7 @@ def _find_condensed(
 def _find(
     qp: BoundQP, linear: Solver, start: State, rtol: float, guess: PETSc.Vec | None = None
 ) -> _Found:
-    """Solve by states.
-
-    Raises:
-        QPNotSolved: if no method converges.
-        NoResistance: if nothing resists a scalar.
-    """
+    """Solve by states; QPNotSolved if no method converges, NoResistance if a scalar is free."""
     border = None if qp.scalars is None else Bordered(qp, linear)
     at: tuple[BoundQP, Solver] = qp, linear
     most = np.inf
@@ -149,7 +132,7 @@ def _find(
         if not border.rho.any() or border.is_met(q):
             return _Found(values, q, *ended, border.resistance() + np.diag(border.proximal()))
         left = border.force_of_term(q)
-        if not left.max() <= 0.5 * before:  # the load moves its tool for ever, or until it touches
+        if not left.max() <= 0.5 * before:  # the load moves its tool until contact, or for ever
             border.share /= 16.0
         if border.share < EPS:
             raise NoResistance(left)
@@ -158,11 +141,7 @@ def _find(
 
 
 def _solve_law(problem: HeldProblem, start: State) -> tuple[Outcome, str]:
-    """Solve by consistent linearisation, or else by iteration over given limits of friction.
-
-    Raises:
-        QPNotSolved: if neither converges.
-    """
+    """Solve by consistent linearisation, else by given friction limits; else QPNotSolved."""
     outcome = _update(problem, start, TIGHT if problem.linear.exact else LOOSE)
     if not outcome.reason:
         return outcome, EXACT
@@ -178,7 +157,7 @@ def _solve_law(problem: HeldProblem, start: State) -> tuple[Outcome, str]:
 
 
 def _solve_given(problem: HeldProblem, state: State) -> Outcome | None:
-    """Solve for the friction limits of the last solution until they agree; None if they do not."""
+    """Iterate over the friction limits; None if they do not converge."""
     qp, law = problem.qp, problem.qp.friction or no_friction()
     problem.solve(state, TIGHT)
     for _ in range(LIMIT):
@@ -197,10 +176,7 @@ def _solve_given(problem: HeldProblem, state: State) -> Outcome | None:
 
 
 def _update(problem: HeldProblem, start: State, level: int) -> Outcome:
-    """Update the state of all nodes at once, then only of those with the largest error.
-
-    All at once, states may cycle, or leave a body unconstrained that few nodes hold.
-    """
+    """Update all nodes; if that cycles or leaves a body free, only those with the largest error."""
     outcome, first = Outcome(start, 0, "not tried"), start
     for worst in (False, True):
         try:

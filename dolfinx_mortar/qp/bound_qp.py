@@ -1,20 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Quadratic program with bounds and friction: its data, its solution, the check of optimality.
+"""Quadratic program with bounds and Coulomb friction: data, solution, optimality conditions.
 
-At node j the reaction z = b - A x has a normal component z_n >= 0, of the bound on x_n, and
-tangential components z_t, which resist the slip x_t - rest:
+At node j the reaction z = b - A x has a normal component z_n >= 0, the multiplier of the bound on
+x_n, and tangential components z_t against the slip x_t - rest (theory.md, Friction):
 
-    |z_t| <= s,    z_t = s (x_t - rest) / |x_t - rest| where it slips,    s = mu z_n + cohesion,
+    |z_t| <= s,    z_t = s (x_t - rest) / |x_t - rest| in slip,    s = mu z_n + cohesion,
 
-with z_n = 0 where the bound is open. With q = z_t + c (x_t - rest), for any c > 0, this is
-z_t = q min(1, s / |q|) (Alart and Curnier 1991), which gives the next state (stick, slip) of the
-active-set method. In a slipping state this equation is linearised; with (I - d d^T) q = 0 for
-d = q / |q| the linearisation is
+or z_t = q min(1, s / |q|) with q = z_t + c (x_t - rest), c > 0. Linearised with d = q / |q|,
 
-    z_t = s d + kappa (I - d d^T) (x_t - rest),    kappa = c s / (|q| - s),
-
-where s contains the unknown z_n (Hueber, Stadler and Wohlmuth 2008): it is consistent, and
-unsymmetric for mu > 0. In the solution kappa is s / |x_t - rest|, for any c.
+    z_t = s d + kappa (I - d d^T) (x_t - rest),    kappa = c s / (|q| - s).
 """
 
 from __future__ import annotations
@@ -34,49 +28,49 @@ from dolfinx_mortar.arrays import EPS, ROUND_OFF, TINY, Actives, Bools, Floats, 
 
 @dataclass(frozen=True)
 class Friction:
-    """Limits of tangential reactions at this rank's m nodes, with at most t tangential unknowns."""
+    """Friction at this rank's m nodes, with at most t tangential unknowns."""
 
-    normal: Ints  # (m,) position of the node's x_n in `BoundQP.bounded`
-    tangential: Ints  # (m, t) unknowns, -1 where there is none
-    rest: Floats  # (m, t) x_t without slip, 0 where there is none
+    normal: Ints  # (m,) position of x_n in `BoundQP.bounded`
+    tangential: Ints  # (m, t) unknowns, -1 for none
+    rest: Floats  # (m, t) x_t without slip, 0 for none
     coefficient: Floats  # (m,) mu >= 0
     cohesion: Floats  # (m,) force >= 0, the limit without pressure
 
     @property
     def some(self) -> Bools:
-        """Which entries (m, t) of `tangential` are unknowns."""
+        """Unknowns among the entries (m, t) of `tangential`."""
         return np.asarray(self.tangential >= 0)
 
     def pick(self, values: Floats) -> Floats:
-        """Return the tangential components (m, t) of a vector."""
+        """Tangential components (m, t) of a vector."""
         if values.size == 0:  # a rank without unknowns
             return np.zeros(self.tangential.shape)
         return np.where(self.some, values[self.tangential], 0.0)
 
     def means(self, diagonal: Floats) -> Floats:
-        """Return the mean (m,) of a diagonal over the tangential unknowns of each node."""
+        """Mean (m,) of a diagonal over each node's tangential unknowns."""
         return np.asarray(self.pick(diagonal).sum(axis=1) / np.maximum(self.some.sum(axis=1), 1))
 
     def acts(self, closed: Bools) -> Bools:
-        """Return which nodes (m,) may carry tangential reactions, given which are closed (m,)."""
+        """Nodes (m,) that may have tangential reactions."""
         return np.asarray(closed | (self.cohesion > 0.0))
 
     def limit(self, pressing: Floats) -> Floats:
-        """Return s (m,) for normal reactions (m,), of which negative ones count as 0."""
+        """Limit s (m,) for normal reactions (m,); negative ones count as 0."""
         return np.asarray(self.coefficient * np.maximum(pressing, 0.0) + self.cohesion)
 
     @property
     def plane(self) -> bool:
-        """Tell whether nodes have at most one tangential unknown."""
+        """Whether no node has two tangential unknowns."""
         return self.tangential.shape[1] == 1
 
     @property
     def across(self) -> Bools:
-        """Which nodes (m,) have more than one tangential unknown."""
+        """Nodes (m,) with two tangential unknowns."""
         return np.asarray(self.some.sum(axis=1) > 1)
 
     def select(self, mask: Bools) -> Friction:
-        """Return some of the nodes."""
+        """Some of the nodes."""
         return Friction(*(getattr(self, field.name)[mask] for field in fields(self)))
 
     def put(self, values: Floats, parts: Floats) -> None:
@@ -94,7 +88,7 @@ class Sliding:
     stiffness: Floats  # (m,) kappa
 
     def reaction(self, x: Floats, z: Floats) -> Floats:
-        """Return z_t (m, t) of the law."""
+        """z_t (m, t) of the law."""
         limit = self.law.coefficient * z[self.normal] + self.law.cohesion
         return self._resist(limit, self.law.pick(x) - self.law.rest)
 
@@ -110,7 +104,7 @@ class Sliding:
 
 
 def state_of(held: Ints, sliding: Sliding | None) -> bytes:
-    """Return what tells the matrices of two states apart, never empty."""
+    """Key of the linear system of a state, never empty."""
     found = b"state" + held.tobytes()
     if sliding is not None:
         found += sliding.normal.tobytes() + sliding.direction.tobytes()
@@ -120,7 +114,7 @@ def state_of(held: Ints, sliding: Sliding | None) -> bytes:
 
 @dataclass(frozen=True)
 class Sliders:
-    """Primal-dual iterate on the nodes with friction."""
+    """Primal-dual iterate at the nodes with friction."""
 
     law: Friction
     slip: Floats  # (m, t) x_t - rest
@@ -130,15 +124,14 @@ class Sliders:
 
     @property
     def trial(self) -> Floats:
-        """Return q (m, t)."""
+        """Trial force q (m, t)."""
         return np.asarray(self.reaction + self.stiffness[:, None] * self.slip)
 
     def directions(self, before: Floats | None = None) -> tuple[Floats, Floats]:
-        """Return d (m, t), zero at sticking nodes, and kappa (m,) of the next state.
+        """Directions d (m, t), zero at sticking nodes, and kappa (m,) of the next state.
 
-        A node that slipped in a direction ``before`` (m, t) and would reverse it sticks first: most
-        often it sticks in the solution, and neighbouring nodes that reversed their directions at
-        once could alternate for ever.
+        A node whose slip in a direction ``before`` (m, t) would reverse sticks first: neighbours
+        could alternate.
 
         >>> nodes, rest = np.array([[0], [1]]), np.zeros((2, 1))
         >>> law = Friction(np.arange(2), nodes, rest, *np.ones((2, 2)))
@@ -158,7 +151,7 @@ class Sliders:
         return d, np.where(self.law.across, kappa, 0.0)
 
     def error(self) -> Floats:
-        """Return z_t - q min(1, s / |q|) (m, t), zero where the law holds."""
+        """Error z_t - q min(1, s / |q|) (m, t) in the law."""
         q = self.trial
         size = np.linalg.norm(q, axis=1)
         share = np.divide(self.limit, size, out=np.ones_like(size), where=size > self.limit)
@@ -167,12 +160,9 @@ class Sliders:
 
 @dataclass(frozen=True)
 class Scalars:
-    """Unknowns q (m,) beside x, which move bounds and right-hand side; see `qp.scalars`.
+    """Scalar unknowns q (m,), lengths, see `qp.scalars`."""
 
-    They are lengths, of the size of the motions e q.
-    """
-
-    motions: Floats  # (m, n) e: bounds and rests of slips hold for x - e.q
+    motions: Floats  # (m, n) e: bounds and rests hold for x - e.q
     loads: Floats  # (m,) F
     columns: Floats  # (m, n) C = -d(b - A x)/dq
     rows: Floats  # (m, n) R
@@ -189,38 +179,35 @@ class Scalars:
 
 @dataclass(frozen=True)
 class BoundQP:
-    """The problem min 1/2 x'Ax - b'x subject to lower <= x <= upper.
+    """Minimise 1/2 x'Ax - b'x over lower <= x <= upper, with friction.
 
-    The Lagrange multiplier of the bounds, or reaction, is z = b - A x: z >= 0 at an active upper
-    bound, z <= 0 at an active lower bound and z = 0 at a free unknown. With friction it has
-    tangential components. If friction limits depend on the pressure, or if A is
-    indefinite, there is no minimum: a solution is what satisfies these conditions, of which there
-    may be several or none.
+    The reaction z = b - A x is >= 0 at an active upper bound, <= 0 at an active lower bound, else
+    0. With Coulomb friction or an indefinite A there is no minimum: solutions satisfy these
+    conditions; there may be several or none.
     """
 
     A: PETSc.Mat  # (n, n)
     b: PETSc.Vec  # (n,) force
     lower: PETSc.Vec  # (n,) PETSC_NINFINITY for none
     upper: PETSc.Vec  # (n,) PETSC_INFINITY for none
-    bounded: Ints  # (k,) owned local indices of unknowns with a finite bound
+    bounded: Ints  # (k,) owned local unknowns with a finite bound
     friction: Friction | None = None  # on all ranks or on none
-    # Whether A is symmetric, and positive definite on the unknowns without bounds: required by
-    # Cholesky, conjugate gradients, S, the interior point.
+    # Whether A is symmetric, and positive definite on unknowns without bounds.
     definite: bool = True
-    product: CongruentOperator | None = None  # A, to be factorised without being formed
-    near: PETSc.Mat | None = None  # definite; multigrid of it serves A
-    extent: float = 0.0  # size of the coordinates whose differences are the bounds
+    product: CongruentOperator | None = None  # A as an operator, factorised without being formed
+    near: PETSc.Mat | None = None  # definite matrix whose multigrid preconditions A
+    extent: float = 0.0  # size of coordinates, whose differences are the bounds
     scalars: Scalars | None = None  # on all ranks or on none
     taken: float = 0.0  # norm of the part of b due to scalars
 
     @cached_property
     def comm(self) -> MPI.Comm:
-        """Communicator of the matrix."""
+        """Communicator of A."""
         return self.A.comm.tompi4py()
 
     @cached_property
     def bounds(self) -> tuple[Floats, Floats]:
-        """(lower, upper) on `bounded` with IEEE infinities where there is no bound."""
+        """(lower, upper) on `bounded`, with infinities."""
         lower = self.lower.array_r[self.bounded].copy()
         upper = self.upper.array_r[self.bounded].copy()
         lower[lower <= PETSc.NINFINITY] = -np.inf
@@ -241,7 +228,7 @@ class BoundQP:
 
     @cached_property
     def stiffness(self) -> Floats:
-        """|diag(A)| (n,), which scales distances to forces; no entry is 0 (collective)."""
+        """|diag(A)| (n,), nonzero (collective)."""
         diagonal = self.diagonal
         if not self.definite:
             diagonal = diagonal.copy()
@@ -252,26 +239,25 @@ class BoundQP:
 
     @cached_property
     def noise(self) -> float:
-        """Norm of the forces by the round-off of bounds; collective at first."""
+        """Norm of the forces due to round-off of bounds; collective at first."""
         largest = self.extent * self.stiffness[self.bounded]
         return ROUND_OFF * norm(self.comm, largest)
 
 
 @dataclass(frozen=True)
 class Bounded:
-    """Primal-dual iterate (x, z) on the bounded unknowns."""
+    """Primal-dual iterate at the bounded unknowns."""
 
     x: Floats  # (k,)
     z: Floats  # (k,) reaction b - A x
     lower: Floats  # (k,) -inf for none
     upper: Floats  # (k,) inf for none
-    stiffness: Floats  # (k,) c = |diag(A)|, which scales distances to forces
+    stiffness: Floats  # (k,) c = |diag(A)|
 
     def predicted(self) -> Actives:
         """Next active set of the primal-dual active-set method.
 
-        An unknown is at its upper bound if z + c (x - upper) > 0 and at its lower bound if z + c
-        (x - lower) < 0, with c = |diag(A)|.
+        Upper bounds are active where z + c (x - upper) > 0, lower ones where z + c (x - lower) < 0.
 
         >>> one = np.ones(3)
         >>> Bounded(np.array([0.5, 1.0, 2.0]), 0 * one, -one, one, one).predicted().tolist()
@@ -283,9 +269,9 @@ class Bounded:
         return active
 
     def strength(self, active: Actives, new: Actives) -> Floats:
-        """|z| + c |x - bound| of unknowns that differ between two sets, 0 at others.
+        """Sizes |z| + c |x - bound| of unknowns that differ between two sets, 0 at others.
 
-        Up to the tolerance they are weakly active: either state is correct.
+        Up to the tolerance they are weakly active.
         """
         side = np.where((active > 0) | (new > 0), self.upper, self.lower)
         side = np.where(np.isfinite(side), side, self.x)
@@ -295,10 +281,9 @@ class Bounded:
 
 @dataclass(frozen=True)
 class KKT:
-    """Residuals of the optimality conditions, each relative to its own scale.
+    """Residuals of the optimality conditions, relative to |b| + |z on bounded unknowns| or max |x|.
 
-    The scale of forces is |b| + |z on bounded unknowns|, that of lengths max |x|. `force_floor` and
-    `length_floor` are the round-off over these scales.
+    The floors are round-off.
     """
 
     stationarity: float  # |z| over free unknowns
@@ -308,13 +293,10 @@ class KKT:
     force_floor: float
     length_floor: float
     unsolved: float = 0.0  # |z| over free unknowns, a force
-    friction: float = 0.0  # error of the tangential reactions in the law of friction
+    friction: float = 0.0  # error in the law of friction
 
     def satisfied(self, rtol: float) -> bool:
-        """Whether every residual is below rtol or below its round-off floor.
-
-        The law of friction compares two reactions, with the round-off of both.
-        """
+        """Whether every residual is below rtol or its round-off."""
         force, length = max(rtol, self.force_floor), max(rtol, self.length_floor)
         return bool(
             max(self.stationarity, self.sign) <= force
@@ -325,7 +307,7 @@ class KKT:
 
     @property
     def worst(self) -> float:
-        """Largest of the residuals (inf if one is not a number)."""
+        """Largest of the residuals (inf if one is NaN)."""
         finite = all(np.isfinite(getattr(self, f.name)) for f in fields(self))
         residuals = self.stationarity, self.feasibility, self.sign, self.complementarity
         return max(*residuals, self.friction) if finite else float("inf")
@@ -363,15 +345,15 @@ class QPNotSolved(RuntimeError):
 
 
 class UnusableQP(ValueError):
-    """The data of a quadratic program have no solution."""
+    """The data have no solution."""
 
 
 def validate(qp: BoundQP) -> None:
     """Raise an error on all ranks if the data can have no solution.
 
     Raises:
-        UnusableQP: a lower bound above its upper bound, an infinite bound of the wrong sign, a
-            number that is not finite in b or A, or indices out of range.
+        UnusableQP: for bounds that cross or are infinite with the wrong sign, entries that are not
+            finite, or indices out of range.
     """
     lower, upper = qp.lower.array_r, qp.upper.array_r
     diagonal = qp.diagonal.array_r
@@ -408,16 +390,15 @@ def reaction(qp: BoundQP, x: PETSc.Vec) -> PETSc.Vec:
 
 
 def on_bounded(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> Bounded:
-    """An iterate on this rank's bounded unknowns."""
+    """An iterate at this rank's bounded unknowns."""
     own = qp.bounded
     return Bounded(x.array_r[own], z.array_r[own], *qp.bounds, qp.stiffness[own])
 
 
 def on_friction(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec, found: Bounded) -> Sliders:
-    """An iterate x (n,), z = b - A x (n,) on this rank's nodes with friction.
+    """An iterate x (n,), z = b - A x (n,) at this rank's nodes with friction.
 
-    The limit is that of z_n + c (x_n - upper) from `found`, the iterate on bounded unknowns: it
-    includes the force that closes a penetration, which is zero in a solution.
+    The limit includes the force that closes a penetration.
     """
     law = qp.friction
     assert law is not None
@@ -429,10 +410,7 @@ def on_friction(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec, found: Bounded) -> Slid
 
 
 def is_noise(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> bool:
-    """Whether all forces z = b - A x may be the round-off of bounds; collective.
-
-    Then reactions and gaps have no sign.
-    """
+    """Whether all forces z = b - A x may be round-off of bounds; collective."""
     if max(qp.b.norm(), z.norm()) > qp.noise:
         return False
     bounded, errors = on_bounded(qp, x, z), np.zeros(0)
@@ -446,7 +424,7 @@ def is_noise(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> bool:
 def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     """Residuals of the optimality conditions at x (n,), from the data alone (collective).
 
-    z = b - A x is computed if None. The residuals of the exact solution are zero.
+    z = b - A x is computed if None.
     """
     z = reaction(qp, x) if z is None else z
     if is_noise(qp, x, z):
@@ -464,7 +442,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
         free[qp.friction.tangential[qp.friction.some]] = False
     over, under = np.maximum(xb - upper, 0.0), np.maximum(lower - xb, 0.0)
     pull = np.where(active == 0, 0.0, np.maximum(-active * zb, 0.0))
-    # the sign of a reaction tells its bound; if that is infinite, see stationarity
+    # the sign of a reaction tells its bound; infinite ones are in stationarity
     side = np.where(zb > 0.0, upper, lower)
     distance = np.abs(np.where(np.isfinite(side), side, xb) - xb)
     bound = np.maximum(np.where(over > 0, np.abs(upper), 0), np.where(under > 0, np.abs(lower), 0))
@@ -472,7 +450,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     nearest = np.minimum(np.abs(lower), np.abs(upper)).min(initial=np.inf)
     tops = [a.max(initial=0.0) for a in largest] + [-nearest]
     x_top, bound_top, gap_top, pull_top, nearest = maximum(qp.comm, *tops)
-    # without forces, x and z are round-off of initial guesses at the nearest bounds
+    # without forces, x is round-off of the nearest bounds
     moved = np.abs(x.array_r)
     if np.isfinite(nearest):
         moved[qp.bounded] = np.maximum(moved[qp.bounded], -nearest)
@@ -482,8 +460,7 @@ def check(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec | None = None) -> KKT:
     b2, zb2, free2, off2, wrong2, zt2 = np.sqrt(squares)
     force, length = b2 + np.hypot(zb2, zt2), max(x_top, bound_top)
     off2 = off2 + qp.taken
-    # One of the two must vanish; their product would mix distant bounds with round-off in z. Forces
-    # whose squares underflow count as zero.
+    # a product would mix distant bounds with round-off in z
     forces = np.abs(zb) / force if force > 0.0 else np.zeros_like(zb)
     both = np.minimum(forces, distance / max(length, TINY))
     both_top = maximum(qp.comm, both.max(initial=0.0))[0]

@@ -5,8 +5,8 @@ With the inner unknowns I eliminated,
 
     S = A_GG - A_GI A_II^-1 A_IG,    g = b_G - A_GI A_II^-1 b_I,
 
-the QP of S and g is of the same kind, and has the same loop; a state takes a dense factorisation of
-its free rows. MUMPS gives S on one rank, see `preconditioner.SchurComplement`.
+the QP of S and g is of the same kind. MUMPS gives S on one rank, see
+`preconditioner.SchurComplement`.
 """
 
 from __future__ import annotations
@@ -34,10 +34,7 @@ from dolfinx_mortar.qp.linear import LinearSolveFailed, LinearSolver
 
 
 class Dense:
-    """S (k, k) as a matrix of PETSc and a solver of its free rows, see `held.Solver`.
-
-    `diagonal` (k,) is that of A, which scales distances to forces.
-    """
+    """S (k, k) as a PETSc matrix and a `held.Solver`; `diagonal` (k,) is that of A."""
 
     exact = True
 
@@ -47,7 +44,7 @@ class Dense:
         self.matrix = PETSc.Mat().createPython(S.shape, ContextOf(self), PETSc.COMM_SELF)
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with x."""
+        """Set y = S x."""
         y.array[:] = self.S @ x.array_r
 
     def getDiagonal(self, mat: PETSc.Mat, y: PETSc.Vec) -> None:
@@ -55,7 +52,7 @@ class Dense:
         y.array[:] = self.diagonal
 
     def round_off(self, x: PETSc.Vec) -> float:
-        """Round-off of A x."""
+        """See `held.Solver`."""
         return ROUND_OFF * float(norm(self.diagonal * x.array_r))
 
     def solve(
@@ -68,7 +65,7 @@ class Dense:
         sliding: Sliding | None = None,
         **others: object,
     ) -> PETSc.Vec:
-        """Solve for free unknowns, in place; see `LinearSolver.solve`."""
+        """See `held.Solver`."""
         values, right, result = x.array, b.array_r, b.duplicate()
         found = right - self.S @ values
         rest = found.copy()
@@ -92,13 +89,12 @@ class Dense:
         return result
 
     def _free(self, M: Floats, held: Ints) -> tuple[Floats, Longs]:
-        """Free part of a matrix (k, k), scaled, and its unknowns."""
         free = np.setdiff1d(np.arange(len(M)), held)
         s = self.scale[free]
         return M[np.ix_(free, free)] * np.outer(s, s), free
 
     def negative(self, held: Ints) -> int:
-        """Number of negative eigenvalues of the free part of S."""
+        """Number of negative eigenvalues of the free part."""
         M, _ = self._free(self.S, held)
         if not len(M) or scipy.linalg.lapack.dpotrf(M, lower=True)[1] == 0:
             return 0
@@ -106,7 +102,6 @@ class Dense:
 
 
 def _slipping(S: Floats, sliding: Sliding) -> Floats:
-    """S with the rows of slipping nodes replaced by those of their law."""
     M, law, d = S.copy(), sliding.law, sliding.direction
     normal = S[sliding.normal]
     for a in range(d.shape[1]):
@@ -121,18 +116,10 @@ def _slipping(S: Floats, sliding: Sliding) -> Floats:
 
 
 class Condensed:
-    """A QP on one rank, condensed to its unknowns with bounds or friction by MUMPS's S.
+    """A QP on one rank, condensed by MUMPS to its unknowns with bounds or friction.
 
-    The linear solver factorises A_II. Unknowns of G without bounds or friction are eliminated from
-    S. With bounds and friction held, an indefinite A is a LinAlgError.
-
-    Args:
-        whole: the QP.
-        linear: solver of A, with S.
-        atol: norm of b - A x on inner unknowns that counts as zero.
-
-    Attributes:
-        dense: solver of the condensed linear systems.
+    A LinAlgError if A is indefinite with these fixed. `atol` is the norm of b - A x on inner
+    unknowns that counts as zero; `linear` has S.
     """
 
     def __init__(self, whole: BoundQP, linear: LinearSolver, atol: float) -> None:
@@ -157,7 +144,7 @@ class Condensed:
         self.dense = Dense(inner, whole.stiffness[whole.held])
 
     def about(self, x: Floats | None = None) -> BoundQP:
-        """Condensed QP of the residual of a solution x (n,)."""
+        """Condensed QP of the residual at x (n,)."""
         whole, held = self._whole, self._whole.held
         self._x = self._with_inner(self._x if x is None else x)
         left = self._left(self._x)[self._G]
@@ -174,7 +161,7 @@ class Condensed:
         return replace(whole, A=self.dense.matrix, product=None, near=None, **parts)
 
     def expand(self, own: Floats) -> Floats:
-        """Return x (n,) for that of the condensed QP (k,)."""
+        """Return x (n,) for a solution (k,)."""
         held, x = self._whole.held, self._x.copy()
         right = self._w - self._Q @ (own - x[held])
         x[self._G[self._rest]] += scipy.linalg.solve_triangular(
@@ -184,13 +171,11 @@ class Condensed:
         return self._with_inner(x)
 
     def _left(self, x: Floats) -> Floats:
-        """Return b - A x (n,)."""
         at = self._whole.b.duplicate()
         at.array[:] = x
         return np.asarray(reaction(self._whole, at).array_r)
 
     def _with_inner(self, x: Floats) -> Floats:
-        """Return x (n,) with the solution x_I for its x_G."""
         left, found = self._whole.b.duplicate(), self._whole.b.duplicate()
         left.array[:] = self._left(x)
         left.array[self._G] = 0.0

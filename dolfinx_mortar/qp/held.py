@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The active-set method: solve with a set, update it, until it is unchanged.
 
-With friction, tangential unknowns of sticking nodes are fixed, too, and at slipping nodes the
-reaction of the law replaces 0. Each set is a linear system, solved as accurately as needed.
+With friction, tangential unknowns of sticking nodes are fixed, too, and slipping nodes have the
+law's reaction.
 """
 
 from __future__ import annotations
@@ -30,22 +30,20 @@ from dolfinx_mortar.qp.bound_qp import (
     reaction,
 )
 
-# Levels of accuracy: first sets by loose solves, the last one by a tight one.
 LOOSE, TIGHT = 0, 2
-# Solves are this much more accurate than the check, whose scale may decrease meanwhile: with 1/4,
-# 1/2, 1 five plane problems take 1.10, 1, .90 of the iterations; near 1 they hardly gain a digit.
+# Tolerance relative to that of the check, whose scale may decrease meanwhile.
 SHARE = 0.5
 
 
 def nearest(qp: BoundQP) -> Actives:
-    """Active set (k,) with every bounded unknown at its bound nearest to zero."""
+    """Active set (k,) with every unknown at its bound nearest to zero."""
     lower, upper = qp.bounds
     return np.where(np.abs(upper) <= np.abs(lower), 1, -1).astype(np.int8)
 
 
 @dataclass(frozen=True)
 class State:
-    """An active set, and the directions in which nodes with friction slip."""
+    """An active set, and the directions of slip."""
 
     active: Actives  # (k,) on `BoundQP.bounded`
     directions: Floats  # (m, t) of slip, zero at sticking nodes
@@ -72,16 +70,16 @@ class State:
 
     @staticmethod
     def holding(qp: BoundQP) -> State:
-        """State with most constraints: all at their nearest bounds, and sticking."""
+        """State with all unknowns at their nearest bounds and all nodes sticking."""
         return State.create(qp, nearest(qp))
 
     def tobytes(self) -> bytes:
-        """Bytes, the same for equal states."""
+        """The same for equal states."""
         parts = self.active, self.directions, self.stiffness
         return b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
 
     def slips(self, law: Friction) -> Bools:
-        """Nodes (m,) that slip against friction."""
+        """Nodes (m,) that slip with friction."""
         return np.asarray(law.acts(self.active[law.normal] > 0) & self.directions.any(axis=1))
 
     def sticks(self, law: Friction) -> Bools:
@@ -90,14 +88,14 @@ class State:
         return np.asarray((acts & ~self.directions.any(axis=1))[:, None] & law.some)
 
     def held(self, qp: BoundQP) -> Ints:
-        """Fixed unknowns, by active bounds and where nodes stick, ascending."""
+        """Fixed unknowns, ascending."""
         found, law = qp.bounded[self.active != 0], qp.friction
         if law is not None:
             found = np.concatenate([found, law.tangential[self.sticks(law)]])
         return np.sort(found)
 
     def towards(self, new: State, active: Bools, sides: Bools) -> State:
-        """This state with that of bounds (k,) and nodes (m,) in the masks from another."""
+        """This state, with that of another at the bounds (k,) and nodes (m,) in the masks."""
         directions = np.where(sides[:, None], new.directions, self.directions)
         stiffness = np.where(sides, new.stiffness, self.stiffness)
         return State(np.where(active, new.active, self.active), directions, stiffness)
@@ -105,10 +103,10 @@ class State:
 
 @dataclass(frozen=True)
 class Found:
-    """Result of a solve with a given set."""
+    """Result of a solve with a set."""
 
     predicted: Any  # the next set
-    changes: int  # unknowns on all ranks that differ, but for weakly active ones
+    changes: int  # unknowns on all ranks that differ, without weakly active ones
     satisfied: bool  # accurate enough for the last solve
 
 
@@ -126,14 +124,8 @@ def update(
 ) -> Outcome:
     """Update the set until it is unchanged (collective).
 
-    A repeated set is a cycle: the accuracy is raised, as inaccurate solves may cause it; then it
-    ends.
-
-    Args:
-        hold: solves with a set, to the accuracy of a level.
-        state: this rank's part of the first set.
-        comm: communicator of the ranks that share the set.
-        level: accuracy of the first solve.
+    A repeated set is a cycle: the accuracy is raised, at last the updates end. `hold` solves with a
+    set, to the accuracy of a level.
     """
     seen: set[int] = set()
     updates, held = 1, state
@@ -155,7 +147,7 @@ def update(
 
 
 def came_back(active: Any, seen: set[int], comm: MPI.Comm) -> bool:
-    """Whether this set, of all ranks, was seen before; add it (collective)."""
+    """Whether this set was seen before; add it (collective)."""
     part = blake2b(active.tobytes(), digest_size=7, salt=str(comm.rank).encode())
     everywhere = comm.allreduce(int.from_bytes(part.digest()), op=MPI.SUM)
     known = everywhere in seen
@@ -164,7 +156,7 @@ def came_back(active: Any, seen: set[int], comm: MPI.Comm) -> bool:
 
 
 class Solver(Protocol):
-    """Solver of linear systems with held unknowns; see `LinearSolver`."""
+    """Solver of linear systems with fixed unknowns; see `LinearSolver`."""
 
     exact: bool  # whether one solve is accurate to round-off
 
@@ -187,15 +179,9 @@ class Solver(Protocol):
 class HeldProblem:
     """The QP with a given active set, for `update`.
 
-    The relative accuracy of level l is rtol^(2^(l - 2)): the fourth root of rtol, its square root,
-    rtol, and its square where the check still fails because the increment is small relative to the
-    reactions. For loose levels it is relative to the reactions at the bounds, which decide on the
-    next set, for the tight one to all forces.
-
-    Args:
-        x: (n,) in: initial guess; out: the last solution.
-        rtol: as above.
-        most: largest residual of the tight level.
+    The relative tolerance of level l is rtol^(2^(l - 2)), and rtol^2 where the check still fails.
+    Loose levels refer to the reactions at the bounds, the tight one to all forces. x (n,) is the
+    guess and the last solution, `most` the largest residual of the tight level.
     """
 
     def __init__(
@@ -215,12 +201,7 @@ class HeldProblem:
         self.z = self.qp.b.copy()
 
     def hold(self, state: State, level: int, worst: bool = False) -> Found:
-        """Solve in a state; x and z are the solution (collective).
-
-        Args:
-            state: active set and directions of slip.
-            level: accuracy.
-            worst: update only the unknowns with the largest error.
+        """Solve in a state, updating only the largest errors if `worst`; set x and z (collective).
 
         Raises:
             LinearSolveFailed: if the state leaves a body unconstrained.
@@ -252,7 +233,7 @@ class HeldProblem:
         return Found(new, changes, changes == 0 and level >= TIGHT and self._is_accurate(level))
 
     def solve(self, state: State, level: int) -> float:
-        """Solve in a state; x and z are the solution; return the tolerance (collective)."""
+        """Solve in a state; set x and z; return the tolerance (collective)."""
         qp, (lower, upper) = self.qp, self.qp.bounds
         on = state.active != 0
         held, values = qp.bounded[on], np.where(state.active > 0, upper, lower)[on]
@@ -269,7 +250,7 @@ class HeldProblem:
         if self.reactions is None:
             self.reactions = max(self.guessed, self.z.norm())
         reached = asked = self._tolerance(level)
-        for _ in range(LIMIT):  # until the tolerance holds with the reactions of the solution
+        for _ in range(LIMIT):  # with the reactions of the solution
             solved = self.linear.solve(
                 qp.b, self.x, held, atol=SHARE * asked, z=self.z, sliding=sliding
             )
@@ -293,12 +274,10 @@ class HeldProblem:
         return float(max(self.rtol ** (2.0 ** (level - TIGHT)), ROUND_OFF))
 
     def _is_accurate(self, level: int) -> bool:
-        """Whether the check is satisfied, or cannot be satisfied any better."""
         finest = self.linear.exact or self._accuracy(level) <= ROUND_OFF
         return finest or check(self.qp, self.x, self.z).satisfied(self.rtol)
 
     def _tolerance(self, level: int) -> float:
-        """Largest residual at a level."""
         assert self.reactions is not None
         force = max(self.qp.b.norm(), self.reactions)
         if level >= TIGHT:

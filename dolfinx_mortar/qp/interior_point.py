@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Interior point: PETSc TAO's bqpip for the scaled QP, as the paper uses quadprog.
-
-The check of optimality stops it.
-"""
+"""Interior point: PETSc TAO's bqpip for the scaled QP, in the place of the paper's quadprog."""
 
 from dataclasses import replace
 
@@ -10,7 +7,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_mortar.algebra.errors import from_callbacks
+from dolfinx_mortar.algebra.parallel import from_callbacks
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, LIMIT, QUARTER_OF_DIGITS
 from dolfinx_mortar.qp import active_set
 from dolfinx_mortar.qp.bound_qp import BoundQP, QPSolution, check, on_bounded, reaction
@@ -22,16 +19,8 @@ from dolfinx_mortar.qp.linear import LinearSolver
 def solve(qp: BoundQP, linear: LinearSolver, *, rtol: float) -> QPSolution:
     """Solve a bound-constrained QP, then once more with the active set found (collective).
 
-    TAO has absolute constants, so unknowns are scaled to a unit diagonal and a unit force. Unknowns
-    without bounds get distant ones.
-
-    Args:
-        qp: the problem, symmetric and positive definite, without friction.
-        linear: for the last solve; TAO's linear solver has its options.
-        rtol: tolerance of the KKT check that stops the iteration.
-
-    Returns:
-        The solution of the active-set method that starts there.
+    A is symmetric and positive definite, without friction; TAO's linear solver has the options of
+    `linear`.
     """
     scaled = _Scaled(qp, linear)
     try:
@@ -86,10 +75,9 @@ def _iterate(
 
 
 class _Scaled:
-    """The QP in y = x / (s l), s = diag(A)^(-1/2), with a length l such that y is about 1.
+    """The QP in y = x / (s l), s = diag(A)^(-1/2), with y of size 1: TAO has absolute constants.
 
-    The length is that of the solution with all bounded unknowns at the admissible value nearest to
-    0. No bound is infinite, as TAO averages the complementarity over all bounds.
+    Bounds are finite, as TAO averages the complementarity.
     """
 
     def __init__(self, qp: BoundQP, linear: LinearSolver) -> None:
@@ -115,7 +103,6 @@ class _Scaled:
         self.b.scale(1.0 / self.length)
 
     def bounds(self, box: float) -> tuple[PETSc.Vec, PETSc.Vec]:
-        """Bounds of y, -box and box for none."""
         own = self.qp.bounded
         sides = self.b.duplicate(), self.b.duplicate()
         for side, values, far in zip(sides, self.qp.bounds, (-box, box), strict=True):
@@ -125,12 +112,10 @@ class _Scaled:
         return sides
 
     def unscale(self, y: PETSc.Vec) -> PETSc.Vec:
-        """The solution x."""
         x = y.duplicate()
         x.pointwiseMult(y, self.s)
         x.scale(self.length)
         return x
 
     def destroy(self) -> None:
-        """Free the scaled matrix, as large as A; collective."""
         self.A.destroy()

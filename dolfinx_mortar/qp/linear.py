@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Linear systems with held unknowns, and the reuse of factorisations."""
+"""Linear systems with fixed unknowns, and the reuse of factorisations."""
 
 from __future__ import annotations
 
@@ -36,17 +36,15 @@ from dolfinx_mortar.qp.preconditioner import (
 
 log = logging.getLogger(__name__)
 
-# Largest order of a matrix in 3D whose factorisation may replace multigrid: 219 thousand unknowns
-# of hexahedra take 4.1 GiB and 25 s (MUMPS, one rank).
+# Largest order in 3D that may be factorised instead of multigrid: about 4 GiB.
 MOST_FACTORISED = 200_000
 
-# Its third factorisation beside a live one crashes (PETSc 3.22, two ranks: a definite matrix, an
-# indefinite one, and a definite one of another pattern).
+# PETSc 3.22 crashes at its third factorisation while another one exists.
 ALONE = "superlu_dist"
 
 
 class LinearSolveFailed(RuntimeError):
-    """A linear system could not be solved; the message has cause and remedy."""
+    """A linear system could not be solved; the message has the remedy."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class MatrixSetup:
     sliding_ksp: PETSc.KSP  # of matrices that friction makes unsymmetric
     preconditioner: Preconditioner
     renewal: Renewal
-    max_iterations: int  # of one run of an iteration
+    max_iterations: int
     dx: PETSc.Vec  # (n,) the last correction
     shared: bool = False  # whether the preconditioner is that of a definite matrix
 
@@ -72,23 +70,18 @@ class MatrixSetup:
 
 
 class LinearSolver:
-    """Solve A_ff x_f = b_f - A_fc x_c for changing sets c of held unknowns and changing A.
+    """Solve A_ff x_f = b_f - A_fc x_c for changing A and sets c of fixed unknowns.
 
-    The numeric factorisation for an earlier set or A preconditions conjugate gradients, until the
-    observed convergence predicts that a new one is cheaper (`Renewal`).
+    The factorisation for an earlier set or A preconditions conjugate gradients until a new one is
+    predicted to be cheaper (`Renewal`).
 
     Args:
-        comm: communicator of the matrices.
+        comm: of the matrices.
         prefix: of all PETSc options of this solver.
         options: PETSc options without prefix over the defaults (CG with MUMPS Cholesky, or GMRES
             with LU for indefinite matrices); the user's options database takes precedence.
-        multigrid: whether multigrid is the default preconditioner.
-        unknowns: those of multigrid; by default those of the matrix.
-
-    Attributes:
-        options, unknowns: as above.
-        counts: costs so far.
-        description: name of the last method in use, for reports.
+        multigrid: whether it is the default preconditioner.
+        unknowns: of multigrid; by default those of the matrix.
 
     Raises:
         ValueError: for options that PETSc cannot use, on all ranks.
@@ -114,16 +107,15 @@ class LinearSolver:
         self._setups: dict[bool, MatrixSetup] = {}  # by whether the matrix is definite
         self._kind = True  # of the present matrix
         self._order = 0  # of the last matrix, 0 before any
-        self.beyond = 0  # negative eigenvalues of the last condensed matrix, see `condensed`
+        self.beyond = 0  # negative eigenvalues of the condensed matrix
 
     @property
     def _setup(self) -> MatrixSetup | None:
-        """Solvers of the present matrix, if one is set."""
         return self._setups.get(self._kind)
 
     @property
     def schur(self) -> SchurComplement | None:
-        """Complement in the factorisation of the present matrix, if any."""
+        """Schur complement of the present matrix, if any."""
         return None if self._setup is None else self._setup.preconditioner.schur
 
     @property
@@ -133,14 +125,14 @@ class LinearSolver:
 
     @property
     def blind(self) -> str:
-        """Factorisation of definite matrices if it counts no negative pivots, else ""."""
+        """Name of a factorisation that counts no negative pivots, else ""."""
         kind, by = (self.options.of_definite(k) for k in ("pc_type", "pc_factor_mat_solver_type"))
         return "" if not self.direct or (kind, by) == ("cholesky", "mumps") else f"{kind!r} ({by})"
 
     def factorising(self) -> LinearSolver | None:
         """A solver that factorises instead, after freeing this one's matrices; collective.
 
-        None if the solver is direct or chosen by the user, or if the matrix is too large.
+        None if the solver is direct or chosen, or the matrix too large.
         """
         if self.direct or self.options.chosen or not 0 < self._order <= MOST_FACTORISED:
             return None
@@ -150,7 +142,7 @@ class LinearSolver:
 
     @property
     def remedy(self) -> str:
-        """Remedy where an iteration gives no solution; empty for a factorisation."""
+        """Remedy where an iteration fails; empty for a factorisation."""
         if self.direct:
             return ""
         return (
@@ -169,16 +161,15 @@ class LinearSolver:
     ) -> None:
         """Set the matrix of the next solves (collective).
 
-        The factorisation of the same object remains as preconditioner. A definite matrix and an
-        indefinite one are kept side by side, as steps alternate, but not with SuperLU_DIST.
+        The factorisation of the same object remains as preconditioner, and that of a definite
+        matrix next to an indefinite one's, except with SuperLU_DIST.
 
         Args:
-            A: (n, n) matrix.
-            definite: whether it is symmetric and positive definite, see `BoundQP`.
-            apart: unknowns with S, see `preconditioner.set_apart`, which `apply` holds; None for
-                any.
-            product: A, if it is one whose K is to be factorised.
-            near: (n, n) definite matrix whose preconditioner serves A, too; None for its own.
+            A: (n, n)
+            definite: see `BoundQP`.
+            apart: unknowns of S, which `apply` fixes; None for any.
+            product: A as an operator whose K is factorised.
+            near: (n, n) definite matrix whose preconditioner serves A.
         """
         if near is not None and not self.direct:
             self._set_beside(A, near)
@@ -190,7 +181,7 @@ class LinearSolver:
             if A.handle == before.A.handle and self.setup.preconditioner.serves(apart):
                 self._describe()
                 return
-        self._drop(definite)  # no matrix is set if an option raises an error
+        self._drop(definite)
         if self.direct and self.options["pc_factor_mat_solver_type"] == ALONE:
             self._drop(not definite)
         ksp = PETSc.KSP().create(self._comm)
@@ -218,7 +209,7 @@ class LinearSolver:
         self.counts.symbolic += 1
 
     def _set_beside(self, A: PETSc.Mat, near: PETSc.Mat) -> None:
-        """Set an indefinite matrix, with the preconditioner of a definite one; collective."""
+        """Set an indefinite matrix, preconditioned by a definite one; collective."""
         self.set_matrix(near)
         self._kind, base, beside = False, self._setups[True], self._setups.get(False)
         if beside is not None and beside.operator.A.handle == A.handle:
@@ -232,7 +223,6 @@ class LinearSolver:
         self._setups[False] = MatrixSetup(*parts, A.createVecRight(), shared=True)
 
     def _iteration(self, operator: Operator, pc: PETSc.PC) -> PETSc.KSP:
-        """GMRES for an unsymmetric matrix, with another solver's PC."""
         ksp = PETSc.KSP().create(self._comm)
         ksp.setType(PETSc.KSP.Type.GMRES)
         ksp.setPCSide(PETSc.PC.Side.RIGHT)
@@ -251,11 +241,10 @@ class LinearSolver:
             self._drop(kind)
 
     def abandon(self) -> None:
-        """Drop all matrices, which an error may have left locked; without communication."""
-        self._setups = {}  # freed when PETSc collects its garbage
+        """Drop all matrices, perhaps locked by an error; without communication."""
+        self._setups = {}
 
     def _drop(self, kind: bool) -> None:
-        """Free one of them, and those with its preconditioner; collective."""
         beside = self._setups.get(False)
         if kind and beside is not None and beside.shared:
             self._drop(False)
@@ -263,16 +252,13 @@ class LinearSolver:
             self._setups.pop(kind).destroy()
 
     def forget(self, *, keep_definite: bool = False) -> None:
-        """Renew the numeric factorisations at the next solves, but for a definite A if asked."""
+        """Renew the factorisations at the next solves, except that of a definite A if asked."""
         for definite, setup in self._setups.items():
             if not (definite and keep_definite):
                 setup.preconditioner.held = None
 
     def negative_pivots(self) -> int:
-        """Number of negative pivots of the last factorisation, 0 if unknown; collective.
-
-        Of multigrid, the factorisation is that of the coarsest level.
-        """
+        """Negative pivots of the last factorisation (or coarsest level), or 0; collective."""
         if self._setup is None or self._setup.preconditioner.held is None:
             return 0
         multigrid = self._setup.preconditioner.multigrid
@@ -293,11 +279,11 @@ class LinearSolver:
         return self.setup.operator
 
     def round_off(self, x: PETSc.Vec) -> float:
-        """Round-off of A x, see `Operator.round_off`; collective."""
+        """Round-off of A x; collective."""
         return self._operator.round_off(x)
 
     def factorise(self, held: Ints) -> None:
-        """Factorise A with these unknowns held, unless that is the present one (collective).
+        """Factorise A with these unknowns fixed, unless that is the present one (collective).
 
         Raises:
             LinearSolveFailed: for a singular matrix, or too little memory.
@@ -316,12 +302,10 @@ class LinearSolver:
             )
 
     def is_indefinite(self) -> bool:
-        """Whether the present matrix, assumed definite, is not; collective.
-
-        By the eigenvalues of its free part. False if the present matrix is another, or none.
+        """Whether the free part of the present matrix, assumed definite, is not; collective.
 
         Raises:
-            LinearSolveFailed: as `factorise`, for a singular matrix.
+            LinearSolveFailed: for a singular matrix.
         """
         held = None if self._setup is None else self._operator.held
         if not self._kind or held is None:
@@ -340,7 +324,7 @@ class LinearSolver:
         return count_negative(setup.operator.matrix) > 0
 
     def apply(self, r: PETSc.Vec, x: PETSc.Vec) -> None:
-        """Apply the present factorisation or preconditioner once: x = F^-1 r."""
+        """Apply the present factorisation or preconditioner once."""
         begin = perf_counter()
         held = self._operator.held
         assert held is not None
@@ -362,20 +346,19 @@ class LinearSolver:
         """Solve for the free unknowns, in place (collective).
 
         Args:
-            b: (n,) right-hand side.
-            x: (n,) in: values of the held unknowns and a guess for the others; out: solution.
-            held: owned local indices of held unknowns, ascending.
+            b: (n,)
+            x: (n,) in: values of the fixed unknowns and a guess for the others; out: solution.
+            held: owned local indices of fixed unknowns, ascending.
             atol: largest 2-norm of b - A x over free unknowns.
             z: (n,) b - A x of the given x, if known.
-            sliding: law of the slipping nodes, whose reactions replace 0 on the right; on all ranks
-                or on none.
+            sliding: law of the slipping nodes, on all ranks or on none.
 
         Returns:
-            (n,) b - A x, also at held unknowns; the next call reuses the vector.
+            (n,) b - A x, also at fixed unknowns; the next call reuses the vector.
 
         Raises:
-            LinearSolveFailed: if the true residual remains above both atol and round-off, or if the
-                solution is so large that the matrix must be singular.
+            LinearSolveFailed: if the residual remains above atol and round-off, or the matrix must
+                be singular.
         """
         operator = self._operator
         operator.free.sliding = sliding
@@ -389,7 +372,7 @@ class LinearSolver:
         return operator.z
 
     def _iterate(self, b: PETSc.Vec, x: PETSc.Vec, held: Ints, atol: float, norm: float) -> float:
-        """Correct x until its residual is small, or stays; return its norm."""
+        """Correct x until its residual is small or stagnates; return its norm."""
         for _ in range(LIMIT):
             different = self.setup.preconditioner.differences(held)
             if different is None or self.setup.renewal.is_far(different):
@@ -398,7 +381,7 @@ class LinearSolver:
             before = norm
             self._sweep(b, x, atol, norm)
             dx = self.setup.dx
-            dx.array[held] = 0.0  # an old factorisation may move them
+            dx.array[held] = 0.0  # an old factorisation may change them
             if np.isfinite(dx.norm()):
                 x.axpy(1.0, dx)
                 norm = self._operator.residual(b, x, held).norm()
@@ -418,19 +401,17 @@ class LinearSolver:
 
     @property
     def _ksp(self) -> PETSc.KSP:
-        """Solver with or without slipping nodes."""
         sliding = self._operator.free.sliding is not None
         return self.setup.sliding_ksp if sliding else self.setup.ksp
 
     def _sweep(self, b: PETSc.Vec, x: PETSc.Vec, atol: float, norm: float) -> None:
-        """Solve for the correction dx that reduces the residual to the tolerance."""
         begin = perf_counter()
         setup, held = self.setup, self._operator.held
         assert held is not None
         setup.preconditioner.follow(held)
         stale = not setup.preconditioner.is_of(held)
         floor, limit = self._operator.round_off(x) * (EPS / ROUND_OFF), setup.max_iterations
-        if stale and self.direct:  # a new one would have saved many
+        if stale and self.direct:
             limit = min(limit, 2 * setup.renewal.after)
         ksp, reduction = self._ksp, max(EPS, max(atol, floor) / norm)
         ksp.setTolerances(rtol=reduction, atol=0.0, divtol=1.0 / EPS, max_it=limit)
@@ -444,15 +425,14 @@ class LinearSolver:
     ) -> None:
         """Raise if x is no solution, by the first and last residual norm and their tolerance.
 
-        Nor is it one if its round-off is near the forces: well-posed stiffness matrices leave more
-        digits than QUARTER_OF_DIGITS.
+        Nor is x one if its round-off is near the forces: see QUARTER_OF_DIGITS.
         """
         first, norm, atol = norms
         round_off = self._operator.round_off(x)
         tolerance = max(atol, round_off)
         if np.isfinite(norm) and norm <= tolerance:
             force = max(first, norm, b.norm())
-            if round_off > QUARTER_OF_DIGITS * force:  # then with reactions of held unknowns, too
+            if round_off > QUARTER_OF_DIGITS * force:  # with reactions of fixed unknowns, too
                 self._operator.residual(b, x, np.empty(0, dtype=np.int32))
                 force = max(force, self._operator.z.norm())
             if round_off <= QUARTER_OF_DIGITS * force or force == 0.0:
@@ -471,11 +451,11 @@ class LinearSolver:
 
 
 class Applied:
-    """Context of a PETSc PC of type python that applies another PC."""
+    """PETSc PC of type python that applies another PC."""
 
     def __init__(self, pc: PETSc.PC) -> None:
         self.pc = pc
 
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
-        """Set z = M^-1 r (called by PETSc)."""
+        """Set z = M^-1 r."""
         self.pc.apply(r, z)

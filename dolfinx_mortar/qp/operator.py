@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
 """The matrix of a linear system with fixed unknowns and slipping nodes, and its residuals.
 
-Negative eigenvalues are counted by a factorisation of MUMPS (Sylvester's law of inertia). With
-multigrid, conjugate gradients meet a negative curvature: of a random vector b every eigenvector has
-a part of about |b| / sqrt(n), which the residual keeps until its eigenvalue is resolved. The
-factorisation of the coarsest level, P^T A P, would hide one, and is asked itself.
+Negative eigenvalues are counted by MUMPS (Sylvester's law of inertia). With multigrid, conjugate
+gradients for a random b find one: its eigenvector's part of b, about |b| / sqrt(n), remains until
+it is resolved.
 """
 
 from mpi4py import MPI
@@ -16,16 +15,15 @@ from dolfinx_mortar.algebra.congruence import decouple
 from dolfinx_mortar.arrays import ROUND_OFF, Ints
 from dolfinx_mortar.qp.bound_qp import Sliding
 
-# Of |b| / sqrt(n): what is left of the part along an eigenvector that is resolved. Of 480 runs 1e-4
-# to 0.1 meet all, 0.3 misses 1 %, 1 5 %, 3 21 %.
+# Part of |b| / sqrt(n): 1e-4 to 0.1 found all negative eigenvalues.
 RESOLVED = 0.01
 
 
 class FreePart:
-    """Context of a PETSc Mat of type python: A on free unknowns, without a copy of A.
+    """Context of a PETSc Mat of type python: A on free unknowns, without a copy.
 
-    For vectors that vanish at held unknowns. With slipping nodes it is the derivative of
-    `Operator.r`, which is unsymmetric.
+    For vectors that vanish at fixed unknowns. With slipping nodes it is the derivative of
+    `Operator.r`.
     """
 
     def __init__(self, A: PETSc.Mat) -> None:
@@ -34,38 +32,32 @@ class FreePart:
         self.sliding: Sliding | None = None
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with x, zero at held unknowns (called by PETSc)."""
+        """Set y, zero at fixed unknowns."""
         self.A.mult(x, y)
         if self.sliding is not None:
             self.sliding.add(x.array_r, y.array)
         y.array[self.held] = 0.0
 
     def multTranspose(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y = A^T x, zero at held unknowns; without slipping nodes (called by PETSc)."""
+        """Set y = A^T x, without slipping nodes."""
         self.A.multTranspose(x, y)
         y.array[self.held] = 0.0
 
 
 class Operator:
-    """A with held unknowns.
+    """A with fixed unknowns.
 
-    A factorisation takes a copy of A with zeroed rows and columns on the same pattern, so that its
-    symbolic factorisation remains valid; an iteration applies A itself.
-
-    Args:
-        direct: whether it is to be factorised with some unknowns held.
-        definite: whether A is symmetric and positive definite, see `BoundQP`.
+    A factorisation takes a copy of A with zeroed rows and columns, on the same pattern; an
+    iteration applies A.
 
     Attributes:
-        A: the matrix.
-        definite: as above.
-        free: A on free unknowns, and the law of slipping nodes, on all ranks or on none.
-        matrix: that of the linear system without slipping nodes.
-        factorised: the same as a matrix, A itself unless ``direct``.
+        free: A on free unknowns, with the law of slipping nodes.
+        matrix: without slipping nodes.
+        factorised: the same as a matrix.
         sliding_matrix: with the law in the rows of slipping nodes.
-        held: owned local indices of held unknowns, ascending; None before the first.
+        held: owned local indices of fixed unknowns, ascending; None at first.
         z: b - A x of the last residual.
-        r: the same with zeros at held unknowns, and the error in the law at slipping nodes.
+        r: the same, 0 at fixed unknowns, and the error in the law at slipping nodes.
     """
 
     def __init__(self, A: PETSc.Mat, *, direct: bool, definite: bool) -> None:
@@ -84,11 +76,11 @@ class Operator:
 
     @property
     def state(self) -> int:
-        """A number that changes with the values of A."""
+        """Changes with the values of A."""
         return int(self.A.stateGet())
 
     def hold(self, held: Ints) -> None:
-        """Hold these unknowns of the present A (collective)."""
+        """Fix these unknowns of the present A (collective)."""
         same = self.held is not None and np.array_equal(self.held, held)
         comm = self.A.comm.tompi4py()
         if self._state == self.state and comm.allreduce(same, op=MPI.LAND):
@@ -118,7 +110,7 @@ class Operator:
         return self.r
 
     def round_off(self, x: PETSc.Vec) -> float:
-        """Round-off of A x, the smallest residual that can be expected."""
+        """Round-off of A x."""
         scaled = x.duplicate()
         scaled.pointwiseMult(self._diagonal, x)
         return float(ROUND_OFF * scaled.norm())
@@ -130,20 +122,17 @@ class Operator:
 
 
 def counts_pivots(pc: PETSc.PC) -> bool:
-    """Whether a factorisation counts its negative pivots."""
+    """Whether this factorisation counts negative pivots."""
     return bool(pc.getType() == "cholesky" and pc.getFactorSolverType() == "mumps")
 
 
 def negative_pivots(pc: PETSc.PC) -> int:
-    """Number of negative pivots of a symmetric factorisation by MUMPS, INFOG(12), or 0."""
+    """Negative pivots of a factorisation by MUMPS, INFOG(12), or 0."""
     return int(pc.getFactorMatrix().getMumpsInfog(12)) if counts_pivots(pc) else 0
 
 
 def count_negative(A: PETSc.Mat) -> int:
-    """Number of negative eigenvalues of a symmetric matrix, factorising it; collective.
-
-    1 for a singular matrix. The same on all ranks, which may see other reasons of a failure.
-    """
+    """Number of negative eigenvalues, 1 if A is singular; collective."""
     pc = PETSc.PC().create(A.comm)
     try:
         pc.setType(PETSc.PC.Type.CHOLESKY)
@@ -157,7 +146,7 @@ def count_negative(A: PETSc.Mat) -> int:
 
 
 def meets_negative_curvature(operator: Operator, pc: PETSc.PC, max_it: int) -> bool:
-    """Whether conjugate gradients for a random vector meet x.A x <= 0; collective."""
+    """Whether conjugate gradients find x.A x <= 0; collective."""
     comm = operator.A.comm.tompi4py()
     x, b = operator.A.createVecs()
     b.array[:] = np.random.default_rng(comm.rank).standard_normal(b.local_size)

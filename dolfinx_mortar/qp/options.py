@@ -15,12 +15,9 @@ from dolfinx_mortar.algebra.csr import call
 from dolfinx_mortar.algebra.parallel import any_rank
 
 DEFAULTS = {"ksp_type": "cg", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
-# for matrices that are unsymmetric or indefinite
 GENERAL = {"ksp_type": "gmres", "pc_type": "lu"}
-# In three dimensions, where a factorisation takes too much time and memory. The threshold drops
-# entries that are zero up to round-off. Three smoothing steps instead of two: 28 to 50 % fewer
-# iterations (12k to 146k unknowns). Chebyshev's interval ends at 1.2 times the estimated largest
-# eigenvalue, not 1.1: those of later tangents may lie beyond, and break the iteration.
+# In 3D. The threshold drops round-off; a third smoothing step saves a third of the iterations;
+# Chebyshev's interval ends at 1.2, as later tangents may exceed 1.1.
 MULTIGRID = {
     "pc_type": "gamg",
     "pc_gamg_threshold": 0.005,
@@ -29,7 +26,7 @@ MULTIGRID = {
     "ksp_max_it": 500,
 }
 DIRECT = ("cholesky", "lu")
-# First letters of options that choose or limit a method; others only show its work.
+# First letters of options that choose or limit a method.
 OF_METHODS = ("pc_", "mg_", "ksp_type", "ksp_max_it")
 # PETSc reads them, but our convergence test ends the iteration.
 OVERRULED = {"ksp_rtol", "ksp_atol", "ksp_divtol"}
@@ -37,26 +34,21 @@ VALUES = (str, int, float, bool, np.number, type(None))
 
 
 def was_read(name: str) -> bool:
-    """Whether PETSc has asked for an option (with its prefix) since it was set."""
+    """Whether PETSc has read an option (with prefix)."""
     found = ctypes.c_int(0)
     call("PetscOptionsUsed", None, name.encode(), ctypes.byref(found))
     return bool(found.value)
 
 
 class SolverOptions:
-    """PETSc options under a prefix; the user's options database takes precedence.
+    """PETSc options under a prefix, over defaults; the user's options database takes precedence.
 
-    Attributes:
-        prefix: the prefix.
-        given: the user's options without prefix.
-        grown: enlarged options, such as workspaces.
-        definite: whether the defaults are those of symmetric positive definite matrices.
+    `definite`: whether the defaults are those of definite matrices; `grown`: enlarged workspaces.
     """
 
     def __init__(
         self, prefix: str, options: Mapping[str, Any] | None, *, multigrid: bool = False
     ) -> None:
-        """Set the options over the defaults (CG with MUMPS Cholesky, or with multigrid)."""
         self.prefix = prefix
         self.given = dict(options or {})
         self.grown: dict[str, Any] = {}
@@ -69,7 +61,7 @@ class SolverOptions:
         return self._used(key, self.values)
 
     def of_definite(self, key: str) -> str:
-        """Value that PETSc uses for definite matrices, also if the present one is not."""
+        """Value that applies to definite matrices."""
         return self._used(key, self._values(True))
 
     def _used(self, key: str, values: dict[str, Any]) -> str:
@@ -94,13 +86,13 @@ class SolverOptions:
 
     @property
     def chosen(self) -> bool:
-        """Whether the user has chosen the method, here or in PETSc's options database."""
+        """Whether the user has chosen the method, also by PETSc's options database."""
         names = {*self.given, *PETSc.Options(self.prefix).getAll()}
         return any(name.startswith(OF_METHODS) for name in names)
 
     @contextmanager
     def database(self, prefix: str) -> Iterator[None]:
-        """Put the options into PETSc's database for a block, such as a set-up."""
+        """Put the options into PETSc's database in a block."""
         opts = PETSc.Options()
         values = self.values
         hidden = {k for k in values if opts.hasName(f"{prefix}{k}")}
@@ -116,7 +108,7 @@ class SolverOptions:
                 opts.delValue(f"{prefix}{key}")
 
     def unread(self) -> list[str]:
-        """The user's options that PETSc has not read so far."""
+        """The user's options that PETSc has not read."""
         return sorted(self._unread)
 
 
@@ -124,9 +116,8 @@ def check_options(comm: MPI.Comm, prefix: str, options: Mapping[str, Any] | None
     """Check options by a small matrix on each rank (collective).
 
     Raises:
-        ValueError: on all ranks, if the prefix is no text, if options (without prefix) are no
-            mapping of names to numbers and strings, or if PETSc has no such method or cannot read a
-            value.
+        ValueError: on all ranks, for options (without prefix) that are no mapping to numbers and
+            strings, or that PETSc refuses.
     """
     if not isinstance(comm, MPI.Comm):
         raise ValueError(f"comm is {comm!r}: give an MPI communicator, such as MPI.COMM_WORLD")
@@ -147,7 +138,6 @@ def check_options(comm: MPI.Comm, prefix: str, options: Mapping[str, Any] | None
 
 
 def _wrong_type(options: Mapping[str, Any] | None) -> str:
-    """Error in the types, if any."""
     if options is None:
         return ""
     if not isinstance(options, Mapping):
@@ -161,7 +151,6 @@ def _wrong_type(options: Mapping[str, Any] | None) -> str:
 
 
 def _try_out(options: SolverOptions) -> None:
-    """Set the method up for a small definite matrix."""
     size = 8
     A = PETSc.Mat().createAIJ((size, size), nnz=1, comm=MPI.COMM_SELF)
     A.setUp()

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The present factorisation or multigrid set-up, its matrix, and its renewal.
+"""The present factorisation or multigrid set-up, and its renewal as soon as that is cheaper.
 
-It is renewed as soon as that is cheaper. The decisions depend on residuals, not on clocks, so that
-they are the same on all ranks.
+The decisions depend on residuals, not on clocks, so that they are the same on all ranks.
 """
 
 import ctypes
@@ -22,16 +21,14 @@ from dolfinx_mortar.qp.bound_qp import BoundQP
 from dolfinx_mortar.qp.operator import Operator, count_negative
 from dolfinx_mortar.qp.options import SolverOptions
 
-# Iterations above those of a new one that are worth a renewal. A numeric factorisation in 2D costs
-# 5 to 7 solves with it (5k to 200k unknowns), a set-up of multigrid in 3D 25 to 50 iterations (30k
-# to 181k). Levels of an elastic tangent are renewed after twice 40 more than they would have cost
-# when new, as those of a flowing body take twice their iterations; with 40 plastic steps took 1.1
-# to 1.25 times as long.
+# Iterations above those of a new one that are worth a renewal: a factorisation in 2D costs 5 to 7
+# solves, a set-up of multigrid in 3D 25 to 50 iterations; levels of a plastic tangent would need
+# twice theirs when new.
 RENEWAL_COST = {"direct": 6, "iterative": 80}
 # INFOG(1) of MUMPS: workspace too small; ICNTL(14) is the percentage above its estimate.
 WORKSPACE_ERRORS = (-8, -9)
 WORKSPACE = "mat_mumps_icntl_14"
-# INFOG(1): could not allocate, or not within its limit; and PETSc's PC_FACTOR_OUTMEMORY.
+# INFOG(1): no memory, or not within its limit; and PETSc's PC_FACTOR_OUTMEMORY.
 MEMORY_ERRORS, OUT_OF_MEMORY = (-7, -13, -18, -19, -20), 3
 
 
@@ -43,17 +40,15 @@ class LinearCounts:
     factorisations: int = 0  # numeric factorisations or preconditioner set-ups
     iterations: int = 0  # applications of the factorisation or preconditioner
     solves: int = 0
-    breakdowns: int = 0  # old set-ups with a failed iteration
+    breakdowns: int = 0  # failures of an iteration with an old set-up
     seconds_factor: float = 0.0
     seconds_solve: float = 0.0
 
 
 class Renewal:
-    """When to renew, from the convergence observed so far.
+    """When to renew: `after` so many iterations above those of a new one.
 
-    Attributes:
-        after: iterations above those of a new one that are worth a renewal.
-        direct: for a factorisation one solve decides, for multigrid the sum of all.
+    With a factorisation one solve decides, with multigrid the sum of all.
     """
 
     def __init__(self, after: int, *, direct: bool) -> None:
@@ -62,15 +57,14 @@ class Renewal:
         self.excess = 0.0  # iterations above those of a new one
 
     def is_far(self, different: int) -> bool:
-        """Whether to renew without a try, for so many unknowns newly held or free.
+        """Whether to renew at once, for so many unknowns newly fixed or free.
 
-        Each is a change of rank one, up to one iteration with a factorisation. Multigrid follows on
-        its finest level.
+        With a factorisation each may take an iteration.
         """
         return (different if self.direct else self.excess) > self.after
 
     def learn(self, norms: Floats, *, stale: bool) -> None:
-        """Observe the residual norms of a solve with a new or an old set-up."""
+        """Observe the residual norms of a solve."""
         its, reached = max(len(norms) - 1, 0), 0.0
         if its > 0 and norms[0] > 0.0:
             reached = float(np.log(max(norms[-1] / norms[0], TINY)))
@@ -82,80 +76,73 @@ class Renewal:
 
 @dataclass(frozen=True)
 class Change:
-    """The unknowns v of multigrid for one set of held unknowns."""
+    """Unknowns v of multigrid for one set of fixed unknowns."""
 
     E: PETSc.Mat | None  # (n, n) x = (I - E) v; None for E = 0
-    matrix: PETSc.Mat  # (n, n) of the QP in v, held unknowns decoupled; maybe of type python
+    matrix: PETSc.Mat  # (n, n) of the QP in v, fixed unknowns decoupled; maybe of type python
 
 
 class Unknowns(Protocol):
-    """Unknowns v for each set of held unknowns of the QP."""
+    """Unknowns v of multigrid for each set of fixed unknowns."""
 
     def change(self, held: Ints) -> Change:
-        """Return v for the present geometry; collective."""
+        """Unknowns for the present geometry; collective."""
 
     def motions(self, change: Change) -> list[PETSc.Vec]:
-        """Near null space in these v, zero where they are decoupled; collective."""
+        """Near null space, zero where decoupled; collective."""
 
 
 class OwnUnknowns:
-    """The unknowns v = x, for the matrix A of the QP."""
+    """The unknowns v = x."""
 
     def __init__(self, A: PETSc.Mat) -> None:
         self.operator = CongruentOperator(A)
 
     def change(self, held: Ints) -> Change:
-        """Return v = x; collective."""
+        """Unknowns v = x; collective."""
         self.operator.follow(None, held)
         return Change(None, self.operator.matrix)
 
     def motions(self, change: Change) -> list[PETSc.Vec]:
-        """None: that of constants."""
+        """None: PETSc takes constants."""
         return []
 
 
 def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
-    """Orthonormal basis of the vectors, which are overwritten; collective."""
+    """Orthonormal basis of vectors, which are overwritten; collective."""
     basis: list[PETSc.Vec] = []
     for vector in vectors:
         whole = vector.norm()
-        for _ in range(2):  # twice is enough
+        for _ in range(2):
             for other in basis:
                 vector.axpy(-other.dot(vector), other)
-        if vector.norm() > HALF_OF_DIGITS * whole:  # the rest has half of its digits
+        if vector.norm() > HALF_OF_DIGITS * whole:  # so that the rest has half of its digits
             vector.normalize()
             basis.append(vector)
     return basis
 
 
 class Multigrid:
-    """Context of a PETSc PC of type python: M^-1 in unknowns v that may differ from x.
+    """PETSc PC of type python, M^-1 in unknowns v that may differ from x.
 
-    Unknowns at bounds drop out. At open contacts the relative motion of the sides is unsuitable:
-    coarse functions couple the two bodies (3D: 43 iterations instead of 18). So a matrix B in other
-    unknowns v may be used,
+    At open contacts coarse functions of the relative motion would couple the two bodies. So a
+    matrix B in other unknowns v may be used,
 
-        x = (I - E) v,      M^-1 = (I - E) B^-1 (I - E)^T on unknowns that are not held now,
+        x = (I - E) v,      M^-1 = (I - E) B^-1 (I - E)^T on free unknowns,
 
-    where B belongs to an earlier set of held unknowns, geometry and tangent. With GAMG the finest
-    level uses the present matrix, and only the coarse levels are those of B: changes of the set
-    cost few iterations. With other PCs for B^-1 each changed unknown costs about one, and those
-    that are free now are preconditioned by the mean of the diagonal.
-
-    Args:
-        A: (n, n) matrix of the QP.
-        prefix: of the options of the PC for B^-1.
+    of an earlier set, geometry and tangent. With GAMG the finest level uses the present matrix;
+    with other PCs each changed unknown costs about one iteration, and unknowns fixed in B but free
+    now have the mean diagonal. `prefix` is that of the PC for B^-1.
     """
 
     def __init__(self, A: PETSc.Mat, prefix: str) -> None:
-        """Create the inner PC, whose options are read at every set-up."""
         self.inner = PETSc.PC().create(A.comm)
         self.inner.setOptionsPrefix(prefix)
         self.inner.setFromOptions()
         self.B: PETSc.Mat | None = None
         self.E: PETSc.Mat | None = None
-        self.held: Ints = np.empty(0, dtype=np.int32)  # now
-        self.negative = 0  # eigenvalues of the coarsest level's matrix
+        self.held: Ints = np.empty(0, dtype=np.int32)  # in the present matrix
+        self.negative = 0  # negative eigenvalues on the coarsest level
         self._r, self._v = A.createVecRight(), A.createVecRight()
 
     @property
@@ -171,13 +158,9 @@ class Multigrid:
     def renew(
         self, change: Change, motions: list[PETSc.Vec], held: Ints, *, definite: bool
     ) -> None:
-        """Set up with another matrix; collective.
+        """Set up with another matrix B; collective.
 
-        Args:
-            change: v, with the matrix B of the QP in them.
-            motions: near null space, which is overwritten.
-            held: unknowns that B holds.
-            definite: whether B is.
+        `motions`, the near null space, are overwritten; `held` are fixed in B.
         """
         self.B, self.E, self.held = change.matrix.copy(), change.E, held
         free_unused(self.B.comm.tompi4py())
@@ -193,35 +176,31 @@ class Multigrid:
         else:
             self.inner.setOperators(self.B)
         self.inner.setReusePreconditioner(False)
-        self.inner.setFailedReason(PETSc.PC.FailedReason.NOERROR)  # PETSc keeps that of a set-up
+        self.inner.setFailedReason(PETSc.PC.FailedReason.NOERROR)  # PETSc keeps an earlier one
         self.inner.setUp()
         self.negative = 0
         if self.follows:
             self._forget_factors()
             self.negative = count_negative(self._coarsest) if definite else 0
             self._release(change.matrix)
-        self.inner.setReusePreconditioner(True)  # the finest matrix changes, coarse levels stay
+        self.inner.setReusePreconditioner(True)
 
     def _forget_factors(self) -> None:
-        """Free B and the data of products P^T B P; collective."""
         for level in range(self.inner.getMGLevels() - 1):
             product = self.inner.getMGSmoother(level).getOperators()[0]
             call("MatProductClear", ctypes.c_void_p(product.handle))
 
     @property
     def _coarsest(self) -> PETSc.Mat:
-        """Factorised matrix, P^T B P, or B if there is one level."""
         return self.inner.getMGSmoother(0).getOperators()[1]
 
     @property
     def _needs_diagonal(self) -> bool:
-        """Whether cycles read only the diagonal of B: with Jacobi smoothers and several levels."""
         levels = self.inner.getMGLevels()
         smoother = self.inner.getMGSmoother(levels - 1)
         return bool(levels > 1 and smoother.getPC().getType() == PETSc.PC.Type.JACOBI)
 
     def _release(self, finest: PETSc.Mat) -> None:
-        """Keep the part of B that cycles read; collective."""
         if self._needs_diagonal:
             assert self.B is not None, "not set up"
             self.B = PETSc.Mat().createDiagonal(self.B.getDiagonal())
@@ -229,16 +208,16 @@ class Multigrid:
                 user.setOperators(finest, self.B)
 
     def follow(self, change: Change, held: Ints) -> None:
-        """Set the present held unknowns and v; collective.
+        """Set the present fixed unknowns and v; collective.
 
-        The matrix of the change is the object of the set-up with other values.
+        The matrix of the change is the object of the set-up.
         """
         assert self.B is not None, "not set up"
         self.E, self.held = change.E, held
-        self.B.setDiagonal(change.matrix.getDiagonal())  # the part of B that the smoother reads
+        self.B.setDiagonal(change.matrix.getDiagonal())
 
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
-        """Set z = M^-1 r (called by PETSc)."""
+        """Set z = M^-1 r."""
         r.copy(self._r)
         if self.E is not None:
             self.E.multTranspose(r, self._v)
@@ -252,10 +231,10 @@ class Multigrid:
 
 
 def set_apart(qp: BoundQP, options: SolverOptions) -> Ints | None:
-    """Unknowns that a factorisation may leave for last; None for an ordinary one.
+    """Unknowns G that a factorisation may leave for last; None for an ordinary one.
 
-    Those with bounds or friction, and those of C if A is a product, ascending, on one rank, if S
-    has few entries and PETSc's library exports the function.
+    With bounds or friction, or of C if A is a product, ascending; on one rank, if S has few
+    entries.
     """
     if not qp.definite or qp.scalars is not None:
         return None
@@ -275,7 +254,6 @@ def interface_unknowns(K: PETSc.Mat, C: PETSc.Mat | None, options: SolverOptions
 
 
 def _few(A: PETSc.Mat, unknowns: Ints, options: SolverOptions) -> Ints | None:
-    """These unknowns if S has at most twice the entries of A."""
     used = options.of_definite("pc_type"), options.of_definite("pc_factor_mat_solver_type")
     if used != ("cholesky", "mumps") or not has("MatFactorSetSchurIS") or A.getType() != "seqaij":
         return None
@@ -284,20 +262,11 @@ def _few(A: PETSc.Mat, unknowns: Ints, options: SolverOptions) -> Ints | None:
 
 
 class SchurComplement:
-    """S = A_GG - A_GI A_II^-1 A_IG, of a factorisation by MUMPS that leaves G for last.
+    """S = A_GG - A_GI A_II^-1 A_IG, of a factorisation by MUMPS that leaves G (k,) for last.
 
-    Held unknowns in G concern S alone: one factorisation serves all active sets. If A = T^T K T
-    with T = I + C, and C in G x G, K is factorised, and T^T S T is that of A: it serves all
-    geometries, too, and A is never formed. PETSc has this on one rank only, and petsc4py 3.22 does
-    not wrap it.
-
-    Args:
-        unknowns: G (k,), ascending.
-        product: the matrix, if K is factorised in its place.
-
-    Attributes:
-        prepared: whether the PC knows of it.
-        S: (k, k), of the last factorisation; solves hold G.
+    One factorisation serves all active sets. If A = T^T K T with T = I + C, C in G x G, K is
+    factorised, and T^T S T serves all geometries. S is that of the last factorisation; solves fix
+    G.
     """
 
     def __init__(self, unknowns: Ints, product: CongruentOperator | None = None) -> None:
@@ -307,7 +276,7 @@ class SchurComplement:
         self._K: PETSc.Mat | None = None
 
     def state(self, A: PETSc.Mat) -> int:
-        """Number that changes with the values of the factorised matrix; -1 if that is old."""
+        """Changes with the values of the factorised matrix."""
         if self.product is None:
             return int(A.stateGet())
         same = self._K is None or np.array_equal(self._decoupled, self._elsewhere())
@@ -328,12 +297,11 @@ class SchurComplement:
         return self._K
 
     def _elsewhere(self) -> Ints:
-        """Unknowns decoupled in K, too."""
         assert self.product is not None
         return np.setdiff1d(self.product.decoupled, self.unknowns)
 
     def prepare(self, pc: PETSc.PC) -> None:
-        """Leave the unknowns for last in the first factorisation of a PC."""
+        """Leave G for last in the first factorisation of a PC."""
         if self.prepared:
             return
         self.prepared = True
@@ -343,7 +311,7 @@ class SchurComplement:
         call("MatFactorSetSchurIS", factor, ctypes.c_void_p(last.handle))
 
     def read(self, pc: PETSc.PC) -> None:
-        """Take S from a new factorisation; zeros for its inverse hold G in solves."""
+        """Take S; zeros for its inverse fix G in solves."""
         factor, S = ctypes.c_void_p(pc.getFactorMatrix().handle), ctypes.c_void_p()
         first, inverted = ctypes.POINTER(ctypes.c_double)(), 2  # MAT_FACTOR_SCHUR_INVERTED
         call("MatFactorGetSchurComplement", factor, ctypes.byref(S), None)
@@ -361,13 +329,9 @@ class SchurComplement:
 
 
 class Preconditioner:
-    """M^-1 for an operator with an earlier matrix and earlier held unknowns.
+    """Factorisation or multigrid of an earlier matrix and set, as preconditioner of an operator.
 
-    Args:
-        ksp: its solver, whose PC is set.
-        options: PETSc options of both.
-        unknowns: those of multigrid; by default those of the operator.
-        schur: of a factorisation that serves any set of its unknowns held; None for others.
+    `unknowns` are those of multigrid, `schur` is of a factorisation that serves any set of G fixed.
     """
 
     def __init__(
@@ -384,7 +348,7 @@ class Preconditioner:
         self.unknowns = OwnUnknowns(operator.A) if unknowns is None else unknowns
         self.held: Ints | None = None  # at its set-up
         self._state = -1  # of A at that time
-        # state of A, and held unknowns, of multigrid's finest level
+        # state of A, and fixed unknowns, on multigrid's finest level
         self._followed: tuple[int, Ints] = (-1, np.empty(0, dtype=np.int32))
         self.multigrid: Multigrid | None = None
         self.pc = ksp.getPC()
@@ -402,31 +366,27 @@ class Preconditioner:
         return f"{name} ({self.pc.getFactorSolverType()})" if self.options.direct else name
 
     def serves(self, apart: Ints | None) -> bool:
-        """Whether it serves where only these unknowns are held; None for any."""
+        """Whether it serves where only these unknowns are fixed."""
         if self.schur is None or apart is None:
             return self.schur is None and apart is None
         return np.array_equal(apart, self.schur.unknowns)
 
     def is_of(self, held: Ints) -> bool:
-        """Whether it is that of the present A with these unknowns held (collective)."""
+        """Whether it is that of the present A and fixed unknowns (collective)."""
         same = self.held is not None and (self.schur is not None or np.array_equal(self.held, held))
         return self._state == self._present() and self.comm.allreduce(same, op=MPI.LAND)
 
     def _present(self) -> int:
-        """State of the matrix that is factorised, or from which levels are made."""
         return self.operator.state if self.schur is None else self.schur.state(self.operator.A)
 
     def differences(self, held: Ints) -> int | None:
-        """Number of held unknowns in which it differs (collective); None if it is not set up."""
+        """Number of fixed unknowns in which it differs, or None (collective)."""
         if self.held is None:
             return None
         return int(self.comm.allreduce(np.setxor1d(self.held, held).size))
 
     def clear(self) -> None:
-        """Free the factorisation or the levels, and release the matrices; collective.
-
-        PETSc keeps them in a PC with other references.
-        """
+        """Free it, also in PCs with other references; collective."""
         self.ksp.getPC().reset()
         if self.schur is not None:
             self.schur.destroy()
@@ -434,7 +394,7 @@ class Preconditioner:
             self.multigrid.clear()
 
     def renew(self, held: Ints, counts: LinearCounts) -> str:
-        """Set up again; return cause and remedy of a failure, else "" (collective)."""
+        """Set up again; return the cause of a failure, or "" (collective)."""
         if self.multigrid is not None:
             self.multigrid.clear()  # two at a time need twice the memory
         free_unused(self.comm)
@@ -459,7 +419,7 @@ class Preconditioner:
         return why
 
     def follow(self, held: Ints) -> None:
-        """Set the held unknowns and the matrix of multigrid; collective."""
+        """Set the fixed unknowns and the matrix of multigrid; collective."""
         if self.multigrid is None:
             return
         if not self.multigrid.follows:
@@ -472,7 +432,7 @@ class Preconditioner:
             self._followed = now, held.copy()
 
     def _factorise(self, counts: LinearCounts) -> None:
-        """Factorise the matrix, with more workspace if MUMPS had too little."""
+        """Factorise, with more workspace if MUMPS had too little."""
         self.pc.setReusePreconditioner(False)
         factorised = self.operator.factorised
         if self.schur is not None:
@@ -490,20 +450,19 @@ class Preconditioner:
             self.options.grown[WORKSPACE] = twice
             if self.options[WORKSPACE] != str(twice):
                 break  # the user's options database takes precedence
-            self._reset()  # a failed factor cannot be used again
+            self._reset()
             self.ksp.setOperators(self.operator.matrix, factorised)
             counts.symbolic += 1
         self.pc.setReusePreconditioner(True)
 
     def _reset(self) -> None:
-        """Free a factorisation."""
         self.pc.reset()
         if self.schur is not None:
             self.schur.prepared = False
 
 
 def mumps_error(pc: PETSc.PC) -> int | None:
-    """INFOG(1) of a factorisation by MUMPS, None for other methods."""
+    """INFOG(1) of MUMPS, or None."""
     direct = pc.getType() in ("cholesky", "lu")
     if not direct or pc.getFactorSolverType() != "mumps":
         return None

@@ -1,15 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Scalar unknowns of a QP, such as the motions of rigid tools that forces drive.
+"""Scalar unknowns of a QP: the motions q (m,) of rigid tools under given forces F.
 
-Unknowns x_j that are measured from tools are w_j = x_j - e_j.q, so that bounds and slips of w do
-not depend on the motions q (m,). With the reactions z = b - C q - A x the rows of q are
-
-    F - R x - Q q + e.z = 0,
-
-where C, R and Q are of nodes that follow a rigid side and have been eliminated. In (w, q) all this
-is one QP with the same bounds: its matrix has the rows A x + C q and R x + Q q + e.(A x + C q).
-Where q is free in a state, as of a tool that touches nothing or a plate on one node, a proximal
-term rho (q - q_0) holds it.
+See theory.md, Tools and sides that forces drive: w_j = x_j - e_j.q, z = b - C q - A x, and F - R x
+- Q q + e.z = 0. Where q is undetermined in a state, a proximal term rho (q - q_0) is added.
 """
 
 from __future__ import annotations
@@ -40,11 +33,11 @@ class NoResistance(RuntimeError):
     """Nothing resists the load of a scalar.
 
     Attributes:
-        which: (m,) how much of each is not resisted.
+        which: (m,) share of the load that is not resisted.
     """
 
     def __init__(self, which: Floats) -> None:
-        super().__init__(which)  # with which ranks send it
+        super().__init__(which)  # ranks pickle it
         self.which = which
 
     def __str__(self) -> str:
@@ -52,7 +45,7 @@ class NoResistance(RuntimeError):
 
 
 def moved(qp: BoundQP, q: Floats) -> BoundQP:
-    """Return the QP of x for given scalars q (m,)."""
+    """The QP of x for given scalars q (m,)."""
     scalars = qp.scalars
     assert scalars is not None
     way, upper, b, law = q @ scalars.motions, qp.upper.copy(), qp.b.copy(), qp.friction
@@ -69,14 +62,14 @@ def moved(qp: BoundQP, q: Floats) -> BoundQP:
 
 
 class Bordered:
-    """A QP with scalars as one in (w, q), and the solver of its linear systems.
+    """A QP with scalars as a QP in (w, q), with rows A x + C q and R x + Q q + e.(A x + C q).
 
-    The last rank has q after its part of w. With x for given q from the solver of A, and the
-    solutions X of its homogeneous equations for unit q, q is the solution of m equations.
+    The last rank has q after its part of w. Linear systems are solved for x at given q and for
+    dx/dq; then m equations give q.
 
     Attributes:
-        qp: the QP in (w, q).
-        share: of the stiffness of nodes, that of the proximal term.
+        qp: in (w, q).
+        share: of the proximal term in the stiffness of nodes.
         rho: (m,) of the term, zero where a state resists.
         centre: (m,) its q_0.
     """
@@ -110,20 +103,20 @@ class Bordered:
 
     @property
     def comm(self) -> MPI.Comm:
-        """The ranks."""
+        """Communicator of the QP."""
         return self.inner.comm
 
     @property
     def last(self) -> int:
-        """How many of q this rank has."""
+        """Number of scalars on this rank."""
         return len(self.scalars.loads) if self.comm.rank == self.comm.size - 1 else 0
 
     def join(self, w: Floats, q: Floats) -> Floats:
-        """Return this rank's part of (w, q)."""
+        """This rank's part of (w, q)."""
         return np.concatenate([w, q[: self.last]])
 
     def at(self, values: Floats) -> tuple[Floats, Floats]:
-        """Return x (n,) and q (m,) of this rank's part of (w, q); collective."""
+        """Return x (n,) and q (m,) of (w, q); collective."""
         n = len(values) - self.last
         q = self.comm.bcast(values[n:], root=self.comm.size - 1)
         return values[:n] + q @ self.scalars.motions, q
@@ -132,14 +125,13 @@ class Bordered:
         return np.asarray(self.comm.allreduce(values, op=MPI.SUM))
 
     def _loads(self) -> Floats:
-        """Return the right-hand side of the rows of q; collective."""
         own = self.scalars.motions @ self.inner.b.array_r
         return self.scalars.loads + self._sum(own) + self.rho * self.centre
 
     # -- the matrix, called by PETSc -------------------------------------------------------------
 
     def mult(self, mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Set y to the product with (w, q)."""
+        """Set y."""
         at, q = self.at(x.array_r)
         given, product = self.inner.b.duplicate(), self.inner.b.duplicate()
         given.array[:] = at
@@ -149,7 +141,7 @@ class Bordered:
         y.array[:] = self.join(top, below + self.scalars.block @ q + self.rho * q)
 
     def getDiagonal(self, mat: PETSc.Mat, y: PETSc.Vec) -> None:
-        """Set y to the diagonal of A, and to the weights of the scalars."""
+        """Set y, with the weights of the scalars."""
         y.array[:] = self.join(self.inner.diagonal.array_r, self.weights)
 
     # -- the solver, see `held.Solver` -----------------------------------------------------------
@@ -157,7 +149,7 @@ class Bordered:
     exact = False
 
     def round_off(self, x: PETSc.Vec) -> float:
-        """Return that of A x."""
+        """See `held.Solver`."""
         at = self.inner.b.duplicate()
         at.array[:] = self.at(x.array_r)[0]
         return self.linear.round_off(at)
@@ -172,7 +164,7 @@ class Bordered:
         sliding: Sliding | None = None,
         **others: object,
     ) -> PETSc.Vec:
-        """Solve for what is not held, in place; see `LinearSolver.solve`; collective."""
+        """See `held.Solver`; collective."""
         at, q = self.at(x.array_r)
         y, right, E = self.inner.b.duplicate(), self.inner.b.duplicate(), self.scalars.motions
         y.array[:] = at
@@ -198,7 +190,7 @@ class Bordered:
         return result
 
     def _missing(self, x: Floats, z: Floats, q: Floats) -> tuple[Floats, Floats]:
-        """Return F - R x - Q q + e.z (m,), and the sizes of the forces in it; collective."""
+        """F - R x - Q q + e.z (m,), and the sizes of its forces; collective."""
         parts = self.scalars.motions * z - self.scalars.rows * x
         total, size = self._sum(np.stack([parts.sum(axis=1), np.abs(parts).sum(axis=1)]))
         size = np.maximum(size, np.abs(self.scalars.loads))
@@ -206,10 +198,7 @@ class Bordered:
         return self.scalars.loads + total - self.scalars.block @ q + spring, size
 
     def resistance(self) -> Floats:
-        """Return what resists q in the last state (m, m), -d(F - R x - Q q + e.z)/dq; collective.
-
-        It is made with dx/dq and dz/dq (m, n).
-        """
+        """Stiffness of the last state against q (m, m), -d(F - R x - Q q + e.z)/dq; collective."""
         held, sliding = self._last
         state = state_of(held, sliding)
         if not self.comm.allreduce(state == self._state, op=MPI.LAND):
@@ -232,14 +221,13 @@ class Bordered:
         size = z.norm()
         if size > 0.0 or law is not None:
             values = y.array_r[held].copy()
-            y.array[:] = self._X[a]  # of another state, a guess
+            y.array[:] = self._X[a]  # initial guess, of another state
             y.array[held] = values
             atol = HALF_OF_DIGITS * max(size, np.sqrt(TINY))
             z = self.linear.solve(right, y, held, atol=atol, sliding=law)
         return y.array_r.copy(), z.array_r.copy()
 
     def _step(self, q: Floats, missing: Floats) -> Floats:
-        """Return the change of q (m,) that meets what is missing (m,)."""
         if not self.rho.any() and self.proximal().any():
             self.hold(q)
         scale = 1.0 / np.sqrt(self.weights)
@@ -247,7 +235,7 @@ class Bordered:
         return np.asarray(scale * np.linalg.solve(relative, scale * missing))
 
     def proximal(self) -> Floats:
-        """Return the rho (m,) that the last state needs, zero where it resists; collective."""
+        """Coefficients rho (m,) of the last state, zero where it resists; collective."""
         if self.rho.any():
             return self.rho
         scale = 1.0 / np.sqrt(self.weights)
@@ -256,28 +244,28 @@ class Bordered:
         return self.share * singular * self.weights
 
     def hold(self, q: Floats | None) -> None:
-        """Add a proximal term about q, none for None."""
+        """Set the proximal term about q, or none."""
         self.rho = 0.0 * self.rho if q is None else self.proximal()
         self.centre = 0.0 * self.rho if q is None else q.copy()
         self.qp.b.array[self.inner.b.getLocalSize() :] = self._loads()[: self.last]
 
     def is_met(self, q: Floats) -> bool:
-        """Tell whether the proximal term carries nothing that the tolerance would not allow."""
+        """Whether the proximal term is below the tolerance."""
         return bool((np.abs(self.rho * (q - self.centre)) <= self.scalars.noise).all())
 
     def force_of_term(self, q: Floats) -> Floats:
-        """Return the forces of the proximal term (m,), relative to the weights."""
+        """Forces of the proximal term (m,) over the weights."""
         return np.asarray(np.abs(self.rho * (q - self.centre)) / np.sqrt(self.weights))
 
 
 def no_friction() -> Friction:
-    """Return friction at no node."""
+    """Friction at no node."""
     none, flat = np.zeros((0, 1)), np.zeros(0)
     return Friction(flat.astype(np.int32), none.astype(np.int32), none, flat, flat)
 
 
 def _shifted(sliding: Sliding, way: Floats, given: float) -> Sliding:
-    """Return the law of slips from points that move along a way (n,), or of their rates."""
+    """Law of slips from points that move along a direction (n,), or of their rates."""
     law = sliding.law
     rest = given * law.rest + law.pick(way)
     return replace(sliding, law=replace(law, rest=rest, cohesion=given * law.cohesion))

@@ -39,7 +39,6 @@ def check_name(backend: str) -> None:
 
 
 def _check_scope(backend: str, qp: BoundQP) -> None:
-    """Raise a ValueError for a QP that a backend cannot solve."""
     named = {"friction": qp.friction, "tools or sides that forces drive": qp.scalars}
     for name, given in named.items():
         if given is not None and backend != ACTIVE_SET:
@@ -64,28 +63,24 @@ def solve(
     guess: PETSc.Vec | None = None,
     rtol: float = 1e-10,
 ) -> QPSolution:
-    """Solve a bound-constrained QP (collective).
+    """Solve a bound-constrained QP and check the solution (collective).
 
     Args:
         backend: "active-set", or for a definite matrix without friction "interior-point".
         linear: linear solver, whose factorisation is reused; by default a new one with MUMPS.
-        start_active: (k,) initial active set on ``qp.bounded``: +1 upper, -1 lower, 0 free. By
-            default every unknown at its bound nearest to zero, which constrains every body.
-        start_sliding: (m, t) initial directions of slip on ``qp.friction``, zero at sticking nodes;
-            by default everywhere.
-        start_kappa: (m,) initial kappa of `qp.friction`; by default, and at most, the diagonal of
-            the matrix.
-        guess: (n,) for the active set's first linear solve; 0 by default.
-        rtol: tolerance of the KKT check, relative; round-off is the limit.
-
-    Returns:
-        The solution, which has passed the check.
+        start_active: (k,) initial active set on ``qp.bounded``: +1 upper, -1 lower, 0 free; by
+            default every unknown at its bound nearest to zero.
+        start_sliding: (m, t) initial directions of slip, zero at sticking nodes; by default
+            everywhere.
+        start_kappa: (m,) initial kappa of `qp.friction`; at most |diag(A)|, the default.
+        guess: (n,) for the first linear solve; 0 by default.
+        rtol: relative tolerance of the KKT check; round-off is the limit.
 
     Raises:
         ValueError: for an unknown backend, a problem that it cannot solve, or data without
             solution.
-        QPNotSolved: if the backend fails, or if its solution, then an attribute of the error, fails
-            the check.
+        QPNotSolved: if the backend fails, or its solution, an attribute of the error, fails the
+            check.
     """
     check_name(backend)
     arguments.check("qp", qp, arguments.instance(BoundQP, "give a BoundQP"))
@@ -136,7 +131,7 @@ def _run(
     guess: PETSc.Vec | None,
     apart: Ints | None,
 ) -> QPSolution:
-    """Solve by a backend, with the unknowns that a factorisation leaves for last, None for none."""
+    """Solve by a backend; `apart` are the unknowns of S, None for an ordinary factorisation."""
     if apart is None and qp.product is not None:  # another method needs the matrix itself
         qp = replace(qp, A=qp.A.duplicate(copy=True), product=None)
     linear.set_matrix(
@@ -152,7 +147,6 @@ def _run(
 
 
 def _cause(error: Exception, linear: LinearSolver) -> str:
-    """Cause of a failure and remedy."""
     if isinstance(error, PETSc.Error):
         return (
             f" in PETSc: {error}. Check the options of the linear solver, {linear.options.values}"
@@ -175,7 +169,6 @@ def _nothing_to_do(qp: BoundQP, backend: str) -> QPSolution | None:
 
 
 def _possible(qp: BoundQP, active: Actives) -> Actives:
-    """The set without unknowns at infinite bounds."""
     lower, upper = qp.bounds
     active = np.where((active > 0) & np.isinf(upper), 0, active)
     return np.where((active < 0) & np.isinf(lower), 0, active).astype(np.int8)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Report of a converged step: certificate, results of interfaces, reactions, notes, tables."""
+"""Report of a converged step."""

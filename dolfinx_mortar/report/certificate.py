@@ -13,9 +13,8 @@ from dolfinx_mortar.geometry.facets import unit
 from dolfinx_mortar.interfaces.constraints import SlipLimits
 from dolfinx_mortar.interfaces.coupling import along_and_across, relative_motions
 from dolfinx_mortar.interfaces.link import Link, nodal_gaps, set_results_of, set_sliding
-from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.newton_method.contacts import Contacts, Residuals
 from dolfinx_mortar.newton_method.linearisation import Balance, growth
-from dolfinx_mortar.newton_method.residuals import Residuals
 from dolfinx_mortar.persistence.committed import Slips
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.qp import Sliders
@@ -26,20 +25,18 @@ from dolfinx_mortar.step_report import Certificate, StepReport
 
 
 def _largest(comm: MPI.Comm, *arrays: Floats) -> Floats:
-    """Maxima over all ranks, 0 for empty arrays."""
     return maximum(comm, *(a.max(initial=0.0) for a in arrays))
 
 
 def operator_errors(link: Link, X: Floats, facet_length: float) -> tuple[float, float]:
-    """Linear-field error and row-sum error of D and M; collective.
+    """Linear-field error and row-sum error of D and M, relative to D_jj; collective.
 
     On flat interfaces (D - M) X, X (owned nodes, d), has no tangential part; on curved ones it is
-    the gap times the angle between facet and averaged slave normals. Rows of D - M sum to zero.
-    Relative to D_jj, the first also to the gap plus a facet length; for each choice of direction of
-    a tie.
+    the gap times the angle between facet and nodal normals, so the first error is also relative to
+    the gap plus a facet length, for each direction of a tie. Rows of D - M sum to zero.
     """
     sides, coupling = link.sides, link.coupling
-    judged = coupling.kept.T & coupling.normals.any(axis=1)  # may lack a normal
+    judged = coupling.kept.T & coupling.normals.any(axis=1)
     normals = coupling.normals if coupling.operators is None else coupling.operators.normals
     v = link.Q.createVecRight()
     v.set(1.0)
@@ -72,7 +69,6 @@ def find_pull(problem: ContactProblem, contacts: Contacts, least: float = 0.0) -
 
 
 def _pull_of_patches(link: Link, forces: Floats) -> float:
-    """Largest tension of a patch over the sum of forces (n, d); collective."""
     d, n = forces.shape[1], link.coupling.normals
     area, exerted = link.coupling.weight[:, :1] * n, link.transpose(forces)[0][link.nodes]
     size = np.linalg.norm(exerted, axis=1)
@@ -102,13 +98,8 @@ def create_certificate(
 ) -> Certificate:
     """Certificate of the present state with its results; collective.
 
-    Args:
-        residual: of the final geometry.
-        balances: of forces and moments of the two sides, from `set_results`.
-        sliders: with friction.
-        left_out: small-strain error; None computes it, as the next ones.
-        overlaps: see `find_overlaps`.
-        pull: of `find_pull`.
+    `residual` is that of the final geometry, `balances` are from `set_results`; the next ones are
+    computed if None.
     """
     left_out = left_out or find_left_out(problem)
     crossing = (find_overlaps(problem) if overlaps is None else overlaps).get(-1)
@@ -209,8 +200,7 @@ def set_results(
     """Set the interfaces' resultants and Functions; collective.
 
     Returns the slips, and the largest imbalances of forces and moments. Reactions of equalities are
-    residual forces, those of contacts D_jj times the multipliers; tractions are per present area,
-    see `growth`.
+    residual forces, of contacts D_jj times the multipliers; tractions are per present area.
     """
     d, n = problem.d, problem.n
     moved = problem.X + problem.u.x.array[: d * n].reshape(-1, d)
@@ -246,13 +236,12 @@ def set_results(
 def _set_sliding(
     problem: ContactProblem, limits: SlipLimits, contacts: Contacts, grown: Sequence[Floats]
 ) -> Slips:
-    """Set the results of friction, added to committed ones; collective."""
     n, d, committed = problem.n, problem.d, problem.committed
     traction, slip = np.zeros((2, n, d))
     assert contacts.sliding is not None
     slides = np.asarray(limits.along(contacts.sliding[limits.nodes]).any(axis=1))
     resisting, known = contacts.tangential_reactions(limits), limits.known(contacts.multipliers)
-    slips = np.where(slides[:, None], limits.slip, 0.0)  # else round-off
+    slips = np.where(slides[:, None], limits.slip, 0.0)
     aside = limits.slides & known.any(axis=1)
     beside = np.where(aside[:, None], limits.beside, 0.0)
     traction[limits.nodes] = -(limits.vectors(resisting) + known) / limits.weight[:, None]

@@ -1,32 +1,11 @@
 # SPDX-License-Identifier: MIT
 """The ledger of energies of a motion, and the energy that contact restores.
 
-In a step from n to n+1 the trapezoidal rule keeps, of linear bodies,
-
-    K + Psi = K_n + Psi_n + 1/2 (q + q_n).(u - u_n)
-
-exactly, q the forces of loads, supports, damping and contacts. Where sides meet or part in a step,
-1/2 (lambda g_n - lambda_n g) is lost. So after a step the velocity is corrected by an impulse s of
-the contact forces, so that the work of the normal forces c is zero, and the work w of friction f
-not positive (as it may be where a slip turns back),
-
-    v <- v + s y,   (kappa M + K) y = c + c_n + f + f_n,
-    K(v + s y) = K(v) - 1/2 (c + c_n).(u - u_n) - <w> + s y_f.M (v + s y / 2),
-
-with y_f the part of y due to f; the last term counts as work of friction. As K y has neither
-momentum nor moment of momentum, both are conserved (Laursen and Love 2002 correct node by node,
-with M alone). The smaller of the two roots s is taken; energy beyond the range of the impulse
-becomes part of the defect. The impulse waits until more than rtol of the largest energy is to be
-restored.
-
-The work of moving tools on bodies counts as work of supports; w and K are relative to the tool. At
-tools driven by loads, which have no mass, no impulse acts: their momentum is that of the loads.
-
-Where an eigenstrain or parameters of laws change in a step, the change of the potential without
-motion, Psi - Psi_n - 1/2 (F + F_n).(u - u_n), F the internal forces, each with the data of its
-time, counts as work of loads.
-
-At finite strain the moment of momentum has an error of third order in a step.
+The impulse s of the contact forces is that of theory.md, Motion in time; it is postponed until more
+than rtol of the largest energy is to be restored. Moving tools do work as supports; w and the
+kinetic energy are relative to the tool. No impulse acts at tools driven by loads. Changes of
+eigenstrain or parameters do the work Psi - Psi_n - 1/2 (F + F_n).(u - u_n), F the internal forces,
+which counts as work of loads.
 """
 
 from collections.abc import Sequence
@@ -44,8 +23,8 @@ from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.step_report import Ledger, Note, StepReport
 from dolfinx_mortar.terms.inertia import Damping, Inertia, Motion
 
-# Smallest defect with a note: velocities are then wrong by half a per cent. Measured on a rod that
-# hits a wall and a bar (defects of 3e-4 to 8 %): by 0.4 to 0.7 of the defect.
+# Smallest defect with a note: on impacts of a rod with a wall and a bar, velocities are wrong by
+# 0.4 to 0.7 of the defect.
 LARGE_DEFECT = 0.01
 MASS = (
     ". Contact nodes of thin bodies, of one or two layers of cells, have kept their mass, with "
@@ -63,24 +42,17 @@ class Ends:
     supports: Floats
     loads: Floats
     damping: Floats
-    internal: Floats | None  # where a law has no potential, or reads what may change
+    internal: Floats | None  # if a law has no potential, or changing data
 
 
 class EnergyLedger:
     """The ledger of a problem with inertia, step by step.
 
-    Where a law has no potential, "stored" is the work of the internal forces, part of which may be
-    dissipated.
+    Without a potential "stored" is the work of the internal forces, dissipation included.
     """
 
     def __init__(self, problem: ContactProblem, inertia: Inertia, *, conserve: bool) -> None:
-        """Begin, or continue from the last step of the problem's history; collective.
-
-        Args:
-            problem: at the end of a step or at its start.
-            inertia: one of its terms.
-            conserve: whether contact restores energy.
-        """
+        """Begin or continue; contact restores energy if `conserve`; collective."""
         self.problem, self.inertia, self.conserve = problem, inertia, conserve
         history = problem.history
         last = history[-1].report.ledger if history else None
@@ -94,11 +66,11 @@ class EnergyLedger:
         self._acting = self._resultants()
         self.last, self._potential = last, stored
         self._before: Ends | None = None
-        self._heated = False  # in this step
+        self._heated = False
         self._inner = self._internal()
 
     def _resultants(self) -> list[Floats | None]:
-        """Forces (d,) on slave sides that can open, None for other interfaces."""
+        """Forces (d,) on slave sides that can open, else None."""
         zero = np.zeros(self.problem.d)
         return [
             (zero if one.resultants is None else one.force.copy()) if one.unilateral else None
@@ -106,7 +78,6 @@ class EnergyLedger:
         ]
 
     def _impulses(self, restored: float) -> list[list[float] | None]:
-        """Impulses of the contacts until the end of the step."""
         before, self._acting = self._acting, self._resultants()
         time = 0.5 * self.inertia.start.dt + restored
         return [
@@ -117,7 +88,6 @@ class EnergyLedger:
         ]
 
     def _forces(self, named: Sequence[tuple[str, Term]]) -> Floats:
-        """Sum of the forces of terms, (owned nodes, d); collective."""
         F = self.problem.vector()
         self.problem.terms.add_forces(named, F)
         return np.asarray(F.array_r.reshape(self.inertia.mass.X.shape)).copy()
@@ -127,7 +97,7 @@ class EnergyLedger:
         return -self._forces(self._still)
 
     def _damping(self, velocity: Floats | None = None) -> Floats:
-        """Forces of damping at a velocity, by default that at the end of the step."""
+        """Forces of damping, by default at the end of the step."""
         terms = [term for _, term in self.problem.terms.named if isinstance(term, Damping)]
         found = [t.times(t.velocity() if velocity is None else velocity) for t in terms]
         return sum(found, np.zeros(self.inertia.mass.X.shape))
@@ -147,12 +117,8 @@ class EnergyLedger:
     def start(self, begin: float, end: float, sides: Floats) -> None:
         """Find the acceleration M a = P^T (f - F + c) under the loads of the start; collective.
 
-        Nodes without mass are in equilibrium or move with others, to which P^T moves their forces.
-
-        Args:
-            begin: time of the start.
-            end: time of the first step's end, for terms that read it.
-            sides: (owned nodes, d) forces of rigid sides on their nodes.
+        P^T moves forces from massless nodes. `begin` and `end` are times of the first step, `sides`
+        (owned nodes, d) the forces of rigid sides.
         """
         problem, inertia = self.problem, self.inertia
         problem.terms.prepare(self._still, begin, end)
@@ -186,7 +152,6 @@ class EnergyLedger:
         return self.inertia.sum(array.sum())
 
     def _end(self) -> Ends:
-        """Forces at the end of a converged step; collective."""
         problem, shape = self.problem, self.inertia.mass.X.shape
         outcome, supports = problem.outcome, problem.committed.supports
         assert outcome is not None and supports is not None
@@ -202,12 +167,7 @@ class EnergyLedger:
         )
 
     def commit(self, report: StepReport, linear: LinearSolver) -> None:
-        """Commit a converged step, and add its ledger to the report; collective.
-
-        Args:
-            report: of the step; gets a note if the energy could not be restored.
-            linear: solver of the responses.
-        """
+        """Commit a converged step, and add its ledger to the report; collective."""
         problem, inertia, before = self.problem, self.inertia, self._before
         assert before is not None
         after, motion = self._end(), inertia.end()
@@ -216,7 +176,6 @@ class EnergyLedger:
             name: self._sum(0.5 * (getattr(before, name) + getattr(after, name)) * du)
             for name in ("contact", "friction", "supports", "loads", "damping")
         }
-        # the work of a moving tool on the bodies is no gain of contact
         way = self._tool_way(before.u, after.u)
         tools = {
             name: self._sum(0.5 * (getattr(before, name) + getattr(after, name)) * way)
@@ -274,7 +233,6 @@ class EnergyLedger:
     def _in_bodies(
         self, before: Ends, after: Ends, potential: float | None
     ) -> tuple[float, float, float]:
-        """Stored energy after a step, dissipated energy, and the work of heat."""
         inner, start = 0.0, self._potential
         if before.internal is not None and after.internal is not None:
             mean = 0.5 * (before.internal + after.internal)
@@ -288,7 +246,7 @@ class EnergyLedger:
 
     @cached_property
     def _driven(self) -> Bools:
-        """Nodes (owned nodes, 1) on sides that may meet tools driven by loads."""
+        """Nodes (owned nodes, 1) on sides with tools driven by loads."""
         on = np.zeros((len(self.inertia.mass.X), 1), dtype=bool)
         system = self.problem.system
         for sides, interface in zip(system.sides, system.interfaces, strict=True):
@@ -297,13 +255,12 @@ class EnergyLedger:
         return on
 
     def _contacts_have_mass(self) -> bool:
-        """Whether nodes that can touch have kept their mass; collective."""
         bare, links = self.inertia.mass.massless, self.problem.system.unilateral
         heavy = any((~bare[k.nodes] & k.coupling.kept[:, 0]).any() for k in links)
         return bool(any_rank(self.problem.comm, heavy)[0])
 
     def _tool_way(self, before: Floats, after: Floats) -> Floats:
-        """Motion of tools at the nodes that they touch in the step, (owned nodes, d)."""
+        """Motion (owned nodes, d) of touching tools at the nodes."""
         X = self.inertia.mass.X
         way, free = np.zeros_like(before), np.ones(len(before), dtype=bool)
         links = self.problem.system.unilateral
@@ -338,8 +295,7 @@ class EnergyLedger:
     ) -> tuple[Motion, float, float, float, float]:
         """Motion after an impulse of the contact forces that adds an energy; collective.
 
-        Also the works of tools and of friction in it, the energy that is missing, and the time for
-        which the forces have acted.
+        Also the works of tools and friction, the missing energy, and the time of the forces.
         """
         if responses is None:
             return motion, 0.0, 0.0, energy, 0.0
@@ -363,7 +319,6 @@ class EnergyLedger:
 
 
 def _not_restored(share: float, *, unsolved: bool) -> Note:
-    """Note on energy that contact has taken or added in a step."""
     what = "taken from the bodies without giving it back" if share > 0.0 else "given to the bodies"
     why = "Its forces are too small along the motion for the impulse that restores the energy"
     if unsolved:
@@ -373,7 +328,6 @@ def _not_restored(share: float, *, unsolved: bool) -> Note:
 
 
 def _balanced(ledger: Ledger) -> Ledger:
-    """A ledger with its defect."""
     gone = ledger.dissipated + ledger.friction + ledger.damping
     total = ledger.kinetic + ledger.stored
     largest = max(ledger.largest, total, gone, abs(ledger.loads), abs(ledger.supports))
@@ -381,7 +335,7 @@ def _balanced(ledger: Ledger) -> Ledger:
 
 
 def notes_on_energy(ledger: Ledger, *, thin: bool = False) -> list[str]:
-    """A note if energy has appeared or is lost; `thin`: contact nodes have mass."""
+    """Notes on an energy defect; `thin`: contact nodes have mass."""
     if abs(ledger.defect) <= LARGE_DEFECT:
         return []
     what = "appeared" if ledger.defect > 0.0 else "been lost"

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Notes on a converged step: separation from the partner, neglected strains, resolution.
-
-Tunnelling and indefinite tangents are reported by Newton's method.
-"""
+"""Notes on a converged step: separation from the partner, neglected strains, resolution."""
 
 import logging
 import re
@@ -16,9 +13,8 @@ from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Floats
 from dolfinx_mortar.interfaces.coupling import slipped
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.mortar.surface import coordinates, nodal_normals
-from dolfinx_mortar.newton_method.contacts import Contacts
+from dolfinx_mortar.newton_method.contacts import Contacts, gap_round_off
 from dolfinx_mortar.newton_method.linearisation import Balance
-from dolfinx_mortar.newton_method.residuals import gap_round_off
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.report.penetration import Overlap, notes_on_crossings, notes_on_overlaps
 from dolfinx_mortar.report.resolution import note_on_facets, notes_on_resolution
@@ -40,13 +36,13 @@ class StepEnd:
     problem: ContactProblem
     balance: Balance
     contacts: Contacts
-    stiffness: Floats  # (n,) owned diagonal of the last K^
+    stiffness: Floats  # (n,) owned diagonal of the last condensed stiffness
     overlap: float
     left_out: LeftOut
     overlaps: Mapping[int, Overlap]
     pull: float  # of contacts, see `find_pull`
     rtol: float
-    limit: float  # allowed norm of residual forces
+    limit: float  # tolerance of residual forces, as a norm
 
 
 def note_partners(end: StepEnd) -> list[str]:
@@ -57,13 +53,12 @@ def note_partners(end: StepEnd) -> list[str]:
         seen = f"contacts pull, by {end.pull:.1%} of the largest push: forces are wrong there"
         why = "Refine the slave side where the master ends, or let the other side be the slave"
         notes.append(Note(seen, why))
-    if end.overlap == 0.0:  # else a part of an initial overlap is left
+    if end.overlap == 0.0:  # otherwise an initial overlap remains
         notes += notes_on_overlaps(end.problem, end.overlaps, end.contacts.active, end.rtol)
     return notes + notes_on_crossings(end.problem, end.overlaps)
 
 
 def _missed_tools(end: StepEnd) -> list[str]:
-    """Notes on tools that meet no node, also of shared sides."""
     notes, links = list[str](), end.problem.system.links
     why = (
         "Either no facet of the side faces the tool (its normal has to point out of the tool, "
@@ -79,7 +74,6 @@ def _missed_tools(end: StepEnd) -> list[str]:
 
 
 def _frozen(end: StepEnd) -> list[str]:
-    """Notes on slides and rotations beyond frozen geometry; collective."""
     notes, problem, length = list[str](), end.problem, end.problem.system.facet_length
     for link in end.problem.system.unilateral:
         slip = slipped(link, problem.vector(problem.owned_u))
@@ -110,7 +104,6 @@ def _turn(problem: ContactProblem, link: Link, contacts: Contacts) -> float:
 
 
 def _turned_tools(end: StepEnd) -> list[str]:
-    """Notes on rotations of tools that make slips, arcs or chords, wrong; collective."""
     notes, sliding = list[str](), end.contacts.sliding
     for link in end.problem.system.links:
         tool = link.interface.tool
@@ -155,7 +148,7 @@ def note_pressures(end: StepEnd) -> list[str]:
     return notes + few
 
 
-DIAGNOSES = note_partners, note_strains, note_pressures  # the same on all ranks
+DIAGNOSES = note_partners, note_strains, note_pressures  # the same order on all ranks
 
 
 def find_notes(end: StepEnd) -> list[str]:

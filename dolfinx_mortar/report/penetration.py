@@ -28,16 +28,16 @@ from dolfinx_mortar.geometry.flat import (
     near_pairs,
 )
 from dolfinx_mortar.geometry.flat import find_overlaps as overlaps_of_facets
-from dolfinx_mortar.geometry.parts import count as parts
-from dolfinx_mortar.geometry.parts import parts_of
+from dolfinx_mortar.geometry.plane import count as parts
+from dolfinx_mortar.geometry.plane import parts_of
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
 from dolfinx_mortar.mortar.facing_bodies import boxes_of
+from dolfinx_mortar.mortar.operators import whole_facets
 from dolfinx_mortar.mortar.pairing import received_facets
 from dolfinx_mortar.mortar.passing import depth_of_point
 from dolfinx_mortar.mortar.surface import Surface, coordinates, facets_at, nodal_sagittas
-from dolfinx_mortar.mortar.whole_side import whole_facets
-from dolfinx_mortar.newton_method.residuals import DIGIT
+from dolfinx_mortar.newton_method.contacts import DIGIT
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.step_report import Note
 
@@ -67,7 +67,7 @@ APART = (
 
 @dataclass(frozen=True)
 class Overlap:
-    """Deepest place of boundaries that lie in each other."""
+    """Deepest overlap of boundaries."""
 
     share: float  # depth over the size of the smaller facet
     depth: float
@@ -83,10 +83,7 @@ def notes_on_overlaps(
 ) -> list[str]:
     """Note for each contact whose sides overlap deeply at some point; collective.
 
-    Args:
-        found: see `find_overlaps`.
-        closed: (owned nodes,) contact; without any the check is stricter.
-        rtol: overlap allowed by the step, in facet lengths.
+    `closed` (owned nodes,), None for a stricter check; `rtol`: allowed overlap in facet lengths.
     """
     notes, links = list[str](), problem.system.links
     for k, link in enumerate(links):
@@ -96,8 +93,7 @@ def notes_on_overlaps(
         elif link.pairing and (bare := _on_prescribed_facets(link, problem.u)):
             some = bare if some is None or bare.share > some.share else some
         elif closed is not None and not any_rank(problem.comm, closed[link.nodes].any())[0]:
-            # only a closed node excuses more overlap than the step's tolerance, with a digit for
-            # points beside nodes
+            # without closed nodes only the step's tolerance, times ten for points between nodes
             limit = rtol / DIGIT
         if some is not None and some.share > limit:
             notes.append(_note(f"{link.interface}: the sides", some, MEAN))
@@ -105,10 +101,7 @@ def notes_on_overlaps(
 
 
 def _on_prescribed_facets(link: Link, u: fem.Function) -> Overlap | None:
-    """Deepest point of slave facets without multipliers, by Dirichlet data; collective.
-
-    Flush flanks do not cross there, and nothing stops the master.
-    """
+    """Deepest point of slave facets without multipliers, by Dirichlet data; collective."""
     comm, bare = link.sides.V.mesh.comm, link.prescribed_facets()
     if not any_rank(comm, bare.any())[0]:
         return None
@@ -127,7 +120,7 @@ def _on_prescribed_facets(link: Link, u: fem.Function) -> Overlap | None:
 
 
 def notes_on_crossings(problem: ContactProblem, found: Mapping[int, Overlap]) -> list[str]:
-    """Note if boundaries that no interface couples lie in each other; collective."""
+    """Note on overlaps without an interface; collective."""
     if (some := found.get(-1)) is None or some.share <= SUNK:
         return []
     one, other = (_point(x) for x in problem.bodies.centre[list(some.bodies)])
@@ -148,7 +141,6 @@ def _point(x: Iterable[float]) -> str:
 
 
 def _in_tool(link: Link, tool: Tool, u: fem.Function) -> Overlap | None:
-    """Deepest point of a side between nodes, in a tool; collective."""
     assert isinstance(link.pattern, SidePattern) and link.pattern.side is not None
     side, pose, x = link.pattern.side, tool.pose(), coordinates(link.sides.slave, u)
     facing = find_facing(side, pose, tool.asked, x)
@@ -174,13 +166,12 @@ def _in_tool(link: Link, tool: Tool, u: fem.Function) -> Overlap | None:
 
 
 def _deviations(surface: Surface, u: fem.Function, feature_angle: float) -> Floats:
-    """Largest deviations (n,) of a surface from its facets; collective."""
-    # sagittas at nodes are means, perhaps half of the largest
+    # nodal sagittas are means, perhaps half of the largest
     return 2.0 * nodal_sagittas(surface, coordinates(surface, u), feature_angle)
 
 
 def _deepest(comm: MPI.Comm, group: Longs, *columns: Any) -> dict[int, Any]:
-    """Columns where the first one is largest over all ranks, for each group; collective."""
+    """Columns at the maximum of the first one over all ranks, by group; collective."""
     order = np.argsort(columns[0], kind="stable")
     last = {int(k): i for k, i in zip(group[order], order, strict=True)}
     mine = {k: [column[i].tolist() for column in columns] for k, i in last.items()}
@@ -193,18 +184,18 @@ def _deepest(comm: MPI.Comm, group: Longs, *columns: Any) -> dict[int, Any]:
 class _Skin:
     """Flat facets near other bodies, or on surfaces in self-contact."""
 
-    body: Longs  # (m,)
-    sides: Bools  # (m, 2, interfaces) on its slave and its master side
+    body: Longs
+    sides: Bools  # (m, 2, interfaces) on its slave and master side
     on: Bools  # (m, 2, interfaces) on or next to these
-    x: Floats  # (m, d, d)
-    off: Floats  # (m,) distance of the interface sides from their facets, on or next to them
-    size: Floats  # (m,) in space root of the area, of whole facets
+    x: Floats
+    off: Floats  # (m,) deviation of smooth interface sides from the facets
+    size: Floats  # (m,) of whole facets, in space root of the area
 
     def __getitem__(self, which: Bools | Longs) -> "_Skin":
         return _Skin(*(getattr(self, f.name)[which] for f in fields(self)))
 
     def received(self, comm: MPI.Comm) -> "_Skin":
-        """Own facets, and those of other ranks in their box; collective."""
+        """Facets of this rank and others in their box; collective."""
         low, high = bounds(self.x)
         box = low.min(axis=0, initial=np.inf), high.max(axis=0, initial=-np.inf)
         sent = [
@@ -215,9 +206,9 @@ class _Skin:
         return _Skin(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(self)))
 
     def pairs(self, meets_itself: Bools) -> tuple[Longs, Longs]:
-        """Near facets (p, 2) of two bodies, or in self-contact; interface (p,) that couples them.
+        """Near facets (p, 2) of two bodies, or in self-contact; coupling interface (p,) or -1.
 
-        -1 if none does: sides of an interface are coupled where they face each other.
+        Sides of an interface are coupled where they face each other.
         """
         count = int(self.body.max(initial=-1)) + 1
         own = np.zeros(count, dtype=bool)
@@ -228,7 +219,7 @@ class _Skin:
         alike = self.body[one] == self.body[other]
         a, b = pairs[alike].T
         apart = np.abs(self.x[a][:, :, None] - self.x[b][:, None]).max(axis=3).min(axis=(1, 2))
-        common = apart <= HALF_OF_DIGITS * self.size[a]  # of ranks by round-off
+        common = apart <= HALF_OF_DIGITS * self.size[a]  # equal on all ranks despite round-off
         alike[alike] = common | ~(surface[a] & surface[b]).any(axis=1)
         one, other = (pairs := pairs[~alike]).T
         n = facet_normals(Facets(LINE2 if self.x.shape[2] == 2 else TRI3, self.x))
@@ -239,10 +230,10 @@ class _Skin:
 
 
 def find_overlaps(problem: ContactProblem) -> dict[int, Overlap]:
-    """Deepest overlap at X + u of the sides of each contact, -1: of what none couples; collective.
+    """Deepest overlap at X + u of contacts' sides, and of uncoupled boundaries (-1); collective.
 
-    Of two bodies, or a surface in self-contact; minus jumps of ties, and sagittas of both sides, as
-    facets count as flat.
+    Of two bodies, or a surface in self-contact; less jumps of ties, and sagittas of both sides,
+    since facets count as flat.
     """
     interfaces = problem.system.interfaces
     meets_itself: Bools = np.array([s.meet_themselves for s in problem.system.sides], dtype=bool)
@@ -266,7 +257,6 @@ def find_overlaps(problem: ContactProblem) -> dict[int, Overlap]:
 
 
 def _longest_jumps(problem: ContactProblem) -> Floats:
-    """Length of the jump of each interface; collective."""
     apart = [link.apart() for link in problem.system.links]
     lengths = [0.0 if v is None else np.linalg.norm(v, axis=1).max(initial=0.0) for v in apart]
     none = np.zeros(len(problem.system.sides))
@@ -274,7 +264,6 @@ def _longest_jumps(problem: ContactProblem) -> Floats:
 
 
 def _create_skin(problem: ContactProblem, meets_itself: Bools) -> _Skin:
-    """Exterior facets of this rank that may cross others; collective."""
     boundary, interfaces = problem.system.boundary, problem.system.sides
     facets, nodes = boundary.at(problem.u), boundary.nodes
     body = problem.bodies.of_cells[boundary.cells].astype(np.int64)

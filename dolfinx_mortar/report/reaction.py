@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Reactions: forces of Dirichlet conditions on the bodies.
 
-In F(u) = f + c + r (internal forces, loads, contacts and ties, reactions) a prescribed component is
-an unknown of y, u = T y, for which r = T^T (F - f) without any part of c.
+A prescribed component is an unknown of y, u = T y, where r = T^T (F - f) without contact forces.
 """
 
 from collections.abc import Sequence
@@ -16,7 +15,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import array, check
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.compat import on_same_mesh
@@ -56,7 +55,7 @@ def reaction(
         dm.newton(problem)
         dm.reaction(problem, base).force
 
-    R = sum r_i and M = sum (x_i - about) x r_i over the prescribed dofs i, with r = F(u) - f - c:
+    R = sum r_i and M = sum (x_i - about) x r_i over the prescribed dofs i, r = F(u) - f - c:
     internal forces minus loads minus forces of contacts and ties. R acts on the bodies: in half a
     model half the force, in the plane per thickness, of rings that of the whole ring. x is X + u
     with a contact in updated geometry or at finite strain, otherwise X.
@@ -67,13 +66,13 @@ def reaction(
             components at its nodes, edges included; an array of this rank's local dofs, d * node +
             component, as from ``bc.dof_indices()[0]`` and locate_dofs_topological on ``V.sub(k)``
             (not on V, which returns nodes); None for all supports.
-        facet_tags: of the tag, also of cells, edges or vertices; default those of all interfaces if
-            they are the same.
+        facet_tags: of the tag, also of cells, edges or vertices; by default those of all interfaces
+            if they are the same.
         about: point of the moment, d numbers, default the origin; not for rings, whose moment is 0.
 
     Raises:
-        ValueError: on all ranks, for invalid arguments, before the first step, and if a problem
-            made later uses one of the interfaces.
+        ValueError: on all ranks, for invalid arguments, before the first step, and if a later
+            problem uses one of the interfaces.
     """
     check_problem(problem, ContactProblem)
     problem.check_owned()
@@ -86,13 +85,13 @@ def reaction(
 
 
 def reactions(problem: ContactProblem) -> list[Reaction]:
-    """Reaction of each Dirichlet condition after a step; collective."""
+    """Reaction of each Dirichlet condition; collective."""
     masks = [prescribed_dofs(problem.V, [bc])[: problem.n] for bc in problem.bcs]
     return resultants(problem, masks, np.zeros(problem.d))
 
 
 def support_forces(problem: ContactProblem, balance: Balance) -> SupportForces:
-    """Forces of supports and rigid sides after a step, and their points; collective."""
+    """Forces of supports and rigid sides, and their points; collective."""
     dofs, slots = support_slots(problem)
     forces = np.zeros(problem.d * problem.n)
     for link in problem.system.links:
@@ -170,7 +169,6 @@ def _find(problem: ContactProblem, support: Any, facet_tags: Any) -> Bools:
 
 
 def _tagged(problem: ContactProblem, support: int | str, facet_tags: Any) -> Bools:
-    """Mask (n, d) of owned components at the nodes of a tag."""
     mesh, V = problem.V.mesh, problem.V
     with raised_together(problem.comm):
         tags = _tags_of(problem) if facet_tags is None else facet_tags
@@ -207,7 +205,6 @@ def _tags_of(problem: ContactProblem) -> MeshTags:
 
 
 def _dofs_of_conditions(problem: ContactProblem, bcs: Sequence[Any]) -> list[Ints]:
-    """Local dofs of Dirichlet conditions on the problem's space."""
     for bc in bcs:
         space = getattr(bc, "function_space", None)
         known = isinstance(bc, fem.DirichletBC)
@@ -217,7 +214,6 @@ def _dofs_of_conditions(problem: ContactProblem, bcs: Sequence[Any]) -> list[Int
 
 
 def _check_dofs(problem: ContactProblem, support: Any) -> Ints:
-    """Checked local dofs of this rank."""
     remedy = "give a Dirichlet condition, a tag, or an array of local dofs"
     dofs = check("support", support, array((None,), remedy=remedy))
     layout = problem.V.dofmap.index_map

@@ -26,7 +26,7 @@ from dolfinx_mortar.mortar.curvature_correction import (
     point_heights,
 )
 from dolfinx_mortar.mortar.duals import weighted_duals
-from dolfinx_mortar.mortar.operators import mean_values
+from dolfinx_mortar.mortar.operators import mean_values, whole_facets
 from dolfinx_mortar.mortar.pairing import Pairing, received_facets
 from dolfinx_mortar.mortar.surface import (
     accumulate,
@@ -35,15 +35,14 @@ from dolfinx_mortar.mortar.surface import (
     mean_facet_length,
     sum_at_nodes,
 )
-from dolfinx_mortar.mortar.whole_side import whole_facets
 from dolfinx_mortar.newton_method.contacts import Contacts
 from dolfinx_mortar.step_report import Note
 
-# Nodes that resolve the largest pressure, in 2D and 3D. Errors against Hertz: lines with 5 nodes -5
-# to 9 %, with 7 -3 to 3 %; points with 9 -14 to 5 %, with 17 to 25 -2 to 4 %.
+# Nodes that resolve the largest pressure, in 2D and 3D: errors against Hertz are at most 9 % with 5
+# nodes and 3 % with 7 in 2D, 14 % with 9 and 4 % with 17 in 3D.
 NODES = {2: 7, 3: 17}
-# Oscillation of plane pressures over their mean. Disc and block, moduli 1:100 to 100:1: .007 to
-# .083 where pressures are within a tenth of Hertz', .15 to 1 where a fifth off.
+# Oscillation of plane pressures over their mean: on disc and block .007 to .083 where pressures are
+# within a tenth of Hertz', .15 to 1 where a fifth off.
 OSCILLATION = 0.1
 Find = Callable[
     [Pairing, Segments, fem.Function | None, tuple[SmoothSide, SmoothSide]],
@@ -52,7 +51,6 @@ Find = Callable[
 
 
 def _means(link: Link, u: fem.Function | None, find: Find) -> Floats:
-    """Nodal means (n,) of values of ``find`` at points; collective."""
     (pairing, operators), sides = link.mortar, link.sides
     smooth = link.pattern.smooth or link.pattern.nearby
     assert smooth is not None, "of contacts only"
@@ -66,10 +64,10 @@ def _means(link: Link, u: fem.Function | None, find: Find) -> Floats:
 
 
 def missed_gaps(link: Link, u: fem.Function | None) -> Floats:
-    """Return by how much gaps (n,) exceed those of round sides in contact; collective.
+    """Excess (n,) of gaps over those of round sides in contact; collective.
 
-    Errors of heights, and of gaps along the normal n at a point that count along n_j, int Phi_j
-    (n_j - n).(x_m - x_s) / D_jj.
+    Errors of heights, and of gaps along the normal n at a point instead of n_j, int Phi_j (n_j -
+    n).(x_m - x_s) / D_jj.
     """
     sides, own = link.sides, link.coupling.normals
     normals: Floats = np.zeros((len(sides.slave.nodes), own.shape[1]))
@@ -101,16 +99,15 @@ def note_on_facets(
 
     Errors h_j of gaps are, with facets, the height of smooth surfaces, minus its mean over loaded
     nodes; with smooth surfaces of degree 1 `missed_gaps`. K^_jj h_j, with both sides in series, is
-    compared with the contact forces z_j, at loaded nodes and those with gaps below h_j. A uniform
-    h_j counts two to four times.
-    Uniform facets on a tool: forces F of an overlap w store Psi = F w / 2, and -z.h is 2 Psi (1 -
-    F'/F), F' the force of the smooth surface (accurate to 1 % on rings of 64 facets).
+    compared with the contact forces z_j, at loaded nodes and those with gaps below h_j. Uniform
+    facets on a tool: forces F of an overlap w store Psi = F w / 2, and -z.h is 2 Psi (1 - F'/F), F'
+    the force of the smooth surface.
 
     Args:
         x: (n,) X + u.
         u: displacement of the facets, None for X.
         forces: (owned nodes,) of contact.
-        stiffness: (owned nodes,) force per gap, K^_jj.
+        stiffness: (owned nodes,) K^_jj.
         diagonal: of K, of the bodies alone.
         potential: see `Solid.potential`.
     """
@@ -147,7 +144,6 @@ def note_on_facets(
 
 
 def _missed(link: Link, u: fem.Function | None) -> Floats | None:
-    """Excess (n,) of gaps, None if unknown; collective."""
     if link.pairing is None:
         faceted = link.pattern.faceted if isinstance(link.pattern, SidePattern) else None
         if faceted is None:
@@ -195,10 +191,8 @@ def _in_series(link: Link, k: Floats, diagonal: PETSc.Vec) -> Floats:
 def notes_on_resolution(link: Link, contacts: Contacts) -> list[str]:
     """Notes on pressures that are not resolved, or that oscillate; collective.
 
-    Patches up to the ends of sides are left out: pressures may be singular. Multipliers of a slave
-    side finer and stiffer than the master oscillate, as their space is larger than the trace of the
-    compliant displacements (measured in the plane). Forces of master edges are off by up to a
-    facet.
+    Not of patches up to the ends of sides, with singular pressures. Pressures oscillate where the
+    multiplier space of a fine, stiff slave side exceeds the trace space of the master.
     """
     count, ends = _peak_patch(link, contacts)
     if not ends:
@@ -231,9 +225,9 @@ def notes_on_resolution(link: Link, contacts: Contacts) -> list[str]:
 def oscillation(link: Link, contacts: Contacts) -> float:
     """Amplitude of node-to-node oscillations of pressures, over their mean; collective.
 
-    sum_j D_jj |d_j - (M d)_j| / 4 over sum_j D_jj p_j, d = p - M p, with p_j the multiplier of node
-    j and M the mean over the other nodes of its facets; d_j = 0 next to nodes without multiplier.
-    In the plane pressures p (1 +- a) give a, smooth ones a fourth-order difference.
+    sum_j D_jj |d_j - (M d)_j| / 4 over sum_j D_jj p_j, d = p - M p, p_j the multipliers, M the mean
+    over the other nodes of the facets of j; d_j = 0 next to nodes without multiplier. In the plane
+    p (1 +- a) gives a.
     """
     slave, nodes, comm = link.sides.slave, link.nodes, link.sides.V.mesh.comm
     own = np.zeros((len(slave.nodes), 2))
@@ -266,12 +260,7 @@ def _peak_patch(link: Link, contacts: Contacts) -> tuple[int, bool]:
 
 
 def find_patches(link: Link, marked: Bools, *columns: Floats | Bools) -> list[Floats]:
-    """Tables of patches of connected slave nodes over all ranks; collective.
-
-    Args:
-        marked: (n,) nodes that count.
-        columns: (n,) or (n, c), of the tables.
-    """
+    """Tables of ``columns`` (n,) or (n, c) by patch of marked nodes; collective."""
     slave, comm, layout = link.sides.slave, link.sides.V.mesh.comm, link.sides.V.dofmap.index_map
     marks = np.zeros((len(slave.nodes), 1))
     marks[: slave.owned, 0] = marked

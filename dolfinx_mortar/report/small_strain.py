@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Error of the small-strain measure, estimated after every step, and notes.
 
-Neglected is H^T H / 2 of the Green-Lagrange strain, H = grad u: relatively e / 2 of a strain e (as
-much as finite measures differ), a^2 / 2 of a rotation a.
+Neglected is H^T H / 2 of the Green-Lagrange strain, H = grad u: relatively e / 2 of a strain e (the
+spread of finite measures), a^2 / 2 of a rotation a.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,6 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx import mesh
 from dolfinx_mortar.algebra.parallel import maximum, ratio
 from dolfinx_mortar.arrays import CHUNK, HALF_OF_DIGITS, Floats
 from dolfinx_mortar.materials.tensor import double_contraction, frobenius_norm
@@ -21,14 +20,12 @@ from dolfinx_mortar.solid.solid import Solid
 from dolfinx_mortar.step_report import Note
 from dolfinx_mortar.supports.bodies import name_of
 
-# Largest error without a note. At small strain the rotation part of the neglected work: two blocks
-# turned by 1, 2, 5 degrees under pressure have forces 1.7, 6.7, 42 % too high for 1.7, 6.4, 31 %.
-# Or half of the whole term: perfectly plastic blocks under a ball lose 5 to 35 % of the force for 6
-# to 48 %. In logarithmic strain space the stress norm: perfectly plastic shear by .5, 1, 2, 5 loses
-# .002, .02, .089, .137 of it, of the shear stress .3, 2.7, 17, 56 %.
+# Largest error without a note: of forces, by the work of rotations (6.4 % for 6.7 % between two
+# blocks) or half of the whole term (6 to 48 % for 5 to 35 % below a ball); in logarithmic strain
+# space of the stress norm (.02 for 2.7 % of the shear stress).
 LARGEST_SHARE = 0.02
-# also of the mean |H^T H|: a strip bent by 11 %, a bar stretched by 14 %, a body turned by 7
-# degrees have 1 %, indentation at most 0.13 %
+# of the mean |H^T H|: a strip bent by 11 %, a bar stretched by 14 %, a body turned by 7 degrees
+# have 1 %
 
 # strain or rotation (radians, 2.9 degrees) for a note
 LARGE = 0.05
@@ -39,14 +36,13 @@ class LeftOut:
     """Term that the small strain neglects; zero for other measures."""
 
     felt: int  # number of bodies above the limits
-    strain: float  # largest |H^T H| / 2
-    largest: float  # largest strain
-    rotation: float  # largest rotation, radians
+    strain: float
+    largest: float
+    rotation: float
     work: float  # error of forces: share of the stress work, of the worst body
     lengths: float  # mean |H^T H| / 2 of that body
-    told: int  # body of the note: the worst above the limits, else the steepest
+    told: int  # body of the note: the worst above the limits, else the one of `steepest`
     own: tuple[float, float]  # largest strain and rotation in it
-    steepest: tuple[float, int]  # the larger of both on this rank, and its owned cell
 
     @property
     def relative(self) -> float:
@@ -55,7 +51,7 @@ class LeftOut:
 
 
 def _measure(solid: Solid, weights: Floats, cells: slice) -> Floats:
-    """Rows of `find_left_out` (9, cells) of some owned cells."""
+    """Rows of `find_left_out` (9, cells)."""
     volume = weights[cells]
     points, dofmap = volume.shape[1], solid.stress.function_space.dofmap
 
@@ -72,7 +68,7 @@ def _measure(solid: Solid, weights: Floats, cells: slice) -> Floats:
     size, strains = frobenius_norm(found.left_out), frobenius_norm(found.strain)
     seen = strains if found.seen is found.strain else frobenius_norm(found.seen)
     angles = np.linalg.norm(found.rotation, axis=1)
-    # per cell: under volume constraints points vary much
+    # per cell: under volume constraints point values vary
     work = np.abs(per_cell(double_contraction(stress, found.seen)))
     made = [per_cell(double_contraction(stress, E)) for E in (found.left_out, found.turned)]
     sums = [volume.sum(axis=1), per_cell(size), work, *made]
@@ -80,10 +76,10 @@ def _measure(solid: Solid, weights: Floats, cells: slice) -> Floats:
 
 
 def find_left_out(problem: ContactProblem) -> LeftOut:
-    """Measure strain and rotation at u, given the stress of `Solid.evaluate`; collective."""
+    """Measure strain and rotation at u, after `Solid.evaluate`; collective."""
     solid, comm, count = problem.solid, problem.comm, problem.bodies.count
     body, weights = problem.bodies.of_cells, solid.fields.weights
-    many = CHUNK // weights.shape[1]  # all cells would need the memory of the tangent
+    many = CHUNK // weights.shape[1]
     chunks = [slice(i, i + many) for i in range(0, len(body), many)]
     parts = [_measure(solid, weights, cells) for cells in chunks]
     columns = np.concatenate([np.zeros((9, 0)), *parts], axis=1)
@@ -108,8 +104,6 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
     worst = int(np.argmax(felt))
     largest = float(maximum(comm, size.max(initial=0.0))[0])
     told = worst if felt[worst] >= 1.0 else int(np.argmax(np.maximum(strains, angles)))
-    steep = np.where(body == told, np.maximum(highest[0], highest[2]), -1.0)
-    cell = int(np.argmax(steep)) if len(steep) else -1
     return LeftOut(
         felt=int((felt >= 1.0).sum()),
         strain=largest,
@@ -119,26 +113,20 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
         lengths=float(means[worst]),
         told=told,
         own=(float(strains[told]), float(angles[told])),
-        steepest=(float(steep.max(initial=-1.0)), cell),
     )
 
 
 def notes_on_small_strain(problem: ContactProblem, found: LeftOut) -> list[str]:
     """Note if the neglected term or any strain or rotation is large; collective."""
-    solid, domain = problem.solid, problem.V.mesh
-    large = solid.gradients.small and max(found.largest, found.rotation) > LARGE
+    large = problem.solid.gradients.small and max(found.largest, found.rotation) > LARGE
     if not found.felt and not large:
         return []
-    (strain, rotation), (value, cell) = found.own, found.steepest
-    cells = np.array([cell] if cell >= 0 else [], dtype=np.int32)
-    place = mesh.compute_midpoints(domain, domain.topology.dim, cells)[:, : problem.d]
-    *_, near = max(problem.comm.allgather((value, *place.tolist())))
-    at = [float(f"{x:.3g}") for x in near]
+    strain, rotation = found.own
     others = f" (and {found.felt - 1} more)" if found.felt > 1 else ""
     seen = (
         f"{name_of(problem.bodies, [found.told])}{others}: strains of up to {strain:.1%} "
-        f"and rotations of up to {np.degrees(rotation):.1f} degrees, near {at}"
-        f"{'' if found.felt else ', are no longer small'}; the small strain leaves out "
+        f"and rotations of up to {np.degrees(rotation):.1f} degrees"
+        f"{'' if found.felt else ' are no longer small'}; the small strain leaves out "
         f"up to {found.strain:.2g}, {found.work:.1%} of the work of the stresses and "
         f"{found.lengths:.2%} of lengths"
     )
@@ -152,7 +140,7 @@ def notes_on_small_strain(problem: ContactProblem, found: LeftOut) -> list[str]:
 
 
 def notes_on_lost_stress(problem: ContactProblem) -> list[str]:
-    """Note where laws in the additive form are out of range; collective."""
+    """Note on laws of the additive form out of range; collective."""
     share, name = largest_stress_lost(problem.comm, problem.solid.points.found)
     if share < LARGEST_SHARE:
         return []

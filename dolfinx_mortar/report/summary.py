@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import check, instance
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.problem.checks import check_problem
@@ -25,11 +25,11 @@ def summarise(step: LoadStep) -> dict[str, Any]:
 
     Returns:
         "time"; "parts" (more than one after cuts); over all parts "newton_iterations",
-            "qp_iterations", "linear_iterations", "factorisations", "residual_history", "notes" and
-            this rank's "seconds"; of the last part "linear_solver", "certificate" and the "ledger"
-            of `time_steps`, else None; "forces" on the slave side of each interface; "reactions",
-            "force" and "moment" about the origin of each of ``problem.bcs``. A step made by hand
-            lacks the last two.
+        "qp_iterations", "linear_iterations", "factorisations", "residual_history", "notes" and this
+        rank's "seconds"; of the last part "linear_solver", "certificate" and the "ledger" of
+        `time_steps`, else None; "forces" on the slave side of each interface; "reactions", "force"
+        and "moment" about the origin of each of ``problem.bcs``. A step made by hand lacks the last
+        two.
 
     Raises:
         ValueError: for other objects.
@@ -73,8 +73,8 @@ def write_summary(
         more: further entries.
 
     Raises:
-        ValueError: for invalid arguments (on all ranks).
-        OSError: if the file cannot be written (on all ranks).
+        ValueError: on all ranks, for invalid arguments.
+        OSError: on all ranks, if the file cannot be written.
     """
     check_problem(problem, ContactProblem)
     path = check_path(problem.comm, path)

@@ -30,7 +30,6 @@ class Curved(Shape):
     """Region bounded by curved lines or triangles."""
 
     def _bend(self, corners: Floats, bends: Floats, *normals: Floats) -> None:
-        """Set corners (m, d, d), bends a and b (m, edges, 2, d), normals at edges and corners."""
         self._corners, self._bends = _in_space(corners), _in_space(bends)
         self._normals = [_in_space(one) for one in normals]
         self._tree = create_tree(self._corners, self._bends)
@@ -52,7 +51,7 @@ class Curved(Shape):
         return Distance(value, gradient[:, :d], hessian[:, :d, :d])
 
     def _on_edges(self, x: Floats, near: Longs, k: Longs, at: Floats) -> Parts:
-        """Offsets (n, 3) of points from edges, and both derivatives of the edges."""
+        """Offsets (n, 3) from edges, and both derivatives of the edges."""
         p, q = self._corners[near, k], self._corners[near, (k + 1) % self._corners.shape[1]]
         foot, slope, second = _edge(p, q, np.moveaxis(self._bends[near, k], 1, 0), at[:, :1])
         return x - foot, slope, second
@@ -107,15 +106,14 @@ class Curved(Shape):
 
 
 def _in_space(x: Floats) -> Floats:
-    """Vectors (.., d) padded to (.., 3)."""
     return np.ascontiguousarray(np.pad(x, [*(x.ndim - 1) * [(0, 0)], (0, 3 - x.shape[-1])]))
 
 
 def create_tree(corners: Floats, bends: Floats) -> tuple[Floats, Longs, Floats]:
-    """Boxes (2 k, 2, 3) of a binary tree, indices (k,) at its leaves, and bulges (m,).
+    """Boxes (2 k, 2, 3) of a binary tree, indices (k,) at its leaves, and bulges (m,) of bends.
 
-    Box 1 is the root, 2 i and 2 i + 1 the halves of box i across its longest side, box k + i that
-    of leaf i; the last leaf is repeated up to a power of two. Bulges bound the bends.
+    Boxes 2 i and 2 i + 1 halve box i across its longest side, from the root 1; box k + i is leaf i;
+    the last leaf is repeated up to a power of two.
     """
     half = (corners + np.roll(corners, -1, axis=1))[:, : bends.shape[1]] / 2
     net = np.hstack([corners, half + bends[:, :, 0] / 2, half - bends[:, :, 1] / 2])
@@ -142,7 +140,7 @@ def create_tree(corners: Floats, bends: Floats) -> tuple[Floats, Longs, Floats]:
 
 
 def _edge(p, q, bend, t):  # type: ignore[no-untyped-def]
-    """x(t) of edges and its two derivatives."""
+    """Return x(t) and its two derivatives."""
     a, b, c = bend[0], bend[1], q - p
     x = p + t * c + t * (1.0 - t) ** 2 * a - t**2 * (1.0 - t) * b
     slope = c + (1.0 - 4.0 * t + 3.0 * t**2) * a + (3.0 * t**2 - 2.0 * t) * b
@@ -150,7 +148,7 @@ def _edge(p, q, bend, t):  # type: ignore[no-untyped-def]
 
 
 def _face(p, a, s, t):  # type: ignore[no-untyped-def]
-    """S of triangles and its derivatives by s and t."""
+    """Return S and its derivatives by s and t."""
     o = 1.0 - s - t
     x = o * p[0] + s * p[1] + t * p[2] + o * s * a[0] + s * t * a[1] + t * o * a[2]
     by_s = p[1] - p[0] + (o - s) * a[0] + t * (a[1] - a[2])
@@ -162,13 +160,12 @@ _compiled_edge, _compiled_face = numba.njit(cache=True)(_edge), numba.njit(cache
 
 @numba.njit(cache=True)
 def _dot(a, b):  # type: ignore[no-untyped-def]
-    """a.b of vectors (3,), without BLAS."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @numba.njit(cache=True)
 def _on_edge(x, p, q, bend):  # type: ignore[no-untyped-def]
-    """Nearest t in [0, 1] of an edge to x, and distance squared; Newton's method from the chord."""
+    """Nearest t in [0, 1] to x, and distance squared; Newton's method from the chord."""
     t = min(max(_dot(x - p, q - p) / _dot(q - p, q - p), 0.0), 1.0)
     for _ in range(LIMIT):
         foot, slope, second = _compiled_edge(p, q, bend, t)
@@ -184,7 +181,7 @@ def _on_edge(x, p, q, bend):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _in_face(x, p, a):  # type: ignore[no-untyped-def]
-    """s, t of the foot of x inside a triangle, and distance squared, inf if none; by Newton."""
+    """Coordinates s, t of the foot of x, and distance squared, inf without one."""
     s, t, bend = 0.0, 0.0, 0.0 * a
     for k in range(LIMIT):
         foot, js, jt = _compiled_face(p, bend, s, t)
@@ -237,7 +234,6 @@ def _from_flat(x, p):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _on_one(x, p, bends):  # type: ignore[no-untyped-def]
-    """Distance squared, location of the nearest point, and its two coordinates."""
     where, s, t, least = FACE, 0.0, 0.0, np.inf
     if len(p) == 3:
         s, t, least = _in_face(x, p, bends[:, 0])
@@ -254,7 +250,7 @@ def _on_one(x, p, bends):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def find_nearest(points, corners, bends, boxes, leaves, bulges):  # type: ignore[no-untyped-def]
-    """Return for points (n, 3) the nearest element (n,), location in it (n,), and s, t (n, 2)."""
+    """Nearest element (n,) of points (n, 3), location in it (n,), s and t (n, 2)."""
     n, k = len(points), len(leaves)
     nearest, where = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     at = np.zeros((n, 2))

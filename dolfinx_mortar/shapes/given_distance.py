@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A signed distance given by the user, in UFL or as a function of points."""
+"""A signed distance given by the user."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -39,8 +39,7 @@ class SignedDistance(Shape):
         point: d coordinates of the tool's reference point.
         gradient: x (d, n) -> (d, n).
         hessian: x (d, n) -> (d, d, n).
-        length: scale of phi, such as the least radius of the surface, for differences of a
-            function.
+        length: scale of phi for differences, such as the least radius of the surface.
 
     Raises:
         ValueError: naming a wrong argument; in evaluations for other shapes and NaN.
@@ -126,7 +125,6 @@ class SignedDistance(Shape):
 
 
 def _compile(phi: Expr, d: int) -> Kernel:
-    """phi, gradient and Hessian, (1 + d + d^2,), as functions of x (d,)."""
     known = ufl.SpatialCoordinate, ConstantValue, ufl.classes.MultiIndex
     if phi.ufl_shape != () or phi.ufl_free_indices:
         raise ValueError(f"phi is {phi}, of shape {phi.ufl_shape}: give a scalar expression")
@@ -153,9 +151,8 @@ def _compile(phi: Expr, d: int) -> Kernel:
 
 
 def _returned(name: str, function: Function, x: Floats, shape: tuple[int, ...]) -> Floats:
-    """Checked result (n, ..) of a function at points x (n, d)."""
     n = len(x)
-    if not n:  # no points
+    if not n:
         return np.zeros((0, *shape))
     values = function(np.ascontiguousarray(x.T))
     found = np.moveaxis(check(f"{name}(x)", values, returned((*shape, n), n)), -1, 0)
@@ -164,7 +161,7 @@ def _returned(name: str, function: Function, x: Floats, shape: tuple[int, ...]) 
 
 
 def _differences(function: Callable[[Floats], Floats], x: Floats, step: float) -> Floats:
-    """Central differences (n, .., d) of a function of points x (n, d)."""
+    """Central differences (n, .., d) at points x (n, d)."""
     ways = step * np.eye(x.shape[1])
     parts = [(function(x + way) - function(x - way)) / (2 * step) for way in ways]
     return np.stack(parts, axis=-1)

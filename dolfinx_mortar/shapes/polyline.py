@@ -2,9 +2,9 @@
 """Tools in the plane by points of their outline.
 
 Edges are cubics of `curved` with unit tangents t_p and t_q, a = |c| t_p - c and b = |c| t_q - c. A
-tangent is the mean of the two closest of five: the edges before and after the point, and the
-circles through the point and both neighbours, or the next two on one side. So lines stay straight,
-and distances from arcs have order 4. Corners beyond ``crease`` stay sharp, with edges as arcs.
+tangent is the mean of the two closest of five: edges before and after the point, and circles
+through it and both neighbours, or the next two on one side. Lines are exact, distances from arcs of
+order 4. Corners beyond ``crease`` are sharp, with edges as arcs.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ class Polyline(Curved):
     Args:
         points: (n, 2), with the tool on the left: counterclockwise.
         point: 2 coordinates of the tool's reference point; default the middle of the points' box.
-        crease: angle of normals in degrees, 0 to 90, above which a corner stays sharp. With 0 all
+        crease: angle of normals in degrees, 0 to 90, above which a corner is sharp. With 0 all
             edges are straight.
         closed: whether the last point is joined to the first one. If not, phi beyond an end is the
-            distance from it: the body must not get there.
+            distance from it, where the body must not be.
 
     Raises:
         ValueError: also for coinciding points, edges that go back or cross others, and clockwise
@@ -124,7 +124,6 @@ class Polyline(Curved):
         return super().misfit(d, revolved)
 
     def _tangents(self, lengths: Floats, along: Floats) -> tuple[Floats, Floats]:
-        """Unit tangents (m, 2) at the starts and the ends of edges."""
         before = np.roll(along, 1, axis=0)
         smooth = (along * before).sum(axis=1) >= np.cos(np.radians(self.crease)) - HALF_OF_DIGITS
         smooth &= self.crease > 0.0
@@ -148,7 +147,7 @@ class Polyline(Curved):
 
 
 def _mirrored(tangent: Floats, along: Floats) -> Floats:
-    """Tangent (n, 2) of a circle at the other end of a chord along unit vectors."""
+    """Tangent (n, 2) of a circle at the other end of a chord."""
     return 2.0 * (tangent * along).sum(axis=1)[:, None] * along - tangent
 
 
@@ -164,7 +163,7 @@ def _agreeing(directions: Floats, spans: Floats) -> Floats:
 
 
 def _crossed(p: Floats, q: Floats, closed: bool) -> Bools:
-    """Mask (m,) of edges that cross one not next to them."""
+    """Mask (m,) of edges that cross another one."""
 
     def side(a: Floats, b: Floats, c: Floats) -> Floats:
         u, v = b - a, c - a

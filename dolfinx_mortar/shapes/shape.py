@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Base of all shapes: a signed distance with its derivatives."""
+"""Base of all shapes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Distance:
     """Signed distances phi of points, their gradients and Hessians."""
 
     value: Floats  # (n,) positive outside
-    gradient: Floats  # (n, d) unit normals, out of the tool
+    gradient: Floats  # (n, d) outward unit normals
     hessian: Floats  # (n, d, d) curvatures, 1 / length
 
     def less(self, radius: float) -> Distance:
@@ -41,7 +41,7 @@ class Distance:
 
 
 def check_finite(name: str, found: Floats, x: Floats) -> None:
-    """Raise a ValueError for NaN or infinity in values (n, ..) at points x (n, d)."""
+    """Raise a ValueError for NaN or infinity at points x (n, d)."""
     finite = np.isfinite(found).all(axis=tuple(range(1, found.ndim)))
     if not finite.all():
         place = ", ".join(f"{c:.4g}" for c in x[int(np.argmin(finite))])
@@ -49,7 +49,7 @@ def check_finite(name: str, found: Floats, x: Floats) -> None:
 
 
 def check_returned(shape: Shape, found: Any, x: Floats) -> Distance:
-    """Checked result of `Shape.distance` at points x (n, d), or a ValueError."""
+    """Checked result of `Shape.distance` at x (n, d)."""
     kind, (n, d) = type(shape).__name__, x.shape
     check(f"{kind}.distance()", found, instance(Distance, "return a shapes.Distance"))
     for name, size in (("value", (n,)), ("gradient", (n, d)), ("hessian", (n, d, d))):
@@ -68,7 +68,7 @@ class Shape(ABC):
 
     grad phi is the outward unit normal at the nearest point, the Hessian of phi the curvature, 1 /
     (R + phi) for a sphere. Coordinates are those of the mesh for the tool in its initial position;
-    in axisymmetry (r, z), of the section. Errors name the wrong argument.
+    in axisymmetry (r, z). Errors name the wrong argument.
 
     Attributes:
         point: reference point (d,), the centre or the tip.
@@ -85,7 +85,7 @@ class Shape(ABC):
         return self.distance(x).value
 
     def given(self) -> Mapping[str, Any]:
-        """Arguments by name; default the attributes of these names."""
+        """Arguments by name; by default the attributes of these names."""
         return {name: getattr(self, name) for name in signature(type(self)).parameters}
 
     @property
@@ -94,7 +94,7 @@ class Shape(ABC):
         return None
 
     def misfit(self, d: int, revolved: bool) -> str:
-        """Why it is unusable in d dimensions or axisymmetry (about the axis r = 0), or ""."""
+        """Why it is unusable in d dimensions or axisymmetry (about r = 0), or ""."""
         n = len(self.point)
         return "" if n == d else f"{self!r} has points of {n} components, the mesh of {d}"
 
@@ -125,7 +125,7 @@ def check_unit(name: str, value: Any, d: int) -> Floats:
 
 
 def refuse(who: str, x: Floats, wrong: Bools, what: str, remedy: str) -> None:
-    """Raise a ValueError with number and first place of wrong points x (m, d)."""
+    """Raise a ValueError with number and first place of points."""
     if wrong.any():
         place = ", ".join(f"{c:.4g}" for c in x[int(np.argmax(wrong))])
         raise ValueError(
@@ -134,7 +134,7 @@ def refuse(who: str, x: Floats, wrong: Bools, what: str, remedy: str) -> None:
 
 
 def unit_vectors(v: Floats) -> tuple[Floats, Floats]:
-    """Lengths (n,) of vectors (n, d) and the unit vectors, 0 for 0."""
+    """Lengths (n,) and unit vectors, 0 for 0."""
     size = np.linalg.norm(v, axis=1)
     return size, np.divide(v, size[:, None], out=np.zeros_like(v), where=size[:, None] > 0.0)
 
@@ -160,7 +160,7 @@ def of_axis(offset: Floats, axis: Floats) -> Distance:
 
 
 def of_section(u: Distance, v: Distance, phi: Distance) -> Distance:
-    """Return phi(u, v) of two functions of points, given phi in the (u, v) plane."""
+    """Distance phi(u, v), given phi in the (u, v) plane."""
     g, H = phi.gradient, phi.hessian
     a, b = u.gradient, v.gradient
     gradient = g[:, :1] * a + g[:, 1:] * b

@@ -5,9 +5,9 @@ A triangle of `curved` with corners p_i and smooth normals n_i has
 
     a_ij = (n_i + n_j) (n_j - n_i).(p_j - p_i) / |n_i + n_j|^2,
 
-four times the offset of the edge's middle: the surface of T. Nagata, Simple local interpolation of
-surfaces using normal vectors (2005), where edges bend to one side; S-shaped edges stay straight.
-Neighbours share a parabola: no gaps. Creases stay straight, faces without smooth edges flat.
+four times the offset of the edge's middle: T. Nagata, Simple local interpolation of surfaces using
+normal vectors (2005), except for straight S-shaped edges. Creases are straight, faces without
+smooth edges flat.
 """
 
 from __future__ import annotations
@@ -16,21 +16,154 @@ import hashlib
 import os
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+import scipy
 
 from dolfinx_mortar.arguments import FLAG, array, check
-from dolfinx_mortar.arrays import Floats, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.shapes.curved import Curved
-from dolfinx_mortar.shapes.shape import CREASE, Distance
-from dolfinx_mortar.shapes.triangulation import (
-    FIRST,
-    SECOND,
-    Triangulation,
-    create_triangulation,
-)
+from dolfinx_mortar.shapes.shape import CREASE, Distance, refuse
+
+FIRST, SECOND = np.array([0, 1, 2]), np.array([1, 2, 0])
+"""Corners of the edges of a triangle."""
+
+
+@dataclass(frozen=True)
+class Triangulation:
+    """Triangles with common corners and edges."""
+
+    points: Floats  # (n, 3)
+    triangles: Longs  # (m, 3) counterclockwise as seen from outside
+    normals: Floats  # (m, 3) unit normals
+    beyond: Longs  # (m, 3) triangle across each edge, -1 at a rim
+
+    @property
+    def corners(self) -> Floats:
+        """Corners of the triangles (m, 3, 3)."""
+        return self.points[self.triangles]
+
+    def edge_normals(self) -> Floats:
+        """Sum of the normals at each edge (m, 3, 3)."""
+        other = np.where((self.beyond >= 0)[..., None], self.normals[self.beyond], 0.0)
+        return np.asarray(self.normals[:, None] + other)
+
+    def point_normals(self) -> Floats:
+        """Angle-weighted sum of the normals around each corner (m, 3, 3).
+
+        Its product with the offset from the nearest point is positive outside: J. A. Baerentzen, H.
+        Aanaes, Signed distance computation using the angle weighted pseudonormal (2005).
+        """
+        one, other = self._arms()
+        cosine = (one * other).sum(axis=2) / (_length(one) * _length(other))
+        angles = np.arccos(np.clip(cosine, -1.0, 1.0))
+        return self._summed(self.triangles.ravel(), angles[..., None] * self.normals[:, None])
+
+    def smooth_normals(self, crease: float) -> tuple[Floats, Bools]:
+        """Unit normals at corners (m, 3, 3), and the mask (m, 3) of edges without crease.
+
+        Averages over triangles connected without a crease (an angle above ``crease`` degrees),
+        exact for spheres: N. Max, Weights for computing vertex normals from facet normals (1999).
+        """
+        turn = (self.normals[:, None] * self.normals[self.beyond]).sum(axis=2)
+        smooth = (self.beyond >= 0) & (turn >= np.cos(np.radians(crease)) - HALF_OF_DIGITS)
+        m = len(self.triangles)
+        mine, edge = np.nonzero(smooth)
+        other = self.beyond[mine, edge]
+        pairs = []
+        for corner in (FIRST[edge], SECOND[edge]):
+            same = self.triangles[other] == self.triangles[mine, corner][:, None]
+            pairs.append((3 * mine + corner, 3 * other + np.argmax(same, axis=1)))
+        rows, columns = (np.concatenate(part) for part in zip(*pairs, strict=True))
+        graph = scipy.sparse.coo_array((np.ones(len(rows)), (rows, columns)), shape=(3 * m, 3 * m))
+        _, group = scipy.sparse.csgraph.connected_components(graph, directed=False)
+        one, other_arm = self._arms()
+        weights = (_length(one) * _length(other_arm)) ** 2
+        found = self._summed(group, np.cross(one, other_arm) / weights[..., None])
+        return found / _length(found)[..., None], smooth | (self.beyond < 0)
+
+    def _arms(self) -> tuple[Floats, Floats]:
+        x = self.corners
+        return x[:, [1, 2, 0]] - x, x[:, [2, 0, 1]] - x
+
+    def _summed(self, group: Longs, parts: Floats) -> Floats:
+        total = np.zeros((int(group.max()) + 1, 3))
+        np.add.at(total, group, parts.reshape(-1, 3))
+        return np.asarray(total[group].reshape(-1, 3, 3))
+
+
+def create_triangulation(points: Floats, triangles: Longs, *, rim: bool) -> Triangulation:
+    """Surface of points (n, 3) and triangles (m, 3); ValueErrors of `Triangles`."""
+    x = points[triangles]
+    across = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    sides = _length(x - x[:, [1, 2, 0]])
+    flat = _length(across) <= HALF_OF_DIGITS * sides.max(axis=1) ** 2
+    refuse(
+        "surface has",
+        x.mean(axis=1),
+        flat,
+        "triangles without area",
+        "remove them, and let their neighbours have common corners",
+    )
+    beyond = _find_neighbours(x, triangles, rim)
+    volume = float((x[:, 0] * np.cross(x[:, 1], x[:, 2])).sum())
+    if (beyond >= 0).all() and volume < 0.0:
+        raise ValueError(
+            "surface is turned inside out, as normals of all its triangles point into it: turn "
+            "them round, triangles[:, ::-1], or for a body in a cavity give the Complement of that"
+        )
+    return Triangulation(points, triangles, across / _length(across)[:, None], beyond)
+
+
+def _find_neighbours(x: Floats, triangles: Longs, rim: bool) -> Longs:
+    """Triangle beyond each edge (m, 3), -1 at a rim."""
+    ends = np.stack([triangles[:, FIRST], triangles[:, SECOND]], axis=2).reshape(-1, 2)
+    _, place, count = np.unique(
+        np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    place = place.ravel()
+    uses = count[place].reshape(-1, 3)
+    refuse(
+        "surface has",
+        x.mean(axis=1),
+        np.asarray((uses > 2).any(axis=1)),
+        "triangles with an edge of three or more of them",
+        "no surface does that; leave out what is inside the tool",
+    )
+    order = np.argsort(place, kind="stable")
+    starts = np.cumsum(count) - count
+    both = count == 2
+    one, other = order[starts[both]], order[starts[both] + 1]
+    beyond = np.full(len(ends), -1, dtype=np.int64)
+    beyond[one], beyond[other] = other // 3, one // 3
+    against = ends[one, 0] == ends[other, 0]
+    turned = np.bincount(np.append(one[against], other[against]) // 3, minlength=len(x))
+    refuse(
+        "surface has",
+        x.mean(axis=1),
+        np.asarray(turned > (turned > 1).any()),  # of the majority
+        "triangles that are turned against their neighbours",
+        "order the corners of all counterclockwise as seen from outside of the tool",
+    )
+    found = beyond.reshape(-1, 3)
+    if not rim:
+        refuse(
+            "surface has",
+            x.mean(axis=1),
+            np.asarray((found < 0).any(axis=1)),
+            "triangles at a hole",
+            "close it; or give rim=True for a surface that ends beside the body",
+        )
+    return found
+
+
+def _length(vectors: npt.NDArray[np.floating[Any]]) -> Floats:
+    return np.asarray(np.linalg.norm(vectors, axis=-1))
+
 
 HEADER = 84
 """Bytes before the first triangle of a binary file: 80 of text, and the number of triangles."""
@@ -45,13 +178,13 @@ class Triangles(Curved):
     """The body enclosed by triangles, counterclockwise as seen from outside; in space.
 
     Args:
-        surface: path of an STL file, binary or text, read by every rank (errors are raised on all
-            ranks at the first use of the shape); or points (n, 3) and triangles (m, 3).
+        surface: path of an STL file, binary or text, read by every rank at the first use (errors
+            are raised on all ranks); or points (n, 3) and triangles (m, 3).
         point: 3 coordinates of the tool's reference point; default the middle of its box.
-        crease: angle of normals in degrees, 0 to 90, above which an edge stays sharp. With 0 all
+        crease: angle of normals in degrees, 0 to 90, above which an edge is sharp. With 0 all
             triangles are flat.
-        rim: whether the surface may end. Beyond its rim phi is the distance from it: the body must
-            not get there.
+        rim: whether the surface may end. Beyond its rim phi is the distance from it, where the body
+            must not be.
 
     Raises:
         ValueError: also for unreadable files, triangles without area or turned against their
@@ -124,7 +257,6 @@ class Triangles(Curved):
 
 
 def _bulges(x: Floats, normals: Floats) -> Floats:
-    """Bends a (m, 3, 3) of edges, see `curved`, from corners and normals."""
     p, q, one, other = x[:, FIRST], x[:, SECOND], normals[:, FIRST], normals[:, SECOND]
     both = one + other
     turn = ((other - one) * (q - p)).sum(axis=2) / (both**2).sum(axis=2)
@@ -132,7 +264,6 @@ def _bulges(x: Floats, normals: Floats) -> Floats:
 
 
 def _check_arrays(surface: Any) -> tuple[Floats, Longs]:
-    """Checked points (n, 3) and triangles (m, 3)."""
     wanted = "give the path of an STL file, or points (n, 3) and triangles (m, 3)"
     if not isinstance(surface, list | tuple) or len(surface) != 2:
         raise ValueError(f"surface is {surface!r}: {wanted}")
@@ -145,11 +276,7 @@ def _check_arrays(surface: Any) -> tuple[Floats, Longs]:
 
 
 def read_stl(path: str | os.PathLike[str]) -> tuple[Floats, Longs]:
-    """Points (n, 3) and triangles (m, 3) of a file; corners are merged, normals ignored.
-
-    Raises:
-        ValueError: for unreadable, invalid or truncated files, NaN and infinity.
-    """
+    """Points (n, 3), merged, and triangles (m, 3) of a file; a ValueError if it is damaged."""
     try:
         content = Path(path).read_bytes()
     except OSError as error:
@@ -181,7 +308,7 @@ def read_stl(path: str | os.PathLike[str]) -> tuple[Floats, Longs]:
 
 
 def _binary(content: bytes) -> Floats | None:
-    """Corners (m, 3, 3); None if the length of the file does not fit."""
+    """Corners (m, 3, 3), None for a wrong length."""
     if len(content) < HEADER:
         return None
     count = int.from_bytes(content[HEADER - 4 : HEADER], "little")
@@ -191,7 +318,7 @@ def _binary(content: bytes) -> Floats | None:
 
 
 def _text(content: bytes) -> Floats | None:
-    """Corners (m, 3, 3); None for other texts."""
+    """Corners (m, 3, 3), None for other texts."""
     if not content.lstrip()[:5].lower() == b"solid":
         return None
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Zero level of a signed distance in a box: lines in the plane, triangles in space."""
+"""Zero level of a signed distance in a box."""
 
 from itertools import permutations, product
 
@@ -15,7 +15,7 @@ GRID = {2: 400, 3: 60}
 def find_zero_level(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Longs]:
     """Points (n, d) on the surface of a shape, and lines or triangles (m, d), in a box.
 
-    Points on crossed edges of simplices of a grid are moved onto the surface.
+    Edges of simplices of a grid that cross the surface have a point each.
 
     Example:
         >>> from dolfinx_mortar.shapes import Cylinder
@@ -45,7 +45,7 @@ def find_zero_level(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Lo
 
 
 def _around(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Corners (d,) of the box around the surface, by a coarse grid; phi may be approximate."""
+    """Corners (d,) of a box around the surface, by a coarse grid."""
     for _ in range(LIMIT):
         counts = _counts(low, high, GRID[len(low)] // 4)
         cell = (high - low) / counts
@@ -63,7 +63,6 @@ def _around(shape: Shape, low: Floats, high: Floats) -> tuple[Floats, Floats]:
 
 
 def _counts(low: Floats, high: Floats, most: int) -> Longs:
-    """Numbers of cells (d,) along the sides of a box."""
     sides = high - low
     return np.maximum(np.ceil(sides / sides.max() * most), 1).astype(np.int64)
 
@@ -84,7 +83,7 @@ def _cross(simplices: Longs, inside: np.ndarray) -> tuple[Longs, Longs]:
     """Edges (n, 2) crossed by a surface, and lines or triangles (m, d) of these."""
     d = simplices.shape[1] - 1
     of = inside[simplices]
-    order = np.argsort(of, axis=1, kind="stable")  # nodes outside first
+    order = np.argsort(of, axis=1, kind="stable")
     nodes, count = np.take_along_axis(simplices, order, axis=1), of.sum(axis=1)
     parts = []
     for k in range(1, d + 1):
@@ -93,7 +92,7 @@ def _cross(simplices: Longs, inside: np.ndarray) -> tuple[Longs, Longs]:
         # two and two nodes: two triangles
         cut = [ends] if len(ends) == d else [ends[:3], ends[1:]]
         parts += [nodes[count == k][:, cell] for cell in cut]
-    crossed = np.concatenate(parts)  # (m, d, 2)
+    crossed = np.concatenate(parts)
     low, high = np.sort(crossed, axis=2).reshape(-1, 2).T
     keys, cells = np.unique(low * len(inside) + high, return_inverse=True)
     return np.stack(np.divmod(keys, len(inside)), axis=1), cells.reshape(-1, d).astype(np.int64)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""The bodies: laws on cells, energy, residual and tangent in UFL, state, values at points."""
+"""Bodies: laws on cells, energy, residual and tangent in UFL, state, values at points."""

@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Functions of one cell each: constants, or constants and the coordinates at X.
-
-On cells of second order the means of volumes and pressures are projections onto N = (1, x - x_c),
-x_c the middle of the cell, in the coordinates at X: this keeps the rate of convergence, and stable
-pressures.
+"""Functions N of each cell: 1, or (1, x - x_c) for cells of second order, x_c their middle.
 
 Source: D. Boffi, L. Gastaldi, Int. J. Numer. Methods Fluids 39 (2002) 1001-1011.
 """
@@ -27,22 +23,17 @@ from ufl.core.expr import Expr
 
 
 class CellFunctions:
-    """The functions N_k of each cell, m of them, and their sums.
+    """The m functions N_k of each cell.
 
     Attributes:
-        space: of coefficients (m,), those of a cell in one block.
+        space: of coefficients (m,), one block per cell.
         basis: N in UFL.
         volumes: (owned cells,) int 1.
-        inverse: (owned cells, m, m) of int N_k N_l.
+        inverse: (owned cells, m, m), inverse of int N_k N_l.
     """
 
     def __init__(self, domain: mesh.Mesh, weight: Expr, dx: ufl.Measure, *, affine: bool) -> None:
-        """Integrate the products of the functions; collective.
-
-        Args:
-            dx: measure of all cells.
-            affine: whether the coordinates are among the functions.
-        """
+        """Integrate over `dx`, with the coordinates if `affine`; collective."""
         m = 1 + domain.geometry.dim * affine
         self.space = fem.functionspace(domain, ("DG", 0, (m,)))
         self.basis = _create_basis(self.space)
@@ -55,7 +46,7 @@ class CellFunctions:
 
     @property
     def size(self) -> int:
-        """The number m of functions of a cell."""
+        """The number m of functions."""
         return int(self.space.dofmap.bs)
 
     def field(self, coefficients: fem.Function) -> Expr:
@@ -63,15 +54,15 @@ class CellFunctions:
         return ufl.dot(coefficients, self.basis)
 
     def first(self, density: Expr) -> Expr:
-        """Form of `vectors` with the integrals of a density, then zeros."""
+        """Form of `vectors`: int density, then zeros."""
         return density * self._tests[0][0]
 
     def tested(self, density: Expr) -> Expr:
-        """Form of `vectors` with the integrals of a density times N_k."""
+        """Form of `vectors`: int density N_k."""
         return density * ufl.dot(self._tests[0], self.basis)
 
     def paired(self, density: Expr) -> Expr:
-        """Form of `matrices` with the integrals of a density times N_k N_l."""
+        """Form of `matrices`: int density N_k N_l."""
         return density * ufl.inner(ufl.outer(self.basis, self.basis), self._tests[1])
 
     def vectors(self, form: fem.Form) -> Floats:
@@ -83,7 +74,7 @@ class CellFunctions:
         return assemble(form, self._vectors[1]).reshape(-1, self.size, self.size).copy()
 
     def coefficients(self, integrals: Floats) -> Floats:
-        """Coefficients (owned cells, m) of the projection with these integrals with N_k."""
+        """Coefficients (owned cells, m) of the projection, given its integrals with N_k."""
         return np.asarray(np.einsum("ckl,cl->ck", self.inverse, integrals))
 
     def values(self, f: fem.Function) -> Floats:
@@ -92,7 +83,6 @@ class CellFunctions:
 
 
 def _create_basis(space: fem.FunctionSpace) -> Expr:
-    """Return (1, (x - x_c) / h), with the size h of the cell, for round-off in any unit."""
     domain, m = space.mesh, space.dofmap.bs
     if m == 1:
         return ufl.as_vector([1.0])
@@ -108,10 +98,10 @@ def _create_basis(space: fem.FunctionSpace) -> Expr:
 
 
 class RowsOfCells:
-    """A matrix B whose rows are m functions of each cell, and B^T W B with its blocks W."""
+    """A matrix B with m rows per cell, and B^T W B with blocks W."""
 
     def __init__(self, form: Any, m: int) -> None:
-        """Create the matrix of a fem.Form, without entries; collective."""
+        """Create the matrix without entries; collective."""
         self._form, self._m = form, m
         self._B = fem_petsc.create_matrix(form)
         self._products: tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat] | None = None
@@ -130,7 +120,7 @@ class RowsOfCells:
     def add_square(self, weights: Floats, K: PETSc.Mat) -> None:
         """Add B^T W B, W (owned cells, m, m), to a matrix of the mesh; collective."""
         indptr, columns, values = csr_of(self._B)
-        rows = len(weights), self._m  # those of a cell have the same columns
+        rows = len(weights), self._m  # rows of a cell have the same columns
         blocks = values.reshape(*rows, len(values) // max(rows[0] * rows[1], 1))
         if self._products is None:
             weighted, transpose = self._B.duplicate(copy=True), self._B.transpose(PETSc.Mat())

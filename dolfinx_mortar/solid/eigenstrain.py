@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Eigenstrain, the strain that a body would have without stress: thermal, of a fit, initial."""
+"""Eigenstrain, the strain of a body without stress."""
 
 from collections.abc import Mapping, Sequence
 from numbers import Number
@@ -11,8 +11,7 @@ import numpy as np
 
 import ufl
 from dolfinx import fem, mesh
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arguments import array, check
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Ints
 from dolfinx_mortar.materials.tensor import COMPONENTS, from_components, to_components
@@ -39,24 +38,20 @@ class Eigenstrain(Followed):
     """Eigenstrain at the integration points of a mesh, zero by default.
 
     Attributes:
-        function: a scalar, if it is the same in all directions, else the components
-            (xx, yy, zz, xy) in 2D and (xx, yy, zz, xy, yz, xz) in 3D.
+        function: a scalar, if isotropic, else the components (xx, yy, zz, xy) in 2D and (xx, yy,
+            zz, xy, yz, xz) in 3D.
     """
 
     def __init__(
         self, u: fem.Function, parts: Sequence[tuple[str, Expr, Ints]], degree: int
     ) -> None:
-        """Compile the parts, each with name, scalar or 3x3 tensor and cells; collective.
-
-        `follow` fills the function.
-        """
+        """Compile the parts, each with name, scalar or 3x3 tensor and cells; collective."""
         domain = u.function_space.mesh
         d, full = domain.geometry.dim, any(value.ufl_shape for _, value, _ in parts)
         shape = (len(COMPONENTS[d]),) if full else ()
         function = point_function(domain, degree, shape, "eigenstrain")
         sources: list[Source] = []
-        # components of each tensor part that have to be zero: of its skew part, then, in the plane,
-        # yz and xz
+        # components that must vanish: of the skew part, in the plane also yz and xz
         self._vanishing: list[fem.Expression | None] = []
         for name, value, cells in parts:
             tensor = ufl.sym(value) if value.ufl_shape else value * ufl.Identity(3)
@@ -82,12 +77,11 @@ class Eigenstrain(Followed):
         return from_components(function) if function.ufl_shape else function * ufl.Identity(3)
 
     def judge(self) -> None:
-        """Raise a ValueError if it is NaN, infinite, not symmetric, or shears out of the plane."""
+        """Raise a ValueError for NaN, infinity, asymmetry, or shear out of the plane."""
         for source, vanishing in zip(self._sources, self._vanishing, strict=True):
             self._judge(source, vanishing)
 
     def _judge(self, source: Source, vanishing: fem.Expression | None) -> None:
-        """Raise a ValueError on all ranks for invalid values in cells of a source; collective."""
         V = self.function.function_space
         owned = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
         cells, name = source.cells[source.cells < owned], source.parts[0].name
@@ -98,7 +92,7 @@ class Eigenstrain(Followed):
             largest = maximum(V.mesh.comm, np.abs(values[~undefined]).max(initial=0.0))[0]
             terms = 5 if V.mesh.geometry.dim == 2 else 3
             zero = np.asarray(vanishing.eval(V.mesh, cells)).reshape(len(undefined), terms)
-            # half of the digits: derivatives of interpolated fields lose some
+            # derivatives of interpolated fields lose digits
             skew = (np.abs(zero[:, :3]) > HALF_OF_DIGITS * largest).any(axis=1)
             out_of_plane = (zero[:, 3:] != 0.0).any(axis=1) & ~undefined
         counts = np.array([part.sum() for part in (undefined, skew, out_of_plane)], dtype=int)
@@ -116,7 +110,7 @@ class Eigenstrain(Followed):
 def create_eigenstrain(
     u: fem.Function, given: Any, cell_tags: mesh.MeshTags | None, degree: int
 ) -> Eigenstrain | None:
-    """Eigenstrain that a user gives, None for none; collective."""
+    """Eigenstrain given by a user, or None; collective."""
     if given is None:
         return None
     domain, parts = u.function_space.mesh, []
@@ -131,7 +125,6 @@ def create_eigenstrain(
 def _parts(
     domain: mesh.Mesh, given: Any, cell_tags: mesh.MeshTags | None
 ) -> list[tuple[str, Any, Ints]]:
-    """Name, value and local cells of every part of the argument; collective."""
     imap = domain.topology.index_map(domain.topology.dim)
     if not isinstance(given, Mapping):
         return [("eigenstrain", given, np.arange(imap.size_local + imap.num_ghosts, dtype="i4"))]
@@ -143,7 +136,6 @@ def _parts(
 
 
 def _as_expression(u: fem.Function, name: str, value: Any) -> Expr:
-    """A scalar or a 3x3 tensor in UFL."""
     domain = u.function_space.mesh
     if isinstance(value, Number | np.ndarray | list | tuple):
         value = fem.Constant(domain, check(name, value, array(finite=False, remedy=WANTED)))

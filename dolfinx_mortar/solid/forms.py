@@ -17,7 +17,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.jit import get_options
 from dolfinx_mortar import compat
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.protocol import Law
 from dolfinx_mortar.materials.response import Response, elastic_response, respond
@@ -25,7 +25,7 @@ from dolfinx_mortar.materials.tensor import GRADIENT
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.kinematics import Kinematics
 from dolfinx_mortar.solid.laws import Integral, Region
-from dolfinx_mortar.solid.mean_volume import MeanDilatation, MeanVolume
+from dolfinx_mortar.solid.mean_volume import MeanVolume
 from dolfinx_mortar.solid.pointwise import PointValuesOfRegion
 from dolfinx_mortar.solid.term import MatrixForm, create_vector
 from ufl.core.expr import Expr
@@ -39,12 +39,12 @@ what they are. Assembly on hexahedra, tetrahedra, quadrilaterals: .60, .91, .94 
 
 
 def in_any_order() -> dict[str, list[str]]:
-    """Compiler options for tangents: those that are set, and `REASSOCIATE`."""
+    """Compiler options for tangents: the user's, and `REASSOCIATE`."""
     return {"cffi_extra_compile_args": [*get_options()["cffi_extra_compile_args"], *REASSOCIATE]}
 
 
 def unrolled(cell: str) -> list[str]:
-    """Options for other forms: -O3 on cells of products, with the same bits."""
+    """Compiler options for other forms: -O3 on tensor-product cells."""
     given = get_options()["cffi_extra_compile_args"]
     if cell not in ("quadrilateral", "hexahedron") or "-O2" not in given:
         return list(given)
@@ -54,18 +54,14 @@ def unrolled(cell: str) -> list[str]:
 class Forms:
     """Compiled forms of a solid, with the two vectors that they read or fill.
 
-    The weak form F(u; v) = int sigma(eps) : d eps/du [v], its derivative, the potential, and the
-    two norms that scale residuals. A reduced volumetric part is not among them.
-
     Attributes:
         residual: int sigma : d eps/du [v].
         tangent: its derivative.
         elastic_norm: int eps(w) : C : eps(w), w = `direction`.
         element_force: sum_e sum_a |f_ea|^2.
         energy: Psi, if all laws have a potential.
-        direction: argument of `elastic_norm`.
         force: the residual with its ghosts.
-        dilatation: the reduced part of tangent, elastic_norm and energy.
+        dilatation: the reduced volumetric part, not among these forms.
         committed: data of the stress of the committed state.
     """
 
@@ -74,7 +70,7 @@ class Forms:
         u: fem.Function,
         responses: Sequence[Response],
         integral: Integral,
-        dilatation: MeanDilatation | MeanVolume | None,
+        dilatation: MeanVolume | None,
         eigenstrain: Eigenstrain | None,
     ) -> None:
         """Compile all forms of a Newton step; collective."""
@@ -106,7 +102,7 @@ class Forms:
         self.tangent = MatrixForm(fem.form(tangent, jit_options=in_any_order()))
 
     def add_elastic(self, K: PETSc.Mat, factor: float) -> None:
-        """Add a multiple of the stiffness of `elastic_norm`, which is positive; collective."""
+        """Add a multiple of the positive stiffness of `elastic_norm`; collective."""
         form, share = self._elastic
         share.value = factor
         form.add_to(K)
@@ -114,7 +110,6 @@ class Forms:
 
     @cached_property
     def _elastic(self) -> tuple[MatrixForm, fem.Constant]:
-        """Second derivative of `elastic_norm` times a factor, and it; compiled at first use."""
         V, kinematics = self._u.function_space, self._integral.kinematics
         factor = fem.Constant(V.mesh, default_scalar_type(1.0))
         of_v, of_w = (
@@ -126,7 +121,7 @@ class Forms:
 
     @cached_property
     def moduli(self) -> float:
-        """Integral over this rank's cells of |C : (e_x e_y + e_y e_x)|, an energy."""
+        """Integral (this rank) of |C : (e_x e_y + e_y e_x)|, an energy."""
         shear = ufl.as_tensor([[0, 1, 0], [1, 0, 0], [0, 0, 0]])
         integral = dataclasses.replace(self._integral, degree=1)
         moduli = [elastic_response(r.law, shear, r.symbols) for r in integral.regions]
@@ -136,7 +131,7 @@ class Forms:
 
 
 class CommittedData:
-    """Displacement, eigenstrain and parameters of the committed state, see `add_first_forces`."""
+    """Committed displacement, eigenstrain and parameters."""
 
     def __init__(
         self,
@@ -145,7 +140,7 @@ class CommittedData:
         integral: Integral,
         eigenstrain: Eigenstrain | None,
     ) -> None:
-        """Begin at X, without eigenstrain, with the present parameters."""
+        """Start from X, without eigenstrain, with the present parameters."""
         self._u, self._responses, self._integral = u, responses, integral
         self._eigenstrain = eigenstrain
         self.strained = [u] if eigenstrain is None else [u, eigenstrain.function]
@@ -156,7 +151,7 @@ class CommittedData:
             values[:] = 0.0
 
     def keep(self) -> None:
-        """Copy the present values as those of the committed state."""
+        """Commit the present values."""
         self._kept = [f.x.array.copy() for f in self._functions]
 
     def forget(self) -> None:
@@ -164,7 +159,7 @@ class CommittedData:
         self._kept = None
 
     def complete(self) -> list[Floats]:
-        """The values, the present ones if unknown."""
+        """The committed values, or the present ones if unknown."""
         if self._kept is None:
             self._kept = [f.x.array.copy() for f in self._functions]
         return self._kept
@@ -176,7 +171,7 @@ class CommittedData:
 
     @cached_property
     def change(self) -> tuple[fem.Form, list[fem.Function]]:
-        """The form int C : (eps(w) - e) : eps(v), C the tangent, of a small strain; w and e."""
+        """Form int C : (eps(w) - e) : eps(v) at small strain, and w, e."""
         V, kinematics = self._u.function_space, self._integral.kinematics
         changes, v = [fem.Function(V)], ufl.TestFunction(V)
         strain, virtual = (kinematics.virtual(self._u, along) for along in (changes[0], v))
@@ -205,11 +200,7 @@ def create_responses(
     state: Mapping[str, fem.Function],
     found: Mapping[Law, PointValuesOfRegion],
 ) -> list[Response]:
-    """Response of the law of each region to a 3x3 strain, as UFL; collective.
-
-    Raises:
-        ValueError: on all ranks, if a law raises or returns something wrong on any.
-    """
+    """Response of each region to a 3x3 strain, in UFL; a ValueError on all ranks; collective."""
     responses = []
     with raised_together(regions[0].mesh.comm):
         for region in regions:
@@ -228,13 +219,12 @@ def _unturned(kinematics: Kinematics, u: fem.Function, v: Expr) -> Expr:
 
 
 def _from_energy(law: Law) -> bool:
-    """Whether UFL derives the tangent of a law from its energy at F, so that it is symmetric."""
     derived = law.update is None and law.stress is None and law.tangent is None
     return derived and law.strain == "finite"
 
 
 def moduli_first(response: Response, entries: Sequence[tuple[int, int]]) -> Response:
-    """Response whose change is a symmetric dP/dF, formed once, times the direction."""
+    """Response with a symmetric dP/dF, formed once, times the direction."""
 
     def change(direction: Expr) -> Expr:
         columns = []
@@ -254,7 +244,6 @@ def moduli_first(response: Response, entries: Sequence[tuple[int, int]]) -> Resp
 def _tangent(
     u: fem.Function, responses: Sequence[Response], kinematics: Kinematics, integral: Integral
 ) -> ufl.Form:
-    """The consistent tangent int d eps[v] : C : d eps[w] + sigma : d^2 eps[v, w]."""
     V = u.function_space
     v, w = ufl.TestFunction(V), ufl.TrialFunction(V)
     virtual, along = kinematics.virtual(u, v), kinematics.virtual(u, w)

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Strain, rotation and volume at the integration points, and the terms that a small strain omits.
+"""Strain, rotation and volume at the integration points, and the terms neglected at small strain.
 
-With the strain e and the rotation w, the symmetric and the skew part of H = grad u, Green and
-Lagrange's strain is e + H^T H / 2. A small strain takes e; of a rotation by an angle a, however
-rigid, it leaves out a^2 / 2 in both directions across the axis.
+With H = grad u the Green-Lagrange strain is sym H + H^T H / 2.
 """
 
 import dataclasses
@@ -33,7 +31,7 @@ from ufl.core.expr import Expr
 
 
 def check_finite(strain: Any, eigenstrain: Any) -> None:
-    """Raise a ValueError for an unknown strain, and for arguments that exclude a finite one."""
+    """Raise a ValueError for an unknown strain, and arguments that exclude a finite one."""
     check("strain", strain, one_of("small", "finite"))
     if strain == "finite" and eigenstrain is not None:
         raise ValueError(
@@ -47,9 +45,8 @@ class Volumes:
     """J = det F at the integration points.
 
     Attributes:
-        J: quadrature Function that `Solid.evaluate` fills; 1 before.
-        source: what fills it.
-        thickness: F_zz, of plates the stretch through their thickness.
+        J: quadrature Function filled by `Solid.evaluate`; 1 before.
+        thickness: F_zz, the stretch through a plate.
     """
 
     def __init__(self, u: fem.Function, gradient: Expr, degree: int) -> None:
@@ -74,20 +71,16 @@ class Volumes:
         return float(self._comm.allreduce(float(values.min(initial=np.inf)), op=MPI.MIN))
 
     def describe_inverted(self) -> str:
-        """Text on a cell turned inside out at u, "" for none; collective."""
+        """Message about inverted cells at u, or ""; collective."""
         words = "are turned inside out", "J = det F"
         return describe_lowest(self.J.function_space.mesh, self._now(), 0.0, *words)
 
     def _now(self) -> np.ndarray:
-        """J at u (owned cells, points)."""
         return self.source.evaluate(self.source.cells[: self._owned])[..., 0]
 
 
 def describe_lowest(domain: Mesh, values: Floats, limit: float, cells_do: str, name: str) -> str:
-    """Number of cells with values (owned cells, points) not above a limit, in words; collective.
-
-    Empty if none; NaN is not above any limit. In the words `cells_do` and the values' `name`.
-    """
+    """Message on cells with values (owned cells, points) <= limit or NaN, or ""; collective."""
     bad = ~(values > limit).all(axis=1)
     where = ""
     if bad.any():
@@ -109,22 +102,19 @@ def as_cauchy(response: Response, gradient: Expr) -> Response:
     return dataclasses.replace(response, stress=cauchy)
 
 
-# Row and column (i, j) of the entries H_ij > H_ji that a rotation about x, y, z adds to grad u.
+# Entries (i, j) with H_ij > H_ji for positive rotations about x, y, z.
 TURNS = ((2, 1), (0, 2), (1, 0))
 
 
 @dataclass(frozen=True)
 class Gradients:
-    """Values at the n integration points of some cells, cell by cell.
+    """Values at the n integration points of some cells, cell by cell; tensors (n, 4 or 6)."""
 
-    Tensors have their stored components (n, 4 or 6).
-    """
-
-    strain: Floats  # measure of the kinematics
+    strain: Floats
     rotation: Floats  # (n, 1 or 3), axial vector of the skew part of grad u, radians; about z in 2D
-    left_out: Floats  # H^T H / 2 of a small strain, zero for others
-    turned: Floats  # W^T W / 2, its part by the skew part W alone
-    seen: Floats  # strain less the eigenstrain, as in the laws
+    left_out: Floats  # H^T H / 2 at small strain, else zero
+    turned: Floats  # W^T W / 2, W the skew part
+    seen: Floats  # strain less the eigenstrain
 
 
 class PointGradients:
@@ -159,7 +149,7 @@ class PointGradients:
         self._compiled = fem.Expression(ufl.as_vector(entries), points)
 
     def evaluate(self, cells: Ints | None = None) -> Gradients:
-        """Strain and rotation at u, by default in owned cells; without communication."""
+        """Strain and rotation at u, by default in owned cells; not collective."""
         domain = self._space.mesh
         if cells is None:
             owned = domain.topology.index_map(domain.topology.dim).size_local
@@ -171,7 +161,7 @@ class PointGradients:
         return Gradients(strain, rotation, rest[0], rest[1], rest[2] if rest[2:] else strain)
 
     def describe_shortened(self, limit: float) -> str:
-        """Text on a finite strain that shortens lengths to less than a limit, or ""; collective."""
+        """Message on shortening below a limit at finite strain, or ""; collective."""
         strain = np.nan_to_num(self.evaluate().strain, posinf=0.0, neginf=0.0)
         C = np.eye(3) + 2 * tensor_of(strain)
         stretches = np.sqrt(np.maximum(np.linalg.eigvalsh(C)[:, 0], 0.0))

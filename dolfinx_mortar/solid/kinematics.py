@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Kinematics: what makes a problem plane, axisymmetric or spatial, in one frozen record."""
+"""Plane, axisymmetric or spatial problems as one frozen record."""
 
 import dataclasses
 from collections.abc import Callable
@@ -20,35 +20,30 @@ from ufl.core.expr import Expr
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Strain of a displacement, and volume of the integrals.
-
-    The virtual strain is the derivative d measure(u)/du [v], taken by UFL.
-    """
+    """Strain of a displacement, and volume of the integrals."""
 
     name: str
     measure: Callable[[Expr], Expr]  # displacement -> strain, 3x3
     # coordinates -> volume per integrated area or volume, such as 1; of UFL and of NumPy (d, q)
     weight: Callable[[Any], Any]
-    # (n, d) -> name: (n, d), without strain and affine; those about another centre, and in other
-    # units of length, have to be their sums
+    # (n, d) -> name: (n, d), affine, without strain; closed under changes of centre and unit
     rigid_motions: Callable[[Floats], dict[str, Floats]]
     dimension: int | None = None  # of its meshes, None for any
-    # distance from an axis: never negative; where it is zero, the displacement in its direction has
-    # to be prescribed
+    # index of the coordinate r >= 0; at r = 0 this displacement must be prescribed
     radius: int | None = None
-    # whether the laws solve for the strain out of the plane, without stress there
+    # whether the laws solve sigma_zz = 0 for the strain out of the plane
     plane_stress: bool = False
-    # like `rigid_motions`: small strains of small pieces, for multigrid; None for just these
+    # near null space for multigrid, like `rigid_motions` (the default)
     nearly_rigid: Callable[[Floats], dict[str, Floats]] | None = None
     # displacement -> deformation gradient F, 3x3; None without finite strain
     gradient: Callable[[Expr], Expr] | None = None
-    finite: bool = False  # whether the measure is F, see `of_finite_strain`
+    finite: bool = False  # whether the measure is F
 
     def of_finite_strain(self) -> "Kinematics":
         """These kinematics with the measure F, whose work-conjugate stress is P.
 
         Raises:
-            ValueError: if there is no deformation gradient.
+            ValueError: without a deformation gradient.
         """
         if self.gradient is None:
             raise ValueError(
@@ -60,18 +55,18 @@ class Kinematics:
         return dataclasses.replace(self, name=name, measure=self.gradient, finite=True)
 
     def strain(self, u: Expr) -> Expr:
-        """Strain at u: the measure, or Green and Lagrange's of F."""
+        """Strain at u; of F the Green-Lagrange strain."""
         measured = self.measure(u)
         if not self.finite:
             return measured
         return (ufl.transpose(measured) * measured - ufl.Identity(3)) / 2
 
     def virtual(self, u: Expr, v: Expr) -> Expr:
-        """Strain of v at u, linear in v: d measure(u)/du [v]."""
+        """Strain of v at u, d measure(u)/du [v]."""
         return ufl.derivative(self.measure(u), u, v)
 
     def linear_in(self, u: Expr) -> bool:
-        """Whether the strain is linear in u: the virtual strain does not depend on it."""
+        """Whether the strain is linear in u."""
         virtual = self.virtual(u, ufl.TestFunction(u.function_space))
         return u not in extract_coefficients(expand_derivatives(virtual))
 
@@ -81,10 +76,10 @@ class Kinematics:
         return self.weight is _unit
 
     def weights_at(self, points: Floats) -> Floats:
-        """Weight (q,) at points (q, d); 0 where it is the round-off of an axis.
+        """Weight (q,) at points (q, d); 0 on an axis up to round-off.
 
         Raises:
-            ValueError: if the weight does not work with NumPy arrays, or is negative or NaN.
+            ValueError: for a weight that fails, or is negative or NaN.
         """
         try:
             values = np.asarray(self.weight(points.T), dtype=np.float64)
@@ -105,18 +100,16 @@ class Kinematics:
 
 
 def _plane(u: Expr, hoop: Any = 0) -> Expr:
-    """H of a displacement in the plane, 3x3, with a stretch out of it less 1."""
     g = ufl.grad(u)
     return ufl.as_tensor([[g[0, 0], g[0, 1], 0], [g[1, 0], g[1, 1], 0], [0, 0, hoop]])
 
 
 def _ring(u: Expr) -> Expr:
-    """H of a ring by the displacement (u_r, u_z), in the order r, z, theta."""
+    """H, 3x3, of the displacement (u_r, u_z), in the order r, z, theta."""
     return _plane(u, u[0] / ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(u))[0])
 
 
 def _of_gradient(name: str, H: Callable[[Expr], Expr], dimension: int, **others: Any) -> Kinematics:
-    """Kinematics by the displacement gradient H, 3x3, with the defaults of plane strain."""
     others = {"weight": _unit, "rigid_motions": translations_and_rotations} | others
     return Kinematics(
         name,
@@ -128,24 +121,24 @@ def _of_gradient(name: str, H: Callable[[Expr], Expr], dimension: int, **others:
 
 
 def _circumference(x: Any) -> Any:
-    """Return 2 pi r: forces are those of the whole ring."""
+    """Forces are those of the whole ring."""
     return 2 * np.pi * x[0]
 
 
 def _along_the_axis(x: Floats) -> dict[str, Floats]:
-    """Motion of a ring without strain."""
+    """Rigid motion of a ring."""
     return {"translation along the axis": np.tile([0.0, 1.0], (len(x), 1))}
 
 
 def _unit(x: Any) -> int:
-    """Weight 1: forces are those of a body, in the plane of one of thickness one."""
+    """Forces are per thickness in the plane."""
     return 1
 
 
 def translations_and_rotations(x: Floats) -> dict[str, Floats]:
-    """The 3 (in the plane) or 6 (in space) motions without strain, at points x, (n, d).
+    """The 3 (in the plane) or 6 (in space) rigid motions at points x, (n, d).
 
-    Rotations are about axes through the origin, right-handed, of one radian per unit.
+    Rotations are right-handed about axes through the origin, of one radian per unit.
 
     >>> motions = translations_and_rotations(np.array([[2.0, 1.0]]))
     >>> list(motions)
@@ -188,7 +181,7 @@ def kinematics_of_dimension(d: int) -> Kinematics:
 
 
 def choose_kinematics(given: Any, d: int) -> Kinematics:
-    """Kinematics by name or as given, those of the dimension d for None.
+    """Kinematics by name or as given; the default of the dimension d for None.
 
     Raises:
         ValueError: for an unknown name, or kinematics of another dimension.
@@ -212,7 +205,7 @@ def on_axis(kinematics: Kinematics, mesh: Mesh, x: Floats) -> Bools:
 
 
 def check_radius(kinematics: Kinematics, mesh: Mesh) -> None:
-    """Raise a ValueError on all ranks if a mesh lies beyond the axis; collective."""
+    """Raise a ValueError on all ranks for negative radii; collective."""
     if kinematics.radius is None:
         return
     x, i = np.asarray(mesh.geometry.x, dtype=np.float64), kinematics.radius

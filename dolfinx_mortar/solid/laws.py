@@ -16,7 +16,7 @@ import numpy as np
 
 import ufl
 from dolfinx import fem, mesh
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import check
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.materials import Material
@@ -51,11 +51,7 @@ UNTAGGED = int(np.iinfo(np.int32).min)
 
 
 class ParameterTable(Followed):
-    """All parameters of a law, one value per cell, or per integration point if one needs that.
-
-    Attributes:
-        symbols: the parameters by name, as UFL.
-    """
+    """Parameters of a law, `symbols` in UFL, per cell or point."""
 
     def __init__(
         self,
@@ -65,20 +61,15 @@ class ParameterTable(Followed):
         cells: Sequence[Ints],
         degree: int,
     ) -> None:
-        """Create the parameters of materials of one law, with their numbers; collective.
-
-        `follow` sets those that may change.
+        """Create the parameters of materials of one law, for `follow`; collective.
 
         Args:
             u: displacement, on which no parameter may depend.
-            law: of all materials, which are of one class.
-            materials: with the parameters.
-            cells: local cells of each, ghosts included.
+            cells: local cells of each material, ghosts included.
             degree: of the quadrature of the solid.
 
         Raises:
-            ValueError: on all ranks, if a parameter depends on u, belongs to another mesh or is
-                known at other points than those of the solid.
+            ValueError: on all ranks, if a parameter depends on u, another mesh or other points.
         """
         self._law, self._cells = law, np.sort(np.concatenate(cells))
         self._names = names = list(named_parameters(materials[0]))
@@ -112,18 +103,16 @@ class ParameterTable(Followed):
         self.symbols = grouped({name: function[i] for i, name in enumerate(names)})
 
     def values(self, cells: Ints, points: int) -> SimpleNamespace:
-        """Parameters by name at so many points of each cell, (cells * points,) each."""
+        """Parameters by name, (cells * points,) each."""
         return grouped(self._by_name(self._table(cells, points)))
 
     def _table(self, cells: Ints, points: int) -> Floats:
-        """Parameters (cells * points, parameters) at so many points of each cell."""
         dofs = self.function.function_space.dofmap.list[cells]
         table = self.function.x.array.reshape(-1, max(len(self._names), 1))[dofs]
         table = np.broadcast_to(table, (len(cells), points, table.shape[2]))
         return np.asarray(table.reshape(len(cells) * points, table.shape[2]))
 
     def _by_name(self, table: Floats) -> dict[str, Floats]:
-        """Columns of a table (q, parameters) by name."""
         return {name: table[:, i] for i, name in enumerate(self._names)}
 
     def judge(self) -> None:
@@ -135,7 +124,7 @@ class ParameterTable(Followed):
         values = self._by_name(self._table(owned, points))
         wrong: dict[str, Bools] = {}
         with raised_together(domain.comm):
-            if len(owned):  # rules of users need not handle empty arrays
+            if len(owned):  # users' rules may fail on empty arrays
                 law = self._law
                 wrong = wrong_values(law.name, law.ranges, law.conditions, values)
         rules = sorted(set().union(*domain.comm.allgather(set(wrong))))
@@ -152,7 +141,6 @@ class ParameterTable(Followed):
 
 
 def _extent(comm: MPI.Comm, values: Mapping[str, Floats], rule: str) -> str:
-    """Extent of the parameters that a rule names, in words; collective."""
     parts = []
     for name in sorted(set(values) & set(re.findall(r"\w+", rule))):
         low = np.nanmin(values[name], initial=np.inf)
@@ -165,16 +153,16 @@ def _extent(comm: MPI.Comm, values: Mapping[str, Floats], rule: str) -> str:
 
 @dataclass(frozen=True)
 class Region:
-    """The cells of one law, whatever the values of its parameters."""
+    """The cells of one law."""
 
     law: Law
     cells: np.ndarray  # int32 (m,), local cells, ghosts included
     parameters: ParameterTable
-    parts: tuple[tuple[Any, Ints], ...] = ()  # materials, each with its part of these cells
+    parts: tuple[tuple[Any, Ints], ...] = ()
 
     @property
     def mesh(self) -> mesh.Mesh:
-        """The mesh of the cells."""
+        """The mesh."""
         return self.parameters.function.function_space.mesh
 
     @property
@@ -183,18 +171,14 @@ class Region:
         return self.parameters.symbols
 
     def tensors(self, state: Mapping[str, fem.Function]) -> dict[str, Expr]:
-        """Internal variables of the law as UFL, () or (3, 3) by name."""
+        """Internal variables in UFL by name, () or (3, 3)."""
         return {
             name: from_components(state[name]) if shape else state[name]
             for name, shape in self.law.state.items()
         }
 
     def output(self, state: Mapping[str, Floats], cells: Ints, points: int) -> dict[str, Floats]:
-        """The law's own fields, (q,) or (q, components), q points cell by cell.
-
-        Raises:
-            ValueError: if the law raises or returns something wrong; the message names it.
-        """
+        """Output (q,) or (q, components), cell by cell; a ValueError names a failing law."""
         if self.law.output is None:
             return {}
         where, q = f"{self.law.name}.output", len(cells) * points
@@ -226,8 +210,7 @@ def create_regions(
     """Group the cells by law and store the parameters; collective.
 
     Raises:
-        ValueError: if a law lacks a part, tags and materials do not cover the cells exactly, or a
-            parameter makes no sense.
+        ValueError: for wrong laws, tags or parameters, and cells without a law.
     """
     how = kinematics.plane_stress
     given, choice = _material_of_cells(u.function_space.mesh, materials, cell_tags, how)
@@ -237,12 +220,12 @@ def create_regions(
                 f"materials: {law.name} is a law of the deformation gradient: choose "
                 "Solid(.., strain='finite')"
             )
-    # Those of one class, state, form at finite strain and form of plane stress are one region.
-    # Sorted by name so that the same laws make the same forms in any order of the dictionary.
+    # one region per class, state, form at finite strain and plane stress; sorted by name so that
+    # the order of the dictionary does not change the forms
     alike: dict[Any, list[int]] = {}
     for i, (material, law) in enumerate(given):
-        form = kinematics.finite and law.isotropic  # see `materials.logarithmic`
-        names = tuple(named_parameters(material))  # some tuples have more
+        form = kinematics.finite and law.isotropic
+        names = tuple(named_parameters(material))  # tuples may differ in length
         way = form, law.normal_strain is None, names
         alike.setdefault((type(material), way, *law.state), []).append(i)
     regions = []
@@ -261,11 +244,7 @@ def create_regions(
 def create_state(
     regions: Sequence[Region], domain: mesh.Mesh, degree: int
 ) -> dict[str, fem.Function]:
-    """Create the internal variables of all laws, shared where laws use the same name.
-
-    Raises:
-        ValueError: if two laws have an internal variable of one name in two shapes.
-    """
+    """Create the internal variables, shared by name; a ValueError for two shapes."""
     shapes: dict[str, tuple[int, ...]] = {}
     owner: dict[str, str] = {}
     for region in regions:
@@ -285,10 +264,7 @@ def create_evaluations(
     staged: Mapping[str, fem.Function],
     stress: fem.Function,
 ) -> list[Source]:
-    """Compile stress and new internal variables of all regions; collective.
-
-    All read the displacement and the committed state, so the order does not matter.
-    """
+    """Compile stress and new internal variables of all regions; collective."""
     size, evaluations = stress.function_space.dofmap.bs, []
     for region, response in zip(regions, responses, strict=True):
         given = [("stress", stress, response.stress)]
@@ -311,7 +287,6 @@ def _material_of_cells(
     cell_tags: mesh.MeshTags | None,
     plane_stress: bool,
 ) -> tuple[list[tuple[Any, Law]], np.ndarray]:
-    """Materials with their laws, and the material of each local cell; collective."""
     imap = domain.topology.index_map(domain.topology.dim)
     count = imap.size_local + imap.num_ghosts
     if not isinstance(materials, Mapping):
@@ -331,12 +306,7 @@ def by_cells(
 ) -> tuple[dict[int, T], Longs]:
     """Entries of an argument by tag, and the tags of the local cells; collective.
 
-    Args:
-        domain: the mesh.
-        cell_tags: of its cells.
-        given: entries by tag or by name.
-        name: of the argument, for messages.
-        cover: whether each cell has to have an entry.
+    `given` by tag or name; `cover`: each cell must have an entry.
 
     Raises:
         ValueError: on all ranks, for tags of no cell, and cells without an entry.
@@ -363,7 +333,7 @@ def by_cells(
 
 
 def tags_of_cells(domain: mesh.Mesh, cell_tags: mesh.MeshTags) -> Longs:
-    """Tags of the local cells, ghosts included, UNTAGGED without one; collective."""
+    """Tags of the local cells, UNTAGGED without one; collective."""
     check("cell_tags", cell_tags, tags_of(domain, domain.topology.dim))
     with raised_together(domain.comm):
         check_entities("cell_tags", cell_tags)
@@ -385,11 +355,11 @@ def measure(domain: mesh.Mesh, degree: int) -> ufl.Measure:
 
 @dataclass(frozen=True)
 class Integral:
-    """Integrals over bodies of one density per region, with the weight of the kinematics."""
+    """Integrals of a density per region, with the weight of the kinematics."""
 
     regions: Sequence[Region]
     kinematics: Kinematics
-    degree: int  # of the quadrature
+    degree: int
 
     @property
     def weight(self) -> Expr:
@@ -403,12 +373,11 @@ class Integral:
         return reduce(add, (weight * density * dx for density, dx in pairs))
 
     def _measures(self) -> list[ufl.Measure]:
-        """Measure of the cells of each region."""
         regions, domain = self.regions, self.regions[0].mesh
         dx = measure(domain, self.degree)
         if len(regions) == 1:
             return [dx]
         owned = domain.topology.index_map(domain.topology.dim).size_local
-        # numbers of the laws, not the user's tags, which must not enter the compiled code
+        # not the user's tags, which must not enter the compiled code
         dx = dx(subdomain_data=[(i, r.cells[r.cells < owned]) for i, r in enumerate(regions)])
         return [dx(i) for i in range(len(regions))]

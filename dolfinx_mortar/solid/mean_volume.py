@@ -1,38 +1,17 @@
 # SPDX-License-Identifier: MIT
-"""Reduced integration of the volumetric part: one volume change for each cell, its mean.
-
-Where a body keeps its volume, tr eps = 0, or J = det F = 1, at every point is too many conditions:
-cells of first order lock. So the volumetric part of the energy is taken in the mean over each cell.
+"""Reduced integration of the volumetric part: one mean volume change for each cell.
 
 **Small strain**, psi(eps) = psi(dev eps) + K/2 tr(eps)^2: the laws get the deviator, and
 
     psi_vol = K/2 V t^2,    t = (B u - b) / V,    B_a = int tr eps(phi_a),  b = int tr eps_0,
 
 V the volume of the cell, with the weight of the kinematics. The forces are B^T p with the mean
-stress p = K t of the output; the tangent is the constant B^T (K / V) B.
-
-**Finite strain**, psi(F) = psi_0(F) + U(J):
-
-    psi_vol = V U(j),    j = 1/V int J dX.
-
-The forces are p B^T with p = U'(j), B_a = int dJ/du_a dX; the tangent is p d2J/du2, a part of the
-forms, and B^T (U''(j) / V) B. On quadrilaterals and hexahedra of second order the mean is the
-projection onto N = (1, x - x_c), see `cell_functions`: with M = int N N^T, B_ka = int N_k dJ/du_a,
-S = int U''(j) N N^T
-
-    psi_vol = int U(j),  j = N^T M^-1 int N J,  p = N^T M^-1 int N U'(j),  B^T M^-1 S M^-1 B.
-
-Triangles and tetrahedra of second order have constants: N would lock. Pressures of tetrahedra, and
-of hexahedra of first order, alternate.
-
-Where U'' is far above the other moduli, Newton's method on u alone takes many short steps: after a
-change of shears by e, j is wrong by e^2, and p by U'' e^2. With p as an unknown, a step leaves it
-at p + U''(j) B du / V: the next tangent has p d2J/du2 with that p, and the energy along a step its
-volumes (`VolumeStep`); forces are those of U'(j(u)). At the solution both are the same.
+stress p = K t of the output, the tangent is B^T (K / V) B. **Finite strain**, psi(F) = psi_0(F) +
+U(J), with p as an unknown: theory.md, Finite strain. On triangles and tetrahedra of second order N
+would lock. Pressures of tetrahedra, and of hexahedra of first order, alternate.
 
 Sources: Simo, Taylor, Pister, Comput. Methods Appl. Mech. Engrg. 51 (1985) 177-208; T. Sussman,
-K.-J. Bathe, Comput. Struct. 26 (1987) 357-409 (9/3); D. Magisano, L. Leonetti, G. Garcea, Comput.
-Methods Appl. Mech. Engrg. 313 (2017) 986-1005, for p as an unknown.
+K.-J. Bathe, Comput. Struct. 26 (1987) 357-409 (9/3).
 """
 
 from __future__ import annotations
@@ -49,7 +28,6 @@ import numpy as np
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar import compat
-from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import check, one_of
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.response import Response, elastic_response, without_variables
@@ -57,20 +35,19 @@ from dolfinx_mortar.solid.cell_functions import CellFunctions, RowsOfCells
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.kinematics import Kinematics, axisymmetric, plane_strain, spatial
 from dolfinx_mortar.solid.laws import Integral, Region, measure
-from dolfinx_mortar.solid.term import assemble, create_vector
 from dolfinx_mortar.spaces import set_owned
 from ufl.algorithms import expand_derivatives
 from ufl.classes import Label, Variable
 from ufl.core.expr import Expr
 
 CELLS = ("quadrilateral", "hexahedron")
-# Their trace is linear in u, and the change of volume.
+# Their trace is linear in u.
 TRACED = (plane_strain, axisymmetric, spatial)
 
 
 def create_dilatation(
     u: fem.Function, given: Any, integral: Integral, eigenstrain: Eigenstrain | None
-) -> MeanDilatation | MeanVolume | None:
+) -> MeanVolume | None:
     """Volumetric part in the mean, None for "full"; collective.
 
     Raises:
@@ -80,15 +57,13 @@ def create_dilatation(
         return None
     kinematics = integral.kinematics
     check_reducible(u.function_space, integral.regions, kinematics, integral.degree)
-    if kinematics.finite:
-        return MeanVolume(u, integral)
-    return MeanDilatation(u, integral, eigenstrain)
+    return MeanVolume(u, integral, eigenstrain)
 
 
 def check_reducible(
     V: fem.FunctionSpace, regions: Sequence[Region], kinematics: Kinematics, degree: int
 ) -> None:
-    """Raise a ValueError without a volumetric part that could be reduced."""
+    """Raise a ValueError unless a volumetric part can be reduced."""
     cell, p = V.mesh.topology.cell_name(), V.element.basix_element.degree
     laws = [r.law for r in regions]
     whole = ", ".join(k.name for k in laws if k.strain == "finite" and not k.volumetric)
@@ -114,95 +89,21 @@ def check_reducible(
             raise ValueError(f"volumetric is 'reduced', which is for {rule}: choose 'full'")
 
 
-class MeanDilatation:
-    """The volumetric part of bodies with a small strain, in the mean over each cell.
-
-    Attributes:
-        mean_stress: p = K t per cell, a DG0 Function; up to date after `follow`.
-    """
-
-    def __init__(
-        self, u: fem.Function, integral: Integral, eigenstrain: Eigenstrain | None
-    ) -> None:
-        """Assemble B and V; collective."""
-        V = u.function_space
-        Q = fem.functionspace(V.mesh, ("DG", 0))
-        self.mean_stress = fem.Function(Q, name="mean_stress")
-        self._u, self._vector, test = u, create_vector(Q), ufl.TestFunction(Q)
-        trace = ufl.tr(integral.kinematics.virtual(u, ufl.TrialFunction(V)))
-        size, dx = integral.weight * test, measure(V.mesh, integral.degree)
-        B, volumes, self._modulus = compat.compile_together(
-            trace * size * dx,
-            size * dx,
-            integral(bulk_modulus_of(r) * test for r in integral.regions),
-        )
-        self._B = RowsOfCells(B, 1)
-        self._B.assemble()
-        self._volumes = assemble(volumes, self._vector).copy()
-        free = None if eigenstrain is None else ufl.tr(eigenstrain.tensor) * size * dx
-        self._free = None if free is None else fem.form(free)
-        self._bulk = np.zeros_like(self._volumes)
-        self._tangent: tuple[Floats, PETSc.Mat] | None = None
-
-    def complete(self, region: Region, response: Response) -> Response:
-        """Response to a deviator, with p, and a tangent without trace."""
-        return dataclasses.replace(
-            response,
-            stress=response.stress + self.mean_stress * ufl.Identity(3),
-            change=lambda direction: response.change(ufl.dev(direction)),
-        )
-
-    def follow(self) -> None:
-        """Update to the displacement and the parameters of the laws; collective."""
-        self._bulk = assemble(self._modulus, self._vector) / self._volumes
-        change = self._B.times(self._u)[:, 0]
-        if self._free is not None:
-            change -= assemble(self._free, self._vector)
-        self.mean_stress.x.array[: len(change)] = self._bulk * change / self._volumes
-        self.mean_stress.x.scatter_forward()
-
-    def energy(self, along: Any = None) -> float:
-        """Return sum_c K/2 V t^2 over the owned cells, t as of `follow`."""
-        return float((self.densities() * self._volumes).sum())
-
-    def densities(self) -> Floats:
-        """Return K/2 t^2 of the owned cells, per volume, t as of `follow`."""
-        p = self.mean_stress.x.array[: len(self._bulk)]
-        return np.asarray(p**2 / (2 * self._bulk))
-
-    def norm_squared(self, v: fem.Function) -> float:
-        """Return sum_c K / V (B v)^2 over the owned cells; collective."""
-        return float((self._bulk / self._volumes * self._B.times(v)[:, 0] ** 2).sum())
-
-    def add_tangent(self, K: PETSc.Mat) -> None:
-        """Add B^T (K / V) B to a matrix, formed once for given parameters; collective."""
-        same = self._tangent is not None and np.array_equal(self._tangent[0], self._bulk)
-        if any_rank(self._u.function_space.mesh.comm, not same)[0]:
-            self._tangent = None  # before the new one needs the memory
-            product = K.duplicate(copy=False)
-            product.zeroEntries()
-            product.assemble()
-            self._B.add_square((self._bulk / self._volumes)[:, None, None], product)
-            self._tangent = self._bulk, product
-        assert self._tangent is not None
-        K.axpy(1.0, self._tangent[1], PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-
-
 def bulk_modulus_of(region: Region) -> Expr:
-    """Bulk modulus of a law in UFL, K = tr(C : I) / 9."""
+    """K = tr(C : I) / 9 of a law in UFL."""
     return ufl.tr(elastic_response(region.law, ufl.Identity(3), region.symbols)) / 9
 
 
 @dataclass(frozen=True)
 class VolumeStep:
-    """Volumes and pressures along a step u + t du, as linearised at u; N as in `cell_functions`."""
+    """Volumes and pressures along a step u + t du, linearised at u."""
 
     ratio: Floats  # (owned cells, m) coefficients of j at u
-    change: Floats  # (owned cells, m) those of its derivative along du
+    change: Floats  # (owned cells, m) of its derivative along du
     energy: Floats  # (owned cells,) int U(j)
     slope: Floats  # (owned cells, m) int U'(j) N_k
     stiffness: Floats  # (owned cells, m, m) int U''(j) N_k N_l
-    inverse: Floats  # (owned cells, m, m) inverse of int N_k N_l
+    inverse: Floats  # (owned cells, m, m), of int N_k N_l
 
     def slope_at(self, t: float) -> Floats:
         """Integrals (owned cells, m) of p + t U'' dj times N_k."""
@@ -213,7 +114,7 @@ class VolumeStep:
         return np.asarray(np.einsum("ckl,cl->ck", self.inverse, self.slope_at(t)))
 
     def energy_at(self, t: float, ratio: Floats) -> Floats:
-        """Energy of each cell at another j, linear in its difference from the linearisation."""
+        """Energy of each cell at another j, linear about the linearisation."""
         way, slope = t * self.change, self.slope_at(t)
         along = ((self.slope + slope) / 2 * way).sum(axis=1)
         missed = (slope * (ratio - self.ratio - way)).sum(axis=1)
@@ -221,24 +122,27 @@ class VolumeStep:
 
 
 class MeanVolume:
-    """The volumetric part of bodies with a finite strain, by the mean of J over each cell.
+    """The volumetric part by the mean of J over each cell, or of the trace t of a small strain.
 
     Attributes:
-        cells: the functions of a cell onto which J and U'(j) are projected.
-        mean_stress: coefficients of p; up to date after `follow`.
+        cells: the functions onto which J and U'(j) are projected.
+        mean_stress: coefficients of p, as of `follow`.
     """
 
-    def __init__(self, u: fem.Function, integral: Integral) -> None:
+    def __init__(
+        self, u: fem.Function, integral: Integral, eigenstrain: Eigenstrain | None
+    ) -> None:
         """Compile; collective."""
-        V, regions = u.function_space, integral.regions
+        V, regions, self.finite = u.function_space, integral.regions, integral.kinematics.finite
         dx = measure(V.mesh, integral.degree)
         affine = V.element.basix_element.degree > 1 and V.mesh.topology.cell_name() in CELLS
         self.cells = cells = CellFunctions(V.mesh, integral.weight, dx, affine=affine)
         self.mean_stress, self._ratio = (fem.Function(cells.space) for _ in range(2))
-        self._ratio.x.array[:: cells.size] = 1.0
+        self._ratio.x.array[:: cells.size] = float(self.finite)
         self._at = fem.Constant(V.mesh, default_scalar_type(1.0))  # J in derivatives
         self._gradient = integral.kinematics.measure(u)
-        J = ufl.det(self._gradient)
+        J = ufl.det(self._gradient) if self.finite else ufl.tr(self._gradient)
+        J -= 0.0 if eigenstrain is None else ufl.tr(eigenstrain.tensor)
         change = ufl.derivative(J, u, ufl.TrialFunction(V))
         j = cells.field(self._ratio)
         energy, slope, stiffness = ([self._slope(r, k, j) for r in regions] for k in range(3))
@@ -253,16 +157,24 @@ class MeanVolume:
         self._B = RowsOfCells(B, cells.size)
 
     def _slope(self, region: Region, order: int, J: Expr) -> Expr:
-        """A derivative of U at J."""
         at = Variable(self._at, Label(-4))
-        value = volumetric_energy(region, at)
+        value = volumetric_energy(region, at, finite=self.finite)
         for _ in range(order):
             value = ufl.diff(value, at)
         return ufl.replace(without_variables(expand_derivatives(value)), {self._at: J})
 
     def complete(self, region: Region, response: Response) -> Response:
-        """Response with p in place of U'(J), and without U(J) in the energy."""
+        """Response with p in place of U'(J), and without U(J) in the energy.
+
+        The small strain of a response is the deviator.
+        """
         F, p = self._gradient, self.cells.field(self.mean_stress)
+        if not self.finite:
+            return dataclasses.replace(
+                response,
+                stress=response.stress + p * ufl.Identity(3),
+                change=lambda direction: response.change(ufl.dev(direction)),
+            )
 
         def stress(gradient: Expr) -> Expr:
             J = ufl.det(gradient)
@@ -274,36 +186,34 @@ class MeanVolume:
             return response.change(direction) + without_variables(expand_derivatives(slope))
 
         energy = response.energy
-        energy = None if energy is None else energy - volumetric_energy(region, ufl.det(F))
+        energy = (
+            None if energy is None else energy - volumetric_energy(region, ufl.det(F), finite=True)
+        )
         total = response.stress + stress(F)
         return dataclasses.replace(response, stress=total, energy=energy, change=change)
 
     def follow(self) -> None:
-        """Update to the displacement and the parameters of the laws; collective."""
+        """Update to displacement and parameters; collective."""
         cells = self.cells
         set_owned(self._ratio, cells.coefficients(cells.vectors(self._volume_form)))
         self.set_pressure(cells.coefficients(cells.vectors(self._energy_forms[1])))
 
     def set_pressure(self, pressure: Floats) -> None:
-        """Set the coefficients (owned cells, m) of p, until the next `follow`; collective."""
+        """Set the coefficients (owned cells, m) of p until the next `follow`; collective."""
         set_owned(self.mean_stress, pressure)
 
     def energy(self, along: tuple[VolumeStep, float] | None = None) -> float:
-        """Return sum_c int U(j) over the owned cells, j as of `follow`.
-
-        Along a step, at the length t, `VolumeStep.energy_at`.
-        """
+        """Return sum_c int U(j) over the owned cells as of `follow`, or along a step."""
         if along is None:
             return float(self._energies().sum())
         step, t = along
         return float(step.energy_at(t, self.cells.values(self._ratio)).sum())
 
     def _energies(self) -> Floats:
-        """Return int U(j) of the owned cells; collective."""
         return self.cells.vectors(self._energy_forms[0])[:, 0]
 
     def densities(self) -> Floats:
-        """Mean of U(j) over each owned cell, per volume at X, j as of `follow`."""
+        """Mean of U(j) over each owned cell, per volume at X."""
         return self._energies() / self.cells.volumes
 
     def step_along(self, v: fem.Function) -> VolumeStep:
@@ -321,7 +231,7 @@ class MeanVolume:
         )
 
     def norm_squared(self, v: fem.Function) -> float:
-        """Return sum_c int K (B v / V)^2 over the owned cells, K that of small strains."""
+        """Return sum_c int K (B v / V)^2 over the owned cells, K at small strain."""
         self._B.assemble()
         change = self.cells.coefficients(self._B.times(v))
         bulk = self.cells.matrices(self._bulk_form)
@@ -334,9 +244,9 @@ class MeanVolume:
         self._B.add_square(inverse @ stiffness @ inverse, K)
 
 
-def volumetric_energy(region: Region, J: Expr) -> Expr:
-    """U(J) of a law of F, K/2 (ln J)^2 of a law that splits."""
+def volumetric_energy(region: Region, J: Expr, *, finite: bool) -> Expr:
+    """U(J) of a law of F, K/2 (ln J)^2 of a law that splits, K/2 t^2 of a small strain."""
     if region.law.strain == "finite":
         assert region.law.volumetric is not None
         return region.law.volumetric(J, region.symbols)
-    return bulk_modulus_of(region) / 2 * ufl.ln(J) ** 2
+    return bulk_modulus_of(region) / 2 * (ufl.ln(J) if finite else J) ** 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Fields at the integration points as arrays: stress, internal variables, norms, energies."""
+"""Fields at the integration points: stress, internal variables, norms, energies."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -13,26 +13,34 @@ import numpy as np
 
 import ufl
 from dolfinx import fem, mesh
-from dolfinx_mortar.algebra.errors import raised_together
+from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import check, instance
-from dolfinx_mortar.arrays import Ints
+from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.materials.protocol import Law
 from dolfinx_mortar.materials.response import Response
 from dolfinx_mortar.materials.tensor import COMPONENTS, frobenius_norm, vector_norm, von_mises
-from dolfinx_mortar.solid.laws import Region, measure, tags_of_cells
-from dolfinx_mortar.solid.sources import Part, create_source, fill_all, point_function
+from dolfinx_mortar.solid.laws import Region, create_state, measure, tags_of_cells
+from dolfinx_mortar.solid.pointwise import PointValuesOfRegion, fill_point_values
+from dolfinx_mortar.solid.sources import (
+    Followed,
+    Part,
+    Source,
+    create_field,
+    create_source,
+    fill_all,
+    follow_changed,
+    point_function,
+)
 from dolfinx_mortar.tags import names_of
 
-# Zero where no law has them: scripts need not know the materials. Name -> whether it is a tensor.
+# Zero where no law defines them. Name -> whether it is a tensor.
 PLASTIC_FIELDS = {"plastic_strain": True, "back_stress": True, "plastic": False}
-# The name under which the literature plots a quantity -> ours.
+# Name in the literature -> name here.
 ALIASES = {"hardening": "back_stress_vector_norm"}
 
 
 class PointFields:
-    """Values of quadrature Functions and derived quantities on the owned cells.
-
-    Nothing is compiled but the integration weights: all derived fields are NumPy expressions.
-    """
+    """Quadrature Functions and derived quantities on the owned cells."""
 
     def __init__(
         self,
@@ -42,7 +50,7 @@ class PointFields:
         degree: int,
         weight: Callable[[Any], Any],
     ) -> None:
-        """Keep references to the quadrature Functions, compile the weights; collective."""
+        """Compile the weights; collective."""
         self._stored = {"stress": stress, **state}
         self._regions = regions
         self.degree = degree
@@ -55,7 +63,7 @@ class PointFields:
 
     @cached_property
     def bases(self) -> dict[str, tuple[int, ...]]:
-        """Shapes, (components,) or (), of stress, state and the laws' own output by name."""
+        """Shapes, (components,) or (), of stress, state and output."""
         shapes: dict[str, tuple[int, ...]] = {
             name: (len(self._components),) if f.function_space.dofmap.bs > 1 else ()
             for name, f in self._stored.items()
@@ -72,7 +80,7 @@ class PointFields:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of all fields, scalars and tensors, without the single components."""
+        """Names of all fields without single components."""
         norms = [
             f"{name}_{norm}"
             for name, shape in self.bases.items()
@@ -84,7 +92,7 @@ class PointFields:
 
     @property
     def scalars(self) -> list[str]:
-        """All names of scalars, norms and components of tensors, too, that pictures can show."""
+        """Names of all scalars, with norms and components of tensors."""
         size = (len(self._components),)
         missing = {name: size if tensor else () for name, tensor in PLASTIC_FIELDS.items()}
         shapes = missing | self.bases
@@ -96,18 +104,17 @@ class PointFields:
         return list(dict.fromkeys(["von_mises", *stored, *ALIASES, *of_tensors]))
 
     def values(self, name: str) -> np.ndarray:
-        """Return a field on the owned cells: (cells, points) or (cells, points, components).
+        """Field on the owned cells: (cells, points) or (cells, points, components).
 
         Args:
-            name: a stored field ("stress", "plastic_strain", or a law's own internal variable or
-                output such as "back_stress"), "plastic" (one where there is plastic strain, zero
-                elsewhere), "von_mises", a tensor's name followed by "_norm" (Frobenius),
-                "_vector_norm" (stored components, shear once) or a component ("stress_yy"), or
-                "hardening", the vector norm of the back stress. What only plasticity has is zero in
-                elastic bodies.
+            name: a stored field ("stress", "plastic_strain", an internal variable or output of a
+                law such as "back_stress"), "plastic" (1 where there is plastic strain, else 0),
+                "von_mises", a tensor's name with "_norm" (Frobenius), "_vector_norm" (stored
+                components, shear once) or a component ("stress_yy"), or "hardening", the vector
+                norm of the back stress. Fields of plasticity are zero in elastic bodies.
 
         Raises:
-            ValueError: if no law has that field, or a law gives NaN on this rank.
+            ValueError: for an unknown field, or NaN of a law on this rank.
         """
         check("name", name, instance(str, f"give one of {', '.join(self.names)}"))
         if name in self.bases:
@@ -125,12 +132,10 @@ class PointFields:
         return self._base(name)
 
     def _is_tensor(self, name: str) -> bool:
-        """Tell whether a name stands for a symmetric tensor, here or in other bodies."""
         shape = self.bases.get(name, ())
         return shape == (len(self._components),) or PLASTIC_FIELDS.get(name, False)
 
     def _base(self, name: str) -> np.ndarray:
-        """Return a stored field or one that the laws derive, zero where a law has none."""
         if name in self._stored:
             return self._at_points(self._stored[name])
         if name not in self.bases and name not in PLASTIC_FIELDS:
@@ -149,13 +154,12 @@ class PointFields:
         return result
 
     def _at_points(self, f: fem.Function) -> np.ndarray:
-        """Return a quadrature Function on the owned cells, (cells, points[, components])."""
+        """Quadrature Function on the owned cells, (cells, points[, components])."""
         dofmap = f.function_space.dofmap
         values = f.x.array.reshape(-1, dofmap.bs)[dofmap.list[: self._owned]]
         return values[..., 0] if dofmap.bs == 1 else values
 
     def _output(self, region: Region, cells: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the derived fields of a region's law in some of its cells, cell by cell."""
         state = {}
         for name in region.law.state:
             values = self._at_points(self._stored[name])[cells]
@@ -168,19 +172,19 @@ class PointFields:
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """Integration weights (cells, points) of the kinematics; their sum is the volume."""
+        """Integration weights (cells, points); their sum is the volume."""
         form, places = self._weights
         return np.asarray(fem.assemble_vector(form).array[places[: self._owned]])
 
     def _values_everywhere(self, name: str) -> np.ndarray:
-        """Return a field; an error of a law on one rank is raised on all; collective."""
+        """`values`, with errors of one rank raised on all; collective."""
         values = np.zeros(0)
         with raised_together(self._mesh.comm):
             values = self.values(name)
         return values
 
     def max(self, name: str) -> float:
-        """Return the largest value of a scalar field over all points and ranks."""
+        """Largest value of a scalar field over all ranks."""
         values = self._values_everywhere(name)
         if values.ndim > 2:
             raise ValueError(
@@ -190,13 +194,13 @@ class PointFields:
         return self._mesh.comm.allreduce(largest, op=MPI.MAX)
 
     def integral(self, name: str) -> float:
-        """Return the integral of a scalar field over the bodies, summed over the ranks."""
+        """Integral of a scalar field over all ranks."""
         return self._mesh.comm.allreduce(
             float(np.sum(self._values_everywhere(name) * self.weights)), op=MPI.SUM
         )
 
     def cell_values(self, name: str) -> fem.Function:
-        """Return the cell averages of a field in a DG0 Function, kept and refilled per name."""
+        """Cell averages as a DG0 Function, one per name and refilled."""
         values, weights = self._values_everywhere(name), self.weights
         if name not in self._averages:
             shape = values.shape[2:]
@@ -214,7 +218,7 @@ class PointFields:
 def _compile_weights(
     domain: mesh.Mesh, degree: int, weight: Callable[[Any], Any]
 ) -> tuple[fem.Form, Ints]:
-    """Return the form of the integration weights, and where its vector has those of the cells."""
+    """Form of the integration weights, and the cells' entries in its vector."""
     Q = point_function(domain, degree).function_space
     factor = ufl.as_ufl(weight(ufl.SpatialCoordinate(domain)))
     return fem.form(factor * ufl.TestFunction(Q) * measure(domain, degree)), Q.dofmap.list
@@ -225,17 +229,16 @@ STORED, DISSIPATED = "stored_energy", "dissipated_energy"
 
 @dataclass(frozen=True)
 class Energies:
-    """What a body has stored, and dissipated since the start; per thickness in the plane."""
+    """Stored energy, and dissipation since the start; per thickness in the plane."""
 
     stored: float
     dissipated: float
 
 
 class EnergyDensities:
-    """Densities per volume at X, at the integration points, for every law with a potential.
+    """Densities per volume at X, at the integration points, for laws with a potential.
 
-    The potential of a step, psi(eps; state_n), is the least sum of the energy that is stored at its
-    end and of what is dissipated in it; at the state that it has led to nothing flows, so that
+    The potential psi(eps; state_n) is the minimum of stored energy plus dissipation:
 
         stored     = psi(eps; state),
         dissipated = psi(eps; state_n) - psi(eps; state),     added up over the steps.
@@ -254,7 +257,7 @@ class EnergyDensities:
         *,
         of_volume: Callable[[], np.ndarray] | None = None,
     ) -> None:
-        """Compile the potentials, with a density (owned cells,) of what they leave out; collective.
+        """Compile the potentials; `of_volume` gives densities (owned cells,) to add; collective.
 
         Raises:
             ValueError: if a law has no potential.
@@ -282,12 +285,9 @@ class EnergyDensities:
         staged: Mapping[str, fem.Function],
         follow: Callable[[], None],
     ) -> None:
-        """Evaluate what is stored, and add to what is dissipated; collective.
+        """Evaluate the stored energy, and add to the dissipated; collective.
 
-        Args:
-            committed: internal variables at the start of the step.
-            staged: those at its end.
-            follow: takes over what has changed at the points.
+        `committed` and `staged`: internal variables at the start and end of the step.
         """
         fill_all(self._mesh.comm, self._sources)
         potential = self.stored.x.array.copy()
@@ -309,7 +309,7 @@ class EnergyDensities:
             self.stored.x.scatter_forward()
 
     def by_body(self, fields: PointFields) -> dict[int | str, Energies]:
-        """Return the energies of the cells of each tag, by its name if it has one; collective."""
+        """Energies by tag or name of cells; collective."""
         domain, named = self._mesh, self._cell_tags
         owned = domain.topology.index_map(domain.topology.dim).size_local
         tags = np.zeros(owned, dtype=np.int64)
@@ -324,3 +324,93 @@ class EnergyDensities:
         names = {} if named is None else {tag: name for name, tag in names_of(named).items()}
         keys = [names.get(int(tag), int(tag)) for tag in every]
         return {key: Energies(*map(float, row)) for key, row in zip(keys, sums, strict=True)}
+
+
+class PointState:
+    """Internal variables, committed and of the last `evaluate`, stress, and their data.
+
+    Attributes:
+        committed: internal variables at the start of the step, by name.
+        staged: those of the last `evaluate`.
+        shown: other Functions filled by `evaluate`, by name.
+        followed: the parameters of the laws and the eigenstrain.
+        densities: energies, if requested.
+    """
+
+    found: Mapping[Law, PointValuesOfRegion]
+    evaluations: Sequence[Source]
+    densities: EnergyDensities | None = None
+
+    def __init__(
+        self, regions: Sequence[Region], degree: int, eigenstrain: Followed | None, energies: bool
+    ) -> None:
+        domain = regions[0].mesh
+        self.committed = create_state(regions, domain, degree)
+        if energies:
+            self.committed[DISSIPATED] = create_field(domain, degree, (), DISSIPATED)
+        self.staged = {name: f.copy() for name, f in self.committed.items()}
+        self.stress = create_field(domain, degree, (3, 3), "stress")
+        self.shown: dict[str, fem.Function] = {}
+        self.followed: list[Followed] = [region.parameters for region in regions]
+        self.followed += [] if eigenstrain is None else [eigenstrain]
+        self._comm = domain.comm
+
+    @property
+    def follows(self) -> bool:
+        """Whether parameters or the eigenstrain may change."""
+        return any(one.varying for one in self.followed)
+
+    def follow(self, dilatation: Callable[[], None] | None) -> None:
+        """Update data, then the mean dilatation, then the laws; collective."""
+        follow_changed(self._comm, self.followed)
+        if dilatation is not None:
+            dilatation()
+        fill_point_values(self._comm, self.found)
+
+    def evaluate(self, follow: Callable[[], None]) -> None:
+        """Evaluate stress and internal variables, or change nothing; collective."""
+        fill_point_values(self._comm, self.found, at_end=True)
+        if self.densities is None:
+            fill_all(self._comm, self.evaluations)
+            return
+        kept = self.keep()
+        try:
+            fill_all(self._comm, self.evaluations)
+            self.densities.fill(self.committed, self.staged, follow)
+        except BaseException:
+            self.put_back(kept)
+            raise
+
+    def commit(self) -> None:
+        """Commit the internal variables of the last `evaluate`."""
+        for name, staged in self.staged.items():
+            self.committed[name].x.array[:] = staged.x.array
+
+    def keep(self) -> list[tuple[fem.Function, Floats]]:
+        """Copies of results, state and parameters, for `put_back`."""
+        functions = [*self.lasting_fields().values(), *(one.function for one in self.followed)]
+        return [(f, f.x.array.copy()) for f in functions]
+
+    def put_back(self, kept: list[tuple[fem.Function, Floats]]) -> None:
+        """Restore the results of `keep`; not collective."""
+        for f, values in kept:
+            f.x.array[:] = values
+        for followed in self.followed:
+            followed.forget()
+
+    def lasting_fields(self) -> dict[str, fem.Function]:
+        """Fields of a checkpoint, by name."""
+        committed = {f"committed/{name}": f for name, f in self.committed.items()}
+        shown = {f"shown/{name}": f for name, f in self.staged.items()}
+        return {"stress": self.stress} | committed | self.shown | shown
+
+    def flowing(self) -> Bools:
+        """Points (owned cells, points) whose state has changed."""
+        space = self.stress.function_space
+        cells = space.mesh.topology.index_map(space.mesh.topology.dim).size_local
+        changed = np.zeros((cells, space.dofmap.list.shape[1]), dtype=bool)
+        for name, staged in self.staged.items():
+            dofmap = staged.function_space.dofmap
+            differs = staged.x.array != self.committed[name].x.array
+            changed |= differs.reshape(-1, dofmap.bs).any(axis=1)[dofmap.list[:cells]]
+        return changed

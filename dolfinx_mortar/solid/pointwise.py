@@ -13,14 +13,17 @@ import numpy as np
 import ufl
 from dolfinx import fem, jit
 from dolfinx_mortar import compat
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.kernels import ANYWHERE, Kernel, kernel_of
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw, Start
-from dolfinx_mortar.materials.plane_stress import solve
 from dolfinx_mortar.materials.protocol import Law, ungrouped
-from dolfinx_mortar.materials.response import Response, respond, values_at_points
+from dolfinx_mortar.materials.response import (
+    Response,
+    respond,
+    solve_normal_strain,
+    values_at_points,
+)
 from dolfinx_mortar.materials.tensor import COMPONENTS, GRADIENT, INDEX, stored, tensor_of
 from dolfinx_mortar.solid.laws import Region
 from dolfinx_mortar.solid.sources import create_field, middle_of, point_function
@@ -28,13 +31,11 @@ from ufl.core.expr import Expr
 
 
 class PointValuesOfRegion(ABC):
-    """Values at the points of a region, found before assembly.
+    """Values at the points of a region, computed before assembly.
 
     Attributes:
-        region: the law and its cells.
         response: of the law, in terms of these values.
-        normal: in plane stress the strain, or the stretch less 1, out of the plane; zero in other
-            regions.
+        normal: z in plane stress, else zero.
     """
 
     response: Response
@@ -48,7 +49,7 @@ class PointValuesOfRegion(ABC):
         inputs: Sequence[fem.Function],
         degree: int,
     ) -> None:
-        """Create the Functions to be filled by functions of the inputs; collective."""
+        """Create the Functions, which depend on the inputs; collective."""
         self.region = region
         self._mesh = region.mesh
         self._committed = {name: state[name] for name in region.law.state}
@@ -62,25 +63,20 @@ class PointValuesOfRegion(ABC):
 
     @abstractmethod
     def _evaluate(self) -> None:
-        """Fill the Functions; an error leaves them as before."""
+        """Fill the Functions; an error leaves them unchanged."""
 
     def fill(self) -> None:
-        """Evaluate the law if an input has changed; without communication.
-
-        Raises:
-            ValueError: if the law fails.
-        """
+        """Evaluate the law if an input has changed, or raise a ValueError; not collective."""
         now = [f.x.array for f in self._inputs]
         if len(self._seen) != len(now) or not all(map(np.array_equal, now, self._seen)):
             self._evaluate()
             self._seen = self._copies(now)
 
     def _copies(self, now: list[Floats]) -> list[Floats]:
-        """Copies of the evaluated inputs."""
         return [values.copy() for values in now]
 
     def settle(self) -> None:  # noqa: B027 - most have evaluated everything by then
-        """Evaluate the values that only the end of a step needs; without communication."""
+        """Evaluate the values needed at the end of a step only; not collective."""
 
     def _state(self) -> dict[str, Floats]:
         """Committed internal variables at the points, (q,) or (q, 3, 3)."""
@@ -91,25 +87,22 @@ class PointValuesOfRegion(ABC):
         return found
 
     def _rows(self, f: fem.Function) -> Ints:
-        """Points of the region, rows of the values of a Function at points."""
         return np.asarray(f.function_space.dofmap.list[self.region.cells].ravel())
 
     def _set(self, f: fem.Function, values: Floats) -> None:
-        """Set a Function at the points: values (q,), (q, components) or tensors (q, 3, 3)."""
+        """Set a Function at the points from values or tensors (q, 3, 3)."""
         size = f.function_space.dofmap.bs
         values = stored(values, size) if values.ndim == 3 else values.reshape(-1, size)
         f.x.array.reshape(-1, size)[self._rows(f)] = values
 
     def _evaluated(self, expression: fem.Expression, cells: Ints) -> Floats:
-        """Values of an expression in cells, point by point."""
         return np.asarray(expression.eval(self._mesh, cells))
 
 
 class NormalStrain(PointValuesOfRegion):
-    """The strain, or the stretch less 1, out of the plane without stress, of a law in UFL."""
+    """The strain (stretch less 1) z in plane stress, of a law in UFL."""
 
     def _create(self, strain: Expr, degree: int) -> None:
-        """Create the Function and compile its equation; collective."""
         region = self.region
         self.normal = create_field(self._mesh, degree, (), "strain_out_of_the_plane")
         committed = region.tensors(self._committed)
@@ -125,7 +118,6 @@ class NormalStrain(PointValuesOfRegion):
         self._start = None if start is None else fem.Expression(start, points)
 
     def _evaluate(self) -> None:
-        """Solve the equation at all points, or take its root from the law."""
         assert self.normal is not None
         cells, values = self.region.cells, self.normal.x.array
         dofs = self.normal.function_space.dofmap.list[cells]
@@ -142,17 +134,18 @@ class NormalStrain(PointValuesOfRegion):
         if self._start is not None:
             start = self._evaluated(self._start, cells).reshape(dofs.shape)
         try:
-            values[dofs] = solve(law.name, equation, dofs.shape, finite=finite, start=start)
+            values[dofs] = solve_normal_strain(
+                law.name, equation, dofs.shape, finite=finite, start=start
+            )
         except ValueError:
             values[:] = before
             raise
 
 
 class PointwiseFields(PointValuesOfRegion):
-    """Stress, upper triangle of the tangent and new state of a law of arrays; energy at F."""
+    """Stress, upper triangle of the tangent, state and energy of a law of arrays."""
 
     def _create(self, strain: Expr, degree: int) -> None:
-        """Create the Functions; compile the strain, or F; collective."""
         law, domain = self.region.law, self._mesh
         with raised_together(domain.comm):
             self._finite, has_energy = self._create_law()
@@ -175,11 +168,10 @@ class PointwiseFields(PointValuesOfRegion):
         return finite, finite and self.region.law.energy is not None
 
     def _wanted(self, strain: Expr) -> Expr:
-        """Expressions to be evaluated at the points before the law."""
+        """Expressions evaluated at the points before the law."""
         return ufl.as_vector([strain[entry] for entry in self._entries])
 
     def _tensor(self, entries: Sequence[Expr]) -> Expr:
-        """3x3 tensor of stored entries."""
         rows: list[list[Expr]] = [[ufl.as_ufl(0.0)] * 3 for _ in range(3)]
         for (i, j), entry in zip(self._entries, entries, strict=True):
             rows[i][j] = entry
@@ -188,20 +180,18 @@ class PointwiseFields(PointValuesOfRegion):
         return ufl.as_tensor(rows)
 
     def _change(self, direction: Expr) -> Expr:
-        """The tangent times a direction, 3x3."""
         number = {pair: k for k, pair in enumerate(_pairs(len(self._entries)))}
         sums = []
         for a in range(len(self._entries)):
             terms = []
             for b, (i, j) in enumerate(self._entries):
-                times = 1 if self._finite or i == j else 2  # a stored shear is two components
+                times = 1 if self._finite or i == j else 2
                 upper = self._tangent[number[min(a, b), max(a, b)]]
                 terms.append(upper * times * direction[i, j])
             sums.append(sum(terms))
         return self._tensor(sums)
 
     def _evaluate(self) -> None:
-        """Call the law."""
         region, (rows, columns) = self.region, np.array(self._entries).T
         points = self._stress.function_space.dofmap.list.shape[1]
         strain = np.zeros((len(region.cells) * points, 3, 3))
@@ -224,7 +214,6 @@ class PointwiseFields(PointValuesOfRegion):
                 self._set(f, values)
 
     def _judge(self, bad: Bools, strain: Floats, what: str) -> None:
-        """Raise a ValueError if something is wrong at some points, naming the first."""
         wrong = np.flatnonzero(bad)
         if wrong.size:
             points = self._stress.function_space.dofmap.list.shape[1]
@@ -243,39 +232,35 @@ INSIDE_OUT, UNDEFINED = "is not called where det F is not positive:", "gives NaN
 
 
 class LogarithmicFields(PointwiseFields):
-    """Energy, stress P, tangent and new state of a law of a small strain at F.
-
-    Internal variables are evaluated at the end of a step only.
-    """
+    """Energy, P, tangent and, at the end, new state of a small-strain law at F."""
 
     def _create_law(self) -> tuple[bool, bool]:
-        """Compile the law once for all ranks, or load it from the cache; collective."""
+        """Compile the law once for all ranks, or load it; collective."""
 
         def compiled(vector: Expr) -> Kernel:
             found, module, _ = jit.ffcx_jit(self._mesh.comm, (vector, ANYWHERE))
             return kernel_of(found, module, vector)
 
         names, d = list(ungrouped(self.region.symbols)), self._mesh.geometry.dim
-        law = replace(self.region.law, plane_stress=False)  # H_zz is found here
+        law = replace(self.region.law, plane_stress=False)  # H_zz is an unknown here
         self._law = LogarithmicLaw(law, names, dimension=d, jit=compiled)
         self._start: tuple[list[Floats], Start] | None = None
         self._gradients = np.zeros((0, 3, 3))
         return True, self._law.has_energy
 
     def _wanted(self, strain: Expr) -> Expr:
-        """Return F - I, row by row, affine in u: strains may be far below round-off of 1."""
+        """F - I, row by row: strains may be far below round-off of 1."""
         u = self._inputs[0]
         H = ufl.derivative(strain, u, u)
         return ufl.as_vector([H[i, j] for i in range(3) for j in range(3)])
 
     def _evaluate(self) -> None:
-        """Evaluate energy, stress and tangent."""
         found = self._evaluated(self._strain, self.region.cells)
         H = np.ascontiguousarray(found).reshape(-1, 3, 3)
         start = self._start_of_step()
         if self.normal is not None:
             self._law.find_normal(start, H)
-        self._seen = []  # a failing law leaves its values
+        self._seen = []  # invalid until the law succeeds
         functions = [self._stress, self._tangent]
         functions += [] if self._energy is None else [self._energy]
         P, A, *psi = targets = [self._table(f) for f in functions]
@@ -294,14 +279,13 @@ class LogarithmicFields(PointwiseFields):
         self._gradients = H
 
     def _table(self, f: fem.Function) -> Floats:
-        """Space for values (q, components) of a Function, a view if points are in order."""
+        """Storage (q, components), a view if points are in order."""
         rows, table = self._rows(f), f.x.array.reshape(-1, f.function_space.dofmap.bs)
         if len(rows) and np.array_equal(rows, np.arange(rows[0], rows[0] + len(rows))):
             return np.asarray(table[rows[0] : rows[0] + len(rows)])
         return np.empty((len(rows), table.shape[1]))
 
     def _copies(self, now: list[Floats]) -> list[Floats]:
-        """Copies of the inputs; the last ones are those of the start of the step."""
         assert self._start is not None
         kept = self._start[0]
         return [*(values.copy() for values in now[: len(now) - len(kept)]), *kept]
@@ -313,13 +297,12 @@ class LogarithmicFields(PointwiseFields):
             self._set(f, new[name])
 
     def stress_lost(self) -> Floats:
-        """Stress lost (q,), see `LogarithmicLaw`; none of a law without memory."""
+        """Error of the stress (q,), see `LogarithmicLaw`; zero without memory."""
         if not self.region.law.state:
             return np.zeros(0)
         return self._law.stress_lost(self._start_of_step(), self._gradients)
 
     def _start_of_step(self) -> Start:
-        """Data of the points at the start of the step."""
         functions = [*self._committed.values(), self.region.parameters.function]
         now = [f.x.array for f in functions]
         if self._start is None or not all(map(np.array_equal, now, self._start[0])):
@@ -340,10 +323,7 @@ def create_point_values(
     *,
     finite: bool = False,
 ) -> dict[Law, PointValuesOfRegion]:
-    """Values found at points before each assembly, by law; collective.
-
-    The strain is F where strains are finite.
-    """
+    """Values computed at points before each assembly; of F if `finite`; collective."""
     found: dict[Law, PointValuesOfRegion] = {}
     for region in regions:
         kind: type[PointValuesOfRegion]
@@ -362,11 +342,7 @@ def create_point_values(
 def fill_point_values(
     comm: MPI.Comm, found: Mapping[Law, PointValuesOfRegion], *, at_end: bool = False
 ) -> None:
-    """Evaluate where something has changed, at the end of a step what that needs; collective.
-
-    Raises:
-        ValueError: on all ranks, if a law fails on any.
-    """
+    """Evaluate changed ones, `at_end` completely; a ValueError on all ranks; collective."""
     if found:
         with raised_together(comm):
             for values in found.values():
@@ -393,21 +369,20 @@ def largest_stress_lost(
 
 
 def _pairs(size: int) -> list[tuple[int, int]]:
-    """Rows and columns of the upper triangle, row by row."""
     return [(i, j) for i in range(size) for j in range(i, size)]
 
 
 def packed(tangent: Floats, entries: Sequence[tuple[int, int]]) -> Floats:
-    """Upper triangle of the symmetric part of tangents (q, 3, 3, 3, 3), row by row."""
+    """Upper triangle of tangents (q, 3, 3, 3, 3), symmetrised, row by row."""
     a, b = np.array(_pairs(len(entries))).T
-    at = np.array(entries) @ [3, 1]  # number of an entry among nine
+    at = np.array(entries) @ [3, 1]
     terms = np.stack([9 * at[a] + at[b], 9 * at[b] + at[a]], axis=1)
     return np.asarray(_means(np.ascontiguousarray(tangent).reshape(len(tangent), 81), terms))
 
 
 @numba.njit(cache=True)
 def _means(values, terms):  # type: ignore[no-untyped-def]
-    """Means (q, t) of columns terms (t, 2) of values (q, n), faster than NumPy."""
+    """Means (q, t) of columns terms (t, 2) of values (q, n)."""
     means = np.empty((len(values), len(terms)))
     for q in range(len(values)):
         for t in range(len(terms)):

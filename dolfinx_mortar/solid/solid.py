@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The bodies: materials on cell tags, committed state, energy, residual and tangent.
+"""Bodies: materials on cell tags, committed state, energy, residual and tangent.
 
-A step ends with `evaluate`, which shows its results, and is accepted by `commit`. The compiled code
-depends on the cell type and the laws, not on the mesh, the tags or the values of the parameters.
+The compiled code depends on the cell type and the laws only.
 """
 
 import math
@@ -19,30 +18,33 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx.mesh import CellType, Mesh, MeshTags
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.arguments import FLAG, check, instance, integer
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials import Material
-from dolfinx_mortar.materials.plane_stress import with_normal_stretch
+from dolfinx_mortar.materials.response import with_normal_stretch
 from dolfinx_mortar.solid.eigenstrain import create_eigenstrain
 from dolfinx_mortar.solid.forms import Forms, create_responses
 from dolfinx_mortar.solid.gradients import PointGradients, Volumes, as_cauchy, check_finite
 from dolfinx_mortar.solid.kinematics import Kinematics, check_radius, choose_kinematics
 from dolfinx_mortar.solid.laws import Integral, create_evaluations, create_regions
 from dolfinx_mortar.solid.mean_volume import (
-    MeanDilatation,
-    MeanVolume,
     VolumeStep,
     create_dilatation,
 )
-from dolfinx_mortar.solid.points import DISSIPATED, STORED, Energies, EnergyDensities, PointFields
+from dolfinx_mortar.solid.points import (
+    DISSIPATED,
+    STORED,
+    Energies,
+    EnergyDensities,
+    PointFields,
+    PointState,
+)
 from dolfinx_mortar.solid.pointwise import create_point_values, normal_strain
-from dolfinx_mortar.solid.state import PointState
 from dolfinx_mortar.solid.term import Term, assemble
 from dolfinx_mortar.spaces import check_real, check_space
 
-# Written first, if a law has them; then all internal variables and the output of the laws.
+# Written first.
 OUTPUT_FIELDS = (
     *("stress", "von_mises", "plastic_strain", "plastic_strain_norm"),
     *("back_stress_norm", "hardening"),
@@ -60,9 +62,9 @@ class Solid(Term):
         kinematics: strain measure, weight and rigid motions; plane strain in 2D.
         volumetric: integration of the volumetric part, "full" or "reduced".
         regions: the cells of each law, with its parameters.
-        eigenstrain: at the integration points, or None; laws see the strain less it.
-        stress: quadrature Function, stored as tensors of `state` are; Cauchy's at finite strain.
-        fields: results of `evaluate`, committed or not, at the integration points.
+        eigenstrain: at the integration points, or None; subtracted from the strain.
+        stress: quadrature Function, stored as tensors of `state`; Cauchy's at finite strain.
+        fields: results of `evaluate` at the integration points.
         gradients: strain and rotation at u, at the integration points.
         volumes: J = det F at the integration points, None at small strain.
         points: state and results at the integration points.
@@ -86,37 +88,34 @@ class Solid(Term):
 
         Args:
             u: displacement, a vector Lagrange Function of degree 1 or 2.
-            materials: one law for all cells, or a law per cell tag, or its name.
+            materials: one law for all cells, or a law per cell tag or name.
             cell_tags: tags of the cells, see `Tags` for names; needed with a law per tag.
             quadrature_degree: None means 2(p - 1), at least 1, on simplices and 2p on
                 quadrilaterals and hexahedra, p the degree of u.
             kinematics: "plane_strain" (the default in 2D), "plane_stress" (thin plates, forces per
-                thickness), "axisymmetric" (x[0] is the radius r, x[1] the axis z; strains, stresses
-                and loads are in the order r, z, theta, forces, energies and volumes those of the
-                whole ring), "spatial" (the only choice in 3D), or a `Kinematics`.
-            eigenstrain: strain without stress (thermal, of a fit, initial), which is subtracted
-                from the strain before laws are evaluated: a scalar (the same in all three
-                directions) or a 3x3 tensor, as a number, an array, a Constant, a Function or UFL of
-                these and of the coordinates; or a dictionary of such by cell tag or name, zero at
-                other tags. Its data may change between steps, in ``on_time`` of `load_steps`.
-            volumetric: "full", or "reduced" (mean dilatation) for quadrilaterals and hexahedra,
-                which then do not lock where their volume hardly changes, see `mean_volume`. For
-                laws that split into a deviator and a trace, see `Material`. At finite strain also
-                for other cells of degree 2.
+                thickness), "axisymmetric" (x[0] is the radius r, x[1] the axis z; components in the
+                order r, z, theta; forces, energies and volumes of the whole ring), "spatial" (the
+                only choice in 3D), or a `Kinematics`.
+            eigenstrain: strain without stress (thermal, misfit, initial): a scalar (isotropic) or a
+                3x3 tensor, as a number, an array, a Constant, a Function or UFL of these and of the
+                coordinates; or a dictionary of such by cell tag or name, zero at other tags. Its
+                data may change between steps, in ``on_time`` of `load_steps`.
+            volumetric: "full", or "reduced" (mean dilatation) against volumetric locking of
+                quadrilaterals and hexahedra, see `mean_volume`; at finite strain also for other
+                cells of degree 2. For laws that split, see `Material`.
             strain: "small", or "finite" for large rotations and strains of more than a few percent:
-                laws are functions of the deformation gradient F = I + grad u, and the internal
-                virtual work is int P : dF[v] dX. Without eigenstrain.
-            energies: whether stored and dissipated energies are evaluated at the end of each step,
-                for `energies`, and as the fields "stored_energy" and "dissipated_energy". All laws
-                need a potential.
+                laws are functions of F = I + grad u, the internal virtual work is int P : dF[v] dX.
+                Without eigenstrain.
+            energies: whether stored and dissipated energies are evaluated in each step, for
+                `energies` and the fields "stored_energy" and "dissipated_energy"; all laws need a
+                potential.
 
         Raises:
             ValueError: on all ranks, naming an argument that is wrong or differs between ranks; for
-                a mesh beyond the axis; for a law that lacks a part, raises, or returns something of
-                the wrong name or shape, with law and part.
+                a mesh beyond the axis; for a law with missing or wrong parts.
         """
         check("u", u, instance(fem.Function, "give the displacement, a dolfinx.fem.Function"))
-        # before anything collective
+        # before any collective call
         self.given = {"materials": materials, "eigenstrain": eigenstrain}
         check_same_on_all_ranks(
             u.function_space.mesh.comm,
@@ -147,12 +146,11 @@ class Solid(Term):
         self._compile(integral, cell_tags)
 
     def _compile(self, integral: Integral, cell_tags: MeshTags | None) -> None:
-        """Compile the forms, and the evaluation at points; collective."""
         u, degree, finite = self.u, integral.degree, self.kinematics.finite
         dilatation = create_dilatation(u, self.volumetric, integral, self.eigenstrain)
         measured, points = self.kinematics.measure(u), self.points
         seen = measured if self.eigenstrain is None else measured - self.eigenstrain.tensor
-        if isinstance(dilatation, MeanDilatation):  # laws, pointwise ones too, get the deviator
+        if dilatation is not None and not finite:  # laws, pointwise ones too, get the deviator
             seen = ufl.dev(seen)
         inputs = [u] if self.eigenstrain is None else [u, self.eigenstrain.function]
         how = self.regions, seen, self.state
@@ -201,7 +199,7 @@ class Solid(Term):
 
     @property
     def state(self) -> Mapping[str, fem.Function]:
-        """Committed internal variables by name, quadrature Functions: a step starts from them.
+        """Internal variables at the start of the step by name, quadrature Functions.
 
         Tensors are stored as (xx, yy, zz, xy) in 2D, which are (rr, zz, theta theta, rz) of a ring,
         and (xx, yy, zz, xy, yz, xz) in 3D, the shear being the tensor component.
@@ -215,7 +213,7 @@ class Solid(Term):
 
     @property
     def linear(self) -> bool:  # type: ignore[override]
-        """Whether all laws and the strain are linear: constant parameters, constant tangent."""
+        """Whether the tangent is constant: laws, strain and parameters."""
         return self.gradients.small and all(region.law.linear for region in self.regions)
 
     # -- one Newton iteration -------------------------------------------------------------------
@@ -232,9 +230,9 @@ class Solid(Term):
     def energy(self, along: tuple[VolumeStep, float] | None = None) -> float | Floats | None:
         """This rank's share of the incremental potential Psi(u); collective.
 
-        Along a step of `volume_step`, at the length t, with the volumes of its linearisation. None
-        if a law has no potential; infinite where det F <= 0 at any point. At finite strain with two
-        more addends of sum zero, whose size is the round-off of energies of F.
+        `along` is a step of `volume_step` and the length t, for its linearised volumes. None if a
+        law has no potential; infinite where det F <= 0 at any point. At finite strain with two more
+        addends of sum zero, whose size is the round-off of energies of F.
         """
         if self.forms.energy is None:
             return None
@@ -266,7 +264,7 @@ class Solid(Term):
         """
         self.follow()
         dilatation = self.forms.dilatation
-        if pressure is not None and isinstance(dilatation, MeanVolume):
+        if pressure is not None and dilatation is not None:
             dilatation.set_pressure(pressure)
         self.forms.tangent.add_to(K)
         K.assemble()
@@ -275,12 +273,12 @@ class Solid(Term):
             dilatation.add_tangent(K)
 
     def assemble_residual(self, r: PETSc.Vec) -> None:
-        """Fill the owned part of r with the internal forces, see `add_forces`; collective."""
+        """Fill the owned part of r with the internal forces; collective."""
         r.array_w[:] = 0.0
         self.add_forces(r)
 
     def assemble_tangent(self, K: PETSc.Mat) -> None:
-        """Fill K with the tangent, see `add_tangent`; collective."""
+        """Fill K with the tangent; collective."""
         K.zeroEntries()
         self.add_tangent(K)
 
@@ -294,8 +292,8 @@ class Solid(Term):
     def element_force_norm(self) -> float:
         """Norm of the unassembled element forces at u, sqrt(sum_e sum_a |f_ea|^2).
 
-        The scale of round-off in F(u); it does not vanish with residual stresses. Exact for degree
-        1 on simplices; else by the gradients at the midpoint, without the stress along rings.
+        The scale of round-off in F(u). Exact for degree 1 on simplices; else by the gradients at
+        the midpoint, without the hoop stress.
         """
         self.follow()
         return _root(self, fem.assemble_scalar(self.forms.element_force))
@@ -305,21 +303,20 @@ class Solid(Term):
     def evaluate(self) -> None:
         """Evaluate stress and internal variables at u and the committed state; collective.
 
-        `stress` and `fields` show these results of the step from now on; the committed state is
-        unchanged.
+        `stress` and `fields` then show these results; the committed state is unchanged.
 
         Raises:
-            ValueError: on all ranks, if a law gives NaN or infinity on any; the message names it.
-                All results are then as before.
+            ValueError: on all ranks, naming a law that gives NaN or infinity on any; all results
+                are then as before.
         """
         self.follow()
         self.points.evaluate(self.follow)
 
     def follow(self) -> None:
-        """Update what has changed in the data of the forms, evaluate pointwise laws; collective.
+        """Update changed data of the forms, evaluate pointwise laws; collective.
 
         Raises:
-            ValueError: on all ranks, if parameters, the eigenstrain or a law make no sense.
+            ValueError: on all ranks, for invalid parameters, eigenstrain or results of a law.
         """
         dilatation = self.forms.dilatation
         self.points.follow(None if dilatation is None else dilatation.follow)
@@ -336,10 +333,10 @@ class Solid(Term):
             solid.energies()["block"].dissipated
 
         At the end of the last step, for each tag of cells, by its name if it has one, or for 0
-        without ``cell_tags``; of the whole ring, or per thickness. Elastic energy and that of
-        hardening are stored, the rest of the plastic work is dissipated; for friction see
-        `Contact.dissipation`. Their sum is the work of supports and loads, up to the error of the
-        trapezoidal rule over load steps.
+        without ``cell_tags``; of the whole ring, or per thickness. Elastic and hardening energy are
+        stored, the rest of the plastic work is dissipated; for friction see `Contact.dissipation`.
+        Their sum is the work of supports and loads, up to the error of the trapezoidal rule over
+        load steps.
 
         Raises:
             ValueError: unless the solid was made with ``energies=True``.
@@ -357,18 +354,18 @@ class Solid(Term):
             name: see `PointFields.values`, for example "von_mises" or "plastic_strain_norm".
 
         Raises:
-            ValueError: for a tensor, or a name that no law knows.
+            ValueError: for a tensor or an unknown name.
         """
         return self.fields.max(name)
 
     def cell_values(self, name: str) -> fem.Function:
-        """Cell averages of a field as a DG0 Function (refilled at every call)."""
+        """Cell averages of a field as a DG0 Function, refilled at every call."""
         return self.fields.cell_values(name)
 
     def output_fields(self) -> dict[str, fem.Function]:
         """Cell averages for output, by name, in the user's units (collective).
 
-        Stress, internal variables and the laws' own output, of the last `evaluate`.
+        Stress, internal variables and output of the laws, of the last `evaluate`.
         ``plastic_strain_norm`` and ``back_stress_norm`` are Frobenius norms, ``hardening`` is the
         vector norm of the stored back stress components that some papers plot.
         """
@@ -378,7 +375,7 @@ class Solid(Term):
         }
 
     def plastic_area(self) -> float:
-        """Area (volume of spatial bodies and rings) whose plastic strain is not zero.
+        """Area (volume of spatial bodies and rings) with plastic strain.
 
         A law's `output` may define it by a field ``plastic``, one or zero.
         """
@@ -386,15 +383,13 @@ class Solid(Term):
 
 
 def _root(solid: Solid, share: float) -> float:
-    """Root of a sum over all ranks."""
     return math.sqrt(max(solid.mesh.comm.allreduce(share, op=MPI.SUM), 0.0))
 
 
 def flows_at_start(solid: Solid) -> bool:
     """Whether changes since the last commit may make bodies flow; collective.
 
-    Then a step begins with `add_first_forces` and `add_first_tangent`. False at finite strain,
-    where a singular tangent is shifted.
+    Then a step begins with `add_first_forces` and `add_first_tangent`. False at finite strain.
     """
     if not solid.gradients.small or not solid.state:
         return False
@@ -410,12 +405,12 @@ def flows_at_start(solid: Solid) -> bool:
 
 
 def add_first_forces(solid: Solid, F: PETSc.Vec) -> None:
-    """Add forces linearised about the committed state, of a small strain, to F; collective.
+    """Add forces linearised about the committed state, at small strain, to F; collective.
 
         F_n + int C_n : (eps(u - u_n) - (e - e_n)) : eps(v),    C_n the tangent of that state.
 
-    Beyond yield by an eigenstrain e, parameters or a start, the stress is capped: it does not tell
-    how far the bodies have to move.
+    The stress beyond yield by an eigenstrain e or parameters is bounded, no measure of the distance
+    to equilibrium.
     """
     solid.follow()
     committed, dilatation = solid.forms.committed, solid.forms.dilatation
@@ -433,19 +428,18 @@ def add_first_forces(solid: Solid, F: PETSc.Vec) -> None:
 
 
 def add_first_tangent(solid: Solid, K: PETSc.Mat) -> None:
-    """Add the tangent of the committed state to K, see `Solid.add_tangent`; collective."""
+    """Add the tangent of the committed state to K; collective."""
     with solid.forms.committed.put():
         solid.add_tangent(K)
 
 
 def volume_step(solid: Solid, du: fem.Function) -> VolumeStep | None:
-    """Volumes and pressures along a step, None unless they are means of J; collective."""
+    """Volumes and pressures along a step, None without means of J; collective."""
     dilatation = solid.forms.dilatation
-    return dilatation.step_along(du) if isinstance(dilatation, MeanVolume) else None
+    return dilatation.step_along(du) if dilatation is not None and dilatation.finite else None
 
 
 def _degree(V: fem.FunctionSpace, given: int | None) -> int:
-    """Quadrature degree: by default 2(p - 1) >= 1 on simplices, else 2p."""
     if given is not None:
         rule = integer(0, HIGHEST_RULE)
         return check("quadrature_degree", given, rule, f"{rule.remedy}, or None")

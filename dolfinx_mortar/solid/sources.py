@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Functions at points of the bodies, and the expressions that fill them.
-
-Parameters and eigenstrain may change between steps, and are evaluated again.
-"""
+"""Functions at points of the bodies, and the expressions that fill them."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -32,7 +29,7 @@ class Part:
     name: str  # of the user's argument, for messages
     function: fem.Function
     value: Expr  # scalar or vector of components
-    components: slice = slice(None)  # of the Function
+    components: slice = slice(None)
 
     @property
     def table(self) -> Floats:
@@ -42,19 +39,19 @@ class Part:
 
     @property
     def entries(self) -> list[Expr]:
-        """Number of components of the value."""
+        """Components of the value."""
         value = self.value
         return [value[i] for i in range(*value.ufl_shape)] if value.ufl_shape else [value]
 
 
 @dataclass(frozen=True)
 class Source:
-    """Values in some cells, which one expression fills into components of Functions."""
+    """Values in some cells, filled by one expression."""
 
-    parts: Sequence[Part]  # all at the same points
+    parts: Sequence[Part]
     cells: Ints  # local cells, ghosts included
     expression: fem.Expression
-    inputs: tuple[Any, ...]  # its Constants and Functions
+    inputs: tuple[Any, ...]
 
     @property
     def _space(self) -> fem.FunctionSpace:
@@ -62,18 +59,18 @@ class Source:
 
     @property
     def dofs(self) -> Ints:
-        """Points (cells, points) of the cells, rows of the tables of values."""
+        """Points (cells, points): rows of the tables."""
         return np.asarray(self._space.dofmap.list[self.cells])
 
     def evaluate(self, cells: Ints) -> Floats:
-        """Values (cells, points, components) in some cells; without communication."""
+        """Values (cells, points, components); not collective."""
         values = np.asarray(self.expression.eval(self._space.mesh, cells))
         points = self._space.dofmap.list.shape[1]
         # dolfinx 0.9 has points and components on one axis, 0.11 on two
         return values.reshape(len(cells), points, sum(part.table.shape[1] for part in self.parts))
 
     def fill(self) -> None:
-        """Evaluate the expression into the Functions; without communication."""
+        """Evaluate the expression into the Functions; not collective."""
         dofs, tables = self.dofs, [part.table for part in self.parts]
         ends = np.cumsum([table.shape[1] for table in tables])
         columns = np.split(self.evaluate(self.cells), ends[:-1], axis=-1)
@@ -81,23 +78,19 @@ class Source:
             table[dofs] = of_part
 
     def undefined(self) -> list[int]:
-        """Number of points of the cells at which the Function of each part is NaN or infinite."""
+        """Number of NaN or infinite points of each part."""
         at = [part.table[self.dofs] for part in self.parts]
         return [int(np.sum(~np.isfinite(values).all(axis=-1))) for values in at]
 
     def numbers(self) -> list[Floats]:
-        """Numbers that it depends on."""
+        """Values of the inputs."""
         return [
             np.asarray(f.value) if isinstance(f, fem.Constant) else f.x.array for f in self.inputs
         ]
 
 
 def create_source(cells: Ints, *parts: Part) -> Source:
-    """Compile the evaluation of parts whose Functions have the same points; collective.
-
-    Raises:
-        ValueError: on all ranks, if that is impossible.
-    """
+    """Compile parts with the same points; a ValueError on all ranks if invalid; collective."""
     V = parts[0].function.function_space
     value = ufl.as_vector([entry for part in parts for entry in part.entries])
     # a number alone has no mesh
@@ -117,7 +110,7 @@ def create_source(cells: Ints, *parts: Part) -> Source:
 def point_function(
     domain: mesh.Mesh, degree: int, size: tuple[int, ...] = (), name: str | None = None
 ) -> fem.Function:
-    """Create a Function of scalars, or of vectors of a size, at the points of a quadrature."""
+    """Create a Function of scalars or vectors at quadrature points."""
     element = basix.ufl.quadrature_element(
         domain.basix_cell(), value_shape=size, scheme="default", degree=degree
     )
@@ -125,7 +118,7 @@ def point_function(
 
 
 def create_field(domain: mesh.Mesh, degree: int, shape: tuple[int, ...], name: str) -> fem.Function:
-    """Create a quadrature Function for a scalar, shape (), or a tensor, shape (3, 3)."""
+    """Create a quadrature Function of shape () or (3, 3)."""
     size = (len(COMPONENTS[domain.geometry.dim]),) if shape else ()
     return point_function(domain, degree, size, name)
 
@@ -137,7 +130,7 @@ def middle_of(domain: mesh.Mesh, cell: int) -> str:
 
 
 def check_source(u: fem.Function, name: str, value: Expr) -> None:
-    """Raise a ValueError if a value is not real, depends on u, or is on another mesh."""
+    """Raise a ValueError unless a value is real, on the mesh and independent of u."""
     check_real(name, *extract_coefficients(value), *extract_constants(value))
     if u in extract_coefficients(value):
         raise ValueError(
@@ -149,12 +142,7 @@ def check_source(u: fem.Function, name: str, value: Expr) -> None:
 
 
 class Followed(ABC):
-    """Values at points, evaluated again when their data have changed.
-
-    Attributes:
-        function: the values.
-        varying: whether any may change.
-    """
+    """Values at points in `function`, evaluated again if `varying`."""
 
     def __init__(self, function: fem.Function, sources: Sequence[Source]) -> None:
         self.function = function
@@ -163,7 +151,7 @@ class Followed(ABC):
         self._seen: list[Floats] | None = None
 
     def outdated(self) -> bool:
-        """Whether data on this rank have changed since the last evaluation."""
+        """Whether data have changed on this rank."""
         now = [numbers for source in self._sources for numbers in source.numbers()]
         return self._seen is None or not all(map(np.array_equal, now, self._seen))
 
@@ -171,7 +159,7 @@ class Followed(ABC):
         """Evaluate everything; collective.
 
         Raises:
-            ValueError: on all ranks, for invalid values; all are then as before.
+            ValueError: on all ranks, for invalid values; all are then unchanged.
         """
         before = self.function.x.array.copy()
         for source in self._sources:
@@ -193,7 +181,7 @@ class Followed(ABC):
 
 
 def follow_changed(comm: MPI.Comm, followed: Sequence[Followed]) -> None:
-    """Evaluate anew what has changed on any rank; collective if any may change."""
+    """Evaluate what has changed on any rank; collective if any may change."""
     varying = [one for one in followed if one.varying]
     changed = np.array([one.outdated() for one in varying], dtype=bool)
     if varying:
@@ -204,10 +192,10 @@ def follow_changed(comm: MPI.Comm, followed: Sequence[Followed]) -> None:
 
 
 def fill_all(comm: MPI.Comm, evaluations: Sequence[Source]) -> None:
-    """Evaluate all expressions; an error leaves the Functions as before; collective.
+    """Evaluate all expressions; an error changes no Function; collective.
 
     Raises:
-        ValueError: on all ranks, if a law gives NaN or infinity on any, naming the law.
+        ValueError: on all ranks, naming a law that gives NaN or infinity on any.
     """
     filled = {part.function for source in evaluations for part in source.parts}
     before = {f: f.x.array.copy() for f in filled}
@@ -222,7 +210,6 @@ def fill_all(comm: MPI.Comm, evaluations: Sequence[Source]) -> None:
 
 
 def _check_defined(comm: MPI.Comm, evaluations: Sequence[Source]) -> None:
-    """Raise a ValueError on all ranks if a law has given NaN or infinity on any; collective."""
     names = [part.name for source in evaluations for part in source.parts]
     found = [float(count) for source in evaluations for count in source.undefined()]
     for name, count in zip(names, maximum(comm, *found), strict=True):

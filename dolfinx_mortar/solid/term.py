@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A term of the energy: the base of bodies, loads and your own classes."""
+"""A term of the energy."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +13,7 @@ import numpy as np
 from dolfinx import fem, la
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.algebra.csr import add_blocks
-from dolfinx_mortar.algebra.errors import is_ours, named, raised_together
+from dolfinx_mortar.algebra.parallel import is_ours, named, raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 
 
@@ -24,18 +24,17 @@ class Term(ABC):
 
         Pi(u),   F_i = dPi/du_i,   K_ij = d2Pi/du_i du_j
 
-    of all its terms; `WeakForm` does this for UFL. A class of your own is for forces between far
-    points, tables, other programs; it has to define `add_forces` and `add_tangent`. In a method,
-    collective calls must be reached by all ranks: an error of one rank is raised on all after the
-    call.
+    of all its terms; `WeakForm` does this for UFL. Write a class for forces between distant points,
+    tables, other programs; it has to define `add_forces` and `add_tangent`. All ranks must reach
+    the collective calls of a method: an error of one rank is raised on all after the call.
 
     Attributes:
-        linear: whether K is constant in a step, so that it need not be assembled at every iterate.
+        linear: whether K is constant in a step, and assembled once.
         has_tangent: whether K is not zero.
         couplings: global dofs (k,) that K couples beyond the pattern of the mesh, an array for each
             dense block of k x k entries, the same on all ranks or each on one of them.
-        state: Functions on ``solid.V`` or its scalar space, by name, that `commit` sets: the start
-            of the next step, and part of a checkpoint.
+        state: Functions on ``solid.V`` or its scalar space, by name, set by `commit`: the start of
+            the next step, and part of a checkpoint.
     """
 
     linear: bool = False
@@ -44,18 +43,18 @@ class Term(ABC):
 
     @property
     def state(self) -> Mapping[str, fem.Function]:
-        """Functions that are kept from step to step, by name."""
+        """Functions of the committed state, by name."""
         return {}
 
     @property
     def identity(self) -> Mapping[str, Any]:
-        """Data, as JSON, that a checkpoint's state depends on: it is refused for others."""
+        """Data, as JSON, on which the meaning of the state depends; a checkpoint refuses others."""
         return {}
 
     def energy(self) -> float | Floats | None:
         """This rank's share of Pi(u), or its addends; None without a potential.
 
-        Then there is no line search: Newton's steps are whole.
+        Then there is no line search: Newton's method takes whole steps.
         """
         return None
 
@@ -83,14 +82,11 @@ class Term(ABC):
         """
 
     def stride(self) -> float:
-        """How far a node may move in the present step, as far as the term knows."""
+        """Upper bound of a node's motion in the present step, as far as the term knows."""
         return 0.0
 
     def varies(self, K: PETSc.Mat) -> bool:
-        """Whether the tangent may differ from the last `add_tangent` to K, at the start of a step.
-
-        Asked of linear terms.
-        """
+        """Whether the tangent of a linear term may differ from that of the last step."""
         return True
 
     def begin(self, start: float, end: float) -> None:
@@ -104,21 +100,18 @@ class Term(ABC):
     def commit(self) -> None:
         """Make the converged step the start of the next one.
 
-        An error undoes the step, of all terms: ``state`` is restored.
+        An error undoes the step of all terms: ``state`` is restored.
         """
 
     def roll_back(self) -> None:
-        """Forget a failed step; the committed state remains."""
+        """Discard a failed step; the committed state remains."""
 
 
 R = TypeVar("R")
 
 
 def ask_term(comm: MPI.Comm, name: str, term: Term, call: Callable[[], R]) -> R:
-    """Ask a term; an error of a user's on one rank is raised on all, with its name; collective.
-
-    Terms of this package are asked directly.
-    """
+    """Call a term; an error of a user's on one rank is raised on all; collective."""
     if is_ours(term):
         return call()
     with raised_together(comm), named(name):
@@ -131,7 +124,7 @@ def create_vector(V: fem.FunctionSpace) -> la.Vector:
 
 
 def assemble(form: fem.Form, vector: la.Vector) -> Floats:
-    """Assemble a linear form into a vector; return a view of its owned values; collective."""
+    """Assemble a linear form; return a view of owned values; collective."""
     vector.array[:] = 0.0
     fem.assemble_vector(vector.array, form)
     vector.scatter_reverse(la.InsertMode.add)
@@ -139,14 +132,9 @@ def assemble(form: fem.Form, vector: la.Vector) -> Floats:
 
 
 class MatrixForm:
-    """A bilinear form whose matrix is the same each time, to the last bit.
+    """A bilinear form with the same matrix each time, to the last bit: messages summed by rank.
 
-    PETSc adds up the messages of other ranks in the order of arrival; on more than two ranks
-    dolfinx does it in the order of the ranks, in a matrix of its own. On one rank that takes half
-    the time of assembly in AIJ.
-
-    Attributes:
-        form: compiled; Any because dolfinx annotates one overload only.
+    `form` is Any because dolfinx annotates one overload only.
     """
 
     def __init__(self, form: Any) -> None:
@@ -154,7 +142,7 @@ class MatrixForm:
         self._sums: Any = None
 
     def add_to(self, K: PETSc.Mat) -> None:
-        """Add the matrix to K, which has to be assembled afterwards; collective."""
+        """Add the matrix to K, to be assembled afterwards; collective."""
         alone = K.getType() == "seqaij" and K.isAssembled()
         if K.comm.size <= 2 and not alone:
             fem_petsc.assemble_matrix(K, self.form)

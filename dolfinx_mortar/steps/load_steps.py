@@ -47,11 +47,11 @@ def load_steps(
     Args:
         problem: the bodies and their constraints.
         times: load levels in the order of loading; they may decrease.
-        ramp: a table for each Constant that changes, ``{push: [(0.0, 0.0), (1.0, -0.1)]}``: rows
-            (level, value) with increasing levels, linear in between, for all levels and ``start``.
-            Values have the shape of the Constant. A note says where nothing reads a Constant.
-        on_time: function of the level that sets other loads, after the Constants of ``ramp``; they
-            must depend on the level alone, since cut steps and continued runs repeat levels.
+        ramp: a table for each Constant that changes: rows (level, value) with increasing levels,
+            linear in between, for all levels and ``start``. A note says where nothing reads a
+            Constant.
+        on_time: function of the level that sets other loads, after ``ramp``; they must depend on
+            the level alone, since cut steps and continued runs repeat levels.
         start: level of the committed state; by default the last level of ``load_steps`` on this
             problem, at first 0.
         qp, rtol, max_it: as in ``newton``.
@@ -63,12 +63,11 @@ def load_steps(
         every: write it after so many steps, and after the last one.
 
     With ``checkpoint`` a program that was killed continues when it is run again. If the file
-    exists, its state is restored, ``ramp`` and ``on_time`` set its level, and only the remaining
-    steps are made and yielded, with their numbers; earlier steps are in ``problem.history``. Up to
-    the level reached ``times`` and the tables of ``ramp`` have to be those of the saved run. The
-    file is written after the body of the loop, which may therefore run twice for a step; after
-    ``break`` the last step is not written. If a step fails, all that is committed is written. To
-    start again, delete the file.
+    exists, its state is restored, the loads are set, and only the remaining steps are made and
+    yielded, with their numbers; earlier steps are in ``problem.history``. Up to the level reached
+    ``times`` and ``ramp`` have to be those of the saved run. The file is written after the body of
+    the loop, which may therefore run twice for a step; after ``break`` the last step is not
+    written. If a step fails, all that is committed is written. To start again, delete the file.
 
     Yields:
         One ``LoadStep`` for every remaining entry of ``times``.
@@ -78,8 +77,7 @@ def load_steps(
             another problem, version or levels, or truncated, and a second run before this one ends.
         OSError: on all ranks, if a checkpoint cannot be written or read; after a failed step its
             error is the ``__context__``.
-        NewtonNotConverged: if the smallest step fails, too. Earlier steps and the converged parts
-            of the last one are committed, as the message says.
+        NewtonNotConverged: if the smallest step fails, too; the converged parts are committed.
     """
     check_problem(problem, ContactProblem)
     check_same_on_all_ranks(problem.comm, on_time=on_time)

@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Semi-smooth Newton: a bound-constrained QP at every iterate (paper, section 3).
 
-An iteration solves the QP, shortens its step by a line search, updates multipliers and geometry,
-and measures residuals there (ARCHITECTURE.md, A Newton step). Updates of the geometry are a
-fixed-point iteration. At finite strain, and where it is slow, the exact tangent includes the motion
-of the surfaces, and Newton's method is quadratic. An iteration with the exact tangent that raises
-the residual is undone, and repeated without it.
+See ARCHITECTURE.md, A Newton step. An iteration with the exact tangent that raises the residual is
+undone, and repeated without.
 """
 
 from __future__ import annotations
@@ -19,18 +16,23 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_mortar import qp as backends
-from dolfinx_mortar.algebra.errors import from_callbacks
-from dolfinx_mortar.algebra.parallel import free_unused, maximum, ratio
+from dolfinx_mortar.algebra.parallel import free_unused, from_callbacks, maximum, ratio
 from dolfinx_mortar.arguments import NUMBER, check_optional
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.interfaces.link import predict_active
 from dolfinx_mortar.newton_method import driven_tools, failures
 from dolfinx_mortar.newton_method.contacts import (
+    DIGIT,
     Contacts,
+    Residuals,
+    Scales,
     contact_forces,
     found_by,
+    gap_round_off,
     go_on,
+    largest_force,
+    measure,
 )
 from dolfinx_mortar.newton_method.line_search import take_step
 from dolfinx_mortar.newton_method.linearisation import (
@@ -39,14 +41,6 @@ from dolfinx_mortar.newton_method.linearisation import (
     count_changes,
     find_balance,
     find_extent,
-)
-from dolfinx_mortar.newton_method.residuals import (
-    DIGIT,
-    Residuals,
-    Scales,
-    gap_round_off,
-    largest_force,
-    measure,
 )
 from dolfinx_mortar.newton_method.subproblem import STABLE, Iterate, Solution, Subproblem
 from dolfinx_mortar.persistence.committed import Before, Gained
@@ -62,9 +56,8 @@ log = logging.getLogger(__name__)
 
 FAILED = failures.StepFailed, backends.QPNotSolved, backends.UnusableQP
 
-# The fixed point is slow if at the rate of its updates it needs more than FEW iterations, and an
-# update changes the contact forces by SHARE of the residual. At small strain an iteration with the
-# exact tangent takes twice the time.
+# The fixed point is slow if it needs more than FEW iterations, and an update changes the contact
+# forces by SHARE of the residual.
 FEW = 5
 SHARE = 0.5
 
@@ -80,10 +73,10 @@ def newton(
     """Solve one load step, from the present u and the committed state; collective.
 
     At the iterate u^k the QP of the quadratic model of the energy (paper, eqs. 9 and 10) starts
-    from the last active set and directions of slip. A line search on J(v) + s sum_j D_jj
-    (w_n - gap)_+, with s twice the largest multiplier, shortens the step, but for laws without
-    energy. With geometry="updated" normals, segments, D and M are computed in every iteration, and
-    their derivatives are part of the tangent where that converges faster.
+    from the last active set and directions of slip. A line search on J(v) + s sum_j D_jj (w_n -
+    gap)_+, with s twice the largest multiplier, shortens the step, except for laws without energy.
+    With geometry="updated" normals, segments, D and M are computed in every iteration, and their
+    derivatives are part of the tangent where that converges faster.
 
     Args:
         problem: the bodies and their constraints; ``problem.commit()`` accepts the step.
@@ -147,7 +140,7 @@ def solve_step(
                 raise
     finally:
         report.seconds = problem.timings.since(earlier)
-        used = solvers[-1]  # the last one in use
+        used = solvers[-1]
         report.linear_solver += used.description
         unread = [option for option in linear.options.unread() if option in used.options.unread()]
         if report.converged and unread:
@@ -168,7 +161,7 @@ def _solve(
     max_it: int,
     how: tuple[float | None, float],
 ) -> Gained | None:
-    """Solve a step from the prediction of the last one; if that fails, without; collective."""
+    """Solve a step from the prediction of the last one, or else without."""
     level, overlap = how
     for predictor in (None if problem.in_time else predict, None):
         data = problem.begin_step(level, predictor)
@@ -207,7 +200,6 @@ class _Step:
             qps.solver.forget(keep_definite=qps.linear)
 
     def run(self, max_it: int) -> Iterate:
-        """Iterate until convergence; set the results and the certificate."""
         old, residuals = self.first(), list[Residuals]()
         while len(self.report.iterations) < max_it:
             try:
@@ -232,7 +224,6 @@ class _Step:
         raise failures.StepFailed(f"Newton did not converge in max_it={max_it} iterations")
 
     def renewed(self, old: Iterate) -> Iterate:
-        """An iterate in the T of the present geometry; collective."""
         balance = self.balance(old.contacts)
         start = old.contacts.active[balance.nodes].astype(np.int8)
         return replace(old, balance=balance, start=start)
@@ -240,7 +231,6 @@ class _Step:
     def iterate(
         self, old: Iterate, residuals: list[Residuals], *, exact: bool
     ) -> tuple[Iterate, Residuals]:
-        """Linearise, solve, search, update, measure; record the iteration in the report."""
         problem, number = self.problem, len(self.report.iterations) + 1
         problem.raise_failed()
         free_unused(problem.comm)
@@ -308,7 +298,7 @@ class _Step:
         return iterate, residual
 
     def factorise(self, residuals: list[Residuals]) -> bool:
-        """Factorise for the rest of the step, near a balance that may be a saddle; collective."""
+        """Factorise for the rest of the step, near a saddle; collective."""
         near = self.qps.finite and bool(residuals) and residuals[-1].forces < STABLE
         given_up = self.qps.solver.description
         other = self.qps.solver.factorising() if near else None
@@ -326,7 +316,6 @@ class _Step:
         return True
 
     def is_exact(self, old: Iterate, residuals: list[Residuals]) -> bool:
-        """Whether the next QP has the exact tangent of the moving geometry."""
         if not residuals or old.shift or not self.qps.may_be_exact:
             return False
         if not self.missed(residuals[-1]) < old.barred:
@@ -339,7 +328,6 @@ class _Step:
         return many and turned > SHARE * residual.forces * residual.limit / self.report.rtol
 
     def leads_away(self, residual: Residuals, residuals: list[Residuals]) -> bool:
-        """Whether the last iteration, with the exact tangent, has raised the residual."""
         if not self.report.iterations[-1].exact_tangent or residual.excess <= 1.0:
             return False
         return not self.missed(residual) <= self.missed(residuals[-1])
@@ -354,11 +342,10 @@ class _Step:
         return np.inf if raised and not found.exact else old
 
     def missed(self, residual: Residuals) -> float:
-        """Residual that the exact tangent must lower, with forces at finite strain (rims)."""
+        """Residual that the exact tangent must lower."""
         return max(residual.forces, residual.contact) if self.qps.finite else residual.excess
 
     def go_back(self, old: Iterate) -> None:
-        """Undo the last iteration; collective."""
         self.problem.owned_u[:] = old.u
         self.problem.u.x.scatter_forward()
         for interface, kept in old.tools:
@@ -366,11 +353,9 @@ class _Step:
         self.problem.follow_geometry()
 
     def tools(self) -> list[tuple[Interface, dict[str, Floats]]]:
-        """States of the tools that forces drive."""
         return [(i, i.state(False)) for i in self.problem.interfaces if i.driven() is not None]
 
     def first(self) -> Iterate:
-        """The initial iterate; collective."""
         problem, flows = self.problem, self.data.flows
         balance = find_balance(problem, self.data, self.overlap, from_committed=flows)
         contacts = go_on(self.data.contacts, balance.limits, gap_round_off(problem.u))
@@ -390,14 +375,13 @@ class _Step:
         return Iterate(*place, balance, contacts, start, scales, energy, norm, problem.vector())
 
     def balance(self, contacts: Contacts | None) -> Balance:
-        """Forces and constraints at u in the present geometry; collective."""
         multipliers = None if contacts is None else contacts.multipliers
         return find_balance(self.problem, self.data, self.overlap, multipliers)
 
     def gap_error(
         self, found: Solution, length: float, balance: Balance, contacts: Contacts
     ) -> float:
-        """Error of predicted gaps of closed contacts, in facet lengths; collective."""
+        """Error of predicted gaps, in facet lengths; collective."""
         if not (self.qps.moving or self.qps.driven):
             return 0.0
         bounds, gaps = found.lin.balance.bounds, np.full(self.problem.n, np.nan)
@@ -408,7 +392,7 @@ class _Step:
         return largest / self.problem.system.facet_length
 
     def first_forces(self, lin: Linearisation) -> float:
-        """Size of the forces of the first QP, with prescribed increments; collective."""
+        """Size of the forces of the first QP; collective."""
         lifted = self.problem.vector(self.data.asked)
         lifted.pointwiseMult(lifted, lin.diagonal)
         return float(max(lin.qp.b.norm(), lifted.norm()))
@@ -421,13 +405,11 @@ class _Step:
         scales: Scales,
         norm: float,
     ) -> Residuals:
-        """Residuals of a balance, and of tools that forces drive; collective."""
         rtol = self.report.rtol
         found = measure(self.problem.u, balance, contacts, diagonal, scales, norm, rtol)
         return driven_tools.miss(self.problem, balance, contacts, found, rtol)
 
     def check_passing(self) -> None:
-        """Raise if bodies have passed through each other."""
         with self.problem.timings("mortar"):
             passed = failures.describe_passing(self.problem)
         if passed:

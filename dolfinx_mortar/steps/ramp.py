@@ -61,13 +61,11 @@ def read_ramps(comm: MPI.Comm, ramp: Any) -> list[Ramp]:
 
 
 def _listed(table: Any) -> Any:
-    """A table as a list of rows, as iterators can be read once; other values unchanged."""
     rows = isinstance(table, Iterable) and not isinstance(table, Mapping | str | bytes)
     return list(table) if rows else table
 
 
 def _read(name: str, constant: Any, table: Any) -> Ramp:
-    """Ramp of one table."""
     remedy = "give a dolfinx Constant, such as the value of a Dirichlet condition or a traction"
     check(f"{name}: the key", constant, instance(fem.Constant, remedy))
     shape = constant.value.shape
@@ -83,7 +81,6 @@ def _read(name: str, constant: Any, table: Any) -> Ramp:
 
 
 def _row(shape: tuple[int, ...], row: Any) -> list[float] | None:
-    """Level and components of a row, None if it is no pair of finite numbers."""
     if not isinstance(row, Sequence | np.ndarray) or len(row) != 2:
         return None
     level, value = as_numbers(row[0]), as_numbers(row[1])
@@ -96,9 +93,7 @@ def _row(shape: tuple[int, ...], row: Any) -> list[float] | None:
 def notes_on_unread(ramps: Sequence[Ramp], read: Sequence[Any] | None) -> list[str]:
     """A note for each table whose Constant no part of a problem reads, by the addresses of values.
 
-    Args:
-        ramps: all tables.
-        read: the Constants that steps read; None if unknown.
+    `read` are the Constants that steps read, None if unknown.
     """
     if read is None:
         return []
@@ -113,7 +108,6 @@ def notes_on_unread(ramps: Sequence[Ramp], read: Sequence[Any] | None) -> list[s
 
 
 def _place(constant: Any) -> int:
-    """Address of a Constant's value."""
     return int(np.asarray(constant.value).__array_interface__["data"][0])
 
 
@@ -130,13 +124,7 @@ def check_range(ramps: Sequence[Ramp], levels: Sequence[float]) -> None:
 
 
 def difference(saved: Sequence[Rows], ramps: Sequence[Ramp], walked: Sequence[float]) -> str:
-    """How tables differ from saved ones between the levels reached, "" if they do not.
-
-    Args:
-        saved: tables of the saved run.
-        ramps: present tables, for Constants in the same order.
-        walked: levels of the run, with the initial one.
-    """
+    """How tables differ from saved ones between the levels reached (`walked`), or ""."""
     if len(saved) != len(ramps):
         return f"there are {len(ramps)} tables now, {len(saved)} then"
     low, high = min(walked), max(walked)

@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: MIT
 """Results of a converged step: reactions, notes, certificate, data of the commit."""
 
-from dolfinx_mortar.newton_method.contacts import find_sliders, normal_forces, tangential_forces
+from dolfinx_mortar.newton_method.contacts import (
+    Residuals,
+    find_sliders,
+    gap_round_off,
+    normal_forces,
+    tangential_forces,
+)
 from dolfinx_mortar.newton_method.failures import StepFailed, describe_cells
-from dolfinx_mortar.newton_method.residuals import Residuals, gap_round_off
 from dolfinx_mortar.newton_method.subproblem import Iterate, Subproblem
 from dolfinx_mortar.persistence.committed import StepOutcome
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -68,7 +73,6 @@ def _ends_indefinite(qps: Subproblem, report: StepReport) -> bool:
 
 
 def _notes_on_shifts(problem: ContactProblem, report: StepReport, negative: bool) -> list[str]:
-    """A note if tangents were indefinite."""
     notes, shifted = list[str](), [it.number for it in report.iterations if it.shift]
     cells = describe_cells(problem)
     if shifted:

@@ -40,7 +40,7 @@ CONSERVING, DAMPED = "energy-conserving", "generalised-alpha"
 
 @dataclass
 class TimeSolves(Solves):
-    """Solution of steps in time, with a ledger that the first step creates."""
+    """Solution of steps in time, with a ledger."""
 
     conserve: bool = True
     radius: float | None = None  # of "generalised-alpha"
@@ -68,7 +68,6 @@ class TimeSolves(Solves):
         return report
 
     def _begin(self, level: Level) -> EnergyLedger:
-        """Ledger of the first step of a call, to a level; collective."""
         problem = self.problem
         (inertia,) = find_inertia(problem)
         if any(step.report.ledger is not None for step in problem.history[-1:]):
@@ -80,7 +79,6 @@ class TimeSolves(Solves):
         return ledger
 
     def _start(self, inertia: Inertia, level: Level) -> EnergyLedger:
-        """Ledger of a motion that begins, with a step to a level; collective."""
         problem, begin = self.problem, self.problem.committed.level
         self.notes = stop_held(problem, inertia)
         self.loading.set(problem, begin)
@@ -93,8 +91,7 @@ class TimeSolves(Solves):
     def _settle(self, inertia: Inertia, begin: float, level: Level) -> Floats:
         """Bring nodes without mass into equilibrium; return forces (owned nodes, d) on rigid sides.
 
-        Collective. By a step from rest in a share h = 1e-4 of the first one, in which the
-        accelerations of the start move other nodes by a share h^2.
+        By a step from rest in a share h = 1e-4 of the first one: other nodes move by a share h^2.
         """
         problem, mass = self.problem, inertia.mass
         on_sides, forces = np.zeros_like(mass.massless), np.zeros_like(mass.X)
@@ -133,7 +130,6 @@ class TimeSolves(Solves):
         return forces
 
     def _acts(self, nodes: Bools, begin: float, end: float) -> bool:
-        """Whether loads, tools or stresses may act on nodes (owned nodes,); collective."""
         problem, r = self.problem, self.problem.vector()
         driven = [interface.driven() for interface in problem.interfaces]
         if any(tool is not None and np.any(tool.loads()) for tool in driven):
@@ -274,7 +270,7 @@ def choose_scheme(scheme: Any, radius: Any) -> tuple[Scheme, float | None]:
 def stop_held(problem: ContactProblem, inertia: Inertia) -> list[str]:
     """Set the initial velocity to 0 where supports do not move in the first step; collective.
 
-    The trapezoidal rule would change its sign in every step. Returns a note if there was any.
+    The trapezoidal rule would change its sign in every step.
     """
     supports, velocity = problem.supports, inertia.values("velocity").copy()
     way = supports.increment(supports.values(), problem.u.x.array)
@@ -296,7 +292,7 @@ def stop_held(problem: ContactProblem, inertia: Inertia) -> list[str]:
 
 
 def count_done(problem: ContactProblem, levels: list[float]) -> int:
-    """Number of times of the last walk, if they are the first `levels` up to round-off, else 0."""
+    """Number of times of the last walk, if they are the first `levels`, else 0."""
     committed = problem.committed
     walked = [step.time for step in committed.last_walk]
     size = max(map(abs, walked), default=0.0)

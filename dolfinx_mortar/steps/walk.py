@@ -22,8 +22,7 @@ from typing import Any, ClassVar
 
 from mpi4py import MPI
 
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import maximum
+from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arguments import FLAG, check_optional, instance
 from dolfinx_mortar.arrays import SAME
 from dolfinx_mortar.interfaces.link import nodal_gaps
@@ -46,7 +45,7 @@ class Level:
     """A point on the load path."""
 
     time: float
-    overlap: float = 0.0  # depth of overlap that may remain
+    overlap: float = 0.0  # depth that may remain
     share: float = 1.0  # of the step that ends here, a binary fraction
 
     def between(self, reached: Level) -> Level:
@@ -58,7 +57,7 @@ class Level:
         )
 
     def cuts(self, reached: Level) -> int:
-        """Number of halvings of the step, for the part from the level reached."""
+        """Number of halvings for the part from the level reached."""
         return round(-math.log2(self.share - reached.share))
 
 
@@ -70,7 +69,6 @@ class Loading:
     on_time: Callable[[float], None] | None
 
     def __post_init__(self) -> None:
-        """Raise a ValueError unless `on_time` is a function."""
         check_optional("on_time", self.on_time, instance(Callable, "give a function of the level"))
 
     @property
@@ -79,7 +77,7 @@ class Loading:
         return bool(self.ramps) or self.on_time is not None
 
     def set(self, problem: ContactProblem, level: float) -> None:
-        """Set the loads of a level, with errors on all ranks; collective."""
+        """Set the loads of a level; collective."""
         for ramp in self.ramps:
             ramp.set(level)
         if self.on_time is not None:
@@ -95,7 +93,7 @@ class Loading:
 
 @dataclass
 class Solves:
-    """Solution of the steps of a run, by factorisations after multigrid has failed."""
+    """Solution of the steps of a run."""
 
     problem: ContactProblem
     qp: str
@@ -114,11 +112,11 @@ class Solves:
         self.problem.commit()
 
     def settings(self) -> dict[str, Any]:
-        """Settings that change results, by the name of the argument, as JSON values."""
+        """Settings that change results, as JSON values."""
         return {}
 
     def may_cut(self, loading: Loading) -> bool:
-        """Whether a part of a step is another problem than the whole step."""
+        """Whether a part is another problem than the step."""
         return loading.changes
 
     def to(self, level: Level) -> StepReport:
@@ -193,16 +191,8 @@ def walk(
 ) -> Iterator[LoadStep]:
     """Make the steps to given levels, see `load_steps`; collective.
 
-    Args:
-        solves: solution of a step.
-        levels: ends of the steps.
-        loading: loads of a level.
-        begin: level of the committed state.
-        most: largest number of halvings of a step.
-        file: of checkpoints, None for none.
-        every: number of steps between two files.
-        progress: as in `load_steps`.
-        done: number of levels of the last walk, which this one continues.
+    `begin` is the committed level, `most` the largest number of halvings, `done` the number of
+    levels of the last walk, which this one continues.
     """
     problem = solves.problem
     committed = problem.committed
@@ -230,7 +220,6 @@ def walk(
 
 
 def _idle(problem: ContactProblem, loading: Loading) -> list[str]:
-    """Notes on tables without effect, logged by rank 0; none if there is a user's function."""
     if loading.on_time is not None:
         return []
     notes = notes_on_unread(loading.ramps, problem.constants())
@@ -247,7 +236,7 @@ def _continue(
     loading: Loading,
     begin: float,
 ) -> float:
-    """Restore a checkpoint, or check that it can be written; return the first level; collective."""
+    """Restore a checkpoint, or check that it can be written; return the first level."""
     problem = solves.problem
     # other ranks may have no access to the folder; `check_folder` raises for wrong names
     if not problem.comm.bcast(problem.comm.rank == 0 and os.path.exists(file)):
@@ -277,7 +266,6 @@ def _continue(
 
 
 def _check_walked(levels: list[float], walk: list[float], file: Path) -> None:
-    """Raise a ValueError unless the first levels are those reached, up to round-off."""
     size = max(map(abs, walk), default=0.0)
     for k, reached in enumerate(walk):
         if k == len(levels) or abs(levels[k] - reached) > SAME * size:
@@ -290,7 +278,6 @@ def _check_walked(levels: list[float], walk: list[float], file: Path) -> None:
 
 
 def _check_settings(present: Mapping[str, Any], before: Mapping[str, Any], where: str) -> None:
-    """Raise a ValueError unless the settings of steps are those before."""
     for name in {**present, **before}:
         if present.get(name) != before.get(name):
             raise ValueError(
@@ -300,7 +287,6 @@ def _check_settings(present: Mapping[str, Any], before: Mapping[str, Any], where
 
 
 def _check_tables(ramps: Sequence[Ramp], saved: Saved, file: Path) -> None:
-    """Raise a ValueError unless tables are those of the saved run, up to the level reached."""
     before = saved.about["walk"]
     if before is None or not saved.walk:
         return
@@ -315,7 +301,6 @@ def _check_tables(ramps: Sequence[Ramp], saved: Saved, file: Path) -> None:
 def _walk(
     solves: Solves, number: int, time: float, loading: Loading, most: int, written: Checkpoint
 ) -> LoadStep:
-    """Step to a level, in parts if that fails; return the entry of the history; collective."""
     problem = solves.problem
     parts: list[StepReport] = []
     reached, pending = Level(problem.committed.level, share=0.0), [Level(time)]
@@ -364,7 +349,6 @@ def _walk(
 def _book(
     problem: ContactProblem, number: int, time: float, parts: list[StepReport], cuts: int
 ) -> LoadStep:
-    """Add a committed step to the history; return its entry; collective."""
     last = parts[-1]
     last.cuts = cuts
     if cuts:
@@ -387,7 +371,6 @@ def find_overlap(problem: ContactProblem, rtol: float) -> float:
 
 
 def _describe_kept(parts: int, reached: Level) -> str:
-    """Text on the state after a failed step, given the number of its converged parts."""
     if not parts:
         return "The displacement and the committed state are as before the step"
     count = "1 part of it that has" if parts == 1 else f"{parts} parts of it that have"
@@ -399,9 +382,9 @@ def _describe_kept(parts: int, reached: Level) -> str:
 
 
 def lines(comm: MPI.Comm, wanted: bool | None) -> Callable[[str], None]:
-    """Function that logs a line on rank 0, and prints it unless the log is shown; collective.
+    """Function that logs a line on rank 0, and prints it if `wanted`; collective.
 
-    `wanted`: whether to print; None prints if logging is not configured, except in notebooks.
+    None prints if logging is not configured, except in notebooks.
 
     Raises:
         ValueError: on all ranks, for other values.

@@ -18,7 +18,7 @@ from dolfinx_mortar.supports.dirichlet import Dirichlet
 def check_axis(solid: Solid, supports: Dirichlet, sides: Sequence[Sides]) -> None:
     """Raise a ValueError on all ranks for free nodes or facets on the axis; collective.
 
-    A radial displacement there makes u_r / r infinite, on a mesh merely large.
+    A radial displacement there makes u_r / r infinite, or merely large on a mesh.
     """
     V, i = solid.V, solid.kinematics.radius
     if i is None:
@@ -43,11 +43,7 @@ def check_axis(solid: Solid, supports: Dirichlet, sides: Sequence[Sides]) -> Non
 
 
 def check_targets(solid: Solid, target: Floats) -> None:
-    """Raise a ValueError on all ranks if points on the axis are moved off it; collective.
-
-    Args:
-        target: (owned dofs,) prescribed displacements, 0 where free.
-    """
+    """Raise a ValueError on all ranks for values (dofs,) that leave the axis; collective."""
     V, i = solid.V, solid.kinematics.radius
     if i is None:
         return

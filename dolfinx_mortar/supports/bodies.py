@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Bodies: connected parts of a mesh, and their unconstrained rigid-body modes."""
+"""Connected parts of a mesh, and their unconstrained rigid-body modes."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -93,8 +93,8 @@ class Bodies:
     def turned(self, asked: Floats, where: Bools, x: Floats) -> Floats:
         """Displacements (owned nodes, d) by rotations beyond the mean increments; collective.
 
-        Of bodies, tied ones together, whose wholly prescribed nodes, not all on a line, move
-        rigidly from x to x + asked; zero for others.
+        Of bodies (tied ones together) whose prescribed nodes, not all on a line, move rigidly from
+        x to x + asked; zero for others.
         """
         comm, d, result = self.V.mesh.comm, x.shape[1], np.zeros_like(x)
         group = self.groups
@@ -122,10 +122,7 @@ class Bodies:
         return result
 
     def mean(self, values: Floats, where: Bools) -> Floats:
-        """Mean over each body of marked values (owned nodes, d), else 0; collective.
-
-        Tied bodies count as one.
-        """
+        """Mean of marked values (owned nodes, d) over (tied) bodies, else 0; collective."""
         total = np.zeros((self.count, 2, values.shape[1]))
         np.add.at(total[:, 0], self.label, np.where(where, values, 0.0))
         np.add.at(total[:, 1], self.label, where.astype(float))
@@ -147,7 +144,7 @@ def find_bodies(
 
 
 def with_ties(bodies: Bodies, sides: Sequence[tuple[Bools, Bools]]) -> Bodies:
-    """Bodies with groups by ties, given masks (local nodes,) of both sides of each; collective."""
+    """Bodies grouped by ties, given masks (local nodes,) of their sides; collective."""
     n = len(bodies.label)
     touched = np.zeros((len(sides), bodies.count))
     for k, (slave, master) in enumerate(sides):
@@ -158,7 +155,6 @@ def with_ties(bodies: Bodies, sides: Sequence[tuple[Bools, Bools]]) -> Bodies:
 
 
 def _measure(V: fem.FunctionSpace, count: int, label: Ints) -> Bodies:
-    """Measure centres and radii; collective."""
     d = V.dofmap.index_map_bs
     x = V.tabulate_dof_coordinates()[: len(label), :d]
     bodies = Bodies(V, count, label, np.zeros((count, d)), np.ones(count))
@@ -185,7 +181,7 @@ def free_motions(
     Args:
         constraints: linear functions of a displacement vector that return constrained displacements
             (any number on each rank).
-        contacts: such functions of contacts, as if they could also pull.
+        contacts: such functions of contacts, as if they were bilateral.
         facets: such functions of resistance only by facets of a curved side, as of a spinning pin.
 
     Returns:
@@ -213,7 +209,6 @@ def find_free(
 def _name_free(
     bodies: Bodies, modes: Modes, held: Floats, touching: Floats, uneven: Floats
 ) -> list[str]:
-    """Names of modes in the null space of quadratic forms, see `free_motions`."""
     scale = max(float((held + touching).diagonal().max()), TINY)
     null = np.eye(len(modes))
     for form in (held, touching - uneven):
@@ -257,7 +252,7 @@ def name_of(bodies: Bodies, group: list[int]) -> str:
 
 
 def _take_out(null: Floats, rest: Floats, motions: dict[str, Floats]) -> tuple[Floats, list[str]]:
-    """Rest (modes, k) of a null space without given motions, and those it contained."""
+    """Rest (modes, k) of a null space without given motions, and the contained ones."""
     found = []
     for name, motion in motions.items():
         unit = motion / np.linalg.norm(motion)
@@ -270,7 +265,6 @@ def _take_out(null: Floats, rest: Floats, motions: dict[str, Floats]) -> tuple[F
 
 
 def _groups(null: Floats, body: npt.NDArray[np.int_]) -> list[list[int]]:
-    """Sets of bodies that only move together (modes, k)."""
     linked = np.abs(null @ null.T) > QUARTER_OF_DIGITS
     _, label = scipy.sparse.csgraph.connected_components(
         linked | (body[:, None] == body), directed=False
@@ -279,7 +273,6 @@ def _groups(null: Floats, body: npt.NDArray[np.int_]) -> list[list[int]]:
 
 
 def _common_motions(bodies: Bodies, group: list[int]) -> dict[str, Floats]:
-    """Rigid motions of a group of bodies as one, in terms of their modes."""
     count, d = bodies.centre.shape
     middle = bodies.centre[group].mean(axis=0)
     probes = np.vstack([np.zeros(d), np.eye(d)])  # modes are affine

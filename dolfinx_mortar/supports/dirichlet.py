@@ -7,18 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfinx import fem, la
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import any_rank, maximum, raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 
 
 def prescribed_dofs(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> Bools:
-    """Mask (local nodes, d) of prescribed components; collective.
-
-    Raises:
-        ValueError: on all ranks, for dofs outside the space of a condition.
-    """
+    """Mask (local nodes, d) of prescribed components; a ValueError on all ranks; collective."""
     with raised_together(V.mesh.comm):
         for bc in bcs:
             _check_dofs(V, bc)
@@ -55,11 +50,7 @@ def _check_dofs(V: fem.FunctionSpace, bc: fem.DirichletBC) -> None:
 
 
 def prescribed_values(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> Floats:
-    """Prescribed values at owned dofs, 0 where free; collective.
-
-    Raises:
-        ValueError: on all ranks, for contradictory values.
-    """
+    """Prescribed values at owned dofs, 0 where free; a ValueError on all ranks; collective."""
     d, layout = V.dofmap.index_map_bs, V.dofmap.index_map
     values, known = np.zeros((2, d * (layout.size_local + layout.num_ghosts)))
     for bc in bcs:
@@ -78,7 +69,6 @@ def prescribed_values(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> F
 
 
 def _check_unique(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC], target: Floats) -> None:
-    """Raise a ValueError on all ranks for values off the target; collective."""
     d, comm = V.dofmap.index_map_bs, V.mesh.comm
     chosen = la.vector(V.dofmap.index_map, d)
     chosen.array[: len(target)] = target
@@ -149,7 +139,7 @@ class Dirichlet:
 
 
 def create_dirichlet(V: fem.FunctionSpace, bcs: list[fem.DirichletBC]) -> Dirichlet:
-    """Find the prescribed dofs; a ValueError for invalid or contradictory ones; collective."""
+    """Find the prescribed dofs; a ValueError for invalid ones; collective."""
     supports = Dirichlet(V, bcs, prescribed_dofs(V, bcs))
     supports.values()
     return supports

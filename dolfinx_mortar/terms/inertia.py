@@ -1,18 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Inertia and damping: bodies that move in time.
-
-With the forces G = f + c + R - F(u) - C v of loads, contacts, supports, bodies and damping, a step
-of the generalised alpha method (Chung and Hulbert 1993) solves
-
-    M ((1 - am) a + am a_n) = (1 - af) G + af G_n,
-    u = u_n + dt v_n + dt^2 ((1/2 - beta) a_n + beta a),
-    v = v_n + dt ((1 - gamma) a_n + gamma a).
-
-Divided by 1 - af it is the balance of forces at the end of a static step, with a term of potential
-
-    Pi(u) = kappa/2 |u - p|^2_M + g.u,      kappa = (1 - am) / ((1 - af) beta dt^2),
-    p = u_n + dt v_n + dt^2 (1/2 - beta) a_n,      g = (am M a_n - af G_n) / (1 - af).
-"""
+"""Inertia and damping, with the letters of theory.md, Motion in time."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -29,8 +16,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import raised_together
-from dolfinx_mortar.algebra.parallel import any_rank
+from dolfinx_mortar.algebra.parallel import any_rank, raised_together
 from dolfinx_mortar.arguments import NOT_NEGATIVE, POSITIVE, array, check, instance
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.solid.laws import by_cells
@@ -55,7 +41,7 @@ NO_TIME = (
 
 
 def has_square(dt: float) -> bool:
-    """Whether dt^2 is neither 0 nor infinite in floating point."""
+    """Whether dt^2 neither under- nor overflows."""
     return 0.0 < dt * dt < np.inf
 
 
@@ -66,8 +52,8 @@ as_floats = partial(np.asarray, dtype=np.float64)
 class Scheme:
     """Parameters of the generalised alpha method.
 
-    Second order: gamma = 1/2 - am + af; stable for all dt: am <= af <= 1/2, beta >= 1/4 +
-    (af - am)/2.
+    Second order: gamma = 1/2 - am + af; stable for all dt: am <= af <= 1/2, beta >= 1/4 + (af -
+    am)/2.
     """
 
     am: float = 0.0
@@ -83,9 +69,9 @@ IMPLICIT = Scheme(beta=1.0, gamma=1.0)
 
 
 def generalised_alpha(radius: float) -> Scheme:
-    """Scheme that multiplies the highest frequencies by `radius` in each step.
+    """Scheme with spectral radius `radius` at the highest frequencies; 1 damps nothing.
 
-    Chung and Hulbert (1993), eqs. 17, 20 and 25; 1 damps nothing.
+    Chung and Hulbert (1993), eqs. 17, 20 and 25.
     """
     am, af = (2.0 * radius - 1.0) / (radius + 1.0), radius / (radius + 1.0)
     return Scheme(am, af, 0.25 * (1.0 - am + af) ** 2, 0.5 - am + af)
@@ -119,11 +105,10 @@ class Inertia(Term):
         for step in dm.time_steps(problem, times):
             print(step.time, inertia.kinetic_energy())
 
-    The mass of nodes of sides that can open is moved to the nodes behind them; mass, centre and
-    moments of inertia of each body are conserved if there are four layers of cells behind each
-    side, mass and centre with three; with one or two nodes keep their mass, see
-    `dolfinx_mortar.terms.mass`. Mass, energy and momentum are those of the whole ring in
-    axisymmetry, per thickness in the plane.
+    Nodes of sides that can open are massless; their mass is moved to the nodes behind them. Mass,
+    centre and moments of inertia of each body are conserved with four layers of nodes behind each
+    side, mass and centre with three; with one or two, nodes keep their mass (`terms.mass`). All are
+    those of the whole ring in axisymmetry, per thickness in the plane.
 
     Attributes:
         scheme: of the steps; `time_steps` sets it.
@@ -131,12 +116,11 @@ class Inertia(Term):
         acceleration: of the last step, a Function on ``solid.V``.
 
     Args:
-        solid: the bodies.
         density: mass per volume at X: a positive number or Constant, whose value is read here, or
             one for each tag of cells.
         cell_tags: for ``density`` or ``velocity`` by tag.
         velocity: at the start; d numbers, a Function on ``solid.V``, a function of the coordinates
-            as `fem.Function.interpolate` takes it, or d numbers by tag of cells.
+            for `fem.Function.interpolate`, or d numbers by tag of cells.
 
     Source: J. Chung, G. M. Hulbert, J. Appl. Mech. 60 (1993) 371-375, for the schemes; H. B.
     Khenous, P. Laborde, Y. Renard, Eur. J. Mech. A 27 (2008) 918-932, for the mass.
@@ -184,8 +168,8 @@ class Inertia(Term):
         set_velocity(self.velocity, velocity, cell_tags)
         self._start: Start | None = None
         self._end: Motion | None = None
-        self._added: tuple[int, float] | None = None  # last matrix, and its factor of M
-        self._met: tuple[Bools, Ints] | None = None  # arguments of the last `meet`
+        self._added: tuple[int, float] | None = None
+        self._met: tuple[Bools, Ints] | None = None  # of the last `meet`
 
     @property
     def state(self) -> Mapping[str, fem.Function]:
@@ -229,7 +213,7 @@ class Inertia(Term):
         self._added, self._met = None, (contact.copy(), body.copy())
 
     def check_met(self, contact: Bools, body: Ints) -> None:
-        """Raise a ValueError on all ranks unless the arguments are those of `meet`; collective."""
+        """Raise a ValueError on all ranks for other arguments than those of `meet`; collective."""
         same = self._met is not None and all(map(np.array_equal, self._met, (contact, body)))
         if any_rank(self.comm, not same)[0]:
             raise ValueError(
@@ -246,7 +230,7 @@ class Inertia(Term):
         dt = end - start
         if not (dt > 0.0 and has_square(dt)):
             raise ValueError(f"Inertia: the step goes from {start:g} to {end:g}; {NO_TIME}")
-        # 13 digits of equal steps agree after a thousand of them: they share a matrix
+        # rounded, so that equal steps share a matrix
         dt = float(f"{dt:.11e}")
         s, mass = self.scheme, self.mass
         v, a = mass.extend(self.values("velocity")), self.values("acceleration")
@@ -268,7 +252,6 @@ class Inertia(Term):
 
     @property
     def _change(self) -> Floats:
-        """Difference u - p, (owned nodes, d)."""
         return self._owned(self.solid.u) - self.start.predicted
 
     def energy(self) -> Floats:
@@ -293,7 +276,7 @@ class Inertia(Term):
         self._added = K.handle, factor
 
     def varies(self, K: PETSc.Mat) -> bool:
-        """Whether a matrix was assembled with another kappa, as for another dt."""
+        """Whether a matrix was assembled with another kappa."""
         return self._added != (K.handle, self.start.kappa)
 
     def end(self) -> Motion:
@@ -311,10 +294,7 @@ class Inertia(Term):
         self._end = motion
 
     def commit(self) -> None:
-        """Make the motion at the end of the step the start of the next one; collective.
-
-        Without a step nothing changes.
-        """
+        """Commit the motion at the end of a step; collective."""
         if self._start is None:
             return
         end = self._end or self.end()
@@ -322,7 +302,7 @@ class Inertia(Term):
         self._start = self._end = None
 
     def roll_back(self) -> None:
-        """Forget the step."""
+        """Discard the step."""
         self._start = self._end = None
 
     def kinetic_energy(self) -> float:
@@ -341,7 +321,7 @@ class Inertia(Term):
     def moment_of_momentum(self, about: Sequence[float] | None = None) -> Floats:
         """Return sum_i (x_i - about) x (M v)_i, (1,) in the plane, (3,) in space; collective.
 
-        x is X at small strain, X + u at finite strain; ``about`` is a point, by default the origin.
+        x is X at small strain, X + u at finite strain; ``about`` is by default the origin.
         """
         x = self.mass.X - (0.0 if about is None else np.asarray(about, dtype=float))
         if self.solid.strain == "finite":
@@ -359,7 +339,7 @@ class Inertia(Term):
         return self.solid.mesh.comm
 
     def sum(self, share: float | np.floating[Any]) -> float:
-        """Sum of a number over all ranks; collective."""
+        """Sum over all ranks; collective."""
         return float(self.comm.allreduce(float(share), op=MPI.SUM))
 
 
@@ -410,7 +390,7 @@ class Damping(Term):
 
     @property
     def shares(self) -> list[float]:
-        """Factors a and b of mass and stiffness."""
+        """Factors a and b."""
         return [self._mass, self._stiffness]
 
     def times(self, velocity: Floats) -> Floats:
@@ -422,7 +402,7 @@ class Damping(Term):
         return np.asarray(self._mass * self._inertia.mass.times(velocity) + elastic)
 
     def _rate(self) -> tuple[float, Floats]:
-        """Return r and v' of the velocity r (u - u_n) + v' at the end of the step."""
+        """Return r and v' of the velocity r (u - u_n) + v'."""
         inertia, start = self._inertia, self._inertia.start
         s = start.scheme
         rate = s.gamma / (s.beta * start.dt)
@@ -431,7 +411,7 @@ class Damping(Term):
         return rate, constant - rate * start.predicted
 
     def velocity(self) -> Floats:
-        """Velocity at the present u, at the end of the step."""
+        """Velocity at the end of the step."""
         rate, constant = self._rate()
         u = self._inertia.solid.u.x.array[: constant.size].reshape(constant.shape)
         return np.asarray(rate * u + constant)
@@ -453,7 +433,7 @@ class Damping(Term):
             F.array_w[:] += self.times(self.velocity()).ravel()
 
     def varies(self, K: PETSc.Mat) -> bool:
-        """Whether a matrix was assembled with another rate r, as for another dt."""
+        """Whether a matrix was assembled with another r."""
         return self._inertia.varies(K)
 
     def add_tangent(self, K: PETSc.Mat) -> None:
@@ -465,7 +445,7 @@ class Damping(Term):
 
 
 def read_numbers(density: Any) -> None:
-    """Raise a ValueError unless densities are positive numbers or scalar Constants."""
+    """Raise a ValueError unless densities are positive numbers or Constants."""
     several = density.items() if isinstance(density, Mapping) else [(None, density)]
     remedy = (
         "give a positive number, mass per volume in the units of the model (N, mm, s: tonnes per "
@@ -477,25 +457,20 @@ def read_numbers(density: Any) -> None:
 
 
 def numbers_of(density: Any) -> Any:
-    """Densities as one number, or as numbers by tag."""
+    """Densities as a number, or as numbers by tag."""
     if isinstance(density, Mapping):
         return {str(tag): float(_value(given)) for tag, given in sorted(density.items(), key=str)}
     return float(_value(density))
 
 
 def _value(given: Any) -> Any:
-    """The number in a scalar Constant, other objects unchanged."""
     if isinstance(given, fem.Constant) and given.value.shape == ():
         return float(given.value)
     return given
 
 
 def create_density(solid: Solid, density: Any, cell_tags: Any) -> Any:
-    """Density as UFL; collective.
-
-    Raises:
-        ValueError: on all ranks, for unknown tags and cells without density.
-    """
+    """Density in UFL; a ValueError on all ranks for unknown or missing tags; collective."""
     if not isinstance(density, Mapping):
         return fem.Constant(solid.mesh, np.float64(_value(density)))
     chosen, tags = by_cells(solid.mesh, cell_tags, density, "Inertia: density", cover=True)
@@ -507,17 +482,13 @@ def create_density(solid: Solid, density: Any, cell_tags: Any) -> Any:
 
 
 def set_velocity(target: fem.Function, given: Any, cell_tags: Any) -> None:
-    """Set the initial velocity; collective.
-
-    Raises:
-        ValueError: on all ranks, naming a wrong velocity.
-    """
+    """Set the initial velocity; a ValueError on all ranks; collective."""
     V, d = target.function_space, target.function_space.dofmap.index_map_bs
     wanted = f"give {d} finite numbers, a Function on solid.V, or a function of the coordinates"
     if given is None:
         return
     if isinstance(given, fem.Function):
-        space = given.function_space  # another space of the same mesh and element will do
+        space = given.function_space  # another space of the same mesh and element is accepted
         same = space.mesh is V.mesh and space.ufl_element() == V.ufl_element()
         if space != V and (not same or space.component()):
             raise ValueError(
@@ -543,7 +514,6 @@ def set_velocity(target: fem.Function, given: Any, cell_tags: Any) -> None:
 
 
 def _set_by_tag(target: fem.Function, given: Any, cell_tags: Any, wanted: str) -> None:
-    """Set velocities by tag of cells."""
     V, d = target.function_space, target.function_space.dofmap.index_map_bs
     rule = array((d,), remedy=wanted)
     found, tags = by_cells(V.mesh, cell_tags, given, "Inertia: velocity")

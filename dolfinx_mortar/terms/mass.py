@@ -1,18 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The mass matrix, without mass at the nodes of sides that can open.
-
-Mass at contact nodes makes contact forces oscillate in finite steps, and impacts add or lose
-energy. Without it the contact forces are those of the elastic layer behind, continuous in time
-(Khenous, Laborde, Renard 2008, "Mass redistribution method for finite element contact problems in
-elastodynamics"). With the consistent mass M of one displacement component,
-
-    M* = D P^T M P D,     (P v)_c = mean of v at the inner nodes nearest to c,   (P v)_i = v_i,
-
-so that the layer moves with the nodes next to it. M* is positive semidefinite, zero in the rows of
-contact nodes. D = 1 + s is diagonal, s a polynomial of degree two in each body, such that mass,
-centre and moments of inertia are those of M: sum_ij p_i M*_ij q_j is the same for p and q in {1, x,
-y, z}. In a layer of width h, s is of order h^2.
-"""
+"""The mass matrix M* = D P^T M P D, with massless contact nodes (theory.md, Motion in time)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -49,14 +36,14 @@ cubes: with 1 tetrahedra and triangles keep mass at corners and edges, with 2 to
 class Mass:
     """The mass matrix M* of each displacement component; values are (owned nodes, d)."""
 
-    matrix: PETSc.Mat  # AIJ, of nodes
+    matrix: PETSc.Mat
     X: Floats  # (owned nodes, d)
     extension: PETSc.Mat | None = None  # P, None for the identity
-    bare: Bools | None = None  # (owned nodes,) without mass; None for none
+    bare: Bools | None = None  # (owned nodes,) massless; None for none
 
     @property
     def massless(self) -> Bools:
-        """Owned nodes without mass."""
+        """Massless owned nodes."""
         return np.zeros(len(self.X), dtype=bool) if self.bare is None else self.bare
 
     def times(self, values: Floats) -> Floats:
@@ -79,23 +66,22 @@ class Mass:
         K.setValuesBlockedIJV(indptr, columns, blocks.ravel(), addv=PETSc.InsertMode.ADD_VALUES)
 
     def solve(self, values: Floats, held: Bools) -> Floats:
-        """Return P v, M* v = f where there is mass, v = 0 where held (owned nodes, d); collective.
+        """Return P v, M* v = f at nodes with mass, v = 0 where held (owned nodes, d); collective.
 
         Raises:
-            RuntimeError: on all ranks, if conjugate gradients do not converge, as for infinite f.
+            RuntimeError: on all ranks, if conjugate gradients do not converge.
         """
         free = ~(held | self.massless[:, None])
         columns = [self._solve(values[:, k], free[:, k], "xyz"[k]) for k in range(values.shape[1])]
         return self.extend(np.stack(columns, axis=1))
 
     def _solve(self, values: Floats, free: Bools, along: str) -> Floats:
-        """x, 0 where not free, with the free rows and columns of M* x = values; collective."""
         result = np.zeros_like(values)
         solver = self._solver(free)
         b, x = solver.getOperators()[0].createVecs()
         b.array[:] = values[free]
         solver.solve(b, x)
-        if (reason := solver.getConvergedReason()) <= 0:  # the same on all ranks
+        if (reason := solver.getConvergedReason()) <= 0:
             raise RuntimeError(
                 f"Inertia: conjugate gradients found no initial acceleration along {along} for the "
                 f"forces at the start, whose norm is {b.norm():.3g} (PETSc reason {reason}, after "
@@ -106,7 +92,6 @@ class Mass:
         return result
 
     def _solver(self, free: Bools) -> PETSc.KSP:
-        """Conjugate gradients for the free rows and columns, some twenty iterations; collective."""
         first = self.matrix.getOwnershipRange()[0]
         rows = (np.flatnonzero(free) + first).astype(PETSc.IntType)
         chosen = PETSc.IS().createGeneral(rows, comm=self.matrix.comm)
@@ -118,7 +103,7 @@ class Mass:
         return solver
 
     def couplings(self, plain: PETSc.Mat) -> list[Ints]:
-        """Blocks of dofs that M* couples beyond the pattern of the consistent mass, by rows."""
+        """Blocks of dofs that M* couples beyond the consistent mass."""
         d = self.X.shape[1]
         first = plain.getOwnershipRange()[0]
         indptr, columns, _ = self.matrix.getValuesCSR()
@@ -136,7 +121,7 @@ class Mass:
 
 
 def assemble_mass(V: fem.FunctionSpace, density: Any, weight: Any) -> Mass:
-    """Assemble int rho N_i N_j weight dx of one component, rho and weight in UFL; collective."""
+    """Assemble int rho N_i N_j weight dx; collective."""
     scalar = V.sub(0).collapse()[0]
     v, w = ufl.TrialFunction(scalar), ufl.TestFunction(scalar)
     matrix = fem_petsc.assemble_matrix(fem.form(density * weight * v * w * ufl.dx))
@@ -146,16 +131,10 @@ def assemble_mass(V: fem.FunctionSpace, density: Any, weight: Any) -> Mass:
 
 
 def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
-    """The mass without contact nodes; collective.
+    """The mass without contact nodes (owned nodes,), given numbers of bodies; collective.
 
-    With less than four layers of nodes a body keeps mass and centre, but not its moments of
-    inertia; with one or two, all nodes keep their mass, as do nodes without an inner node within
-    three cells.
-
-    Args:
-        plain: the consistent mass.
-        contact: (owned nodes,) of sides that can open.
-        body: (owned nodes,) numbers of the bodies.
+    With less than four layers of nodes, moments of inertia change; with one or two, all nodes keep
+    their mass, as do nodes without an inner node within three cells.
     """
     comm = plain.matrix.comm.tompi4py()
     degree = np.full(comm.allreduce(int(body.max(initial=-1)), op=MPI.MAX) + 1, 2)
@@ -176,7 +155,6 @@ def relieve(plain: Mass, contact: Bools, body: Ints) -> Mass:
 
 
 def _create(like: PETSc.Mat, csr: Any) -> PETSc.Mat:
-    """Matrix with the layout of another one, from lists of rows; collective."""
     indptr, columns, values = csr
     (n, N), _ = like.getSizes()
     arrays = (
@@ -188,7 +166,6 @@ def _create(like: PETSc.Mat, csr: Any) -> PETSc.Mat:
 
 
 def _sum_by_body(comm: MPI.Intracomm, body: Ints, count: int, values: Floats) -> Floats:
-    """Sums (count, m) over each body of values (owned nodes, m); collective."""
     sums = np.zeros((count, values.shape[1]))
     np.add.at(sums, body, values)
     return np.asarray(comm.allreduce(sums))
@@ -210,7 +187,6 @@ def _extension(plain: Mass, contact: Bools) -> tuple[PETSc.Mat, Bools]:
 
 
 def _find_weights(plain: Mass, contact: Bools) -> dict[int, tuple[Ints, Floats]]:
-    """Inner nodes of contact nodes, and their weights; collective."""
     M, n = plain.matrix, len(contact)
     first = M.getOwnershipRange()[0]
     weights: dict[int, tuple[Ints, Floats]] = {}
@@ -232,7 +208,6 @@ def _find_weights(plain: Mass, contact: Bools) -> dict[int, tuple[Ints, Floats]]
 def _inner_nodes(
     plain: Mass, near: PETSc.Mat, rows: Ints, contact: Bools
 ) -> Iterator[tuple[int, tuple[Ints, Floats]]]:
-    """Yield rows with the nearest nodes off the contact sides, to half of the digits."""
     indptr, columns, _ = near.getValuesCSR()
     wanted, place = np.unique(columns, return_inverse=True)
     there = values_at(plain.matrix.comm, np.column_stack([plain.X, contact]), wanted)[place]
@@ -249,7 +224,7 @@ def _inner_nodes(
 def _restore_moments(
     plain: Mass, moved: PETSc.Mat, body: Ints, degree: Ints
 ) -> tuple[Floats, Bools]:
-    """Diagonal of D by Newton's method from s = 0, and the bodies whose moments are those of M."""
+    """Diagonal of D by Newton's method, and the bodies with all moments of M."""
     comm, count = moved.comm.tompi4py(), len(degree)
     by_body = partial(_sum_by_body, comm, body, count)
     n, d = plain.X.shape
@@ -289,7 +264,6 @@ def _restore_moments(
 
 
 def _apply(matrix: PETSc.Mat, values: Floats, *, transposed: bool = False) -> Floats:
-    """A matrix, or its transpose, times columns (owned rows, k); collective."""
     x, y = matrix.createVecs()
     result = np.empty_like(values)
     for k in range(values.shape[1]):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Energy, forces and tangent of a problem: the sum over bodies and terms."""
+"""The sum over bodies and terms: energy, forces and tangent of a problem."""
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
@@ -14,14 +14,19 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
-from dolfinx_mortar.algebra.errors import is_defined_here, is_ours, raised_together
-from dolfinx_mortar.algebra.parallel import any_rank, maximum
+from dolfinx_mortar.algebra.parallel import (
+    any_rank,
+    is_defined_here,
+    is_ours,
+    maximum,
+    raised_together,
+)
 from dolfinx_mortar.arguments import array, check, instance, number
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Bools, Floats, Ints
 from dolfinx_mortar.solid.mean_volume import VolumeStep
 from dolfinx_mortar.solid.solid import Solid, add_first_forces, add_first_tangent
 from dolfinx_mortar.solid.term import Term, ask_term
-from dolfinx_mortar.terms.point_terms import PointTerm
+from dolfinx_mortar.terms.loads import PointTerm
 from dolfinx_mortar.terms.weak_forms import DeadLoads
 
 R = TypeVar("R")
@@ -31,7 +36,7 @@ NO_PLACE = (
     "global numbers for all that are coupled to each other"
 )
 OUT_OF_RANGE = 63  # PETSC_ERR_ARG_OUTOFRANGE
-CALLED_WITH = {  # the arguments of what a term may define
+CALLED_WITH = {  # optional methods of a term
     "energy": (),
     "add_forces": ("F",),
     "add_tangent": ("K",),
@@ -55,10 +60,10 @@ class Energy:
 
 @dataclass(frozen=True)
 class Terms:
-    """J(u) = Psi(u) + sum_k Pi_k(u), its first and its second derivative; the bodies are Psi."""
+    """J(u) = Psi(u) + sum_k Pi_k(u), its first and second derivative; Psi of the bodies."""
 
     solid: Solid
-    named: Sequence[tuple[str, Term]]  # Pi_k, by their names in messages
+    named: Sequence[tuple[str, Term]]  # Pi_k, with their names in messages
 
     @property
     def every(self) -> list[Term]:
@@ -67,7 +72,6 @@ class Terms:
 
     @property
     def _every(self) -> list[tuple[str, Term]]:
-        """All terms with their names."""
         return [("solid", self.solid), *self.named]
 
     @property
@@ -81,7 +85,7 @@ class Terms:
         return all(term.linear for term in self.every)
 
     def vary(self, K: PETSc.Mat) -> bool:
-        """Whether the tangent of this step may differ from K on any rank; collective."""
+        """Whether the tangent may differ from K on any rank; collective."""
         found = [self._ask(f"{n}: varies()", t, partial(t.varies, K)) for n, t in self._stiff]
         found += [region.parameters.varying for region in self.solid.regions]
         return bool(any_rank(self.comm, any(found))[0])
@@ -98,7 +102,7 @@ class Terms:
     def energy(self, along: tuple[VolumeStep, float] | None = None) -> Energy | None:
         """J(u), None if a term has none; collective.
 
-        Along a step with the volumes of its linearisation, see `Solid.energy`.
+        `along` a step with its linearised volumes, see `Solid.energy`.
         """
         sums = np.zeros(3)
         for name, term in self._every:
@@ -111,8 +115,8 @@ class Terms:
     def assemble_forces(self, F: PETSc.Vec, *, from_committed: bool = False) -> float:
         """Fill F with dJ/du; return the largest norm of the forces of a term; collective.
 
-        Without those of the bodies, whose scale are unassembled element forces. `from_committed`:
-        see `Solid.add_first_forces`.
+        Not of the bodies, whose scale are unassembled element forces. `from_committed`: see
+        `Solid.add_first_forces`.
         """
         F.array_w[:] = 0.0
         if from_committed:
@@ -140,7 +144,7 @@ class Terms:
     ) -> None:
         """Fill K with d2J/du2, symmetric; collective.
 
-        For `pressure` see `Solid.add_tangent`, for `from_committed` `Solid.add_first_tangent`.
+        `pressure`: see `Solid.add_tangent`; `from_committed`: see `Solid.add_first_tangent`.
         """
         K.zeroEntries()
         if from_committed:
@@ -150,11 +154,7 @@ class Terms:
         self.add_tangents(K)
 
     def add_tangents(self, K: PETSc.Mat) -> None:
-        """Add the tangents of all terms but the bodies, within the pattern of K; collective.
-
-        Raises:
-            ValueError: on all ranks, if a term gives NaN or infinity.
-        """
+        """Add tangents of all terms but the bodies; a ValueError for NaN, infinity; collective."""
         if self._of_users:
             K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
         before = K.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["mallocs"]
@@ -174,13 +174,12 @@ class Terms:
             )
 
     def skews(self) -> list[PETSc.Mat]:
-        """Antisymmetric parts of tangents, always of the same terms; collective."""
+        """Antisymmetric parts, always of the same terms; collective."""
         found = [self._ask(f"{n}: skew()", term, term.skew) for n, term in self.named]
         return [A for A in found if A is not None]
 
     @property
     def _of_users(self) -> str:
-        """Names of the user's terms with a tangent."""
         own = [name for name, term in self.named if term.has_tangent and not is_ours(term)]
         return "; ".join(own)
 
@@ -188,8 +187,7 @@ class Terms:
         """Tangent of all terms but the bodies; collective.
 
         Raises:
-            ValueError: on all ranks, for NaN or infinity, and if a user's term is not symmetric,
-                which is only seen if it is not zero at the present u.
+            ValueError: on all ranks, for NaN, infinity, and a user's unsymmetric tangent.
         """
         K = self.create_matrix()
         K.zeroEntries()
@@ -199,7 +197,7 @@ class Terms:
         return K
 
     def _check_symmetric(self, K: PETSc.Mat) -> None:
-        """Raise a ValueError on all ranks unless v.K w = w.K v for random v and w; collective."""
+        """Raise a ValueError on all ranks unless v.K w = w.K v for random v, w; collective."""
         v, w = K.createVecs()
         rng = np.random.default_rng(self.comm.rank)
         v.array[:], w.array[:] = rng.normal(size=(2, v.local_size))
@@ -214,8 +212,8 @@ class Terms:
     def create_matrix(self, *, blocks: bool = False) -> PETSc.Mat:
         """Matrix with the pattern of the mesh and the couplings of terms; collective.
 
-        `blocks` stores d x d blocks, unless a user's tangent is added: faster assembly and
-        products, but no sums or products with other matrices.
+        `blocks` stores d x d blocks, unless a user's tangent is added: faster, but without sums and
+        products of matrices.
         """
         ours = all(is_defined_here(type(term).add_tangent) for _, term in self.named)
         K = self.solid.create_matrix("baij" if blocks and ours else "aij")
@@ -226,7 +224,7 @@ class Terms:
         ]
         if not any_rank(self.comm, bool(dense))[0]:
             return K
-        self.solid.add_tangent(K)  # unset entries are removed
+        self.solid.add_tangent(K)  # PETSc removes unset entries
         K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
         with raised_together(self.comm):
             for name, dofs in dense:
@@ -238,16 +236,12 @@ class Terms:
         return K
 
     def begin(self, start: float, end: float) -> None:
-        """Let all terms prepare a step between two load levels; collective.
-
-        Raises:
-            ValueError: on all ranks, if forces or the energy of a term are NaN or infinite.
-        """
+        """Prepare a step; a ValueError for infinite or NaN forces or energies; collective."""
         self.prepare(self._every, start, end)
         self.check_energies()
 
     def prepare(self, named: Sequence[tuple[str, Term]], start: float, end: float) -> None:
-        """Let some terms prepare a step between two load levels; collective."""
+        """Prepare a step of some terms; collective."""
         for name, term in named:
             self._ask(f"{name}: begin()", term, partial(term.begin, start, end))
 
@@ -257,14 +251,14 @@ class Terms:
             self._ask(f"{name}: meet()", term, partial(term.meet, contact, body))
 
     def stride(self) -> float:
-        """How far a node may move in the present step; collective."""
+        """Upper bound of a node's motion in the present step; collective."""
         found = [self._ask(f"{n}: stride()", t, partial(_stride, t)) for n, t in self.named]
         return float(maximum(self.comm, max(found, default=0.0))[0])
 
     def check_energies(self) -> None:
         """Raise a ValueError on all ranks unless the energies of terms are finite at u; collective.
 
-        Of terms without energy the forces are checked: users' and dead loads elsewhere.
+        Of users' terms without energy and dead loads, the forces are checked instead.
         """
         for name, term in self.named:
             if isinstance(term, DeadLoads):
@@ -287,7 +281,7 @@ class Terms:
             self._ask(f"{name}: commit()", term, term.commit)
 
     def roll_back(self) -> None:
-        """Let terms forget a failed step; not collective."""
+        """Discard a failed step in all terms; not collective."""
         for term in self.every:
             term.roll_back()
 
@@ -297,7 +291,6 @@ class Terms:
 
 
 def _add(method: Callable[[Any], object], to: PETSc.Vec | PETSc.Mat) -> None:
-    """Let a term add to a vector or a matrix, and return nothing."""
     returned = _within_pattern(partial(method, to))
     if returned is not None:
         raise ValueError(
@@ -307,7 +300,6 @@ def _add(method: Callable[[Any], object], to: PETSc.Vec | PETSc.Mat) -> None:
 
 
 def _within_pattern(call: Callable[[], R]) -> R:
-    """Set entries; raise if PETSc's pattern has no place for one."""
     try:
         return call()
     except PETSc.Error as error:
@@ -317,7 +309,6 @@ def _within_pattern(call: Callable[[], R]) -> R:
 
 
 def _addends(term: Term, energy: Callable[[], object]) -> Floats | None:
-    """Energy of a term as an array, None if it has none."""
     given = energy()
     if given is None:
         return None
@@ -327,29 +318,22 @@ def _addends(term: Term, energy: Callable[[], object]) -> Floats | None:
 
 
 def _stride(term: Term) -> float:
-    """How far a term may move a node."""
     return check("it", term.stride(), number("a finite length", least=0.0))
 
 
 def _couplings(term: Term) -> Sequence[Any]:
-    """Dense blocks of a term."""
     rule = instance((list, tuple), "give a list of arrays of global dofs, () for none")
     return list(check("it", term.couplings, rule))
 
 
 def _dofs(name: str, dofs: object, n: int) -> np.ndarray:
-    """Global dofs of a dense block, in PETSc's type."""
     remedy = f"give arrays of global dofs, integers from 0 to {n - 1}"
     rule = array((None,), remedy=remedy, holds=lambda k: np.isin(k, np.arange(n)).all())
     return check(f"{name}: couplings: one", dofs, rule).astype(PETSc.IntType)
 
 
 def check_terms(comm: MPI.Comm, terms: Any, u: fem.Function) -> list[Term]:
-    """Terms as a list, after checks; collective.
-
-    Raises:
-        ValueError: on all ranks, naming what is missing.
-    """
+    """Check terms; a ValueError on all ranks names what is missing; collective."""
     with raised_together(comm):
         check("terms", terms, instance((list, tuple), "give a list of terms, [] for none"))
         for k, term in enumerate(terms):
@@ -367,13 +351,11 @@ def check_terms(comm: MPI.Comm, terms: Any, u: fem.Function) -> list[Term]:
 
 
 def _kind(term: Term) -> dict[str, Any]:
-    """Attributes that have to agree on all ranks."""
     names = "linear", "has_tangent"
     return {name: getattr(term, name) for name in names} | {"state": sorted(term.state)}
 
 
 def _check_signatures(k: int, term: Term) -> None:
-    """Raise a ValueError unless the methods of a term take their arguments."""
     for name, arguments in CALLED_WITH.items():
         signature = inspect.signature(getattr(term, name))
         try:
@@ -386,7 +368,7 @@ def _check_signatures(k: int, term: Term) -> None:
 
 
 def _check_state(k: int, term: Term, V: fem.FunctionSpace) -> None:
-    """Raise a ValueError unless the state of a term is nodal Functions on the mesh of V."""
+    """Raise a ValueError unless a state is nodal Functions on the mesh of V."""
     what = f"state of terms[{k}], a {type(term).__name__}"
     check(what, term.state, instance(Mapping, "give a dictionary of Functions by name"))
     nodes = V.dofmap.index_map

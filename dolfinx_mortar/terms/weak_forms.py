@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Terms in UFL: dead loads, and weak forms of the displacement.
 
-One step minimises J(v) = Psi(v) + sum Pi(v) - f.v, f the dead loads and Pi a `WeakForm` (springs,
-elastic foundations, conservative pressure, a viscous damper). Both are multiplied by the weight of
-the kinematics: t in inner(t, v) * ds is a traction, and forces in axisymmetry are those of the
-whole ring.
+Both have the weight of the kinematics: t in inner(t, v) * ds is a traction, and forces in
+axisymmetry are those of the whole ring.
 """
 
 from collections.abc import Mapping
@@ -38,22 +36,14 @@ class DeadLoads(Term):
     has_tangent = False
 
     def __init__(self, solid: Solid, loads: ufl.Form) -> None:
-        """Check and compile a linear form; collective.
-
-        Raises:
-            ValueError: naming the error and the remedy.
-        """
+        """Check and compile a linear form, or raise a ValueError with the remedy; collective."""
         check_form(solid.u, "loads", loads, arguments=1, dead=True)
         self._u = solid.u
         self._form = fem.form(weighted(loads, solid))
         self._vector = create_vector(solid.V)
 
     def begin(self, start: float, end: float) -> None:
-        """Assemble the forces; collective.
-
-        Raises:
-            ValueError: on all ranks, if they hold NaN or infinity.
-        """
+        """Assemble the forces; a ValueError on all ranks for NaN or infinity; collective."""
         bad = ~np.isfinite(assemble(self._form, self._vector))
         if any_rank(self._u.function_space.mesh.comm, bad.any())[0]:
             raise ValueError(
@@ -84,10 +74,10 @@ class WeakForm(Term):
 
     With ``energy`` forces and tangent are its first and second derivative. With ``residual``, a
     linear form R(u; v), the forces are R(u; phi_i) and the tangent is the symmetric part of dR/du:
-    Newton is quadratic if R has a potential, and converges linearly otherwise, except with the
-    exact tangent of contact, which takes the antisymmetric part, too.
+    Newton's method is quadratic if R has a potential, else linear, except with the exact tangent of
+    contact, which includes the antisymmetric part.
 
-    Subclasses keep a state: Functions in the form that `commit` sets, Constants that `begin` sets
+    Subclasses may have a state: Functions in the form set by `commit`, Constants set by `begin`
     (see the guide).
 
     Args:
@@ -129,7 +119,7 @@ class WeakForm(Term):
         self._given = {name: form}
 
     def given(self) -> Mapping[str, Any]:
-        """Arguments that have to agree on all ranks; see `agreement`."""
+        """Arguments that must agree on all ranks, see `agreement`."""
         return self._given
 
     def energy(self) -> float | None:
@@ -157,7 +147,6 @@ class WeakForm(Term):
 
     @cached_property
     def _skew(self) -> tuple[MatrixForm, PETSc.Mat] | None:
-        """Form and matrix of the antisymmetric part, compiled at first use."""
         if self._asymmetric is None:
             return None
         half = 0.5 * (self._asymmetric - ufl.adjoint(self._asymmetric))
@@ -175,17 +164,12 @@ WANTED = (
 def check_form(
     u: fem.Function, name: str, form: Any, *, arguments: int = 0, dead: bool = False
 ) -> None:
-    """Raise a ValueError unless a form can be added; collective.
+    """Raise a ValueError unless a form over cells and exterior facets can be added; collective.
 
-    Args:
-        u: displacement in the form.
-        name: of the argument.
-        form: integrals over cells and exterior facets.
-        arguments: number of test functions.
-        dead: whether it must not contain u.
+    `arguments`: number of test functions; `dead`: u is forbidden.
     """
     wanted = WANTED[arguments + dead]
-    if not isinstance(form, ufl.Form):  # its repr may be pages long
+    if not isinstance(form, ufl.Form):  # its repr may fill pages
         compiled = "compiled form, not in UFL" if isinstance(form, fem.Form) else ""
         raise ValueError(f"{name} is a {compiled or type(form).__name__}: {wanted}")
     check_real(name, *form.coefficients(), *form.constants())
@@ -230,7 +214,7 @@ def weighted(form: ufl.Form, solid: Solid) -> ufl.Form:
 
 
 def _with_one_rule(form: ufl.Form) -> ufl.Form:
-    """A form whose derivatives UFL integrates with the quadrature of the form itself."""
+    """A form whose derivatives have its own quadrature."""
     integrals = []
     for integral in expand_derivatives(form).integrals():
         metadata = dict(integral.metadata())

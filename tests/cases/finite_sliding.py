@@ -100,22 +100,10 @@ def indentation(
     unit=1.0,
     **options,
 ):
-    """Create the case.
+    """Create the case of n cells (along, deep) of the block and of the half ring.
 
-    Args:
-        n: cells of the block and of the half ring, (along, deep) each.
-        moduli: Young's moduli of block and tool.
-        slave: "tool" or "block".
-        radius: of the half ring.
-        length: of the block, from x = 0.
-        blocks: where it starts; of several, which belong to one side of the contact.
-        apart: whether each of these has a contact of its own instead.
-        height: of the block, below y = 0.
-        start: x of the middle of the half ring.
-        strain: that of the solid.
-        surface: of the contact.
-        unit: factor of all lengths.
-        options: of the contact.
+    Blocks start at `blocks`, and belong to one side or are `apart`, with a contact each; the middle
+    of the half ring is at x = start. The options are those of the contact.
     """
     parts = [grid(*n[0], lambda s, t, x=x: (x + length * s, height * (t - 1))) for x in blocks]
     count = len(parts[0][0])
@@ -214,7 +202,7 @@ def turning_hub(
     return TurningHub(problem, contact, turned, tuple(circles))
 
 
-def soft_block(*, slave="block", surface="facets"):
+def soft_block():
     """Return a problem, its contact and the Constant of a dead load on a soft block.
 
     It lies on a round support (radius 1.5) that is a thousand times stiffer, and its middle line
@@ -226,9 +214,6 @@ def soft_block(*, slave="block", surface="facets"):
         x = 2.4 * half * (2 * s - 1)
         return x, 1.5 * (t - 1) - t * x * x / (2 * radius)
 
-    lower = grid(15, 1, support)
-    upper = grid(12, 6, lambda s, t: (half * (2 * s - 1), t))
-
     def tag(body, x):
         at_top = x[:, 1] > -0.5 - x[:, 0] ** 2 / (2 * radius)
         ends = np.abs(x[:, 0]) > 2.4 * half - 1e-9
@@ -236,24 +221,20 @@ def soft_block(*, slave="block", surface="facets"):
         above = np.select([x[:, 1] > 1 - 1e-9, x[:, 1] < 1e-9], [HELD, ARC], 0)
         return np.where(body == TOOL, above, below)
 
+    lower, upper = grid(15, 1, support), grid(12, 6, lambda s, t: (half * (2 * s - 1), t))
     bodies = Bodies.of((lower, upper), tag)
     V = fem.functionspace(bodies.mesh, ("Lagrange", 1, (2,)))
-    u, p = fem.Function(V), fem.Constant(bodies.mesh, default_scalar_type(0.0))
+    W, p = V.sub(0), fem.Constant(bodies.mesh, default_scalar_type(0.0))
     base = fem.locate_dofs_topological(V, 1, bodies.facets.find(BASE))
-    zero = np.zeros(2, dtype=default_scalar_type)
-    W = V.sub(0)
     middle = fem.locate_dofs_geometrical(
         (W, W.collapse()[0]), lambda x: (np.abs(x[0]) < 1e-9) & (x[1] > -1e-9)
-    )
-    mark = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=bool)
-    mark[V.dofmap.list[bodies.cells.find(TOOL)].ravel()] = True
-    middle = [dofs[mark[middle[0] // 2]] for dofs in middle]
-    still = fem.Function(W.collapse()[0])
-    bcs = [fem.dirichletbc(zero, base, V), fem.dirichletbc(still, middle, W)]
+    )[0]
+    own = V.dofmap.list[bodies.cells.find(TOOL)]
+    bcs = [fem.dirichletbc(np.zeros(2, dtype=default_scalar_type), base, V)]
+    bcs.append(fem.dirichletbc(default_scalar_type(0.0), middle[np.isin(middle // 2, own)], W))
     laws = {BLOCK: dm.NeoHooke(1000.0, 0.3), TOOL: dm.NeoHooke(1.0, 0.3)}
-    sides = (ARC, TOP) if slave == "block" else (TOP, ARC)
-    contact = dm.Contact(bodies.facets, slave=sides[0], master=sides[1], surface=surface)
+    contact = dm.Contact(bodies.facets, slave=ARC, master=TOP, surface="facets")
     ds = ufl.Measure("ds", bodies.mesh, subdomain_data=bodies.facets)
     load = -p * ufl.TestFunction(V)[1] * ds(HELD)
-    solid = dm.Solid(u, laws, bodies.cells, strain="finite")
+    solid = dm.Solid(fem.Function(V), laws, bodies.cells, strain="finite")
     return dm.ContactProblem(solid, [contact], bcs=bcs, loads=load), contact, p

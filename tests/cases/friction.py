@@ -112,3 +112,28 @@ def create(
         solid, [contact], bcs=bcs, geometry=geometry, petsc_options=petsc_options
     )
     return PushedBlock(problem, contact, bcs, cells, top, turn)
+
+
+def largest(array) -> float:
+    """Return the largest absolute value of all ranks."""
+    return float(COMM.allreduce(float(np.abs(array).max(initial=0.0)), op=MPI.MAX))
+
+
+def check_coulomb(case: PushedBlock, mu: float, accuracy: float = 1e-10) -> dict[str, np.ndarray]:
+    """Coulomb's law at each closed node, and action and reaction; return the nodes."""
+    nodes, contact = case.closed(), case.contact
+    tau, p, slip = (nodes[name] for name in ("traction", "pressure", "step_slip"))
+    size, way = (np.linalg.norm(v, axis=1) for v in (tau, slip))
+    sticks, slides = (nodes["status"] == value for value in (1.0, 2.0))
+    assert (sticks | slides).all() and len(p) > 1
+    assert largest(way[sticks]) == 0.0 and (size <= mu * p + accuracy * p.max()).all()
+    assert largest(size[slides] - mu * p[slides]) < accuracy * p.max()
+    along = mu * p[:, None] * slip + tau * way[:, None]  # against the slip
+    assert largest(along[slides]) <= accuracy * p.max() * largest(way)
+    exact = case.problem.geometry == "reference"
+    assert not exact or largest(tau[:, -1]) < accuracy * p.max()
+    size = largest(contact.force)
+    assert largest(contact.force + contact.master_force) < accuracy * size
+    moment = largest(contact.moment + contact.master_moment)
+    assert moment < (accuracy if exact else 1e-6) * size
+    return nodes

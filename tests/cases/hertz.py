@@ -36,6 +36,13 @@ class HertzCase:
         """Prescribe the displacement (0, -depth) of the flat face."""
         self.top.value[:] = (0.0, -depth)
 
+    def move(self, x: float, depth: float, **options) -> dm.StepReport:
+        """Prescribe the displacement (x, -depth) of the flat face, solve and commit."""
+        self.top.value[:] = (x, -depth)
+        report = dm.newton(self.problem, **options)
+        self.problem.commit()
+        return report
+
     def fit(self) -> tuple[float, float]:
         """Return half-width and peak pressure of p^2 = p0^2 (1 - x^2/b^2), least squares.
 
@@ -60,21 +67,36 @@ def create_case(
     slave: str = "block",
     geometry: str = "updated",
     degree: int = 1,
+    shape: dm.shapes.Shape | None = None,
+    strain: str = "small",
+    kinematics: str = "plane_strain",
     **options,
 ) -> HertzCase:
     """Clamp the block's bottom, prescribe the disc's flat face, put contact in between.
 
-    The options are those of the contact.
+    A shape stands for the master. The options are those of the contact.
     """
-    V = fem.functionspace(mesh.mesh, ("Lagrange", degree, (2,)))
-    solid = dm.Solid(fem.Function(V, name="u"), materials, mesh.cell_tags)
-    values = [fem.Constant(mesh.mesh, np.zeros(2)) for _ in range(2)]
-    tags = ("bottom", "flat")
+    V, sides = fem.functionspace(mesh.mesh, ("Lagrange", degree, (2,))), mesh.facet_tags
+    solid = dm.Solid(
+        fem.Function(V, name="u"), materials, mesh.cell_tags, strain=strain, kinematics=kinematics
+    )
+    fixed, top = (fem.Constant(mesh.mesh, np.zeros(2)) for _ in range(2))
+    held = [("bottom", fixed, V), ("flat", top, V)]
+    held += [("axis", 0.0, V.sub(0))] if "axis" in sides.names else []
     bcs = [
-        fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, mesh.facet_tags.find(tag)), V)
-        for value, tag in zip(values, tags, strict=True)
+        fem.dirichletbc(value, fem.locate_dofs_topological(W, 1, sides.find(tag)), W)
+        for tag, value, W in held
     ]
-    sides = dict(zip(("slave", "master"), SIDES[slave], strict=True))
-    contact = dm.Contact(mesh.facet_tags, **sides, **options)
+    side, master = SIDES[slave]
+    if shape is None:
+        contact = dm.Contact(sides, slave=side, master=master, **options)
+    else:
+        contact = dm.Obstacle(sides, slave=side, shape=shape, **options)
     problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry)
-    return HertzCase(problem, contact, values[1])
+    return HertzCase(problem, contact, top)
+
+
+def paper(materials=PLASTIC, *, gap: float = 0.0, **options) -> HertzCase:
+    """Return the case on a mesh like that of the paper."""
+    mesh = dm.meshing.hertz(MPI.COMM_WORLD, kind="paper", gap=gap)
+    return create_case(mesh, materials, **options)

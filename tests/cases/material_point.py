@@ -19,7 +19,6 @@ class MaterialPoint:
     """A law at one integration point, on each rank for itself."""
 
     def __init__(self, law: Any, d: int = 3, kinematics: str | None = None) -> None:
-        """Choose a triangle (d = 2, by default plane strain) or a tetrahedron (d = 3)."""
         self._law, self.d, self._kinematics = law, d, kinematics
 
     @cached_property
@@ -34,11 +33,9 @@ class MaterialPoint:
 
     @cached_property
     def x(self) -> np.ndarray:
-        """The places of the degrees of freedom (nodes, d)."""
         return self.solid.V.tabulate_dof_coordinates()[:, : self.d]
 
     def reset(self) -> None:
-        """Return to the virgin state."""
         for f in self.solid.state.values():
             f.x.array[:] = 0.0
 

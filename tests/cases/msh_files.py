@@ -2,7 +2,6 @@
 
 import os
 import tempfile
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,7 +11,7 @@ COMM = MPI.COMM_WORLD
 
 
 @contextmanager
-def folder() -> Iterator[Path]:
+def folder():
     """Yield one folder for all ranks; it is gone afterwards."""
     with tempfile.TemporaryDirectory() as own:
         yield Path(COMM.bcast(own))
@@ -20,7 +19,7 @@ def folder() -> Iterator[Path]:
 
 
 @contextmanager
-def msh_file(draw: Callable, **options: float) -> Iterator[Path]:
+def msh_file(draw, **options):
     """Yield the file of a model that rank 0 draws and meshes in `draw(gmsh.model)`."""
     with folder() as there:
         file = there / "case.msh"
@@ -41,7 +40,7 @@ def msh_file(draw: Callable, **options: float) -> Iterator[Path]:
         yield file
 
 
-def squares(model, *, low="low", up="up", z=0.0, mesh=2) -> None:
+def squares(model, *, low="low", up="up", z=0.0, mesh=2):
     """Two squares of side 1, one on the other without common nodes, 0.5 wider to the right."""
     for k, width in ((0, 1.5), (1, 1.0)):
         model.occ.addRectangle(0.0, float(k), z, width, 1.0)
@@ -54,7 +53,7 @@ def squares(model, *, low="low", up="up", z=0.0, mesh=2) -> None:
     model.mesh.generate(mesh)
 
 
-def boxes(model, *, hexahedra=False, named=True) -> None:
+def boxes(model, *, hexahedra=False, named=True):
     """Two unit cubes, one on the other without common nodes."""
     for k in (0, 1):
         model.occ.addBox(0.0, 0.0, float(k), 1.0, 1.0, 1.0)
@@ -69,7 +68,7 @@ def boxes(model, *, hexahedra=False, named=True) -> None:
     model.mesh.generate(3)
 
 
-def disc(model) -> None:
+def disc(model):
     """A quarter of the unit disc."""
     model.occ.addDisk(0, 0, 0, 1, 1, 1)
     model.occ.addRectangle(0, 0, 0, 2, 2, 2)

@@ -2,13 +2,13 @@
 """The square plate with a square hole of the reference computation."""
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 
 import basix.ufl
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import mesh
+from tests.cases.solid import plane, tag_facets
 
 
 def create_plate(comm: MPI.Comm, element: str, level: int) -> mesh.Mesh:
@@ -35,28 +35,6 @@ def create_plate(comm: MPI.Comm, element: str, level: int) -> mesh.Mesh:
     return mesh.create_mesh(comm, cells=cells.astype(np.int64), x=points, e=ufl.Mesh(coordinates))
 
 
-def roller_sides(V: fem.FunctionSpace) -> list[np.ndarray]:
-    """Return the local dofs of u_x on x = 0, and those of u_y on y = 0."""
-    fdim = V.mesh.topology.dim - 1
-    dofs = []
-    for i in range(2):
-        facets = mesh.locate_entities_boundary(V.mesh, fdim, lambda x, i=i: np.isclose(x[i], 0))
-        dofs.append(fem.locate_dofs_topological(V.sub(i), fdim, facets))
-    return dofs
-
-
-def top_traction(V: fem.FunctionSpace, traction: float | fem.Constant) -> ufl.Form:
-    """Return the linear form of the traction (0, traction) on y = 10."""
-    fdim = V.mesh.topology.dim - 1
-    facets = mesh.locate_entities_boundary(V.mesh, fdim, lambda x: np.isclose(x[1], 10.0))
-    tags = mesh.meshtags(V.mesh, fdim, np.sort(facets), np.full(len(facets), 1, dtype=np.int32))
-    ds = ufl.Measure("ds", V.mesh, subdomain_data=tags)
-    return traction * ufl.TestFunction(V)[1] * ds(1)
-
-
-def assemble_load(form: ufl.Form, V: fem.FunctionSpace) -> PETSc.Vec:
-    """Assemble a linear form into a Vec with the owned entries of V."""
-    f = fem.Function(V)
-    fem.assemble_vector(f.x.array, fem.form(form))
-    f.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-    return f.x.petsc_vec.copy()
+def top(domain: mesh.Mesh) -> ufl.Measure:
+    """Return the measure of y = 10."""
+    return ufl.Measure("ds", domain, subdomain_data=tag_facets(domain, plane(1, 10.0)))(1)

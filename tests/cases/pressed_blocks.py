@@ -13,6 +13,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
 from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
+from tests.cases.meshes_3d import two_boxes
 
 COMM = MPI.COMM_WORLD
 ELASTIC = dm.Elastic(1000.0, 0.3)
@@ -21,18 +22,27 @@ ELASTIC = dm.Elastic(1000.0, 0.3)
 class PressedBlocks:
     """Mesh, tags, space and displacement, and the parts of a problem on them."""
 
-    def __init__(self, *, degree=1, **options):
-        """Create the blocks; the other options are those of `two_blocks`."""
-        self.mesh, self.cells, self.facets = two_blocks(COMM, **options)
-        self.V = fem.functionspace(self.mesh, ("Lagrange", degree, (2,)))
+    def __init__(self, *, degree=1, d=2, comm=COMM, **options):
+        """Create the blocks; the other options are those of `two_blocks` or `two_boxes`."""
+        create = two_blocks if d == 2 else two_boxes
+        self.mesh, self.cells, self.facets = create(comm, **options)
+        self.V = fem.functionspace(self.mesh, ("Lagrange", degree, (d,)))
         self.u = fem.Function(self.V)
-        self.top = fem.Constant(self.mesh, default_scalar_type((0.0, -0.01)))
+        down = np.append(np.zeros(d - 1), -0.01).astype(default_scalar_type)
+        self.d, self.top = d, fem.Constant(self.mesh, down)
 
     def bc(self, tag, value=(0.0, 0.0)):
         if isinstance(value, tuple):
             value = np.array(value, dtype=default_scalar_type)
         dofs = fem.locate_dofs_topological(self.V, 1, self.facets.find(tag))
+        if isinstance(value, fem.Function):
+            return fem.dirichletbc(value, dofs)
         return fem.dirichletbc(value, dofs, self.V)
+
+    def roller(self, tag, component, value=0.0):
+        W = self.V.sub(component)
+        dofs = fem.locate_dofs_topological(W, self.d - 1, self.facets.find(tag))
+        return fem.dirichletbc(value, dofs, W)
 
     def bcs(self):
         return [self.bc(BOTTOM), self.bc(TOP, self.top)]
@@ -40,8 +50,11 @@ class PressedBlocks:
     def contact(self, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER, facets=None):
         return dm.Contact(self.facets if facets is None else facets, slave=slave, master=master)
 
+    def tie(self, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER, **options):
+        return dm.Tie(self.facets, slave=slave, master=master, **options)
+
     def problem(self, interfaces=None, bcs=None, law=ELASTIC, **options):
-        solid = dm.Solid(self.u, law)
+        solid = law if isinstance(law, dm.Solid) else dm.Solid(self.u, law)
         interfaces = [self.contact()] if interfaces is None else interfaces
         return dm.ContactProblem(
             solid, interfaces, bcs=self.bcs() if bcs is None else bcs, **options
@@ -51,6 +64,21 @@ class PressedBlocks:
         v, ds = ufl.TestFunction(self.V), ufl.Measure("ds", self.mesh, subdomain_data=self.facets)
         value = fem.Constant(self.mesh, default_scalar_type(traction))
         return ufl.inner(value, v) * ds(TOP)
+
+
+class Bare(dm.Term):
+    """A term that adds nothing."""
+
+    linear, state, has_tangent = False, {}, False
+
+    def __init__(self, **given):
+        """Take some attributes."""
+        vars(self).update(given)
+
+    def add_forces(self, F):
+        """Do nothing."""
+
+    add_tangent = add_forces
 
 
 def rejected(*words, error=ValueError):

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 
 from mpi4py import MPI
 
-import numpy as np
-
 import dolfinx_mortar as dm
 from dolfinx import default_scalar_type, fem
+from tests.cases.solid import hold, stand
 
 RADIUS = 200.0
 RUBBER = dm.MooneyRivlin(0.293, 0.177, 1410.0)
@@ -20,8 +19,6 @@ RUBBER = dm.MooneyRivlin(0.293, 0.177, 1410.0)
 
 @dataclass
 class Cylinder:
-    """The problem, and what is moved."""
-
     problem: dm.ContactProblem
     contact: dm.Contact
     push: fem.Constant
@@ -49,18 +46,16 @@ def create_cylinder(
     """Return a cylinder with elements of a size, on a plate 1e5 times stiffer."""
     shape = {"radius": RADIUS, "block": (800.0, 200.0), "core": RADIUS, "limit": 2.0}
     made = dm.meshing.hertz(MPI.COMM_WORLD, kind="graded", h=h, cell=cell, half=True, **shape)
-    V = fem.functionspace(made.mesh, ("Lagrange", degree, (2,)))
     laws = {"disc": law, "block": dm.NeoHooke(1e5, 0.3)}
-    how = {"strain": "finite", "volumetric": volumetric}
-    solid = dm.Solid(fem.Function(V), laws, made.cell_tags, **how)
-    push, still = (fem.Constant(made.mesh, default_scalar_type(0.0)) for _ in range(2))
-    zero = fem.Constant(made.mesh, np.zeros(2, dtype=default_scalar_type))
-    bcs = []
-    for side, i, value in (("flat", 1, push), ("axis", 0, still)):
-        dofs = fem.locate_dofs_topological(V.sub(i), 1, made.facet_tags.find(side))
-        bcs.append(fem.dirichletbc(value, dofs, V.sub(i)))
-    plate = fem.locate_dofs_topological(V, 1, made.facet_tags.find("bottom"))
-    bcs.append(fem.dirichletbc(zero, plate, V))
+    push = fem.Constant(made.mesh, default_scalar_type(0.0))
+    find = made.facet_tags.find
+
+    def supports(V):
+        axis = hold(V, find("axis"), 0)
+        return [hold(V, find("flat"), 1, push), axis, hold(V, find("bottom"))]
+
     sides = {"arc": ("arc", "top"), "top": ("top", "arc")}[slave]
     contact = dm.Contact(made.facet_tags, slave=sides[0], master=sides[1])
-    return Cylinder(dm.ContactProblem(solid, [contact], bcs=bcs), contact, push)
+    how = {"strain": "finite", "volumetric": volumetric, "degree": degree}
+    how |= {"cell_tags": made.cell_tags}
+    return Cylinder(stand(made.mesh, laws, supports, [contact], **how), contact, push)

@@ -9,11 +9,8 @@ from mpi4py import MPI
 
 import numpy as np
 
-import basix.ufl
 import dolfinx_mortar as dm
-from dolfinx import fem, mesh
-from tests.cases.meshes_3d import box_cells
-from tests.cases.moving_bodies import component
+from tests.cases.solid import create_displacement, rectangle, rollers
 
 COMM = MPI.COMM_WORLD
 LENGTH, RADIUS, SPEED = 32.4, 3.2, 227e3
@@ -37,49 +34,13 @@ def times(first):
 
 def cylinder(n, length=LENGTH, degree=1):
     """Return the displacement of a cylinder of n cells along r and z, and what holds it."""
-    corners = [[0.0, 0.0], [RADIUS, length]]
-    domain = mesh.create_rectangle(COMM, corners, n, cell_type=mesh.CellType.quadrilateral)
-    return held_by_planes(domain, degree)
-
-
-def quarter(n, layers, degree):
-    """Return the displacement of a quarter of the bar in space, and what holds it.
-
-    Its section has n by n cells around the axis, and as many on either side of these, up to an arc:
-    curved cells of second order, or the polygon that has the area of the circle.
-    """
-    radius, half = RADIUS, np.pi / 4.0
-    if degree == 1:
-        radius *= np.sqrt(half / n / np.sin(half / n))
-    s, heights = (np.linspace(0.0, 1.0, degree * k + 1) for k in (n, layers))
-    z, t, s = np.meshgrid(LENGTH * heights, s, s, indexing="ij")
-    inner, corner = 0.55 * radius, 0.44 * radius
-    square = [s * (inner + (corner - inner) * t), t * (inner + (corner - inner) * s), z]
-    x, y = inner + (corner - inner) * t, corner * t
-    x, y = x + s * (radius * np.cos(half * t) - x), y + s * (radius * np.sin(half * t) - y)
-    # mirrored at x = y, and numbered the other way round, so that no cell is turned
-    blocks = [square, [x, y, z], [y[..., ::-1], x[..., ::-1], z]]
-    points = np.concatenate([np.stack(block, axis=-1).reshape(-1, 3) for block in blocks])
-    size = len(points) // 3
-    cells = box_cells((n, n, layers), "hexahedron", degree)
-    cells = np.concatenate([cells + k * size for k in range(3)])
-    _, first, same = np.unique(np.round(points, 8), axis=0, return_index=True, return_inverse=True)
-    own = slice(None) if COMM.rank == 0 else slice(0)
-    domain = mesh.create_mesh(
-        COMM,
-        same.ravel()[cells][own],
-        x=points[first][own],
-        e=basix.ufl.element("Lagrange", "hexahedron", degree, shape=(3,)),
-    )
-    return held_by_planes(domain, degree)
+    return held_by_planes(rectangle([(0.0, 0.0), (RADIUS, length)], n), degree)
 
 
 def held_by_planes(domain, degree):
     """Return a displacement, and conditions that no plane through the origin lets it through."""
-    d = domain.geometry.dim
-    V = fem.functionspace(domain, ("Lagrange", degree, (d,)))
-    held = [component(V, i, lambda x, i=i: np.isclose(x[i], 0.0)) for i in range(d)]
-    return fem.Function(V), held
+    u = create_displacement(domain, degree)
+    return u, rollers(u.function_space)
 
 
 def solid_of(u, **options):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Half of a block, refined towards a corner at the origin, on which rigid tools are pressed."""
+"""Bodies on whose tops rigid tools are pressed: half of a plane block, and a box."""
 
 from mpi4py import MPI
 
@@ -12,6 +12,8 @@ COMM = MPI.COMM_WORLD
 BASE, SIDE, TOP, AXIS = 1, 2, 3, 4
 R, DEPTH, E, NU = 8.0, 0.02, 200.0, 0.3
 ELASTIC = dm.Elastic(E, NU)
+STEEL = dm.VonMises(E, NU, 0.3, 10.0)
+DISC, BALL = dm.shapes.Cylinder([0.0, R], R), dm.shapes.Sphere([0.0, R], R)
 
 
 def graded(t, size, fine):
@@ -19,49 +21,38 @@ def graded(t, size, fine):
     return fine * t + (size - fine) * t**4
 
 
-class Block:
-    """Half of a plane block, or the section of a round one, y <= 0, u_x = 0 at x = 0.
-
-    Its base is clamped; all of it may be turned by an angle, and measured in another unit.
-    """
-
-    def __init__(self, n=24, size=10.0, fine=1.0, cell="triangle", degree=1, angle=0.0, unit=1.0):
-        """Create mesh, tags and space: n cells each way, about fine / n wide at the origin."""
-        kind = getattr(mesh.CellType, cell)
-        self.mesh = mesh.create_rectangle(COMM, [[0.0, 0.0], [1.0, 1.0]], [n, n], kind)
-        t = self.mesh.geometry.x[:, :2].copy()
-        facets, values = [], []
-        for tag, where in (
-            (BASE, lambda x: np.isclose(x[1], 1.0)),
-            (SIDE, lambda x: np.isclose(x[0], 1.0)),
-            (TOP, lambda x: np.isclose(x[1], 0.0)),
-            (AXIS, lambda x: np.isclose(x[0], 0.0)),
-        ):
-            found = mesh.locate_entities_boundary(self.mesh, 1, where)
-            facets.append(found)
-            values.append(np.full(len(found), tag, dtype=np.int32))
-        order = np.argsort(np.concatenate(facets))
-        self.facets = mesh.meshtags(
-            self.mesh, 1, np.concatenate(facets)[order], np.concatenate(values)[order]
+def mark(domain, places):
+    """Return facet tags of {tag: (axis, coordinate)}."""
+    dim, tags = domain.topology.dim - 1, {}
+    for tag, (axis, at) in places.items():
+        found = mesh.locate_entities_boundary(
+            domain, dim, lambda x, axis=axis, at=at: np.isclose(x[axis], at)
         )
-        x = np.stack([graded(t[:, 0], size, fine), -graded(t[:, 1], size, fine)], axis=1)
-        c, s = np.cos(angle), np.sin(angle)
-        self.turned = np.array([[c, -s], [s, c]])
-        self.unit = unit
-        self.mesh.geometry.x[:, :2] = unit * x @ self.turned.T
-        self.V = fem.functionspace(self.mesh, ("Lagrange", degree, (2,)))
+        tags |= dict.fromkeys(found.tolist(), tag)
+    facets = np.array(sorted(tags), dtype=np.int32)
+    return mesh.meshtags(domain, dim, facets, np.array([tags[f] for f in facets], dtype=np.int32))
+
+
+class Body:
+    """What has a space V, facet tags and a displacement u, clamped at its base."""
+
+    def __init__(self, domain, facets, degree):
+        """Create the space."""
+        self.mesh, self.facets, d = domain, facets, domain.geometry.dim
+        self.V = fem.functionspace(domain, ("Lagrange", degree, (d,)))
         self.u = fem.Function(self.V)
 
+    def hold(self, tag, axis=None, value=0.0):
+        """Return a Dirichlet condition on a side, for all components or one."""
+        W = self.V if axis is None else self.V.sub(axis)
+        if axis is None and isinstance(value, float):
+            value = np.full(self.mesh.geometry.dim, value)
+        dofs = fem.locate_dofs_topological(W, self.facets.dim, self.facets.find(tag))
+        return fem.dirichletbc(value, dofs, W)
+
     def bcs(self):
-        """Clamp the base, hold the axis."""
-        fdim, zero = 1, np.zeros(2)
-        base = fem.locate_dofs_topological(self.V, fdim, self.facets.find(BASE))
-        conditions = [fem.dirichletbc(zero, base, self.V)]
-        if self.turned[0, 1] == 0.0:
-            axis = self.facets.find(AXIS)
-            dofs = fem.locate_dofs_topological(self.V.sub(0), fdim, axis)
-            conditions.append(fem.dirichletbc(0.0, dofs, self.V.sub(0)))
-        return conditions
+        """Clamp the base."""
+        return [self.hold(BASE)]
 
     def tool(self, shape, **options):
         """Return an obstacle for the top."""
@@ -74,11 +65,55 @@ class Block:
         solid = dm.Solid(self.u, law, **own)
         return dm.ContactProblem(solid, interfaces, bcs=self.bcs(), **options)
 
+    def press(self, tool, depth=DEPTH, rtol=1e-10, **options):
+        """Lower a tool, or one of a shape; return tool, problem and report."""
+        tool = self.tool(tool) if isinstance(tool, dm.shapes.Shape) else tool
+        problem = self.problem([tool], **options)
+        tool.position.value[-1] -= depth
+        return tool, problem, dm.newton(problem, rtol=rtol)
 
-def fit(tool, u):
-    """Return half width and peak pressure by p^2 linear in x^2 over the closed nodes."""
-    found = tool.gather(u)
-    on = found["active"] > 0.0
-    x, p = found["x"][on, 0], found["pressure"][on]
-    slope, peak = np.polyfit(x[:-1] ** 2, p[:-1] ** 2, 1)
-    return np.sqrt(-peak / slope), np.sqrt(peak)
+
+class Block(Body):
+    """Half of a plane block, or the section of a round one, y <= 0, u_x = 0 at x = 0.
+
+    All of it may be turned by an angle, and measured in another unit; then the axis is free.
+    """
+
+    def __init__(self, n=24, size=10.0, fine=1.0, cell="triangle", degree=1, angle=0.0, unit=1.0):
+        """Create it of n cells each way, about fine / n wide at the origin."""
+        domain = mesh.create_rectangle(COMM, [[0.0, 0.0], [1.0, 1.0]], [n, n], mesh.CellType[cell])
+        facets = mark(domain, {BASE: (1, 1.0), SIDE: (0, 1.0), TOP: (1, 0.0), AXIS: (0, 0.0)})
+        t = domain.geometry.x[:, :2]
+        x = np.stack([graded(t[:, 0], size, fine), -graded(t[:, 1], size, fine)], axis=1)
+        c, s = np.cos(angle), np.sin(angle)
+        self.turned, self.unit = np.array([[c, -s], [s, c]]), unit
+        domain.geometry.x[:, :2] = unit * x @ self.turned.T
+        super().__init__(domain, facets, degree)
+
+    def bcs(self):
+        """Clamp the base, hold the axis."""
+        return super().bcs() + ([self.hold(AXIS, 0)] if self.turned[0, 1] == 0.0 else [])
+
+
+class Box(Body):
+    """A box in the plane or in space with a base at low[axis]; `move` maps its points."""
+
+    def __init__(
+        self,
+        cell="hexahedron",
+        n=(2, 2, 1),
+        low=(0.0, 0.0, 0.0),
+        high=(1.0, 1.0, 1.0),
+        *,
+        axis=-1,
+        degree=1,
+        move=None,
+        comm=COMM,
+    ):
+        """Create it."""
+        make, d = (mesh.create_rectangle if len(n) == 2 else mesh.create_box), len(n)
+        domain = make(comm, [low[:d], high[:d]], n, mesh.CellType[cell])
+        facets = mark(domain, {BASE: (axis % d, low[:d][axis]), TOP: (axis % d, high[:d][axis])})
+        if move is not None:
+            domain.geometry.x[:, :d] = move(domain.geometry.x[:, :d].copy())
+        super().__init__(domain, facets, degree)

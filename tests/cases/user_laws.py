@@ -4,8 +4,17 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 import dolfinx_mortar as dm
 import ufl
+
+
+def green_lagrange(u):
+    """Return (F^T F - I) / 2 in the plane, as 3x3."""
+    g = ufl.grad(u)
+    e = (g + g.T + g.T * g) / 2
+    return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, 0]])
 
 
 @dataclass(frozen=True)
@@ -92,3 +101,31 @@ class SaintVenantKirchhoff(OfHooke):
     @staticmethod
     def energy(F, state, p):
         return dm.Elastic.energy((F.T * F - ufl.Identity(3)) / 2, state, p)
+
+
+@dataclass(frozen=True)
+class Arrays(dm.materials.PointwiseLaw):
+    """The neo-Hookean law by arrays; a user's."""
+
+    E: float
+    nu: float
+    strain: ClassVar[str] = "finite"
+    elastic_stress = staticmethod(dm.Elastic.elastic_stress)
+
+    @staticmethod
+    def moduli(p):
+        return p.E / 2 / (1 + p.nu), p.E * p.nu / (1 + p.nu) / (1 - 2 * p.nu)
+
+    @staticmethod
+    def energy(F, state, p):
+        (mu, lam), log_J = Arrays.moduli(p), np.log(np.linalg.det(F))
+        return mu / 2 * (np.einsum("qij,qij->q", F, F) - 3 - 2 * log_J) + lam / 2 * log_J**2
+
+    @staticmethod
+    def update(F, state, p):
+        mu, lam = (m[:, None, None] for m in Arrays.moduli(p))
+        G, log_J = np.linalg.inv(F).transpose(0, 2, 1), np.log(np.linalg.det(F))[:, None, None]
+        swap = (mu - lam * log_J)[..., None, None] * np.einsum("qil,qkj->qijkl", G, G)
+        tangent = mu[..., None, None] * np.einsum("ik,jl->ijkl", np.eye(3), np.eye(3)) + swap
+        tangent = tangent + lam[..., None, None] * np.einsum("qij,qkl->qijkl", G, G)
+        return mu * (F - G) + lam * log_J * G, tangent, {}
