@@ -41,7 +41,7 @@ NUMBERS = {
     "newton_method.line_search": ("ARMIJO",),
     "newton_method.contacts": ("FORCING", "DIGIT"),
 }
-# judged below, in test_smooth_second, test_stand_off, test_resolution, in
+# judged below, in test_smooth_contact, test_stand_off, test_resolution, in
 # test_edges, in those of checkpoints, in test_bolts, in test_friction_patch, in
 # test_tie_reach, in test_small_strain, and in test_ramp
 OTHERS = {

@@ -33,10 +33,10 @@ AT_NIGHT = """
     corners crossings curvature_jumps demo_meshes dynamics edges eigenstrain energies failures
     faceted_shapes finite_in_space finite_loads finite_plane_stress folds heat_in_time impact jump
     jump_errors kinematics law_contact linear linearisation loads locking logarithmic_solid
-    looks_change_nothing margin measure near newton obstacle
-    orthotropic output output_resume own_interface parameters passing patch_3d plane_stress plotting
+    looks_change_nothing margin measure near newton numbers_of_steps obstacle
+    orthotropic output output_resume own_interface parameters passing plane_stress plotting
     plotting_space pointwise pretension qp_belt qp_definite ramp reaction resolution
-    rubber skins small_strain smooth_3d smooth_contact smooth_second smooth_tie solid solid_state
+    rubber skins small_strain smooth_3d smooth_contact smooth_tie solid solid_state
     stack stand_off stress_laws sweep taylor_bar tie_reach tool_files tool_friction
     turned_ties tying undone user_laws volumetric
 """.split()

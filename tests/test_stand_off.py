@@ -18,6 +18,7 @@ from tests.cases.close_fits import create_pin, create_shrink_fit
 from tests.cases.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
 from tests.cases.pressed_blocks import PressedBlocks
 from tests.cases.shells import MASTER, SLAVE, octants
+from tests.cases.two_bodies import create_problem, held
 from tests.test_smooth_contact import PEAK
 
 COMM = MPI.COMM_WORLD
@@ -133,12 +134,10 @@ def test_what_heights_miss(cell, swap):
     else:
         domain, tags = octants(COMM, (0.5, 1.0, 1.5), (4, 3), 1, cell)
         V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
-        on = [fem.locate_dofs_topological(V.sub(i), 2, tags.find(5 + i)) for i in range(3)]
-        planes = [fem.dirichletbc(0.0, dofs, V.sub(i)) for i, dofs in enumerate(on)]
+        planes = [held(V, tags, 5 + i, 0.0, i) for i in range(3)]
         slave, master = (MASTER, SLAVE) if swap else (SLAVE, MASTER)
-        solid = dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3))
         contact = dm.Contact(tags, slave=slave, master=master)
-        problem = dm.ContactProblem(solid, [contact], bcs=planes)
+        problem = create_problem(V, [contact], planes)
     problem.update_geometry()
     (link,) = problem.system.links
     found = [link.gaps(problem.positions()), resolution.missed_gaps(link, None)]
@@ -147,3 +146,12 @@ def test_what_heights_miss(cell, swap):
     # but for the next order, facets being 1/8 and 2/5 of the radius long
     error = (0.04 if cell == "ring" else 0.15) * np.abs(of_heights).max()
     assert np.abs(missed - gaps).max() < error < np.abs(of_heights - gaps).max() / 2
+
+
+@pytest.mark.parametrize(("factor", "told"), [(0.1, True), (10.0, False)])
+def test_the_share_that_is_told_of(factor, told, monkeypatch):
+    """The forces of the sagittas are 0.1 and 1 of the contact forces in between."""
+    monkeypatch.setattr(resolution, "SPOILT", factor * resolution.SPOILT)
+    for counts, swap in (((64, 96), True), ((64, 96), False)):
+        report, _ = create_pin(counts, swap, surface="facets").solve()
+        assert any("facets of curved" in note for note in report.notes) == told
