@@ -2,7 +2,7 @@
 """Overlaps of boundaries: of sides between nodes, of bodies without an interface, of tools."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 from mpi4py import MPI
@@ -31,7 +31,7 @@ from dolfinx_mortar.geometry.flat import find_overlaps as overlaps_of_facets
 from dolfinx_mortar.geometry.plane import count as parts
 from dolfinx_mortar.geometry.plane import parts_of
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
+from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing
 from dolfinx_mortar.mortar.facing_bodies import boxes_of
 from dolfinx_mortar.mortar.operators import whole_facets
 from dolfinx_mortar.mortar.pairing import received_facets
@@ -142,21 +142,18 @@ def _in_tool(link: Link, tool: Tool, u: fem.Function) -> Overlap | None:
     side, pose, x = link.pattern.side, tool.pose(), coordinates(link.sides.slave, u)
     facing = find_facing(side, pose, tool.asked, x)
     segments, points = whole_facets(side, x, facing)
-    own = None if link.pattern.nodal else link.pattern.own
-    pattern = replace(link.pattern, nodal=False, own=own)
-    gaps, _ = point_gaps(pattern, pose, tool.asked, u, segments, points)
     nodes = x[side.slave.facets]
-    sizes, middles = facet_sizes(nodes), nodes.mean(axis=1)[facing]
+    sizes, places = facet_sizes(nodes), np.concatenate([points, nodes.mean(axis=1)[facing]])
     facets = facets_at(side.slave, x)
     corners, n = nodes[:, list(facets.element.vertices)], facet_normals(facets)
     point = np.broadcast_to(pose.to_space(tool.asked.point[None]), (len(n), x.shape[1]))
     above = ((point - corners.mean(axis=1)) * n).sum(axis=1)
     below = depth_of_point(link.sides.V.mesh.comm, tool.seen()) - above
     met = (above >= -sizes) & (below > 0.0) & are_inside(corners, n, point)
-    depth = -np.concatenate([gaps, pose.distance(tool.asked, middles).value, -below[met]])
+    depth = np.concatenate([-pose.distance(tool.asked, places).value, below[met]])
     which = np.concatenate([segments.slave, np.flatnonzero(facing), np.flatnonzero(met)])
     off = _deviations(side.slave, u, link.interface.feature_angle)[side.slave.facets].max(axis=1)
-    places = np.concatenate([points, middles, point[met]])
+    places = np.concatenate([places, point[met]])
     return _overlap(link.sides.V.mesh.comm, depth - off[which], sizes[which], places)
 
 
