@@ -50,9 +50,11 @@ def check_mesh(mesh: Mesh) -> None:
     cells = _own_cells(mesh, kind)
     bad = ~np.isfinite(cells.x).all(axis=(0, 1))
     _reject(cells, bad, "have coordinates that are NaN or infinite", "check the mesh")
+    # two points per edge of tensor cells, three for degree 2
+    exact = 3 * degree - 2 if kind in SIMPLICES else 2 * degree + 1
+    points, _ = map(np.asarray, basix.make_quadrature(basix.CellType[kind], exact))
     with np.errstate(under="ignore"):
-        noise = _round_off(cells.x)
-        J = jacobians(cells.x, kind, _points(kind, degree), degree)
+        noise, J = _round_off(cells.x), jacobians(cells.x, kind, points, degree)
     collapsed = (np.abs(J) <= noise).all(axis=0)
     _reject(cells, collapsed, "have collapsed, without volume", "remesh there")
     order = "the nodes of a cell are in dolfinx's order (a tensor product, not around it)"
@@ -76,12 +78,6 @@ def jacobians(x: Floats, kind: str, points: Floats, degree: int = 1) -> Floats:
     element = basix.create_element(basix.ElementFamily.P, cell, degree, variant)
     slopes = np.asarray(element.tabulate(1, points))[1:, :, :, 0]  # (d, q, k)
     return np.asarray(np.linalg.det(np.einsum("dqk,kin->qndi", slopes, x)))
-
-
-def _points(kind: str, degree: int) -> Floats:
-    exact = 3 * degree - 2 if kind in SIMPLICES else 2 * degree + 1
-    points, _ = basix.make_quadrature(basix.CellType[kind], exact)
-    return np.asarray(points)
 
 
 def _round_off(x: Floats) -> Floats:

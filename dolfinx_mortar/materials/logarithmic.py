@@ -41,6 +41,7 @@ from dolfinx_mortar.materials.tensor import (
     stored,
     tensor_of,
     to_components,
+    von_mises,
 )
 from ufl.core.expr import Expr
 
@@ -178,11 +179,11 @@ class LogarithmicLaw:
         share = np.zeros(len(H))
         for some in () if self.multiplicative else _chunks(len(H)):
             _, logs, N, _, _ = self._decompose(start, H[some], some)
-            T = tensor_of(self._inner.moduli(start, some, logs, N)[:, : len(self._pairs)])
+            T = self._inner.moduli(start, some, logs, N)[:, : len(self._pairs)]
             P, A, _ = self._evaluate(start.at(some), H[some])
             tau, _ = as_tensors(P, A, self.components)
             tau += tau @ np.swapaxes(H[some], 1, 2)
-            inner, outer = (_deviator(stress) for stress in (T, tau))
+            inner, outer = von_mises(T), von_mises(stored(tau))
             share[some] = 1 - np.divide(outer, inner, out=np.ones_like(inner), where=inner > 0.0)
         return share
 
@@ -209,12 +210,6 @@ def as_tensors(
     stress[:, *entries] = P
     tangent[:, *entries[:, a], *entries[:, b]] = tangent[:, *entries[:, b], *entries[:, a]] = A
     return stress, tangent
-
-
-def _deviator(tensors: Floats) -> Floats:
-    """Norm (q,) of the deviators of tensors (q, 3, 3)."""
-    mean = np.trace(tensors, axis1=1, axis2=2)[:, None, None] / 3
-    return np.asarray(np.linalg.norm(tensors - mean * np.eye(3), axis=(1, 2)))
 
 
 _NONE = np.zeros((1, 3, 3))

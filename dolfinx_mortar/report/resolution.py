@@ -241,15 +241,10 @@ def find_patches(link: Link, marked: Bools, *columns: Floats | Bools) -> list[Fl
     on = accumulate(slave, marks)[:, 0] > 0
     number = layout.local_to_global(slave.nodes).astype(np.int64)
     table = np.column_stack([number[: slave.owned], *columns])
-    pairs = np.concatenate(comm.allgather(_pairs(number[slave.facets], on[slave.facets])))
+    ends = [slave.facets[:, [a, b]] for a, b in combinations(range(slave.facets.shape[1]), 2)]
+    pairs = np.concatenate([number[ab[on[ab].all(axis=1)]] for ab in ends])
+    pairs = np.concatenate(comm.allgather(pairs))
     return _patches(np.concatenate(comm.allgather(table[marked])), pairs)
-
-
-def _pairs(facets: Longs, on: Bools) -> Longs:
-    found = [
-        facets[on[:, a] & on[:, b]][:, [a, b]] for a, b in combinations(range(facets.shape[1]), 2)
-    ]
-    return np.concatenate(found)
 
 
 def _patches(table: Floats, pairs: Longs) -> list[Floats]:
