@@ -56,24 +56,14 @@ def _difference(texts: Sequence[Mapping[str, str]]) -> str:
         if others:
             break
     differing = (k for k, at in enumerate(zip(*every, strict=False)) if len({*at}) > 1)
-    same = next(differing, SHOWN)
-    start = max(same - SHOWN // 3, 0) if max(map(len, every)) > SHOWN else 0
-    told = [f"{_excerpt(text, start)} on rank {rank}" for rank, text in enumerate(every)]
+    start = max(next(differing, SHOWN) - SHOWN // 3, 0) if max(map(len, every)) > SHOWN else 0
+    shown = (f"{'... ' if start else ''}{text[start : start + SHOWN]}" for text in every)
+    told = [f"{text} on rank {rank}" for rank, text in enumerate(shown)]
     more = f" and {len(others) - 3} more" if len(others) > 3 else ""
     return (
         f"{name} differs between the ranks: {told[0]}, but "
         f"{', '.join(told[rank] for rank in others[:3])}{more}; give all ranks the same"
     )
-
-
-def _excerpt(text: str, start: int) -> str:
-    """Part of a text.
-
-    >>> _excerpt("[1.0]", 0), _excerpt("Constant [1.0, 2.0]", 9)
-    ('[1.0]', '... [1.0, 2.0]')
-    """
-    end = start + SHOWN
-    return f"{'... ' if start else ''}{text[start:end]}{' ...' if end < len(text) else ''}"
 
 
 def _texts(name: str, value: Any) -> list[tuple[str, str]]:

@@ -35,7 +35,6 @@ class Press(PressedBlocks):
     def __init__(
         self, partition="graph", law=STEEL, jitter=0.4, comm=COMM, geometry="updated", **options
     ):
-        """Make the problem; the options are those of the contact."""
         grid = {"n_lower": (5, 4), "n_upper": (6, 5), "x_upper": (0.0, 0.8), "jitter": jitter}
         super().__init__(comm=comm, partition=partition, **grid)
         self.top.value[:] = 0.0

@@ -51,11 +51,7 @@ def membrane(
     stiffness=1.0,
     length=1.0,
 ):
-    """Return a square membrane of n x n nodes under a parabolic obstacle along its last row.
-
-    Five-point Laplacian; the side opposite the obstacle is held, or free if not `held`. The
-    obstacle reaches `depth` below the last row; `force` acts on the row opposite.
-    """
+    """Return a square membrane of n x n nodes under a parabolic obstacle along its last row."""
     size = n * n
     A = PETSc.Mat().createAIJ((size, size), nnz=5, comm=comm)
     first, last = A.getOwnershipRange()

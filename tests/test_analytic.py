@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Closed solutions against published numbers, equilibrium and independent quadrature."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -67,11 +65,7 @@ def test_first_yield_ratio_and_depth(nu, ratio, depth):
 
 
 def sampled_von_mises(nu):
-    """Return where a line contact's von Mises stress is largest, (value, x, depth), over a grid.
-
-    Inside, the field of a line force is superposed; the surface of the contact is under the
-    pressure p(x) from both sides, the greatest in the middle.
-    """
+    """Return the largest von Mises stress of a line contact, and where, (value, x, depth)."""
     k = np.arange(1, 401) * np.pi / 401  # Gauss-Chebyshev rule of the second kind
     t, weight = np.cos(k), np.pi / 401 * np.sin(k) ** 2
     x, z = np.meshgrid(np.linspace(0.0, 1.5, 31), np.linspace(0.04, 2.0, 99))
@@ -134,22 +128,6 @@ def test_fit_leaves_out_the_edge(wrong):
     assert analytic.fit_pressure(x, p) != exact
 
 
-@pytest.mark.parametrize("place", np.linspace(-0.5, 0.5, 3))
-def test_fit_leaves_out_the_edge_of_few_nodes(place):
-    """Four facets across, means over the facets of a node; with the edge the width is 24 % off."""
-    h = 0.5
-    x = h * (np.arange(-6, 7) + place)
-
-    def mean(c):
-        ends = pairwise(np.clip([c - h, c, c + h], -1.0, 1.0))
-        hat = lambda s: np.sqrt(1.0 - s**2) * (1.0 - abs(s - c) / h) / h  # noqa: E731
-        return sum(quad(hat, *part)[0] for part in ends)
-
-    p = np.array([mean(c) for c in x])
-    fitted = analytic.fit_pressure(x[p > 0.0], p[p > 0.0])
-    assert fitted == pytest.approx((1.0, 1.0), rel=0.1)
-
-
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_fit_does_not_hang_on_where_the_edge_begins(factor, monkeypatch):
     """Nodal means over facets stand for the pressure of a computation."""
@@ -168,30 +146,26 @@ def test_fit_of_too_little_is_nan(x, p):
     assert np.isnan(analytic.fit_pressure(x, p)).all()
 
 
-HERTZ = (analytic.hertz_line, analytic.hertz_point, analytic.first_yield_line)
-SOFT = (1.0, 0.3, 1.0, 0.3)
+LINE, POINT, YIELD = analytic.hertz_line, analytic.hertz_point, analytic.first_yield_line
 WRONG = [
-    *(((v, 8.0, *STEEL), "force") for v in (-1.0, np.nan, np.inf, True)),
-    *(((1.0, v, *STEEL), "radius") for v in (0.0, np.inf, -8.0)),
-    *(((1.0, v, *STEEL), "radius") for v in ((8.0, np.nan), (8.0, 8.0, 8.0), (2.0, -2.0))),
-    ((1.0, 8.0, 0.0, *SOFT[1:]), "E1"),
-    ((1.0, 8.0, 1.0, 0.3, -1.0, 0.3), "E2"),
-    ((1.0, 8.0, 1.0, 0.5, *SOFT[2:]), "nu1"),
-    ((1.0, 8.0, 1.0, -1.0, *SOFT[2:]), "nu1"),
-    ((1.0, 8.0, *SOFT[:3], 0.51), "nu2"),
-    ((1.0, 8.0, *SOFT[:3], np.nan), "nu2"),
-    ((1.0, 8.0, np.inf, 0.3, np.inf, 0.3), "E1"),
+    *((LINE, (v, 8.0, *STEEL), "force") for v in (-1.0, np.nan, True)),
+    *((LINE, (1.0, v, *STEEL), "radius") for v in (0.0, (8.0, np.nan), (8.0, 8.0, 8.0))),
+    (LINE, (1.0, (2.0, -2.0), *STEEL), "radius"),
+    (LINE, (1.0, 8.0, 0.0, 0.3, 1.0, 0.3), "E1"),
+    (LINE, (1.0, 8.0, np.inf, 0.3, np.inf, 0.3), "E1"),
+    (LINE, (1.0, 8.0, 1.0, 0.5, 1.0, 0.3), "nu1"),
+    (LINE, (1.0, 8.0, 1.0, 0.3, 1.0, np.nan), "nu2"),
+    (POINT, (-1.0, 8.0, *STEEL), "force"),
+    (POINT, (1.0, (2.0, -2.0), *STEEL), "radius"),
+    (YIELD, (-1.0, 8.0, *STEEL), "yield_stress"),
 ]
 FIT = analytic.fit_pressure
 CASES = [
-    *((f, arguments, rf"^{name} is ") for f in HERTZ[:2] for arguments, name in WRONG),
-    (HERTZ[2], WRONG[0][0], "^yield_stress is "),
+    *((f, arguments, rf"^{name} is ") for f, arguments, name in WRONG),
     *((analytic.line_axis_stress, (v, 0.3), "^depth is ") for v in (-0.1, np.inf, None, [0.1, -1])),
     (analytic.line_axis_stress, (1.0, 0.5), r"^nu is 0\.5:"),
     (FIT, ([0.0, 1.0], [1.0]), "finite numbers"),
-    (FIT, ([[0.0, 1.0]], [[1.0, 2.0]]), "finite numbers"),
     (FIT, ([0.0, np.nan], [1.0, 2.0]), "^x is "),
-    (FIT, ([0.0, 1.0], [1.0, np.inf]), "^p is "),
     (FIT, ([0.0, 1.0], [1.0, None]), "^p is "),
     (FIT, (None, [1.0]), "^x is "),
 ]

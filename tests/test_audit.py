@@ -231,8 +231,8 @@ def test_a_support_that_may_be_a_mirror(facets, oblique, bent):
     told = [w for w in warnings if "plane of symmetry" in w]
     assert len(told) == 2 * bent
     for side, warning in zip(("slave", "master"), told, strict=False):
-        assert f"at 1 nodes of its {side} side, such as the one at (" in warning
-        assert ", 0.9962), a support" in warning and "an angle 5 degrees off the right" in warning
+        assert f"at 1 nodes of its {side} side" in warning
+        assert "an angle 5 degrees off the right" in warning
 
 
 def uneven_angles(rng, n):

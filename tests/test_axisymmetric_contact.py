@@ -21,6 +21,7 @@ from tests.cases.rings import (
     shrink_fit_pressure,
     tubes,
 )
+from tests.cases.two_bodies import create_problem, held
 from tests.choice import crosswise, quick
 
 COMM = MPI.COMM_WORLD
@@ -39,12 +40,12 @@ def fitted_tubes(
     cells = ((n + 1, n), (n + 3, 2 * n))
     domain, _, tags = tubes(TUBE, cells, overlap=overlap, cell=cell, **options)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    solid = dm.Solid(fem.Function(V), dm.Elastic(E, NU), kinematics="axisymmetric")
     side, master = SIDES[slave]
-    interface = kind(tags, slave=side, master=master)
+    interface, bcs = kind(tags, slave=side, master=master), held_ends(V, tags)
     ds = ufl.Measure("ds", domain, subdomain_data=tags)
     pushed = None if loads is None else loads * ufl.TestFunction(V)[0] * ds(BOTTOM)
-    problem = dm.ContactProblem(solid, [interface], bcs=held_ends(V, tags), loads=pushed)
+    own = {"kinematics": "axisymmetric", "loads": pushed}
+    problem = create_problem(V, [interface], bcs, dm.Elastic(E, NU), **own)
     return problem, interface
 
 
@@ -90,7 +91,6 @@ RADIUS = 2e-3  # of the contact, over that of the ball: the far ends move it by 
 
 
 def hertz(depth, modulus):
-    """Return force and largest pressure of a ball of radius one pressed in by a depth."""
     force = 4 / 3 * modulus * depth**1.5
     return force, 3 * force / (2 * np.pi * depth)
 
@@ -103,48 +103,34 @@ def profile(problem, contact):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize(("cell", "at_the_pole"), [("quadrilateral", 0.015), ("triangle", 0.08)])
-def test_ball_on_a_rigid_flat(cell, at_the_pole):
-    """Force, radius and pressure are Hertz', and so is the pressure at the pole, on the axis.
-
-    There triangles are of first order: 10 % off with 16 facets in contact, 5 % with 32.
-    """
-    law = dm.Elastic(E, NU)
-    mesh_and_tags = ball_on_flat(RADIUS, (20, 24), cell=cell)
-    problem, contact = pressed_ball(mesh_and_tags, law, RADIUS**2, rigid=True)
-    dm.newton(problem)
+@pytest.mark.parametrize(
+    ("cell", "degree", "facets", "within", "at_the_pole"),
+    [
+        ("quadrilateral", 1, (20, 24), 0.015, 0.015),
+        ("triangle", 1, (20, 24), 0.015, 0.08),
+        ("triangle", 2, (8, 6), 0.02, 0.05),
+    ],
+)
+def test_ball_on_a_rigid_flat(cell, degree, facets, within, at_the_pole):
+    """Force, radius and pressure are Hertz', and so is the pressure at the pole, on the axis."""
+    law, mesh_and_tags = dm.Elastic(E, NU), ball_on_flat(RADIUS, facets, cell=cell)
+    problem, contact = pressed_ball(mesh_and_tags, law, RADIUS**2, rigid=True, degree=degree)
+    assert dm.newton(problem).newton_iterations <= 6
     force, peak = hertz(RADIUS**2, E / (1 - NU**2))
     r, p, found = profile(problem, contact)
     assert abs(found / force - 1) < 5e-3
     inner = (r > 1e-9) & (r < 0.8 * RADIUS)
     exact = peak * np.sqrt(1 - (r[inner] / RADIUS) ** 2)
-    assert np.abs(p[inner] - exact).max() < 0.015 * peak
+    assert np.abs(p[inner] - exact).max() < within * peak
     assert r[0] < 1e-15 and abs(p[0] / peak - 1) < at_the_pole
     fitted, radius = dm.analytic.fit_pressure(np.r_[-r, r], np.r_[p, p])
     assert abs(fitted / peak - 1) < 0.01 and abs(radius / RADIUS - 1) < 0.015
 
 
 @pytest.mark.mpi
-def test_either_side_of_an_elastic_contact_may_be_the_slave():
-    """The force is Hertz', less that of the finite bodies, and hardly depends on the slave."""
-    mesh_and_tags, forces = ball_on_flat(RADIUS, (14, 17)), []
-    for slave in SIDES:
-        problem, contact = pressed_ball(mesh_and_tags, dm.Elastic(E, NU), RADIUS**2, slave=slave)
-        report = dm.newton(problem)
-        assert report.certificate.force_balance < 1e-9
-        assert report.certificate.moment_balance < 1e-9
-        forces.append(profile(problem, contact)[2])
-    assert abs(forces[1] / forces[0] - 1) < 1e-3
-    assert abs(forces[0] / hertz(RADIUS**2, E / 2 / (1 - NU**2))[0] - 1) < 5e-3
-
-
-@pytest.mark.mpi
 @pytest.mark.parametrize("bend", [-0.3, -1e-3, 1e-3, 0.3])
 def test_of_second_order_the_pole_carries_no_multiplier(bend):
-    """Its function integrates to nothing, but to 1e-2 of its facet's area where that bends.
-
-    With either sign a multiplier there makes Newton run in circles. It faces the flat all the same.
-    """
+    """Its function integrates to nothing, but to 1e-2 of its facet's area where that bends."""
     mesh_and_tags = ball_on_flat(0.05, (4, 3), cell="triangle")
     problem, contact = pressed_ball(mesh_and_tags, dm.Elastic(E, NU), 1e-4, degree=2)
     problem.u.interpolate(lambda x: (np.zeros(x.shape[1]), bend * x[0] ** 2 / 0.025))
@@ -174,23 +160,6 @@ def test_a_pole_that_touches_alone_is_noted(slave):
             assert found == pytest.approx(depth, rel=0.05) and "an axis" in notes[0].why
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("cell", quick(["triangle", "quadrilateral"], "triangle"))
-def test_a_ball_of_second_order(cell):
-    """Hertz with six facets in contact; at the pole the pressure is that of its neighbours."""
-    mesh_and_tags = ball_on_flat(RADIUS, (8, 6), cell=cell)
-    problem, contact = pressed_ball(
-        mesh_and_tags, dm.Elastic(E, NU), RADIUS**2, rigid=True, degree=2
-    )
-    report = dm.newton(problem)
-    assert report.newton_iterations <= 5
-    r, p, found = profile(problem, contact)
-    force, peak = hertz(RADIUS**2, E / (1 - NU**2))
-    assert abs(found / force - 1) < 5e-3
-    inner = (r > 1e-9) & (r < 0.8 * RADIUS)
-    assert np.abs(p[inner] - peak * np.sqrt(1 - (r[inner] / RADIUS) ** 2)).max() < 0.02 * peak
-
-
 # Of an independent solver of second order, each with its uncertainty: benchmarks of the sphere;
 # that of the ball as slave on frozen surfaces: see test_sphere.
 SPHERE = {("reference", 3): 5036.0, ("reference", 4): 5042.6, ("updated", 3): 5035.5}
@@ -201,14 +170,10 @@ def test_the_sphere_of_the_3d_benchmark(geometry, slave):
     """A ball of radius 8 on a block, pressed in by 0.05: its section has the force of the whole."""
     domain, _, tags = dm.meshing.hertz(COMM, kind="graded", cell="quadrilateral", half=True)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    law = dm.Elastic(206_900.0, 0.29)
-    solid = dm.Solid(fem.Function(V), law, kinematics="axisymmetric")
-    bcs = [held_axis(V)]
-    for tag, value in (("bottom", 0.0), ("flat", -0.05)):
-        dofs = fem.locate_dofs_topological(V, 1, tags.find(tag))
-        bcs.append(fem.dirichletbc(np.array([0.0, value]), dofs, V))
+    bcs = [held_axis(V), held(V, tags, "bottom"), held(V, tags, "flat", (0.0, -0.05))]
     contact = dm.Contact(tags, slave=slave, master=7 - slave)
-    dm.newton(dm.ContactProblem(solid, [contact], bcs=bcs, geometry=geometry))
+    options = {"kinematics": "axisymmetric", "geometry": geometry}
+    dm.newton(create_problem(V, [contact], bcs, dm.Elastic(206_900.0, 0.29), **options))
     assert abs(contact.force[1]) == pytest.approx(SPHERE[geometry, slave], rel=5e-4)
 
 
@@ -217,16 +182,18 @@ def test_given_friction_is_per_present_area():
     """A washer that is upset to 0.7 of its height slides outwards, on a face that has grown."""
     s, low = 0.005, 0.7
     domain = mesh.create_rectangle(COMM, [(0.5, 0.0), (1.0, 1.0)], (4, 8))
-    face = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], 1.0))
-    tags = mesh.meshtags(domain, 1, np.sort(face), np.ones(len(face), dtype=np.int32))
+    ends = [
+        mesh.locate_entities_boundary(domain, 1, lambda x, y=y: np.isclose(x[1], y)) for y in (0, 1)
+    ]
+    facets = np.concatenate(ends)
+    order = np.argsort(facets)
+    values = np.repeat(np.arange(2, dtype=np.int32), [len(end) for end in ends])
+    tags = mesh.meshtags(domain, 1, facets[order], values[order])
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    law = dm.NeoHooke(E=1.0, nu=0.3)
-    solid = dm.Solid(fem.Function(V), law, kinematics="axisymmetric", strain="finite")
-    base = mesh.locate_entities_boundary(domain, 1, lambda x: np.isclose(x[1], 0.0))
-    foot = fem.locate_dofs_topological(V.sub(1), 1, base)
-    bcs = [fem.dirichletbc(fem.Constant(domain, 0.0), foot, V.sub(1))]
     tool = dm.Obstacle(tags, slave=1, shape=dm.shapes.Plane((0.0, 1.0), (0.0, -1.0)), tresca=s)
-    problem = dm.ContactProblem(solid, [tool], bcs=bcs)
+    own = {"kinematics": "axisymmetric", "strain": "finite"}
+    bcs, law = [held(V, tags, 0, 0.0, 1)], dm.NeoHooke(E=1.0, nu=0.3)
+    problem = create_problem(V, [tool], bcs, law, **own)
     ramp = {tool.position: [(0.0, (0.0, 1.0)), (1.0, (0.0, low))]}
     for _ in dm.load_steps(problem, [0.5, 1.0], ramp=ramp, rtol=1e-9, progress=False):
         now = tool.gather(problem.u)

@@ -9,8 +9,12 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER, two_blocks
+from dolfinx_mortar.mortar import duals
+from dolfinx_mortar.mortar.duals import LEAST_WEIGHT
+from dolfinx_mortar.mortar.integrals import find_segments
+from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
 from tests.cases.rings import SIDES, held_axis, largest
+from tests.cases.two_bodies import TwoBodies
 from tests.choice import crosswise
 
 COMM = MPI.COMM_WORLD
@@ -19,10 +23,7 @@ EXACT = 1e-9
 
 
 def beyond(domain, lines, cut):
-    """Return a traction share over the facet that holds the cut, with the moments of r > cut.
-
-    One beyond, zero before, and linear on that facet, with the same integrals of N_j 2 pi r.
-    """
+    """Return a traction share over the facet that holds the cut, with the moments of r > cut."""
     x = ufl.SpatialCoordinate(domain)[0]
     k = int(np.searchsorted(lines, cut)) - 1
     if k >= len(lines) - 1:
@@ -55,46 +56,30 @@ def solve_patch(
     unit=1.0,
     geometry="reference",
 ):
-    """Press a disc or ring on another one with the pressure P; return all that is compared.
-
-    Args:
-        slave: "lower" or "upper".
-        lower: radii of the nodes of the lower one.
-        upper: those of the upper one.
-        cell: of the mesh.
-        degree: of the displacement.
-        kind: of the interface.
-        shift: of everything along the axis.
-        unit: factor of all lengths.
-        geometry: of the problem.
-    """
-    domain, _, tags = two_blocks(
-        COMM,
-        (len(lower) - 1, 3),
-        (len(upper) - 1, 4),
+    """Press a disc or ring on another one with the pressure P; return all that is compared."""
+    case = TwoBodies(
+        cell,
+        degree,
+        n_lower=(len(lower) - 1, 3),
+        n_upper=(len(upper) - 1, 4),
         splits_lower=lower,
         splits_upper=upper,
-        cell=cell,
         transform=lambda x: unit * (x + np.array([0.0, shift])),
     )
-    V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
-    exact = fem.Function(V)
+    exact = fem.Function(case.V)
     exact.interpolate(lambda x: P / E * np.stack([NU * x[0], shift * unit - x[1]]))
-    solid = dm.Solid(fem.Function(V), dm.Elastic(E, NU), kinematics="axisymmetric")
-    v, ds = ufl.TestFunction(V)[1], ufl.Measure("ds", domain, subdomain_data=tags)
+    v, ds = ufl.TestFunction(case.V)[1], ufl.Measure("ds", case.mesh, subdomain_data=case.facets)
     loads = -P * v * ds(TOP)
     ends = ((TOP_OF_LOWER, lower, upper[-1], -P), (BOTTOM_OF_UPPER, upper, lower[-1], P))
     for tag, lines, cut, pressure in ends:
-        share = beyond(domain, unit * np.asarray(lines), unit * cut)
+        share = beyond(case.mesh, unit * np.asarray(lines), unit * cut)
         if share is not None:
             loads += pressure * share * v * ds(tag)
-    bottom = fem.locate_dofs_topological(V.sub(1), 1, tags.find(BOTTOM))
-    bcs = [fem.dirichletbc(P / E * unit, bottom, V.sub(1))]
-    bcs += [held_axis(V)] if min(lower[0], upper[0]) == 0.0 else []
-    side, master = SIDES[slave]
-    interface = kind(tags, slave=side, master=master)
-    problem = dm.ContactProblem(solid, [interface], bcs=bcs, loads=loads, geometry=geometry)
-    return problem, interface, exact
+    bcs = [case.held(BOTTOM, P / E * unit, 1)]
+    bcs += [held_axis(case.V)] if min(lower[0], upper[0]) == 0.0 else []
+    interface = case.interface(kind, swap=slave == "upper")
+    options = {"kinematics": "axisymmetric", "loads": loads, "geometry": geometry}
+    return case.problem([interface], bcs, dm.Elastic(E, NU), **options), interface, exact
 
 
 def check_patch(problem, interface, exact, area):
@@ -161,11 +146,7 @@ def test_patch_in_other_units_and_elsewhere_on_the_axis(unit):
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("radii", ["disc", "ring"])
 def test_pressure_is_per_area_of_the_geometry(radii, degree, slave):
-    """Both discs grow by nu P / E: in radius and along the section, and on the axis as well.
-
-    Contact that follows the bodies shows the pressure per area that they have now, held contact
-    and ties per area at X; forces, and what carries, are the same.
-    """
+    """Both discs grow by nu P / E: in radius and along the section, and on the axis as well."""
     lower, upper = RADII[radii]
     now = P / (1 + NU * P / E) ** 2
     expected = ((dm.Contact, "updated", now), (dm.Contact, "reference", P), (dm.Tie, "updated", P))
@@ -184,22 +165,14 @@ def test_pressure_is_per_area_of_the_geometry(radii, degree, slave):
 @pytest.mark.mpi
 @pytest.mark.parametrize(("degree", "lift"), [(1, -1e-2), (2, -1e-2), (2, 1e-2)])
 def test_friction_of_discs(degree, lift):
-    """Where it slips, its traction is the share of the pressure that is shown; nothing is open.
-
-    The node on the axis does as its neighbours do: it sticks, or is open with all of them.
-    """
+    """Where it slips, its traction is the share of the pressure that is shown; nothing is open."""
     mu, (lower, upper) = 0.05, RADII["disc"]
-    domain, cells, tags = two_blocks(
-        COMM, (3, 3), (5, 4), splits_lower=lower, splits_upper=upper, cell="quadrilateral"
-    )
-    V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
-    laws = {1: dm.Elastic(E, 0.0), 2: dm.Elastic(E, 0.45)}
-    solid = dm.Solid(fem.Function(V), laws, cells, kinematics="axisymmetric")
-    ends = [fem.locate_dofs_topological(V.sub(1), 1, tags.find(tag)) for tag in (BOTTOM, TOP)]
-    values = [fem.Constant(domain, value) for value in (0.0, lift)]
-    bcs = [fem.dirichletbc(v, dofs, V.sub(1)) for v, dofs in zip(values, ends, strict=True)]
-    contact = dm.Contact(tags, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER, friction=mu)
-    problem = dm.ContactProblem(solid, [contact], bcs=[*bcs, held_axis(V)])
+    sizes = {"n_lower": (3, 3), "n_upper": (5, 4), "splits_lower": lower, "splits_upper": upper}
+    case = TwoBodies("quadrilateral", degree, **sizes)
+    laws, contact = {1: dm.Elastic(E, 0.0), 2: dm.Elastic(E, 0.45)}, case.interface(friction=mu)
+    bcs = [case.held(BOTTOM, 0.0, 1), case.held(TOP, lift, 1), held_axis(case.V)]
+    options = {"cells": case.cells, "kinematics": "axisymmetric"}
+    problem = case.problem([contact], bcs, laws, **options)
     dm.newton(problem, rtol=1e-11)
     found = contact.gather(problem.u)
     closed = lift < 0.0
@@ -209,3 +182,23 @@ def test_friction_of_discs(degree, lift):
     assert slips.any() == closed
     drag = np.linalg.norm(found["traction"], axis=1)
     assert np.allclose(drag[slips], mu * found["pressure"][slips], rtol=EXACT, atol=0.0)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("slave", SIDES)
+def test_who_has_no_weight(slave, monkeypatch):
+    """The node on the axis alone, and clearly: half and twice the number, and a tenth, say so."""
+    problem, interface, _ = solve_patch(slave, *RADII["disc"], degree=2)
+    problem.audit()
+    pairing = problem.system.link(interface).pairing
+    segments, _ = find_segments(pairing, None)
+    at_axis = pairing.slave.X[:, 0] < 1e-12
+    for least in (0.1, 0.5, 1.0, 2.0, 10.0):
+        monkeypatch.setattr(duals, "LEAST_WEIGHT", least * LEAST_WEIGHT)
+        found, share = duals._find_weightless(pairing, segments)
+        assert (found == at_axis).all() and share == pytest.approx(1.0, rel=1e-12)
+    for absurd, most in ((-1.0, 0), (0.3, 1)):  # nobody; also vertices, of weight 1/6
+        monkeypatch.setattr(duals, "LEAST_WEIGHT", absurd)
+        found, _ = duals._find_weightless(pairing, segments)
+        count = COMM.allreduce(int(found[: pairing.slave.owned].sum()))
+        assert count > most if most else count == 0

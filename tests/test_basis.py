@@ -69,10 +69,7 @@ def choices(link):
 
 
 def expected_transformation(problem):
-    """Return T = (I - Q)^-1 W from D, M, R and S, gathered, without the interfaces' products.
-
-    Column a of R_j is constrained by the choice a of nodes; contact, which has one, by that.
-    """
+    """Return T = (I - Q)^-1 W from D, M, R and S, gathered, without the interfaces' products."""
     N, d = problem.V.dofmap.index_map.size_global, problem.d
     Q, W = np.zeros((N, d, N, d)), np.einsum("ij,ab->iajb", np.eye(N), np.eye(d))
     for i in problem.system.links:

@@ -1,19 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Bolts in steps and walks: the diagram of a bolted joint, restarts, directions, failures."""
 
-import shutil
-
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-import ufl
-from dolfinx import fem
 from dolfinx_mortar.interfaces import pretension
 from dolfinx_mortar.problem import step_data
-from tests.cases.bolted_joint import Flange, Joint
+from tests.cases.bolted_joint import Joint
 from tests.cases.glued_bar import COMM, CONFINED, NU, Bar, E
 from tests.cases.meshes import BOTTOM, LEFT, TOP
 from tests.cases.pressed_blocks import failing, rejected
@@ -27,34 +21,6 @@ CARRIED = [F0 + 1.0, F0 + 2.0, 12.0]  # a third of the pull, until the plates pa
 def tension(case):
     """Return the force of the tie along the direction out of the slave side."""
     return float(case.tie.force @ outwards(case))
-
-
-def test_loads_of_the_moment_count_and_the_jump_is_held():
-    """The force is reached with the load; when it goes, the bar keeps its jump."""
-    case, _ = clamped()
-    load = fem.Constant(case.mesh, 12.0)
-    v, ds = ufl.TestFunction(case.V), ufl.Measure("ds", case.mesh, subdomain_data=case.facets)
-    bcs = [*case.rollers(), case.hold(BOTTOM, 1)]
-    spring = 0.5 * CONFINED * case.u[1] ** 2 * ds(TOP)
-    problem = case.problem(bcs, loads=load * v[1] * ds(TOP), potential=spring)
-    tighten(problem, {case.tie: 30.0}, outwards(case))
-    # bar and spring in series carry (load share 2/3 of 12) + s C / 3
-    s = (30.0 - 12.0 * (1 / 2) / (1 / 2 + 1)) / (CONFINED / 3)
-    assert case.tie.tightening[1] == pytest.approx(-s, rel=1e-5)
-    load.value = 0.0
-    dm.newton(problem)
-    assert case.tie.force[1] == pytest.approx(-s * CONFINED / 3, rel=1e-5)
-
-
-def test_what_a_tightening_before_has_moved_across_stays():
-    """Sheared first, then pulled: the second direction adds to the first one's jump."""
-    case, problem = loaded()
-    tighten(problem, {case.tie: 3.0}, [1.0, 0.0])
-    across = case.tie.tightening[0]
-    tighten(problem, {case.tie: 30.0}, 1e300 * outwards(case))  # whose square is none
-    assert abs(across) > 1e-4 and case.tie.tightening[0] == across
-    assert tension(case) == pytest.approx(30.0, rel=SOUGHT)
-    assert case.tie.force[0] == pytest.approx(3.0, rel=0.05)
 
 
 # -- a bolted joint
@@ -79,33 +45,6 @@ def test_the_diagram_of_a_bolted_joint(slave):
         assert abs(joint.tension() - joint.clamping() - pull) < 1e-8 * F0
         closed = joint.problem.committed.active.any()
         assert COMM.allreduce(int(closed)) > 0 if pull < 1.5 * F0 else not closed
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("geometry", ["reference", "updated"])
-def test_a_walk_under_a_force_and_then_with_the_jump(geometry):
-    """The force is a Constant of the walk; set to None it is the jump that is held."""
-    joint = Joint(geometry=geometry)
-    force = fem.Constant(joint.mesh, 0.0)
-    joint.bolt.pretension = force
-
-    def set_force(t):
-        force.value = F0 * t
-        joint.pull.value = 0.1 * t
-
-    for step in dm.load_steps(joint.problem, [0.5, 1.0], on_time=set_force, progress=False):
-        assert joint.tension() == pytest.approx(F0 * step.time, rel=1e-6)
-    jump = joint.bolt.tightening.copy()
-    joint.bolt.pretension = None
-    joint.pull.value = 3.1
-    dm.newton(joint.problem, rtol=1e-9)
-    assert joint.tension() == pytest.approx(F0 + 1.0, rel=1e-4)
-    assert np.array_equal(joint.bolt.tightening, jump)
-    other = Joint(geometry=geometry)
-    other.pull.value = 0.1
-    tighten(other.problem, {other.bolt: F0}, other.direction, rtol=1e-10)
-    assert other.problem.committed.level == 0.0 and not other.problem.history
-    assert np.allclose(jump, other.bolt.tightening, rtol=1e-5, atol=1e-12)
 
 
 # -- runs that were stopped
@@ -147,43 +86,6 @@ def test_a_walk_that_was_stopped_goes_on(create, folder):
     assert np.array_equal(second.bolt.tightening, first.bolt.tightening)
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("alone", [True, False])
-def test_other_ranks_go_on(alone, folder):
-    """One rank tightens and all go on, or all do and each goes on alone."""
-    file = folder / "run.h5"
-    if COMM.rank == 0 or not alone:
-        walk(tightened(MPI.COMM_SELF if alone else COMM), LEVELS[:1], file)
-    COMM.barrier()
-    if not alone:
-        file = shutil.copy(file, folder / f"{COMM.rank}.h5")
-    assert walk(Joint(comm=COMM if alone else MPI.COMM_SELF), LEVELS, file) == going_on(2)
-
-
-@pytest.mark.mpi
-def test_what_is_restored_is_tightened_from_where_it_is(folder):
-    joint, fresh = tightened(), Joint()
-    joint.problem.save(folder / "tight.h5")
-    fresh.problem.restore(folder / "tight.h5")
-    assert tighten(fresh.problem, {fresh.bolt: F0}, fresh.direction).newton_iterations == 1
-    assert np.allclose(fresh.bolt.tightening, joint.bolt.tightening, rtol=1e-7, atol=0.0)
-    tighten(fresh.problem, {fresh.bolt: 2.0 * F0}, fresh.direction)
-    assert np.allclose(fresh.bolt.tightening, 2.0 * joint.bolt.tightening, rtol=1e-4, atol=0.0)
-
-
-@pytest.mark.mpi
-def test_a_state_from_before_lets_the_bolt_go(folder):
-    """Also one without results; what the program sets by hand before a step is kept."""
-    joint = Joint()
-    for name, value in ("loose", [0.0, 0.0]), ("set", [0.0, -1e-3]):
-        joint.bolt.tightening = value
-        joint.problem.save(folder / f"{name}.h5")
-    tighten(joint.problem, {joint.bolt: F0}, joint.direction)
-    for name, value in ("loose", [0.0, 0.0]), ("set", [0.0, -1e-3]):
-        joint.problem.restore(folder / f"{name}.h5")
-        assert np.array_equal(joint.bolt.tightening, value)
-
-
 # -- what cannot be
 
 
@@ -211,23 +113,6 @@ def test_a_force_of_another_unit(sign):
     with failing(problem, "pretension", "check units", "as before"):
         tighten(problem, {case.tie: sign * 1e9}, outwards(case))
     assert watched.unchanged()
-
-
-@pytest.mark.mpi
-def test_a_failure_of_several_bolts_leaves_all_as_it_was():
-    flange = Flange(2, law=dm.VonMises(E, 0.0, 5.0, 50.0))
-    problem, bolts = flange.problem, flange.bolts
-    tighten(problem, dict.fromkeys(bolts, 1.0), [0.0, -1.0])
-
-    def shown():
-        fields = problem.u, problem.solid.stress
-        arrays = [f.x.array.copy() for f in fields]
-        return [*arrays, *(x.copy() for tie in bolts for x in (tie.tightening, tie.force))]
-
-    before = shown()
-    with rejected("max_it=1 iterations", "as before", error=dm.NewtonNotConverged):
-        tighten(problem, dict(zip(bolts, (2.0, 9.0), strict=True)), [0.0, -1.0], max_it=1)
-    assert all(map(np.array_equal, before, shown()))
 
 
 @pytest.mark.mpi
@@ -270,14 +155,6 @@ def test_a_direction_along_the_cut(slave):
         a = np.radians(angle)
         n = np.cos(a) * outwards(case) + np.sin(a) * np.array([1.0, 0.0])
         assert len(warned(case, problem, n)) == count, angle
-
-
-def test_a_cut_that_is_inclined():
-    """Its normal counts, and the axis of the bolt may lean to it."""
-    case = Bar("quadrilateral", angle=np.radians(55.0))
-    problem = case.problem([case.hold(BOTTOM), case.hold(TOP)])
-    assert not warned(case, problem, [0.0, -1.0])
-    assert len(warned(case, problem, [1.0, 1.4])) == 1
 
 
 @pytest.mark.slow

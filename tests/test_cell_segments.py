@@ -46,7 +46,6 @@ def scalars(mesh, degree):
 
 
 def everywhere(V, values):
-    """Return values (nodes, ..) at the owned nodes of all ranks, in the order of their numbers."""
     return np.concatenate(V.mesh.comm.allgather(values[: V.dofmap.index_map.size_local]))
 
 
@@ -58,7 +57,6 @@ def positions(V, u=None):
 
 
 def on_both(s, at_nodes):
-    """Return values (n,) and gradients (n, d) of a field, by its values at all nodes, twice."""
     for dofs, N, G in (
         (s.slave_dofs, s.slave_values, s.slave_gradients),
         (s.master_dofs, s.master_values, s.master_gradients),
@@ -79,7 +77,6 @@ def moved(V, motion):
 
 
 def bent(x):
-    """Return curved positions of x (d, n)."""
     waves = [0.1 * np.sin(2 * x[i - 1] + i) for i in range(len(x))]
     return x + np.stack(waves)
 
@@ -87,8 +84,9 @@ def bent(x):
 # -- points
 
 
-@pytest.mark.parametrize("sides", [SIDES, SWAPPED], ids=["lower", "upper"])
-@pytest.mark.parametrize("motion", [False, True])
+@pytest.mark.parametrize(
+    ("motion", "sides"), [(False, SIDES), (True, SWAPPED)], ids=["lower", "upper, moved"]
+)
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("cell", CELLS)
 def test_polynomials_are_exact_on_both_sides(cell, degree, motion, sides):
@@ -137,17 +135,6 @@ def test_linear_fields_are_exact_on_curved_sides(cell, order):
     assert largest((off * high.normal).sum(axis=1) - high.gap) < EXACT
     assert largest(np.linalg.norm(high.normal, axis=1) - 1) < EXACT
     assert largest(low.x - high.x) == largest(low.weight - high.weight) == 0.0
-    field = fem.Function(scalars(mesh, 1))
-    field.interpolate(lambda x: np.sin(3 * x[0]) + x[-1])
-    same = fem.Function(scalars(mesh, 2))
-    same.interpolate(field)
-    pairs = zip(
-        on_both(low, everywhere(field.function_space, field.x.array)),
-        on_both(high, everywhere(same.function_space, same.x.array)),
-        strict=True,
-    )
-    for (value, gradient), (other, others) in pairs:
-        assert largest(value - other) < EXACT and largest(gradient - others) < 100 * EXACT
 
 
 @pytest.mark.mpi
@@ -262,16 +249,11 @@ def test_a_displacement_of_another_space_moves_the_sides_of_V(degree):
     same.interpolate(u)
     low = fem.Function(vectors(mesh, 1))
     low.interpolate(u)
-    alike = np.array_equal(u.function_space.dofmap.list, V.dofmap.list)
-    assert not all(COMM.allgather(alike))
     expected = dm.assemble_mortar(V, tags, **SIDES, u=same)
     for other in (u, low):
         found = dm.assemble_mortar(V, tags, **SIDES, u=other)
         for A, B in ((found.D, expected.D), (found.M, expected.M)):
             assert (A - B).norm() < EXACT < B.norm()
-        points, others = (dm.segments(V, tags, **SIDES, u=w) for w in (other, same))
-        sums = [COMM.allreduce(s.weight @ s.x) for s in (points, others)]
-        assert largest(sums[0] - sums[1]) < EXACT
 
 
 def mixed(mesh, degree):
@@ -320,37 +302,23 @@ def owned_ends(V, tags):
     return nodes[nodes < V.dofmap.index_map.size_local]
 
 
-def temperatures(cells, tags, exact, coupling):
-    """Return those of all nodes that conduction and coupling give, with those of the ends."""
+def temperatures(cells, tags, exact, dofs, entries):
+    """Return those of all nodes, by those of the ends and blocks (n, k, k) of dofs (n, k)."""
     V, (A, b) = exact.function_space, conduction(cells, tags, exact)
-    A.axpy(1.0, coupling)
-    x, ends = A.createVecRight(), owned_ends(V, tags)
-    x.array[ends] = exact.x.array[ends]
-    rows = V.dofmap.index_map.local_range[0] + ends
-    A.zeroRowsColumns(rows.astype(PETSc.IntType), 1.0, x, b)
-    solver = PETSc.KSP().create(V.mesh.comm)
-    solver.setOperators(A)
-    solver.setType("preonly")
-    solver.getPC().setType("lu")
-    solver.getPC().setFactorSolverType("mumps")
-    solver.solve(b, x)
-    return everywhere(V, x.array)
-
-
-def interface_matrix(V, dofs, entries):
-    """Return the matrix of blocks (n, k, k) between dofs (n, k)."""
-    layout = V.dofmap.index_map
-    A = PETSc.Mat().create(V.mesh.comm)
-    A.setSizes(2 * [(layout.size_local, layout.size_global)])
-    A.setUp()
-    for at, block in zip(dofs.astype(PETSc.IntType), entries, strict=True):
-        A.setValues(at, at, block, addv=True)
-    A.assemble()
-    return A
+    first, last = V.dofmap.index_map.local_range
+    coupling = np.zeros(2 * (V.dofmap.index_map.size_global,))
+    np.add.at(coupling, (dofs[:, :, None], dofs[:, None]), entries)
+    whole = dense(A, V, first + np.arange(last - first)) + COMM.allreduce(coupling)
+    fixed = np.concatenate(COMM.allgather(first + owned_ends(V, tags)))
+    T, right = everywhere(V, exact.x.array), np.concatenate(COMM.allgather(b.array))
+    free = np.setdiff1d(np.arange(len(T)), fixed)
+    right = (right - whole[:, fixed] @ T[fixed])[free]
+    found = T.copy()
+    found[free] = np.linalg.solve(whole[np.ix_(free, free)], right)
+    return found
 
 
 def jumps(s):
-    """Return the dofs (n, k) of both sides, and the jump of each function across (n, k)."""
     return np.hstack([s.slave_dofs, s.master_dofs]), np.hstack([s.slave_values, -s.master_values])
 
 
@@ -380,7 +348,7 @@ def test_two_bars_in_series_with_a_resistance_between_them(cell, degree):
         }
         exact = bodywise(V, cells, straight)
         entries = h * s.weight[:, None, None] * jump[:, :, None] * jump[:, None]
-        T = temperatures(cells, tags, exact, interface_matrix(V, dofs, entries))
+        T = temperatures(cells, tags, exact, dofs, entries)
         assert largest(T / 200.0 - everywhere(V, exact.x.array) / 200.0) < 1e-10
         (T_s, g_s), (T_m, g_m) = on_both(s, T)
         for flux in (h * (T_s - T_m), -K[LOWER] * g_s[:, up], -K[UPPER] * g_m[:, up]):

@@ -99,10 +99,7 @@ def test_every_field_jumps(spoil, fields):
 
 
 def imbalances_of_a_fit(shift):
-    """Return force and moment balance (3, 2) of a ring on a shaft: solved, and with two errors.
-
-    The shaft's forces 1 % too large on the right half; all of them turned by 0.01.
-    """
+    """Return force and moment balance (3, 2) of a ring on a shaft: solved, and with two errors."""
     case = create_shrink_fit((16, 24), True, shift=shift)
     report, problem = dm.newton(case.problem, rtol=1e-10), case.problem
     found = [report.certificate]
@@ -124,12 +121,7 @@ def imbalances_of_a_fit(shift):
 
 @pytest.mark.mpi
 def test_balances_where_resultants_cancel():
-    """Around a shaft, by the origin or 1000 diameters away; coordinates have round-off there.
-
-    The force of half a circle is sum n ds = 1 / pi of it, without a moment; the moment of turned
-    forces sin(0.01) R / (R + h), h = 2 R sin(pi / 24), without a force. The pressures of so few
-    facets differ by some per cent.
-    """
+    """Around a shaft, by the origin or 1000 diameters away; coordinates have round-off there."""
     near, far = (imbalances_of_a_fit(shift) for shift in ((0.0, 0.0), (5e4, -3e4)))
     assert max(near[0].max(), far[0].max()) < ROUND_OFF * 6e4 / 20.0
     moment = np.sin(0.01) / (1.0 + 2.0 * np.sin(np.pi / 24))

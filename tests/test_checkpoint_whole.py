@@ -13,32 +13,14 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.persistence.tables import seal
 from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
-from tests.cases.pressed_blocks import PressedBlocks, rejected
+from tests.cases.pressed_blocks import Bare, PressedBlocks, rejected
+from tests.cases.states import state_of
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi
 LAW = dm.VonMises(E=1000.0, nu=0.3, Y=8.0, a=50.0)
 SIDES = {"slave": TOP_OF_LOWER, "master": BOTTOM_OF_UPPER}
 MADE = {}  # a problem in some state, the file of another state, and all of the first, by kind
-
-
-class Memory(dm.Term):
-    """No force, but a state."""
-
-    def __init__(self, V, value):
-        """Keep a scalar everywhere."""
-        self.kept = fem.Function(V.sub(0).collapse()[0])
-        self.kept.x.array[:] = value
-
-    @property
-    def state(self):
-        return {"kept": self.kept}
-
-    def add_forces(self, F):
-        pass
-
-    def add_tangent(self, K):
-        pass
 
 
 def walked(kind, way):
@@ -48,7 +30,10 @@ def walked(kind, way):
     if kind == "tie":
         side = dm.Tie(case.facets, **SIDES)
         side.tightening = np.array([0.0, way / 10])
-    problem = case.problem([side], law=LAW, terms=[Memory(case.V, way)])
+    kept = fem.Function(case.V.sub(0).collapse()[0])
+    kept.x.array[:] = way
+    memory = Bare(state={"kept": kept}, has_tangent=True)
+    problem = case.problem([side], law=LAW, terms=[memory])
     table = [(t, (way * t, -way * t)) for t in (0.0, 1.0)]
     list(dm.load_steps(problem, [0.5, 1.0], ramp={case.top: table}, progress=False))
     return problem
@@ -63,30 +48,6 @@ def made(request, tmp_path_factory):
         walked(kind, 0.02).save(good)
         MADE[kind] = problem, good, state_of(problem)
     return MADE[kind]
-
-
-def state_of(problem):
-    """Return all that a step starts from and all that is shown, bit for bit."""
-    committed = problem.committed
-    fields = [problem.u, *problem.solid.points.lasting_fields().values()]
-    fields += problem.state.states_of_terms.values()
-    arrays = [committed.active, committed.displacement, committed.slid, committed.dissipated]
-    arrays += [committed.paired, committed.supports.forces]
-    arrays += [np.zeros(0) if committed.sliding is None else committed.sliding]
-    for interface in problem.interfaces:
-        fields += interface.nodal.values()
-        arrays += [*vars(interface.resultants).values()]
-        arrays += [getattr(interface, name, 0.0) for name in ("tightening", "dissipated")]
-    bits = [np.asarray(array).tobytes() for array in [*(f.x.array for f in fields), *arrays]]
-    steps = [(step.number, step.time, step.forces) for step in committed.history], committed.walk
-    return (
-        bits,
-        repr(steps),
-        committed.begun,
-        committed.level,
-        committed.walked,
-        problem.system.faced,
-    )
 
 
 def test_a_whole_file_is_taken(made):

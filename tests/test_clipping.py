@@ -15,18 +15,15 @@ COORDINATES = st.integers(-16, 16).map(lambda i: Fraction(i, 16))  # floats hold
 
 
 def cross(o, a, b):
-    """Return twice the area of a triangle."""
     return (a[0] - o[0]) * (b[1] - o[1]) - (a[1] - o[1]) * (b[0] - o[0])
 
 
 def area(polygon):
-    """Return the area by the shoelace formula, positive if anticlockwise."""
     turned = polygon[1:] + polygon[:1]
     return sum(a[0] * b[1] - a[1] * b[0] for a, b in zip(polygon, turned, strict=True)) / 2
 
 
 def clipped(polygon, clip):
-    """Return the part of a polygon in a convex anticlockwise one, exactly."""
     for a, b in zip(clip, clip[1:] + clip[:1], strict=True):
         sides = [cross(a, b, x) for x in polygon]
         found = []
@@ -79,21 +76,3 @@ def test_common_part_and_difference(P, Q, first, mirrored):
     assert rest == pytest.approx(whole - exact, abs=1e-11)
     if plane.is_beside(p, n, q, m, 1, 0.0) or plane.is_beside(q, m, p, n, sign, 0.0):
         assert exact == 0.0
-
-
-@given(convex(), st.tuples(COORDINATES, COORDINATES), st.tuples(COORDINATES, COORDINATES))
-def test_halves_of_a_cut(P, a, b):
-    """The parts on both sides of a line have the area of the whole, and centroids that agree."""
-    assume(a != b)
-    p, n = compiled(P)
-    line = [float(x) for x in (*a, *b)]
-    Q, R = np.empty((2, plane.VERTICES, 2))
-    parts = plane.cut(p, n, *line, Q), plane.cut(p, n, *line[2:], *line[:2], R)
-    moments = np.zeros(3)
-    for part, size in zip((Q, R), parts, strict=True):
-        if size > 2:
-            size, x, y = plane.measure(part, size)
-            moments += size, size * x, size * y
-    size, x, y = plane.measure(p, n)
-    assert moments == pytest.approx([size, size * x, size * y], abs=1e-11)
-    assert size == pytest.approx(float(area(P)), abs=1e-14)

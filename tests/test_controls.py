@@ -24,7 +24,6 @@ class Squares(PressedBlocks):
     """Two unit squares; the bottom rests on rollers, the left sides slide vertically."""
 
     def __init__(self, slave, *, length=1.0, stress=1.0, **options):
-        """Keep the units."""
         super().__init__(transform=lambda x: length * x, **options)
         self.length, self.stress = length, stress
         self.side = self.contact(*SIDES[slave])

@@ -10,41 +10,10 @@ import dolfinx_mortar as dm
 from dolfinx import fem, mesh
 from dolfinx_mortar.problem import predictors
 from tests.cases.finite_sliding import indentation, walk
+from tests.cases.meshes_3d import rotation
+from tests.cases.two_bodies import create_problem, held
 
 COMM = MPI.COMM_WORLD
-CELLS = {
-    "triangle": (mesh.CellType.triangle, 2),
-    "quadrilateral": (mesh.CellType.quadrilateral, 2),
-    "hexahedron": (mesh.CellType.hexahedron, 3),
-}
-A = np.array([[0.3, -0.2, 0.5], [0.1, 0.4, -0.6], [0.7, 0.2, 0.1]])
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("size", [1.0, 1e-6])
-@pytest.mark.parametrize("cell", CELLS)
-def test_values_are_those_at_the_nearest_points(cell, size):
-    """A linear field at random points, of which some lie outside by up to the reach.
-
-    In whatever units; and the mesh is as before, to the last digit.
-    """
-    kind, d = CELLS[cell]
-    make = mesh.create_unit_square if d == 2 else mesh.create_unit_cube
-    V = fem.functionspace(make(COMM, *[5, 4, 3][:d], kind), ("Lagrange", 1, (d,)))
-    V.mesh.geometry.x[:] *= size
-    before = V.mesh.geometry.x.copy()
-    u = fem.Function(V)
-    u.interpolate(lambda x: A[:d] @ x / size)
-    own = np.arange(V.mesh.topology.index_map(d).size_local, dtype=np.int32)
-    points = np.zeros((30, 3))
-    points[:, :d] = np.random.default_rng(COMM.rank).uniform(-0.2, 1.2, (30, d))
-    found = predictors.values_near(u, own, size * points, 0.2 * size * np.sqrt(d))
-    assert np.array_equal(V.mesh.geometry.x, before)
-    assert np.abs(found - points.clip(0.0, 1.0) @ A[:d].T).max() < 1e-12
-    if COMM.rank == 0:
-        assert predictors.values_near(u, own, points[:0], 0.1).shape == (0, d)
-    else:
-        predictors.values_near(u, own, size * points, 0.1 * size)
 
 
 PRESSED, DRAGGED = 3, 4
@@ -85,33 +54,31 @@ def test_it_saves_iterations_and_changes_no_answer(slave, monkeypatch):
     assert count(steps) + 3 <= count(rigid)
 
 
-def ironed_by_tool(law, *, friction=0.0, way=0.6, degree=1, angle=0.0, turning=0.0):
-    """Turn a block with a rigid cylinder and drag this by facets; return iterations and forces.
-
-    While it is dragged both may turn on, by an angle in each step.
-    """
+def ironed_by_tool(law, *, friction=0.0, way=0.6, turned=0.0, turning=0.0):
+    """Drag a rigid cylinder over a turned block; return iterations and the force, turned back."""
     square = mesh.create_rectangle(
         COMM, [(0.0, -2.0), (6.0, 0.0)], [24, 5], mesh.CellType.quadrilateral
     )
-    V = fem.functionspace(square, ("Lagrange", degree, (2,)))
-    facets = mesh.locate_entities_boundary(square, 1, lambda x: np.isclose(x[1], 0.0))
-    tags = mesh.meshtags(square, 1, facets, np.ones_like(facets))
-    base = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], -2.0))
-    turned = fem.Function(V)
+    V = fem.functionspace(square, ("Lagrange", 1, (2,)))
+    sides = [
+        mesh.locate_entities_boundary(square, 1, lambda x, y=y: np.isclose(x[1], y))
+        for y in (-2.0, 0.0)
+    ]
+    facets = np.concatenate(sides)
+    values = np.repeat(np.arange(2, dtype=np.int32), [len(side) for side in sides])
+    order = np.argsort(facets)
+    tags = mesh.meshtags(square, 1, facets[order], values[order])
+    base, shape = fem.Function(V), dm.shapes.Cylinder((2.0, 1.0), 1.0)
+    tool = dm.Obstacle(tags, slave=1, shape=shape, friction=friction)
+    case = create_problem(V, [tool], [held(V, tags, 0, base)], law, strain="finite")
+    start = tool.rigid.position.value.copy()
 
     def turn(t):
-        a = angle + turning * max(t - 3.0, 0.0)
-        return np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
-
-    bc = fem.dirichletbc(turned, base)
-    cylinder = dm.shapes.Cylinder((2.0, 1.0), 1.0)
-    tool = dm.Obstacle(tags, slave=1, shape=cylinder, friction=friction)
-    solid = dm.Solid(fem.Function(V), law, strain="finite")
-    case, start = dm.ContactProblem(solid, [tool], bcs=[bc]), tool.rigid.position.value.copy()
+        return rotation((0, 0, 1), turned + turning * max(t - 3.0, 0.0))[:2, :2]
 
     def move(t):
         place = 2.0 + way * max(t - 3.0, 0.0), 1.0 - 0.1 * min(t, 3.0)
-        turned.interpolate(lambda x: (turn(t) - np.eye(2)) @ x[:2])
+        base.interpolate(lambda x: (turn(t) - np.eye(2)) @ x[:2])
         tool.rigid.position.value[:] = start + turn(t) @ place - (2.0, 1.0)
 
     steps = list(dm.load_steps(case, np.arange(1, 8), on_time=move, rtol=1e-8))
@@ -122,7 +89,7 @@ def ironed_by_tool(law, *, friction=0.0, way=0.6, degree=1, angle=0.0, turning=0
 def test_turned_bodies_slide_like_others():
     """What moves along is the deformation, which has no part in a rotation by 90 degrees."""
     few, force = ironed_by_tool(dm.NeoHooke(1.0, 0.3))
-    turned, same = ironed_by_tool(dm.NeoHooke(1.0, 0.3), angle=np.pi / 2)
+    turned, same = ironed_by_tool(dm.NeoHooke(1.0, 0.3), turned=np.pi / 2)
     assert np.abs(same - force).max() < 1e-7 * np.abs(force).max()
     assert turned <= few + 1
 
@@ -138,10 +105,7 @@ def test_turned_bodies_slide_like_others():
     ids=["internal variables", "sticks", "shorter than a facet", "turns"],
 )
 def test_what_stays(law, friction, way, turning, monkeypatch):
-    """Plastic strains, material that sticks; and Newton's method is left alone with short ways.
-
-    And where a body turns: what slides over it has no one way then.
-    """
+    """Plastic strains, material that sticks; and Newton's method is left alone with short ways."""
 
     def fail(*_):
         raise AssertionError

@@ -103,10 +103,7 @@ def friction_of_a_drawn_corner(slave, tilt, whole=False, friction=0.3, push=0.01
     [(TOP_OF_LOWER, 0.3, False), (BOTTOM_OF_UPPER, 0.3, False), (BOTTOM_OF_UPPER, 0.2, True)],
 )
 def test_a_corner_drawn_over_a_face(slave, tilt, whole):
-    """Friction is mu times the force normal to the face, whichever is the slave.
-
-    But for the angle by which friction inclines the face, which grows with the load.
-    """
+    """Friction is mu times the force normal to the face, whichever is the slave."""
     found = friction_of_a_drawn_corner(slave, tilt, whole, push=1e-3)
     assert found == pytest.approx(0.3, rel=0.001)
 
@@ -219,10 +216,7 @@ def pressed(split, floor_is_slave):
 
 
 def test_a_tie_that_ends_in_a_contact():
-    """With the floor as slave two halves are as one; else the note says to make it the slave.
-
-    But for the normals of the halves at the cut, of one facet each: 1e-6 of the forces.
-    """
+    """With the floor as slave two halves are as one; else the note says to make it the slave."""
     whole, _ = pressed(split=False, floor_is_slave=True)
     halves, notes = pressed(split=True, floor_is_slave=True)
     assert np.allclose(halves.force, whole.force, rtol=1e-6)
@@ -244,11 +238,7 @@ def beam(x0, y0, n=40, m=3):
 @pytest.mark.slow
 @pytest.mark.parametrize(("top", "slave"), [(False, "up"), (True, "up"), (False, "low")])
 def test_a_cantilever_slides_down_another_one(top, slave):
-    """Its end comes flush and leaves on the other corner (Code_Aster, SSNV505: 267.2 and 309.9).
-
-    The force is the slope of the energy, and no step differs from its neighbours, where the corner
-    is at a slave node. Facets of the other side, which are longer than its end, have a mean gap.
-    """
+    """Its end comes flush and leaves on the other corner (Code_Aster, SSNV505: 267.2 and 309.9)."""
     bodies = beam(0.0, 0.0), beam(914.4, 508.0)
     domain, _ = distribute(COMM, lambda: bodies, "quadrilateral")
     end = lambda x: np.isclose(x[0], 914.4) & (x[1] > 400.0)  # noqa: E731

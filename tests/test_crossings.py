@@ -52,12 +52,10 @@ def test_all_pairs_and_no_others(d, n):
 
 
 def find_crossing(problem):
-    """Return the deepest overlap that no interface couples."""
     return find_overlaps(problem).get(-1, Overlap(0.0, 0.0, []))
 
 
 def sunk(partition="graph", interfaces=(), way=-0.3):
-    """Return two blocks, the upper one .2 in the lower one, whose sides are not parallel to it."""
     case = TwoBodies(gap=0.1, x_upper=(0.2, 0.8), partition=partition)
     return case.problem(
         [case.interface(kind, swap=True) for kind in interfaces], case.bcs(0.0, way)
@@ -129,10 +127,7 @@ def test_beside_a_contact(cell):
     "cells", [((1, 1, 1), (1, 1, 1), (1, 1, 1)), ((5, 2, 2), (2, 2, 2), (3, 2, 2))]
 )
 def test_edges_that_touch_a_flank_do_not_cross_it(cells):
-    """Three boxes around an edge, strained alike up to 1e-9, as a solver leaves them.
-
-    The edges of the base pass through the flanks on it by that, .2 to 1 from their ends.
-    """
+    """Three boxes around an edge, strained alike up to 1e-9, as a solver leaves them."""
     mesh, tags = create_boxes(COMM, [(*box, n) for box, n in zip(THREE, cells, strict=True)])
     V = fem.functionspace(mesh, ("Lagrange", 1, (3,)))
     contacts = dm.find_pairs(mesh, tags, show=False).contacts

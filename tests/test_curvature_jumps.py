@@ -12,6 +12,7 @@ from dolfinx_mortar.geometry.curvature import edge_sagittas, edges
 from dolfinx_mortar.mortar.curvature_correction import smooth_normals
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
 from tests.cases.close_fits import nested
+from tests.cases.two_bodies import create_problem, held
 
 COMM = MPI.COMM_WORLD
 FIT = 0.01
@@ -19,10 +20,7 @@ QUARTER = np.pi / 2
 
 
 def outline(pieces, counts, grading=0.0):
-    """Return nodes (n, 2) along a closed line of pieces of (length, curvature), anticlockwise.
-
-    It begins upwards at the right and is centred; curvatures belong to the pieces, not to nodes.
-    """
+    """Return nodes (n, 2) along a closed line of pieces of (length, curvature), anticlockwise."""
     nodes, at, angle = [], np.zeros(2), QUARTER
     for (length, curvature), count in zip(pieces, counts, strict=True):
         s = np.linspace(0.0, 1.0, count + 1)
@@ -39,13 +37,11 @@ def outline(pieces, counts, grading=0.0):
 
 
 def rectangle(grow=0.0):
-    """Return pieces of a rectangle of 16 x 10 with fillets of radius 2, grown by an offset."""
     fillet = (QUARTER * (2.0 + grow), 1 / (2.0 + grow))
     return [(6.0, 0.0), fillet, (12.0, 0.0), fillet] * 2
 
 
 def oval():
-    """Return pieces of an oval of arcs, of radii 2 and 5."""
     return [(2.0 * QUARTER, 0.5), (5.0 * QUARTER, 0.2)] * 2
 
 
@@ -116,19 +112,14 @@ def test_what_varies_smoothly_does_not_jump(aspect, count, spread):
 @pytest.mark.mpi
 @pytest.mark.parametrize("slave", [2, 3])
 def test_a_press_fit_presses_everywhere(slave):
-    """Beside the ends of the flats as well: pressures from 111 to 206 (216), on four times as fine.
-
-    These meshes had 25 to 210 with the peg as slave, and 0 to 352 with the plate: 12 nodes open.
-    """
+    """Beside the ends of the flats as well: 111 to 206 (216) on meshes four times as fine."""
     counts = {"peg": (6, 6, 12, 6) * 2, "hole": (8, 8, 14, 8) * 2}
     V, tags = fit(outline(rectangle(FIT), counts["peg"]), outline(rectangle(), counts["hole"]), 4)
-    u = fem.Function(V)
-    held = [fem.locate_dofs_topological(V, 1, tags.find(tag)) for tag in (1, 4)]
-    bcs = [fem.dirichletbc(np.zeros(2), dofs, V) for dofs in held]
     contact = dm.Contact(tags, slave=slave, master=5 - slave)
-    problem = dm.ContactProblem(dm.Solid(u, dm.Elastic(70e3, 0.3)), [contact], bcs=bcs)
+    bcs = [held(V, tags, tag) for tag in (1, 4)]
+    problem = create_problem(V, [contact], bcs, dm.Elastic(70e3, 0.3))
     dm.newton(problem)
-    nodes = contact.gather(u)
+    nodes = contact.gather(problem.u)
     assert (nodes["active"] == 1.0).all()
     least, most = (f(nodes["pressure"]) for f in (np.min, np.max))
     assert 107.0 < least < 112.0 and 180.0 < most < 200.0

@@ -413,10 +413,7 @@ def test_the_last_rod_of_the_cradle_leaves(tmp_path):
 
 @pytest.mark.slow
 def test_two_rings_that_collide():
-    """Momentum is kept, velocities say what is left as vibrations, and the oval rings as it must.
-
-    Of a thin ring; shear and the rotation of sections make it some tenths of a per cent slower.
-    """
+    """Momentum is kept, velocities say what is left as vibrations, the oval rings as it must."""
     found = read(shown("bouncing_rings"))["found"]
     assert abs(found["momentum_lost"]) < 1e-8
     defect, expected = found["largest_defect_of_energy"], found["vibrations_by_momentum"]

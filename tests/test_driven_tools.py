@@ -10,9 +10,7 @@ import dolfinx_mortar as dm
 from dolfinx import default_real_type, fem
 from dolfinx_mortar.algebra.parallel import maximum
 from dolfinx_mortar.interfaces.tool import SPACE
-from dolfinx_mortar.newton_method.subproblem import Subproblem
 from dolfinx_mortar.problem import predictors
-from dolfinx_mortar.qp import scalars
 from dolfinx_mortar.steps import newton
 from tests.cases.meshes import two_blocks
 from tests.cases.pressed_blocks import rejected
@@ -62,31 +60,6 @@ def test_a_plate_finds_its_angle():
     dm.newton(other, rtol=1e-9)
     assert held.tool_force == pytest.approx(tool.tool_force, rel=1e-6, abs=1e-7)
     assert held.tool_moment == pytest.approx(tool.tool_moment, rel=1e-6, abs=1e-7)
-
-
-@pytest.mark.serial
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["QUARTER_OF_DIGITS", "HALF_OF_DIGITS"])
-def test_numbers_of_the_search_do_not_matter(name, monkeypatch):
-    """Of a plate that turns on one node until it meets the next one of an uneven side."""
-    found, usual = [], getattr(scalars, name)
-    for factor in (1.0, 0.1, 10.0):
-        monkeypatch.setattr(scalars, name, factor * usual)
-        tool, problem = plate()
-        dm.newton(problem, rtol=1e-9)
-        found.append(tool.travel)
-    assert np.array(found[1:]) == pytest.approx(np.array([found[0]] * 2), rel=1e-6, abs=1e-12)
-
-
-def test_a_tight_tolerance_with_friction():
-    """Differences for the stiffness of a tool are not smaller than the round-off of QPs."""
-    case = Block(n=12, fine=4.0)
-    disc = dm.shapes.Cylinder([5.0, 3.0], 3.0)
-    driven = case.tool(disc, friction=0.3, load={"y": -1.0, "moment": -0.3})
-    report = dm.newton(case.problem([driven]), rtol=1e-10)
-    assert driven.tool_force[1] == pytest.approx(1.0, rel=1e-9)
-    assert driven.tool_moment[2] == pytest.approx(0.3, rel=1e-9)
-    assert report.newton_iterations <= 6
 
 
 def plate_on_a_box(cell, degree, place, **options):
@@ -200,30 +173,12 @@ def test_a_dent_is_left_without_a_load():
     assert -0.08 < tool.travel[1] < -0.04
 
 
-def test_a_tilted_plane_is_pressed_and_dragged():
-    """By forces, over nodes that slip: what slips resists unsymmetrically. 17 states of QPs."""
-    case = Free(n=24, fine=8.0)
-    press, drag = (fem.Constant(case.mesh, 0.0) for _ in range(2))
-    plane = dm.shapes.Plane([4.0, 0.0], [-0.1, -1.0])
-    tool = case.tool(plane, friction=0.6, load={"x": drag, "y": press})
-    problem, states = case.problem([tool]), 0
-    for p, q in ((-8.0, 0.0), (-10.0, 0.5), (-10.0, 1.2), (-10.0, 1.8), (-10.0, 0.5)):
-        press.value, drag.value = p, q
-        states += dm.newton(problem).qp_iterations
-        problem.commit()
-    assert tool.tool_force == pytest.approx([-0.5, 10.0], rel=1e-5)
-    assert states < 20
-
-
 RUBBER = dm.NeoHooke(E=10.0, nu=0.3)
 METAL = dm.VonMises(E=10.0, nu=0.3, Y=0.5, a=1.0)
 
 
 def pressed_stack(load, law=RUBBER):
-    """Press a block with bulging sides onto another one by a plane; return tool and problem.
-
-    The interface has no friction, and supports hold the middle line along x, below also along y.
-    """
+    """Press a block with bulging sides onto another one by a plane; return tool and problem."""
 
     def bulge(points):
         x, y = points.T
@@ -304,21 +259,6 @@ def test_supports_lead_what_goes_on():
     assert report.newton_iterations <= 3
 
 
-def test_what_the_last_step_gained_is_in_checkpoints(tmp_path):
-    """To the last bit: as many iterations, on one rank, where MUMPS adds up in one order."""
-    path = COMM.bcast(tmp_path / "state.h5")
-    whole, _, count = pressed_in_steps(rtol=1e-12)
-    _, problem, first = pressed_in_steps(LEVELS[:3], rtol=1e-12)
-    problem.save(path)
-    _, other, _ = pressed_in_steps(LEVELS[:0], restored=path)
-    saved, restored = problem.committed.gained, other.committed.gained
-    assert np.array_equal(restored.by, saved.by) and restored.duration == saved.duration
-    assert np.array_equal(restored.travel, saved.travel)
-    tool, problem, rest = pressed_in_steps(LEVELS[3:], restored=path, rtol=1e-12)
-    assert COMM.size > 1 or first + rest == count
-    assert tool.travel == pytest.approx(whole.travel, rel=1e-10)
-
-
 def test_a_step_that_fails_from_there_begins_without(monkeypatch):
     """It is told, and ends like one that began without."""
     tool, problem, _ = pressed_in_steps(LEVELS[:2])
@@ -336,30 +276,3 @@ def test_a_step_that_fails_from_there_begins_without(monkeypatch):
     assert travels[0] < begun == travels[1] == pytest.approx(tool.travel[1], rel=0.5)
     assert any("led nowhere in 0 iterations" in note for note in report.notes)
     assert len(report.iterations) == report.newton_iterations > 0
-
-
-def test_an_exact_iteration_that_leads_away_is_undone(monkeypatch):
-    """Of which the solution is twenty times too long: u and the tool are where they were."""
-    tool, problem = pressed_stack({"y": -1.875})
-    dm.newton(problem)
-    right, (tool, problem) = tool.travel, pressed_stack({"y": -1.875})
-    solve, spoilt, back = Subproblem.exact, [], newton._Step.go_back
-
-    def too_long(step, *given):
-        found = solve(step, *given)
-        if not spoilt:
-            spoilt.append((tool.travel, problem.u.x.array.copy()))
-            found.solved.x.scale(20.0)
-        return found
-
-    def undone(step, old):
-        back(step, old)
-        spoilt.append((tool.travel, problem.u.x.array.copy()))
-
-    monkeypatch.setattr(Subproblem, "exact", too_long)
-    monkeypatch.setattr(newton._Step, "go_back", undone)
-    dm.newton(problem)
-    assert len(spoilt) >= 2
-    for before, after in zip(*spoilt[:2], strict=True):
-        assert np.array_equal(before, after)
-    assert tool.travel == pytest.approx(right, rel=1e-5)

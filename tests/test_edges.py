@@ -150,10 +150,7 @@ def test_an_overlap_where_supports_hold_the_slave_is_said_to_be_that():
 
 @SLAVES
 def test_a_corner_of_either_side_is_seen_as_deep_as_it_is(slave):
-    """A vertex of the slave or of the master, moved into the other side after the solution.
-
-    Beyond half of the thickness of a body it is the far side's.
-    """
+    """A vertex of the slave or of the master, moved into the other side after the solution."""
     case = on_a_corner()
     contact = case.interface(slave=slave)
     problem = case.problem([contact], case.bcs(0.0, 0.001))
@@ -192,10 +189,7 @@ def ridges(x):
 @pytest.mark.parametrize(("n", "degree", "noted"), [(2, 1, False), (3, 1, True), (3, 2, True)])
 @SLAVES
 def test_edges_that_cross_between_nodes_are_noted(slave, n, degree, noted):
-    """Facets are 1/n long, and edges lost by 0.06 of them; where they cross at nodes, none is.
-
-    Where they do on tetrahedra, slivers of a far side lie over the other body, half of it deep.
-    """
+    """Facets are 1/n long, and edges lost by 0.06 of them; where they cross at nodes, none is."""
     cell = "hexahedron" if noted else "tetrahedron"
     options = {"n_lower": (n, n, n), "n_upper": (n, n, n), "gap": 1.0, "transform": ridges}
     case = TwoBodies(cell, degree, whole=True, **options)
@@ -210,7 +204,6 @@ def test_edges_that_cross_between_nodes_are_noted(slave, n, degree, noted):
 
 
 def arcs(x):
-    """Bend two blocks to a pin and a socket of radius 2."""
     angle, radius = 2.0 * (x[:, 0] - 0.5), 2.0 - x[:, 1]
     return np.stack([radius * np.sin(angle), -radius * np.cos(angle)], axis=1)
 

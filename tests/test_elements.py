@@ -16,7 +16,6 @@ from dolfinx_mortar.geometry.facets import (
     normals_at_nodes,
     points_of,
     scaled_normals,
-    surface_gradients,
     tributary_weights,
 )
 from dolfinx_mortar.geometry.plane import (
@@ -68,21 +67,6 @@ def test_derivatives(element):
     for a, step in enumerate(0.5 * np.eye(xi.shape[1])):
         up, down = (element.shape_functions(xi + s * step) for s in (1, -1))
         assert np.abs(element.derivatives(xi)[:, :, a] - (up - down)).max() < 1e-15
-
-
-@ELEMENTS
-def test_surface_gradients(element):
-    """They have no normal part, and those of the position are the tangents' projection."""
-    rng = np.random.default_rng(4)
-    d = nodes(element).shape[1] + 1
-    x = np.concatenate([nodes(element), np.zeros((element.nodes, 1))], axis=1)
-    facets = Facets(element, x + rng.uniform(-0.2, 0.2, (5, element.nodes, d)))
-    which, xi = np.arange(5, dtype=np.int32), rng.uniform(0, 0.4, (5, d - 1))
-    g, n = surface_gradients(facets, which, xi)
-    tangents = np.eye(d) - n[:, :, None] * n[:, None]
-    assert np.abs(np.einsum("qli,qlj->qij", facets.x, g) - tangents).max() < 1e-13
-    assert np.abs(g.sum(axis=1)).max() < 1e-13
-    assert ((n * facet_normals(facets)).sum(axis=1) > 0.5).all()
 
 
 @ELEMENTS
@@ -152,10 +136,7 @@ def test_every_cell_that_u_may_have_has_the_facets_of_dolfinx():
 
 @parametrize([TRI3, QUAD4, TRI6, QUAD9])
 def test_parts_tile_their_facet(element):
-    """On straight facets a point of a part is that point of the facet; areas add up.
-
-    Two sides that coincide share all their points.
-    """
+    """On straight facets a point of a part is that point of the facet; areas add up."""
     rng = np.random.default_rng(7)
     corners = rng.uniform(-1, 1, (3, 4 if element.bilinear else 3, 3))
     x = element.vertex_functions(element.points) @ corners

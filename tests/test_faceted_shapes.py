@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dolfinx_mortar import shapes
-from dolfinx_mortar.shapes.curved import EDGE, FACE, POINT, create_tree, find_nearest
 from tests.cases.outlines import RECTANGLE, disc
 from tests.cases.pressed_blocks import rejected
 from tests.cases.tool import DEPTH, Block, Box, R
@@ -55,13 +54,6 @@ def test_round_shapes_converge(create, round_one):
     assert np.abs(flat.value - exact.value).max() > 1e2 * errors[-1][0]
 
 
-def test_normals_at_uneven_points_of_a_circle_are_exact():
-    centre = np.array([0.1, 0.2])
-    over = 1.1 * (disc(24) - centre)
-    normals = polygon(1).distance(centre + over).gradient
-    assert normals == pytest.approx(over / 1.1, abs=1e-12)
-
-
 @pytest.mark.parametrize("ends", [(4.0,), (1.1, 1.3, 4.0)])
 def test_lines_stay_straight_beside_arcs(ends):
     """A die's profile: lines to round-off, the arc with order 4, and normals without a jump."""
@@ -82,27 +74,6 @@ def test_lines_stay_straight_beside_arcs(ends):
         sides = [shape.distance(inner + way).gradient for way in (step, -step)]
         assert np.abs(sides[0] - sides[1]).max() < 1e-5
     assert (orders(errors) > [3.7, 2.7]).all()
-
-
-@pytest.mark.parametrize("bend", [1.0, -1.0])
-def test_a_line_between_arcs_is_straight(bend):
-    """One edge between two quarter circles that bend to the same side, or to either side."""
-    t, y = np.pi / 2 * np.linspace(0.0, 1.0, 6), np.linspace(2.0, 5.0, 41)
-    first = np.column_stack([bend * (np.sin(t) - 1.0), 2.0 - np.cos(t)])
-    second = np.column_stack([np.cos(t) - 1.0, 5.0 + np.sin(t)])
-    shape = shapes.Polyline(np.concatenate([first, second]), closed=False)
-    found = shape.distance(np.column_stack([0.0 * y, y]))
-    assert np.abs(found.value).max() < 1e-14
-
-
-def test_an_arc_ends_at_a_corner():
-    """Half a disc: its last edge goes on as the arc, whose distances have order 4 up to there."""
-    errors, half = [], lambda n: np.pi * np.linspace(0.0, 1.0, n + 1)
-    for n in (8, 16, 32):
-        shape = shapes.Polyline(np.column_stack([np.cos(half(n)), np.sin(half(n))]))
-        x = np.column_stack([np.cos(half(200)), np.sin(half(200))])
-        errors.append([np.abs(shape.distance(x).value).max()])
-    assert (orders(errors) > 3.7).all()
 
 
 @settings(max_examples=60, deadline=None)
@@ -126,29 +97,6 @@ def test_a_reentrant_corner():
     found = shapes.Polyline(L).distance(np.array([[0.7, 0.6], [1.2, 1.5]]))
     assert found.value == pytest.approx([-0.5, 0.2])
     assert found.gradient == pytest.approx(np.array([[0.6, 0.8], [1.0, 0.0]]))
-
-
-def test_around_a_centre_of_curvature():
-    """Of a parabolic cylinder z = x (2 - x) / 4, whose radius is 2 at its top, in one triangle.
-
-    At the centre all points near the top are as far, to the last bit; beyond it edges are nearest.
-    """
-    corners = np.array([[[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]]])
-    a = np.array([[[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]])
-    bends = np.stack([a, -a], axis=2)
-    s, t = np.linspace(0.0, 1.0, 401)[:, None], np.linspace(0.0, 1.0, 401)[None]
-    surface = np.stack([2.0 * s + 0.0 * t, 2.0 * t + 0.0 * s, s * (1.0 - s) + 0.0 * t], axis=2)
-    depth = np.array([1.0, 1.9, 2.0, 2.1, 3.0, 5.0])
-    x = np.array([1.0, 0.5, 0.25]) - depth[:, None] * [0.0, 0.0, 1.0]
-    exact = np.linalg.norm(surface[s + t <= 1.0][None] - x[:, None], axis=2).min(axis=1)
-    _, where, at = find_nearest(x, corners, bends, *create_tree(corners, bends))
-    for k, kind in enumerate(where):
-        (a, b) = at[k]
-        if kind >= EDGE:
-            (a, b) = ((a, 0.0), (1.0 - a, a), (0.0, 1.0 - a))[kind - EDGE]
-        point = 2.0 * a, 2.0 * b, a * (1.0 - a)
-        assert kind < POINT and np.linalg.norm(point - x[k]) == pytest.approx(exact[k], rel=1e-3)
-    assert (where[:2] == FACE).all() and (where[4:] >= EDGE).all()
 
 
 def test_files(tmp_path):

@@ -15,7 +15,6 @@ pytestmark = pytest.mark.slow
 
 
 def close(fold, ways, **options):
-    """Return the reports of steps."""
     return [fold.close(way, **options) for way in ways]
 
 

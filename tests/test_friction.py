@@ -72,33 +72,6 @@ def test_it_slides_at_the_limit(cell, degree, slave, geometry, surface):
     assert (back[1] > slides[1] + 0.01).all()  # the length of the way grows either way
 
 
-@pytest.mark.parametrize("angle", [0.9, 4.0])
-def test_any_direction_in_the_plane(angle):
-    """What is dragged over a symmetric base goes where it is dragged."""
-    way = np.array([np.cos(angle), np.sin(angle)])
-    *tangential, normal = pushed("hexahedron", *(PUSH * way)).forces
-    size = MU * abs(normal)
-    assert np.dot(tangential, way) == pytest.approx(size, rel=1e-2)
-    assert abs(np.dot([-way[1], way[0]], tangential)) < 0.02 * size  # the base is not round
-    assert np.linalg.norm(tangential) <= size * (1.0 + EXACT)
-
-
-@pytest.mark.parametrize(("cell", "degree"), [("triangle", 2), ("tetrahedron", 1)])
-def test_a_turned_block_has_the_turned_answer(cell, degree):
-    """Turned by 37 degrees, in space about an oblique axis; some nodes stick, some slip."""
-    plain, turned = (
-        pushed(cell, 0.015, *rest(cell, -0.005), degree=degree, angle=np.radians(angle))
-        for angle in (0.0, 37.0)
-    )
-    size = largest(plain.forces)
-    assert turned.forces == pytest.approx(plain.forces, rel=EXACT, abs=EXACT * size)
-    a, b = (case.closed() for case in (plain, turned))
-    order = [np.lexsort(np.round(c["X"], 9).T) for c in (a, b)]
-    for name in ("traction", "step_slip", "slip", "status", "pressure"):
-        first, second = a[name][order[0]], b[name][order[1]]
-        assert largest(first - second) < 1e-17 + EXACT * largest(first), name
-
-
 @pytest.mark.parametrize(
     ("cell", "degree", "slave"),
     [

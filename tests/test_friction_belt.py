@@ -52,11 +52,7 @@ def side(body, x):
 @pytest.mark.serial
 @pytest.mark.parametrize(("mu", "pull", "slave"), quick([(0.3, 2.0, DRUM_SIDE), CASE], CASE))
 def test_a_belt_on_a_drum(mu, pull, slave):
-    """It slips to both sides, and its pressure falls towards the top as Euler's; without cuts.
-
-    The top alone sticks. Sets that were updated at once let it slip as well, and half of the belt
-    turned round; steps were cut to nothing.
-    """
+    """It slips to both sides, and its pressure falls towards the top as Euler's; without cuts."""
     made = Bodies.of(bodies(), side)
     domain, cells, facets = made.mesh, made.cells, made.facets
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))

@@ -44,11 +44,7 @@ def coarse(geometry, slave):
 
 @pytest.mark.slow
 def test_the_forces_of_another_code(monkeypatch):
-    """Tangential forces to all digits that are known, the stick zone to the node, up to sliding.
-
-    On the same mesh, along the normals of the slave, as there; to 1e-4 on one that differs by a few
-    nodes.
-    """
+    """Tangential forces to all digits that are known, the stick zone to the node, up to sliding."""
     monkeypatch.setattr(mortar_interface, "common_normals", averaged)
     pushes = [*SIDEWAYS, SLIDING[0]]
     levels = [(DEPTH, 0.0), *((DEPTH, s) for s in pushes)]
@@ -97,12 +93,7 @@ SIDES = {"block": ("top", "sphere"), "ball": ("sphere", "top")}
 
 
 def pushed_ball(h, slave, pushes):
-    """Press without friction, as the theory has it, then push; yield rows beside Mindlin.
-
-    The ball is large beside the contact, whose radius is 0.78. A row holds numbers of both whole
-    bodies: the motion, the force, Mindlin's solution, errors of tractions over mu p0 (the largest
-    beyond 1.5 h from the edges, and the mean), the radius that sticks, the energy.
-    """
+    """Press without friction, as the theory has it, then push; yield rows beside Mindlin."""
     mesh, _, tags = dm.meshing.sphere(
         MPI.COMM_WORLD, h=h, radius=RADIUS, block=(60.0, 60.0, 30.0), core=1.0, half=True
     )

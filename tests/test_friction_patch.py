@@ -7,11 +7,10 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
-from tests.cases import meshes, meshes_3d
+from tests.cases import meshes
 from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, Blocks
 from tests.cases.friction import ELASTIC, create, largest
 from tests.cases.pressed_blocks import failing
-from tests.choice import crosswise
 
 EXACT = 1e-10
 MU, P = 0.3, 2.0
@@ -34,7 +33,6 @@ class Patch:
     """Blocks in a homogeneous state of stress."""
 
     def __init__(self, cell, share, *, d=2, slave="lower", angle=0.0, **options):
-        """Put pressure P and shear share * MU * P on the interface, by tractions all around."""
         case = create(cell, friction=MU, slave=slave, angle=angle, mesh_options=ALIKE[d], **options)
         V, facets, turn = case.problem.V, case.contact.facet_tags, case.turn
         way = turn[:, 0] if d == 2 else turn[:, :2] @ (0.8, 0.6)
@@ -116,6 +114,7 @@ def on_slope(slope, mu, cell, slave="lower"):
 def test_a_block_on_a_slope(cell, slave, mu):
     """Where tan(angle) = 0.99 mu, friction carries its weight; steeper there is no equilibrium."""
     problem, contact, gravity = on_slope(0.99 * mu, mu, cell, slave)
+    assert problem.audit().held_by_contact
     dm.newton(problem, rtol=1e-11)
     force = contact.force if slave == "upper" else contact.master_force
     weight = 0.5 if len(gravity) == 2 else 1.0
@@ -130,38 +129,6 @@ def test_a_block_on_a_slope(cell, slave, mu):
         assert "choose a factorisation" not in caught.value.message
     else:  # all may slip, each in a direction of its own, as far as the foot spreads
         assert largest(nodes["slip"]) < largest(problem.u.x.array)
-
-
-def test_turning_together_is_no_slip():
-    """Pressed blocks turn as one by their outsides: no slip, tractions are those of the stress.
-
-    Strains are small ones, which a rotation changes: the stress is that of (R F - I), F a squeeze.
-    """
-    case = create("triangle", friction=5.0, geometry="updated", mesh_options=ALIKE[2])
-    V, facets = case.problem.V, case.contact.facet_tags
-    value = fem.Function(V)
-    outside = np.unique(np.concatenate([facets.find(tag) for tag in (1, 2, 5, 6)]))
-    bcs = [fem.dirichletbc(value, fem.locate_dofs_topological(V, 1, outside))]
-    solid, contact = dm.Solid(fem.Function(V), ELASTIC, case.cells), case.contact
-    problem = dm.ContactProblem(solid, [contact], bcs=bcs)
-    for angle in np.radians([0.0, 5.0, 10.0, 20.0]):
-        R = meshes_3d.rotation((0.0, 0.0, 1.0), angle)[:2, :2]
-        A = R @ np.diag([1.0, 0.9]) - np.eye(2)
-        value.interpolate(lambda x, A=A: A @ x[:2])
-        dm.newton(problem, rtol=1e-11)
-        problem.commit()
-    E, nu = ELASTIC.E, ELASTIC.nu
-    strain = (A + A.T) / 2
-    stress = E / (1 + nu) * (strain + nu / (1 - 2 * nu) * np.trace(strain) * np.eye(2))
-    nodes = contact.gather(problem.u)
-    on = nodes["status"] == 1.0
-    assert on.sum() >= 3 and not (nodes["status"] == 2.0).any()
-    assert largest(nodes["slip"]) == 0.0 and contact.dissipation == 0.0
-    force = stress @ (0.0, 1.0)  # per area at X, along which nothing has grown longer
-    pressure = -R[:, 1] @ force
-    assert pressure > 10.0
-    assert largest(nodes["pressure"][on] - pressure) < 1e-8 * pressure
-    assert largest(nodes["traction"][on] - (R[:, 0] @ force) * R[:, 0]) < 1e-8 * pressure
 
 
 CORNER = [(0.0, 1.0, 0.0, 1.0, 3, 2), (1.0, 2.0, 0.0, 1.0, 4, 3), (0.0, 2.0, 1.0, 2.0, 5, 2)]
@@ -191,132 +158,7 @@ def test_blocks_that_meet_in_a_corner_shrink_without_slip():
 # -- many bodies
 
 
-STACK = [
-    (0.0, 1.0, float(k), k + 1.0, n, m) for k, (n, m) in enumerate(((4, 2), (5, 2), (3, 3), (6, 2)))
-]
-FLAT = [(a, b, c / 5, d / 5, n, 1) for a, b, c, d, n, _ in STACK]  # which do not tip
 WIDE = [(-0.5, 1.5, -1.0, 0.0, 8, 2), (0.0, 1.0, 0.0, 1.0, 5, 2), (-0.5, 1.5, 1.0, 2.0, 7, 2)]
-
-
-class Stack:
-    """Blocks on each other, pressed and pushed by the uppermost; the lowest one is held."""
-
-    def __init__(self, kinds, ways, *, boxes=STACK, swap=(), cell="triangle"):
-        """Join block k to the one above by kinds[k], a coefficient or a kind; move the top."""
-        b = Blocks(boxes, cell=cell)
-        self.interfaces = []
-        for k, kind in enumerate(kinds, start=1):
-            sides = {"slave": 10 * k + ABOVE, "master": 10 * (k + 1) + BELOW}
-            if k in swap:
-                sides = {"slave": sides["master"], "master": sides["slave"]}
-            options = sides | ({"friction": kind} if isinstance(kind, float) else {})
-            make = dm.Contact if isinstance(kind, float) else kind
-            self.interfaces.append(make(b.facets, surface="facets", **options))
-        top = fem.Constant(b.mesh, np.zeros(2))
-        bcs = [b.fix(1, BELOW), b.fix(len(boxes), ABOVE, value=top)]
-        self.problem = b.problem(self.interfaces, bcs, geometry="reference")
-        for top.value[:] in ways:
-            dm.newton(self.problem, rtol=1e-12)
-            self.problem.commit()
-        on = [10 * k + ABOVE for k in range(1, len(boxes))]  # forces on the block above
-        self.upward = np.array(
-            [
-                i.master_force if i.slave == s else i.force
-                for i, s in zip(self.interfaces, on, strict=True)
-            ]
-        )
-
-    def status(self, k):
-        """Return the status of the closed nodes of an interface."""
-        nodes = self.interfaces[k].gather(self.problem.u)
-        return nodes["status"][nodes["pressure"] > 0.0]
-
-
-@pytest.mark.parametrize("swap", [(), (2,)])
-def test_a_stack_that_sticks_is_tied(swap):
-    """Three interfaces with much friction do as three ties, nodes being slaves and masters."""
-    stuck, tied = (Stack([kind] * 3, [(0.001, -0.04)], swap=swap) for kind in (30.0, dm.Tie))
-    assert all((stuck.status(k) == 1.0).all() for k in range(3))
-    u, v = (each.problem.u.x.array for each in (stuck, tied))
-    assert largest(u - v) < EXACT * largest(v)
-    assert stuck.upward == pytest.approx(tied.upward, rel=1e-9)
-
-
-def test_friction_contact_and_a_tie_in_one_stack():
-    """Each passes on what it may: the tie all, friction up to mu N, contact only pressure.
-
-    Block 2 is tied to 1; block 3 slides on it; block 4 is pushed over 3 without friction, which
-    friction below holds.
-    """
-    stack = Stack([dm.Tie, 0.3, dm.Contact], [(0.0, -0.04), (0.02, -0.04)], swap=(2,))
-    forces = stack.upward
-    assert forces[:, 1] == pytest.approx(forces[0, 1], rel=1e-9)
-    assert largest(forces[:, 0]) < 1e-9 * forces[0, 1]  # the uppermost side is plain and smooth
-    with pytest.raises(AttributeError, match="friction="):
-        stack.interfaces[2].status  # noqa: B018
-    assert set(stack.status(1)) <= {1.0, 2.0}
-
-
-@pytest.mark.parametrize(("weak", "swap"), [(0, (1, 2, 3)), (1, ()), (2, (1, 2, 3))])
-def test_the_weakest_interface_slides(weak, swap):
-    """Of three coefficients the smallest is the limit of all that is passed on."""
-    mu = [0.9, 0.9, 0.9]
-    mu[weak] = 0.2
-    ways = [(0.0, -0.01), (0.05, -0.01)]
-    stack = Stack(mu, ways, boxes=FLAT, swap=swap, cell="quadrilateral")
-    ratios = -stack.upward[:, 0] / stack.upward[:, 1]
-    assert np.abs(ratios) == pytest.approx(0.2, rel=1e-9)
-    assert [bool((stack.status(k) == 2.0).all()) for k in range(3)] == [k == weak for k in range(3)]
-
-
-class Squeezed:
-    """A block between two long ones pressed together, pulled aside by a traction."""
-
-    def __init__(self, pull, mu, *, slave="outer", geometry="reference"):
-        """Describe the problem."""
-        b = Blocks(WIDE)
-        pairs = [((1, ABOVE), (2, BELOW)), ((3, BELOW), (2, ABOVE))]
-        pairs = [10 * np.array(p)[:, 0] + np.array(p)[:, 1] for p in pairs]
-        pairs = [p if slave == "outer" else p[::-1] for p in pairs]
-        self.contacts = [
-            dm.Contact(b.facets, slave=int(s), master=int(m), surface="facets", friction=mu)
-            for s, m in pairs
-        ]
-        top = fem.Constant(b.mesh, np.array([0.0, -0.05]))
-        bcs, loads = [b.fix(1, BELOW), b.fix(3, ABOVE, value=top)], b.traction(2, EAST, (pull, 0.0))
-        self.problem = b.problem(self.contacts, bcs, loads=loads, geometry=geometry)
-
-    def carried(self):
-        """Return the sum of the forces on the block in the middle."""
-        return sum(c.force if c.slave // 10 == 2 else c.master_force for c in self.contacts)
-
-
-@pytest.mark.parametrize(
-    ("slave", "geometry"), crosswise(["outer", "inner"], ["reference", "updated"])
-)
-def test_friction_alone_holds_a_body(slave, geometry):
-    """Both sides carry the pull, and the audit is content; above 2 mu N there is no equilibrium."""
-    options = {"slave": slave, "geometry": geometry}
-    gentle = Squeezed(0.5, 0.4, **options)
-    assert gentle.problem.audit().held_by_contact
-    dm.newton(gentle.problem, rtol=1e-11)
-    limit = 2 * 0.4 * abs(gentle.contacts[0].force[1])  # N falls as the block is pulled
-    hold = Squeezed(0.7 * limit, 0.4, **options)
-    dm.newton(hold.problem, rtol=1e-10)
-    assert hold.carried()[0] == pytest.approx(-0.7 * limit, rel=1e-6)
-    for contact in hold.contacts:
-        assert (contact.gather(hold.problem.u)["status"] == 1.0).any()
-    away = Squeezed(1.1 * limit, 0.4, **options)
-    with failing(away.problem, "The loads may exceed what friction carries"):
-        dm.newton(away.problem)
-    assert largest(away.problem.u.x.array) == 0.0
-
-
-@pytest.mark.parametrize("mu", [None, 0.0])
-def test_without_friction_nothing_holds_it(mu):
-    """The audit refuses it, and names the motion."""
-    with pytest.raises(ValueError, match="nothing holds the bodies"):
-        Squeezed(1.0, mu).problem.audit()
 
 
 # -- prescribed nodes
@@ -325,10 +167,7 @@ def test_without_friction_nothing_holds_it(mu):
 @pytest.mark.mpi
 @pytest.mark.parametrize("swap", [False, True])
 def test_prescribed_nodes_have_their_friction(swap):
-    """A block pushed by its side face, whose corner slides as prescribed: T = mu N for any slave.
-
-    It sticks like a spring, and keeps its friction where nothing moves.
-    """
+    """A block pushed by its side face, whose corner slides as prescribed: T = mu N."""
     b = Blocks(WIDE[:2], cell="quadrilateral")
     sides = (10 + ABOVE, 20 + BELOW)[:: 1 if swap else -1]
     contact = dm.Contact(b.facets, slave=sides[0], master=sides[1], friction=0.3)
@@ -374,10 +213,7 @@ def test_nodes_on_a_plane_of_symmetry_have_no_friction(swap):
     [(0.0, 0.0, None), (0.123, 0.0, 0.3), (-1e3, -1e-3, 0.3), (-1e3, 0.0, None)],
 )
 def test_where_nothing_acts_nothing_happens(height, gap, friction):
-    """Contact alone holds the upper block at level 0, where round-off must not open it.
-
-    That of coordinates is larger than any force; an overlap goes by a motion without strain.
-    """
+    """Contact alone holds the upper block at level 0, where round-off must not open it."""
     y = height + 2.0
     b = Blocks([(0.0, 4.0, height, y, 8, 4), (0.0, 3.0, y + gap, y + 2.0, 7, 5)])
     sides = {"slave": 20 + BELOW, "master": 10 + ABOVE}

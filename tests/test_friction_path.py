@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Friction over several steps: energy, limits that change, slips as state, how steps begin."""
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 
@@ -48,41 +46,6 @@ def test_sliding_turns_work_into_dissipation(cell, slave):
     assert work == pytest.approx(-MU * case.forces[1] * 0.02, rel=1e-9)
 
 
-def loop(steps):
-    """Push back and forth in so many steps; return work, change of energy, and dissipation.
-
-    The work is that of the top by the trapezoidal rule.
-    """
-    case = create("triangle", friction=MU)
-    case.solve(0.0, -PRESS)
-    start = stored(case)
-    spent, work, last = case.contact.dissipation, 0.0, 0.0
-    force = case.forces[0]
-    path = np.concatenate([np.linspace(a, b, steps + 1)[1:] for a, b in ((0, 0.03), (0.03, 0.0))])
-    for way in path:
-        case.solve(way, -PRESS)
-        work += 0.5 * (force + case.forces[0]) * (way - last)
-        force, last = case.forces[0], way
-    return work, stored(case) - start, case.contact.dissipation - spent
-
-
-def test_the_balance_of_energy_in_a_loop():
-    """Work = stored + dissipated, up to what steps of finite length lose, which is never gained.
-
-    In a step with closed contacts work - stored = 1/2 sum (T_0 + T_1) . slip, the dissipation is
-    sum T_1 . slip, and (T_1 - T_0) . slip >= 0: work <= stored + dissipated. Halving the steps
-    halves the difference or better.
-    """
-    lost = []
-    for steps in (4, 8, 16):
-        work, energy, spent = loop(steps)
-        assert spent > 0.0 and work > 0.0
-        lost.append((energy + spent - work) / spent)
-    assert min(lost) > -1e-9
-    assert lost[1] < 0.6 * lost[0] and lost[2] < 0.6 * lost[1]
-    assert lost[2] < 0.02
-
-
 # -- limits of the user
 
 
@@ -99,51 +62,9 @@ def test_a_coefficient_that_changes_between_steps():
         assert tangential == pytest.approx(-value * normal, rel=EXACT)
 
 
-def test_a_coefficient_that_varies_in_space():
-    """It slides where mu is zero, and sticks where it is large."""
-    case = create("quadrilateral")
-    mu = fem.Function(fem.functionspace(case.problem.V.mesh, ("Lagrange", 1)))
-    mu.interpolate(lambda x: np.where(x[0] < 0.45, 0.0, 20.0))
-    case = case.again(friction=mu)
-    walk(case, [0.0, 0.002])
-    nodes = case.closed()
-    left = nodes["X"][:, 0] < 0.45
-    assert left.any() and (~left).any()
-    assert (nodes["status"][left] == 2.0).all() and (nodes["status"][~left] == 1.0).all()
-    assert largest(nodes["traction"][left]) < EXACT * nodes["pressure"].max()
-    assert (np.abs(nodes["step_slip"][left, 0]) > 1e-5).all()
-    assert (np.abs(nodes["traction"][~left, 0]) > 0.0).all()
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize(
-    ("cell", "degree", "other"), [("triangle", 1, 2), ("triangle", 2, 1), ("hexahedron", 2, 1)]
-)
-def test_a_coefficient_of_another_degree_than_the_displacement(cell, degree, other):
-    """Zeros stay zeros, which interpolation makes -1e-17; only its owned values need be set."""
-    case = create(cell, degree=degree)
-    V = case.problem.V
-    mu = fem.Function(fem.functionspace(V.mesh, ("Lagrange", other)))
-    case = case.again(friction=mu)
-    own = mu.function_space.dofmap.index_map.size_local
-    x = mu.function_space.tabulate_dof_coordinates()[:own]
-    mu.x.array[own:] = np.nan
-    mu.x.array[:own] = 0.5 + 0.1 * x[:, 0]
-    expected = 0.5 + 0.1 * V.tabulate_dof_coordinates()[: case.problem.n, 0]
-    assert largest(case.contact.law.values(case.contact.gap.function_space) - expected) < 1e-14
-    # 0, 0.17 and 0.3 in turns, so that zeros have all kinds of neighbours
-    kind = np.round(7 * x[:, :2].sum(axis=1)).astype(int) % 3
-    mu.x.array[:own] = np.array([0.0, 0.17, 0.3])[kind]
-    found = case.contact.law.values(case.contact.gap.function_space)
-    assert (found >= 0.0).all() and COMM.allreduce(int((found == 0.0).sum())) > 0
-
-
 @pytest.mark.parametrize("geometry", ["reference", "updated"])
 def test_the_number_zero_is_no_friction(geometry):
-    """Bit for bit what a contact without friction gives; a Constant 0 gives it to round-off.
-
-    On several ranks sums come in as they will, and no two runs are the same to the bit.
-    """
+    """Bit for bit what a contact without friction gives; a Constant 0 gives it to round-off."""
     bits = 0.0 if COMM.size == 1 else EXACT
     case = create("triangle", geometry=geometry, friction=0)
     plain = case.again()
@@ -177,17 +98,6 @@ def test_tresca_with_the_limits_of_coulomb(cell, geometry):
     a, b = case.closed(), other.closed()
     assert largest(a["traction"] - b["traction"]) < 1e-8 * a["pressure"].max()
     assert np.array_equal(a["status"], b["status"])
-
-
-def test_tresca_knows_no_pressure():
-    """Full slip resists with s times the closed length, however hard it is pressed."""
-    s = 1.0
-    for press in (PRESS, 2 * PRESS):
-        case = create("quadrilateral", tresca=s, mesh_options={"x_lower": (0.0, 1.0)})
-        walk(case, [0.0, 0.05], press)
-        assert np.abs(case.closed()["traction"][:, 0]) == pytest.approx(s, rel=EXACT)
-    assert (case.closed()["status"] == 2.0).all() and len(case.closed()["status"]) == 8
-    assert case.forces[0] == pytest.approx(s, rel=EXACT)
 
 
 # -- slips are state
@@ -227,10 +137,7 @@ def folder(tmp_path):
     ("cell", "geometry"), [("triangle", "reference"), ("hexahedron", "updated")]
 )
 def test_slips_come_back(folder, cell, geometry, known):
-    """On another partition; the next step counts from the committed displacement.
-
-    A file without directions of slips begins stuck, and has the same answer.
-    """
+    """On another partition; the next step counts from the committed displacement."""
     options = {"friction": MU, "geometry": geometry}
     case, fresh = (
         create(cell, mesh_options={"partition": kind}, **options) for kind in ("graph", "stripes")
@@ -252,10 +159,7 @@ def test_slips_come_back(folder, cell, geometry, known):
 @pytest.mark.mpi
 @pytest.mark.parametrize("first", ["audited", "failed", "tried", "restored", "begun anew"])
 def test_what_is_not_committed_leaves_no_trace(first, folder):
-    """A first step has the partners where the supports move the bodies, whatever was before it.
-
-    Before it none may face.
-    """
+    """A first step has the partners where the supports move the bodies, whatever was before it."""
     case, other = (create(friction=MU, geometry="updated") for _ in range(2))
     if first == "audited":
         case.problem.audit()
@@ -275,51 +179,6 @@ def test_what_is_not_committed_leaves_no_trace(first, folder):
     for one in (case, other):
         follow(one, [(0.1, -0.02)])
     agree(numbers(case), numbers(other))
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("fails", [True, False])
-def test_later_tries_leave_no_trace(fails):
-    """The partners along which slips are measured are those of the last commit, not of the try."""
-    case, other = (create(friction=MU, geometry="updated") for _ in range(2))
-    for one in (case, other):
-        follow(one, PATH[:2])
-    kept = case.problem.committed.sliding.copy()
-    case.push(0.4, -0.03)
-    if fails:
-        with pytest.raises(dm.NewtonNotConverged):
-            dm.newton(case.problem, max_it=1, rtol=1e-12)
-    else:
-        dm.newton(case.problem)
-    assert np.array_equal(case.problem.committed.sliding, kept)
-    for one in (case, other):
-        follow(one, PATH[2:])
-    agree(numbers(case), numbers(other))
-
-
-def test_sliding_over_many_facets():
-    """Pushed by four facets of the master: every node has slipped as far as the top has moved."""
-    case = create(friction=MU, slave="upper", geometry="updated")
-    follow(case, [(0.0, -0.02), *((0.05 + 0.1 * k, -0.02) for k in range(5))])
-    before = case.contact.slip.x.array.copy()
-    follow(case, [(0.55, -0.02)])
-    nodes = case.contact.gather(case.problem.u)
-    assert (nodes["status"] == 2.0).all() and nodes["slip"].min() > 0.5
-    on = case.contact.status.x.array > 0.0
-    assert case.contact.slip.x.array[on] - before[on] == pytest.approx(0.1, rel=1e-2)
-
-
-def test_what_is_shown():
-    """Before a step, in output fields, and in the certificate."""
-    case = create(friction=MU)
-    assert not case.contact.slip.x.array.any() and case.contact.dissipation == 0.0
-    follow(case, PATH[:3])
-    fields = case.problem.output_fields()
-    assert np.array_equal(fields["traction"].x.array, case.contact.traction.x.array)
-    assert set(np.unique(fields["status"].x.array)) <= {0.0, 1.0, 2.0}
-    certificate = dm.newton(case.problem).certificate
-    assert certificate.friction_cone <= 1e-9 and certificate.friction_gain <= 1e-12
-    assert "slip" not in create().problem.output_fields()
 
 
 # -- a step begins with the slips of the last one
@@ -359,10 +218,7 @@ def test_a_block_of_a_tower_slides_on(way):
 
 @pytest.mark.parametrize(("cell", "most"), [("triangle", 1), ("hexahedron", 2)])
 def test_it_costs_few_sets_to_go_on(cell, most):
-    """The set is that of the last step, in space it turns a bit.
-
-    The way of the supports tells that it goes back: then the guess is that all stick.
-    """
+    """The set is that of the last step, in space it turns a bit."""
     costs = {}
     for way in (0.07, 0.04):
         for forget in (False, True):
@@ -373,16 +229,3 @@ def test_it_costs_few_sets_to_go_on(cell, most):
             (costs[way, forget],) = walk(case, [way], 2 * PRESS)
     assert costs[0.07, False][0] <= most < costs[0.07, True][0]
     assert costs[0.04, False] == costs[0.04, True]
-
-
-def test_what_opens_has_no_direction():
-    """Nor has what sticks; unit vectors along the surface where it slips."""
-    case = create("triangle", friction=MU)
-    walk(case, [0.0, 0.03, 0.05], 2 * PRESS)
-    size = np.linalg.norm(case.problem.committed.sliding, axis=1)
-    status = case.contact.status.x.array[: case.problem.n]
-    assert size[status == 2.0] == pytest.approx(1.0, rel=1e-12)
-    assert not size[status != 2.0].any()
-    assert COMM.allreduce(int((status == 2.0).sum()), op=MPI.SUM) > 0
-    walk(case, [0.07], press=-PRESS)
-    assert not case.problem.committed.sliding.any()

@@ -24,15 +24,7 @@ SHARE, STEADY = 0.5, 0.75  # xi R / (mu a), and Q / (mu P) that belongs to it
 
 
 def rolled(slave, way, shift):
-    """Press, push the hub by ``shift``, and roll by four half-widths; return Q / (mu P) of steps.
-
-    At the end, the places of the closed nodes and which of them stick, as well.
-
-    The disc is turned by a linear map, which strains nothing in small-strain kinematics but grows
-    the disc by sqrt(1 + angle^2): the hub is lifted by that. What touches the block then moves by
-    R d(angle) / sqrt(1 + angle^2), as does a hub without creep: x = R asinh(angle). The disc's
-    elasticity does not turn along, which adds to Q what changes sign with ``way``, 1 or -1.
-    """
+    """Press, push the hub by ``shift``, roll by four half-widths; return Q / (mu P) of steps."""
     mesh, cells, facets = create_mesh("graded", SIZE, radius=RADIUS, block=(40.0, 20.0))
     V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
     ground, hub = fem.Function(V), fem.Function(V)

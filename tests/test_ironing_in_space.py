@@ -12,11 +12,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.serial]
 
 @pytest.mark.parametrize(("tool", "friction"), [("cylinder", 0.0), ("ball", 0.3)])
 def test_dragged_by_one_and_a_half_diameters(tool, friction):
-    """No step is cut, each takes five iterations; the drag is mu V, V the same all the way.
-
-    With friction nodes slip far: if they resisted a turn of their slip like what sticks, to begin
-    with, each iteration would need 30 linear ones, with four times the cells some thousands.
-    """
+    """No step is cut, each takes five iterations; the drag is mu V, V the same all the way."""
     case = create(tool, 1, friction=friction)
     steps, forces = [], []
     for step in dm.load_steps(case.problem, case.times, on_time=case.move):

@@ -54,19 +54,17 @@ def test_a_jump_beyond_the_model(case, what):
 
 
 def test_constants_and_functions_of_the_wrong_shape(case):
-    with rejected("jump is a Constant of shape ()", "give 2"):
-        glue(case, fem.Constant(case.mesh, 0.1))
-    scalar = fem.Function(fem.functionspace(case.mesh, ("Lagrange", 1)))
-    with rejected("values of shape ()", "give 2"):
-        glue(case, scalar)
-    with rejected("not one value at every node", "interpolate"):
-        glue(case, fem.Function(fem.functionspace(case.mesh, ("DG", 0, (2,)))))
-    with rejected("part of a Function", "collapse()"):
-        glue(case, case.u.sub(1))
-    with rejected("expression of UFL", "interpolate"):
-        glue(case, 2.0 * case.u)
-    with rejected("expression of UFL"):
-        glue(case, ufl.SpatialCoordinate(case.mesh))
+    scalar, of_cells = ("Lagrange", 1), ("DG", 0, (2,))
+    for jump, *words in (
+        (fem.Constant(case.mesh, 0.1), "jump is a Constant of shape ()", "give 2"),
+        (fem.Function(fem.functionspace(case.mesh, scalar)), "values of shape ()", "give 2"),
+        (fem.Function(fem.functionspace(case.mesh, of_cells)), "not one value at every node"),
+        (case.u.sub(1), "part of a Function", "collapse()"),
+        (2.0 * case.u, "expression of UFL", "interpolate"),
+        (ufl.SpatialCoordinate(case.mesh), "expression of UFL"),
+    ):
+        with rejected(*words):
+            glue(case, jump)
 
 
 @pytest.mark.parametrize("kind", ["Constant", "Function"])

@@ -80,12 +80,7 @@ def test_the_slope_is_that_of_the_merit():
 
 
 def test_a_step_at_round_off_is_not_refused(monkeypatch):
-    """Asked for more than the round-off of energies allows, a step ends; by values alone it fails.
-
-    Which step fails by the round-off of a machine is luck, so an energy that agrees with the one
-    before it up to round-off is here one unit above that: less than what a sum over the cells may
-    lose.
-    """
+    """Asked for more than the round-off of energies allows, a step ends; by values it fails."""
     known = []
 
     def rounded(terms, *along):

@@ -115,14 +115,6 @@ def test_options_of_the_user_win_and_ours_leave_no_trace(qp, database):
 
 
 @pytest.mark.mpi
-def test_options_reach_mumps(qp):
-    linear = LinearSolver(COMM, prefix="reach_", options={"mat_mumps_icntl_7": 2})
-    solved(linear, qp, none())
-    factor = linear.setup.ksp.getPC().getFactorMatrix()
-    assert factor.getMumpsIcntl(7) == 2
-
-
-@pytest.mark.mpi
 def test_too_small_a_workspace_is_enlarged():
     qp = membrane(60)
     qp.b.set(1.0)
@@ -153,10 +145,7 @@ def test_a_singular_matrix_is_an_error(pc):
 
 
 def test_multigrid_after_a_set_up_that_failed():
-    """Levels of an indefinite matrix cannot be set up, those of a definite one can, afterwards.
-
-    PETSc keeps the reason of the failure, so that all later set-ups were taken for failed.
-    """
+    """Levels of an indefinite matrix cannot be set up, those of a definite one can, afterwards."""
     A = PETSc.Mat().createAIJ((64, 64), nnz=3, comm=MPI.COMM_SELF)
     for i in range(64):
         columns = [j for j in (i - 1, i, i + 1) if 0 <= j < 64]
@@ -230,15 +219,6 @@ def test_the_limit_of_iterations_is_an_option(qp, database, typed):
         solved(linear, qp, none())
     assert linear.setup.max_iterations == 5 and linear.counts.iterations <= 10
     assert linear.options.unread() == []
-
-
-def test_tolerances_of_the_iteration_are_of_no_use(qp, database):
-    """PETSc reads them, but the accuracy follows from that of the QP."""
-    database["loose_ksp_atol"] = 1e3
-    options = {"ksp_rtol": 0.5, "ksp_atol": 1e2, "ksp_divtol": 2.0}
-    linear = LinearSolver(COMM, prefix="loose_", options=options)
-    assert solved(linear, qp, none()) <= RTOL
-    assert linear.options.unread() == ["ksp_atol", "ksp_divtol", "ksp_rtol"]
 
 
 def test_options_of_methods_that_are_used_are_not_named(qp):

@@ -46,11 +46,7 @@ def test_a_linear_tangent_is_assembled_once(solver, what, monkeypatch):
 
 
 def test_both_forms_are_one_program():
-    """T^T K T formed, and applied: products and right-hand side.
-
-    The diagonal is a scale only, also of what is eliminated, and of what is applied it is that
-    without K off its diagonal.
-    """
+    """T^T K T formed, and applied: products and right-hand side."""
     found = []
     for options in SOLVERS.values():
         case = PressedBlocks()

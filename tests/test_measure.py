@@ -26,6 +26,7 @@ from tests.cases.friction import create as create_pushed
 from tests.cases.hertz import ELASTIC, create_case
 from tests.cases.meshes import BOTTOM, TOP
 from tests.cases.pressed_blocks import PressedBlocks
+from tests.cases.two_bodies import create_problem, held
 
 COMM = MPI.COMM_WORLD
 RTOL, MU = 1e-6, 0.2
@@ -110,10 +111,7 @@ def test_an_open_gap_of_an_active_node(wedge, height):
 
 @pytest.mark.mpi
 def test_the_first_forces_are_no_scale_of_those_that_act(wedge):
-    """A stiff body that is turned by its supports, and presses softly: 5e4 in the sweep.
-
-    They are where what the first QP may leave of them is as large as what acts.
-    """
+    """A stiff body that is turned by its supports, and presses softly: 5e4 in the sweep."""
     more = replace(wedge.contacts, multipliers=(1.0 + 1e-4) * wedge.contacts.multipliers)
     plain = wedge.measure(more)
     assert plain.excess > 10.0
@@ -201,21 +199,21 @@ def test_friction_that_drives(pushed):
 @pytest.mark.serial
 @pytest.mark.parametrize("excess", [1e-3, 0.1])
 def test_equilibrium_of_one_cell(excess):
-    """A square stretched too far by a share e: of the loads that are left, |f| = e F / sqrt(2).
-
-    The largest forces are those of the element, (1 + e) F / 2 at each of four nodes.
-    """
+    """A square stretched too far by a share e: of the loads that are left, |f| = e F / sqrt(2)."""
     domain = mesh.create_unit_square(MPI.COMM_SELF, 1, 1, mesh.CellType.quadrilateral)
     V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    u, top = fem.Function(V), mesh.locate_entities_boundary(domain, 1, lambda x: x[1] > 0.9)
-    tags = mesh.meshtags(domain, 1, top, np.ones(1, dtype=np.int32))
-    bcs = []
-    for i in (0, 1):
-        side = mesh.locate_entities_boundary(domain, 1, lambda x, i=i: np.isclose(x[i], 0.0))
-        dofs = fem.locate_dofs_topological(V.sub(i), 1, side)
-        bcs.append(fem.dirichletbc(0.0, dofs, V.sub(i)))
-    loads = 7.0 * ufl.TestFunction(V)[1] * ufl.Measure("ds", domain, subdomain_data=tags)(1)
-    problem = dm.ContactProblem(dm.Solid(u, ELASTIC), bcs=bcs, loads=loads)
+    found = [
+        mesh.locate_entities_boundary(domain, 1, lambda x, i=i, at=at: np.isclose(x[i], at))
+        for i, at in ((0, 0.0), (1, 0.0), (1, 1.0))
+    ]
+    order = np.argsort(np.concatenate(found))
+    tags = mesh.meshtags(
+        domain, 1, np.concatenate(found)[order], np.arange(3, dtype=np.int32)[order]
+    )
+    bcs = [held(V, tags, i, 0.0, i) for i in (0, 1)]
+    loads = 7.0 * ufl.TestFunction(V)[1] * ufl.Measure("ds", domain, subdomain_data=tags)(2)
+    problem = create_problem(V, bcs=bcs, law=ELASTIC, loads=loads)
+    u = problem.u
     report = dm.newton(problem, rtol=1e-12)
     u.x.array[:] *= 1.0 + excess
     data = StepData(problem.supports.values(), np.zeros((4, 2)), 0.0)

@@ -228,25 +228,25 @@ def test_meshing_is_deterministic_and_silent(capfd):
 
 
 PLANE = [  # the first name is that of the error
-    *({"kind": value} for value in ("fine", None)),
+    {"kind": "fine"},
     {"cell": "tetrahedron"},
-    *({"h": value} for value in (0.0, np.nan, (0.1, -1.0), "0.1", (0.1, 0.2, 0.3))),
+    *({"h": value} for value in (0.0, "0.1", (0.1, 0.2, 0.3))),
     {"h": 5.0, "kind": "graded"},
-    *({"radius": value} for value in (-8.0, (8.0,))),
-    *({"block": value} for value in ((30.0, 0.0), 30.0, (30.0, 30.0, 10.0))),
-    *({"limit": value} for value in (1.0, "10")),
+    {"radius": -8.0},
+    *({"block": value} for value in ((30.0, 0.0), (30.0, 30.0, 10.0))),
+    {"limit": 1.0},
     {"core": 0.0},
-    *({"gap": value} for value in (np.inf, None)),
+    {"gap": np.inf},
     {"gap": -8.0},  # the block reaches the flat face
     {"gap": -2.5, "block": (30.0, 2.5)},  # the disc reaches the bottom
 ]
 SPACE = [
     {"cell": "prism"},
-    *({"h": value} for value in (0.0, 2.0, "fine", (0.1, 0.1, 0.1))),
+    *({"h": value} for value in (0.0, 2.0)),
     {"radius": -1.0},
-    *({"block": value} for value in ((30.0, 10.0), (30.0, 30.0, np.nan))),
-    *({"gap": value} for value in (np.inf, -8.0)),
-    *({"core": value} for value in (20.0, "1")),
+    {"block": (30.0, 10.0)},
+    {"gap": -8.0},
+    {"core": 20.0},
     {"h": 0.2, "core": 0.1},
 ]
 
@@ -269,19 +269,6 @@ def test_bad_input_of_one_rank_is_an_error_on_all():
     if COMM.size > 1:
         with pytest.raises(ValueError, match=r"^radius differs between the ranks: 8.0 on rank 0"):
             meshing.hertz(COMM, radius=9.0 if last else 8.0)
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"h": np.float32(0.5)},
-        {"h": np.array([0.5, 0.6])},
-        {"radius": 8, "block": [30, 10], "gap": np.int64(0), "h": [0.5, 1]},
-    ],
-)
-def test_numbers_of_any_kind_are_welcome(arguments):
-    m = meshing.hertz(COMM, kind="graded", **arguments)
-    assert m.mesh.topology.index_map(2).size_global > 0
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.5, 2.0, 1e8])

@@ -252,10 +252,7 @@ def ring(points):
 @pytest.mark.parametrize("slave", [3, 4])
 @pytest.mark.parametrize("x", [(0.0, 1.0), (2.0, 3.0)])
 def test_a_weight_is_in_every_integral(slave, x):
-    """D are the integrals over the swept disc, biorthogonal, also on the axis.
-
-    D and M transfer linear functions; a constant pressure weighs each node by int N_l 2 pi r.
-    """
+    """D are the integrals over the swept disc, biorthogonal, also on the axis."""
     mesh, _, tags = two_blocks(COMM, (3, 2), (5, 3), x_lower=x, x_upper=x, jitter=0.4)
     V = space(mesh)
     pairing, swapped = (pair_up(V, tags, s, 7 - s, weight=ring) for s in (slave, 7 - slave))
@@ -297,10 +294,7 @@ def test_the_weight_is_that_of_the_points_at_the_start():
 @pytest.mark.parametrize("cell", CELLS[2:])
 @pytest.mark.parametrize(("n", "degree"), [(1, 2), (2, 1), (2, 2)])
 def test_multipliers_push_wherever_the_master_ends(n, cell, degree):
-    """Row sums of D, the forces of unit pressures, are positive, and add up to the covered area.
-
-    A small master in far corners of facets, where functions of second order are negative.
-    """
+    """Row sums of D, the forces of unit pressures, are positive, and add up to the covered area."""
     mesh, _, tags = two_boxes(COMM, (n, n, 1), (2, 2, 1), cell=cell, gap=0.5)
     V = space(mesh, degree)
     u, rng = fem.Function(V), np.random.default_rng(7)

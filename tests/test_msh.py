@@ -4,7 +4,6 @@ import sys
 
 from mpi4py import MPI
 
-import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
@@ -62,20 +61,6 @@ def test_bodies_in_space(order, hexahedra):
     assert sizes(mesh, facet_tags, "ds") == pytest.approx({"ball": 1.0, "between": 2.0})
 
 
-def test_numbers_of_nodes_may_have_gaps():
-    def draw(model):
-        model.occ.addRectangle(3.0, 0.0, 0.0, 1.0, 1.0)
-        model.occ.synchronize()
-        model.mesh.generate(2)
-        count = len(model.mesh.getNodes()[0])
-        model.mesh.renumberNodes(np.arange(1, count + 1), 7 * np.arange(1, count + 1))
-        model.addPhysicalGroup(2, [1], 1, "body")
-
-    with msh_file(draw) as file:
-        mesh, cell_tags, _ = dm.meshing.read_msh(file)
-    assert sizes(mesh, cell_tags, "dx") == pytest.approx({"body": 1.0})
-
-
 @pytest.mark.mpi
 def test_groups_of_one_name_are_one():
     """Gmsh gives a name once, and leaves the other group without one, which is told."""
@@ -102,27 +87,6 @@ def test_a_group_that_has_lost_its_name_is_told(caplog):
     assert COMM.allreduce(len(facet_tags.find(41))) > 0
     if COMM.rank == 0:
         assert "without a name, of dimension 1: 9, 41" in caplog.text
-
-
-def cut(model):
-    """Draw the squares, in partitions."""
-    squares(model)
-    model.mesh.partition(2)
-
-
-@pytest.mark.mpi
-def test_partitions_of_a_file_are_left_out():
-    options = {"PartitionCreateGhostCells": 1}
-    with msh_file(squares) as file:
-        whole = dm.meshing.read_msh(file)
-    with msh_file(cut, **options) as file:
-        mesh, cell_tags, facet_tags = dm.meshing.read_msh(file)
-    for d in (0, 2):
-        counts = [m.topology.index_map(d).size_global for m in (mesh, whole.mesh)]
-        assert counts[0] == counts[1] > 0
-    assert sizes(mesh, cell_tags, "dx") == pytest.approx({"low": 1.5, "up": 1.0})
-    lengths = {"bottom": 1.5, "slave": 1.0, "master": 1.5}
-    assert sizes(mesh, facet_tags, "ds") == pytest.approx(lengths)
 
 
 MESHIO = """$MeshFormat

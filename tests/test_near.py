@@ -77,10 +77,7 @@ def test_sides_that_have_slid_are_coupled_where_they_are(coupled):
 
 @pytest.mark.parametrize("nearest", [-0.02, 0.03])
 def test_the_first_guess_of_a_ball_that_is_pressed_in(monkeypatch, nearest):
-    """By Hertz a ball that overlaps by delta touches within a = (delta R)^(1/2).
-
-    One that does not touch yet does so at the nearest nodes, as far as coordinates tell.
-    """
+    """By Hertz a ball that overlaps by delta touches within a = (delta R)^(1/2)."""
     radius, x = 2.0, np.linspace(-0.5, 0.5, 101)
     gaps = nearest + x**2 / (2.0 * radius) + 1e-14 * np.sign(x)
     monkeypatch.setattr(links, "nodal_gaps", lambda *_: gaps)

@@ -66,22 +66,6 @@ def test_rigid_travel_ends_at_once(geometry):
 
 
 @pytest.mark.mpi
-def test_what_an_iterative_solver_leaves_is_no_load():
-    """A block turned by its support has no stress: as exact as one linear solve will do."""
-    b = Blocks([(0.0, 3.0, 0.0, 0.5, 30, 5), (0.5, 1.5, 1.5, 2.0, 13, 6)])
-    turned = fem.Function(b.V)
-    turned.interpolate(lambda x: 0.01 * np.stack([2.0 - x[1], x[0] - 1.0]))
-    top = fem.locate_dofs_topological(b.V, 1, b.facets.find(20 + ABOVE))
-    bcs = [b.fix(1, BELOW), fem.dirichletbc(turned, top)]
-    contact = b.join(dm.Contact, (2, BELOW), (1, ABOVE))
-    options = {"geometry": "reference", "petsc_options": {"pc_type": "gamg"}}
-    assert dm.newton(b.problem([contact], bcs, **options)).newton_iterations == 1
-    own = b.V.tabulate_dof_coordinates()[:, 1] > 1.0
-    error = (b.u.x.array - turned.x.array).reshape(-1, 2)[own]
-    assert np.abs(error).max(initial=0.0) < 1e-9 and not contact.force.any()
-
-
-@pytest.mark.mpi
 @pytest.mark.parametrize("gap", [0.0, 0.01])
 def test_a_load_that_vanishes(gap):
     """A block rests on another one by contact alone; at zero load nothing moves."""
@@ -171,10 +155,7 @@ def test_a_start_displacement_of_the_users(kind):
 
 @pytest.mark.parametrize("slave", ["block", "disc"])
 def test_a_drag_beyond_the_search_margin(slave):
-    """Pressed by 0.05 and dragged by 2 mm over many facets: the force is that of a disc at x = 2.
-
-    Measured with new pairings in every step, either side as slave and 1 to 40 steps: 2453 N/mm.
-    """
+    """Dragged by 2 mm over many facets: the force of new pairings in 1 to 40 steps, 2453 N/mm."""
     case = create_case(dm.meshing.hertz(COMM, kind="graded", h=0.2), ELASTIC, slave=slave)
     case.move(0.0, 0.05)
     case.move(2.0, 0.05)
@@ -186,10 +167,7 @@ def test_a_drag_beyond_the_search_margin(slave):
 @pytest.mark.mpi
 @pytest.mark.parametrize("slave", ["block", "disc"])
 def test_moments_balance_where_the_forces_act(slave):
-    """Contact forces act at X + u: dragged by 1 mm, their moments about the origin balance.
-
-    Up to the angle between facets and normals times the gaps; at X they would be off by all of it.
-    """
+    """Contact forces act at X + u: dragged by 1 mm, their moments about the origin balance."""
     case = paper(ELASTIC, slave=slave)
     case.move(0.0, 0.2)
     certificate = case.move(1.0, 0.2, rtol=1e-9).certificate

@@ -53,14 +53,14 @@ FELT = {
     "BLUR": (
         common_normals,
         (10.0,),
-        lambda: test_edges.test_forces_of_crossing_edges_are_normal_to_both(*test_edges.SIDES),
+        lambda: test_edges.test_forces_of_crossing_edges_are_normal_to_both(test_edges.SIDES[0]),
     ),
     "FACING": (
         segments,
         (0.0, 0.9),
         lambda: [
-            test_segments_3d.test_what_stands_steeper_than_a_fifth_does_not_face(cosine)
-            for cosine in (0.18, 0.22)
+            test_segments_3d.test_what_stands_steeper_than_a_fifth_does_not_face(*case)
+            for case in ((0.18, 0.0), (0.22, 1.0))
         ],
     ),
     "JUMP": (
@@ -90,7 +90,7 @@ FELT = {
         lambda: test_margin.test_margin_of_sliding("stripes"),
     ),
 }
-DEFINITIONS = {"ALPHA"}  # of the multipliers' space, not of accuracy: see test_tying_3d
+DEFINITIONS = {"ALPHA"}  # of the multipliers' space, not of accuracy: see test_tying
 SAME = 1e-12
 pytestmark = [pytest.mark.serial, pytest.mark.slow]
 

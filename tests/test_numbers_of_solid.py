@@ -76,11 +76,7 @@ def test_no_number_is_left_out():
 
 
 def observe_law():
-    """Return a path beyond yield: what the law gives, and whether it gives it again.
-
-    After a commit at the same strain nothing may flow: committed points lie on the yield surface
-    up to round-off. The first point is the virgin one.
-    """
+    """Return a path beyond yield: what the law gives, and whether it gives it again."""
     law, rng = law_at_point(STEEL, create_law("law", STEEL)), np.random.default_rng(3)
     strain, state, numbers = np.zeros((3, 3)), {"plastic_strain": np.zeros((3, 3))}, []
     for size in np.repeat([0.0, 1e-4, 1e-3, 3e-3, 1e-2], [1, 4, 20, 20, 20]):

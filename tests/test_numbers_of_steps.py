@@ -41,7 +41,7 @@ NUMBERS = {
     "newton_method.line_search": ("ARMIJO",),
     "newton_method.contacts": ("FORCING", "DIGIT"),
 }
-# judged below, in test_smooth_second, test_stand_off, test_resolution, in
+# judged below, in test_smooth_contact, test_stand_off, test_resolution, in
 # test_edges, in those of checkpoints, in test_bolts, in test_friction_patch, in
 # test_tie_reach, in test_small_strain, and in test_ramp
 OTHERS = {
@@ -188,7 +188,7 @@ def test_half_and_double(module, name, factor, usual, monkeypatch):
 
 def closed_round_off():
     """Asked for all digits, a step ends although its gaps are none better than coordinates."""
-    case = create("pile", 13)
+    case = create("ring", 1)
     options = {"on_time": case.on_time, "rtol": 1e-12, "cuts": "none"}
     (step,) = dm.load_steps(case.problem, case.levels[:1], **options)
     assert step.report.newton_iterations <= 3

@@ -42,7 +42,6 @@ class Problem:
     """Fields that are known functions of place and time."""
 
     def __init__(self, cell="triangle", degree=1, n=(5, 4)):
-        """Make the mesh and all Functions."""
         m = mesh.create_rectangle(COMM, [[0.0, 0.0], [2.0, 1.0]], n, mesh.CellType[cell])
 
         def on(*element):

@@ -13,7 +13,6 @@ from dolfinx import fem
 from dolfinx_mortar.geometry.facets import tributary_weights
 from dolfinx_mortar.interfaces.coupling import Coupling, normal_frames
 from dolfinx_mortar.interfaces.interface import Interface, full_coverage
-from dolfinx_mortar.interfaces.mortar_interface import MortarInterface
 from dolfinx_mortar.mortar.surface import facets_at, sum_at_nodes
 from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
 from tests.cases.pressed_blocks import PressedBlocks, rejected
@@ -30,7 +29,6 @@ class Plane(Interface):
     unilateral = True
 
     def __init__(self, facet_tags, *, slave, point, normal):
-        """Keep a point of the plane, and its normal towards the body."""
         super().__init__(facet_tags, slave=slave)
         self.point, self.normal = np.array(point), np.array(normal) / np.linalg.norm(normal)
 
@@ -69,7 +67,6 @@ class Pressed(PressedBlocks):
     """Two tied blocks, turned by an angle, between a plane and a moved top."""
 
     def __init__(self, angle=0.0, law=BAR, **options):
-        """Let the plane touch the lower block."""
         super().__init__(angle=angle, jitter=0.2, **options)
         c, s = np.cos(angle), np.sin(angle)
         self.turned = np.array([[c, -s], [s, c]])
@@ -99,10 +96,7 @@ class Pressed(PressedBlocks):
     ("angle", "geometry", "held"), [(0.4, "reference", False), (0.4, "updated", True)]
 )
 def test_uniform_pressure(angle, geometry, held):
-    """A bar of two blocks of height 1, no Poisson's ratio: p = E depth / 2 everywhere.
-
-    Also where its nodes are held along an axis: frames are those of whole normals.
-    """
+    """A bar of two blocks of height 1, no Poisson's ratio: p = E depth / 2 everywhere."""
     case, depth = Pressed(angle), 0.02
     problem = case.problem(geometry=geometry, held=held)
     case.press(depth)
@@ -123,17 +117,6 @@ def test_uniform_pressure(angle, geometry, held):
     assert certificate.force_balance < 1e-10 and certificate.linear_field_error < 1e-12
     audit = str(problem.audit())
     assert repr(case.plane) in audit and "0 master facets" in audit
-
-
-def test_it_opens_and_slides():
-    """Nothing pulls: lifted, the plane has no force and the gap of the motion."""
-    case = Pressed()
-    problem = case.problem()
-    case.press(-0.01, along=0.1)
-    dm.newton(problem)
-    assert case.plane.force == pytest.approx([0.0, 0.0], abs=1e-12)
-    gap = case.plane.gather(problem.u)["gap"]
-    assert gap == pytest.approx(np.full(len(gap), 0.01), rel=1e-10)
 
 
 class Lifted(Plane):
@@ -177,53 +160,18 @@ def test_a_force_may_drive_it(geometry):
         dm.newton(problem)
 
 
-def test_a_commit_keeps_what_is_set_before_it():
-    case = Pressed()
-    tie = case.tie()
-    problem = case.problem([case.plane, tie])
-    case.press(0.01)
-    dm.newton(problem)
-    tie.tightening = np.array([0.0, 1e-3])
-    problem.commit()
-    assert tie.tightening.tolist() == [0.0, 1e-3]
-
-
-@pytest.mark.parametrize(
-    ("base", "names"),
-    [
-        (Interface, ["couple"]),
-        (MortarInterface, ["may_carry", "frame", "blocks", "corrections"]),
-    ],
-)
-def test_python_names_what_a_kind_lacks(base, names):
-    """Each of the methods alone, of a kind that has all others."""
-    case = Pressed()
-    sides = {"slave": BOTTOM} | ({} if base is Interface else {"master": TOP})
-    whole = dict.fromkeys(names, lambda *_: None)
-    type("Whole", (base,), whole)(case.facets, **sides)
-    for name in names:
-        half = type("Half", (base,), {n: f for n, f in whole.items() if n != name})
-        with pytest.raises(TypeError, match=f"abstract class Half .*method '?{name}'?$"):
-            half(case.facets, **sides)
-
-
 SPOILT = [  # method, what it returns instead or raises, words of the message
     ("couple", lambda c: replace(c, heights=c.heights + np.nan), ("heights", "NaN")),
     ("couple", lambda c: replace(c, heights=np.zeros(99)), ("heights", "(99,)", "must be")),
     ("couple", lambda c: replace(c, R=0.0 * c.R), ("R without inverse", "independent columns")),
     ("couple", lambda c: None, ("returns a NoneType", "Coupling")),
-    ("couple", KeyError("no plane"), ("no plane",)),
     ("constraints", lambda c: replace(c, upper=c.upper * np.nan), ("upper with NaN",)),
     ("constraints", lambda c: replace(c, dofs=c.dofs + 10**6), ("no unknowns", "each once")),
     ("constraints", lambda c: replace(c, weight=-c.weight), ("a weight that is not positive",)),
-    ("constraints", lambda c: None, ("returns a NoneType: return a Constraints",)),
-    ("constraints", KeyError("no bound"), ("no bound",)),
-    ("warnings", KeyError("no motion"), ("no motion",)),
     ("find_sides", lambda s: None, ("returns a NoneType: return a Sides",)),
     ("pair", KeyError("no partners"), ("no partners",)),
     ("check", KeyError("no space"), ("no space",)),
     ("state", lambda z: None, ("returns a NoneType: return a dict",)),
-    ("state", KeyError("lost"), ("lost",)),
 ]
 
 

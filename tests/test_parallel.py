@@ -21,11 +21,11 @@ RANKS = "DOLFINX_MORTAR_TEST_RANKS"
 # little of ranks, as laws and meshes, or solve many problems: at night.
 ON_TWO = """
     agreement checkpoint_files errors friction_errors mesh_audit msh problem
-    point_terms progress regions results summary tags terms written_results
+    point_terms progress regions results summary tags terms
 """.split()
 SLOW_ON_THREE = """
-    convected driven_tools exact_tangent_3d finite_sliding friction_path load_steps
-    pairs patch rigid_side same_sums slaves_on_rollers tangent
+    contracts/interfaces convected driven_tools exact_tangent_3d finite_sliding friction_path
+    load_steps pairs patch rigid_side same_sums slaves_on_rollers tangent
 """.split()
 AT_NIGHT = """
     audit axisymmetric_contact axisymmetric_patch axisymmetry bending bolts
@@ -34,9 +34,9 @@ AT_NIGHT = """
     faceted_shapes finite_in_space finite_loads finite_plane_stress folds heat_in_time impact jump
     jump_errors kinematics law_contact linear linearisation loads locking logarithmic_solid
     looks_change_nothing margin measure near newton numbers_of_steps obstacle
-    orthotropic output output_resume own_interface parameters passing patch_3d plane_stress plotting
+    orthotropic output output_resume own_interface parameters passing plane_stress plotting
     plotting_space pointwise pretension qp_belt qp_definite ramp reaction resolution
-    rubber skins small_strain smooth_3d smooth_contact smooth_second smooth_tie solid solid_state
+    rubber skins small_strain smooth_3d smooth_contact smooth_tie solid solid_state
     stack stand_off stress_laws sweep taylor_bar tie_reach tool_files tool_friction
     turned_ties tying undone user_laws volumetric
 """.split()
@@ -62,16 +62,15 @@ def test_ranks_form_one_job():
 
 def files_of(names):
     """Return the paths of test files."""
-    return {f"tests/test_{name}.py" for name in names}
+    places = (name.rpartition("/") for name in names)
+    return {f"tests/{folder}{slash}test_{name}.py" for folder, slash, name in places}
 
 
 def other_files():
     """Return the test files that no list names; those of the lists have tests for ranks."""
     named = files_of([*ON_TWO, *SLOW_ON_THREE, *AT_NIGHT])
-    paths = [
-        path for path in jobs.ROOT.glob("tests/**/test_*.py") if "mark.mpi" in path.read_text()
-    ]
-    marked = {str(path.relative_to(jobs.ROOT)) for path in paths}
+    paths = jobs.ROOT.glob("tests/**/test_*.py")
+    marked = {str(p.relative_to(jobs.ROOT)) for p in paths if "mark.mpi" in p.read_text()}
     assert named <= marked and len(named) == len(ON_TWO) + len(SLOW_ON_THREE) + len(AT_NIGHT)
     return marked - named
 

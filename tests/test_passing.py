@@ -29,7 +29,6 @@ COMM = MPI.COMM_WORLD
 
 
 def triangle(d):
-    """Return a line or a triangle with the normal e_d about the origin, (1, d, d)."""
     corners = {2: [[1, 0], [-1, 0]], 3: [[1, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0]]}
     return np.array([corners[d]], dtype=float)
 
@@ -65,10 +64,7 @@ def test_many_facets_and_no_facet():
 
 
 class Pushed:
-    """A half disc above a strip that is clamped at one end.
-
-    Sides are the whole skins of both, or the top of the strip, or also the arc of the disc alone.
-    """
+    """A half disc above a strip that is clamped at one end."""
 
     def __init__(self, slave="disc", top="skin"):
         """Create the problem."""
@@ -92,7 +88,6 @@ class Pushed:
         self.problem = create_problem(V, [self.contact], bcs)
 
     def move(self, *way):
-        """Prescribe the displacement of the flat face."""
         self.way.value[:] = way
 
 
@@ -134,24 +129,11 @@ def test_a_body_that_is_prescribed_altogether(slave):
         return
     way.value[1] = -0.6
     for solve in (lambda: dm.newton(problem), lambda: list(dm.load_steps(problem, [1.0]))):
-        with pytest.raises(ValueError, match=r"prescribe all nodes of slave=.* be the slave$"):
+        with pytest.raises(
+            ValueError, match=r"prescribe all nodes of its slave side .* be the slave$"
+        ):
             solve()
         assert not problem.u.x.array.any()
-
-
-@pytest.mark.mpi
-def test_cuts_find_the_way():
-    """Cut where the disc would pass, the step ends where small ones do."""
-    forces, cuts = [], []
-    for levels in ([4.0], list(np.arange(0.5, 4.1, 0.5))):
-        pushed = Pushed()
-        *_, last = dm.load_steps(
-            pushed.problem, levels, on_time=lambda t, p=pushed: p.move(0.0, -t), start=0.0
-        )
-        forces.append(pushed.contact.force)
-        cuts.append(len(last.parts))
-    assert cuts[0] > 1 and np.linalg.norm(forces[1]) > 0.0
-    assert forces[0] == pytest.approx(forces[1], rel=1e-4, abs=1e-6 * np.abs(forces[1]).max())
 
 
 @pytest.mark.mpi
@@ -291,10 +273,7 @@ def blade(d):
 @pytest.mark.mpi
 @pytest.mark.parametrize("d", [2, 3])
 def test_a_blade_that_turns_through_a_body(d):
-    """By half a turn and more, at whose end nothing tells which way it went.
-
-    Seen from its end, the body is between 8 and 39 degrees above the blade.
-    """
+    """By half a turn and more, at whose end nothing tells which way it went."""
     problem, ball = on_ball(d, 4)
     end = np.array([-1.0, -0.3]) if d == 2 else np.array([-1.0, -1.0, -0.3])
     tool = dm.Obstacle(ball.facet_tags, slave=1, shape=blade(d), reference=end)

@@ -10,7 +10,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
 from tests.cases.meshes import BOTTOM, LEFT, TOP
-from tests.cases.meshes_3d import rotation
+from tests.cases.meshes_3d import FRONT, rotation
 from tests.cases.mortar import largest
 from tests.cases.two_bodies import CELLS, COMM, TwoBodies
 
@@ -19,12 +19,7 @@ EXACT = 1e-10
 
 
 def beyond(mesh, x, cut, lines, degree):
-    """Return a traction share with the moments of the indicator of x > ``cut``.
-
-    It is 1 on facets wholly beyond and 0 on those wholly before; on the facet that holds the cut
-    the polynomial has the same integrals against all shape functions as the indicator. All numbers
-    are Constants, so that one form is compiled for all.
-    """
+    """Return a traction share with the moments of the indicator of x > ``cut``."""
     k = int(np.searchsorted(lines, cut)) - 1
     a = b = cut
     share = np.array([1.0, 0.0, 0.0])  # of 1, s and s^2, with s from 0 to 1 along the facet
@@ -138,3 +133,33 @@ def test_random_splits(lower, upper, length, slave, angle, degree):
     lines = [np.concatenate([[0.0], np.cumsum(w)]) / np.sum(w) for w in (lower, upper)]
     lines[1] = lines[1] * length
     check(*solve_patch(slave, *lines, angle=angle, hold="node", degree=degree))
+
+
+STRAIN = np.diag([NU / E * P, NU / E * P, -P / E])  # of the uniaxial stress -P along z
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("turn", [None, rotation((1.0, 2.0, 0.5), 0.7)], ids=["level", "inclined"])
+@pytest.mark.parametrize(
+    ("cell", "degree", "swap"),
+    [(cell, k, k == 1) for cell in CELLS[2:] for k in (1, 2)],
+)
+def test_boxes_in_space(cell, degree, swap, turn):
+    """Symmetry planes cut through the contact; or nothing holds its edges, and it is inclined."""
+    R, jitter = (np.eye(3), 0.0) if turn is None else (turn, 0.4)
+    sizes = {"n_lower": (2, 2, 2), "n_upper": (3, 3, 2)}
+    case = TwoBodies(cell, degree, turn=turn, jitter=jitter, **sizes)
+    exact, strain = fem.Function(case.V), R @ STRAIN @ R.T
+    exact.interpolate(lambda x: strain @ x[:3])
+    if turn is None:
+        bcs = [case.held(LEFT, 0.0, 0), case.held(FRONT, 0.0, 1), case.held(BOTTOM, P / E, 2)]
+    else:
+        edge = fem.locate_dofs_geometrical(
+            case.V, lambda x: np.isclose((R.T @ x)[0], 0) & np.isclose((R.T @ x)[2], 1)
+        )
+        bcs = [case.held(BOTTOM, exact), fem.dirichletbc(exact, edge)]
+    n = fem.Constant(case.mesh, R[:, 2].astype(default_scalar_type))
+    ds = ufl.Measure("ds", case.mesh, subdomain_data=case.facets)
+    loads = -P * ufl.dot(n, ufl.TestFunction(case.V)) * ds(TOP)
+    contact, options = case.interface(swap=swap), {"loads": loads, "geometry": "reference"}
+    check(case.problem([contact], bcs, dm.Elastic(E, NU), **options), contact, exact)

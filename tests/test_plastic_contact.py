@@ -21,10 +21,7 @@ TOLERANCE = {"force": 5e-3, "peak": 2e-2, "strain": 3e-2}
 
 
 def observe(case):
-    """Return the compared quantities of a committed state.
-
-    The peak is the largest nodal pressure: the plastic profile is flat, an ellipse does not fit it.
-    """
+    """Return the compared quantities of a committed state."""
     strain = case.problem.solid.max("plastic_strain_norm")
     peak = case.contact.gather(case.problem.u)["pressure"].max()
     return {"force": case.force, "peak": float(peak), "strain": strain}
@@ -118,28 +115,6 @@ def test_quadratic_tail():
     # the constant is that of the kinked law; order 1.6 leaves room for points that start to yield
     assert np.all(tail[1:] < 20 * tail[:-1] ** 1.6)
     assert history[-1] < 1e-11
-
-
-def test_failure_leaves_everything_as_before():
-    """A step that does not converge changes nothing; the same step works with more iterations."""
-    case = create_case(create_mesh("paper", 0.05))
-    case.press(0.05)
-    dm.newton(case.problem)
-    case.problem.commit()
-    problem = case.problem
-
-    def shown():
-        fields = problem.u, *problem.solid.state.values()
-        return [*(f.x.array.copy() for f in fields), problem.committed.active.copy()]
-
-    before = shown()
-    case.press(0.4)
-    with pytest.raises(dm.NewtonNotConverged) as caught:
-        dm.newton(case.problem, max_it=2)
-    assert caught.value.report.newton_iterations == 2
-    assert not caught.value.report.converged
-    assert all(map(np.array_equal, before, shown()))
-    assert dm.newton(case.problem).converged
 
 
 def test_cut_back():

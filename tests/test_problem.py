@@ -24,7 +24,6 @@ from tests.cases.block_piles import (
     WEST,
     Blocks,
     chain,
-    dense_transformation,
 )
 from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, TOP_OF_LOWER
 from tests.cases.pressed_blocks import PressedBlocks
@@ -118,10 +117,7 @@ def test_energy_and_forces_agree(rng):
 
 @pytest.mark.mpi
 def test_no_vector_of_petsc_is_made_of_a_displacement(monkeypatch):
-    """It would be destroyed where Python deletes u, which ranks do at different times.
-
-    The next one of its space, as of a second problem on the same mesh, would then wait for ever.
-    """
+    """It would be destroyed where Python deletes u, which ranks do at different times."""
 
     def refuse(_):
         raise AssertionError("u.x.petsc_vec was asked for")
@@ -130,19 +126,6 @@ def test_no_vector_of_petsc_is_made_of_a_displacement(monkeypatch):
     case = PressedBlocks()
     assert dm.newton(case.problem()).converged
     dm.assemble_mortar(case.V, case.facets, slave=TOP_OF_LOWER, master=BOTTOM_OF_UPPER, u=case.u)
-
-
-def test_frozen_geometry_is_that_of_the_mesh(rng):
-    """With geometry="reference" a start from u != 0 does not move normals and segments."""
-    b, problem = chain()
-    frozen = b.problem(problem.interfaces, problem.bcs, geometry="reference")
-    frozen.audit()
-    at_rest = dense_transformation(frozen)
-    b.u.x.array[:] = 0.1 * np.sin(np.arange(len(b.u.x.array)))
-    b.u.x.scatter_forward()
-    again = b.problem(problem.interfaces, problem.bcs, geometry="reference")
-    again.audit()
-    assert np.array_equal(dense_transformation(again), at_rest)
 
 
 # -- the report
@@ -195,19 +178,6 @@ def test_pressure_and_gap_end_where_the_master_ends(end):
     assert beyond.any() and not beyond.all()
     assert (nodes["pressure"][beyond] == 0.0).all() and np.isnan(nodes["gap"][beyond]).all()
     assert (nodes["pressure"][x < end] > 0.0).all()
-
-
-@pytest.mark.mpi
-def test_moment_balances_the_loads():
-    """An eccentric pressure on a tie, which acts at X with any geometry."""
-    case = PressedBlocks(n_lower=(3, 3), n_upper=(4, 4))
-    ds = ufl.Measure("ds", case.mesh, subdomain_data=case.facets)
-    loads = -(1.0 + ufl.SpatialCoordinate(case.mesh)[0]) * ufl.TestFunction(case.V)[1] * ds(2)
-    tie = case.tie()
-    report = dm.newton(case.problem([tie], [case.bc(BOTTOM)], loads=loads), rtol=1e-11)
-    assert tie.force == pytest.approx([0.0, -1.5], abs=1e-10)
-    assert tie.moment[2] == pytest.approx(-5.0 / 6.0, rel=1e-10)  # int x (1 + x) dx
-    assert report.certificate.moment_balance < 1e-10
 
 
 @pytest.mark.serial

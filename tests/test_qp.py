@@ -211,3 +211,18 @@ def test_data_without_a_solution(values, message):
         qp = replace(qp, bounded=np.zeros(0, dtype=np.int32))
     with pytest.raises(ValueError, match=message):
         solve(qp)
+
+
+def test_bounds_that_are_far_are_not_reached(monkeypatch):
+    """Of TAO's solution: held at its bound, the first unknown keeps the second in place."""
+
+    def as_found(qp, *_, guess, **options):
+        none = np.zeros(qp.bounded.size, dtype=np.int8)
+        return QPSolution(guess, guess, none, check(qp, guess), 0, 0, 0, "")
+
+    monkeypatch.setattr(active_set, "solve", as_found)
+    A = np.array([[1.00001, -1.0], [-1.0, 1.00001]])
+    b = np.array([-1.0, 0.0])
+    qp = from_arrays(A, b, np.full(2, -INF), np.array([0.0, INF]), COMM)
+    found = gathered(solve(qp, "interior-point", rtol=1e-6).x)
+    np.testing.assert_allclose(found, np.linalg.solve(A, b), rtol=1e-4)

@@ -22,10 +22,7 @@ COMM, COMM_SELF = MPI.COMM_WORLD, MPI.COMM_SELF
 
 @pytest.mark.mpi
 def test_a_solution_depends_on_the_program_alone():
-    """Not on other programs that the linear solver has seen before: to the last bit on one rank.
-
-    On several ranks MUMPS adds up in the order in which messages come.
-    """
+    """Not on other programs that the linear solver has seen before: to the last bit on one rank."""
     qp, other = membrane(16), membrane(16, force=3.0)
     linear = LinearSolver(COMM, prefix="alone_")
     expected = solve(qp, linear=linear)
@@ -72,10 +69,7 @@ def test_the_condensed_problem_is_that_of_dense_algebra():
 @pytest.mark.mpi
 @pytest.mark.parametrize("held_by", [0.0, 1.0], ids=["by contact alone", "by supports"])
 def test_one_factorisation_serves_all_products(held_by):
-    """Of (I + C)^T K (I + C), for any C on the same unknowns, some of which are decoupled.
-
-    Without supports K is singular. Other supports elsewhere need another factorisation.
-    """
+    """Of (I + C)^T K (I + C), for any C on the same unknowns, some of which are decoupled."""
     line = sp.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(20, 20)).toarray()
     line[0, 0] = line[-1, -1] = 1.0 + held_by
     program = from_arrays(line, *np.zeros((3, 20)), COMM_SELF)

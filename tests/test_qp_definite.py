@@ -35,11 +35,7 @@ def unsymmetric(rng):
 
 
 def indefinite(rng):
-    """Negative diagonal entries of both kinds of unknowns, and zeros.
-
-    Half of the unknowns have no bounds; condensed to the others, A_BB - A_BI A_II^-1 A_IB is
-    positive definite.
-    """
+    """Negative diagonal entries of both kinds of unknowns, and zeros."""
     half = N // 2
     A = np.zeros((N, N))
     A[:half, :half] = -np.eye(half)

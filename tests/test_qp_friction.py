@@ -10,7 +10,7 @@ import hypothesis
 import hypothesis.strategies as st
 import numpy as np
 import pytest
-from programs import from_arrays, gathered
+from programs import from_arrays
 
 from dolfinx_mortar.qp import Friction, QPNotSolved, check, held, solve
 
@@ -19,13 +19,9 @@ EXACT = 1e-9
 
 
 class Problem:
-    """Random nodes of a normal and t tangential unknowns, with some that nothing limits.
-
-    A is as far from diagonal as `coupling` says.
-    """
+    """Random nodes of a normal and t tangential unknowns, with some that nothing limits."""
 
     def __init__(self, seed, nodes, t, *, mu=0.3, cohesion=0.0, coupling=0.6):
-        """Draw the data."""
         rng = np.random.default_rng([seed, nodes, t])
         self.d, self.t, n = t + 1, t, nodes * (t + 1) + 2
         root = rng.standard_normal((n, 2 * n))
@@ -173,29 +169,3 @@ def test_what_friction_alone_holds(force, held):
     else:
         with pytest.raises(QPNotSolved):
             solve(p.qp())
-
-
-@pytest.mark.mpi
-def test_ranks_agree_with_one():
-    """Blocks of nodes on all ranks, coupled to each other."""
-    comm = MPI.COMM_WORLD
-    parts = [Problem(seed, 3, 2) for seed in range(4, 4 + comm.size)]
-    n, size = len(parts[0].b), comm.size
-    A = np.kron(0.1 * np.ones((size, size)), np.eye(n))
-    for k, part in enumerate(parts):
-        A[k * n : (k + 1) * n, k * n : (k + 1) * n] += part.A
-    b = np.concatenate([part.b for part in parts])
-    lower, upper = np.full(n * size, -INF), np.full(n * size, INF)
-    whole = Problem(0, 3, 2)
-    whole.A, whole.b = A, b
-    whole.normal = np.concatenate([k * n + part.normal for k, part in enumerate(parts)])
-    whole.tangential = np.concatenate([k * n + part.tangential for k, part in enumerate(parts)])
-    for name in ("gap", "rest", "mu", "cohesion"):
-        setattr(whole, name, np.concatenate([getattr(part, name) for part in parts]))
-    expected = by_fixed_point(whole)
-    upper[whole.normal] = whole.gap
-    mine = parts[comm.rank]
-    qp = replace(from_arrays(A, b, lower, upper, comm), friction=mine.qp().friction)
-    solution = solve(qp, rtol=1e-12)
-    np.testing.assert_allclose(gathered(solution.x), expected, atol=EXACT)
-    law_holds(whole, gathered(solution.x), gathered(solution.z))

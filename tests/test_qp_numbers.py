@@ -30,10 +30,7 @@ def modules():
 
 
 def test_the_numbers_are_all_known():
-    """EPS, TINY and what is no length, rate or count aside.
-
-    MOST_FACTORISED is in test_multigrid, RESOLVED in test_qp_definite.
-    """
+    """EPS, TINY and what is no length, rate or count aside."""
     names = {
         name
         for module in modules()

@@ -27,17 +27,6 @@ class Problem:
     """Random nodes with a bound on x_n and friction on x_t, free unknowns, tools on all nodes."""
 
     def __init__(self, seed, nodes=3, inner=4, tools=1, mu=0.3, sides=False, weak=False):
-        """Create it.
-
-        Args:
-            seed: of the numbers.
-            nodes: with a bound and, where mu is not None, friction.
-            inner: free unknowns.
-            tools: scalars.
-            mu: coefficient of friction.
-            sides: whether rows and columns of A change with scalars.
-            weak: whether A alone is semidefinite: contact holds the rest.
-        """
         rng = np.random.default_rng(seed)
         n = 2 * nodes + inner
         B = rng.standard_normal((n, n - (nodes > 0 and weak)))
@@ -81,11 +70,7 @@ class Problem:
                 yield found
 
     def solution(self, state):
-        """Return x and q of a state, if it is one of balance, contact and Coulomb's law.
-
-        The equations are M (x, q) = r: a row of balance z_i = 0 is replaced by that of a bound, of
-        stick, or of z_t = +- mu z_n.
-        """
+        """Return x and q of a state, if it is one of balance, contact and Coulomb's law."""
         n, Z = len(self.b), -np.hstack([self.A, self.C.T])  # z = b + Z (x, q)
         M = np.vstack([-Z, np.hstack([self.C, self.Q]) - self.E @ Z])
         r = np.concatenate([self.b, self.F + self.E @ self.b])

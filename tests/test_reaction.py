@@ -194,8 +194,9 @@ def test_supports_that_are_none():
         (("support holds dof",), [last] if COMM.rank == 0 else none, None),
         (("not prescribed by problem.bcs", "returns nodes"), top, None),
         (("support is True",), True, None),
-        (("support holds", "problem.bcs"), [bc, 3], None),
-        (("support holds", "problem.bcs"), other, None),
+        (("support is [[",), [[1, 2], [3]], None),
+        (("support: one is", "fem.dirichletbc"), [bc, 3], None),
+        (("support holds", "another space"), other, None),
     ):
         with rejected(*words):
             dm.reaction(problem, support, facet_tags)

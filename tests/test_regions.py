@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Laws by cell tag, and invalid displacements and tags."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from dolfinx import fem, mesh
 from dolfinx_mortar.materials import Elastic, VonMises
 from dolfinx_mortar.solid.solid import Solid
+from tests.cases.pressed_blocks import rejected
 from tests.cases.solid import (
     STEEL,
     create_displacement,
@@ -49,50 +48,37 @@ def test_materials_by_tag() -> None:
     assert np.allclose(*results, rtol=1e-11)
 
 
-def wrong_spaces() -> list[tuple[str, Any]]:
-    """Return what a message should say, with a displacement in the wrong space."""
-    domain = create_domain("triangle")
-    return [
-        (r"shape \(\)", fem.Function(fem.functionspace(domain, ("Lagrange", 1)))),
-        (r"shape \(3,\)", fem.Function(fem.functionspace(domain, ("Lagrange", 1, (3,))))),
-        ("degree 3", fem.Function(fem.functionspace(domain, ("Lagrange", 3, (2,))))),
-        ("continuous", fem.Function(fem.functionspace(domain, ("DG", 1, (2,))))),
-        ("dolfinx.fem.Function", 3.0),
-    ]
-
-
-@pytest.mark.parametrize("case", range(5))
-def test_wrong_displacement(case: int) -> None:
-    """A displacement that is not one is refused on all ranks."""
-    message, u = wrong_spaces()[case]
-    with pytest.raises(ValueError, match=message):
-        Solid(u, STEEL)
-
-
-def test_wrong_tags() -> None:
-    """Tags and materials that do not cover each other are refused on all ranks."""
+def test_what_is_no_displacement_or_no_law_of_all_cells() -> None:
+    """Refused on all ranks."""
     domain, other = create_domain("triangle"), create_domain("triangle")
-    u = create_displacement(domain)
-    tags = create_tags(domain, lambda x: 1 + (x[:, 1] > 1.0))
+    u, none = create_displacement(domain), np.zeros(0, dtype=np.int32)
+    tags, others = (create_tags(m, lambda x: 1 + (x[:, 1] > 1.0)) for m in (domain, other))
     owned = domain.topology.index_map(2).size_local
     count = int(total(tags.values[:owned] == 2))
-    with pytest.raises(ValueError, match=rf"no entry for {count} cells of the tags 2"):
-        Solid(u, {1: STEEL}, tags)
-    with pytest.raises(ValueError, match="no cell has the tag 5"):
-        Solid(u, {1: STEEL, 2: STEEL, 5: STEEL}, tags)
-    with pytest.raises(ValueError, match="cell_tags"):
-        Solid(u, {1: STEEL})
-    with pytest.raises(ValueError, match="of the same mesh"):
-        Solid(u, {1: STEEL, 2: STEEL}, create_tags(other, lambda x: 1 + (x[:, 1] > 1.0)))
-    none = np.zeros(0, dtype=np.int32)
-    with pytest.raises(ValueError, match=r"no entry for 40 cells of the tags none"):
-        Solid(u, {1: STEEL}, mesh.meshtags(domain, 2, none, none))
-    with pytest.raises(ValueError, match="cell_tags"):
-        Solid(u, {1: STEEL}, mesh.meshtags(domain, 1, none, none))
-    with pytest.raises(ValueError, match="not a material"):
-        Solid(u, {1: STEEL, 2: VonMises}, tags)
-    with pytest.raises(ValueError, match="not a material"):
-        Solid(u, 206_900.0)
+    elements = {
+        "shape ()": ("Lagrange", 1),
+        "shape (3,)": ("Lagrange", 1, (3,)),
+        "degree 3": ("Lagrange", 3, (2,)),
+        "continuous": ("DG", 1, (2,)),
+    }
+    both = {1: STEEL, 2: STEEL}
+    for given, words in (
+        *(((fem.Function(fem.functionspace(domain, e)), STEEL), w) for w, e in elements.items()),
+        ((3.0, STEEL), "dolfinx.fem.Function"),
+        ((u, {1: STEEL}, tags), f"no entry for {count} cells of the tags 2"),
+        ((u, both | {5: STEEL}, tags), "no cell has the tag 5"),
+        ((u, {1: STEEL}), "cell_tags"),
+        ((u, both, others), "of the same mesh"),
+        (
+            (u, {1: STEEL}, mesh.meshtags(domain, 2, none, none)),
+            "no entry for 40 cells",
+        ),
+        ((u, {1: STEEL}, mesh.meshtags(domain, 1, none, none)), "cell_tags"),
+        ((u, {1: STEEL, 2: VonMises}, tags), "not a material"),
+        ((u, 206_900.0), "not a material"),
+    ):
+        with rejected(words):
+            Solid(*given)
 
 
 def test_tags_of_owned_cells_suffice() -> None:

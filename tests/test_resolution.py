@@ -9,7 +9,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.newton_method.contacts import Contacts
-from dolfinx_mortar.report.resolution import _measure, _patches, oscillation
+from dolfinx_mortar.report.resolution import oscillation
 from tests.cases.ball import create_problem
 from tests.cases.finite_sliding import indentation
 from tests.cases.hertz import ELASTIC, create_case, create_mesh
@@ -19,7 +19,6 @@ from tests.choice import quick
 
 
 def said(report):
-    """Return the number of nodes in the note on too few, if there is one."""
     found = [
         re.search(r"largest pressure is not resolved: its patch has (\d+) nodes", note)
         for note in report.notes
@@ -75,18 +74,6 @@ def test_a_roller_is_no_plane_of_symmetry(slope, times):
     report = dm.newton(blocks.problem([contact], bcs=[*blocks.bcs(), held]))
     active = report.certificate.active_nodes
     assert active > 2 and said(report) == [1 + times * (active - 1)]
-
-
-def test_only_the_patch_with_the_peak_counts():
-    """Numbers, multipliers, prescribed components, open neighbours: 1-2-3 and 10-11 are apart."""
-    table = np.array(
-        [[10, 1.0, 0, 1], [1, 2.0, 1, 0], [3, 2.5, 1, 0], [2, 3.0, 0, 0], [11, 0.5, 0, 1]]
-    )
-    pairs = np.array([[2, 1], [3, 2], [10, 11], [1, 2]])
-    assert _measure(_patches(table, pairs)) == (4, False)
-    table[4, 1] = 9.0
-    assert _measure(_patches(table, pairs)) == (2, True)
-    assert _measure(_patches(table, pairs[:2])) == (1, True)
 
 
 def amplitude(problem, contact):

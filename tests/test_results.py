@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: MIT
 """Results of interfaces: none before a step, nodal values of ties, sides that share nodes."""
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 
 import basix.ufl
 import dolfinx_mortar as dm
+import ufl
 from dolfinx import fem
 from dolfinx.mesh import create_mesh
-from tests.cases.meshes import BOTTOM, LEFT, _block
+from tests.cases.meshes import BOTTOM, LEFT, TOP, _block
 from tests.cases.pressed_blocks import COMM, ELASTIC, PressedBlocks, rejected
 from tests.test_stack import BESIDE, P, at, beside, press, tag_facets
 
@@ -108,10 +111,7 @@ TIP = 0.5
 
 
 def cracked():
-    """Return a block with a closed crack from its left side to x = TIP, and the tags.
-
-    20 and 11 are the lower and the upper face; their nodes match at the tip only, which they share.
-    """
+    """Return a block with a closed crack from its left side to x = TIP, and the tags."""
     ahead = [TIP, 0.75, 1.0]
     lower = _block(np.array([0.0, 0.2, 0.35, *ahead]), np.linspace(-1, 0, 4), "triangle")
     upper = _block(np.array([0.0, 0.1, 0.2, 0.4, *ahead]), np.linspace(0, 1, 4), "triangle")
@@ -148,3 +148,57 @@ def test_forces_on_the_faces_of_a_crack(sides, kind):
     assert interface.master_force == pytest.approx([0.0, -force], abs=1e-9)
     assert interface.moment == pytest.approx([0.0, 0.0, moment], abs=P * COMM.allreduce(moved))
     assert interface.master_moment == pytest.approx(-interface.moment, abs=1e-9)
+
+
+PRESSURE = 5.0
+
+
+def ending(law):
+    """Return problem, contact and the traction on an upper block that covers [0, 1.1] of [0, 2]."""
+    case = PressedBlocks(n_lower=(8, 2), n_upper=(5, 2), x_lower=(0.0, 2.0), x_upper=(0.0, 1.1))
+    value = fem.Constant(case.mesh, PRESSURE)
+    ds = ufl.Measure("ds", case.mesh, subdomain_data=case.facets)
+    loads = -value * ufl.TestFunction(case.V)[1] * ds(TOP)
+    bcs = [case.bc(BOTTOM), case.roller(TOP, 0)]
+    problem = case.problem(bcs=bcs, law=law, loads=loads, geometry="reference")
+    return problem, problem.contacts[0], value
+
+
+@pytest.mark.mpi
+def test_gap_is_a_distance_or_flagged():
+    """Python users see NaN where there is no gap, files 0 with "facing" 0."""
+    problem, contact, _ = ending(dm.Elastic(1000.0, 0.0))
+    assert not problem.output_fields()["facing"].x.array.any()  # no step yet
+    dm.newton(problem)
+    gap = contact.gap.x.array
+    fields = problem.output_fields()
+    facing = fields["facing"].x.array
+    assert np.isfinite(fields["gap"].x.array).all() and set(facing) <= {0.0, 1.0}
+    slave = problem.system.sides[0].on_slave
+    assert np.array_equal(facing == 1.0, slave & ~np.isnan(gap))
+    assert np.array_equal(fields["gap"].x.array[facing == 1.0], gap[facing == 1.0])
+    assert not fields["gap"].x.array[facing == 0.0].any()
+    for expected in (0.0, 1.0):
+        assert COMM.allreduce(int((facing[slave] == expected).sum())) > 0
+
+
+@pytest.mark.mpi
+def test_a_step_is_shown_before_its_commit():
+    """Contact forces, stress, state and written fields are of one step, twice in a row."""
+    problem, contact, traction = ending(dm.VonMises(1000.0, 0.0, 3.0, 100.0))
+    shown = []
+    for level in (PRESSURE, 2 * PRESSURE):
+        traction.value = level
+        dm.newton(problem)
+        before = (problem.solid.max("von_mises"), problem.solid.max("plastic_strain_norm"))
+        assert contact.force[1] == pytest.approx(-1.1 * level, rel=1e-6)
+        lowest = COMM.allreduce(
+            -problem.solid.fields.values("stress_yy").min(initial=0.0), op=MPI.MAX
+        )
+        assert lowest >= level * (1 - 1e-9)
+        written = problem.output_fields()["von_mises"].x.array.copy()
+        problem.commit()
+        assert before == (problem.solid.max("von_mises"), problem.solid.max("plastic_strain_norm"))
+        assert np.array_equal(problem.output_fields()["von_mises"].x.array, written)
+        shown.append(before)
+    assert shown[1][0] > shown[0][0] > 0.0 and shown[1][1] > shown[0][1] > 0.0

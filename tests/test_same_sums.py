@@ -4,7 +4,6 @@
 import time
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -12,9 +11,8 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx_mortar.algebra.congruence import as_aij
-from dolfinx_mortar.algebra.csr import Triplets, add_blocks
+from dolfinx_mortar.algebra.csr import Triplets
 from dolfinx_mortar.algebra.parallel import sums_at_nodes
-from dolfinx_mortar.solid import term
 from tests.cases.block_piles import COMM, STEEL, Blocks
 
 pytestmark = pytest.mark.mpi
@@ -22,7 +20,6 @@ TIMES = 30  # one rank is late in each; every second sum of matrices differed wh
 
 
 def check_same(compute):
-    """Compare the values (..) of this rank with those of the first time, one rank being late."""
     late, first = np.random.default_rng(1), compute()
     for rank in late.integers(0, COMM.size, TIMES if COMM.size > 1 else 1):
         if COMM.rank == rank:
@@ -59,35 +56,7 @@ def test_tangents_of_bodies(kind):
     assert expected.norm() <= 1e-15 * scale
 
 
-@pytest.mark.skipif(COMM.size > 1, reason="of one rank")
-def test_all_tangents_of_a_rank_have_the_bits_of_petsc(monkeypatch):
-    """Also those after the first, added to values on a larger pattern; by one pass, not by it."""
-    b = dealt_out()
-    solid = dm.Solid(b.u, STEEL)
-    K, expected = solid.create_matrix(), solid.create_matrix()
-    K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
-    fem_petsc.assemble_matrix(expected, solid.forms.tangent.form)
-    expected.assemble()
-    solid.assemble_tangent(K)
-    first, last = 0, K.getSize()[0] - 1
-    for row, column in ((first, last), (last, first)):
-        K.setValue(row, column, 0.0)
-    K.assemble()
-    calls: list[object] = []
-    monkeypatch.setattr(term, "add_blocks", lambda *a: (calls.append(a), add_blocks(*a)))
-    for _ in range(2):
-        solid.assemble_tangent(K)
-        difference = K.copy()
-        difference.axpy(-1.0, expected, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-        assert difference.norm() == 0.0
-    solid.add_tangent(K)
-    assert len(calls) == 3
-    K.axpy(-2.0, expected, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-    assert K.norm() == 0.0
-
-
 def values_of(K):
-    """Return the entries of a matrix."""
     return as_aij(K).getValuesCSR()[2]
 
 

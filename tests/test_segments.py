@@ -23,12 +23,10 @@ def flat(splits, y=0.0, angle=0.0, up=False):
 
 
 def polyline(x):
-    """Return the facets of a polyline."""
     return Facets(LINE2, x[chain(len(x))])
 
 
 def split(low, high):
-    """Return a strategy of random grids with at least one cell, nodes 1e-6 apart or more."""
     inner = st.lists(st.floats(0.001, 0.999), max_size=9)
     return inner.map(lambda s: low + (high - low) * np.unique(np.round([0, *s, 1], 6)))
 
@@ -83,7 +81,6 @@ def test_the_nearest_side_that_faces_the_slave_covers(case):
 
 
 def arc(radius, centre, first, last, n):
-    """Return the nodes of an arc; the body is inside for first < last, hence a convex slave."""
     angle = np.linspace(first, last, n)
     return np.asarray(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
@@ -153,17 +150,6 @@ def test_candidates_contain_all_segments(seed, n, m):
     for name in ("slave", "master", "xi_s", "xi_m", "weight"):
         assert (getattr(o.points, name) == getattr(complete.points, name)).all()
     assert (o.covered <= np.linalg.norm(np.diff(x_s, axis=0), axis=1) * (1 + EXACT)).all()
-
-
-def test_broad_phase_is_selective():
-    """Flat sides with equal facets: at most three masters per slave without margin."""
-    grid = np.linspace(0, 1, 201)
-    x_s, x_m = polyline(flat(grid)), polyline(flat(grid, -0.01, up=True))
-    normals = np.broadcast_to([0.0, -1.0], x_s.x.shape)
-    pairs = segments.find_candidates(x_s, normals, x_m, np.zeros(200))
-    assert np.bincount(pairs[:, 0], minlength=200).max() <= 3
-    wide = segments.find_candidates(x_s, normals, x_m, np.full(200, 1 / 200))
-    assert np.bincount(wide[:, 0], minlength=200).max() <= 7
 
 
 def test_every_facet_may_be_a_candidate_of_every_other():

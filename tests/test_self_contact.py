@@ -38,10 +38,7 @@ COMM = MPI.COMM_WORLD
 
 @pytest.mark.mpi
 def test_a_ring_closes_on_itself():
-    """Nothing is near at first; then it is found before it touches, and forces balance.
-
-    The same on one rank and on all, and left is right.
-    """
+    """Nothing is near at first; then it is found before it touches, and forces balance."""
     found = closed_ring(COMM, "graph")
     alone = COMM.bcast(closed_ring(MPI.COMM_SELF, "graph") if COMM.rank == 0 else None)
     np.testing.assert_allclose(found, alone, rtol=1e-8, atol=1e-12)
@@ -156,11 +153,7 @@ def test_parts_that_come_near_ask_for_a_search():
 
 
 def test_moments_lack_what_turns_the_normals_and_nothing_else():
-    """Forces lambda_j D_jj v_j.dn_j/du, of the exact derivative of the gap, have the moment left.
-
-    Their moment is their work in a rotation, in which normals turn, dn_j = e_z x n_j. Of a ring
-    that is pressed askew.
-    """
+    """Forces lambda_j D_jj v_j.dn_j/du of the exact derivative of the gap have the moment left."""
     sheet = create_sheet(COMM, (32, 2), ring(), closed=True)
     fold = create_fold(sheet, lambda x: (x[1] > 0.9) & (x[0] > -0.05), lambda x: x[1] < -0.9)
     for way in np.linspace(0.0, 1.55, 17)[8:]:

@@ -56,13 +56,6 @@ def test_the_pull_is_that_of_slices():
     assert 0.99 < found / fit.sliding_force(MU, LENGTH) < 0.999
 
 
-def test_a_short_fit_slides_at_its_pressure():
-    fit = shrink_fit(0.02, RADII, *BODIES)
-    assert fit.pull_force(MU, 1e-6) == pytest.approx(fit.sliding_force(MU, 1e-6), rel=1e-6)
-    cork = shrink_fit(0.02, RADII, 200e3, 0.0, 200e3, 0.0)
-    assert cork.pull_force(MU, LENGTH) == pytest.approx(cork.sliding_force(MU, LENGTH), rel=1e-14)
-
-
 @pytest.mark.parametrize(
     ("change", "name"),
     [

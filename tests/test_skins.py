@@ -6,14 +6,14 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from dolfinx import fem, mesh
+from dolfinx import fem
 from dolfinx_mortar.geometry.elements import LINE2, QUAD4
 from dolfinx_mortar.geometry.facets import Facets, facet_normals, points_of
 from dolfinx_mortar.geometry.segments import create_segments
 from dolfinx_mortar.mortar.integrals import find_segments
 from dolfinx_mortar.mortar.pairing import create_pairing, received_facets
 from dolfinx_mortar.mortar.surface import create_surface, facets_at
-from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, skins, two_blocks
+from tests.cases.meshes import BOTTOM, skins, two_blocks
 from tests.cases.meshes_3d import rotation, two_boxes
 from tests.cases.two_bodies import SIDES, TwoBodies
 
@@ -44,10 +44,7 @@ def create(cell, partition="graph", **options):
 @pytest.mark.parametrize("partition", ["graph", "stripes", "empty"])
 @CELLS
 def test_thickness_behind_the_facets_of_a_skin(cell, partition):
-    """Heights behind top and bottom, the width behind the flanks; a side alone has none.
-
-    So has a skin without the support, which is no part of the side.
-    """
+    """Heights behind top and bottom, the width behind the flanks; a side alone has none."""
     V, flat, *others, up = create(cell, partition)
     for tag, height in zip(SIDES, HEIGHTS, strict=True):
         assert np.isinf(create_surface(V, flat, tag, "side").thickness).all()
@@ -80,20 +77,6 @@ def test_partners_face_each_other_from_outside(cell, gap):
         assert COMM.allreduce(points.weight[across].sum()) == pytest.approx(1.0, abs=fan)
         # flanks that overlap look through both bodies, one thickness deep
         assert not (~across).any()
-
-
-def test_thickness_behind_a_side_around_an_edge():
-    """Up to the own body's far facets, not in the side, and not to another body's that overlap."""
-    domain, _, facets = two_blocks(COMM, (4, 4), (4, 4), gap=-0.1)
-    domain.topology.create_connectivity(1, 2)
-    left = facets.find(LEFT)
-    upper = left[mesh.compute_midpoints(domain, 1, left)[:, 1] > 0.0]
-    side = np.union1d(facets.find(BOTTOM_OF_UPPER), upper).astype(np.int32)
-    tags = mesh.meshtags(domain, 1, side, np.full(len(side), 7, dtype=np.int32))
-    V = fem.functionspace(domain, ("Lagrange", 1, (2,)))
-    for tag, expected in ((7, 1.0), (BOTTOM_OF_UPPER, np.inf)):
-        found = create_surface(V, tags if tag == 7 else facets, tag, "slave").thickness
-        assert found == pytest.approx(expected)
 
 
 def test_what_lies_across_a_body_hides_nothing():

@@ -6,22 +6,19 @@ around. The stress is -P I, u = -c (X - X0) with X0 on the interface, the pressu
 P everywhere, its force normal to it, and nothing is left to the supports.
 """
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from tests.cases import meshes, meshes_3d
 from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, LEFT, LOWER, RIGHT, TOP, TOP_OF_LOWER, UPPER
 from tests.cases.meshes_3d import BACK, FRONT
 from tests.cases.pressed_blocks import failing
 from tests.cases.rings import largest
+from tests.cases.two_bodies import TwoBodies, create_problem
 from tests.choice import crosswise
 
-COMM = MPI.COMM_WORLD
 E, NU, P = 1000.0, 0.3, 2.0
 EXACT = 1e-9
 
@@ -35,14 +32,7 @@ def facets_of(case, tag, body):
 
 
 class Hydrostatic:
-    """Two blocks between z = -2 and 2, or rings, whose interface has a slope.
-
-    Args:
-        slope: of the interface (d - 1,).
-        slave: "lower" or "upper", which ends on rollers.
-        both: whether the other body does, too.
-        inside: its inner radius, for rings.
-    """
+    """Two blocks between z = -2 and 2, or rings, whose interface has a slope."""
 
     def __init__(self, slope, slave="upper", degree=1, cell=None, both=False, inside=None):
         """Create mesh, tags, space, supports and loads."""
@@ -59,17 +49,17 @@ class Hydrostatic:
         options = {"heights": (2.0, 2.0), "transform": inclined}
         if d == 2:
             ends = (inside or 0.0) + np.array([0.0, 1.0])
-            options |= {"cell": cell or "triangle", "x_lower": ends, "x_upper": ends}
-            self.mesh, self.cells, self.tags = meshes.two_blocks(COMM, (3, 3), (4, 3), **options)
-            free = LEFT, RIGHT, BOTTOM, TOP
+            options |= {"n_lower": (3, 3), "n_upper": (4, 3), "x_lower": ends, "x_upper": ends}
         else:
-            cell, n = cell or "hexahedron", ((2, 2, 2), (3, 2, 2))
-            self.mesh, self.cells, self.tags = meshes_3d.two_boxes(COMM, *n, cell=cell, **options)
-            free = LEFT, RIGHT, BOTTOM, TOP, FRONT, BACK
+            options |= {"n_lower": (2, 2, 2), "n_upper": (3, 2, 2)}
+        cell = cell or ("triangle" if d == 2 else "hexahedron")
+        case = TwoBodies(cell, degree, **options)
+        self.mesh, self.cells, self.tags = case.mesh, case.cells, case.tags
+        self.V, self.u = case.V, case.u
+        free = (LEFT, RIGHT, BOTTOM, TOP, FRONT, BACK)[: 2 * d]
         self.side = BOTTOM_OF_UPPER if slave == "upper" else TOP_OF_LOWER
         self.facing = BOTTOM_OF_UPPER + TOP_OF_LOWER - self.side
-        self.V = fem.functionspace(self.mesh, ("Lagrange", degree, (d,)))
-        self.u, self.exact = fem.Function(self.V), fem.Function(self.V)
+        self.exact = fem.Function(self.V)
         self.c = P / E * (1 - 2 * NU) * (1.0 if d == 3 or self.ring else 1 + NU)
         at = middle - 0.2
         at[0] = 0.0 if self.ring else at[0]
@@ -116,13 +106,11 @@ class Hydrostatic:
         if isinstance(interface, dm.Obstacle):
             loaded = (*loaded, self.facing)
         own = {"kinematics": "axisymmetric"} if self.ring else {}
-        solid = dm.Solid(self.u, dm.Elastic(E, NU), **own)
-        loads = -P * ufl.inner(n, v) * ds(loaded)
-        return dm.ContactProblem(solid, [interface], bcs=self.bcs, loads=loads, **options)
+        own |= {"loads": -P * ufl.inner(n, v) * ds(loaded)}
+        return create_problem(self.u, [interface], self.bcs, dm.Elastic(E, NU), **own, **options)
 
 
 def deg(*degrees):
-    """Return slopes."""
     return np.tan(np.radians(degrees))
 
 

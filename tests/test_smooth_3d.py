@@ -9,42 +9,14 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from demos.ball_joint.ball_in_socket import ball_in_socket
 from dolfinx import fem, mesh
 from dolfinx_mortar.mortar import curvature_correction as smooth
 from dolfinx_mortar.mortar.mirrors import find_mirrors
 from dolfinx_mortar.mortar.surface import create_surface
+from tests.cases.two_bodies import create_problem, held
 from tests.choice import crosswise
 
 CELLS = ["tetrahedron", "hexahedron"]
-SOCKET = 67_810.0, 766.7  # N and MPa, of 120 thousand unknowns, hexahedra
-
-
-def press_ball(cell, h, slave):
-    """Press a ball into its socket; return the report, the whole force and the peak."""
-    m = ball_in_socket(MPI.COMM_WORLD, cell=cell, h=h)
-    V = fem.functionspace(m.mesh, ("Lagrange", 1, (3,)))
-    bcs = []
-    for tag, i, value in ((1, 2, 0.0), (2, 2, -0.05), (5, 0, 0.0), (6, 1, 0.0)):
-        dofs = fem.locate_dofs_topological(V.sub(i), 2, m.facet_tags.find(tag))
-        bcs.append(fem.dirichletbc(fem.Constant(m.mesh, value), dofs, V.sub(i)))
-    slave, master = {"socket": (3, 4), "ball": (4, 3)}[slave]
-    contact = dm.Contact(m.facet_tags, slave=slave, master=master)
-    problem = dm.ContactProblem(
-        dm.Solid(fem.Function(V), dm.Elastic(200e3, 0.3)), [contact], bcs=bcs
-    )
-    report = dm.newton(problem)
-    return report, 4.0 * abs(contact.force[2]), contact.gather(problem.u)["pressure"].max()
-
-
-@pytest.mark.mpi
-def test_a_ball_in_its_socket_on_the_coarsest_mesh():
-    """What takes a second: facets give 152 and 200 kN, 1627 and 6497 MPa here."""
-    for slave in ("socket", "ball"):
-        report, force, peak = press_ball("tetrahedron", (1.5, 1.0), slave)
-        assert report.newton_iterations <= 4
-        assert force == pytest.approx(SOCKET[0], rel=0.035)
-        assert peak == pytest.approx(SOCKET[1], rel=0.08)
 
 
 def uneven_cylinder(h):
@@ -89,14 +61,7 @@ def test_normals_of_a_cylinder_on_uneven_triangles(monkeypatch):
 
 
 def round_side(along, across, oblique=0.0, slope=0.0):
-    """Return the points at s and c (n,), of a torus or a sphere, cylinder, cone or plane.
-
-    Args:
-        along: angle of the side on the way from the support, x = 0.
-        across: angle of the side around the axis z = 0, y = 0; 0 for none.
-        oblique: degrees by which an arc begins beside its summit.
-        slope: degrees by which straight lines are inclined.
-    """
+    """Return the points at s and c (n,), of a torus or a sphere, cylinder, cone or plane."""
     start, rise = np.radians(oblique), np.tan(np.radians(slope))
 
     def points(s, c):
@@ -149,11 +114,9 @@ def press_sphere(cell, degree, slave, *, half):
     """Press a quarter of a ball or half of it on a block; return twice, or once, the force."""
     m = dm.meshing.sphere(MPI.COMM_WORLD, h=1.0, cell=cell, core=1.0, radius=8.0, half=half)
     V = fem.functionspace(m.mesh, ("Lagrange", degree, (3,)))
-    conditions = [("bottom", 2, 0.0), ("flat", 2, -0.2), ("symmetry_y", 1, 0.0)]
-    bcs = []
-    for name, i, value in conditions if half else [*conditions, ("symmetry_x", 0, 0.0)]:
-        dofs = fem.locate_dofs_topological(V.sub(i), 2, m.facet_tags.find(name))
-        bcs.append(fem.dirichletbc(value, dofs, V.sub(i)))
+    names = [("bottom", 2, 0.0), ("flat", 2, -0.2), ("symmetry_y", 1, 0.0)]
+    names += [] if half else [("symmetry_x", 0, 0.0)]
+    bcs = [held(V, m.facet_tags, name, value, i) for name, i, value in names]
     if half:  # neither body moves along x
         W, (Q, _) = V.sub(0), V.sub(0).collapse()
         ends = fem.locate_dofs_geometrical(
@@ -162,9 +125,8 @@ def press_sphere(cell, degree, slave, *, half):
         bcs.append(fem.dirichletbc(fem.Function(Q), ends, W))
     sides = ("sphere", "top") if slave == "sphere" else ("top", "sphere")
     contact = dm.Contact(m.facet_tags, slave=sides[0], master=sides[1])
-    problem = dm.ContactProblem(
-        dm.Solid(fem.Function(V), dm.Elastic(200e3, 0.3)), [contact], bcs=bcs, geometry="reference"
-    )
+    options = {"geometry": "reference"}
+    problem = create_problem(V, [contact], bcs, dm.Elastic(200e3, 0.3), **options)
     dm.newton(problem, rtol=1e-10)
     pressure = contact.gather(problem.u)["pressure"].max()
     return (1 if half else 2) * abs(contact.force[2]), pressure

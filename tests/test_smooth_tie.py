@@ -9,15 +9,15 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from dolfinx_mortar.algebra.parallel import maximum
 from tests.cases.close_fits import hold, rings
 from tests.cases.meshes import two_blocks
 from tests.cases.meshes_3d import two_boxes
+from tests.cases.mortar import largest
 from tests.cases.shells import INNER, OUTER, RADIUS, lame_pressure, octants, to_arc, to_sphere
+from tests.cases.two_bodies import CELLS, create_problem, held
 from tests.choice import crosswise
 
 COMM = MPI.COMM_WORLD
-CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 RADII = (1.0, 2.0, 3.0)
 ROUND_OFF = 1e-12
 SPIN = np.array([[0.0, -1.0, 0.5], [1.0, 0.0, 0.7], [-0.5, -0.7, 0.0]])  # W: u = W x
@@ -39,10 +39,8 @@ def sides(comm, cell, transform, n=3, **options):
 def couple(mesh, tags, *, swap=False, bcs=None, **options):
     """Return the link of a tie with the first or the second body's side as slave."""
     V = fem.functionspace(mesh, ("Lagrange", 1, (mesh.geometry.dim,)))
-    slave, master = (4, 3) if swap else (3, 4)
-    tie = dm.Tie(tags, slave=slave, master=master, **options)
-    solid = dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3))
-    problem = dm.ContactProblem(solid, [tie], bcs=bcs(V) if bcs else [])
+    tie = dm.Tie(tags, slave=3 + swap, master=4 - swap, **options)
+    problem = create_problem(V, [tie], bcs(V) if bcs else [])
     problem.update_geometry()
     return problem.system.links[0]
 
@@ -56,13 +54,7 @@ def jumps(link, field):
     return np.where(link.constrained, link.relative(v), 0.0), x[link.nodes]
 
 
-def largest(comm, values):
-    """Return the largest absolute value on any rank."""
-    return float(maximum(comm, np.abs(values).max(initial=0.0))[0])
-
-
 def spin(x):
-    """Return a rotation and a translation."""
     return x @ SPIN.T + [0.3, -0.2, 0.1]
 
 
@@ -73,9 +65,9 @@ def test_rigid_motions_are_no_slip(cell, gap, swap):
     """Exactly, on uneven meshes of curved sides, also of such that are far apart."""
     mesh, tags = sides(COMM, cell, to_arc if cell in CELLS[:2] else to_sphere, gap=gap)
     slip, _ = jumps(couple(mesh, tags, swap=swap), spin)
-    assert largest(COMM, slip) < ROUND_OFF
+    assert largest(slip) < ROUND_OFF
     slip, _ = jumps(couple(mesh, tags, swap=swap, surface="facets"), spin)
-    assert largest(COMM, slip) > 1e-3
+    assert largest(slip) > 1e-3
 
 
 @pytest.mark.mpi
@@ -83,15 +75,9 @@ def test_rigid_motions_are_no_slip(cell, gap, swap):
 def test_rigid_motions_are_no_slip_where_directions_differ_in_their_nodes(cell):
     """Some nodes have Dirichlet data for x alone, and their functions are others'."""
     mesh, tags = sides(COMM, cell, to_arc if cell in CELLS[:2] else to_sphere, gap=0.1)
-    d = mesh.geometry.dim
-
-    def held(V):
-        dofs = fem.locate_dofs_topological(V.sub(0), d - 1, tags.find(5))
-        return [fem.dirichletbc(fem.Constant(mesh, 0.0), dofs, V.sub(0))]
-
-    link = couple(mesh, tags, bcs=held)
+    link = couple(mesh, tags, bcs=lambda V: [held(V, tags, 5, 0.0, 0)])
     kept = COMM.allreduce(link.coupling.kept.sum(axis=0))
-    assert kept[0] < kept[1] and largest(COMM, jumps(link, spin)[0]) < ROUND_OFF
+    assert kept[0] < kept[1] and largest(jumps(link, spin)[0]) < ROUND_OFF
 
 
 @pytest.mark.parametrize("surface", ["facets", "smooth"])
@@ -103,25 +89,9 @@ def test_orders_of_a_dilatation(cell, surface):
         mesh, tags = sides(COMM, cell, to_arc if cell in CELLS[:2] else to_sphere, n, jitter=0.0)
         slip, x = jumps(couple(mesh, tags, surface=surface), lambda x: x)
         across = np.abs(x[:, : mesh.geometry.dim - 1]).max(axis=1)
-        errors.append(largest(COMM, slip[across < 0.16 * RADIUS]))  # normals lean at the rims
+        errors.append(largest(slip[across < 0.16 * RADIUS]))  # normals lean at the rims
     order = np.log2(errors[0] / errors[1])
     assert order == pytest.approx(2.0 if surface == "facets" else 4.0, abs=0.15)
-
-
-@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
-def test_tubes_grow_in_radius_alone(cell):
-    """A stretch along the axis leaves the heights as they are, one across lets them grow."""
-    errors = []
-    for n in (3, 6):
-        mesh, tags = sides(COMM, cell, to_arc, n, jitter=0.0)
-        link = couple(mesh, tags)
-        for factors in ([0.0, 1.0, 0.0], [1.0, 0.0, 1.0]):
-            slip, x = jumps(link, lambda x, factors=factors: x * factors)
-            inner = (np.abs(x[:, 0]) < 0.16 * RADIUS) & (np.abs(x[:, 1] - 0.5) < 0.2)
-            errors.append(largest(COMM, slip[inner]))
-    along, across = errors[::2], errors[1::2]
-    assert max(along) < ROUND_OFF
-    assert np.log2(across[0] / across[1]) == pytest.approx(4.0, abs=0.15)
 
 
 @pytest.mark.parametrize("surface", ["facets", "smooth"])
@@ -131,85 +101,56 @@ def test_flat_sides_have_the_operator_of_the_paper(cell, surface):
     mesh, tags = sides(COMM, cell, None)
     coupling = couple(mesh, tags, surface=surface).coupling
     scalar = coupling.P[:, :, None] * np.eye(coupling.R.shape[1])
-    assert largest(COMM, coupling.blocks - scalar) <= (0.0 if surface == "facets" else 1e-14)
-
-
-@pytest.mark.mpi
-@pytest.mark.parametrize("partition", ["stripes", "bodies", "shared_facet"])
-@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
-def test_the_operator_does_not_depend_on_the_ranks(cell, partition):
-    found = []
-    for comm in (COMM, MPI.COMM_SELF):
-        transform = to_arc if cell == "triangle" else to_sphere
-        mesh, tags = sides(comm, cell, transform, partition=partition)
-        slip, x = jumps(couple(mesh, tags), lambda x: np.sin(3 * x + x[:, ::-1] ** 2))
-        rows = np.concatenate(comm.allgather(np.column_stack([x, slip])))
-        found.append(rows[np.lexsort(np.round(rows[:, :3], 9).T)])
-    assert found[0] == pytest.approx(found[1], abs=1e-12)
+    assert largest(coupling.blocks - scalar) <= (0.0 if surface == "facets" else 1e-14)
 
 
 # -- what it corrects ------------------------------------------------------------------------------
 
 
-def create_shells(cell, k):
-    """Return two rings, or octants of two spherical shells, with different numbers of facets."""
-    if cell == "quadrilateral":
-        return rings(COMM, RADII[:2], RADII[1:], (24 * k, 36 * k), (4 * k, 4 * k))
-    return octants(COMM, RADII, (4 * k, 5 * k), 2 * k, cell)
-
-
-def create_problem(domain, tags, *, slave, surface, bcs, pressure=0.0):
-    """Return the problem of two tied shells of the same steel, and the tie."""
-    V = fem.functionspace(domain, ("Lagrange", 1, (domain.geometry.dim,)))
-    tie = dm.Tie(tags, slave=slave, master={2: 3, 3: 2}[slave], surface=surface)
+def tied_rings(k, slave, bcs, pressure=0.0, surface="smooth", degree=1, order=1):
+    """Return the problem of two tied rings of 24 k and 36 k facets, and the tie."""
+    domain, tags = rings(COMM, RADII[:2], RADII[1:], (24 * k, 36 * k), (4 * k, 4 * k), order)
+    V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
+    tie = dm.Tie(tags, slave=slave, master=5 - slave, surface=surface)
     ds = ufl.Measure("ds", domain, subdomain_data=tags)
     push = -pressure * ufl.dot(ufl.FacetNormal(domain), ufl.TestFunction(V)) * ds(OUTER)
-    solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3))
-    return dm.ContactProblem(solid, [tie], bcs=bcs(V), loads=push if pressure else None), tie
+    return create_problem(V, [tie], bcs(V, tags), loads=push if pressure else None), tie
 
 
-def turned_strain(cell, k, surface, slave):
-    """Return the L2 norm of the strain of tied shells, of which the inner end is turned by 1e-3."""
-    domain, tags = create_shells(cell, k)
-    d = domain.geometry.dim
-
-    def turned(V):
-        given = fem.Function(V)
-        given.interpolate(lambda x: 1e-3 * SPIN[:d, :d] @ x[:d])
-        return [fem.dirichletbc(given, fem.locate_dofs_topological(V, d - 1, tags.find(INNER)))]
-
-    problem, _ = create_problem(domain, tags, slave=slave, surface=surface, bcs=turned)
-    dm.newton(problem, rtol=1e-10)
-    strain = ufl.sym(ufl.grad(problem.u))
-    square = COMM.allreduce(fem.assemble_scalar(fem.form(ufl.inner(strain, strain) * ufl.dx)))
-    return np.sqrt(square)
+def turned(V, tags):
+    """Turn the inner side by 1e-3."""
+    given, d = fem.Function(V), V.mesh.geometry.dim
+    given.interpolate(lambda x: 1e-3 * SPIN[:d, :d] @ x[:d])
+    return [held(V, tags, INNER, given)]
 
 
 @pytest.mark.parametrize("slave", [2, 3])
 @pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron", "hexahedron"])
 def test_a_rotation_strains_nothing(cell, slave):
-    assert turned_strain(cell, 1, "smooth", slave) < 1e-12
+    """Neither tied rings nor octants of two spherical shells."""
+    if cell == "quadrilateral":
+        problem, _ = tied_rings(1, slave, turned)
+    else:
+        domain, tags = octants(COMM, RADII, (4, 5), 2, cell)
+        V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
+        problem = create_problem(V, [dm.Tie(tags, slave=slave, master=5 - slave)], turned(V, tags))
+    dm.newton(problem, rtol=1e-10)
+    strain = ufl.sym(ufl.grad(problem.u))
+    square = COMM.allreduce(fem.assemble_scalar(fem.form(ufl.inner(strain, strain) * ufl.dx)))
+    assert np.sqrt(square) < 1e-12
 
 
-def pressure_errors(cell, sizes, surface, slave):
-    """Return the largest errors of the pressure, relative to Lame's, and its spreads."""
+def free(V, tags):
+    return hold(V, RADII[2])
+
+
+def pressure_errors(sizes, slave):
+    """Return the largest errors of the pressure of rings, relative to Lame's, and its spreads."""
     found = []
     for k in sizes:
-        domain, tags = create_shells(cell, k)
-        d = domain.geometry.dim
-
-        def supports(V, d=d, tags=tags, domain=domain):
-            if d == 2:
-                return hold(V, RADII[2])
-            at = [fem.locate_dofs_topological(V.sub(i), 2, tags.find(5 + i)) for i in range(3)]
-            zero = fem.Constant(domain, 0.0)
-            return [fem.dirichletbc(zero, dofs, V.sub(i)) for i, dofs in enumerate(at)]
-
-        problem, tie = create_problem(
-            domain, tags, slave=slave, surface=surface, bcs=supports, pressure=1.0
-        )
+        problem, tie = tied_rings(k, slave, free, pressure=1.0)
         dm.newton(problem, rtol=1e-10)
-        pressure = tie.gather(problem.u)["pressure"] / lame_pressure(RADII, d)
+        pressure = tie.gather(problem.u)["pressure"] / lame_pressure(RADII, 2)
         found.append([np.abs(pressure - 1.0).max(), pressure.std()])
     return np.array(found)
 
@@ -217,7 +158,7 @@ def pressure_errors(cell, sizes, surface, slave):
 @pytest.mark.parametrize("slave", [2, 3])
 def test_the_pressure_of_tied_rings_is_lames(slave):
     """Uniform and right, both of second order, whatever the slave."""
-    errors = pressure_errors("quadrilateral", (1, 2, 4), "smooth", slave)
+    errors = pressure_errors((1, 2, 4), slave)
     orders = np.log2(errors[:-1] / errors[1:])
     assert orders[-1].min() > 1.8 and errors[-1, 0] < 4e-4
 
@@ -232,13 +173,8 @@ def test_moments_balance_across_a_gap(cell):
     for surface in ("smooth", "facets"):
         V = fem.functionspace(mesh, ("Lagrange", 1, (d,)))
         ds, v = ufl.Measure("ds", mesh, subdomain_data=tags), ufl.TestFunction(V)
-        bottom = fem.locate_dofs_topological(V, d - 1, tags.find(1))
-        problem = dm.ContactProblem(
-            dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3)),
-            [dm.Tie(tags, slave=3, master=4, surface=surface)],
-            bcs=[fem.dirichletbc(np.zeros(d), bottom, V)],
-            loads=(v[0] - v[d - 1]) * ds(2),
-        )
+        tie, loads = dm.Tie(tags, slave=3, master=4, surface=surface), (v[0] - v[d - 1]) * ds(2)
+        problem = create_problem(V, [tie], [held(V, tags, 1)], loads=loads)
         imbalance.append(dm.newton(problem).certificate.moment_balance)
     assert imbalance[0] < 1e-12 and imbalance[1] > 0.05
 
@@ -250,23 +186,14 @@ def test_edges_of_tied_sides_keep_their_facets(angle):
     mesh, tags = sides(COMM, "quadrilateral", to_arc, jitter=0.0)
     curved = jumps(couple(mesh, tags, feature_angle=angle), lambda x: x)[0]
     sharp = jumps(couple(mesh, tags, feature_angle=5.0), lambda x: x)[0]
-    assert largest(COMM, sharp) > 50 * largest(COMM, curved)
+    assert largest(sharp) > 50 * largest(curved)
 
 
 @pytest.mark.mpi
 @pytest.mark.parametrize(("degree", "order"), [(1, 1), (2, 1), (2, 2)])
 def test_straight_facets_of_curved_sides_spoil_second_order(degree, order):
-    """Pressures of tied rings scatter on straight cells with degree 2 alone, and the audit says it.
-
-    By more than 1 % of the mean; on curved ones less than 0.1 %, with degree 1 less than 0.5 %.
-    """
-    domain, tags = rings(COMM, RADII[:2], RADII[1:], (40, 56), (4, 4), order)
-    V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
-    tie = dm.Tie(tags, slave=3, master=2)
-    ds, v = ufl.Measure("ds", domain, subdomain_data=tags), ufl.TestFunction(V)
-    loads = -10.0 * ufl.inner(ufl.FacetNormal(domain), v) * ds(4)
-    solid = dm.Solid(fem.Function(V), dm.Elastic(1000.0, 0.3))
-    problem = dm.ContactProblem(solid, [tie], bcs=hold(V, RADII[2]), loads=loads)
+    """Pressures scatter on straight cells with degree 2 alone, and the audit says it."""
+    problem, tie = tied_rings(2, 3, free, 10.0, degree=degree, order=order)
     spoilt = degree == 2 and order == 1
     said = [w for w in problem.audit().warnings if "straight facets stand for curved" in w]
     assert len(said) == spoilt

@@ -90,11 +90,7 @@ def test_coarse_contact_is_near_hertz(cell):
     [("triangle", "reference", "ball"), ("quadrilateral", "updated", "block")],
 )
 def test_sections_of_second_order(cell, geometry, slave):
-    """The section of the ball and a round block: the force to 0.05 %.
-
-    The node on the axis has no weight, so no multiplier: its pressure is that of its facet, and
-    it is active as its neighbours are.
-    """
+    """The section of the ball and a round block: the force to 0.05 %."""
     mesh = create_mesh("graded", 0.05, half=True, block=(36.0, 10.0), cell=cell)
     side = "disc" if slave == "ball" else slave
     options = {"slave": side, "geometry": geometry, "kinematics": "axisymmetric"}

@@ -6,13 +6,13 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-import basix.ufl
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import create_mesh, exterior_facet_indices, locate_entities_boundary, meshtags
-from dolfinx_mortar.algebra.parallel import maximum
-from tests.cases.meshes import _block
+from dolfinx.mesh import exterior_facet_indices, locate_entities_boundary, meshtags
+from tests.cases.meshes import _block, create_distributed
+from tests.cases.mortar import largest
+from tests.cases.two_bodies import create_problem, held
 
 E, NU, P = 1000.0, 0.3, 10.0
 EXACT = 1e-10
@@ -22,14 +22,10 @@ COMM = MPI.COMM_WORLD
 def create_blocks(blocks):
     """Return a mesh of rectangles given as (x lines, y lines), and the block of each cell."""
     parts = [_block(np.asarray(x, float), np.asarray(y, float), "triangle") for x, y in blocks]
-    offsets = np.cumsum([0] + [len(points) for points, _ in parts])
-    counts = np.cumsum([0] + [len(cells) for _, cells in parts])
-    points = np.concatenate([points for points, _ in parts])
+    offsets, counts = (np.cumsum([0] + [len(p[k]) for p in parts]) for k in (0, 1))
     cells = np.concatenate([c + o for (_, c), o in zip(parts, offsets, strict=False)])
-    if COMM.rank > 0:  # the first rank has all, dolfinx distributes
-        points, cells = points[:0], cells[:0]
-    element = basix.ufl.element("Lagrange", "triangle", 1, shape=(2,))
-    mesh = create_mesh(COMM, cells, x=points, e=element)
+    points = np.concatenate([points for points, _ in parts])
+    mesh = create_distributed(COMM, points, cells, "triangle")
     block = np.searchsorted(counts, mesh.topology.original_cell_index, side="right") - 1
     return mesh, block
 
@@ -53,37 +49,27 @@ def tag_facets(mesh, block, marks):
 
 
 def at(y, low=-1.0, high=9.0):
-    """Return a marker of the line at height y between two x."""
     return lambda x: np.isclose(x[1], y) & (x[0] > low - 1e-9) & (x[0] < high + 1e-9)
 
 
 def press(mesh, tags, interfaces):
-    """Press on tag 2 with P; check the uniaxial stress state and return problem and report.
-
-    Tag 1 (bottom, y = 0) and tag 5 (vertical sides) slide; contact alone holds the rest.
-    """
+    """Press on tag 2 with P; check the uniaxial stress state and return problem and report."""
     V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
     exact, u = fem.Function(V), fem.Function(V)
     strain = P / E * np.array([NU * (1 + NU), NU**2 - 1])[:, None]
     exact.interpolate(lambda x: strain * x[:2])
     bcs = []
     for component, tag in ((1, 1), (0, 5)):
-        W, _ = V.sub(component).collapse()
-        dofs = fem.locate_dofs_topological((V.sub(component), W), 1, tags.find(tag))
-        value = fem.Function(W)
-        value.interpolate(exact.sub(component).collapse())
-        bcs.append(fem.dirichletbc(value, dofs, V.sub(component)))
+        spaces = V.sub(component), V.sub(component).collapse()[0]
+        dofs = fem.locate_dofs_topological(spaces, 1, tags.find(tag))
+        value = exact.sub(component).collapse()
+        bcs.append(fem.dirichletbc(value, dofs, spaces[0]))
     ds = ufl.Measure("ds", mesh, subdomain_data=tags)
     loads = -fem.Constant(mesh, P) * ufl.TestFunction(V)[1] * ds(2)
-    solid = dm.Solid(u, dm.Elastic(E, NU))
-    problem = dm.ContactProblem(solid, interfaces(tags), bcs=bcs, loads=loads, geometry="reference")
+    options = {"loads": loads, "geometry": "reference"}
+    problem = create_problem(u, interfaces(tags), bcs, dm.Elastic(E, NU), **options)
     report = dm.newton(problem, rtol=1e-11)
-    error, size = maximum(
-        COMM,
-        np.abs(u.x.array - exact.x.array).max(initial=0.0),
-        np.abs(exact.x.array).max(initial=0.0),
-    )
-    assert error < EXACT * size
+    assert largest(u.x.array - exact.x.array) < EXACT * largest(exact.x.array)
     for link in problem.system.links:
         on = link.coupling.kept.any(axis=1)
         pressure = link.interface.pressure.x.array[link.nodes[on]]
@@ -95,7 +81,6 @@ COLUMNS = [np.linspace(0, 1, n) for n in (4, 6, 5)]
 
 
 def stack(kinds, slaves):
-    """Return the interfaces of a stack; ``slaves`` says which side of each is the slave."""
 
     def create(tags):
         sides = [(20, 11), (21, 12)]
@@ -122,10 +107,7 @@ def test_stack(kinds, below, above):
 
 
 def beside(left, right):
-    """Return a lower block of length 2, two blocks beside each other on it, and the tags.
-
-    20 and 21 are the left and right half of the lower side, 11 and 12 the sides opposite.
-    """
+    """Return a lower block of length 2, two blocks beside each other on it, and the tags."""
     lines = [np.linspace(0, 2, 6), left, right]
     lines[0] = np.sort(np.append(lines[0], 1.0))
     heights = [np.linspace(0, 1, 4), np.linspace(1, 2, 3), np.linspace(1, 2, 4)]
@@ -178,10 +160,9 @@ def test_slave_and_master_divided_at_different_places(kind, end, between):
     marks |= {11: (1, at(1.0, 0, end)), 12: (1, at(1.0, end, 2))}
     tags = tag_facets(mesh, block, marks)
     V = fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    held = fem.locate_dofs_topological(V, 1, np.union1d(tags.find(1), tags.find(2)))
     both = [kind(tags, slave=20, master=11), kind(tags, slave=21, master=12)]
-    solid, bc = dm.Solid(fem.Function(V), dm.Elastic(E, NU)), fem.dirichletbc(np.zeros(2), held, V)
-    said = dm.ContactProblem(solid, both, bcs=[bc]).audit().warnings
+    bcs = [held(V, tags, 1), held(V, tags, 2)]
+    said = create_problem(V, both, bcs).audit().warnings
     said = [note for note in said if "divide slave and master at the same place" in note]
     assert len(said) == (between is not None)
     assert all(note.startswith(repr(both[between - 20])) for note in said)

@@ -18,6 +18,7 @@ from tests.cases.close_fits import create_pin, create_shrink_fit
 from tests.cases.meshes import BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
 from tests.cases.pressed_blocks import PressedBlocks
 from tests.cases.shells import MASTER, SLAVE, octants
+from tests.cases.two_bodies import create_problem, held
 from tests.test_smooth_contact import PEAK
 
 COMM = MPI.COMM_WORLD
@@ -127,23 +128,19 @@ def test_heights_that_are_known_too_little_are_told_of(swap, pressure):
 @pytest.mark.parametrize("cell", ["ring", "tetrahedron", "hexahedron"])
 @pytest.mark.parametrize("swap", [False, True])
 def test_what_heights_miss(cell, swap):
-    """It is the gap of sides that fit, at each node, the coarser or the finer one as slave."""
+    """It bounds the gaps of sides that fit, the coarser or the finer one as slave."""
     if cell == "ring":
         problem = create_shrink_fit((48, 36), swap, overlap=0.0).problem
     else:
         domain, tags = octants(COMM, (0.5, 1.0, 1.5), (4, 3), 1, cell)
         V = fem.functionspace(domain, ("Lagrange", 1, (3,)))
-        on = [fem.locate_dofs_topological(V.sub(i), 2, tags.find(5 + i)) for i in range(3)]
-        planes = [fem.dirichletbc(0.0, dofs, V.sub(i)) for i, dofs in enumerate(on)]
+        planes = [held(V, tags, 5 + i, 0.0, i) for i in range(3)]
         slave, master = (MASTER, SLAVE) if swap else (SLAVE, MASTER)
-        solid = dm.Solid(fem.Function(V), dm.Elastic(1.0, 0.3))
         contact = dm.Contact(tags, slave=slave, master=master)
-        problem = dm.ContactProblem(solid, [contact], bcs=planes)
+        problem = create_problem(V, [contact], planes)
     problem.update_geometry()
     (link,) = problem.system.links
-    found = [link.gaps(problem.positions()), resolution.missed_gaps(link, None)]
-    found.append(resolution._means(link, None, missed_heights))
-    gaps, missed, of_heights = (np.concatenate(COMM.allgather(part)) for part in found)
-    # but for the next order, facets being 1/8 and 2/5 of the radius long
-    error = (0.04 if cell == "ring" else 0.15) * np.abs(of_heights).max()
-    assert np.abs(missed - gaps).max() < error < np.abs(of_heights - gaps).max() / 2
+    found = [link.gaps(problem.positions()), resolution._means(link, None, missed_heights)]
+    gaps, missed = (np.concatenate(COMM.allgather(part)) for part in found)
+    # the change of normals over the distance is left out
+    assert np.abs(gaps).max() < 1.5 * np.abs(missed).max()

@@ -21,12 +21,7 @@ COMM = MPI.COMM_WORLD
 
 
 def bodies(cell, degree, swap=False, part="sides", surface="facets", friction=0.3, **options):
-    """Return the sides of two bodies in contact, the lower one as slave.
-
-    Args:
-        swap: The upper one.
-        part: "sides", whole "skins", "middles" of sides, or both as one that meets "itself".
-    """
+    """Return the sides of two bodies in contact, the lower one as slave."""
     names = "noise", "fixed", "weight", "slid", "loaded"
     own = {k: options.pop(k) for k in names if k in options}
     create, given = meshes.two_blocks, BLOCKS
@@ -50,12 +45,7 @@ def bodies(cell, degree, swap=False, part="sides", surface="facets", friction=0.
 
 
 def body(cell, degree, shape, surface=None, side=False, bow=0.0, **options):
-    """Return the upper side of a body, beside which some nodes are held, on a tool.
-
-    Args:
-        side: Whether another side belongs to it, which does not face the tool.
-        bow: How much lower the side is at x = 1 than at 0, in the plane.
-    """
+    """Return the upper side of a body, beside which some nodes are held, on a tool."""
     if cell == "triangle":
         case = Block(n=4 if degree == 1 else 3, size=1.0, fine=0.7, degree=degree)
         V, tags = case.V, case.facets
@@ -86,59 +76,48 @@ def at_an_end(X):
 
 
 def on_rollers(X):
-    """Hold the normal components where coordinates but the last one are zero."""
     return (np.abs(X) < 1e-9) & (np.arange(X.shape[1]) < X.shape[1] - 1)
 
 
 def bent(x):
-    """Bend both bodies, the upper one a little more."""
     rise = (x[:, 0] - 1.3) ** 2 + (x[:, 0] * x[:, 1] / 2 if x.shape[1] > 2 else 0.0)
     return moved(x, -np.where(x[:, -1] > 0.005, 0.22, 0.2) * rise)
 
 
 def arched(x):
-    """Bend both bodies about planes of symmetry."""
     return moved(x, -np.where(x[:, -1] > 0.005, 0.3, 0.25) * (x[:, :-1] ** 2).sum(axis=1))
 
 
 def inclined(x):
-    """Incline both bodies."""
     return moved(x, (x[:, :-1] - 0.5) @ np.tan(np.radians([30, -20]))[: x.shape[1] - 1])
 
 
 def overhanging(x):
-    """Raise a part of the upper body by little, and move it over the rest."""
     way = np.array([-0.4, 0.05] if x.shape[1] == 2 else [-0.8, 0.0, 0.05])
     return x + np.outer(beyond(x), way)
 
 
 def raised(x):
-    """Raise a part of the upper body by far."""
     return moved(x, (0.6 if x.shape[1] == 2 else 1.0) * beyond(x, 0.8))
 
 
 def sunk(x):
-    """Sink a part of the upper body beyond the middle of the lower one."""
     return moved(x, -0.8 * beyond(x))
 
 
 def beyond(x, in_space=0.5):
-    """Tell which points belong to a part of the upper body."""
     return (x[:, -1] > 0.005) & (x[:, 0] > (1.3 if x.shape[1] == 2 else in_space))
 
 
 def moved(x, rise):
-    """Return points whose last coordinate is larger."""
     return np.column_stack([x[:, :-1], x[:, -1] + rise])
 
 
 def around(x):
-    """Return the weight of rings."""
     return 2 * np.pi * x[..., 0]
 
 
 def disc_without_distance():
-    """Return a disc by a function whose gradient has the length 1 on its rim only."""
     c, unit = np.array([[0.3], [3.8]]), np.eye(2)[:, :, None]
     return dm.shapes.SignedDistance(
         lambda x: (((x - c) ** 2).sum(axis=0) - 16.0) / 8.0,
@@ -214,7 +193,6 @@ ROWS = [  # cell, degree, what it has to contain, options
 
 
 def created(cell, degree, options):
-    """Return a case."""
     return (body if "shape" in options else bodies)(cell, degree, **options)
 
 
@@ -233,10 +211,7 @@ def test_derivatives_are_those_of_forces_gaps_and_slips(cell, degree, contains, 
     [("triangle", {**SKINS, **BESIDE}), ("hexahedron", {**CORNER, "swap": True})],
 )
 def test_what_is_held_is_bounded_at_edges(cell, options):
-    """Measured: of forces .003 to .2 of the largest entry, of gaps 3e-6, of slips 7e-4.
-
-    They are off by the pressure times the change of normals, gaps by the distance times that.
-    """
+    """Measured: of forces .003 to .2 of the largest entry, of gaps 3e-6, of slips 7e-4."""
     with accurate():
         forces, gaps, slips, _ = created(cell, 1, options).errors(nullcontext)
     assert 1e-3 < forces < 0.3 and gaps < 1e-5 and slips < 1e-3
@@ -275,10 +250,7 @@ def test_sides_that_end_together_do_not_cut_each_other(cell):
 
 @pytest.mark.parametrize("cell", ["triangle", "tetrahedron", "hexahedron"])
 def test_derivatives_where_weights_fall_with_the_gap(cell, monkeypatch):
-    """From a gap of -1 on, so at all points; in space a bend of weights is integrated slowly.
-
-    Steps have one: there errors are 6e-3, 2e-3 with points for polynomials of degree 10 and 16.
-    """
+    """From a gap of -1 on, so at all points; in space a bend of weights is integrated slowly."""
     with accurate():
         assert max(created("tetrahedron", 1, STEP).errors()) < 4e-3
         reach = lambda slave, *_: np.tile([-1.0, 0.3], (len(slave.facets), 1))  # noqa: E731

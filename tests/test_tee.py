@@ -92,32 +92,6 @@ def test_a_coarse_joint(tmp_path):
     assert (DEMO / "result.png").stat().st_size < 200_000
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("friction", [pytest.param("0", marks=pytest.mark.nightly), "0.2"])
-def test_ranks_agree(friction, tmp_path):
-    options = ("--layers", "2", "--steps", "2", "--pull", "0.6", "--friction", friction)
-    found = [rows_of(tmp_path / str(n), *options, ranks=n)[0] for n in (1, 3)]
-    for rows in found:
-        check_balance(rows, 30e3)
-        for name in ("force", "bolt", "prying", "opening", "plastic_strain"):
-            values = np.array([row[name] for row in rows])
-            one = np.array([row[name] for row in found[0]])
-            assert np.abs(values - one).max() < 1e-6 * np.abs(one).max()
-
-
-@pytest.mark.slow
-def test_an_elastic_joint_without_preload_gains_half_the_pull_and_the_prying(tmp_path):
-    """Bolts that are hardly tightened follow the pull at once, and carry more than a half of it."""
-    options = ("--layers", "2", "--steps", "2", "--pull", "0.2", "--material", "elastic")
-    loose, _ = rows_of(tmp_path / "loose", *options, "--preload", "0.01")
-    tight, _ = rows_of(tmp_path / "tight", *options)
-    check_balance(loose, 10.0)
-    check_balance(tight, 30e3)
-    gained = [(rows[-1]["bolt"] - rows[0]["bolt"]) / rows[-1]["force"] for rows in (loose, tight)]
-    assert gained[0] > 0.5 and gained[1] < 0.2
-    assert tight[-1]["opening"] < loose[-1]["opening"]
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
     [

@@ -154,33 +154,6 @@ def test_a_side_that_leaves_the_box(folder):
     assert count == 1
 
 
-def test_a_failed_step_may_be_written_again(folder, monkeypatch):
-    """Tools are there once, also where the results could not be written after them."""
-    case = Block(n=4)
-    plane = case.tool(PLANE)
-
-    def fail(steps):
-        raise OSError("no")
-
-    with dm.Writer(folder / "out.xdmf", case.problem([plane])) as out:
-        with monkeypatch.context() as patch, pytest.raises(OSError, match="no"):
-            patch.setattr(out._file, "replace", fail)
-            out.write(1.0)
-        out.write(1.0)
-        plane.position.value[1] = 0.2
-        out.write(2.0)
-    found = read(folder / "out.tools.xdmf")
-    heights = {time: points[:, 1].mean() for time, (points, *_) in found.items()}
-    assert heights == pytest.approx({1.0: 0.1, 2.0: 0.2})
-
-
-def test_without_tools_there_is_no_file(folder):
-    with dm.Writer(folder / "out.xdmf", Block(n=2).problem([])) as out:
-        out.write(0.0)
-    COMM.barrier()
-    assert not list(folder.glob("*tools*"))
-
-
 @pytest.mark.serial
 @pytest.mark.parametrize(
     ("shape", "measure"),

@@ -8,7 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.cases.tool import BASE, DEPTH, ELASTIC, TOP, Block, Box, R
+from tests.cases.tool import BASE, DEPTH, ELASTIC, Block, Box, R
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi
@@ -21,7 +21,6 @@ class Held(Block):
     """A block whose base moves as a rigid body: by a vector, and by an angle about the origin."""
 
     def __init__(self, **options):
-        """Create it."""
         super().__init__(**options)
         self.base = fem.Function(self.V)
         self.X = self.V.tabulate_dof_coordinates()[:, :2]
@@ -42,7 +41,6 @@ class Pressed:
     """A body pressed by a tool; further steps are committed."""
 
     def __init__(self, case, shape, depth, mu=MU, law=SOFT, **options):
-        """Solve the first step."""
         self.case, self.tool = case, case.tool(shape, friction=mu)
         _, self.problem, _ = case.press(self.tool, depth, law=law, **options)
         self.problem.commit()
@@ -89,24 +87,6 @@ def test_a_tool_drags_the_side_along(geometry):
     assert tool.dissipation - spent == pytest.approx(0.05 * tool.force[0], rel=2e-3)
 
 
-@GEOMETRIES
-def test_what_is_carried_along_keeps_its_traction(geometry):
-    """Body and tool move alike, by far more than what would slip."""
-    pressed = bar(geometry=geometry)
-    tool = pressed.tool
-    tool.position.value[0] += 0.002
-    pressed.step()
-    force, status = tool.force.copy(), tool.status.x.array.copy()
-    step = np.array([0.3, -0.1 if geometry == "updated" else 0.0])
-    tool.position.value[:] += step
-    pressed.case.carry(by=step)
-    pressed.step()
-    assert tool.force == pytest.approx(force, rel=1e-7)
-    assert tool.status.x.array == pytest.approx(status)
-    assert np.abs(tool.step_slip.x.array).max() < 1e-9
-    assert tool.dissipation == pytest.approx(0.0, abs=1e-10)
-
-
 def test_a_turning_tool_carries_a_body():
     """Both turn by 40 degrees in a step, at finite strain: the forces turn with them."""
     pressed = bar(law=dm.NeoHooke(100.0, 0.3), strain="finite")
@@ -124,21 +104,6 @@ def test_a_turning_tool_carries_a_body():
     assert np.abs(tool.step_slip.x.array).max() < 1e-9
 
 
-def test_a_second_try_has_the_friction_of_the_first():
-    """Where the supports of nodes prescribe their slips, these count from the last commit alone."""
-    case = Block(n=6)
-    tool = case.tool(dm.shapes.Plane([0.0, 0.02], [0.0, -1.0]), friction=0.2)
-    problem, forces = case.problem([tool]), []
-    for place, tries in (((0.01, 0.0), 1), ((0.02, -0.01), 3)):
-        tool.position.value[:] = place
-        for _ in range(tries):
-            dm.newton(problem, rtol=1e-10)
-            forces.append(tool.force.copy())
-        problem.commit()
-    assert forces[2] == pytest.approx(forces[1], rel=1e-8)
-    assert forces[3] == pytest.approx(forces[1], rel=1e-8) and forces[1][0] > 0.0
-
-
 @pytest.mark.parametrize("early", [False, True])
 def test_a_step_ends_where_the_tool_was(early):
     """Set for the next step before the commit of this one: its slip counts all of that motion."""
@@ -153,44 +118,6 @@ def test_a_step_ends_where_the_tool_was(early):
     assert np.abs(pressed.slips()) == pytest.approx(0.04, rel=1e-2)
 
 
-def test_slips_on_a_tool_that_turns_and_slides_in_one_step():
-    """On frozen surfaces they are those of the rigid motion, of the turn to third order.
-
-    It turns about the middle of the side, but its point is far away and goes far.
-    """
-    case, turn, far = Held(n=3, size=1.0, fine=0.8), 0.01, 100.0
-    plane = dm.shapes.Plane([0.4, 0.0], [0.0, -1.0])
-    tool = case.tool(plane, friction=1e-9, reference=[0.5 + far, 0.0])
-    _, problem, _ = case.press(tool, law=SOFT, geometry="reference")
-    problem.commit()
-    before = case.u.x.array.copy()
-    tool.position.value[:] += far * np.array([np.cos(turn) - 1.0, np.sin(turn)])
-    tool.rotation.value = turn
-    dm.newton(problem, rtol=1e-10)
-    closed = tool.active.x.array > 0.0
-    way = (case.u.x.array - before).reshape(-1, 2) - tool.tool.way(case.X, case.X)
-    slip = tool.step_slip.x.array.reshape(-1, 2)
-    assert slip[closed, 0] == pytest.approx(way[closed, 0], abs=far * turn**3)
-    assert COMM.allreduce(int(closed.sum())) > 0
-
-
-def test_held_nodes_have_friction_with_a_tool_that_moves():
-    """They stand still, the tool slides over them: T = mu N; where both move alike, it stays."""
-    case = Held(n=3, size=1.0, fine=0.8)
-    given = fem.Constant(case.mesh, 0.0)
-    bcs = [*case.bcs(), case.hold(TOP, 0, given)]
-    case.bcs = lambda: bcs
-    pressed = Pressed(case, dm.shapes.Plane([0.4, 0.0], [0.0, -1.0]), 0.02)
-    tool = pressed.tool
-    assert np.abs(tool.force[0]) < 1e-12 * np.abs(tool.force[1])
-    tool.position.value[0] += 0.3
-    for alike in (0.0, 0.1):
-        given.value, tool.position.value[0] = alike, tool.position.value[0] + alike
-        pressed.step()
-        assert tool.force[0] == pytest.approx(MU * np.abs(tool.force[1]), rel=1e-9)
-        assert tool.tool_force == pytest.approx(-tool.force, rel=1e-14)
-
-
 # -- rollers
 
 
@@ -200,27 +127,10 @@ def roller(n, depth, **options):
     return Pressed(Held(n=n, fine=8.0), disc, depth, law=ELASTIC, **options)
 
 
-def test_a_roller_that_turns_in_place():
-    """All of its contact slips: mu N along the surface, a moment of mu N R about its axis."""
-    pressed = roller(40, 3 * DEPTH)
-    tool = pressed.tool
-    tool.rotation.value[...] = 0.05  # the side under it goes to the right
-    pressed.step()
-    assert tool.force[0] > 0.0
-    total = float(np.linalg.norm(tool.force)) / np.sqrt(1.0 + MU**2)
-    # normals pass through the axis, nodes within their gaps of the surface
-    assert tool.tool_moment[2] == pytest.approx(-MU * total * R, rel=5e-3)
-    assert (tool.status.x.array[tool.active.x.array > 0.0] == 2.0).all()
-
-
 @GEOMETRIES
 @pytest.mark.parametrize(("angle", "noted"), [(2.5, False), (4.0, True)])
 def test_a_roller_that_turns_far_in_a_step(angle, noted, geometry):
-    """All of it slips, by arcs: R times the angle to round-off, less what the side has moved.
-
-    Friction would act the other way beyond half a turn: noted, but on frozen surfaces, where slips
-    have no limit.
-    """
+    """All of it slips, by arcs: R times the angle to round-off, less what the side has moved."""
     pressed = roller(12, 6 * DEPTH, geometry=geometry)
     case, tool = pressed.case, pressed.tool
     before = case.u.x.array.copy()
@@ -245,10 +155,7 @@ def test_a_roller_that_turns_far_in_a_step(angle, noted, geometry):
 
 
 def test_in_space_a_disc_of_slip():
-    """A plane that turns about its normal drags a box around, without a resultant.
-
-    There slips are chords: noted where these are too short.
-    """
+    """A plane that turns about its normal drags a box around, without a resultant."""
     case = Box()
     pressed = Pressed(case, dm.shapes.Plane([0.5, 0.5, 1.0], [0.0, 0.0, -1.0]), 0.02)
     tool = pressed.tool
@@ -266,3 +173,21 @@ def test_in_space_a_disc_of_slip():
     tool.rotation.value[2] += 0.8
     (told,) = [note for note in pressed.step().notes if "about normals" in note]
     assert "46 degrees" in told
+
+
+def test_slips_on_a_tool_that_turns_and_slides_in_one_step():
+    """On frozen surfaces they are those of the rigid motion, of the turn to third order."""
+    case, turn, far = Held(n=3, size=1.0, fine=0.8), 0.01, 100.0
+    plane = dm.shapes.Plane([0.4, 0.0], [0.0, -1.0])
+    tool = case.tool(plane, friction=1e-9, reference=[0.5 + far, 0.0])
+    _, problem, _ = case.press(tool, law=SOFT, geometry="reference")
+    problem.commit()
+    before = case.u.x.array.copy()
+    tool.position.value[:] += far * np.array([np.cos(turn) - 1.0, np.sin(turn)])
+    tool.rotation.value = turn
+    dm.newton(problem, rtol=1e-10)
+    closed = tool.active.x.array > 0.0
+    way = (case.u.x.array - before).reshape(-1, 2) - tool.tool.way(case.X, case.X)
+    slip = tool.step_slip.x.array.reshape(-1, 2)
+    assert slip[closed, 0] == pytest.approx(way[closed, 0], abs=far * turn**3)
+    assert COMM.allreduce(int(closed.sum())) > 0

@@ -39,7 +39,6 @@ class Turned:
         self.solid = self.problem.solid
 
     def turn(self, angle):
-        """Prescribe the ends at a rotation from X."""
         self.ends.interpolate(lambda x: (rotation(angle) - np.eye(2)) @ x[:2])
 
     def walk(self, degrees, also=lambda angle: None):
@@ -54,7 +53,6 @@ class Turned:
         return [step.report for step in walk]
 
     def along(self, angle):
-        """Return the force of the bolt along its axis, which has turned."""
         return float(self.tie.force @ rotation(angle) @ [0.0, -1.0])
 
 

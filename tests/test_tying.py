@@ -103,10 +103,7 @@ def slow(*row):
     ],
 )
 def test_orders(cell, degree, curved, slave, sizes):
-    """Degree + 1 in L2, degree in H1, on flat sides and on isoparametric cells of an arc.
-
-    Also of tetrahedra of second order, though only constants are in the space of multipliers.
-    """
+    """Degree + 1 in L2, degree in H1, on flat sides and on isoparametric cells of an arc."""
     errors = np.array([solve_smooth(n, slave, cell, degree, curved) for n in sizes])
     orders = np.log2(errors[0] / errors[1]) / np.log2(sizes[1] / sizes[0])
     margin = 0.15 if cell in CELLS[:2] else 0.2

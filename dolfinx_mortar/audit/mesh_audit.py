@@ -50,9 +50,11 @@ def check_mesh(mesh: Mesh) -> None:
     cells = _own_cells(mesh, kind)
     bad = ~np.isfinite(cells.x).all(axis=(0, 1))
     _reject(cells, bad, "have coordinates that are NaN or infinite", "check the mesh")
+    # two points per edge of tensor cells, three for degree 2
+    exact = 3 * degree - 2 if kind in SIMPLICES else 2 * degree + 1
+    points, _ = map(np.asarray, basix.make_quadrature(basix.CellType[kind], exact))
     with np.errstate(under="ignore"):
-        noise = _round_off(cells.x)
-        J = jacobians(cells.x, kind, _points(kind, degree), degree)
+        noise, J = _round_off(cells.x), jacobians(cells.x, kind, points, degree)
     collapsed = (np.abs(J) <= noise).all(axis=0)
     _reject(cells, collapsed, "have collapsed, without volume", "remesh there")
     order = "the nodes of a cell are in dolfinx's order (a tensor product, not around it)"
@@ -75,22 +77,7 @@ def jacobians(x: Floats, kind: str, points: Floats, degree: int = 1) -> Floats:
     cell, variant = basix.CellType[kind], basix.LagrangeVariant.equispaced
     element = basix.create_element(basix.ElementFamily.P, cell, degree, variant)
     slopes = np.asarray(element.tabulate(1, points))[1:, :, :, 0]  # (d, q, k)
-    return _determinants([np.tensordot(slope, x, 1) for slope in slopes])
-
-
-def _points(kind: str, degree: int) -> Floats:
-    exact = 3 * degree - 2 if kind in SIMPLICES else 2 * degree + 1
-    points, _ = basix.make_quadrature(basix.CellType[kind], exact)
-    return np.asarray(points)
-
-
-def _determinants(vectors: list[Floats]) -> Floats:
-    components = [np.moveaxis(v, -2, 0) for v in vectors]
-    if len(vectors) == 2:
-        (a, b), (c, d) = components
-        return np.asarray(a * d - b * c)
-    (a, b, c), (d, e, f), (g, h, i) = components
-    return np.asarray((b * f - c * e) * g + (c * d - a * f) * h + (a * e - b * d) * i)
+    return np.asarray(np.linalg.det(np.einsum("dqk,kin->qndi", slopes, x)))
 
 
 def _round_off(x: Floats) -> Floats:
@@ -116,7 +103,7 @@ def _beside_neighbour(cells: _Cells) -> Bools:
     topology.create_connectivity(d, d - 1)
     x, nodes = cells.x[: d + 1], cells.nodes[: d + 1]
     # facet i lacks vertex i, which moves to the end
-    sides = np.tile(np.sign(_determinants([x[i] - x[0] for i in range(1, d + 1)])), (d + 1, 1))
+    sides = np.tile(np.sign(np.linalg.det((x[1:] - x[0]).transpose(2, 0, 1))), (d + 1, 1))
     for i, j in combinations(range(d + 1), 2):
         ordered = np.where(nodes[i] < nodes[j], 1.0, -1.0)
         sides *= ordered

@@ -15,7 +15,7 @@ from dolfinx.mesh import Mesh, MeshTags, meshtags
 from dolfinx_mortar import compat
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import raised_together, sums_at_nodes
-from dolfinx_mortar.arguments import check, is_number
+from dolfinx_mortar.arguments import POSITIVE, check, check_optional, instance
 from dolfinx_mortar.arrays import Ints, Longs
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from dolfinx_mortar.audit.sides import Candidates, choose_roles
@@ -34,7 +34,7 @@ from dolfinx_mortar.mortar.facing_bodies import (
 from dolfinx_mortar.mortar.surface import find_boundary
 from dolfinx_mortar.spaces import check_space
 from dolfinx_mortar.supports.bodies import find_bodies
-from dolfinx_mortar.tags import Tags, check_entities, names_of
+from dolfinx_mortar.tags import Tags, check_entities, names_of, tags_of
 
 REFINE = "so they are not constrained there; refine around them, so that it matters less"
 
@@ -129,8 +129,7 @@ def find_pairs(
             invalid options; a single connected body; and if there is no pair, with the nearest
             distance.
     """
-    if not isinstance(mesh, Mesh):
-        raise ValueError(f"mesh is {mesh!r}: give a dolfinx.mesh.Mesh of all bodies")
+    check("mesh", mesh, instance(Mesh, "give a dolfinx.mesh.Mesh of all bodies"))
     given = {"within": within, "surface": surface, "feature_angle": feature_angle}
     options = {"friction": friction, "tresca": tresca, "show": show}
     check_same_on_all_ranks(mesh.comm, cell_tags=cell_tags, **given, **options)
@@ -157,18 +156,12 @@ def _check(mesh: Mesh, cell_tags: Any, within: Any, surface: Any) -> None:
         )
     degree, d = compat.cell_degree(mesh), mesh.geometry.dim
     check_space(fem.functionspace(mesh, ("Lagrange", degree, (d,))), "mesh")
-    if within is not None and not (is_number(within) and within > 0.0):
-        raise ValueError(
-            f"within is {within!r}: give a positive distance in the units of the mesh, or None for "
-            "the diameter of a facet"
-        )
+    remedy = (
+        "give a positive distance in the units of the mesh, or None for the diameter of a facet"
+    )
+    check_optional("within", within, POSITIVE, remedy)
     check("surface", surface, SURFACES)
-    if cell_tags is None:
-        return
-    if not isinstance(cell_tags, MeshTags) or cell_tags.dim != mesh.topology.dim:
-        raise ValueError(f"cell_tags is {cell_tags!r}: give a dolfinx.mesh.MeshTags of cells")
-    if not compat.on_same_mesh(cell_tags, mesh):
-        raise ValueError("cell_tags belong to another mesh than mesh: give those of mesh")
+    check_optional("cell_tags", cell_tags, tags_of(mesh, mesh.topology.dim))
 
 
 def _tags_of_cells(mesh: Mesh, cell_tags: MeshTags | None) -> Longs:

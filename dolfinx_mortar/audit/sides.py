@@ -216,7 +216,7 @@ class InterfaceAudit:
     largest_gap: float  # not-a-number without a master or tool
     edges: Edges | None = None  # of smooth surfaces
     reach: TieReach | None = None
-    unheld: str | None = None  # slave facets whose multipliers Dirichlet data prevent
+    unheld: int = 0  # slave facets whose multipliers Dirichlet data prevent
     meets_itself: bool = False
 
     def __str__(self) -> str:
@@ -244,9 +244,9 @@ def audit_sides(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     sides, kept = link.sides, link.coupling.kept.any(axis=1)
     covered = link.coupling.coverage.faces | kept
     gap = link.gaps(x)[kept]
-    least, largest = maximum(
-        sides.V.mesh.comm, (-gap).max(initial=-np.inf), gap.max(initial=-np.inf)
-    )
+    x = np.abs(sides.V.mesh.geometry.x).max(initial=0.0)
+    both = (-gap).max(initial=-np.inf), gap.max(initial=-np.inf)
+    least, largest, size = maximum(sides.V.mesh.comm, *both, x)
     itself = link.sides.meet_themselves
     counts = sides.V.mesh.comm.allreduce(
         np.array(
@@ -265,8 +265,7 @@ def audit_sides(link: Link, x: PETSc.Vec) -> InterfaceAudit:
     lengths = [mean_facet_length(s) for s in sides.surfaces]
     ratio = float(lengths[0] / lengths[-1])
     # round-off of coordinates is no gap
-    x = np.abs(sides.V.mesh.geometry.x).max(initial=0.0)
-    size = ROUND_OFF * max(float(lengths[0]), float(maximum(sides.V.mesh.comm, x)[0]))
+    size = ROUND_OFF * max(float(lengths[0]), float(size))
     if sides.hold:
         least = largest = np.nan
     ends = [0.0 if abs(end) < size or np.isinf(end) else float(end) for end in (-least, largest)]
@@ -275,7 +274,7 @@ def audit_sides(link: Link, x: PETSc.Vec) -> InterfaceAudit:
         own = np.sum([side.edges for side in link.pattern.smooth], axis=0)
         nodes, without = sides.V.mesh.comm.allreduce(own)
         edges = Edges(link.interface.feature_angle, int(nodes), int(without))
-    row = *map(int, counts), ratio, *ends, edges, _measure_reach(link), _find_unheld(link), itself
+    row = *map(int, counts), ratio, *ends, edges, _measure_reach(link), _count_unheld(link), itself
     return InterfaceAudit(repr(link.interface), *row)  # type: ignore[arg-type]
 
 
@@ -318,19 +317,15 @@ def _measure_reach(link: Link) -> TieReach | None:
     return TieReach(float(farthest), float(share), count)
 
 
-def _find_unheld(link: Link) -> str | None:
-    """Slave facets without a multiplier that meet several master facets; collective."""
+def _count_unheld(link: Link) -> int:
+    """Number of slave facets without a multiplier that meet several master facets; collective."""
     if not link.pairing:
-        return None
-    slave, segments = link.sides.slave, link.mortar[1].segments
+        return 0
+    segments = link.mortar[1].segments
     bare = link.prescribed_facets()
     met = np.unique(np.column_stack([segments.slave, segments.master]), axis=0)[:, 0]
     bare &= np.bincount(met, minlength=len(bare)) > 1
-    places = slave.X[slave.facets[bare]].mean(axis=1)
-    found = [tuple(place) for own in link.sides.V.mesh.comm.allgather(places) for place in own]
-    if not found:
-        return None
-    return f"{len(found)} slave facets (one around ({', '.join(f'{c:.4g}' for c in min(found))}))"
+    return int(link.sides.V.mesh.comm.allreduce(int(bare.sum())))
 
 
 def warn(link: Link, found: InterfaceAudit, u: fem.Function | None) -> list[str]:
@@ -393,10 +388,11 @@ def _warnings(i: InterfaceAudit) -> list[str]:
         )
     if i.dirichlet_nodes:
         remedy = "let the other side be the slave, or prescribe fewer components there"
-        if i.unheld is not None:
+        if i.unheld:
             remedy = (
-                f"{i.unheld} have no multiplier at all, and the master is not held to them: let "
-                "the finer side be the slave, or mesh so that each of its facets has a free node"
+                f"{i.unheld} slave facets have no multiplier at all, and the master is not held to "
+                "them: let the finer side be the slave, or mesh so that each of its facets has a "
+                "free node"
             )
         warnings.append(
             f"{i.name}: at {i.dirichlet_nodes} slave nodes that face the master, Dirichlet data "
@@ -439,21 +435,18 @@ def warnings_on_straight_facets(link: Link, u: fem.Function | None = None) -> li
 
 
 def _mirrors(link: Link) -> list[str]:
-    warnings = []
+    """Warn for each side whose normals at mirrors are bent by over 5 %; collective."""
+    warnings, comm = [], link.sides.V.mesh.comm
     names = ("slave",) if link.sides.meet_themselves else ("slave", "master")
     judged = link.sides.judged
     for name, side, (mirrors, tilt) in zip(names, link.sides.surfaces, judged, strict=False):
         sines = np.where(mirrors, np.abs(tilt), 0.0).max(axis=1)[: side.owned]
-        own = np.flatnonzero(sines > 0.25 * SPOILT)
-        places = [(float(sines[j]), *map(float, side.X[j])) for j in own]
-        found = [place for part in link.sides.V.mesh.comm.allgather(places) for place in part]
-        if found:
-            sine, *place = max(found)
-            where = ", ".join(f"{x:.4g}" for x in place)
+        count = comm.allreduce(int((sines > 0.25 * SPOILT).sum()))
+        angle = np.degrees(np.arcsin(min(maximum(comm, sines.max(initial=0.0))[0], 1.0)))
+        if count:
             warnings.append(
-                f"{link.interface}: at {len(found)} nodes of its {name} side, such as the one at "
-                f"({where}), a support is taken for a plane of symmetry, although facets there "
-                f"tell of an angle {np.degrees(np.arcsin(min(sine, 1.0))):.2g} degrees off the "
-                "right one: refine there, the more so if it is none"
+                f"{link.interface}: at {count} nodes of its {name} side a support is taken for a "
+                f"plane of symmetry, although facets there tell of an angle {angle:.2g} degrees "
+                "off the right one: refine there, the more so if it is none"
             )
     return warnings

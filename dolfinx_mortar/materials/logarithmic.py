@@ -41,6 +41,7 @@ from dolfinx_mortar.materials.tensor import (
     stored,
     tensor_of,
     to_components,
+    von_mises,
 )
 from ufl.core.expr import Expr
 
@@ -129,30 +130,27 @@ class LogarithmicLaw:
                 psi[some] = np.where(np.isnan(x[:, 0]), np.inf, found[:, -1])
 
     def find_normal(self, start: Start, H: Floats) -> None:
-        """Set H_zz for P_zz = 0, NaN if the law is undefined; a ValueError without a root."""
-        k = len(self.components)
-        c = self.components.index((2, 2))
-        last = _upper(k).index((c, c))
+        """Set H_zz of q points such that P_zz = 0, NaN where the law is undefined.
+
+        Raises:
+            ValueError: where it is not found.
+        """
 
         def equation(points: Ints, z: Floats) -> Floats:
             trial = H[points]
             trial[:, 2, 2] = z[:, 0]
             P, A, _ = self._evaluate(start.at(points), trial)
             stiffest, norm = np.abs(A).max(axis=1, initial=0.0), np.linalg.norm(P, axis=1)
-            return np.stack([P[:, c], A[:, last], stiffest, norm], axis=1)[:, None]
+            return np.stack([P[:, -1], A[:, -1], stiffest, norm], axis=1)[:, None]
 
         H[:, 2, 2] = solve_normal_strain(self.law.name, equation, (len(H), 1), finite=True)[:, 0]
 
     def condense(self, P: Floats, A: Floats) -> None:
-        """Convert stress and tangent to plane stress, in place."""
-        k, c = len(self.components), self.components.index((2, 2))
-        number = {pair: t for t, pair in enumerate(_upper(k))}
-        with_normal = [A[:, number[min(a, c), max(a, c)]].copy() for a in range(k)]
-        for (a, b), t in number.items():
-            A[:, t] -= with_normal[a] * with_normal[b] / with_normal[c]
-            if c in (a, b):
-                A[:, t] = 0.0
-        P[:, c] = 0.0
+        """Convert stress and tangent of `respond` to plane stress, in place."""
+        a, b = np.triu_indices(len(self.components))
+        normal = A[:, b == b[-1]]  # of each component, zz is the last
+        A -= normal[:, a] * normal[:, b] / normal[:, -1:]
+        A[:, b == b[-1]], P[:, -1] = 0.0, 0.0
 
     def update(self, start: Start, H: Floats) -> dict[str, Floats]:
         """New internal variables, (q,) or (q, 3, 3)."""
@@ -181,11 +179,11 @@ class LogarithmicLaw:
         share = np.zeros(len(H))
         for some in () if self.multiplicative else _chunks(len(H)):
             _, logs, N, _, _ = self._decompose(start, H[some], some)
-            T = tensor_of(self._inner.moduli(start, some, logs, N)[:, : len(self._pairs)])
+            T = self._inner.moduli(start, some, logs, N)[:, : len(self._pairs)]
             P, A, _ = self._evaluate(start.at(some), H[some])
             tau, _ = as_tensors(P, A, self.components)
             tau += tau @ np.swapaxes(H[some], 1, 2)
-            inner, outer = (_deviator(stress) for stress in (T, tau))
+            inner, outer = von_mises(T), von_mises(stored(tau))
             share[some] = 1 - np.divide(outer, inner, out=np.ones_like(inner), where=inner > 0.0)
         return share
 
@@ -208,25 +206,13 @@ def as_tensors(
 ) -> tuple[Floats, Floats]:
     """P (q, 3, 3) and dP/dF (q, 3, 3, 3, 3) of components and the upper triangle."""
     stress, tangent = np.zeros((len(P), 3, 3)), np.zeros((len(P), 3, 3, 3, 3))
-    for n, entry in enumerate(components):
-        stress[:, *entry] = P[:, n]
-    for t, (a, b) in enumerate(_upper(len(components))):
-        first, second = components[a], components[b]
-        tangent[:, *first, *second] = tangent[:, *second, *first] = A[:, t]
+    entries, (a, b) = np.array(components).T, np.triu_indices(len(components))
+    stress[:, *entries] = P
+    tangent[:, *entries[:, a], *entries[:, b]] = tangent[:, *entries[:, b], *entries[:, a]] = A
     return stress, tangent
 
 
-def _deviator(tensors: Floats) -> Floats:
-    """Norm (q,) of the deviators of tensors (q, 3, 3)."""
-    mean = np.trace(tensors, axis1=1, axis2=2)[:, None, None] / 3
-    return np.asarray(np.linalg.norm(tensors - mean * np.eye(3), axis=(1, 2)))
-
-
 _NONE = np.zeros((1, 3, 3))
-
-
-def _upper(k: int) -> list[tuple[int, int]]:
-    return [(a, b) for a in range(k) for b in range(a, k)]
 
 
 def _chunks(q: int) -> list[slice]:
@@ -237,7 +223,8 @@ def _answers(
     law: Law, size: int
 ) -> tuple[Sequence[tuple[int, int]], list[tuple[int, int, int, int]]]:
     pairs = INDEX[:size]
-    ways = [ab for ab in _upper(size) if not law.isotropic or ab[1] < 3 or ab[0] == ab[1]]
+    ways = [(a, b) for a in range(size) for b in range(a, size)]
+    ways = [(a, b) for a, b in ways if b < 3 or a == b or not law.isotropic]
     return pairs[: 3 if law.isotropic else size], [(*pairs[a], *pairs[b]) for a, b in ways]
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arrays import Floats
-from dolfinx_mortar.interfaces.interface import Interface
 from dolfinx_mortar.mortar.passing import (
     Middles,
     Passing,
@@ -62,8 +61,21 @@ CORNERS = (
     "its own tag and Obstacle with one face of the tool, or round the corner of the tool by a "
     "radius of a quarter of a facet to a whole one"
 )
+WITHOUT_EFFECT = (
+    "Dirichlet data prescribe all nodes of its slave side and move them through the master: no "
+    "slave node has a multiplier, so that the contact has no effect; let the other side be the "
+    "slave"
+)
 HARDEN = "or give the law hardening"
-# Blocks of MooneyRivlin buckle at a height of .62 with quadrilaterals of degree 2, exactly at .54.
+NO_POTENTIAL = "has no potential, so that steps are whole, without a line search, or fail: take "
+NO_POTENTIAL += "smaller load steps"
+CLOSED = "closed=True of a Pressure holds where the surface is closed, or its edges are held or "
+CLOSED += (
+    "slide in planes through the origin, with a uniform p: say it there, and elsewhere leave it "
+)
+CLOSED += "out"
+# Blocks of MooneyRivlin (NeoHooke), K/mu = 500, between smooth plates become unstable at a height
+# of .62 (.64) with quadrilaterals of degree 2, of .54 as a continuum.
 BY_THEMSELVES = (
     "Under compression by 30 % or more, cells of degree 2 with volumetric='reduced' may buckle "
     "by themselves, in waves as long as cells: compare with cells of degree 1 or, where the law is "
@@ -143,25 +155,13 @@ def is_loaded(problem: ContactProblem) -> bool:
 
 
 def _pressures(problem: ContactProblem) -> list[str]:
-    told, where = [], "where the surface is closed, or its edges are held or slide in planes "
-    where += "through the origin"
-    for name, term in problem.terms.named:
-        if not isinstance(term, Pressure) or term.has_potential(~problem.supports.owned):
-            continue
-        if term.energy() is None:
-            remedy = (
-                "" if problem.solid.kinematics.plane_stress else f", or say closed=True {where}"
-            )
-            told.append(
-                f"{name}, has no potential, so that steps are whole, without a line search: take "
-                f"smaller load steps{remedy}"
-            )
-        else:
-            told.append(
-                f"{name}: closed=True holds {where}, with a uniform p, and does not hold "
-                "here: leave it out"
-            )
-    return told
+    free = ~problem.supports.owned
+    told = [
+        f"{name}, {NO_POTENTIAL}"
+        for name, term in problem.terms.named
+        if isinstance(term, Pressure) and not term.has_potential(free)
+    ]
+    return [*told, CLOSED] if told and not problem.solid.kinematics.plane_stress else told
 
 
 def _own_laws(problem: ContactProblem) -> str:
@@ -228,38 +228,23 @@ def describe_passing(problem: ContactProblem) -> str:
         else:
             found = find_passed_tool(side, began, problem.u, tool.seen())
         if found is not None:
-            at = [float(f"{x:.4g}") for x in found.place]
-            if found.surface is None:
-                return f"{interface}: {_through_tool(found, at)}"
-            name = "master" if found.surface is side.surface else "slave"
-            if not any_rank(problem.comm, not sides.fixed[sides.nodes].all())[0]:
-                raise ValueError(_without_effect(interface, sides.slave.label))
-            return (
-                f"{interface}: the {name} side has passed through the other one, at "
-                f"{found.count} facets, such as the one that began around {at}; no step may bring "
-                f"the middle of a body, {found.depth:.3g} behind that facet, into the other body"
-            )
+            free = tool is not None or not sides.fixed[sides.nodes].all()
+            if not any_rank(problem.comm, free)[0]:
+                raise ValueError(f"{interface}: {WITHOUT_EFFECT}")
+            return f"{interface}: {_describe(found, found.surface is side.surface)}"
     return ""
 
 
-def _without_effect(interface: Interface, slave: str) -> str:
+def _describe(found: Passing, master: bool) -> str:
+    at, who = [float(f"{x:.4g}") for x in found.place], "the side has passed through the tool"
+    if found.surface is not None:
+        who = f"the {'master' if master else 'slave'} side has passed through the other one"
+    elif not found.count:
+        who = "the tool has passed through the side"
     return (
-        f"{interface}: Dirichlet data prescribe all nodes of slave={slave} and move them through "
-        "the master: no slave node has a multiplier, so that the contact has no effect; let the "
-        "other side be the slave"
-    )
-
-
-def _through_tool(found: Passing, at: list[float]) -> str:
-    if not found.count:
-        return (
-            f"the tool has passed through the side, as has its point, which began around {at}; no "
-            f"step may bring that point, {found.depth:.3g} deep in the tool, into the body"
-        )
-    return (
-        f"the side has passed through the tool, at {found.count} facets, such as the one that began"
-        f" around {at}; no step may bring the middle of the body, {found.depth:.3g} behind that "
-        "facet, into the tool"
+        f"{who}, at {found.count or 'no'} facets, such as what began around {at}; no step may "
+        "bring the middle of a body, or the point of a tool, "
+        f"{found.depth:.3g} behind that place, into the other one"
     )
 
 

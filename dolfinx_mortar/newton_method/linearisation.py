@@ -15,7 +15,7 @@ import numpy as np
 from dolfinx.mesh import Mesh
 from dolfinx_mortar.algebra.congruence import CongruentOperator, OperatorOfBases, as_aij
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, Actives, Floats, Ints
+from dolfinx_mortar.arrays import Actives, Floats, Ints
 from dolfinx_mortar.interfaces.basis import Transformation
 from dolfinx_mortar.interfaces.constraints import Constraints, SlipLimits, equalities, join
 from dolfinx_mortar.interfaces.link import Link
@@ -268,71 +268,27 @@ def linearise_all(
     return Linearisation(replace(qp, definite=False, near=near), balance, diagonal, found)
 
 
-class Corrections:
-    """Parts v of the gap rows that T_g neglects, by Anderson mixing of QP solutions.
+def corrected(lin: Linearisation, solved: QPSolution) -> tuple[Linearisation, float]:
+    """QP with the parts of gap rows that T_g neglects, at a solution; collective.
 
-    For a given active set the fixed point is affine.
+    Returns:
+        The QP of the exact tangent with corrected bounds, and the largest force by their change.
     """
-
-    def __init__(self) -> None:
-        self.given: Floats | None = None  # v of the last QP, (n,)
-        self.sets: list[Actives] = []
-        self.weights: list[Floats] = []  # (n,) stiffness of active bounds, else 0
-        self.found: list[Floats] = []  # v at the solutions
-        self.changes: list[Floats] = []  # differences to the v of their QPs
-
-    def apply(self, lin: Linearisation, solved: QPSolution) -> tuple[Linearisation, float]:
-        """QP with the next v, and the largest force by a change of a bound; collective."""
-        assert lin.geometry is not None
-        dofs, bounds, comm = lin.balance.bounds.dofs, lin.balance.bounds, lin.qp.comm
-        closing = lin.geometry.closing(to_displacement(lin.geometry.trial, solved.x))
-        found = np.where(closing != 0.0, closing - solved.x.array_r, 0.0)
-        change = found if self.given is None else found - self.given
-
-        law, acting = lin.qp.friction, dofs[solved.active > 0]
-        if law is not None:
-            slips = law.some & law.acts(solved.active[law.normal] > 0)[:, None]
-            acting = np.concatenate([acting, law.tangential[slips]])
-        weight = np.zeros_like(found)
-        weight[acting] = np.abs(lin.diagonal.array_r[acting])
-        largest = float(maximum(comm, np.abs(weight * change).max(initial=0.0))[0])
-
-        self.sets.append(solved.active.copy())
-        self.weights.append(weight)
-        self.found.append(found)
-        self.changes.append(change)
-        others = any_rank(comm, *(not np.array_equal(one, solved.active) for one in self.sets))
-        since = int(np.argmin(others))
-        mixed = self.found[since:], self.changes[since:], np.max(self.weights[since:], axis=0)
-        given = self.given = least_change(comm, *mixed)
-
-        upper = lin.qp.upper.copy()
-        upper.array[dofs] = np.minimum(bounds.upper - given[dofs], PETSc.INFINITY)
-        if law is not None and lin.balance.limits is not None:
-            law = replace(law, rest=-lin.balance.limits.slip - law.pick(given))
-        return replace(lin, qp=replace(lin.qp, upper=upper, friction=law)), largest
-
-
-def least_change(
-    comm: MPI.Comm, found: Sequence[Floats], changes: Sequence[Floats], weight: Floats
-) -> Floats:
-    """Sum of a_i found_i, sum a_i = 1, of the least |weight sum a_i changes_i|; collective.
-
-    Anderson mixing; found_i is the image of found_i - changes_i.
-
-    >>> change = [np.array([x]) for x in (1.0, -3.0)]  # f(v) = 1 - 3 v at 0 and 1
-    >>> found = [np.array([1.0]), np.array([-2.0])]
-    >>> least_change(MPI.COMM_SELF, found, change, np.ones(1)).tolist()
-    [0.25]
-    """
-    last, *before = reversed(changes)
-    if not before:
-        return found[-1]
-    ways = np.stack([weight * (change - last) for change in before])
-    sums = comm.allreduce(ways @ np.column_stack([ways.T, weight * last]), op=MPI.SUM)
-    shares = np.linalg.lstsq(sums[:, :-1], -sums[:, -1], rcond=QUARTER_OF_DIGITS)[0]
-    newest, *older = reversed(found)
-    return np.asarray(newest + shares @ np.stack([one - newest for one in older]))
+    assert lin.geometry is not None
+    dofs, bounds, comm = lin.balance.bounds.dofs, lin.balance.bounds, lin.qp.comm
+    closing = lin.geometry.closing(to_displacement(lin.geometry.trial, solved.x))
+    found = np.where(closing != 0.0, closing - solved.x.array_r, 0.0)
+    law, acting = lin.qp.friction, dofs[solved.active > 0]
+    if law is not None:
+        slips = law.some & law.acts(solved.active[law.normal] > 0)[:, None]
+        acting = np.concatenate([acting, law.tangential[slips]])
+    force = np.abs(lin.diagonal.array_r[acting] * found[acting])
+    largest = float(maximum(comm, force.max(initial=0.0))[0])
+    upper = lin.qp.upper.copy()
+    upper.array[dofs] = np.minimum(bounds.upper - found[dofs], PETSc.INFINITY)
+    if law is not None and lin.balance.limits is not None:
+        law = replace(law, rest=-lin.balance.limits.slip - law.pick(found))
+    return replace(lin, qp=replace(lin.qp, upper=upper, friction=law)), largest
 
 
 def _law(limits: SlipLimits, bounds: Constraints, n: int) -> Friction:

@@ -26,8 +26,8 @@ from dolfinx_mortar.newton_method.contacts import (
 )
 from dolfinx_mortar.newton_method.linearisation import (
     Balance,
-    Corrections,
     Linearisation,
+    corrected,
     linearise,
     linearise_all,
     support_slots,
@@ -45,8 +45,6 @@ STABLE = 1e-2
 # Multiples of the elastic stiffness added to an indefinite tangent: a column needs about the strain
 # times (length / thickness)^2.
 SHIFTS = 0.01, 1000.0
-# Corrections of a QP for neglected parts of gap rows; more save no iterations.
-CORRECTIONS = 3
 
 
 @dataclass(frozen=True)
@@ -213,12 +211,10 @@ class Subproblem:
             linear=self.solver,
         )
         lin = self.with_scalars(lin, old)
-        rtol, corrections = self.accuracy(lin, residuals), Corrections()
+        rtol = self.accuracy(lin, residuals)
         solved = self.solve_qp(lin, old.start, old, rtol)
-        for _ in range(CORRECTIONS):
-            lin, left = corrections.apply(lin, solved)
-            if left <= DIGIT * residuals[-1].limit:
-                break
+        lin, left = corrected(lin, solved)
+        if left > DIGIT * residuals[-1].limit:
             last, guess = solved, None if self.solver.direct else solved.x
             solved = self.solve_qp(lin, solved.active, old, rtol, guess)
             solved = replace(

@@ -56,7 +56,7 @@ def check_arguments(
     sides = _check_interfaces(_as_list("interfaces", given))
     if sides:
         _check_weight(solid)
-    conditions = _check_conditions(_as_list("bcs", conditions), solid.V)
+    conditions = check_conditions("bcs", _as_list("bcs", conditions), solid.V)
     finite = np.isfinite(solid.V.mesh.geometry.x).all()
     if any_rank(solid.V.mesh.comm, not finite)[0]:
         raise ValueError("the mesh's coordinates hold NaN or infinity; check the mesh")
@@ -130,18 +130,20 @@ def _check_weight(solid: Solid) -> None:
         solid.kinematics.weights_at(x)
 
 
-def _check_conditions(bcs: Sequence[Any], V: fem.FunctionSpace) -> list[fem.DirichletBC]:
+def check_conditions(name: str, bcs: Sequence[Any], V: fem.FunctionSpace) -> list[fem.DirichletBC]:
+    """Checked Dirichlet conditions on V."""
     for bc in bcs:
-        check("bcs: one", bc, instance(fem.DirichletBC, "make it with dolfinx.fem.dirichletbc"))
+        remedy = "make it with dolfinx.fem.dirichletbc"
+        check(f"{name}: one", bc, instance(fem.DirichletBC, remedy))
         space = bc.function_space
         if not V._cpp_object.contains(getattr(space, "_cpp_object", space)):
             raise ValueError(
-                "bcs holds a condition on another space than that of solid.u: make it on "
+                f"{name} holds a condition on another space than that of solid.u: make it on "
                 "u.function_space or a component, u.function_space.sub(i)"
             )
         if not type(bc._cpp_object).__name__.endswith("float64"):
             raise ValueError(
-                "bcs holds a condition with values that are not real: give numbers, "
+                f"{name} holds a condition with values that are not real: give numbers, "
                 "Constants or Functions of type float64"
             )
     return list(bcs)

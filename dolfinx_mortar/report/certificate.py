@@ -105,14 +105,10 @@ def create_certificate(
     crossing = (find_overlaps(problem) if overlaps is None else overlaps).get(-1)
     pull = find_pull(problem, contacts) if pull is None else pull
     links, length = problem.system.links, problem.system.facet_length
-    gap: list[Floats] = [np.zeros(0)]
-    multiplier: list[Floats] = [np.zeros(0)]
-    nodal = nodal_gaps(links, problem.positions(), problem.n)
-    for link in problem.system.unilateral:
-        on = link.coupling.directions[:, 0]
-        gap.append(nodal[link.nodes[on]])
-        multiplier.append(link.interface.multiplier[on])
-    g, p = np.concatenate(gap), np.concatenate(multiplier)
+    nodal, nothing = nodal_gaps(links, problem.positions(), problem.n), np.zeros((2, 0))
+    on = [(link, link.coupling.directions[:, 0]) for link in problem.system.unilateral]
+    pairs = [(nodal[link.nodes[some]], link.interface.multiplier[some]) for link, some in on]
+    g, p = np.concatenate([nothing, *pairs], axis=1)
     deepest, tensile, pressure, product = _largest(problem.comm, -g, -p, np.abs(p), np.abs(g * p))
     errors = [operator_errors(link, problem.X, length) for link in links if link.pairing] or [
         (0.0, 0.0)

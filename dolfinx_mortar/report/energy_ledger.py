@@ -172,25 +172,19 @@ class EnergyLedger:
         assert before is not None
         after, motion = self._end(), inertia.end()
         du = after.u - before.u
-        work = {
-            name: self._sum(0.5 * (getattr(before, name) + getattr(after, name)) * du)
-            for name in ("contact", "friction", "supports", "loads", "damping")
-        }
+        names = "contact", "friction", "supports", "loads", "damping"
+        twice = {name: getattr(before, name) + getattr(after, name) for name in names}
+        work = {name: self._sum(0.5 * twice[name] * du) for name in names}
+        # the work of a moving tool on the bodies is no gain of contact
         way = self._tool_way(before.u, after.u)
-        tools = {
-            name: self._sum(0.5 * (getattr(before, name) + getattr(after, name)) * way)
-            for name in ("contact", "friction")
-        }
-        for name, share in tools.items():
+        for name in names[:2]:
+            share = self._sum(0.5 * twice[name] * way)
             work[name] -= share
             work["supports"] += share
         gain = work["contact"] + max(work["friction"], 0.0)
-        forces = [
-            np.where(self._driven, 0.0, getattr(before, name) + getattr(after, name))
-            for name in ("contact", "friction")
-        ]
+        forces = [np.where(self._driven, 0.0, twice[name]) for name in names[:2]]
         takes, slides = (self._sum(0.5 * f * (du - way)) for f in forces)
-        terms = self._sum(np.abs((before.contact + after.contact) * du))
+        terms = self._sum(np.abs(twice["contact"] * du))
         left, unsolved, restored = 0.0, False, 0.0
         owed = self.last.owed + takes + max(slides, 0.0)
         least = max(ROUND_OFF * terms, report.rtol * self.last.largest)

@@ -2,7 +2,7 @@
 """Overlaps of boundaries: of sides between nodes, of bodies without an interface, of tools."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 from mpi4py import MPI
@@ -31,7 +31,7 @@ from dolfinx_mortar.geometry.flat import find_overlaps as overlaps_of_facets
 from dolfinx_mortar.geometry.plane import count as parts
 from dolfinx_mortar.geometry.plane import parts_of
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
+from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing
 from dolfinx_mortar.mortar.facing_bodies import boxes_of
 from dolfinx_mortar.mortar.operators import whole_facets
 from dolfinx_mortar.mortar.pairing import received_facets
@@ -112,11 +112,8 @@ def _on_prescribed_facets(link: Link, u: fem.Function) -> Overlap | None:
     x, y = points_of(slave, s, segments.xi_s[some]), points_of(master, m, segments.xi_m[some])
     depth = ((y - x) * facet_normals(master)[m]).sum(axis=1)
     depth -= _deviations(own, u, link.interface.feature_angle)[own.facets].max(axis=1)[s]
-    seen = (depth > 0.0) & (depth < pairing.deepest[segments.pair[some]])
-    share = depth / np.minimum(facet_sizes(slave.x)[s], facet_sizes(master.x)[m])
-    columns = share[seen], depth[seen], x[seen]
-    found = _deepest(comm, np.zeros(seen.sum(), np.int64), *columns)
-    return Overlap(*found[0]) if found else None
+    depth[(depth <= 0.0) | (depth >= pairing.deepest[segments.pair[some]])] = 0.0
+    return _overlap(comm, depth, np.minimum(facet_sizes(slave.x)[s], facet_sizes(master.x)[m]), x)
 
 
 def notes_on_crossings(problem: ContactProblem, found: Mapping[int, Overlap]) -> list[str]:
@@ -145,23 +142,24 @@ def _in_tool(link: Link, tool: Tool, u: fem.Function) -> Overlap | None:
     side, pose, x = link.pattern.side, tool.pose(), coordinates(link.sides.slave, u)
     facing = find_facing(side, pose, tool.asked, x)
     segments, points = whole_facets(side, x, facing)
-    own = None if link.pattern.nodal else link.pattern.own
-    pattern = replace(link.pattern, nodal=False, own=own)
-    gaps, _ = point_gaps(pattern, pose, tool.asked, u, segments, points)
     nodes = x[side.slave.facets]
-    sizes, middles = facet_sizes(nodes), nodes.mean(axis=1)[facing]
+    sizes, places = facet_sizes(nodes), np.concatenate([points, nodes.mean(axis=1)[facing]])
     facets = facets_at(side.slave, x)
     corners, n = nodes[:, list(facets.element.vertices)], facet_normals(facets)
     point = np.broadcast_to(pose.to_space(tool.asked.point[None]), (len(n), x.shape[1]))
     above = ((point - corners.mean(axis=1)) * n).sum(axis=1)
     below = depth_of_point(link.sides.V.mesh.comm, tool.seen()) - above
     met = (above >= -sizes) & (below > 0.0) & are_inside(corners, n, point)
-    depth = -np.concatenate([gaps, pose.distance(tool.asked, middles).value, -below[met]])
+    depth = np.concatenate([-pose.distance(tool.asked, places).value, below[met]])
     which = np.concatenate([segments.slave, np.flatnonzero(facing), np.flatnonzero(met)])
     off = _deviations(side.slave, u, link.interface.feature_angle)[side.slave.facets].max(axis=1)
-    depth = depth - off[which]
-    columns = depth / sizes[which], depth, np.concatenate([points, middles, point[met]])
-    found = _deepest(link.sides.V.mesh.comm, np.zeros(len(depth), np.int64), *columns)
+    places = np.concatenate([places, point[met]])
+    return _overlap(link.sides.V.mesh.comm, depth - off[which], sizes[which], places)
+
+
+def _overlap(comm: MPI.Comm, depth: Floats, size: Floats, place: Floats) -> Overlap | None:
+    """Deepest point (n,) of all ranks, beside facets of a size; collective."""
+    found = _deepest(comm, np.zeros(len(depth), np.int64), depth / size, depth, place)
     return Overlap(*found[0]) if found else None
 
 
@@ -184,12 +182,11 @@ def _deepest(comm: MPI.Comm, group: Longs, *columns: Any) -> dict[int, Any]:
 class _Skin:
     """Flat facets near other bodies, or on surfaces in self-contact."""
 
-    body: Longs
-    sides: Bools  # (m, 2, interfaces) on its slave and master side
-    on: Bools  # (m, 2, interfaces) on or next to these
-    x: Floats
-    off: Floats  # (m,) deviation of smooth interface sides from the facets
-    size: Floats  # (m,) of whole facets, in space root of the area
+    body: Longs  # (m,)
+    sides: Bools  # (m, 2, interfaces) on its slave and its master side
+    x: Floats  # (m, d, d)
+    off: Floats  # (m,) distance of the interface sides from their facets, on or next to them
+    size: Floats  # (m,) in space root of the area, of whole facets
 
     def __getitem__(self, which: Bools | Longs) -> "_Skin":
         return _Skin(*(getattr(self, f.name)[which] for f in fields(self)))
@@ -232,8 +229,8 @@ class _Skin:
 def find_overlaps(problem: ContactProblem) -> dict[int, Overlap]:
     """Deepest overlap at X + u of contacts' sides, and of uncoupled boundaries (-1); collective.
 
-    Of two bodies, or a surface in self-contact; less jumps of ties, and sagittas of both sides,
-    since facets count as flat.
+    Of two bodies, or a surface in self-contact; minus the longest jump of ties, and sagittas of
+    both sides, as facets count as flat.
     """
     interfaces = problem.system.interfaces
     meets_itself: Bools = np.array([s.meet_themselves for s in problem.system.sides], dtype=bool)
@@ -244,23 +241,21 @@ def find_overlaps(problem: ContactProblem) -> dict[int, Overlap]:
     pairs, group = skin.pairs(meets_itself)
     group[group == len(interfaces)] = -1
     depth, place = overlaps_of_facets(skin.x, skin.off, pairs)
+    depth -= _longest_jump(problem)
     held = [k for k, interface in enumerate(interfaces) if not interface.unilateral]
     here = (pairs[:, 0] < len(own.body)) & ~np.isin(group, held)
     here &= depth > 0.0
-    pairs, group, depth, place = pairs[here], group[here], depth[here], place[here]
-    one, other = skin[pairs[:, 0]], skin[pairs[:, 1]]
-    tied = (one.on & other.on[:, ::-1]).any(axis=1)
-    depth = depth - (tied * _longest_jumps(problem)).max(axis=1, initial=0.0)
-    share = depth / np.minimum(one.size, other.size)
-    columns = share, depth, place, np.stack([one.body, other.body], axis=1)
-    return {k: Overlap(*found) for k, found in _deepest(comm, group, *columns).items()}
+    pairs, depth = pairs[here], depth[here]
+    columns = depth / skin.size[pairs].min(axis=1), depth, place[here], skin.body[pairs]
+    return {k: Overlap(*found) for k, found in _deepest(comm, group[here], *columns).items()}
 
 
-def _longest_jumps(problem: ContactProblem) -> Floats:
-    apart = [link.apart() for link in problem.system.links]
-    lengths = [0.0 if v is None else np.linalg.norm(v, axis=1).max(initial=0.0) for v in apart]
-    none = np.zeros(len(problem.system.sides))
-    return np.asarray(maximum(problem.comm, *lengths)) if lengths else none
+def _longest_jump(problem: ContactProblem) -> float:
+    """Length of the longest jump of a tie; collective."""
+    links = [link for link in problem.system.links if link.pairing]
+    jumps = [v for link in links if (v := link.apart()) is not None]
+    longest = max((np.linalg.norm(v, axis=1).max(initial=0.0) for v in jumps), default=0.0)
+    return float(maximum(problem.comm, longest)[0])
 
 
 def _create_skin(problem: ContactProblem, meets_itself: Bools) -> _Skin:
@@ -268,17 +263,14 @@ def _create_skin(problem: ContactProblem, meets_itself: Bools) -> _Skin:
     facets, nodes = boundary.at(problem.u), boundary.nodes
     body = problem.bodies.of_cells[boundary.cells].astype(np.int64)
     sides = np.zeros((len(body), 2, len(interfaces)), dtype=bool)
-    index_map, count = problem.V.dofmap.index_map, 2 * len(interfaces)
-    values = la.vector(index_map, 1 + count)
+    values = la.vector(problem.V.dofmap.index_map)
     values.array[:] = 0.0
-    at = values.array.reshape(-1, 1 + count)
     for k, interface in enumerate(interfaces):
         for j, surface in enumerate(interface.surfaces):
             sides[:, j, k] = np.isin(boundary.entities, surface.entities)
             own = surface.nodes[: surface.owned]
             off = _deviations(surface, problem.u, problem.system.interfaces[k].feature_angle)
-            at[own, 0] = np.maximum(at[own, 0], off[: surface.owned])
-            at[own, 1 + j * len(interfaces) + k] = 1.0
+            values.array[own] = np.maximum(values.array[own], off[: surface.owned])
     for k in np.flatnonzero(meets_itself):
         pairing = problem.system.links[k].pairing
         assert pairing is not None and pairing.roles is not None
@@ -288,11 +280,10 @@ def _create_skin(problem: ContactProblem, meets_itself: Bools) -> _Skin:
     values.scatter_forward()
     boxes = boxes_of(problem.comm, facets.x, body, problem.bodies.count)
     near = near_others(facets.x, body, boxes) | (sides.any(axis=1) & meets_itself).any(axis=1)
-    on = at[nodes[near]].max(axis=1, initial=0.0)
+    off = values.array[nodes[near]].max(axis=1, initial=0.0)
     size = np.linalg.norm(area_vectors(facets[near]), axis=1) ** (1 / (problem.d - 1))
     x = flat_parts(parts_of(facets[near]))
     which = np.flatnonzero(near).repeat(parts(facets.element))
     which = np.resize(which, len(x))  # quadrilaterals are two triangles
     again = np.resize(np.arange(len(size)).repeat(parts(facets.element)), len(x))
-    on_sides = on[again, 1:].reshape(len(x), *sides.shape[1:]) > 0.0
-    return _Skin(body[which], sides[which], on_sides, x, on[again, 0], size[again])
+    return _Skin(body[which], sides[which], x, off[again], size[again])

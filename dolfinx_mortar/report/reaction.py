@@ -22,7 +22,7 @@ from dolfinx_mortar.compat import on_same_mesh
 from dolfinx_mortar.mortar.surface import check_tag, check_tags
 from dolfinx_mortar.newton_method.linearisation import Balance, support_slots
 from dolfinx_mortar.persistence.committed import SupportForces
-from dolfinx_mortar.problem.checks import check_problem
+from dolfinx_mortar.problem.checks import check_conditions, check_problem
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.supports.dirichlet import marked_dofs, prescribed_dofs
 from dolfinx_mortar.tags import label, labels, names_of, tag_of
@@ -154,7 +154,8 @@ def _find(problem: ContactProblem, support: Any, facet_tags: Any) -> Bools:
     dofs: list[Ints] = []
     with raised_together(comm):
         if conditions:
-            dofs = _dofs_of_conditions(problem, bcs)
+            made = check_conditions("support", bcs, problem.V)
+            dofs = [bc.dof_indices()[0] for bc in made]
         else:
             dofs = [_check_dofs(problem, support)]
     mask = marked_dofs(problem.V, dofs)[: problem.n]
@@ -202,15 +203,6 @@ def _tags_of(problem: ContactProblem) -> MeshTags:
             "which the support is, reaction(problem, support, facet_tags)"
         )
     return tags[0]
-
-
-def _dofs_of_conditions(problem: ContactProblem, bcs: Sequence[Any]) -> list[Ints]:
-    for bc in bcs:
-        space = getattr(bc, "function_space", None)
-        known = isinstance(bc, fem.DirichletBC)
-        if not known or not problem.V._cpp_object.contains(getattr(space, "_cpp_object", space)):
-            raise ValueError(f"support holds {bc!r}: give conditions that are in problem.bcs")
-    return [bc.dof_indices()[0] for bc in bcs]
 
 
 def _check_dofs(problem: ContactProblem, support: Any) -> Ints:

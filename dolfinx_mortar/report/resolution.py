@@ -4,7 +4,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
-from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -16,7 +15,6 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm, ratio
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Longs
 from dolfinx_mortar.audit.sides import SPOILT, are_flat
-from dolfinx_mortar.geometry.facets import points_of, unit
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.tool import SidePattern, Tool, find_facing, point_gaps
@@ -27,11 +25,10 @@ from dolfinx_mortar.mortar.curvature_correction import (
 )
 from dolfinx_mortar.mortar.duals import weighted_duals
 from dolfinx_mortar.mortar.operators import mean_values, whole_facets
-from dolfinx_mortar.mortar.pairing import Pairing, received_facets
+from dolfinx_mortar.mortar.pairing import Pairing
 from dolfinx_mortar.mortar.surface import (
     accumulate,
     coordinates,
-    facets_at,
     mean_facet_length,
     sum_at_nodes,
 )
@@ -58,32 +55,7 @@ def _means(link: Link, u: fem.Function | None, find: Find) -> Floats:
     kept[: sides.slave.owned] = link.coupling.kept[:, 0]
     Phi = weighted_duals(pairing, operators.segments, accumulate(sides.slave, kept) > 0)
     at_points = find(pairing, operators.segments, u, smooth)
-    if at_points.ndim > 1:
-        Phi, at_points = Phi * at_points, np.ones(len(Phi))
     return mean_values(pairing, operators.segments, Phi, operators.weight[:, 0], at_points)
-
-
-def missed_gaps(link: Link, u: fem.Function | None) -> Floats:
-    """Excess (n,) of gaps over those of round sides in contact; collective.
-
-    Errors of heights, and of gaps along the normal n at a point instead of n_j, int Phi_j (n_j -
-    n).(x_m - x_s) / D_jj.
-    """
-    sides, own = link.sides, link.coupling.normals
-    normals: Floats = np.zeros((len(sides.slave.nodes), own.shape[1]))
-    normals[: sides.slave.owned] = own
-    normals = accumulate(sides.slave, normals)
-
-    def find(pairing: Pairing, segments: Segments, *rest: Any) -> Floats:
-        slave = facets_at(pairing.slave, coordinates(pairing.slave, u))
-        v = points_of(received_facets(pairing, u), segments.master, segments.xi_m)
-        v -= points_of(slave, segments.slave, segments.xi_s)
-        at_nodes = normals[pairing.slave.facets[segments.slave]]
-        n = unit((segments.N[:, None] @ at_nodes)[:, 0])
-        missed = missed_heights(pairing, segments, *rest) - (n * v).sum(axis=1)
-        return np.asarray((at_nodes @ v[:, :, None])[:, :, 0] + missed[:, None])
-
-    return _means(link, u, find)
 
 
 def note_on_facets(
@@ -98,10 +70,11 @@ def note_on_facets(
     """Note on a contact if facets make its pressures inaccurate; collective.
 
     Errors h_j of gaps are, with facets, the height of smooth surfaces, minus its mean over loaded
-    nodes; with smooth surfaces of degree 1 `missed_gaps`. K^_jj h_j, with both sides in series, is
-    compared with the contact forces z_j, at loaded nodes and those with gaps below h_j. Uniform
-    facets on a tool: forces F of an overlap w store Psi = F w / 2, and -z.h is 2 Psi (1 - F'/F), F'
-    the force of the smooth surface.
+    nodes; with smooth surfaces of degree 1 `missed_heights`. K^_jj h_j, with both sides in series,
+    is compared with the contact forces z_j, at loaded nodes and those with gaps below h_j. A
+    uniform h_j counts two to four times.
+    Uniform facets on a tool: forces F of an overlap w store Psi = F w / 2, and -z.h is 2 Psi (1 -
+    F'/F), F' the force of the smooth surface (accurate to 1 % on rings of 64 facets).
 
     Args:
         x: (n,) X + u.
@@ -155,7 +128,8 @@ def _missed(link: Link, u: fem.Function | None) -> Floats | None:
         return _means(link, u, point_heights)
     assert link.pattern.smooth is not None
     first = link.sides.slave.element.degree == 1
-    return missed_gaps(link, u) if first and not are_flat(link, link.pattern.smooth) else None
+    curved = first and not are_flat(link, link.pattern.smooth)
+    return _means(link, u, missed_heights) if curved else None
 
 
 def _heights_at_tool(link: Link, tool: Tool, u: fem.Function | None) -> Floats | None:
@@ -267,15 +241,10 @@ def find_patches(link: Link, marked: Bools, *columns: Floats | Bools) -> list[Fl
     on = accumulate(slave, marks)[:, 0] > 0
     number = layout.local_to_global(slave.nodes).astype(np.int64)
     table = np.column_stack([number[: slave.owned], *columns])
-    pairs = np.concatenate(comm.allgather(_pairs(number[slave.facets], on[slave.facets])))
+    ends = [slave.facets[:, [a, b]] for a, b in combinations(range(slave.facets.shape[1]), 2)]
+    pairs = np.concatenate([number[ab[on[ab].all(axis=1)]] for ab in ends])
+    pairs = np.concatenate(comm.allgather(pairs))
     return _patches(np.concatenate(comm.allgather(table[marked])), pairs)
-
-
-def _pairs(facets: Longs, on: Bools) -> Longs:
-    found = [
-        facets[on[:, a] & on[:, b]][:, [a, b]] for a, b in combinations(range(facets.shape[1]), 2)
-    ]
-    return np.concatenate(found)
 
 
 def _patches(table: Floats, pairs: Longs) -> list[Floats]:

@@ -86,9 +86,8 @@ def find_left_out(problem: ContactProblem) -> LeftOut:
     space, left, work, whole, made, size, *highest = columns
     summed = (space, left, work, work * left / space, made, whole)
     # without cells NumPy counts in integers
-    local = np.array([np.bincount(body, column, count) for column in summed], dtype=float)
-    sums = np.zeros_like(local)
-    comm.Allreduce(local, sums, op=MPI.SUM)
+    sums = np.array([np.bincount(body, column, count) for column in summed], dtype=float)
+    comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
     peaks = np.zeros((3, count))
     for peak, values in zip(peaks, highest, strict=True):
         np.maximum.at(peak, body, values)

@@ -7,12 +7,11 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 
-import basix.ufl
 import dolfinx
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import default_scalar_type, fem
-from tests.cases.meshes import _block, _partitioner, _tag
+from tests.cases.meshes import _block, _tag, create_distributed
 
 BELOW, EAST, ABOVE, WEST = 1, 2, 3, 4
 """Sides; the facet tag of a side of block k (from 1 on) is 10 k + side."""
@@ -41,15 +40,7 @@ def create_blocks(
     ranks = np.floor(comm.size * (middle - middle.min()) / (np.ptp(middle) * (1 + 1e-9)))
     ranks = block_of_cell % comm.size if partition == "bodies" else ranks
     ranks = np.arange(len(e)) % comm.size if partition == "dealt out" else ranks
-    mine = slice(*(len(e) * np.array([comm.rank, comm.rank + 1]) // comm.size))
-    own = slice(*(len(x) * np.array([comm.rank, comm.rank + 1]) // comm.size))
-    mesh = dolfinx.mesh.create_mesh(
-        comm,
-        e[mine],
-        x=np.ascontiguousarray(x[own]),
-        e=basix.ufl.element("Lagrange", cell, 1, shape=(2,)),
-        partitioner=_partitioner(partition, comm, ranks.astype(np.int32)[mine]),
-    )
+    mesh = create_distributed(comm, x, e, cell, 1, partition, ranks)
     blocks = range(len(boxes))
     cell_marks = [(k + 1, lambda i, k=k: block_of_point[i] == k) for k in blocks]
     facet_marks = [

@@ -8,20 +8,16 @@ import numpy as np
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
-from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, Blocks, create_blocks
+from tests.cases.block_piles import ABOVE, BELOW, EAST, WEST, create_blocks
 
 COMM = MPI.COMM_WORLD
 E = 1000.0
 
 
 class Joint:
-    """A bolt between two plates under a stiff yoke that is pulled: springs side by side.
+    """A bolt between two plates under a stiff yoke that is pulled: springs side by side."""
 
-    Without Poisson's ratio the bolt has the stiffness E / 2 and the plates E / 2 each.
-    """
-
-    def __init__(self, *, gap=0.0, slave="upper", comm=COMM, geometry="updated"):
-        """Create the parts and the problem."""
+    def __init__(self, *, gap=0.0, slave="upper", comm=COMM):
         boxes = [(1, 2, 0, 1, 3, 3), (1, 2, 1, 2, 4, 3), (0, 1, 0, 2 - gap, 3, 5)]
         boxes += [(2, 3, 0, 2 - gap, 3, 5), (0, 3, 2, 3, 10, 3)]
         self.mesh, cells, tags = create_blocks(comm, boxes, cell="quadrilateral")
@@ -45,7 +41,6 @@ class Joint:
             [self.bolt, head, *self.plates],
             bcs=bcs,
             loads=self.pull / 3.0 * v[1] * ds(50 + ABOVE),
-            geometry=geometry,
         )
 
     def clamping(self):
@@ -55,30 +50,3 @@ class Joint:
     def tension(self):
         """Return the force of the bolt."""
         return float(self.bolt.force @ self.direction)
-
-
-class Flange:
-    """Bolts (unit sections, length 2) beside gaskets (width 1, height 2) under a stiff yoke.
-
-    From left to right gasket, bolt, .., gasket; all without Poisson's ratio, so that they are
-    springs: E / 2 of a bolt, the gasket's E / 2 of a gasket.
-    """
-
-    def __init__(self, count, *, gasket=E, law=None):
-        """Create the parts and the problem."""
-        boxes, contacts, cuts = [], [], []
-        columns = 2 * count + 1
-        for k in range(columns):
-            (cuts if k % 2 else contacts).append(len(boxes) + 1)
-            boxes += [(k, k + 1, 0, 1, 1, 1), (k, k + 1, 1, 2, 1, 1)] if k % 2 else []
-            boxes += [] if k % 2 else [(k, k + 1, 0, 2, 1, 1)]
-        boxes.append((0, columns, 2, 3, 2 * columns, 1))
-        yoke = len(boxes)
-        b = Blocks(boxes, cell="quadrilateral")
-        laws = {k: law or dm.Elastic(E, 0.0) for k in range(1, yoke)}
-        laws |= {k: dm.Elastic(gasket, 0.0) for k in contacts} | {yoke: dm.Elastic(1e4 * E, 0.0)}
-        self.bolts = [b.join(dm.Tie, (k + 1, BELOW), (k, ABOVE)) for k in cuts]
-        heads = [b.join(dm.Tie, (k + 1, ABOVE), (yoke, BELOW)) for k in cuts]
-        gaskets = [b.join(dm.Contact, (k, ABOVE), (yoke, BELOW)) for k in contacts]
-        bcs = [b.fix(k, BELOW) for k in (*contacts, *cuts)] + [b.fix(yoke, ABOVE, component=0)]
-        self.problem = b.problem([*self.bolts, *heads, *gaskets], bcs, law=laws)

@@ -4,8 +4,8 @@ from mpi4py import MPI
 
 import numpy as np
 
-import basix.ufl
 import dolfinx
+from tests.cases.meshes import create_distributed
 from tests.cases.meshes_3d import box_cells, box_points
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float], tuple[int, int, int]]
@@ -21,11 +21,7 @@ THREE = (
 def create_boxes(
     comm: MPI.Comm, boxes: list[Box], cell: str = "hexahedron"
 ) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags]:
-    """Create boxes, each of its lowest and highest corner and cells in three directions.
-
-    Returns:
-        Mesh and cell tags, the number of the box from 1 on.
-    """
+    """Create boxes, each of its lowest and highest corner and cells in three directions."""
     points, cells, first = [], [], 0
     for low, high, n in boxes:
         lines = [np.linspace(a, b, m + 1) for a, b, m in zip(low, high, n, strict=True)]
@@ -33,11 +29,7 @@ def create_boxes(
         cells.append(first + box_cells(n, cell))
         first += len(points[-1])
     x, e = np.concatenate(points), np.concatenate(cells)
-    mine, own = (
-        slice(*(len(a) * np.array([comm.rank, comm.rank + 1]) // comm.size)) for a in (e, x)
-    )
-    element = basix.ufl.element("Lagrange", cell, 1, shape=(3,))
-    mesh = dolfinx.mesh.create_mesh(comm, e[mine], x=np.ascontiguousarray(x[own]), e=element)
+    mesh = create_distributed(comm, x, e, cell)
     count = mesh.topology.index_map(3).size_local
     middle = dolfinx.mesh.compute_midpoints(mesh, 3, np.arange(count, dtype=np.int32))
     inside = [

@@ -11,6 +11,7 @@ import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, mesh
 from dolfinx_mortar.meshing.two_bodies import distribute
+from tests.cases.two_bodies import create_problem, held
 
 COMM = MPI.COMM_WORLD
 
@@ -94,18 +95,7 @@ class Pin:
 def create_pin(
     counts, swap, *, clearance=0.1, force=5000.0, comm=COMM, degree=1, order=1, **options
 ):
-    """Create a pin with a clearance, by default of 1 % of the radius.
-
-    Args:
-        counts: numbers of facets of the pin and the hole.
-        swap: the hole is the slave, not the pin.
-        clearance: radius of the hole less that of the pin.
-        force: on the pin.
-        comm: communicator of the mesh.
-        degree: of the displacement.
-        order: degree of the cells.
-        options: of the contact.
-    """
+    """Create a pin with a clearance, by default of 1 % of the radius."""
     R = 10.0
     domain, tags = rings(comm, (1.0, R - clearance), (R, 25.0), counts, (8, 12), order)
     pin = np.hypot(*domain.geometry.x[:, :2].T) < R - clearance / 2
@@ -115,18 +105,13 @@ def create_pin(
     contact = dm.Contact(tags, slave=slave, master=master, **options)
     ds, v = ufl.Measure("ds", domain, subdomain_data=tags), ufl.TestFunction(V)
     length = comm.allreduce(fem.assemble_scalar(fem.form(fem.Constant(domain, 1.0) * ds(1))))
-    outer = fem.locate_dofs_topological(V, 1, tags.find(4))
     W = V.sub(0)
     axis = fem.locate_dofs_geometrical(
         (W, W.collapse()[0]), lambda x: (np.abs(x[0]) < 1e-9) & (np.abs(x[1]) < R / 2)
     )
-    bcs = [
-        fem.dirichletbc(np.zeros(2), outer, V),
-        fem.dirichletbc(fem.Function(W.collapse()[0]), axis, W),
-    ]
-    solid = dm.Solid(fem.Function(V), dm.Elastic(200e3, 0.3))
+    bcs = [held(V, tags, 4), fem.dirichletbc(fem.Function(W.collapse()[0]), axis, W)]
     loads = -force / length * v[1] * ds(1)
-    return Pin(dm.ContactProblem(solid, [contact], bcs=bcs, loads=loads), contact)
+    return Pin(create_problem(V, [contact], bcs, dm.Elastic(200e3, 0.3), loads=loads), contact)
 
 
 OVERLAP = 0.02
@@ -155,20 +140,7 @@ def create_shrink_fit(
     shift=(0.0, 0.0),
     **options,
 ):
-    """Create the rings 10 to 20 and 20 to 30, with facets in such numbers where they meet.
-
-    Args:
-        counts: numbers of facets of the inner and the outer ring.
-        swap: the outer ring is the slave, not the inner one.
-        overlap: of the radii.
-        pressure: in the inner ring.
-        geometry: of the problem.
-        comm: communicator of the mesh.
-        degree: of the displacement.
-        order: degree of the cells.
-        shift: of the origin of coordinates to the middle.
-        options: of the contact.
-    """
+    """Create the rings 10 to 20 and 20 to 30, with facets in such numbers where they meet."""
     a, b, c = 10.0, 20.0, 30.0
     domain, tags = rings(comm, (a, b + overlap), (b, c), counts, (16, 16), order)
     V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
@@ -177,7 +149,7 @@ def create_shrink_fit(
     values = np.full(domain.topology.index_map(2).size_local, 2, dtype=np.int32)
     values[inside[inside < len(values)]] = 1
     cells = mesh.meshtags(domain, 2, np.arange(len(values), dtype=np.int32), values)
-    solid = dm.Solid(fem.Function(V), {k + 1: dm.Elastic(*s) for k, s in enumerate(STEELS)}, cells)
+    laws = {k + 1: dm.Elastic(*steel) for k, steel in enumerate(STEELS)}
     slave, master = (3, 2) if swap else (2, 3)
     contact = dm.Contact(tags, slave=slave, master=master, **options)
     bcs = [*hold(V, a), *hold(V, c)]
@@ -186,7 +158,7 @@ def create_shrink_fit(
     if pressure:
         ds, n = ufl.Measure("ds", domain, subdomain_data=tags), ufl.FacetNormal(domain)
         loads = -pressure * ufl.inner(n, ufl.TestFunction(V)) * ds(1)
-    problem = dm.ContactProblem(solid, [contact], bcs=bcs, loads=loads, geometry=geometry)
+    problem = create_problem(V, [contact], bcs, laws, cells, loads=loads, geometry=geometry)
     E, nu = STEELS[0]
     widened = overlap + 2 * (1 - nu**2) * pressure * a**2 * b / (E * (b**2 - a**2))
     return ShrinkFit(problem, contact, lame_pressure(a, b, c, widened, *STEELS))

@@ -32,11 +32,7 @@ def rotations(old, new):
 
 @contextmanager
 def held() -> Iterator[None]:
-    """Hold what the tangent leaves out on purpose as it is at the first call.
-
-    That is how far facets beside a facet let it reach, strains in heights of second order, how M
-    weights spreads of normals, and that these and normals at edges turn with the averaged normals.
-    """
+    """Hold what the tangent leaves out on purpose as it is at the first call."""
     first, sides = {}, cycle(("slave", "master"))
     mean, of_side = common_normals._mean, common_normals._of_side
 
@@ -92,15 +88,7 @@ class Differences:
         slid=0.0,
         loaded=np.inf,
     ):
-        """Move the surfaces in waves; partners are those of other waves.
-
-        Args:
-            noise: Height of the waves.
-            fixed: Returns which components (n, d) at points are prescribed.
-            weight: Of the integrals.
-            slid: How far what lies above 0 has been moved along x since the partners were found.
-            loaded: Nodes beyond this x have no tractions, and no rows but those beside the others.
-        """
+        """Move the surfaces in waves; partners are those of other waves."""
         self.V, self.d, self.comm, self.loaded = V, V.dofmap.index_map_bs, V.mesh.comm, loaded
         self.X = X = V.tabulate_dof_coordinates()[:, : self.d]
         free = np.ones(X.shape, dtype=bool) if fixed is None else ~fixed(X)

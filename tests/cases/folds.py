@@ -8,11 +8,11 @@ from mpi4py import MPI
 
 import numpy as np
 
-import basix.ufl
 import dolfinx
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.cases.meshes import _partitioner
+from tests.cases.meshes import create_distributed
+from tests.cases.two_bodies import create_problem
 
 SKIN = 1
 RUBBER = dm.NeoHooke(1.0, 0.3)
@@ -27,16 +27,7 @@ def create_sheet(
     closed: bool = False,
     partition: str = "graph",
 ) -> tuple[dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags]:
-    """Return a bent sheet, and its facet tags, all with SKIN.
-
-    Args:
-        comm: the ranks.
-        cells: along the sheet, across it and, in space, over its width.
-        place: parameters in [0, 1] (n, d) -> coordinates (n, d).
-        cell: quadrilateral or hexahedron.
-        closed: whether the end is the beginning.
-        partition: of the cells among the ranks.
-    """
+    """Return a bent sheet, and its facet tags, all with SKIN."""
     d = len(cells)
     counts = [n + 1 for n in cells]
     grid = np.meshgrid(*(np.arange(n) for n in counts), indexing="ij")
@@ -53,16 +44,8 @@ def create_sheet(
         [g.ravel() for g in np.meshgrid(*map(np.arange, cells), indexing="ij")], axis=1
     )
     e = np.stack([number[tuple((first + corner).T)] for corner in corners], axis=1)
-    ranks = (np.arange(len(e)) * comm.size // len(e)).astype(np.int32)
-    mine = slice(*(len(e) * np.array([comm.rank, comm.rank + 1]) // comm.size))
-    own = slice(*(len(x) * np.array([comm.rank, comm.rank + 1]) // comm.size))
-    mesh = dolfinx.mesh.create_mesh(
-        comm,
-        e[mine].astype(np.int64),
-        x=np.ascontiguousarray(x[own]),
-        e=basix.ufl.element("Lagrange", cell, 1, shape=(d,)),
-        partitioner=_partitioner(partition, comm, ranks[mine]),
-    )
+    ranks = np.arange(len(e)) * comm.size // len(e)
+    mesh = create_distributed(comm, x, e, cell, 1, partition, ranks)
     mesh.topology.create_connectivity(d - 1, d)
     facets = np.sort(dolfinx.mesh.exterior_facet_indices(mesh.topology))
     return mesh, dolfinx.mesh.meshtags(mesh, d - 1, facets, np.full(len(facets), SKIN, np.int32))
@@ -94,14 +77,6 @@ def hairpin(gap: float = 0.4, thickness: float = 0.2, leg: float = 1.5, width: f
         return np.stack([x, y, *(width * s[:, 2:].T)], axis=1)
 
     return place
-
-
-def hold(V, where: Callable, component: int, value) -> fem.DirichletBC:
-    """Return a condition on a component at the nodes where a function of points is true."""
-    space = V.sub(component)
-    facets = dolfinx.mesh.locate_entities_boundary(V.mesh, V.mesh.geometry.dim - 1, where)
-    dofs = fem.locate_dofs_topological(space, V.mesh.geometry.dim - 1, facets)
-    return fem.dirichletbc(value, dofs, space)
 
 
 @dataclass
@@ -144,14 +119,17 @@ def create_fold(
     mesh, tags = sheet
     d = mesh.geometry.dim
     V = fem.functionspace(mesh, ("Lagrange", 1, (d,)))
-    solid = dm.Solid(fem.Function(V), RUBBER, strain="finite")
     contact = contact or dm.Contact(tags, slave=SKIN, master=SKIN, friction=friction)
     push, still = (fem.Constant(mesh, 0.0) for _ in range(2))
-    places = (top, 1, push), (bottom, 1, still), (top, 0, still), (bottom, 0, still)
-    bcs = [hold(V, *place) for place in places]
-    if d == 3:
-        bcs.append(hold(V, lambda x: x[2] < 1e-9, 2, still))
-    return Fold(dm.ContactProblem(solid, [contact], bcs=bcs), contact, push, bcs)
+    places = [(top, 1, push), (bottom, 1, still), (top, 0, still), (bottom, 0, still)]
+    places += [(lambda x: x[2] < 1e-9, 2, still)] if d == 3 else []
+    bcs = []
+    for where, component, value in places:
+        facets = dolfinx.mesh.locate_entities_boundary(mesh, d - 1, where)
+        dofs = fem.locate_dofs_topological(V.sub(component), d - 1, facets)
+        bcs.append(fem.dirichletbc(value, dofs, V.sub(component)))
+    problem = create_problem(V, [contact], bcs, RUBBER, strain="finite")
+    return Fold(problem, contact, push, bcs)
 
 
 def create_ring(comm=MPI.COMM_WORLD, cells=(32, 2), **options) -> Fold:

@@ -17,16 +17,7 @@ CONFINED = E * (1 - NU) / ((1 + NU) * (1 - 2 * NU))
 
 
 class Bar(TwoBodies):
-    """Blocks of height 1 that meet at 0, non-matching; what is given is said in terms of the upper.
-
-    Args:
-        cell: of the mesh.
-        slave: "upper" or "lower".
-        degree: of the displacement.
-        law: of both blocks.
-        kinematics: of the solid.
-        **options: of `two_blocks` or `two_boxes`.
-    """
+    """Non-matching blocks of height 1 that meet at 0; jumps are those of the upper one."""
 
     def __init__(
         self, cell="triangle", *, slave="upper", degree=1, law=None, kinematics=None, **options

@@ -83,9 +83,38 @@ def _partitioner(partition: str, comm: MPI.Comm, stripes: npt.NDArray[np.int32])
     return send
 
 
-def _pieces(partition: str, comm: MPI.Comm) -> int:
-    """Return how many ranks get a stripe."""
-    return max(comm.size - 1, 1) if partition == "empty" else comm.size
+def create_distributed(
+    comm: MPI.Comm, points: Array, cells, cell: str, order: int = 1, partition="graph", ranks=None
+) -> dolfinx.mesh.Mesh:
+    """Return the mesh of which each rank gives its share; `ranks` are where stripes go."""
+    mine, own = (
+        slice(*(len(a) * np.array([comm.rank, comm.rank + 1]) // comm.size))
+        for a in (cells, points)
+    )
+    stripes = np.zeros(len(cells)) if ranks is None else ranks
+    return dolfinx.mesh.create_mesh(
+        comm,
+        cells[mine].astype(np.int64),
+        x=np.ascontiguousarray(points[own]),
+        e=basix.ufl.element("Lagrange", cell, order, shape=(points.shape[1],)),
+        partitioner=_partitioner(partition, comm, stripes[mine].astype(np.int32)),
+    )
+
+
+def _two_bodies(comm, points, cells, n_l, move, kind, where, marks):
+    """Return mesh and tags of two bodies of which the lower one has n_l points."""
+    partition, gap, height = where
+    middle = points[cells, 0].mean(axis=1)
+    position = (middle - middle.min()) / (np.ptp(middle) * (1 + 1e-9))
+    pieces = max(comm.size - 1, 1) if partition == "empty" else comm.size
+    ranks = np.floor(pieces * position)
+    if partition == "bodies" and comm.size > 1:
+        height = (points[cells, -1].mean(axis=1) - gap) / (height * (1 + 1e-9))
+        ranks = np.where(cells[:, 0] < n_l, 0, 1 + np.floor((comm.size - 1) * height))
+    mesh = create_distributed(comm, move(points), cells, *kind, partition, ranks)
+    d = points.shape[1]
+    cell_tags = _tag(mesh, d, [(LOWER, lambda i: i < n_l), (UPPER, lambda i: i >= n_l)])
+    return mesh, cell_tags, _tag(mesh, d - 1, marks)
 
 
 def _tag(mesh, dim: int, marks: list[tuple[int, Callable]]) -> dolfinx.mesh.MeshTags:
@@ -185,27 +214,12 @@ def two_blocks(
     points = np.concatenate([points_l, points_u])
     cells = np.concatenate([cells_l, cells_u + n_l])
 
-    middle = points[cells, 0].mean(axis=1)
-    position = (middle - middle.min()) / (np.ptp(middle) * (1 + 1e-9))
-    ranks = np.floor(_pieces(partition, comm) * position).astype(np.int32)
-    if partition == "bodies" and comm.size > 1:
-        height = (points[cells, 1].mean(axis=1) - gap) / (heights[1] * (1 + 1e-9))
-        ranks = np.where(cells[:, 0] < n_l, 0, 1 + np.floor((comm.size - 1) * height))
-        ranks = ranks.astype(np.int32)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    points = points @ turn if angle else points
-    points = points if transform is None else transform(points)
 
-    mine = slice(*(len(cells) * np.array([comm.rank, comm.rank + 1]) // comm.size))
-    own = slice(*(len(points) * np.array([comm.rank, comm.rank + 1]) // comm.size))
-    mesh = dolfinx.mesh.create_mesh(
-        comm,
-        cells[mine],
-        x=np.ascontiguousarray(points[own]),
-        e=basix.ufl.element("Lagrange", cell, order, shape=(2,)),
-        partitioner=_partitioner(partition, comm, ranks[mine]),
-    )
-    cell_tags = _tag(mesh, 2, [(LOWER, lambda i: i < n_l), (UPPER, lambda i: i >= n_l)])
+    def move(x: Array) -> Array:
+        x = x @ turn if angle else x
+        return x if transform is None else transform(x)
+
     columns = lambda i: np.where(i < n_l, i % c_l, (i - n_l) % c_u)  # noqa: E731
     marks = [
         (LEFT, lambda i: columns(i) == 0),
@@ -215,4 +229,5 @@ def two_blocks(
         (TOP_OF_LOWER, lambda i: (i >= n_l - c_l) & (i < n_l)),
         (BOTTOM_OF_UPPER, lambda i: (i >= n_l) & (i < n_l + c_u)),
     ]
-    return mesh, cell_tags, _tag(mesh, 1, marks)
+    where = partition, gap, heights[1]
+    return _two_bodies(comm, points, cells, n_l, move, (cell, order), where, marks)

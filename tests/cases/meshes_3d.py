@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 import basix.ufl
 import dolfinx
-from tests.cases.meshes import LOWER, UPPER, _partitioner, _pieces, _tag
+from tests.cases.meshes import _two_bodies
 
 BOTTOM, TOP, TOP_OF_LOWER, BOTTOM_OF_UPPER, LEFT, RIGHT, FRONT, BACK = range(1, 9)
 
@@ -28,10 +28,7 @@ def rotation(axis: npt.ArrayLike, angle: float) -> Array:
 
 
 def box_points(lines: list[Array], jitter: float, seed: int) -> Array:
-    """Return the points of a grid, x fastest; inner ones shifted, those on a face within it.
-
-    The shift is at most half of `jitter` of the adjacent spacing.
-    """
+    """Return the points of a grid, x fastest; inner ones shifted, those on a face within it."""
     grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
     shift = np.random.default_rng(seed).uniform(-0.5, 0.5, grid.shape)
     for i, line in enumerate(lines):
@@ -42,10 +39,7 @@ def box_points(lines: list[Array], jitter: float, seed: int) -> Array:
 
 
 def box_cells(n: tuple[int, int, int], cell: str, order: int = 1) -> Ints:
-    """Return the cells of a grid with n cells per direction; six tetrahedra per hexahedron.
-
-    Those of degree two have a node half way between any two of the grid.
-    """
+    """Return the cells of a grid with n cells per direction; six tetrahedra per hexahedron."""
     strides = np.array([1, order * n[0] + 1, (order * n[0] + 1) * (order * n[1] + 1)])
     i, j, k = (order * a.ravel() for a in np.meshgrid(*map(np.arange, n), indexing="ij"))
     first = i * strides[0] + j * strides[1] + k * strides[2]
@@ -135,31 +129,13 @@ def two_boxes(
         [box_cells(sizes[0], cell, order), box_cells(sizes[1], cell, order) + n_l]
     )
 
-    middle = points[cells, 0].mean(axis=1)
-    position = (middle - middle.min()) / (np.ptp(middle) * (1 + 1e-9))
-    ranks = np.floor(_pieces(partition, comm) * position)
-    if partition == "bodies" and comm.size > 1:
-        height = (points[cells, 2].mean(axis=1) - gap) / (heights[1] * (1 + 1e-9))
-        ranks = np.where(cells[:, 0] < n_l, 0, 1 + np.floor((comm.size - 1) * height))
-    ranks = ranks.astype(np.int32)
-    points = points if turn is None else points @ turn.T
-    points = points if transform is None else transform(points)
+    def move(x: Array) -> Array:
+        x = x if turn is None else x @ turn.T
+        return x if transform is None else transform(x)
 
-    mine = slice(*(len(cells) * np.array([comm.rank, comm.rank + 1]) // comm.size))
-    own = slice(*(len(points) * np.array([comm.rank, comm.rank + 1]) // comm.size))
-    mesh = dolfinx.mesh.create_mesh(
-        comm,
-        cells[mine],
-        x=np.ascontiguousarray(points[own]),
-        e=basix.ufl.element("Lagrange", cell, order, shape=(3,)),
-        partitioner=_partitioner(partition, comm, ranks[mine]),
-    )
-    cell_tags = _tag(mesh, 3, [(LOWER, lambda i: i < n_l), (UPPER, lambda i: i >= n_l)])
-    return (
-        mesh,
-        cell_tags,
-        _tag(mesh, 2, _marks([tuple(order * n for n in size) for size in sizes], n_l)),
-    )
+    where = partition, gap, heights[1]
+    marks = _marks([tuple(order * n for n in size) for size in sizes], n_l)
+    return _two_bodies(comm, points, cells, n_l, move, (cell, order), where, marks)
 
 
 def _marks(sizes: list[tuple[int, ...]], n_l: int) -> list[tuple[int, Callable]]:

@@ -23,7 +23,6 @@ class PressedBlocks:
     """Mesh, tags, space and displacement, and the parts of a problem on them."""
 
     def __init__(self, *, degree=1, d=2, comm=COMM, **options):
-        """Create the blocks; the other options are those of `two_blocks` or `two_boxes`."""
         create = two_blocks if d == 2 else two_boxes
         self.mesh, self.cells, self.facets = create(comm, **options)
         self.V = fem.functionspace(self.mesh, ("Lagrange", degree, (d,)))
@@ -31,10 +30,11 @@ class PressedBlocks:
         down = np.append(np.zeros(d - 1), -0.01).astype(default_scalar_type)
         self.d, self.top = d, fem.Constant(self.mesh, down)
 
-    def bc(self, tag, value=(0.0, 0.0)):
-        if isinstance(value, tuple):
-            value = np.array(value, dtype=default_scalar_type)
-        dofs = fem.locate_dofs_topological(self.V, 1, self.facets.find(tag))
+    def bc(self, tag, value=None):
+        """Hold a side, by default where it is."""
+        if value is None or isinstance(value, tuple):
+            value = np.array(value or np.zeros(self.d), dtype=default_scalar_type)
+        dofs = fem.locate_dofs_topological(self.V, self.d - 1, self.facets.find(tag))
         if isinstance(value, fem.Function):
             return fem.dirichletbc(value, dofs)
         return fem.dirichletbc(value, dofs, self.V)
@@ -54,7 +54,9 @@ class PressedBlocks:
         return dm.Tie(self.facets, slave=slave, master=master, **options)
 
     def problem(self, interfaces=None, bcs=None, law=ELASTIC, **options):
-        solid = law if isinstance(law, dm.Solid) else dm.Solid(self.u, law)
+        solid = law
+        if not isinstance(law, dm.Solid):
+            solid = dm.Solid(self.u, law, self.cells if isinstance(law, dict) else None)
         interfaces = [self.contact()] if interfaces is None else interfaces
         return dm.ContactProblem(
             solid, interfaces, bcs=self.bcs() if bcs is None else bcs, **options
@@ -72,7 +74,6 @@ class Bare(dm.Term):
     linear, state, has_tangent = False, {}, False
 
     def __init__(self, **given):
-        """Take some attributes."""
         vars(self).update(given)
 
     def add_forces(self, F):

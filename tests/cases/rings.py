@@ -9,7 +9,6 @@ import numpy as np
 
 import dolfinx_mortar as dm
 from dolfinx import fem, mesh
-from dolfinx_mortar.algebra.parallel import maximum
 from tests.cases.meshes import (
     BOTTOM,
     BOTTOM_OF_UPPER,
@@ -20,14 +19,12 @@ from tests.cases.meshes import (
     TOP_OF_LOWER,
     two_blocks,
 )
+from tests.cases.mortar import largest
+from tests.cases.two_bodies import create_problem, held
 
+__all__ = ["largest"]
 COMM = MPI.COMM_WORLD
 SIDES = {"lower": (TOP_OF_LOWER, BOTTOM_OF_UPPER), "upper": (BOTTOM_OF_UPPER, TOP_OF_LOWER)}
-
-
-def largest(values):
-    """Return the largest absolute value over all ranks."""
-    return float(maximum(COMM, np.abs(values).max(initial=0.0))[0])
 
 
 @dataclass(frozen=True)
@@ -68,19 +65,7 @@ def shrink_fit_pressure(E, nu, radii, overlap):
 
 
 def tubes(radii, cells, *, overlap=0.0, cell="triangle", shift=0.0, scale=1.0, **options):
-    """Return mesh and tags of two tubes of height one, one around the other, as `two_blocks`.
-
-    Lower is the inner, upper the outer one; LEFT and RIGHT are their ends.
-
-    Args:
-        radii: inner, common and outer one.
-        cells: (axial, radial) number for each of them.
-        overlap: by how much the outer one is too small.
-        cell: "triangle" or "quadrilateral".
-        shift: of everything along the axis.
-        scale: factor of all lengths, after the shift.
-        options: of `two_blocks`.
-    """
+    """Return mesh and tags of two tubes of height one, one around the other, as `two_blocks`."""
     a, c, b = radii
     return two_blocks(
         COMM,
@@ -96,8 +81,7 @@ def tubes(radii, cells, *, overlap=0.0, cell="triangle", shift=0.0, scale=1.0, *
 
 def held_ends(V, tags):
     """Return conditions that keep the ends of tubes from moving along the axis."""
-    dofs = [fem.locate_dofs_topological(V.sub(1), 1, tags.find(tag)) for tag in (LEFT, RIGHT)]
-    return [fem.dirichletbc(0.0, d, V.sub(1)) for d in dofs]
+    return [held(V, tags, tag, 0.0, 1) for tag in (LEFT, RIGHT)]
 
 
 def held_axis(V):
@@ -119,11 +103,7 @@ def _lines(h, uniform, end, growth=1.15):
 
 
 def ball_on_flat(contact_radius, per_radius, *, cell="quadrilateral", shift=0.0, scale=1.0):
-    """Return mesh and tags of a ball of radius one on a flat, as `two_blocks`; LEFT is the axis.
-
-    Both are cut at r = 1/2 and one away from where they touch. Elements are uniform over 1.4
-    contact radii, `per_radius` of them (flat, ball) to each, and grow from there.
-    """
+    """Return mesh and tags of a ball of radius one on a flat, as `two_blocks`; LEFT is the axis."""
     size = [contact_radius / n for n in per_radius]
     uniform = [int(1.4 * n) for n in per_radius]
     columns = [_lines(h, n, 0.5) for h, n in zip(size, uniform, strict=True)]
@@ -151,26 +131,13 @@ def ball_on_flat(contact_radius, per_radius, *, cell="quadrilateral", shift=0.0,
 
 
 def pressed_ball(mesh_and_tags, law, depth, *, slave="upper", rigid=False, degree=1, **options):
-    """Return problem and contact of a ball whose far end moves down.
-
-    Args:
-        mesh_and_tags: of `ball_on_flat`.
-        law: of both.
-        depth: of the motion.
-        slave: "upper" (the ball) or "lower".
-        rigid: hold all nodes of the flat.
-        degree: of the displacement.
-        options: of the problem.
-    """
+    """Return problem and contact of a ball whose far end moves down."""
     domain, cell_tags, tags = mesh_and_tags
     V = fem.functionspace(domain, ("Lagrange", degree, (2,)))
-    solid = dm.Solid(fem.Function(V), law, kinematics="axisymmetric")
-    low = fem.locate_dofs_topological(V, 1, tags.find(BOTTOM))
     if rigid:
-        low = fem.locate_dofs_topological(V, 2, cell_tags.find(LOWER))
-    high = fem.locate_dofs_topological(V, 1, tags.find(TOP))
-    bcs = [held_axis(V), fem.dirichletbc(np.zeros(2), low, V)]
-    bcs.append(fem.dirichletbc(np.array([0.0, -depth]), high, V))
+        domain.topology.create_connectivity(2, 2)
+    bcs = [held_axis(V), held(V, cell_tags, LOWER) if rigid else held(V, tags, BOTTOM)]
+    bcs.append(held(V, tags, TOP, (0.0, -depth)))
     side, master = SIDES[slave]
     contact = dm.Contact(tags, slave=side, master=master)
-    return dm.ContactProblem(solid, [contact], bcs=bcs, **options), contact
+    return create_problem(V, [contact], bcs, law, kinematics="axisymmetric", **options), contact

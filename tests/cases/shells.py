@@ -70,9 +70,6 @@ def octants(comm, radii, counts, layers, cell):
 
 
 def lame_pressure(radii, d):
-    """Return the pressure at radii[1] of one material under 1 from outside, nothing inside.
-
-    Of cylinders (d = 2) in plane strain and of spheres (d = 3): sigma_r = A - B / r^d.
-    """
+    """Return the pressure at radii[1] of one material under 1 from outside, nothing inside."""
     a, b, c = radii
     return (1 - (a / b) ** d) / (1 - (a / c) ** d)

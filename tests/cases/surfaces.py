@@ -8,7 +8,7 @@ import numpy.typing as npt
 from scipy.spatial import Delaunay
 
 from dolfinx_mortar.geometry import segments
-from dolfinx_mortar.geometry.elements import QUAD4, TRI3
+from dolfinx_mortar.geometry.elements import LINE2, QUAD4, TRI3
 from dolfinx_mortar.geometry.facets import Facets
 from dolfinx_mortar.mortar import duals
 
@@ -31,7 +31,7 @@ class Side:
     @property
     def geometry(self) -> Facets:
         """The facets as the package wants them."""
-        return Facets(QUAD4 if self.facets.shape[1] == 4 else TRI3, self.corners)
+        return Facets({2: LINE2, 3: TRI3, 4: QUAD4}[self.facets.shape[1]], self.corners)
 
     def reversed(self) -> "Side":
         """Return the side with the opposite normals."""
@@ -60,11 +60,7 @@ def joined(*sides: Side) -> Side:
 
 
 def ring(count: int) -> tuple[Side, Side]:
-    """Return small triangles around a disc over the unit square, and a large one behind them.
-
-    The first edge of each is a tangent of the disc, so that the difference is a disc of that many
-    corners.
-    """
+    """Return small triangles around a disc over the unit square, and a large one behind them."""
     angle, radius = 2 * np.pi * np.arange(count) / count, 0.3
     out = np.column_stack([np.cos(angle), np.sin(angle)])
     along = np.column_stack([-out[:, 1], out[:, 0]]) * radius * np.tan(np.pi / count)
@@ -122,18 +118,20 @@ class Operators:
     x_m: Floats  # (q, 3) and on the master side
 
 
-def assemble(slave: Side, master: Side, *, pairs: Ints | None = None) -> Operators:
-    """Assemble D and M; all slave nodes are kept."""
+def assemble(
+    slave: Side, master: Side, *, pairs: Ints | None = None, normals=None, keep=None
+) -> Operators:
+    """Assemble D and M; all slave nodes are kept unless told otherwise."""
     f_s, f_m = slave.geometry, master.geometry
     x_s, x_m = f_s.x, f_m.x
-    n_s = np.zeros(x_s.shape)  # directions of projection do not depend on it
+    n_s = np.zeros(x_s.shape) if normals is None else normals[slave.facets]
     if pairs is None:
         pairs = segments.find_candidates(f_s, n_s, f_m, np.zeros(len(x_s)))
     p = segments.create_segments(f_s, n_s, f_m, pairs)
     N_s = f_s.element.shape_functions(p.xi_s)
     N_m = f_m.element.shape_functions(p.xi_m)
-    keep = np.ones(slave.facets.shape, dtype=bool)
-    Phi = p.weight[:, None] * duals.create_duals(N_s, p.weight, p.slave, keep).Phi
+    kept = np.ones(len(slave.x), dtype=bool) if keep is None else np.asarray(keep)
+    Phi = p.weight[:, None] * duals.create_duals(N_s, p.weight, p.slave, kept[slave.facets]).Phi
     rows, columns = slave.facets[p.slave], master.facets[p.master]
     D, M = np.zeros((len(slave.x),) * 2), np.zeros((len(slave.x), len(master.x)))
     for i in range(Phi.shape[1]):

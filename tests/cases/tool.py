@@ -37,7 +37,6 @@ class Body:
     """What has a space V, facet tags and a displacement u, clamped at its base."""
 
     def __init__(self, domain, facets, degree):
-        """Create the space."""
         self.mesh, self.facets, d = domain, facets, domain.geometry.dim
         self.V = fem.functionspace(domain, ("Lagrange", degree, (d,)))
         self.u = fem.Function(self.V)
@@ -74,20 +73,16 @@ class Body:
 
 
 class Block(Body):
-    """Half of a plane block, or the section of a round one, y <= 0, u_x = 0 at x = 0.
+    """Half of a plane block, or the section of a round one, y <= 0, u_x = 0 at x = 0."""
 
-    All of it may be turned by an angle, and measured in another unit; then the axis is free.
-    """
-
-    def __init__(self, n=24, size=10.0, fine=1.0, cell="triangle", degree=1, angle=0.0, unit=1.0):
-        """Create it of n cells each way, about fine / n wide at the origin."""
+    def __init__(self, n=24, size=10.0, fine=1.0, cell="triangle", degree=1, angle=0.0):
         domain = mesh.create_rectangle(COMM, [[0.0, 0.0], [1.0, 1.0]], [n, n], mesh.CellType[cell])
         facets = mark(domain, {BASE: (1, 1.0), SIDE: (0, 1.0), TOP: (1, 0.0), AXIS: (0, 0.0)})
         t = domain.geometry.x[:, :2]
         x = np.stack([graded(t[:, 0], size, fine), -graded(t[:, 1], size, fine)], axis=1)
         c, s = np.cos(angle), np.sin(angle)
-        self.turned, self.unit = np.array([[c, -s], [s, c]]), unit
-        domain.geometry.x[:, :2] = unit * x @ self.turned.T
+        self.turned = np.array([[c, -s], [s, c]])
+        domain.geometry.x[:, :2] = x @ self.turned.T
         super().__init__(domain, facets, degree)
 
     def bcs(self):
@@ -110,7 +105,6 @@ class Box(Body):
         move=None,
         comm=COMM,
     ):
-        """Create it."""
         make, d = (mesh.create_rectangle if len(n) == 2 else mesh.create_box), len(n)
         domain = make(comm, [low[:d], high[:d]], n, mesh.CellType[cell])
         facets = mark(domain, {BASE: (axis % d, low[:d][axis]), TOP: (axis % d, high[:d][axis])})

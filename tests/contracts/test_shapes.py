@@ -18,7 +18,6 @@ class Half(shapes.Shape):
     point = np.zeros(2)
 
     def given(self):
-        """Return nothing."""
         return {}
 
     def distance(self, x):

@@ -22,10 +22,7 @@ def _choice(rng, *values):
 
 
 def _laws(rng, tags):
-    """Draw moduli over two and a half decades, also auxetic; six of ten laws are plastic.
-
-    Half of the plastic ones do not harden.
-    """
+    """Draw moduli over two and a half decades, also auxetic; six of ten laws are plastic."""
     laws = {}
     for tag in tags:
         E, nu = float(10 ** rng.uniform(3.0, 5.7)), float(rng.uniform(-0.2, 0.49))
@@ -54,37 +51,6 @@ def _hertz(rng):
     mesh = {"kind": kind, "h": h, "radius": radius, "gap": gap, "cell": cell, "block": block}
     step = {"depth": depth, "steps": steps, "tilt": tilt}
     return {"mesh": mesh, "slave": slave, "geometry": geometry, "laws": laws} | step
-
-
-def _pile(rng):
-    """Draw two to four wavy blocks on each other, under a displacement or a traction."""
-    count = int(rng.integers(2, 5))
-    right = float(rng.uniform(1, 4))
-    boxes, gaps, y = [], [], 0.0
-    for k in range(count):
-        height = float(rng.uniform(0.4, 1.5))
-        narrow = rng.uniform() >= 0.5
-        x = (float(rng.uniform(0, 0.3)), right - float(rng.uniform(0, 0.3))) if narrow else None
-        gap = _choice(rng, 0, 0, rng.uniform(0, 0.01), -rng.uniform(0, 0.01)) if k else 0.0
-        cells = (int(rng.integers(2, 12)), int(rng.integers(1, 6)))
-        boxes.append((*(x or (0.0, right)), y + gap, y + gap + height, *cells))
-        gaps.append(gap)
-        y += gap + height
-    cell = str(rng.choice(["triangle", "quadrilateral"]))
-    wave = (_choice(rng, 0.0, rng.uniform(-0.2, 0.2)), float(rng.uniform(1, 5)))
-    laws = _laws(rng, range(1, count + 1))
-    lower_is_slave = [bool(rng.uniform() < 0.5) for _ in range(1, count)]
-    load = str(rng.choice(["disp", "traction"]))
-    # two blocks may slide: the upper one is then held by the prescribed displacement
-    both = load == "disp" and count == 2
-    lateral = str(rng.choice(["west", "none"])) if both else "west"
-    depth = float(10 ** rng.uniform(-3, np.log10(0.15)))
-    steps, geometry = int(rng.integers(1, 6)), str(rng.choice(GEOMETRIES))
-    tilt = _choice(rng, 0.0, rng.uniform(-0.3, 0.3))
-    shape = {"boxes": boxes, "gaps": gaps, "cell": cell, "wave": wave}
-    sides = {"lower_is_slave": lower_is_slave, "load": load, "lateral": lateral}
-    step = {"geometry": geometry, "laws": laws, "depth": depth, "steps": steps, "tilt": tilt}
-    return shape | sides | step
 
 
 def _boxes3(rng):
@@ -132,11 +98,7 @@ def _second3(rng):
 
 
 def _friction(rng):
-    """Draw bodies of all shapes and cells that are pressed, pushed aside and pushed back.
-
-    "path" holds the way of the push (lateral, and across it in space) and the share of the depth
-    at the end of each step.
-    """
+    """Draw bodies of all shapes and cells that are pressed, pushed aside and pushed back."""
     base = (_hertz, _boxes3, _ring, _second, _second3)[int(rng.choice(5, p=_SHAPES))]
     data = base(rng)
     name = str(rng.choice(["friction", "friction", "friction", "tresca"]))
@@ -167,11 +129,7 @@ def _friction(rng):
 
 
 def _finite(rng):
-    """Draw bodies of all shapes and cells at finite strain, pressed far and perhaps dragged.
-
-    Rubber and metals, also nearly incompressible; where the cells allow it, half of them reduced.
-    Frictionless, with updated geometry.
-    """
+    """Draw bodies of all shapes and cells at finite strain, pressed far and perhaps dragged."""
     base = (_hertz, _boxes3, _ring, _second, _second3)[int(rng.choice(5, p=_SHAPES_OF_FINITE))]
     data = base(rng) | {"geometry": "updated", "strain": "finite"}
     ring, d = "kinematics" in data, 3 if "jitter" in data["mesh"] else 2
@@ -213,7 +171,6 @@ _EXPONENTS_OF_FINITE = ((-2.5, -1.3), (-2.0, -0.5), (-2.0, -0.5))
 _SHAPES = (0.4, 0.3, 0.1, 0.12, 0.08)
 KINDS = {  # with a number that is part of the seed
     "hertz": (0, _hertz),
-    "pile": (2, _pile),
     "boxes3": (3, _boxes3),
     "ring": (5, _ring),
     "second": (6, _second),

@@ -9,9 +9,7 @@ from mpi4py import MPI
 import numpy as np
 
 import dolfinx_mortar as dm
-import ufl
 from dolfinx import fem, mesh
-from tests.cases.block_piles import ABOVE, BELOW, WEST, Blocks
 from tests.cases.meshes_3d import two_boxes
 from tests.sweep.draws import Draw, draw
 
@@ -28,7 +26,6 @@ class RandomProblem:
     facet_tags: mesh.MeshTags
     sides: list[tuple[int, int]]  # slave and master tag of each contact
     bcs: list[fem.DirichletBC]
-    loads: ufl.Form | None
     on_time: Callable[[float], None]
     limit: fem.Function | None = None  # of friction, on the nodes of the pressure
 
@@ -115,7 +112,7 @@ def _with_contact(
     )
     problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=data["geometry"])
 
-    return RandomProblem(data, problem, *tags, [sides], bcs, None, on_time, limit)
+    return RandomProblem(data, problem, *tags, [sides], bcs, on_time, limit)
 
 
 def _law_of_friction(data, V):
@@ -130,46 +127,6 @@ def _law_of_friction(data, V):
     return {name: arguments[given]}, limit
 
 
-def _pile(data):
-    """Clamp the lowest block, hold the others at their left sides, load the uppermost one."""
-    b = Blocks(data["boxes"], cell=data["cell"])
-    height, number = data["wave"]
-    x = b.mesh.geometry.x
-    x[:, 1] += height * np.sin(number * x[:, 0])
-    count, moved = len(data["boxes"]), data["load"] == "disp"
-    sides = []
-    for k, lower_is_slave in enumerate(data["lower_is_slave"], start=1):
-        below, above = 10 * k + ABOVE, 10 * (k + 1) + BELOW
-        sides.append((below, above) if lower_is_slave else (above, below))
-    surface = data["surface"]
-    contacts = [dm.Contact(b.facets, slave=s, master=m, surface=surface) for s, m in sides]
-    held = range(2, count if moved else count + 1) if data["lateral"] == "west" else []
-    value = fem.Constant(b.mesh, np.zeros(2))  # displacement or traction of the uppermost side
-    bcs = [b.fix(1, BELOW), *(b.fix(k, WEST, component=0) for k in held)]
-    loads = None
-    if moved:
-        bcs.append(b.fix(count, ABOVE, value=value))
-    else:
-        ds = ufl.Measure("ds", b.mesh, subdomain_data=b.facets)
-        loads = ufl.inner(value, ufl.TestFunction(b.V)) * ds(10 * count + ABOVE)
-    unit = _pile_load(data)
-
-    def on_time(t):
-        value.value[:] = t * unit
-
-    solid = dm.Solid(b.u, data["laws"], b.cells)
-    problem = dm.ContactProblem(solid, contacts, bcs=bcs, loads=loads, geometry=data["geometry"])
-    return RandomProblem(data, problem, b.cells, b.facets, sides, bcs, loads, on_time)
-
-
-def _pile_load(data):
-    """Return the displacement or traction per level; a displacement closes the gaps, too."""
-    if data["load"] == "disp":
-        open_gaps = sum(gap for gap in data["gaps"] if gap > 0)
-        return np.array([data["tilt"], -1.0 - open_gaps / data["depth"]])
-    return np.array([0.0, -0.05 * min(law.E for law in data["laws"].values())])
-
-
 KINDS = {
     **dict.fromkeys(("hertz", "ring", "second"), _hertz),
     **dict.fromkeys(("boxes3", "second3"), _boxes3),
@@ -177,5 +134,4 @@ KINDS = {
         ("friction", "finite"),
         lambda data: (_hertz if "kind" in data["mesh"] else _boxes3)(data),
     ),
-    "pile": _pile,
 }

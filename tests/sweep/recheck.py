@@ -41,7 +41,7 @@ def residuals(case, before=None, begun=0.0):
         begun: largest force at the begin of the step: of bodies that part nothing else is left.
     """
     comm = case.problem.V.mesh.comm
-    internal, external = _stress_forces(case), _loads(case)
+    internal = _stress_forces(case)
     free = ~_fixed(case)
     contact_forces = np.zeros_like(internal)
     found = {"gap": 0.0, "sign": 0.0, "complementarity": 0.0, "force": 0.0}
@@ -49,9 +49,9 @@ def residuals(case, before=None, begun=0.0):
         forces, worst = _contact(case, contact, sides, free, before, begun)
         contact_forces += forces
         found = {name: max(value, found.get(name, 0.0)) for name, value in worst.items()}
-    sizes = [np.abs(a).max(initial=0.0) for a in (internal, external, contact_forces)]
+    sizes = [np.abs(a).max(initial=0.0) for a in (internal, contact_forces)]
     sizes += [begun, 1e-9 * _stiffest(case) * _travel(case) * _length(case)]
-    rest = np.abs((internal + contact_forces - external)[free]).max(initial=0.0)
+    rest = np.abs((internal + contact_forces)[free]).max(initial=0.0)
     scale, rest = (comm.allreduce(float(a), op=MPI.MAX) for a in (max(sizes), rest))
     return {"equilibrium": rest / max(scale, TINY)} | found
 
@@ -75,22 +75,14 @@ def largest_force(case):
 
 
 def _length(case):
-    """Return the largest circumference of rings, 1 of others; collective.
-
-    Forces of rings are those of the whole circumference, of plane problems per thickness: modulus
-    times displacement is a force of the latter only.
-    """
+    """Return the largest circumference of rings, 1 of others; collective."""
     mesh = case.problem.V.mesh
     largest = 2 * np.pi * float(mesh.geometry.x[:, 0].max(initial=0.0)) if is_ring(case) else 1.0
     return float(mesh.comm.allreduce(largest, op=MPI.MAX))
 
 
 def _travel(case):
-    """Return the largest displacement, at most the size of the mesh.
-
-    It makes a scale for steps without forces. A body that has flown away must not make a larger one
-    and so excuse whatever force is left.
-    """
+    """Return the largest displacement, at most the size of the mesh."""
     mesh = case.problem.V.mesh
     local = (np.abs(case.problem.u.x.array), np.abs(mesh.geometry.x))
     return min(mesh.comm.allreduce(float(a.max(initial=0.0)), op=MPI.MAX) for a in local)
@@ -149,10 +141,6 @@ def is_ring(case):
 
 def _circumference(x):
     return 2 * np.pi * x[:, 0]
-
-
-def _loads(case):
-    return np.zeros(_owned(case)) if case.loads is None else _assembled(case, case.loads)
 
 
 def _fixed(case):
@@ -221,10 +209,7 @@ def _contact(
 
 
 def _growth(case, contact, nodes):
-    """Return how much longer the circumference is than at X, 1 for held geometry; see D's weight.
-
-    On the axis it is that of the nearest slave node.
-    """
+    """Return how much longer the circumference is than at X, 1 for held geometry."""
     if case.problem.geometry == "reference":
         return np.ones(len(nodes))
     every = contact.gather(case.problem.u)
@@ -253,10 +238,7 @@ def _heights(case, contact):
 
 
 def _complementarity(comm, pressure, gap, size, d, floor):
-    """Return the violations of gap >= 0, pressure >= 0, pressure gap = 0.
-
-    The sizes are those of what belongs to the nodes, lengths or areas; the floor is a pressure.
-    """
+    """Return the violations of gap >= 0, pressure >= 0, pressure gap = 0."""
     sizes = np.concatenate(comm.allgather(size))
     facet = float(np.median(sizes)) ** (1.0 / (d - 1)) if len(sizes) else 1.0
     local = (np.abs(pressure), -gap, -pressure, np.abs(pressure * gap))

@@ -89,10 +89,7 @@ def _excuse(case, message):
 
 
 def flows(case):
-    """Tell whether most of some body that does not harden is at its yield limit; collective.
-
-    |dev sigma| = Y there, in the Frobenius norm: a traction that needs more cannot be carried.
-    """
+    """Tell whether most of some body that does not harden is at its yield limit; collective."""
     s, dx = case.problem.solid.stress, at_points(case)
     out_of_plane = s[2] if case.problem.V.mesh.geometry.dim == 2 else 0
     in_plane = stress_tensor(case)
@@ -110,10 +107,7 @@ def flows(case):
 
 
 def is_large(case):
-    """Tell whether a body has strained or turned beyond what a small strain describes; collective.
-
-    The mean of |H^T H| / 2, H = grad u, is the error of lengths there: a tenth and more.
-    """
+    """Tell whether the mean of |H^T H| / 2 of a body, H = grad u, is over a tenth; collective."""
     H = ufl.grad(case.problem.u)
     left_out, dx = ufl.sqrt(ufl.inner(H.T * H, H.T * H)) / 2, at_points(case)
     one = fem.Constant(case.problem.V.mesh, 1.0)
