@@ -28,17 +28,15 @@ SLOW_ON_THREE = """
     load_steps pairs patch rigid_side same_sums slaves_on_rollers tangent
 """.split()
 AT_NIGHT = """
-    audit axisymmetric_contact axisymmetric_patch axisymmetry bending bolts
-    certificate checkpoint checkpoint_damage checkpoint_errors checkpoint_whole
-    corners crossings curvature_jumps demo_meshes dynamics edges eigenstrain energies failures
-    faceted_shapes finite_in_space finite_loads finite_plane_stress folds heat_in_time impact jump
-    jump_errors kinematics law_contact linear linearisation loads locking logarithmic_solid
-    looks_change_nothing margin measure near newton numbers_of_steps obstacle
-    orthotropic output output_resume own_interface parameters passing plane_stress plotting
-    plotting_space pointwise pretension qp_belt qp_definite ramp reaction resolution
-    rubber skins small_strain smooth_3d smooth_contact smooth_tie solid solid_state
-    stack stand_off stress_laws sweep taylor_bar tie_reach tool_files tool_friction
-    turned_ties tying undone user_laws volumetric
+    audit axisymmetric_contact axisymmetric_patch bending bolts certificate checkpoint
+    checkpoint_damage checkpoint_errors checkpoint_whole corners crossings curvature_jumps
+    demo_meshes dynamics edges eigenstrain energies failures faceted_shapes finite_loads folds
+    impact jump jump_errors kinematics linear linearisation loads looks_change_nothing margin
+    measure near newton obstacle output output_resume own_interface parameters passing patch_3d
+    plane_stress plotting plotting_space pointwise pretension qp_definite ramp reaction
+    resolution rubber skins small_strain smooth_3d smooth_contact smooth_second smooth_tie solid
+    stack stand_off sweep taylor_bar tie_reach tool_files tool_friction turned_ties tying undone
+    user_laws volumetric
 """.split()
 QUICK = "mpi and not slow and not serial"
 SLOW = "mpi and slow and not nightly and not serial"
