@@ -12,6 +12,7 @@ import dolfinx
 import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.interfaces.coupling import relative_motions
+from dolfinx_mortar.mortar import self_contact
 from dolfinx_mortar.mortar.pairing import create_pairing, outside_margin
 from dolfinx_mortar.mortar.self_contact import REACH, _divide
 from dolfinx_mortar.mortar.surface import (
@@ -150,6 +151,17 @@ def test_parts_that_come_near_ask_for_a_search():
     # masters beyond the next one have not been seen by a slave
     assert not outside_margin(near, at(0.1, aside=0.1))
     assert outside_margin(near, at(0.1, aside=0.6))
+
+
+def test_facets_of_one_role_that_come_nearer_ask_for_a_search(monkeypatch):
+    V, skin, at = two_blocks()
+    every = lambda keys, *_: np.ones(len(keys), dtype=bool)  # noqa: E731
+    with monkeypatch.context() as patch:
+        patch.setattr(self_contact, "_divide", every)
+        pairing = create_pairing(V, skin, skin, at(0.9))
+    assert len(pairing.pairs) == 0 and len(pairing.roles.seen) >= 16
+    assert not outside_margin(pairing, at(0.48))
+    assert outside_margin(pairing, at(0.42))
 
 
 def test_moments_lack_what_turns_the_normals_and_nothing_else():

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The data of random problems. The order of the draws is frozen, so that seeds keep theirs."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np
@@ -11,19 +13,21 @@ Draw = dict[str, Any]
 GEOMETRIES = ["updated", "reference"]
 
 
-def draw(kind, seed):
+def draw(kind: str, seed: int) -> Draw:
     """Return the data of a random problem."""
-    number, make = KINDS[kind]
-    return make(np.random.default_rng([seed, number]))
+    return KINDS[kind](np.random.default_rng([seed, list(KINDS).index(kind)]))
 
 
-def _choice(rng, *values):
+def _choice(rng: np.random.Generator, *values: float) -> float:
     return float(rng.choice(values))
 
 
-def _laws(rng, tags):
-    """Draw moduli over two and a half decades, also auxetic; six of ten laws are plastic."""
-    laws = {}
+def _laws(rng: np.random.Generator, tags: range) -> dict[int, dm.Elastic | dm.VonMises]:
+    """Draw moduli over two and a half decades, also auxetic; six of ten laws are plastic.
+
+    Half of the plastic ones do not harden.
+    """
+    laws: dict[int, dm.Elastic | dm.VonMises] = {}
     for tag in tags:
         E, nu = float(10 ** rng.uniform(3.0, 5.7)), float(rng.uniform(-0.2, 0.49))
         if rng.uniform() < 0.6:
@@ -35,7 +39,7 @@ def _laws(rng, tags):
     return laws
 
 
-def _hertz(rng):
+def _hertz(rng: np.random.Generator) -> Draw:
     """Draw a half disc on a block, pressed and perhaps pushed aside."""
     radius = float(rng.uniform(3, 20))
     kind = str(rng.choice(["paper", "graded", "graded", "graded"]))
@@ -53,7 +57,55 @@ def _hertz(rng):
     return {"mesh": mesh, "slave": slave, "geometry": geometry, "laws": laws} | step
 
 
-def _boxes3(rng):
+def _sphere(rng: np.random.Generator) -> Draw:
+    """Draw a quarter of a half ball on a block."""
+    radius = float(rng.uniform(4, 12))
+    core = radius * float(rng.uniform(0.1, 0.25))
+    h = tuple(float(core / rng.uniform(1.5, 3.5)) for _ in range(2))
+    gap = _choice(rng, 0.0, rng.uniform(0, 0.1), -rng.uniform(0, 0.1))
+    cell = str(rng.choice(["hexahedron", "tetrahedron"]))
+    depth = max(gap, 0.0) + float(10 ** rng.uniform(-3, np.log10(0.6)))
+    steps = int(rng.integers(1, 4))
+    slave, geometry = int(rng.choice([3, 4])), str(rng.choice(GEOMETRIES))
+    laws = _laws(rng, range(1, 3))
+    block = (4 * radius, 4 * radius, 1.2 * radius)
+    mesh = {"cell": cell, "h": h, "radius": radius, "gap": gap, "core": core, "block": block}
+    step = {"depth": depth, "steps": steps}
+    return {"mesh": mesh, "slave": slave, "geometry": geometry, "laws": laws} | step
+
+
+def _pile(rng: np.random.Generator) -> Draw:
+    """Draw two to four wavy blocks on each other, under a displacement or a traction."""
+    count = int(rng.integers(2, 5))
+    right = float(rng.uniform(1, 4))
+    boxes, gaps, y = [], [], 0.0
+    for k in range(count):
+        height = float(rng.uniform(0.4, 1.5))
+        narrow = rng.uniform() >= 0.5
+        x = (float(rng.uniform(0, 0.3)), right - float(rng.uniform(0, 0.3))) if narrow else None
+        gap = _choice(rng, 0, 0, rng.uniform(0, 0.01), -rng.uniform(0, 0.01)) if k else 0.0
+        cells = (int(rng.integers(2, 12)), int(rng.integers(1, 6)))
+        boxes.append((*(x or (0.0, right)), y + gap, y + gap + height, *cells))
+        gaps.append(gap)
+        y += gap + height
+    cell = str(rng.choice(["triangle", "quadrilateral"]))
+    wave = (_choice(rng, 0.0, rng.uniform(-0.2, 0.2)), float(rng.uniform(1, 5)))
+    laws = _laws(rng, range(1, count + 1))
+    lower_is_slave = [bool(rng.uniform() < 0.5) for _ in range(1, count)]
+    load = str(rng.choice(["disp", "traction"]))
+    # two blocks may slide: the upper one is then held by the prescribed displacement
+    both = load == "disp" and count == 2
+    lateral = str(rng.choice(["west", "none"])) if both else "west"
+    depth = float(10 ** rng.uniform(-3, np.log10(0.15)))
+    steps, geometry = int(rng.integers(1, 6)), str(rng.choice(GEOMETRIES))
+    tilt = _choice(rng, 0.0, rng.uniform(-0.3, 0.3))
+    shape = {"boxes": boxes, "gaps": gaps, "cell": cell, "wave": wave}
+    sides = {"lower_is_slave": lower_is_slave, "load": load, "lateral": lateral}
+    step = {"geometry": geometry, "laws": laws, "depth": depth, "steps": steps, "tilt": tilt}
+    return shape | sides | step
+
+
+def _boxes3(rng: np.random.Generator) -> Draw:
     """Draw two boxes with irregular grids and a wavy interface."""
     cell = str(rng.choice(["hexahedron", "tetrahedron"]))
     lower, upper = (tuple(int(v) for v in rng.integers(1, 6, 3)) for _ in range(2))
@@ -75,21 +127,32 @@ def _boxes3(rng):
     return {"mesh": mesh, "wave": wave, "slave": slave, "geometry": geometry, "laws": laws} | step
 
 
-def _ring(rng):
+def _ring(rng: np.random.Generator) -> Draw:
     """Draw the half sections of a half ball and a round plate."""
     data = _hertz(rng)
     mesh = data["mesh"] | {"half": True}
     return data | {"mesh": mesh, "tilt": 0.0, "kinematics": "axisymmetric"}
 
 
-def _second(rng):
+def _heated(rng: np.random.Generator) -> Draw:
+    """Draw rings that are heated while they are pressed; half of the quadrilaterals reduced.
+
+    Cooled bodies would part, and forces of contact be the round-off of those of heat.
+    """
+    data = _ring(rng)
+    heat = {tag: _choice(rng, 0.0, rng.uniform(0, 2e-3)) for tag in data["laws"]}
+    reduced = data["mesh"]["cell"] == "quadrilateral" and rng.uniform() < 0.5
+    return data | {"heat": heat, "volumetric": "reduced" if reduced else "full"}
+
+
+def _second(rng: np.random.Generator) -> Draw:
     """Draw discs on blocks, or balls on plates, of second order on coarser meshes."""
     data = _ring(rng) if rng.uniform() < 0.3 else _hertz(rng)
     mesh = data["mesh"] | {"h": tuple(min(1.5 * h, 0.9) for h in data["mesh"]["h"])}
     return data | {"mesh": mesh, "degree": 2}
 
 
-def _second3(rng):
+def _second3(rng: np.random.Generator) -> Draw:
     """Draw two boxes of second order."""
     data = _boxes3(rng)
     mesh = data["mesh"]
@@ -97,8 +160,35 @@ def _second3(rng):
     return data | {"mesh": mesh | coarse, "degree": 2}
 
 
-def _friction(rng):
-    """Draw bodies of all shapes and cells that are pressed, pushed aside and pushed back."""
+def _mixed(rng: np.random.Generator) -> Draw:
+    """Draw discs on blocks, or rings, each body of another one of the newer laws."""
+    data = _ring(rng) if rng.uniform() < 0.3 else _hertz(rng)
+    return data | {"laws": {tag: _newer_law(rng) for tag in data["laws"]}}
+
+
+def _newer_law(rng: np.random.Generator) -> Any:
+    E, nu = float(10 ** rng.uniform(3.0, 5.7)), float(rng.uniform(-0.2, 0.49))
+    Y, a, H, Q = (float(E * 10 ** rng.uniform(*ends)) for ends in _EXPONENTS)
+    kind = str(rng.choice(["isotropic", "mixed", "voce", "cone", "wood"]))
+    if kind == "voce":
+        b = float(10 ** rng.uniform(0.5, 2.5))
+        return dm.VonMisesVoce(E, nu, Y, _choice(rng, 0.0, a), H, Q, b)
+    if kind == "cone":
+        return dm.DruckerPrager(E, nu, Y, float(rng.uniform(0.05, 0.4)))
+    if kind == "wood":
+        moduli = (float(E * 10 ** rng.uniform(-1.0, 0.0)) for _ in range(6))
+        E1, E2, E3, *G = sorted(moduli, reverse=True)
+        ratios = (float(rng.uniform(0.0, 0.45)) for _ in range(3))
+        return dm.Orthotropic(E1, E2, E3, *ratios, *G, yaw=float(rng.uniform(0.0, 3.0)))
+    return dm.VonMises(E, nu, Y, 0.0 if kind == "isotropic" else a, H)
+
+
+def _friction(rng: np.random.Generator) -> Draw:
+    """Draw bodies of all shapes and cells that are pressed, pushed aside and pushed back.
+
+    "path" holds the way of the push (lateral, and across it in space) and the share of the depth
+    at the end of each step.
+    """
     base = (_hertz, _boxes3, _ring, _second, _second3)[int(rng.choice(5, p=_SHAPES))]
     data = base(rng)
     name = str(rng.choice(["friction", "friction", "friction", "tresca"]))
@@ -128,8 +218,12 @@ def _friction(rng):
     return data | {"law": law, "geometry": geometry} | walk
 
 
-def _finite(rng):
-    """Draw bodies of all shapes and cells at finite strain, pressed far and perhaps dragged."""
+def _finite(rng: np.random.Generator) -> Draw:
+    """Draw bodies of all shapes and cells at finite strain, pressed far and perhaps dragged.
+
+    Rubber and metals, also nearly incompressible; where the cells allow it, half of them reduced.
+    Frictionless, with updated geometry.
+    """
     base = (_hertz, _boxes3, _ring, _second, _second3)[int(rng.choice(5, p=_SHAPES_OF_FINITE))]
     data = base(rng) | {"geometry": "updated", "strain": "finite"}
     ring, d = "kinematics" in data, 3 if "jitter" in data["mesh"] else 2
@@ -149,7 +243,7 @@ def _finite(rng):
     return data | step | {"laws": laws, "volumetric": "reduced" if reduced else "full"}
 
 
-def _law_of_finite(rng):
+def _law_of_finite(rng: np.random.Generator) -> Any:
     E, nu = float(10 ** rng.uniform(0.0, 3.0)), float(rng.uniform(-0.2, 0.49))
     Y, a, H = (float(E * 10 ** rng.uniform(*ends)) for ends in _EXPONENTS_OF_FINITE)
     mu, bulk = E / 3, float(E * 10 ** rng.uniform(0.0, 3.0))
@@ -169,12 +263,11 @@ def _law_of_finite(rng):
 _SHAPES_OF_FINITE = (0.4, 0.2, 0.2, 0.12, 0.08)
 _EXPONENTS_OF_FINITE = ((-2.5, -1.3), (-2.0, -0.5), (-2.0, -0.5))
 _SHAPES = (0.4, 0.3, 0.1, 0.12, 0.08)
-KINDS = {  # with a number that is part of the seed
-    "hertz": (0, _hertz),
-    "boxes3": (3, _boxes3),
-    "ring": (5, _ring),
-    "second": (6, _second),
-    "second3": (7, _second3),
-    "friction": (9, _friction),
-    "finite": (10, _finite),
+# Of E: yield radius, moduli of kinematic and isotropic hardening, growth of the radius
+_EXPONENTS = ((-3.2, -1.8), (-3.0, -0.5), (-3.0, -0.5), (-3.5, -2.0))
+KINDS = {
+    **{"hertz": _hertz, "sphere": _sphere, "pile": _pile, "boxes3": _boxes3},
+    **{"ring": _ring, "heated": _heated, "second": _second, "second3": _second3, "mixed": _mixed},
+    "friction": _friction,
+    "finite": _finite,
 }

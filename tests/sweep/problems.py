@@ -1,15 +1,20 @@
 # SPDX-License-Identifier: MIT
 """From the data of a random problem to the problem itself, by the public API."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from mpi4py import MPI
 
 import numpy as np
+import numpy.typing as npt
 
 import dolfinx_mortar as dm
+import ufl
 from dolfinx import fem, mesh
+from tests.cases.block_piles import ABOVE, BELOW, WEST, Blocks
 from tests.cases.meshes_3d import two_boxes
 from tests.sweep.draws import Draw, draw
 
@@ -26,28 +31,29 @@ class RandomProblem:
     facet_tags: mesh.MeshTags
     sides: list[tuple[int, int]]  # slave and master tag of each contact
     bcs: list[fem.DirichletBC]
+    loads: ufl.Form | None
     on_time: Callable[[float], None]
     limit: fem.Function | None = None  # of friction, on the nodes of the pressure
 
     @property
-    def levels(self):
+    def levels(self) -> npt.NDArray[np.float64]:
         """Equal load steps up to the depth."""
         steps = self.data["steps"]
         return np.asarray(self.data["depth"] * np.arange(1, steps + 1) / steps)
 
 
-def create(kind, seed, surface="facets"):
+def create(kind: str, seed: int, surface: str = "facets") -> RandomProblem:
     """Return a random problem; collective."""
     return KINDS[kind](draw(kind, seed) | {"surface": surface})
 
 
-def _hertz(data):
+def _hertz(data: Draw) -> RandomProblem:
     m = dm.meshing.hertz(COMM, **data["mesh"])
     return _two_bodies(data, *m)
 
 
-def _boxes3(data):
-    def wavy(x):
+def _boxes3(data: Draw) -> RandomProblem:
+    def wavy(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         x = x.copy()
         x[:, 2] += data["wave"] * np.sin(3 * x[:, 0]) * np.cos(2 * x[:, 1])
         return x
@@ -55,7 +61,9 @@ def _boxes3(data):
     return _two_bodies(data, *two_boxes(COMM, transform=wavy, **data["mesh"]))
 
 
-def _two_bodies(data, domain, cell_tags, facet_tags):
+def _two_bodies(
+    data: Draw, domain: mesh.Mesh, cell_tags: mesh.MeshTags, facet_tags: mesh.MeshTags
+) -> RandomProblem:
     """Clamp tag 1, push tag 2 down and aside, and turn it; contact is between tags 3 and 4."""
     d = domain.geometry.dim
     V = fem.functionspace(domain, ("Lagrange", data.get("degree", 1), (d,)))
@@ -73,7 +81,7 @@ def _two_bodies(data, domain, cell_tags, facet_tags):
     direction = np.array([tilt, -1.0] if d == 2 else [tilt, -tilt / 2, -1.0])
     aside = 0.0 if data.get("kinematics") == "axisymmetric" else 1.0
 
-    def on_time(t):
+    def on_time(t: float) -> None:
         values[1].value[:] = t * direction
         if path is not None:
             ends, now = np.arange(len(path) + 1), t / data["depth"] * len(path)
@@ -90,32 +98,60 @@ def _two_bodies(data, domain, cell_tags, facet_tags):
     return _with_contact(data, fem.Function(V), (cell_tags, facet_tags), bcs, on_time)
 
 
+def _sphere(data: Draw) -> RandomProblem:
+    """Clamp the block's bottom, push the flat face down; two planes of symmetry."""
+    m = dm.meshing.sphere(COMM, **data["mesh"])
+    V = fem.functionspace(m.mesh, ("Lagrange", 1, (3,)))
+    top, rest = (fem.Constant(m.mesh, 0.0) for _ in range(2))
+    bcs = []
+    for tag, components in ((1, (0, 1, 2)), (2, (0, 1, 2)), (5, (0,)), (6, (1,))):
+        for i in components:
+            W = V.sub(i)
+            dofs = fem.locate_dofs_topological(W, 2, m.facet_tags.find(tag))
+            bcs.append(fem.dirichletbc(top if (tag, i) == (2, 2) else rest, dofs, W))
+
+    def on_time(t: float) -> None:
+        top.value = -t
+
+    return _with_contact(data, fem.Function(V), (m.cell_tags, m.facet_tags), bcs, on_time)
+
+
 def _with_contact(
-    data,
-    u,
-    tags,
-    bcs,
-    on_time,
-):
+    data: Draw,
+    u: fem.Function,
+    tags: tuple[mesh.MeshTags, mesh.MeshTags],
+    bcs: list[fem.DirichletBC],
+    on_time: Callable[[float], None],
+) -> RandomProblem:
     """Put one contact between the facet tags 3 and 4."""
     sides = (data["slave"], 7 - data["slave"])
     law, limit = _law_of_friction(data, u.function_space)
     options = law | {"surface": data["surface"]}
     contact = dm.Contact(tags[1], slave=sides[0], master=sides[1], **options)
+    hot = data.get("heat", {})
+    heat = {tag: fem.Constant(u.function_space.mesh, 0.0) for tag in hot}
     solid = dm.Solid(
         u,
         data["laws"],
         tags[0],
         kinematics=data.get("kinematics"),
+        eigenstrain=heat or None,
         volumetric=data.get("volumetric", "full"),
         strain=data.get("strain", "small"),
     )
     problem = dm.ContactProblem(solid, [contact], bcs=bcs, geometry=data["geometry"])
 
-    return RandomProblem(data, problem, *tags, [sides], bcs, on_time, limit)
+    def press_and_heat(t: float) -> None:
+        on_time(t)
+        for tag, strain in hot.items():
+            heat[tag].value = strain * t / data["depth"]
+
+    return RandomProblem(data, problem, *tags, [sides], bcs, None, press_and_heat, limit)
 
 
-def _law_of_friction(data, V):
+def _law_of_friction(
+    data: Draw, V: fem.FunctionSpace
+) -> tuple[dict[str, float | fem.Constant | fem.Function], fem.Function | None]:
     """Return the argument of the contact, and its values at the nodes; nothing without friction."""
     if "law" not in data:
         return {}, None
@@ -127,9 +163,49 @@ def _law_of_friction(data, V):
     return {name: arguments[given]}, limit
 
 
+def _pile(data: Draw) -> RandomProblem:
+    """Clamp the lowest block, hold the others at their left sides, load the uppermost one."""
+    b = Blocks(data["boxes"], cell=data["cell"])
+    height, number = data["wave"]
+    x = b.mesh.geometry.x
+    x[:, 1] += height * np.sin(number * x[:, 0])
+    count, moved = len(data["boxes"]), data["load"] == "disp"
+    sides = []
+    for k, lower_is_slave in enumerate(data["lower_is_slave"], start=1):
+        below, above = 10 * k + ABOVE, 10 * (k + 1) + BELOW
+        sides.append((below, above) if lower_is_slave else (above, below))
+    surface = data["surface"]
+    contacts = [dm.Contact(b.facets, slave=s, master=m, surface=surface) for s, m in sides]
+    held = range(2, count if moved else count + 1) if data["lateral"] == "west" else []
+    value = fem.Constant(b.mesh, np.zeros(2))  # displacement or traction of the uppermost side
+    bcs = [b.fix(1, BELOW), *(b.fix(k, WEST, component=0) for k in held)]
+    loads = None
+    if moved:
+        bcs.append(b.fix(count, ABOVE, value=value))
+    else:
+        ds = ufl.Measure("ds", b.mesh, subdomain_data=b.facets)
+        loads = ufl.inner(value, ufl.TestFunction(b.V)) * ds(10 * count + ABOVE)
+    unit = _pile_load(data)
+
+    def on_time(t: float) -> None:
+        value.value[:] = t * unit
+
+    solid = dm.Solid(b.u, data["laws"], b.cells)
+    problem = dm.ContactProblem(solid, contacts, bcs=bcs, loads=loads, geometry=data["geometry"])
+    return RandomProblem(data, problem, b.cells, b.facets, sides, bcs, loads, on_time)
+
+
+def _pile_load(data: Draw) -> npt.NDArray[np.float64]:
+    """Return the displacement or traction per level; a displacement closes the gaps, too."""
+    if data["load"] == "disp":
+        open_gaps = sum(gap for gap in data["gaps"] if gap > 0)
+        return np.array([data["tilt"], -1.0 - open_gaps / data["depth"]])
+    return np.array([0.0, -0.05 * min(law.E for law in data["laws"].values())])
+
+
 KINDS = {
-    **dict.fromkeys(("hertz", "ring", "second"), _hertz),
-    **dict.fromkeys(("boxes3", "second3"), _boxes3),
+    **{"hertz": _hertz, "sphere": _sphere, "pile": _pile, "boxes3": _boxes3},
+    **{"ring": _hertz, "heated": _hertz, "second": _hertz, "second3": _boxes3, "mixed": _hertz},
     **dict.fromkeys(
         ("friction", "finite"),
         lambda data: (_hertz if "kind" in data["mesh"] else _boxes3)(data),

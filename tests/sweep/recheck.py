@@ -5,15 +5,21 @@ Except for the heights of smooth surfaces over facets, which the gap is measured
 normals, of which those on planes of symmetry depend on supports.
 """
 
+from __future__ import annotations
+
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem, la
 from tests.sweep import slips
+from tests.sweep.problems import RandomProblem
 
+Floats = npt.NDArray[np.float64]
 TINY = np.finfo(float).tiny
 ON_AXIS = 1e-12  # of the coordinates
 LEAST_NORMAL = 0.1
@@ -26,7 +32,9 @@ SYMMETRIC = {2: [[0, 3], [3, 1]], 3: [[0, 3, 5], [3, 1, 4], [5, 4, 2]]}
 """Where the components of a tensor stand among those of ``solid.stress``."""
 
 
-def residuals(case, before=None, begun=0.0):
+def residuals(
+    case: RandomProblem, before: Floats | None = None, begun: float = 0.0
+) -> dict[str, float]:
     """Return what a committed step leaves, each on its own scale; collective.
 
     "equilibrium": forces on free unknowns over the largest force; "gap": deepest overlap over the
@@ -37,30 +45,30 @@ def residuals(case, before=None, begun=0.0):
     Args:
         case: the problem.
         before: owned displacements that the step started from; slips are read off the contact if
-            they are not known, or geometry moves.
+            they are not known.
         begun: largest force at the begin of the step: of bodies that part nothing else is left.
     """
     comm = case.problem.V.mesh.comm
-    internal = _stress_forces(case)
+    internal, external = _stress_forces(case), _loads(case)
     free = ~_fixed(case)
     contact_forces = np.zeros_like(internal)
-    found = {"gap": 0.0, "sign": 0.0, "complementarity": 0.0, "force": 0.0}
+    found: dict[str, float] = {"gap": 0.0, "sign": 0.0, "complementarity": 0.0, "force": 0.0}
     for contact, sides in zip(case.problem.contacts, case.sides, strict=True):
         forces, worst = _contact(case, contact, sides, free, before, begun)
         contact_forces += forces
         found = {name: max(value, found.get(name, 0.0)) for name, value in worst.items()}
-    sizes = [np.abs(a).max(initial=0.0) for a in (internal, contact_forces)]
+    sizes = [np.abs(a).max(initial=0.0) for a in (internal, external, contact_forces)]
     sizes += [begun, 1e-9 * _stiffest(case) * _travel(case) * _length(case)]
-    rest = np.abs((internal + contact_forces)[free]).max(initial=0.0)
+    rest = np.abs((internal + contact_forces - external)[free]).max(initial=0.0)
     scale, rest = (comm.allreduce(float(a), op=MPI.MAX) for a in (max(sizes), rest))
     return {"equilibrium": rest / max(scale, TINY)} | found
 
 
-def _stiffest(case):
+def _stiffest(case: RandomProblem) -> float:
     return max(map(_modulus, case.data["laws"].values()))
 
 
-def _modulus(law):
+def _modulus(law: object) -> float:
     """Return Young's modulus of a law, the largest or about that."""
     for name in ("E", "E1", "K"):
         if hasattr(law, name):
@@ -68,46 +76,54 @@ def _modulus(law):
     raise AssertionError(f"{law!r} has no modulus")
 
 
-def largest_force(case):
+def largest_force(case: RandomProblem) -> float:
     """Return the largest force of the stress on an unknown; collective."""
     local = float(np.abs(_stress_forces(case)).max(initial=0.0))
     return float(case.problem.V.mesh.comm.allreduce(local, op=MPI.MAX))
 
 
-def _length(case):
-    """Return the largest circumference of rings, 1 of others; collective."""
+def _length(case: RandomProblem) -> float:
+    """Return the largest circumference of rings, 1 of others; collective.
+
+    Forces of rings are those of the whole circumference, of plane problems per thickness: modulus
+    times displacement is a force of the latter only.
+    """
     mesh = case.problem.V.mesh
     largest = 2 * np.pi * float(mesh.geometry.x[:, 0].max(initial=0.0)) if is_ring(case) else 1.0
     return float(mesh.comm.allreduce(largest, op=MPI.MAX))
 
 
-def _travel(case):
-    """Return the largest displacement, at most the size of the mesh."""
+def _travel(case: RandomProblem) -> float:
+    """Return the largest displacement, at most the size of the mesh.
+
+    It makes a scale for steps without forces. A body that has flown away must not make a larger one
+    and so excuse whatever force is left.
+    """
     mesh = case.problem.V.mesh
     local = (np.abs(case.problem.u.x.array), np.abs(mesh.geometry.x))
     return min(mesh.comm.allreduce(float(a.max(initial=0.0)), op=MPI.MAX) for a in local)
 
 
-def _owned(case):
+def _owned(case: RandomProblem) -> int:
     layout = case.problem.V.dofmap.index_map
     return case.problem.V.dofmap.index_map_bs * layout.size_local
 
 
-def _assembled(case, form):
+def _assembled(case: RandomProblem, form: ufl.Form) -> Floats:
     """Return the owned entries of a linear form."""
     vector = fem.assemble_vector(fem.form(form))
     vector.scatter_reverse(la.InsertMode.add)
     return np.array(vector.array[: _owned(case)])
 
 
-def stress_tensor(case):
+def stress_tensor(case: RandomProblem) -> ufl.core.expr.Expr:
     """Return the part of solid.stress that works on the displacement, (d, d)."""
     s = case.problem.solid.stress
     places = SYMMETRIC[case.problem.V.mesh.geometry.dim]
     return ufl.as_tensor([[s[k] for k in row] for row in places])
 
 
-def at_points(case):
+def at_points(case: RandomProblem) -> ufl.Measure:
     """Return the measure of the points at which the stress is known, by cell tags."""
     degree = case.problem.solid.quadrature_degree
     rule = {"quadrature_degree": degree, "quadrature_scheme": "default"}
@@ -115,7 +131,7 @@ def at_points(case):
     return ufl.Measure("dx", mesh, metadata=rule, subdomain_data=case.cell_tags)
 
 
-def _stress_forces(case):
+def _stress_forces(case: RandomProblem) -> Floats:
     u, v = case.problem.u, ufl.TestFunction(case.problem.V)
     r = ufl.SpatialCoordinate(case.problem.V.mesh)[0]
     F, hoop, J = ufl.Identity(case.problem.d), 1.0, 1.0
@@ -129,21 +145,25 @@ def _stress_forces(case):
     return _assembled(case, work * at_points(case))
 
 
-def is_finite(case):
+def is_finite(case: RandomProblem) -> bool:
     """Tell whether the strains are finite."""
     return case.problem.solid.strain == "finite"
 
 
-def is_ring(case):
+def is_ring(case: RandomProblem) -> bool:
     """Tell whether the bodies are axisymmetric."""
     return case.data.get("kinematics") == "axisymmetric"
 
 
-def _circumference(x):
+def _circumference(x: Floats) -> Floats:
     return 2 * np.pi * x[:, 0]
 
 
-def _fixed(case):
+def _loads(case: RandomProblem) -> Floats:
+    return np.zeros(_owned(case)) if case.loads is None else _assembled(case, case.loads)
+
+
+def _fixed(case: RandomProblem) -> npt.NDArray[np.bool_]:
     """Return which owned unknowns have Dirichlet data."""
     V = case.problem.V
     marks = la.vector(V.dofmap.index_map, V.dofmap.index_map_bs)
@@ -155,13 +175,13 @@ def _fixed(case):
 
 
 def _contact(
-    case,
-    contact,
-    sides,
-    free,
-    before,
-    begun,
-):
+    case: RandomProblem,
+    contact: dm.Contact,
+    sides: tuple[int, int],
+    free: npt.NDArray[np.bool_],
+    before: Floats | None,
+    begun: float,
+) -> tuple[Floats, dict[str, float]]:
     """Return the forces of a contact on the unknowns, and what is wrong with it."""
     problem = case.problem
     V, d = problem.V, problem.V.mesh.geometry.dim
@@ -193,10 +213,13 @@ def _contact(
     floor = NO_PRESSURE * _stiffest(case)
     worst = _complementarity(V.mesh.comm, pressure[acts], gap[acts], size, d, floor)
     if case.limit is not None:
-        way = None
-        if before is not None and problem.geometry == "reference":
+        # in space the slave side carries what is apart along it when it spins about its normal, so
+        # that slips are objective: there they are read off the contact
+        way, spins = None, d > 2 and case.problem.geometry == "updated"
+        if before is not None and not spins:
             moved = case.problem.u.x.array[: _owned(case)] - before
-            way = _apply(B, moved).reshape(-1, d) / weight[:, None]
+            plain = _apply(B, moved).reshape(-1, d) / weight[:, None]
+            way = _way(case, contact, sides, before, nodes, plain, normals)
         travel = _travel_of(case, before)
         at = slips.Nodes(nodes, normals, loose, acts, pressure, case.limit.x.array[nodes])
         largest = V.mesh.comm.allreduce(float(weight.max(initial=TINY)), op=MPI.MAX)
@@ -208,8 +231,11 @@ def _contact(
     return _apply(B, tractions, transposed=True), worst | {"force": force}
 
 
-def _growth(case, contact, nodes):
-    """Return how much longer the circumference is than at X, 1 for held geometry."""
+def _growth(case: RandomProblem, contact: dm.Contact, nodes: npt.NDArray[np.int64]) -> Floats:
+    """Return how much longer the circumference is than at X, 1 for held geometry; see D's weight.
+
+    On the axis it is that of the nearest slave node.
+    """
     if case.problem.geometry == "reference":
         return np.ones(len(nodes))
     every = contact.gather(case.problem.u)
@@ -220,7 +246,7 @@ def _growth(case, contact, nodes):
     return np.asarray(x[nearest] / X[nearest, 0])
 
 
-def _travel_of(case, before):
+def _travel_of(case: RandomProblem, before: Floats | None) -> float:
     """Return the largest motion of a node in the step, or a hundredth of all until now."""
     u = case.problem.u.x.array[: _owned(case)]
     step = 0.0 if before is None else np.abs(u - before).max(initial=0.0)
@@ -228,7 +254,84 @@ def _travel_of(case, before):
     return float(case.problem.V.mesh.comm.allreduce(local, op=MPI.MAX))
 
 
-def _heights(case, contact):
+def _way(
+    case: RandomProblem,
+    contact: dm.Contact,
+    sides: tuple[int, int],
+    before: Floats,
+    at: npt.NDArray[np.int64],
+    plain: Floats,
+    normals: Floats,
+) -> Floats:
+    """Return by how much slave nodes (n, d) have moved relative to the master in the step.
+
+    With updated geometry to those points of the master that they faced before the step; those that
+    faced none, in the first step to those where the supports had moved the upper body as a whole.
+    What was apart then turns with the normal, to ``normals``. Nodes ``at`` that faced none either
+    have moved as in the present configuration, ``plain``.
+    """
+    problem, V = case.problem, case.problem.V
+    d, own = V.mesh.geometry.dim, _owned(case)
+    u = problem.u.x.array[:own]
+    if problem.geometry == "reference":
+        return plain
+    held = case.bcs[1].dof_indices()[0]
+    held = held[held < own]
+    asked = (u - before)[held].reshape(-1, d)
+    shift = V.mesh.comm.allreduce(asked.sum(axis=0), op=MPI.SUM)
+    shift /= V.mesh.comm.allreduce(len(asked), op=MPI.SUM)
+    first = not V.mesh.comm.allreduce(float(np.abs(before).max(initial=0.0)), op=MPI.MAX)
+    way = np.full((problem.n, d), np.nan)
+    for moved in (0.0, shift) if first else (0.0,):
+        begin = fem.Function(V)
+        begin.x.array[:own] = before
+        begin.x.scatter_forward()
+        begin.x.array.reshape(-1, d)[np.unique(V.dofmap.list[case.cell_tags.find(2)])] += moved
+        there = _way_from(case, contact, sides, begin, before, at, normals)
+        way = np.where(np.isnan(way), there, way)
+    return np.where(np.isnan(way[at]), plain, way[at])
+
+
+def _way_from(
+    case: RandomProblem,
+    contact: dm.Contact,
+    sides: tuple[int, int],
+    begin: fem.Function,
+    before: Floats,
+    at: npt.NDArray[np.int64],
+    turned: Floats,
+) -> Floats:
+    """Return the same (owned nodes, d) by what nodes face at a displacement; NaN for nothing."""
+    problem, V, own = case.problem, case.problem.V, _owned(case)
+    d, u = V.mesh.geometry.dim, case.problem.u.x.array[:own]
+    ring = _circumference if is_ring(case) else None
+    pair = {"slave": sides[0], "master": sides[1], "feature_angle": contact.feature_angle}
+    mortar = dm.assemble_mortar(V, case.facet_tags, u=begin, weight=ring, **pair)
+    nodes = mortar.nodes - V.dofmap.index_map.local_range[0]
+    B, size = mortar.D - mortar.M, _row_norms(mortar.D)[::d, None]
+    normals, present = _normals_at(case, contact, begin)[nodes], np.zeros((problem.n, d))
+    present[at] = turned
+    present = present[nodes]
+    X = _current(case) - u
+    now, then = (_apply(B, X + v).reshape(-1, d) / size for v in (u, before))
+    then -= normals * (normals * then).sum(axis=1, keepdims=True)
+    room = 1.0 + (normals * present).sum(axis=1, keepdims=True)
+    then -= (then * present).sum(axis=1, keepdims=True) / room * (normals + present)
+    way = np.full((problem.n, d), np.nan)
+    way[nodes] = now - then
+    return way
+
+
+def _normals_at(case: RandomProblem, contact: dm.Contact, u: fem.Function) -> Floats:
+    """Return the normals of a contact (owned nodes, d) at X + u."""
+    link = case.problem.system.link(contact)
+    found = contact.pair(link.sides, u, again=True)
+    normals = np.zeros((case.problem.n, u.function_space.mesh.geometry.dim))
+    normals[link.nodes] = contact.couple(link.sides, *found, link.banned, u).normals
+    return normals
+
+
+def _heights(case: RandomProblem, contact: dm.Contact) -> Floats:
     """Return int Phi_j (h_s + h_m), by which smooth surfaces are nearer, at the owned nodes."""
     result = np.zeros(case.problem.n)
     for link in case.problem.system.links:
@@ -237,8 +340,13 @@ def _heights(case, contact):
     return result
 
 
-def _complementarity(comm, pressure, gap, size, d, floor):
-    """Return the violations of gap >= 0, pressure >= 0, pressure gap = 0."""
+def _complementarity(
+    comm: MPI.Comm, pressure: Floats, gap: Floats, size: Floats, d: int, floor: float
+) -> dict[str, float]:
+    """Return the violations of gap >= 0, pressure >= 0, pressure gap = 0.
+
+    The sizes are those of what belongs to the nodes, lengths or areas; the floor is a pressure.
+    """
     sizes = np.concatenate(comm.allgather(size))
     facet = float(np.median(sizes)) ** (1.0 / (d - 1)) if len(sizes) else 1.0
     local = (np.abs(pressure), -gap, -pressure, np.abs(pressure * gap))
@@ -253,14 +361,14 @@ def _complementarity(comm, pressure, gap, size, d, floor):
     }
 
 
-def _current(case):
+def _current(case: RandomProblem) -> Floats:
     """Return X + u of the owned unknowns."""
     V, own = case.problem.V, _owned(case)
     X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim].ravel()
     return np.asarray(X[:own] + case.problem.u.x.array[:own])
 
 
-def _apply(A, x, *, transposed=False):
+def _apply(A: PETSc.Mat, x: Floats, *, transposed: bool = False) -> Floats:
     """Return the owned entries of A x or A^T x; collective."""
     right, left = A.createVecs()
     given, result = (left, right) if transposed else (right, left)
@@ -269,7 +377,7 @@ def _apply(A, x, *, transposed=False):
     return np.array(result.array_r)
 
 
-def _row_norms(A):
+def _row_norms(A: PETSc.Mat) -> Floats:
     """Return the Euclidean norms of the owned rows."""
     start, _, values = A.getValuesCSR()
     rows = np.repeat(np.arange(len(start) - 1), np.diff(start))

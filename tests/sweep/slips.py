@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: MIT
 """Does a step obey the law of friction? Judged from tractions, pressures and displacements."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
+
+import dolfinx_mortar as dm
 
 Floats = npt.NDArray[np.float64]
 TINY = np.finfo(float).tiny
@@ -30,7 +34,9 @@ class Nodes:
     value: Floats  # (n,) mu or s
 
 
-def residuals(contact, at, way, travel, floor, begun):
+def residuals(
+    contact: dm.Contact, at: Nodes, way: Floats | None, travel: float, floor: float, begun: float
+) -> dict[str, float]:
     """Return what a committed step leaves of the law |tau| <= s, slip against tau; collective.
 
     Coulomb's s is mu p; Tresca's acts wherever a node faces the master.
@@ -83,7 +89,7 @@ def residuals(contact, at, way, travel, floor, begun):
     }
 
 
-def _tangential(way, normals, loose):
+def _tangential(way: Floats, normals: Floats, loose: npt.NDArray[np.bool_]) -> Floats:
     """Return the part along the surface and normal to prescribed directions."""
     along = way - normals * (normals * way).sum(axis=1, keepdims=True)
     for k in np.flatnonzero(~loose.all(axis=1)):
