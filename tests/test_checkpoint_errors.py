@@ -16,7 +16,7 @@ import dolfinx_mortar as dm
 from dolfinx_mortar.persistence import tables
 from dolfinx_mortar.persistence.tables import HEAD
 from dolfinx_mortar.shapes import Cylinder
-from tests.cases import tool as tool_case
+from tests import tool_case
 from tests.cases.pressed_blocks import rejected
 from tests.checkpoint_program import STEEL, Press
 

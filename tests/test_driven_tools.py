@@ -14,7 +14,7 @@ from dolfinx_mortar.problem import predictors
 from dolfinx_mortar.steps import newton
 from tests.cases.meshes import two_blocks
 from tests.cases.pressed_blocks import rejected
-from tests.cases.tool import BASE, DEPTH, DISC, STEEL, TOP, Block, Box, R
+from tests.tool_case import BASE, DEPTH, DISC, STEEL, TOP, Block, Box, R
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi

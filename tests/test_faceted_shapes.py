@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from dolfinx_mortar import shapes
 from tests.cases.outlines import RECTANGLE, disc
 from tests.cases.pressed_blocks import rejected
-from tests.cases.tool import DEPTH, Block, Box, R
 from tests.cases.triangles import ball, box, write_binary, write_text
+from tests.tool_case import DEPTH, Block, Box, R
 
 COMM = MPI.COMM_WORLD
 

@@ -16,8 +16,8 @@ from dolfinx import fem
 from dolfinx_mortar.interfaces import obstacle
 from dolfinx_mortar.interfaces.tool import after
 from tests.cases.pressed_blocks import PressedBlocks, rejected
-from tests.cases.tool import BALL, BASE, DEPTH, DISC, ELASTIC, NU, TOP, Block, Box, E, R
 from tests.cases.triangles import box
+from tests.tool_case import BALL, BASE, DEPTH, DISC, ELASTIC, NU, TOP, Block, Box, E, R
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi

@@ -11,8 +11,8 @@ from dolfinx import fem
 from dolfinx_mortar.interfaces.rigid_side import Plate
 from tests.cases.meshes import TOP
 from tests.cases.pressed_blocks import PressedBlocks, rejected
-from tests.cases.tool import BASE, Box
-from tests.cases.tool import TOP as END
+from tests.tool_case import BASE, Box
+from tests.tool_case import TOP as END
 
 COMM = MPI.COMM_WORLD
 LENGTH, HEIGHT, E = 4.0, 1.0, 1000.0

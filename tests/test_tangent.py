@@ -14,8 +14,8 @@ from dolfinx_mortar.mortar import integrals
 from tests.cases import meshes, meshes_3d
 from tests.cases.differences import Differences, accurate
 from tests.cases.meshes import BOTTOM_OF_UPPER, TOP_OF_LOWER
-from tests.cases.tool import AXIS, TOP, Block
 from tests.cases.triangles import ball
+from tests.tool_case import AXIS, TOP, Block
 
 COMM = MPI.COMM_WORLD
 

@@ -10,8 +10,8 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx_mortar.shapes.zero_level import find_zero_level
-from tests.cases.tool import Block, Box
 from tests.cases.triangles import ball
+from tests.tool_case import Block, Box
 
 meshio = pytest.importorskip("meshio")
 pytest.importorskip("h5py")

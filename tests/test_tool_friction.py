@@ -8,7 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from tests.cases.tool import BASE, DEPTH, ELASTIC, Block, Box, R
+from tests.tool_case import BASE, DEPTH, ELASTIC, Block, Box, R
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi

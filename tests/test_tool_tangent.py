@@ -7,7 +7,7 @@ import pytest
 import dolfinx_mortar as dm
 from dolfinx_mortar.newton_method.subproblem import Subproblem
 from dolfinx_mortar.steps import newton as newton_module
-from tests.cases.tool import Block
+from tests.tool_case import Block
 
 pytestmark = pytest.mark.serial
 

@@ -17,7 +17,7 @@ from dolfinx_mortar.qp.condensed import Dense
 from dolfinx_mortar.qp.operator import FreePart
 from dolfinx_mortar.report.energy_ledger import EnergyLedger
 from dolfinx_mortar.steps import walk
-from tests.cases import tool as tool_case
+from tests import tool_case
 from tests.cases.pressed_blocks import Bare, PressedBlocks
 from tests.cases.states import state_of
 from tests.cases.user_laws import Softening

@@ -11,8 +11,8 @@ from dolfinx import fem
 from tests.cases import friction
 from tests.cases.block_piles import COMM
 from tests.cases.tightened_bar import clamped
-from tests.cases.tool import DISC, STEEL, TOP, Block, Box, R
 from tests.test_own_interface import Pressed
+from tests.tool_case import DISC, STEEL, TOP, Block, Box, R
 
 pytestmark = pytest.mark.mpi
 LEVELS = [0.25, 0.5, 0.75, 1.0]
