@@ -50,7 +50,7 @@ from dolfinx_mortar.terms.weak_forms import WeakForm
 if TYPE_CHECKING:
     from dolfinx_mortar import analytic, meshing, plotting
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Contact",
