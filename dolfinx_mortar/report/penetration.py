@@ -184,6 +184,7 @@ class _Skin:
 
     body: Longs  # (m,)
     sides: Bools  # (m, 2, interfaces) on its slave and its master side
+    on: Bools  # (m, 2, interfaces) on or next to these
     x: Floats  # (m, d, d)
     off: Floats  # (m,) distance of the interface sides from their facets, on or next to them
     size: Floats  # (m,) in space root of the area, of whole facets
@@ -229,8 +230,8 @@ class _Skin:
 def find_overlaps(problem: ContactProblem) -> dict[int, Overlap]:
     """Deepest overlap at X + u of contacts' sides, and of uncoupled boundaries (-1); collective.
 
-    Of two bodies, or a surface in self-contact; minus the longest jump of ties, and sagittas of
-    both sides, as facets count as flat.
+    Of two bodies, or a surface in self-contact; minus jumps of ties, and sagittas of both sides, as
+    facets count as flat.
     """
     interfaces = problem.system.interfaces
     meets_itself: Bools = np.array([s.meet_themselves for s in problem.system.sides], dtype=bool)
@@ -241,21 +242,22 @@ def find_overlaps(problem: ContactProblem) -> dict[int, Overlap]:
     pairs, group = skin.pairs(meets_itself)
     group[group == len(interfaces)] = -1
     depth, place = overlaps_of_facets(skin.x, skin.off, pairs)
-    depth -= _longest_jump(problem)
     held = [k for k, interface in enumerate(interfaces) if not interface.unilateral]
     here = (pairs[:, 0] < len(own.body)) & ~np.isin(group, held)
     here &= depth > 0.0
     pairs, depth = pairs[here], depth[here]
+    tied = (skin.on[pairs[:, 0]] & skin.on[pairs[:, 1], ::-1]).any(axis=1)
+    depth -= (tied * _longest_jumps(problem)).max(axis=1, initial=0.0)
     columns = depth / skin.size[pairs].min(axis=1), depth, place[here], skin.body[pairs]
     return {k: Overlap(*found) for k, found in _deepest(comm, group[here], *columns).items()}
 
 
-def _longest_jump(problem: ContactProblem) -> float:
-    """Length of the longest jump of a tie; collective."""
-    links = [link for link in problem.system.links if link.pairing]
-    jumps = [v for link in links if (v := link.apart()) is not None]
-    longest = max((np.linalg.norm(v, axis=1).max(initial=0.0) for v in jumps), default=0.0)
-    return float(maximum(problem.comm, longest)[0])
+def _longest_jumps(problem: ContactProblem) -> Floats:
+    """Length of the jump of each interface; collective."""
+    apart = [link.apart() for link in problem.system.links]
+    lengths = [0.0 if v is None else np.linalg.norm(v, axis=1).max(initial=0.0) for v in apart]
+    none = np.zeros(len(problem.system.sides))
+    return np.asarray(maximum(problem.comm, *lengths)) if lengths else none
 
 
 def _create_skin(problem: ContactProblem, meets_itself: Bools) -> _Skin:
@@ -263,14 +265,17 @@ def _create_skin(problem: ContactProblem, meets_itself: Bools) -> _Skin:
     facets, nodes = boundary.at(problem.u), boundary.nodes
     body = problem.bodies.of_cells[boundary.cells].astype(np.int64)
     sides = np.zeros((len(body), 2, len(interfaces)), dtype=bool)
-    values = la.vector(problem.V.dofmap.index_map)
+    count = 1 + 2 * len(interfaces)
+    values = la.vector(problem.V.dofmap.index_map, count)
     values.array[:] = 0.0
+    at = values.array.reshape(-1, count)
     for k, interface in enumerate(interfaces):
         for j, surface in enumerate(interface.surfaces):
             sides[:, j, k] = np.isin(boundary.entities, surface.entities)
             own = surface.nodes[: surface.owned]
             off = _deviations(surface, problem.u, problem.system.interfaces[k].feature_angle)
-            values.array[own] = np.maximum(values.array[own], off[: surface.owned])
+            at[own, 0] = np.maximum(at[own, 0], off[: surface.owned])
+            at[own, 1 + j * len(interfaces) + k] = 1.0
     for k in np.flatnonzero(meets_itself):
         pairing = problem.system.links[k].pairing
         assert pairing is not None and pairing.roles is not None
@@ -280,10 +285,11 @@ def _create_skin(problem: ContactProblem, meets_itself: Bools) -> _Skin:
     values.scatter_forward()
     boxes = boxes_of(problem.comm, facets.x, body, problem.bodies.count)
     near = near_others(facets.x, body, boxes) | (sides.any(axis=1) & meets_itself).any(axis=1)
-    off = values.array[nodes[near]].max(axis=1, initial=0.0)
+    on = at[nodes[near]].max(axis=1, initial=0.0)
     size = np.linalg.norm(area_vectors(facets[near]), axis=1) ** (1 / (problem.d - 1))
     x = flat_parts(parts_of(facets[near]))
     which = np.flatnonzero(near).repeat(parts(facets.element))
     which = np.resize(which, len(x))  # quadrilaterals are two triangles
     again = np.resize(np.arange(len(size)).repeat(parts(facets.element)), len(x))
-    return _Skin(body[which], sides[which], x, off[again], size[again])
+    on_sides = on[again, 1:].reshape(len(x), *sides.shape[1:]) > 0.0
+    return _Skin(body[which], sides[which], on_sides, x, on[again, 0], size[again])
