@@ -22,8 +22,6 @@ from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats, Ints, Longs
 from dolfinx_mortar.tags import Tags
 
 Arrays = tuple[Floats, Longs]  # nodes (n, d), cells (m, k)
-PAPER_DIVISIONS = (34, 20)  # half block: 34 x 20 rectangles, 2720 triangles in the whole block
-PAPER_DISC_SIZE = 0.45 / 8.0  # element size over radius that gives about 1200 triangles
 
 GMSH_OPTIONS = {
     "General.Terminal": 0.0,
@@ -103,9 +101,8 @@ def hertz(
         lines = [geo.addLine(p[i], p[(i + 1) % 4]) for i in range(4)]
         surface = geo.addPlaneSurface([geo.addCurveLoop(lines)])
         if kind == "paper":
-            nx, ny = PAPER_DIVISIONS
-            for line, n in zip(lines, (ny, nx, ny, nx), strict=True):
-                geo.mesh.setTransfiniteCurve(line, n + 1)
+            for line, nodes in zip(lines, (21, 35, 21, 35), strict=True):
+                geo.mesh.setTransfiniteCurve(line, nodes)
             geo.mesh.setTransfiniteSurface(surface)
         return p[0]
 
@@ -119,10 +116,11 @@ def hertz(
 
     def mesh_half(draw: Callable[[Any], int], size: float, uniform: float) -> Arrays:
         """Mesh the surface, graded from the point of ``draw``, or uniformly."""
+        quads = cell == "quadrilateral"
         # 6 = frontal Delaunay; 8 and 3 = its variant and blossom-full-quad recombination
         options = {
-            "Mesh.Algorithm": 8.0 if cell == "quadrilateral" else 6.0,
-            "Mesh.RecombineAll": float(cell == "quadrilateral"),
+            "Mesh.Algorithm": 8.0 if quads else 6.0,
+            "Mesh.RecombineAll": quads,
             "Mesh.RecombinationAlgorithm": 3.0,
         }
         if kind == "paper":
@@ -138,7 +136,8 @@ def hertz(
 
     def create() -> tuple[Arrays, Arrays]:
         lower = mesh_half(draw_block, sizes[0], block[1])
-        return lower, mesh_half(draw_disc, sizes[1], PAPER_DISC_SIZE * radius)
+        # gives about 1200 triangles
+        return lower, mesh_half(draw_disc, sizes[1], 0.45 / 8.0 * radius)
 
     mesh, first = distribute(comm, create, cell)
     mesh.name = "hertz"
@@ -191,11 +190,26 @@ def sphere(
     check_same_on_all_ranks(**given)
     corner = np.array([block[0] / 2, block[1] / 2, block[2]])
 
+    def of_hexahedra() -> tuple[Arrays, Arrays]:
+        n = int(np.ceil(inner / sizes[0] - 1e-9))
+        x, cells = graded_octant(inner, n, float(np.cbrt(corner.prod())), lambda p: p * corner)
+        return (x * [1.0, 1.0, -1.0] + 0.0, cells), _ball_of_hexahedra(radius, gap, inner, sizes[1])
+
+    def draw_ball(occ: Any) -> None:
+        part = [(3, occ.addSphere(0, 0, 0, radius, -1, 0.0, np.pi / 2, np.pi / 2))]
+        # moves the pole of the parametrisation away from the contact
+        occ.rotate(part, 0, 0, 0, 0, 1, 0, np.pi / 2)
+        occ.translate(part, 0, 0, radius + gap)
+
+    def of_tetrahedra() -> tuple[Arrays, Arrays]:
+        far = float(np.linalg.norm(corner))
+        lower = _tetrahedra(
+            lambda occ: occ.addBox(0, 0, -corner[2], *corner), 0.0, inner, sizes[0], far
+        )
+        return lower, _tetrahedra(draw_ball, gap, inner, sizes[1], 2.0 * radius)
+
     def create() -> tuple[Arrays, Arrays]:
-        of_hexahedra = cell == "hexahedron"
-        of_block = _block_of_hexahedra if of_hexahedra else _block_of_tetrahedra
-        of_ball = _ball_of_hexahedra if of_hexahedra else _ball_of_tetrahedra
-        bodies = of_block(corner, inner, sizes[0]), of_ball(radius, gap, inner, sizes[1])
+        bodies = of_hexahedra() if cell == "hexahedron" else of_tetrahedra()
         return (mirrored(*bodies[0]), mirrored(*bodies[1])) if half else bodies
 
     mesh, first = distribute(comm, create, cell)
@@ -203,12 +217,6 @@ def sphere(
     of = {"thickness": block[2], "radius": radius, "gap": gap}
     planes = ("symmetry_x", "symmetry_y")
     return name_sides(mesh, first, **of, names=("ball", "sphere"), planes=planes)
-
-
-def _block_of_hexahedra(corner: Floats, core: float, h: float) -> Arrays:
-    n = int(np.ceil(core / h - 1e-9))
-    x, cells = graded_octant(core, n, float(np.cbrt(corner.prod())), lambda p: p * corner)
-    return x * [1.0, 1.0, -1.0] + 0.0, cells
 
 
 def _ball_of_hexahedra(radius: float, gap: float, core: float, h: float) -> Arrays:
@@ -226,36 +234,17 @@ def _ball_of_hexahedra(radius: float, gap: float, core: float, h: float) -> Arra
     return x, cells
 
 
-HXT = {"Mesh.Algorithm3D": 10.0}
-
-
-def _block_of_tetrahedra(corner: Floats, core: float, h: float) -> Arrays:
-    with gmsh_model(HXT) as gmsh:
-        w, b, t = corner
-        gmsh.model.occ.addBox(0, 0, -t, w, b, t)
-        return _tetrahedra(gmsh, (0.0, 0.0, 0.0), core, h, float(np.linalg.norm(corner)))
-
-
-def _ball_of_tetrahedra(radius: float, gap: float, core: float, h: float) -> Arrays:
-    with gmsh_model(HXT) as gmsh:
-        occ = gmsh.model.occ
-        part = [(3, occ.addSphere(0, 0, 0, radius, -1, 0.0, np.pi / 2, np.pi / 2))]
-        # moves the pole of the parametrisation away from the contact
-        occ.rotate(part, 0, 0, 0, 0, 1, 0, np.pi / 2)
-        occ.translate(part, 0, 0, radius + gap)
-        return _tetrahedra(gmsh, (0.0, 0.0, gap), core, h, 2.0 * radius)
-
-
 def _tetrahedra(
-    gmsh: Any, contact: tuple[float, float, float], core: float, h: float, far: float
+    draw: Callable[[Any], object], z: float, core: float, h: float, far: float
 ) -> Arrays:
-    gmsh.model.occ.synchronize()
-    points = np.array([gmsh.model.getValue(0, tag, []) for _, tag in gmsh.model.getEntities(0)])
-    nearest = int(np.linalg.norm(points - contact, axis=1).argmin())
-    origin = gmsh.model.getEntities(0)[nearest][1]
-    set_graded_size(gmsh, origin, h, core=core, limit=far / core, beyond=far - core)
-    gmsh.model.mesh.generate(3)
-    return read_cells(gmsh, "tetrahedron")
+    with gmsh_model({"Mesh.Algorithm3D": 10.0}) as gmsh:  # HXT
+        draw(gmsh.model.occ)
+        gmsh.model.occ.synchronize()
+        # the first contact point; other vertices are more than a core away
+        ((_, origin),) = gmsh.model.getEntitiesInBoundingBox(-h, -h, z - h, h, h, z + h, 0)
+        set_graded_size(gmsh, origin, h, core=core, limit=far / core, beyond=far - core)
+        gmsh.model.mesh.generate(3)
+        return read_cells(gmsh, "tetrahedron")
 
 
 def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], Floats]) -> Arrays:
@@ -302,8 +291,11 @@ def graded_octant(edge: float, n: int, radius: float, outer: Callable[[Floats], 
 @contextmanager
 def gmsh_model(options: Mapping[str, float] = MappingProxyType({})) -> Iterator[Any]:
     """Yield gmsh with an empty model and options; then restore its state."""
-    import gmsh
-
+    try:
+        import gmsh
+    except ImportError as error:
+        remedy = "pip install 'dolfinx_mortar[demo]' (or python3-gmsh)"
+        raise RuntimeError(f"gmsh is not installed; {remedy}.") from error
     started = not gmsh.isInitialized()
     if started:
         gmsh.initialize(readConfigFiles=False, interruptible=False)
@@ -360,8 +352,9 @@ def read_cells(gmsh: Any, cell: str) -> Arrays:
 
 def on_axis(x: Floats) -> Floats:
     """Nodes (n, d), with x = 0 exactly where it is round-off."""
-    near = np.abs(x[:, 0]) < HALF_OF_DIGITS * np.ptp(x[:, 0])
-    return np.column_stack([np.where(near, 0.0, x[:, 0]), x[:, 1:]])
+    found = x.copy()
+    found[np.abs(x[:, 0]) < HALF_OF_DIGITS * np.ptp(x[:, 0]), 0] = 0.0
+    return found
 
 
 def mirrored(x: Floats, cells: Longs) -> Arrays:
@@ -373,13 +366,12 @@ def mirrored(x: Floats, cells: Longs) -> Arrays:
     """
     x, d, k = on_axis(x), x.shape[1], cells.shape[1]
     off = x[:, 0] != 0.0
-    image = np.arange(len(x))
-    image[off] = len(x) + np.arange(np.count_nonzero(off))
+    image = np.where(off, len(x) - 1 + np.cumsum(off), np.arange(len(x)))
     # reflection inverts cells; another order of nodes restores the orientation
     turn = [4, 5, 6, 7, 0, 1, 2, 3] if k == 8 else [1, 0, 2, 3][:k]
     turn = [1, 0, 3, 2] if (d, k) == (2, 4) else turn
-    sign = np.where(np.arange(d) == 0, -1.0, 1.0)
-    return np.concatenate([x, x[off] * sign]), np.concatenate([cells, image[cells][:, turn]])
+    nodes = np.concatenate([x, x[off] * [-1.0, 1.0, 1.0][:d]])
+    return nodes, np.concatenate([cells, image[cells][:, turn]])
 
 
 def distribute(
@@ -394,21 +386,17 @@ def distribute(
     k = element.dim // d
     x: Floats = np.empty((0, d))
     cells: Longs = np.empty((0, k), dtype=np.int64)
-    first, problem = 0, ""
-    if comm.rank == 0:
-        try:
-            (x1, cells1), (x2, cells2) = create()
+    first = 0
+    with raised_together(comm):
+        if comm.rank == 0:
+            try:
+                (x1, cells1), (x2, cells2) = create()
+            except Exception as error:  # gmsh raises bare Exception
+                raise RuntimeError(f"gmsh failed: {error}") from error
             x, cells = np.concatenate([x1, x2]), np.concatenate([cells1, cells2 + len(x1)])
             first = len(cells1)
-        except ImportError:
-            problem = "gmsh is not installed; install the Python package gmsh (or python3-gmsh)."
-        except Exception as error:  # gmsh raises bare Exception
-            problem = f"gmsh failed: {error}"
-    first, problem = comm.bcast((first, problem))
-    if problem:
-        raise RuntimeError(problem)
-    domain = ufl.Mesh(element)
-    return dmesh.create_mesh(comm, cells=np.ascontiguousarray(cells), x=x, e=domain), first
+    cells, domain = np.ascontiguousarray(cells), ufl.Mesh(element)
+    return dmesh.create_mesh(comm, cells=cells, x=x, e=domain), comm.bcast(first)
 
 
 def exterior_facets(mesh: dmesh.Mesh, in_first: Bools) -> tuple[Ints, Bools, Floats]:
@@ -444,8 +432,8 @@ def name_parts(
     chosen = of_facets > 0
     facet_tags = dmesh.meshtags(mesh, mesh.topology.dim - 1, facets[chosen], of_facets[chosen])
     cell_tags.name, facet_tags.name = "bodies", "boundary"
-    names = (dict(zip(n, range(1, len(n) + 1), strict=True)) for n in (bodies, tuple(sides)))
-    return TaggedMesh(mesh, Tags(cell_tags, next(names)), Tags(facet_tags, next(names)))
+    names = ({name: tag for tag, name in enumerate(n, start=1)} for n in (bodies, sides))
+    return TaggedMesh(mesh, *map(Tags, (cell_tags, facet_tags), names))
 
 
 def name_sides(

@@ -122,7 +122,7 @@ def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str
             f"facet_tags ({name}={label(facet_tags, tag)}) mark entities of dimension "
             f"{facet_tags.dim}; facets have dimension {fdim}."
         )
-    _connect(topology)
+    connect(topology)
     with raised_together(comm):
         check_entities("facet_tags", facet_tags)
     facets = _owned_facets_with(facet_tags, tag)
@@ -153,13 +153,13 @@ def _cells_behind(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, I
     tdim = topology.dim
     facet_cells = topology.connectivity(tdim - 1, tdim)
     cells = facet_cells.array[facet_cells.offsets[entities]]
-    assert (cells < topology.index_map(tdim).size_local).all()
     count = len(basix.topology(V.mesh.basix_cell())[tdim - 1])  # ranks may have no cell
     cell_facets = topology.connectivity(tdim, tdim - 1).array.reshape(-1, count)
     return cells, np.argmax(cell_facets[cells] == entities[:, None], axis=1)
 
 
-def _facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
+def facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, Ints]:
+    """Nodes (m, k) around facets (m,), and a cell (m,) of each."""
     tdim, (cells, local) = V.mesh.topology.dim, _cells_behind(V, entities)
     count = len(basix.topology(V.mesh.basix_cell())[tdim - 1])
     order, layout = _element(V).order, V.dofmap.dof_layout
@@ -168,6 +168,7 @@ def _facet_nodes(V: dolfinx.fem.FunctionSpace, entities: Ints) -> tuple[Ints, In
 
 
 def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.FunctionSpace) -> Ints:
+    assert (cells < V.mesh.topology.index_map(V.mesh.topology.dim).size_local).all()
     element, x = _element(V), X[nodes]
     outwards = x.mean(axis=1) - X[V.dofmap.list[cells]].mean(axis=1)
     wrong = (facet_normals(Facets(element, x)) * outwards).sum(axis=1) < 0
@@ -224,12 +225,12 @@ def create_surface(
     element = _element(V)
     value: int = tag_of(facet_tags, tag, name)
     entities = _marked_facets(V, facet_tags, value, name)
-    facet_nodes, cells = _facet_nodes(V, entities)
+    nodes_of, cells = facet_nodes(V, entities)
     X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
-    facet_nodes = _order_outwards(X, facet_nodes, cells, V)
-    nodes, owned, sums = create_sums(V, np.unique(facet_nodes))
+    nodes_of = _order_outwards(X, nodes_of, cells, V)
+    nodes, owned, sums = create_sums(V, np.unique(nodes_of))
     called = label(facet_tags, value)
-    facets = Facets(element, X[facet_nodes])
+    facets = Facets(element, X[nodes_of])
     _check_shapes(facets, V.mesh.comm, f"{name}={called}")
     return Surface(
         V=V,
@@ -238,10 +239,10 @@ def create_surface(
         nodes=nodes,
         owned=owned,
         element=element,
-        facets=np.searchsorted(nodes, facet_nodes).astype(np.int32),
+        facets=np.searchsorted(nodes, nodes_of).astype(np.int32),
         entities=entities,
         X=np.ascontiguousarray(X[nodes]),
-        thickness=_thickness(V, facets, facet_nodes),
+        thickness=_thickness(V, facets, nodes_of),
         sums=sums,
     )
 
@@ -325,7 +326,8 @@ class Boundary:
         return Facets(self.facets.element, X + u.x.array.reshape(-1, X.shape[2])[self.nodes])
 
 
-def _connect(topology: dolfinx.mesh.Topology) -> None:
+def connect(topology: dolfinx.mesh.Topology) -> None:
+    """Connect cells and facets; collective."""
     d = topology.dim
     topology.create_connectivity(d - 1, d)
     topology.create_connectivity(d, d - 1)
@@ -333,9 +335,9 @@ def _connect(topology: dolfinx.mesh.Topology) -> None:
 
 def find_boundary(V: dolfinx.fem.FunctionSpace) -> Boundary:
     """All exterior facets; collective."""
-    _connect(V.mesh.topology)
+    connect(V.mesh.topology)
     entities = dolfinx.mesh.exterior_facet_indices(V.mesh.topology)
-    nodes, cells = _facet_nodes(V, entities)
+    nodes, cells = facet_nodes(V, entities)
     X = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
     nodes = _order_outwards(X, nodes, cells, V)
     return Boundary(Facets(_element(V), X[nodes]), cells, entities, nodes)
@@ -343,7 +345,7 @@ def find_boundary(V: dolfinx.fem.FunctionSpace) -> Boundary:
 
 def cells_of(surface: Surface) -> Ints:
     """Owned cell (m,) behind each facet."""
-    return _facet_nodes(surface.V, surface.entities)[1]
+    return facet_nodes(surface.V, surface.entities)[1]
 
 
 def accumulate(surface: Nodes, values: npt.NDArray[Any], *, largest: bool = False) -> Floats:

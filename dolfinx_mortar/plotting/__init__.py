@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 
-import basix
 from dolfinx import fem, plot
 from dolfinx import mesh as dmesh
 from dolfinx_mortar import compat
@@ -29,7 +28,7 @@ from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import check, check_optional, instance, one_of
 from dolfinx_mortar.arrays import Floats, Ints, Longs
-from dolfinx_mortar.geometry.elements import FACETS_OF
+from dolfinx_mortar.mortar.surface import connect, facet_nodes
 from dolfinx_mortar.spaces import CELLS
 from dolfinx_mortar.tags import names_of, tags_of
 
@@ -88,10 +87,9 @@ def mesh(
     bodies = gather_bodies(V, x, values, at_nodes=False)
     sides = None if facet_tags is None else _gather_facets(V, x, facet_tags)
 
-    def draw(drawer: Any, on: Any) -> None:
-        drawer.draw_mesh(on, bodies, sides, cell_tags, facet_tags)
-
-    return _on_rank_0(mesh, draw, file, view, ax, panes=1 if facet_tags is None else 2)
+    what = bodies, sides, cell_tags, facet_tags
+    panes = 1 if facet_tags is None else 2
+    return _on_rank_0(mesh, (file, view, ax), lambda d, on: d.draw_mesh(on, *what), panes)
 
 
 def field(
@@ -123,8 +121,17 @@ def field(
     if not isinstance(V, fem.FunctionSpace) or not hasattr(solid, "cell_values"):
         raise ValueError(f"problem is {problem!r}: give a ContactProblem or a Solid.")
     check_same_on_all_ranks(V.mesh.comm, name=name, scale=scale)
-    values, at_nodes = _values_of(solid, name)
-    bodies = gather_bodies(V, _moved(V, solid.u, scale), values, at_nodes)
+    d, u = V.mesh.geometry.dim, solid.u.x.array.reshape(-1, V.mesh.geometry.dim)
+    of_nodes = {"displacement": np.linalg.norm(u, axis=1)}
+    of_nodes |= {f"displacement_{axis}": u[:, k] for k, axis in enumerate("xyz"[:d])}
+    check("name", name, one_of(*of_nodes, *solid.fields.scalars))
+    if name in of_nodes:
+        values = of_nodes[name]
+    else:
+        found = solid.cell_values(name)
+        owned = V.mesh.topology.index_map(d).size_local
+        values = found.x.array[found.function_space.dofmap.list[:owned, 0]]
+    bodies = gather_bodies(V, _moved(V, solid.u, scale), values, name in of_nodes)
     every = getattr(problem, "interfaces", ()) if scale == 1.0 else ()
     tools = [one.tool.outline() for one in every if one.tool is not None]
 
@@ -132,12 +139,12 @@ def field(
         assert bodies is not None
         drawer.draw_field(on, bodies, name)
         if tools and len(bodies.x):
-            x = bodies.x[:, : V.mesh.geometry.dim]
+            x = bodies.x[:, :d]
             low, high = x.min(axis=0), x.max(axis=0)
             beside = 0.1 * np.linalg.norm(high - low)
             drawer.draw_tools(on, tools, low - beside, high + beside)
 
-    return _on_rank_0(V.mesh, draw, file, view, ax)
+    return _on_rank_0(V.mesh, (file, view, ax), draw)
 
 
 def pressure(
@@ -158,7 +165,18 @@ def pressure(
         ValueError: for interfaces of other problems; else as `mesh`.
         NoResult: before the first step.
     """
-    chosen = _chosen(problem, interfaces)
+    if not hasattr(problem, "check_owned"):
+        raise ValueError(f"problem is {problem!r}: give a ContactProblem.")
+    problem.check_owned()
+    check_same_on_all_ranks(problem.comm, interfaces=interfaces)
+    asked = (problem.contacts or problem.interfaces) if interfaces is None else interfaces
+    chosen = list(asked) if isinstance(asked, list | tuple) else [asked]
+    wrong = [one for one in chosen if not any(one is own for own in problem.interfaces)]
+    if wrong or not chosen:
+        raise ValueError(
+            f"interfaces is {wrong or interfaces!r}: no contact or tie of the problem is given or "
+            f"there; it has {problem.interfaces}."
+        )
     V: fem.FunctionSpace = problem.solid.V
     moved, sides = _moved(V, problem.solid.u, 1.0), []
     for one in chosen:
@@ -167,43 +185,8 @@ def pressure(
         sides += [] if side is None else [(repr(one), side)]
     # one title for all sides: the pressure of a contact is a normal traction, too
     title = "contact pressure" if all(one.unilateral for one in chosen) else "normal traction"
-
-    def draw(drawer: Any, on: Any) -> None:
-        drawer.draw_pressure(on, sides, title)
-
-    return _on_rank_0(V.mesh, draw, file, view, ax)
-
-
-def _chosen(problem: Any, interfaces: Any) -> list[Any]:
-    if not hasattr(problem, "check_owned"):
-        raise ValueError(f"problem is {problem!r}: give a ContactProblem.")
-    problem.check_owned()
-    check_same_on_all_ranks(problem.comm, interfaces=interfaces)
-    asked = (problem.contacts or problem.interfaces) if interfaces is None else interfaces
-    asked = list(asked) if isinstance(asked, list | tuple) else [asked]
-    wrong = [one for one in asked if not any(one is own for own in problem.interfaces)]
-    if wrong or not asked:
-        raise ValueError(
-            f"interfaces is {wrong or interfaces!r}: no contact or tie of the problem is given or "
-            f"there; it has {problem.interfaces}."
-        )
-    return asked
-
-
-def _values_of(solid: Any, name: str) -> tuple[Floats, bool]:
-    """Field at the local nodes or in the owned cells, and whether at nodes; collective."""
-    V: fem.FunctionSpace = solid.V
-    d, topology = V.mesh.geometry.dim, V.mesh.topology
-    components = [f"displacement_{axis}" for axis in "xyz"[:d]]
-    check("name", name, one_of("displacement", *components, *solid.fields.scalars))
-    u = solid.u.x.array.reshape(-1, d)
-    if name == "displacement":
-        return np.linalg.norm(u, axis=1), True
-    if name in components:
-        return u[:, components.index(name)], True
-    found = solid.cell_values(name)
-    cells = found.function_space.dofmap.list[: topology.index_map(d).size_local, 0]
-    return found.x.array[cells], False
+    to = file, view, ax
+    return _on_rank_0(V.mesh, to, lambda drawer, on: drawer.draw_pressure(on, sides, title))
 
 
 def _moved(V: fem.FunctionSpace, u: fem.Function, scale: float) -> Floats:
@@ -215,14 +198,12 @@ def _moved(V: fem.FunctionSpace, u: fem.Function, scale: float) -> Floats:
 
 def _on_rank_0(
     domain: dmesh.Mesh,
+    to: tuple[File, Any, Any],
     draw: Callable[[Any, Any], None],
-    file: File,
-    view: Any,
-    ax: Any,
     panes: int = 1,
 ) -> Any:
     """Draw on rank 0 and return axes or plotter; errors are raised on all ranks; collective."""
-    dim = domain.geometry.dim
+    dim, (file, view, ax) = domain.geometry.dim, to
     with raised_together(domain.comm):
         check_optional("file", file, instance((str, os.PathLike), "give the name of a picture"))
         name, given, where = ("view", view, "space") if dim == 2 else ("ax", ax, "the plane")
@@ -299,8 +280,8 @@ def gather_bodies(
         listed, _, _ = plot.vtk_mesh(V)
         nodes = listed.reshape(-1, V.dofmap.dof_layout.num_dofs + 1)[:, 1:]
         return _gather(V, nodes, x, values, at_nodes)
-    topology.create_connectivity(2, 3)
-    nodes, cells = _nodes_of(V, dmesh.exterior_facet_indices(topology))
+    connect(topology)
+    nodes, cells = facet_nodes(V, dmesh.exterior_facet_indices(topology))
     return _gather(V, nodes, x, values if at_nodes else values[cells], at_nodes)
 
 
@@ -314,28 +295,14 @@ def _gather_facets(
     chosen = tags.indices < V.mesh.topology.index_map(tags.dim).size_local
     if tag is not None:
         chosen &= tags.values == tag
-    nodes, _ = _nodes_of(V, tags.indices[chosen])
+    connect(V.mesh.topology)
+    nodes, _ = facet_nodes(V, tags.indices[chosen])
     own = tags.values[chosen] if values is None else values
     return _gather(V, nodes, x, own, at_nodes=values is not None)
 
 
-def _nodes_of(V: fem.FunctionSpace, facets: Ints) -> tuple[Longs, Ints]:
-    topology, d = V.mesh.topology, V.mesh.topology.dim
-    for pair in ((d - 1, d), (d, d - 1)):
-        topology.create_connectivity(*pair)
-    to_cell = topology.connectivity(d - 1, d)
-    cells = to_cell.array[to_cell.offsets[facets]]
-    count = len(basix.topology(V.mesh.basix_cell())[d - 1])
-    own = topology.connectivity(d, d - 1).array.reshape(-1, count)[cells]
-    number = np.argmax(own == facets[:, None], axis=1)
-    order = FACETS_OF[topology.cell_name(), V.element.basix_element.degree].order
-    layout = V.dofmap.dof_layout
-    closure = np.array([layout.entity_closure_dofs(d - 1, i) for i in range(count)])[:, order]
-    return V.dofmap.list[cells[:, None], closure[number]].astype(np.int64), cells
-
-
 def _gather(
-    V: fem.FunctionSpace, nodes: Longs, x: Floats, values: np.ndarray, at_nodes: bool
+    V: fem.FunctionSpace, nodes: Ints | Longs, x: Floats, values: np.ndarray, at_nodes: bool
 ) -> Parts | None:
     """Parts of all ranks on rank 0, None elsewhere; collective."""
     used, own = np.unique(nodes, return_inverse=True)
