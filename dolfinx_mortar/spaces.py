@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Supported displacement spaces, and values of their Functions."""
 
+from collections.abc import Callable
 from typing import Any
 
 from mpi4py import MPI
@@ -138,15 +139,21 @@ def check_real(name: str, *values: Any) -> None:
 
 def mean_cell_sizes(V: dolfinx.fem.FunctionSpace) -> Floats:
     """Mean size of the cells around the node of each owned dof; collective."""
-    domain, d, bs = V.mesh, V.mesh.topology.dim, V.dofmap.index_map_bs
-    cells = np.arange(domain.topology.index_map(d).size_local, dtype=np.int32)
-    sums, counts = (dolfinx.la.vector(V.dofmap.index_map, 1) for _ in range(2))
-    for total, values in ((sums, domain.h(d, cells)), (counts, np.ones(len(cells)))):
-        nodes = V.dofmap.list[cells]
-        np.add.at(total.array, nodes, values[:, None])
-        total.scatter_reverse(dolfinx.la.InsertMode.add)
-    n = V.dofmap.index_map.size_local
-    return np.repeat(sums.array[:n] / counts.array[:n], bs)
+    means = means_around(V, lambda cells: V.mesh.h(V.mesh.topology.dim, cells)[:, None])
+    return np.repeat(means[:, 0], V.dofmap.index_map_bs)
+
+
+def means_around(V: dolfinx.fem.FunctionSpace, of_cells: Callable[[Ints], Floats]) -> Floats:
+    """Means (n, c) at owned nodes of values (m, c) of the cells around; collective."""
+    cells = np.arange(V.mesh.topology.index_map(V.mesh.topology.dim).size_local, dtype=np.int32)
+    values = np.column_stack([of_cells(cells), np.ones(len(cells))])
+    sums = dolfinx.la.vector(V.dofmap.index_map, values.shape[1])
+    table = sums.array.reshape(-1, values.shape[1])
+    table[:] = 0.0
+    np.add.at(table, V.dofmap.list[cells], values[:, None])
+    sums.scatter_reverse(dolfinx.la.InsertMode.add)
+    owned = table[: V.dofmap.index_map.size_local]
+    return np.asarray(owned[:, :-1] / owned[:, -1:], dtype=np.float64)
 
 
 def set_owned(f: dolfinx.fem.Function, values: Floats) -> None:

@@ -7,7 +7,7 @@ import hashlib
 import logging
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,23 +19,15 @@ from dolfinx import fem, plot
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import FLAG, NUMBER, check
-from dolfinx_mortar.arrays import Floats, Ints, Longs
+from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.materials.tensor import COMPONENTS
 from dolfinx_mortar.output.xdmf import File, Step, field_keys, insert
+from dolfinx_mortar.spaces import CELLS, HIGHEST
 
 log = logging.getLogger(__name__)
 
-TOPOLOGY = {  # XDMF names by (cell, nodes per cell); nodes in VTK order
-    ("triangle", 3): "Triangle",
-    ("triangle", 6): "Triangle_6",
-    ("quadrilateral", 4): "Quadrilateral",
-    ("quadrilateral", 9): "Quadrilateral_9",
-    ("tetrahedron", 4): "Tetrahedron",
-    ("tetrahedron", 10): "Tetrahedron_10",
-    ("hexahedron", 8): "Hexahedron",
-    ("hexahedron", 27): "Hexahedron_27",
-}
+Tools = Sequence[tuple[Any, Floats]]
 KINDS = {1: "Scalar", 3: "Vector", 9: "Tensor"}
 
 
@@ -89,22 +81,23 @@ class Writer:
         if not isinstance(V, fem.FunctionSpace) or not callable(fields):
             raise ValueError(f"problem is {problem!r}: give a ContactProblem.")
         self.problem, self.comm = problem, V.mesh.comm
-        cell = V.mesh.topology.cell_type.name, V.dofmap.dof_layout.num_dofs
+        cell, degree = V.mesh.topology.cell_name(), V.ufl_element().degree
         self.path = check_path(self.comm, path)
         check_same_on_all_ranks(self.comm, resume=resume)
         with raised_together(self.comm):
             if self.path.suffix != ".xdmf":
                 raise ValueError(f"path is {str(path)!r}: give the name of a file ending in .xdmf.")
             check("resume", resume, FLAG)
-            if cell not in TOPOLOGY:
-                raise ValueError(f"problem: {cell[0]} cells with {cell[1]} nodes: no XDMF name.")
+            if cell not in CELLS or degree > HIGHEST:
+                raise ValueError(f"problem: {cell} cells of degree {degree}: no XDMF name.")
         notes = {} if notes is None else notes
         self._open = True
+        self._find_tools: Callable[[], Tools] = getattr(problem, "output_tools", tuple)
         self._tools: _ToolFile | None = None
         self._file = File(self.comm, self.path, notes, resume=resume)
         try:
-            self._grid_head = self._write_mesh(V, TOPOLOGY[cell])
-            if self._outlines():
+            self._grid_head = self._write_mesh(V)
+            if self._find_tools():
                 with raised_together(self.comm):
                     if self.comm.rank == 0:
                         beside = self.path.with_suffix(".tools.xdmf")
@@ -129,7 +122,7 @@ class Writer:
         """
         if not self._open:
             raise ValueError(f"Writer of {str(self.path)!r} is closed: make a new one.")
-        file, fields, tools = self._file, self.problem.output_fields(), self._outlines()
+        file, fields, tools = self._file, self.problem.output_fields(), self._find_tools()
         V: fem.FunctionSpace = self.problem.solid.V
         number = sum(not step.earlier for step in file.steps)
         grid = ET.Element("Grid", GridType="Uniform")
@@ -187,21 +180,18 @@ class Writer:
         else:
             self._leave()
 
-    def _outlines(self) -> Sequence[tuple[Any, Floats]]:
-        find = getattr(self.problem, "output_tools", None)
-        return () if find is None else find()
-
-    def _write_mesh(self, V: fem.FunctionSpace, topology: str) -> list[ET.Element]:
+    def _write_mesh(self, V: fem.FunctionSpace) -> list[ET.Element]:
         """Write cells and points, or reuse equal ones; return their references."""
         file = self._file
         nodes, _, _ = plot.vtk_mesh(V)
         k = V.dofmap.dof_layout.num_dofs
         local = nodes.reshape(-1, k + 1)[:, 1:]  # the first column repeats the number of nodes
-        cells = V.dofmap.index_map.local_to_global(local.reshape(-1).astype(np.int32))
-        cells = cells.reshape(-1, k)
+        cells = V.dofmap.index_map.local_to_global(local.ravel().astype(np.int32)).reshape(-1, k)
         x = V.tabulate_dof_coordinates()[: V.dofmap.index_map.size_local]
         count = V.mesh.topology.index_map(V.mesh.topology.dim).size_global
-        self._mesh = _digest(self.comm, cells, x)
+        own = hashlib.sha256(cells.astype(np.int64).tobytes() + x.astype(np.float64).tobytes())
+        every = "".join(self.comm.allgather(own.hexdigest()))
+        self._mesh = hashlib.sha256(every.encode()).hexdigest()
         for step in file.steps:
             if step.mesh == self._mesh:
                 with file.numbers("w"):
@@ -212,17 +202,14 @@ class Writer:
                 "number of ranks; ParaView reads the mesh of each step, meshio only the first one",
                 self.path,
             )
-        head = ET.Element("Topology", TopologyType=topology, NumberOfElements=str(count))
+        linear = V.ufl_element().degree == 1
+        kind = V.mesh.topology.cell_name().capitalize() + ("" if linear else f"_{k}")
+        head = ET.Element("Topology", TopologyType=kind, NumberOfElements=str(count))
         geometry = ET.Element("Geometry", GeometryType="XYZ")
         with file.numbers("w", cells.nbytes + x.nbytes, 2) as viewer:
             head.append(file.write_cells(viewer, "cells", cells))
             geometry.append(file.write(viewer, "points", x))
         return [head, geometry]
-
-
-def _digest(comm: MPI.Comm, cells: Ints, x: Floats) -> str:
-    own = hashlib.sha256(cells.astype(np.int64).tobytes() + x.astype(np.float64).tobytes())
-    return hashlib.sha256("".join(comm.allgather(own.hexdigest())).encode()).hexdigest()
 
 
 # -- values of Functions -------------------------------------------------------------------------
@@ -234,23 +221,21 @@ def _values(V: fem.FunctionSpace, function: fem.Function) -> tuple[Floats, str]:
     In the order of V's owned nodes, or of the owned cells: spaces of one element may differ in
     numbering.
     """
-    degree, shape = V.ufl_element().degree, function.ufl_shape
-    of_cells = function.function_space.ufl_element().degree == 0
-    if not of_cells and function.function_space.ufl_element().degree != degree:
-        family = ("Lagrange", degree, shape) if shape else ("Lagrange", degree)
-        target = fem.Function(fem.functionspace(V.mesh, family))
+    degree, own = V.ufl_element().degree, function.function_space.ufl_element().degree
+    shape, topology = function.ufl_shape, V.mesh.topology
+    if own not in (0, degree):
+        target = fem.Function(fem.functionspace(V.mesh, ("Lagrange", degree, shape)))
         target.interpolate(function)
         function = target
-    dofmap, topology = function.function_space.dofmap, V.mesh.topology
-    if of_cells:
+    dofmap = function.function_space.dofmap
+    if own == 0:
         rows = dofmap.list[: topology.index_map(topology.dim).size_local, 0]
     else:
-        imap = V.dofmap.index_map
-        rows = np.empty(imap.size_local + imap.num_ghosts, dtype=np.int32)
+        rows = np.empty(len(V.tabulate_dof_coordinates()), dtype=np.int32)
         rows[V.dofmap.list] = dofmap.list
-        rows = rows[: imap.size_local]
+        rows = rows[: V.dofmap.index_map.size_local]
     values = function.x.array.reshape(-1, dofmap.index_map_bs)[rows]
-    return _pad(values, shape), "Cell" if of_cells else "Node"
+    return _pad(values, shape), "Node" if own else "Cell"
 
 
 def _pad(values: Floats, shape: tuple[int, ...]) -> Floats:
@@ -281,30 +266,32 @@ class _ToolFile(File):
     """
 
     written = 0  # steps, by this run, also those that the results lack
-    boxes: Sequence[tuple[Floats, Floats]] = ()  # of the last cuts
+    boxes: Any = None  # (tools, 2, d) of the last cuts
     points: Sequence[Floats] = ()
     head: Sequence[ET.Element] = ()
 
-    def write_step(
-        self, steps: Sequence[Step], new: Step, tools: Sequence[tuple[Any, Floats]]
-    ) -> None:
+    def write_step(self, steps: Sequence[Step], new: Step, tools: Tools) -> None:
         """Write the tools at a new step, and drop steps that the results lack."""
         number, self.written = self.written, self.written + 1
-        known = len(self.boxes) == len(tools) and all(
-            (low <= box[0]).all() and (box[1] <= high).all()
-            for (low, high), (_, box) in zip(self.boxes, tools, strict=True)
-        )
-        if not known:
-            beside = [np.linalg.norm(high - low) for _, (low, high) in tools]
-            sides = zip(beside, tools, strict=True)
-            boxes = [(low - far, high + far) for far, (_, (low, high)) in sides]
-            cuts = [tool.cut(*box) for (tool, _), box in zip(tools, boxes, strict=True)]
+        sides = np.array([box for _, box in tools])
+        inwards = np.array([[1.0], [-1.0]])
+        if self.boxes is None or not (inwards * (sides - self.boxes) >= 0.0).all():
+            diagonals = np.linalg.norm(np.diff(sides, axis=1), axis=2, keepdims=True)
+            self.boxes = sides - inwards * diagonals
+            cuts = [tool.cut(*box) for (tool, _), box in zip(tools, self.boxes, strict=True)]
             self.points = [x for x, _ in cuts]
             before = np.cumsum([0, *map(len, self.points)])
             cells = np.concatenate([c + n for (_, c), n in zip(cuts, before, strict=False)])
             of = np.repeat(np.arange(len(cuts)), [len(c) for _, c in cuts])
-            self.head = self._write_cells(number, cells, of[:, None].astype(np.float64))
-            self.boxes = boxes
+            about = {"TopologyType": "Triangle", "NumberOfElements": str(len(cells))}
+            if cells.shape[1] == 2:
+                about |= {"TopologyType": "Polyline", "NodesPerElement": "2"}
+            topology = ET.Element("Topology", about)
+            numbers = ET.Element("Attribute", Name="tool", AttributeType="Scalar", Center="Cell")
+            with self.numbers("a", cells.nbytes + of.nbytes, 2) as viewer:
+                topology.append(self.write_cells(viewer, f"cells_{number:06d}", cells))
+                numbers.append(self.write(viewer, f"tool_{number:06d}", of[:, None]))
+            self.head = topology, numbers
         pairs = zip(self.points, tools, strict=True)
         x = np.concatenate([tool.pose.to_space(points) for points, (tool, _) in pairs])
         x = np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
@@ -313,19 +300,8 @@ class _ToolFile(File):
         geometry = ET.Element("Geometry", GeometryType="XYZ")
         with self.numbers("a", x.nbytes, 1) as viewer:
             geometry.append(self.write(viewer, f"points_{number:06d}", x))
-        topology, of_cells = self.head
-        step.grid.extend([topology, geometry, of_cells])
+        topology, numbers = self.head
+        step.grid.extend([topology, geometry, numbers])
         places = {(one.done, one.time) for one in steps} - {(new.done, new.time)}
         kept = [one for one in self.steps if (one.done, one.time) in places]
         self.replace(sorted([*kept, step], key=lambda one: one.time))
-
-    def _write_cells(self, number: int, cells: Longs, of: Floats) -> list[ET.Element]:
-        about = {"TopologyType": "Triangle", "NumberOfElements": str(len(cells))}
-        if cells.shape[1] == 2:
-            about |= {"TopologyType": "Polyline", "NodesPerElement": "2"}
-        topology = ET.Element("Topology", about)
-        attribute = ET.Element("Attribute", Name="tool", AttributeType="Scalar", Center="Cell")
-        with self.numbers("a", cells.nbytes + of.nbytes, 2) as viewer:
-            topology.append(self.write_cells(viewer, f"cells_{number:06d}", cells))
-            attribute.append(self.write(viewer, f"tool_{number:06d}", of))
-        return [topology, attribute]

@@ -7,6 +7,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 from weakref import WeakValueDictionary
@@ -16,7 +17,6 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx import default_scalar_type
 from dolfinx_mortar.algebra.parallel import raise_together, raised_together
 from dolfinx_mortar.arguments import check, instance
 from dolfinx_mortar.arrays import Floats, Ints, Longs
@@ -129,12 +129,9 @@ class File:
 
     def write(self, viewer: PETSc.Viewer, key: str, values: Floats) -> ET.Element:
         """Write rows (n, components) of this rank; return the reference."""
-        n, components = values.shape
+        components = values.shape[1]
         vector = PETSc.Vec().createWithArray(
-            np.ascontiguousarray(values, dtype=default_scalar_type).reshape(-1),
-            size=(n * components, None),
-            bsize=components,
-            comm=self.comm,
+            values.astype(np.float64).ravel(), bsize=components, comm=self.comm
         )
         rows = self._view(viewer, key, vector) // components
         return self._item(key, (rows, components) if components > 1 else (rows,), "Float", 8)
@@ -302,8 +299,5 @@ def free_name(path: Path, steps: Iterable[Step]) -> Path:
     PosixPath('out.h5')
     """
     taken = {name for step in steps for name in step.files}
-    file, number = path.with_suffix(".h5"), 1
-    while file.name in taken:
-        number += 1
-        file = path.with_suffix(f".{number}.h5")
-    return file
+    names = chain([".h5"], (f".{number}.h5" for number in count(2)))
+    return next(file for file in map(path.with_suffix, names) if file.name not in taken)

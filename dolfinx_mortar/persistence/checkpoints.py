@@ -140,10 +140,13 @@ class Saved:
         committed.active, committed.sliding = nodes["active"][:, 0] > 0.0, nodes.get("sliding")
         committed.displacement = nodes.get("committed", nodes["displacement"]).flatten()
         committed.slid[:], committed.dissipated[:] = nodes["slid"].T, nodes["dissipated"].T
-        supports = nodes.get("supports")
-        halves = None if supports is None else np.split(supports, 2, axis=1)
-        committed.supports = None if halves is None else SupportForces(*halves)
-        committed.paired, committed.gained = self._paired(), None
+        # displacement of the pairing, empty for X
+        committed.paired = np.zeros(0) if state.geometry == "reference" else None
+        if "paired" in nodes:
+            committed.paired = nodes["paired"].flatten()
+        committed.supports = committed.gained = None
+        if "supports" in nodes:
+            committed.supports = SupportForces(*np.split(nodes["supports"], 2, axis=1))
         if about["gained"] is not None:
             travel, duration = about["gained"]
             committed.gained = Gained(nodes["gained"].flatten(), np.array(travel, float), duration)
@@ -171,13 +174,6 @@ class Saved:
             function.x.array.reshape(-1, values[name].shape[1])[nodes] = values[name]
             function.x.scatter_forward()
         interface.sum_up(state.comm, nodes)
-
-    def _paired(self) -> Floats | None:
-        """Displacement of the pairing, empty for X; None if unknown."""
-        found = self.tables[NODES].get("paired")
-        if found is None:
-            return np.zeros(0) if self.state.geometry == "reference" else None
-        return found.flatten()
 
 
 # -- values of this rank -------------------------------------------------------------------------
@@ -274,7 +270,7 @@ def describe(state: ProblemState) -> dict[str, Any]:
 def material_numbers(solid: Solid) -> Floats:
     """Number of the material (points, 1) at the owned points."""
     dofmap = solid.stress.function_space.dofmap
-    numbers = np.zeros((dofmap.index_map.size_local + dofmap.index_map.num_ghosts, 1))
+    numbers = np.zeros((solid.stress.x.array.size // dofmap.bs, 1))
     for k, (_, cells) in enumerate(part for region in solid.regions for part in region.parts):
         numbers[dofmap.list[cells].ravel()] = k
     return numbers[: dofmap.index_map.size_local]

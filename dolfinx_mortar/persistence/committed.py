@@ -18,8 +18,6 @@ from dolfinx_mortar.solid.term import Term, ask_term
 from dolfinx_mortar.step_report import LoadStep
 from dolfinx_mortar.supports.dirichlet import Dirichlet
 
-COLUMN_OF_TERM = "term"
-
 
 @dataclass(frozen=True)
 class SupportForces:
@@ -131,7 +129,7 @@ class ProblemState:
     def states_of_terms(self) -> dict[str, fem.Function]:
         """States of the terms by column of a checkpoint; collective."""
         return {
-            f"{COLUMN_OF_TERM} {k} {name}": f
+            f"term {k} {name}": f
             for k, state in enumerate(self.ask_terms("state"))
             for name, f in state.items()
         }

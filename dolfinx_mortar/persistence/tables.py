@@ -31,7 +31,7 @@ from mpi4py import MPI
 import numpy as np
 import scipy
 
-from dolfinx import fem, la, mesh
+from dolfinx import fem, mesh
 from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arrays import SAME, Floats, Longs
 from dolfinx_mortar.disk import (
@@ -42,6 +42,7 @@ from dolfinx_mortar.disk import (
     replace_by_draft,
     space_for,
 )
+from dolfinx_mortar.spaces import means_around
 
 FORMAT = 8  # raise this when the meaning of the content changes
 HEAD = 512  # bytes: HDF5's smallest "user block"
@@ -51,19 +52,9 @@ Values = Mapping[str, Mapping[str, Floats]]  # (n, c) by column by table
 
 def find_places(V: fem.FunctionSpace) -> Floats:
     """Places (n, 2d) of owned blocks of a nodal space, independent of ranks; collective."""
-    domain, imap = V.mesh, V.dofmap.index_map
-    d, owned = domain.geometry.dim, domain.topology.index_map(domain.topology.dim).size_local
-    cells = np.arange(owned, dtype=np.int32)
-    midpoints = mesh.compute_midpoints(domain, domain.topology.dim, cells)[:, :d]
-    sums = la.vector(imap, d + 1)
-    table = sums.array.reshape(-1, d + 1)
-    table[:] = 0.0
-    counted = np.column_stack([midpoints, np.ones(owned)])
-    np.add.at(table, V.dofmap.list[:owned], counted[:, None])
-    sums.scatter_reverse(la.InsertMode.add)
-    n = imap.size_local
-    x = V.tabulate_dof_coordinates()[:n, :d]
-    return np.asarray(np.hstack([x, table[:n, :d] / table[:n, d:]]), dtype=np.float64)
+    d = V.mesh.geometry.dim
+    means = means_around(V, lambda cells: mesh.compute_midpoints(V.mesh, d, cells)[:, :d])
+    return np.hstack([V.tabulate_dof_coordinates()[: len(means), :d], means])
 
 
 def import_h5py() -> Any:
@@ -231,14 +222,14 @@ def _read_table(
 ) -> tuple[dict[str, Floats], Longs]:
     """Values at own places (n, k), and number of rows of each."""
     (n, k), widths = own.shape, about["columns"]
-    tree = scipy.spatial.cKDTree(own) if n else None
+    tree = scipy.spatial.cKDTree(own)
     values, hits = np.zeros((n, sum(widths.values()))), np.zeros(n, dtype=np.int64)
     low, high = own.min(axis=0, initial=np.inf), own.max(axis=0, initial=-np.inf)
     last = 0
     for count, *box in about["ranks"]:
         first, last = last, last + count
         apart = np.r_[low - box[k:], np.array(box[:k]) - high]
-        if tree is None or (apart > SAME * size).any():
+        if (apart > SAME * size).any():
             continue
         rows = table[first:last]
         distance, at = tree.query(rows[:, :k], distance_upper_bound=SAME * size)
