@@ -16,7 +16,7 @@ import numpy as np
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import check, instance
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Longs
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.meshing.two_bodies import TaggedMesh, gmsh_model
 from dolfinx_mortar.tags import Tags
@@ -246,13 +246,15 @@ def _check_facets(model: Any, bodies: list[Group], sides: list[Group], path: str
     if not parts:
         return
     if bodies[0].dim == 2:
-        found = model.mesh.getElementEdgeNodes(kind, primary=True)
+        listed = model.mesh.getElementEdgeNodes(kind, primary=True)
     else:
-        found = model.mesh.getElementFaceNodes(kind, k, primary=True)
-    every = np.asarray(found, dtype=np.int64).reshape(-1, k)
+        listed = model.mesh.getElementFaceNodes(kind, k, primary=True)
+    every = np.asarray(listed, dtype=np.int64).reshape(-1, k)
     facets = every[np.isin(every, np.concatenate([part.ravel() for part in parts])).all(axis=1)]
+    known = {*map(tuple, np.sort(facets, axis=1))}
     for g in sides:
-        off = sum(int((~_are_in(nodes[:, :k], facets)).sum()) for nodes in g.nodes.values())
+        found = (np.sort(nodes[:, :k], axis=1) for nodes in g.nodes.values())
+        off = sum(tuple(facet) not in known for one in found for facet in one)
         if off:
             raise ValueError(
                 f"{path}: {off} of the {g.size} elements of the physical group {g} "
@@ -260,15 +262,6 @@ def _check_facets(model: Any, bodies: list[Group], sides: list[Group], path: str
                 f"group, give it a physical {('surface', 'volume')[g.dim - 1]}; take what bounds "
                 "no body, such as a section, an axis or the surface of a tool, out of the groups."
             )
-
-
-def _are_in(facets: Longs, known: Longs) -> Bools:
-    """Mask (m,) of facets (m, k) among known ones (n, k), in any order of nodes."""
-    if facets.shape[1] != known.shape[1]:
-        return np.zeros(len(facets), dtype=bool)
-    every = np.sort(np.concatenate([known, facets]), axis=1)
-    number = np.unique(every, axis=0, return_inverse=True)[1].ravel()
-    return np.isin(number[len(known) :], number[: len(known)])
 
 
 def _check_apart(groups: list[Group], path: str) -> None:

@@ -193,7 +193,11 @@ def sphere(
     def of_hexahedra() -> tuple[Arrays, Arrays]:
         n = int(np.ceil(inner / sizes[0] - 1e-9))
         x, cells = graded_octant(inner, n, float(np.cbrt(corner.prod())), lambda p: p * corner)
-        return (x * [1.0, 1.0, -1.0] + 0.0, cells), _ball_of_hexahedra(radius, gap, inner, sizes[1])
+        lower = x * [1.0, 1.0, -1.0] + 0.0, cells
+        return lower, _ball_of_hexahedra(radius, gap, inner, sizes[1])
+
+    def draw_block(occ: Any) -> None:
+        occ.addBox(0, 0, -corner[2], *corner)
 
     def draw_ball(occ: Any) -> None:
         part = [(3, occ.addSphere(0, 0, 0, radius, -1, 0.0, np.pi / 2, np.pi / 2))]
@@ -203,9 +207,7 @@ def sphere(
 
     def of_tetrahedra() -> tuple[Arrays, Arrays]:
         far = float(np.linalg.norm(corner))
-        lower = _tetrahedra(
-            lambda occ: occ.addBox(0, 0, -corner[2], *corner), 0.0, inner, sizes[0], far
-        )
+        lower = _tetrahedra(draw_block, 0.0, inner, sizes[0], far)
         return lower, _tetrahedra(draw_ball, gap, inner, sizes[1], 2.0 * radius)
 
     def create() -> tuple[Arrays, Arrays]:
@@ -234,9 +236,7 @@ def _ball_of_hexahedra(radius: float, gap: float, core: float, h: float) -> Arra
     return x, cells
 
 
-def _tetrahedra(
-    draw: Callable[[Any], object], z: float, core: float, h: float, far: float
-) -> Arrays:
+def _tetrahedra(draw: Callable[[Any], None], z: float, core: float, h: float, far: float) -> Arrays:
     with gmsh_model({"Mesh.Algorithm3D": 10.0}) as gmsh:  # HXT
         draw(gmsh.model.occ)
         gmsh.model.occ.synchronize()

@@ -175,10 +175,9 @@ class Writer:
 
     def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:
         """Close; without a barrier after an exception, which may be that of one rank."""
+        self._leave()
         if kind is None:
-            self.close()
-        else:
-            self._leave()
+            self.comm.Barrier()
 
     def _write_mesh(self, V: fem.FunctionSpace) -> list[ET.Element]:
         """Write cells and points, or reuse equal ones; return their references."""

@@ -84,9 +84,30 @@ class File:
         with raised_together(comm):
             if comm.rank == 0:
                 steps = _read(path) if resume and path.exists() else []
-                _reserve(self, free_name(path, steps), resume)
+                self._reserve(free_name(path, steps), resume)
         self.steps: list[Step] = comm.bcast(steps)
         self.data = free_name(path, self.steps)
+
+    def _reserve(self, data: Path, resume: bool) -> None:
+        """Register this file, remove replaced ones, and create its HDF5 file; on rank 0."""
+        path = self.path
+        if path.resolve() in _OPEN:
+            raise ValueError(f"path is {str(path)!r}, open in another Writer: close it first.")
+        try:
+            if is_checkpoint(data):
+                raise ValueError(
+                    f"path is {str(path)!r}: its numbers would go to {str(data)!r}, which is a "
+                    "checkpoint; choose another name."
+                )
+            if not resume:
+                path.unlink(missing_ok=True)
+            data.write_bytes(b"")
+        except OSError as error:
+            raise ValueError(
+                f"path is {str(path)!r}, which cannot be written ({error.strerror}); choose an "
+                "existing, writable folder."
+            ) from error
+        _OPEN[path.resolve()] = self
 
     def close(self) -> None:
         """Release the files; not collective."""
@@ -165,27 +186,6 @@ class File:
         item = ET.Element("DataItem", about, Dimensions=" ".join(map(str, shape)))
         item.text = f"{self.data.name}:/{key}"
         return item
-
-
-def _reserve(file: File, data: Path, resume: bool) -> None:
-    """Register a file, remove replaced ones, and create its HDF5 file; on rank 0."""
-    path, other = file.path, "choose an existing, writable folder"
-    if path.resolve() in _OPEN:
-        raise ValueError(f"path is {str(path)!r}, open in another Writer: close it first.")
-    try:
-        if is_checkpoint(data):
-            raise ValueError(
-                f"path is {str(path)!r}: its numbers would go to {str(data)!r}, which is a "
-                "checkpoint; choose another name."
-            )
-        if not resume:
-            path.unlink(missing_ok=True)
-        data.write_bytes(b"")
-    except OSError as error:
-        raise ValueError(
-            f"path is {str(path)!r}, which cannot be written ({error.strerror}); {other}."
-        ) from error
-    _OPEN[path.resolve()] = file
 
 
 def _create_tree(notes: Mapping[str, Any]) -> tuple[ET.Element, ET.Element]:

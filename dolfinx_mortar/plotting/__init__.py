@@ -84,12 +84,11 @@ def mesh(
         values[cell_tags.indices[inside]] = cell_tags.values[inside]
     V = fem.functionspace(mesh, ("Lagrange", compat.cell_degree(mesh)))
     x = V.tabulate_dof_coordinates()
-    bodies = gather_bodies(V, x, values, at_nodes=False)
-    sides = None if facet_tags is None else _gather_facets(V, x, facet_tags)
-
-    what = bodies, sides, cell_tags, facet_tags
-    panes = 1 if facet_tags is None else 2
-    return _on_rank_0(mesh, (file, view, ax), lambda d, on: d.draw_mesh(on, *what), panes)
+    layers = [(gather_bodies(V, x, values, at_nodes=False), cell_tags)]
+    if facet_tags is not None:
+        layers.append((_gather_facets(V, x, facet_tags), facet_tags))
+    to = file, view, ax
+    return _on_rank_0(mesh, to, lambda drawer, on: drawer.draw_mesh(on, layers), len(layers))
 
 
 def field(

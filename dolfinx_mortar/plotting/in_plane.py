@@ -34,23 +34,19 @@ def finish(axes: Any, file: Any, view: Any) -> None:
         axes.figure.savefig(file, dpi=150, bbox_inches="tight")
 
 
-def draw_mesh(
-    axes: Any,
-    cells: Parts,
-    facets: Parts | None,
-    cell_tags: dmesh.MeshTags | None,
-    facet_tags: dmesh.MeshTags | None,
-) -> None:
+def draw_mesh(axes: Any, layers: list[tuple[Parts, dmesh.MeshTags | None]]) -> None:
     """Draw bodies, and tagged sides as thick lines, with names."""
     entries: list[Any] = []
+    (cells, cell_tags), *sides = layers
     for name, colour, body in cells.by_tag(cell_tags, BODIES):
         _add_cells(axes, body, facecolor=colour, edgecolor="#20415c80")
         if cell_tags is not None:
             entries.append(Patch(facecolor=colour, edgecolor="#20415c", label=name))
-    for name, colour, side in facets.by_tag(facet_tags, SIDES) if facets is not None else ():
-        lines = side.x[_in_order(side)][:, :, :2]
-        entries.append(LineCollection(lines, colors=colour, linewidths=2.5, label=name))
-        axes.add_collection(entries[-1])
+    for facets, facet_tags in sides:
+        for name, colour, side in facets.by_tag(facet_tags, SIDES):
+            lines = side.x[_in_order(side)][:, :, :2]
+            entries.append(LineCollection(lines, colors=colour, linewidths=2.5, label=name))
+            axes.add_collection(entries[-1])
     _frame(axes)
     if entries:
         axes.legend(handles=entries, loc="center left", bbox_to_anchor=(1.0, 0.5))

@@ -45,25 +45,17 @@ def finish(plotter: Any, file: Any, view: Any) -> None:
         plotter.screenshot(os.fspath(file))
 
 
-def draw_mesh(
-    plotter: Any,
-    outside: Parts,
-    facets: Parts | None,
-    cell_tags: dmesh.MeshTags | None,
-    facet_tags: dmesh.MeshTags | None,
-) -> None:
+def draw_mesh(plotter: Any, layers: list[tuple[Parts, dmesh.MeshTags | None]]) -> None:
     """Draw bodies and tagged sides in two panes, with names."""
-    panes: list[Any] = [(outside, cell_tags, BODIES, {"ambient": 0.4})]
-    if facets is not None:
-        panes.append((facets, facet_tags, SIDES, {"ambient": 0.6, "opacity": 0.5}))
-    for k, (parts, tags, colours, style) in enumerate(panes):
+    styles = {"ambient": 0.4}, {"ambient": 0.6, "opacity": 0.5}
+    for k, (parts, tags) in enumerate(layers):
         plotter.subplot(0, k)
         names = []
-        for name, colour, part in parts.by_tag(tags, colours):
+        for name, colour, part in parts.by_tag(tags, (BODIES, SIDES)[k]):
             names.append((name, colour))
-            _add_facets(plotter, part, color=colour, **style)
+            _add_facets(plotter, part, color=colour, **styles[k])
         if k > 0:
-            _add_facets(plotter, outside, color="white", opacity=0.1)
+            _add_facets(plotter, layers[0][0], color="white", opacity=0.1)
         if tags is not None and names:
             size = 0.25, 0.035 * len(names)
             plotter.add_legend(names, face="rectangle", loc="upper left", size=size)
@@ -87,7 +79,7 @@ def draw_tools(plotter: Any, tools: list[Any], low: Floats, high: Floats) -> Non
             grid = pyvista.ImageData(dimensions=(GRID,) * 3, spacing=spacing, origin=low)
             grid["phi"] = tool.distance(np.asarray(grid.points, dtype=np.float64))
             surface = grid.contour([0.0], scalars="phi")
-        box = [bound for ends in zip(low, high, strict=True) for bound in ends]
+        box = np.column_stack([low, high]).ravel()
         surface = surface.clip_box(box, invert=False).extract_surface()
         if surface.n_points:
             plotter.add_mesh(surface, color=TOOL, opacity=0.35, smooth_shading=True)
