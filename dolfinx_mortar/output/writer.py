@@ -206,7 +206,7 @@ class Writer:
         head = ET.Element("Topology", TopologyType=kind, NumberOfElements=str(count))
         geometry = ET.Element("Geometry", GeometryType="XYZ")
         with file.numbers("w", cells.nbytes + x.nbytes, 2) as viewer:
-            head.append(file.write_cells(viewer, "cells", cells))
+            head.append(file.write(viewer, "cells", cells))
             geometry.append(file.write(viewer, "points", x))
         return [head, geometry]
 
@@ -281,14 +281,14 @@ class _ToolFile(File):
             self.points = [x for x, _ in cuts]
             before = np.cumsum([0, *map(len, self.points)])
             cells = np.concatenate([c + n for (_, c), n in zip(cuts, before, strict=False)])
-            of = np.repeat(np.arange(len(cuts)), [len(c) for _, c in cuts])
+            of = np.repeat(np.arange(len(cuts), dtype=np.float64), [len(c) for _, c in cuts])
             about = {"TopologyType": "Triangle", "NumberOfElements": str(len(cells))}
             if cells.shape[1] == 2:
                 about |= {"TopologyType": "Polyline", "NodesPerElement": "2"}
             topology = ET.Element("Topology", about)
             numbers = ET.Element("Attribute", Name="tool", AttributeType="Scalar", Center="Cell")
             with self.numbers("a", cells.nbytes + of.nbytes, 2) as viewer:
-                topology.append(self.write_cells(viewer, f"cells_{number:06d}", cells))
+                topology.append(self.write(viewer, f"cells_{number:06d}", cells))
                 numbers.append(self.write(viewer, f"tool_{number:06d}", of[:, None]))
             self.head = topology, numbers
         pairs = zip(self.points, tools, strict=True)

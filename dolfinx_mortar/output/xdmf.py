@@ -148,29 +148,22 @@ class File:
         finally:
             self._together(viewer.destroy)
 
-    def write(self, viewer: PETSc.Viewer, key: str, values: Floats) -> ET.Element:
-        """Write rows (n, components) of this rank; return the reference."""
-        components = values.shape[1]
-        vector = PETSc.Vec().createWithArray(
-            values.astype(np.float64).ravel(), bsize=components, comm=self.comm
-        )
-        rows = self._view(viewer, key, vector) // components
-        return self._item(key, (rows, components) if components > 1 else (rows,), "Float", 8)
-
-    def write_cells(self, viewer: PETSc.Viewer, key: str, cells: Ints | Longs) -> ET.Element:
-        """Write the nodes (n, k) of cells of this rank; return the reference."""
-        k = cells.shape[1]
-        indices = PETSc.IS().createGeneral(cells.ravel().astype(PETSc.IntType), comm=self.comm)
-        indices.setBlockSize(k)
-        shape = self._view(viewer, key, indices) // k, k
-        return self._item(key, shape, "Int", np.dtype(PETSc.IntType).itemsize)
-
-    def _view(self, viewer: PETSc.Viewer, key: str, of_petsc: Any) -> int:
-        of_petsc.setName(key)
-        self._together(lambda: of_petsc.view(viewer))
-        size = int(of_petsc.getSize())
-        of_petsc.destroy()
-        return size
+    def write(self, viewer: PETSc.Viewer, key: str, values: Floats | Ints | Longs) -> ET.Element:
+        """Write rows (n, k) of this rank, numbers or nodes of cells; return the reference."""
+        k, kind, flat = values.shape[1], "Float", values.ravel()
+        written: Any
+        if values.dtype.kind == "f":
+            flat = flat.astype(np.float64)
+            written = PETSc.Vec().createWithArray(flat, bsize=k, comm=self.comm)
+        else:
+            kind, flat = "Int", flat.astype(PETSc.IntType)
+            written = PETSc.IS().createGeneral(flat, comm=self.comm)
+            written.setBlockSize(k)
+        written.setName(key)
+        self._together(lambda: written.view(viewer))
+        rows = int(written.getSize()) // k
+        written.destroy()
+        return self._item(key, (rows, k) if k > 1 else (rows,), kind, flat.itemsize)
 
     def _together(self, action: Callable[[], Any]) -> None:
         """Call a collective action; an error on one rank is raised on all, naming the file."""
