@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
-from dolfinx_mortar.persistence import tables
+from dolfinx_mortar.persistence import checkpoints, tables
+from dolfinx_mortar.persistence.checkpoints import material_numbers
 from dolfinx_mortar.persistence.tables import HEAD
 from dolfinx_mortar.shapes import Cylinder
 from tests import tool_case
@@ -131,6 +132,21 @@ def test_another_format_or_version(press, good, folder, change):
 )
 def test_another_problem(good, options, words):
     refused(Press(**options), good, "a checkpoint of another problem", *words)
+
+
+@pytest.mark.mpi
+def test_the_same_materials_in_other_cells(folder, monkeypatch):
+    """As many cells of each, of which one on rank 0 has been exchanged."""
+    one = Press(law={1: STEEL, 2: dm.Elastic(1e5, 0.3)})
+    one.problem.save(folder / "x.h5")
+    numbers = material_numbers(one.problem.solid)
+    first = [np.flatnonzero(numbers == k)[:1] if COMM.rank == 0 else [] for k in range(2)]
+    for k, at in enumerate(first):
+        numbers[at] = 1 - k
+    monkeypatch.setattr(checkpoints, "material_numbers", lambda solid: numbers)
+    count = COMM.bcast(sum(map(len, first)))
+    with rejected(f"another problem: solid: {count} integration points have another material"):
+        one.problem.restore(folder / "x.h5")
 
 
 def with_tool(shape, **options):

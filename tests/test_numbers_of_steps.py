@@ -188,7 +188,7 @@ def test_half_and_double(module, name, factor, usual, monkeypatch):
 
 def closed_round_off():
     """Asked for all digits, a step ends although its gaps are none better than coordinates."""
-    case = create("ring", 1)
+    case = create("pile", 13)
     options = {"on_time": case.on_time, "rtol": 1e-12, "cuts": "none"}
     (step,) = dm.load_steps(case.problem, case.levels[:1], **options)
     assert step.report.newton_iterations <= 3
