@@ -20,14 +20,14 @@ import dolfinx_mortar
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
     "files": 159,
-    "tokens of code": 315_434,
-    "words of prose": 56_423,
-    "words of strings": 13_489,
+    "tokens of code": 312_665,
+    "words of prose": 56_353,
+    "words of strings": 13_370,
 }
-TOKENS_OF_TESTS = 383_899
+TOKENS_OF_TESTS = 359_800
 PUBLIC_NAMES = 43
 WORDS_OF_PAGES = {"README.md": 700, "ARCHITECTURE.md": 1_500}
-SIMPLEST_STEP = {"files": 83, "functions": 746, "lines": 7_835}
+SIMPLEST_STEP = {"files": 78, "functions": 739, "lines": 7_402}
 LAYOUT = (
     *(tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
     *(tokenize.COMMENT, tokenize.ENDMARKER),
