@@ -48,7 +48,7 @@ BELOW = {
     "meshing": {"algebra"},
     "analytic": set(),
     "output": {"algebra", "materials"},
-    "plotting": {"algebra", "geometry"},
+    "plotting": {"algebra", "geometry", "mortar"},
 }
 OPEN = {
     *("agreement", "arguments", "arrays", "compat", "disk", "kernels", "spaces"),
@@ -171,7 +171,7 @@ def test_objects_of_petsc_name_their_communicator():
 
 # Named numbers without influence on results: file formats, capabilities, error codes.
 FORMATS = """
-    FORMAT HEAD INDEX HEADER RECORD CELLS GMSH_OPTIONS TOPOLOGY KINDS WORKSPACE_ERRORS MEMORY_ERRORS
+    FORMAT HEAD INDEX HEADER RECORD CELLS GMSH_OPTIONS KINDS WORKSPACE_ERRORS MEMORY_ERRORS
     OUT_OF_MEMORY OUT_OF_RANGE HIGHEST HIGHEST_RULE
 """.split()
 # Sizes of pictures, messages and buffers.
@@ -181,7 +181,7 @@ TABLES = """
     _R _S LINE2 LINE3 TRI3 TRI6 QUAD4 QUAD9 FACETS_OF ANYWHERE _CORNERS WEIGHTS
     STRETCHES VOLUMES SIZES PATHS NORMAL _NONE _POSITIVE COMPONENTS GRADIENT INDEX FIRST SECOND
     THIRD
-    TURNS PAPER_DIVISIONS PAPER_DISC_SIZE
+    TURNS
 """.split()
 TAGS = "LOOSE TIGHT FACE EDGE POINT".split()
 # What arguments have to be; the errors say it.
