@@ -48,12 +48,8 @@ __all__ = [
 Radius = float | tuple[float, float]
 Force = float | tuple[float, ...]
 Legs = tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
-# Share of p0^2 below which a node counts as at the edge, its facets partly outside; half and twice
-# as much change peak and half-width over 19 facets by less than 0.5 % (tests/test_analytic.py).
+# Share of p0^2 below which a node is at the edge; half and twice as much change the fit by < 0.5 %.
 EDGE = 0.1
-
-
-# -- Hertz ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -83,13 +79,13 @@ class PointContact:
     approach: float  # delta, of distant points
 
     def pressure(self, r: npt.ArrayLike) -> Floats:
-        """Return p0 sqrt(1 - r^2/a^2), zero outside the contact, at distances r from the middle."""
+        """Pressure at distances r from the middle, as `LineContact.pressure`."""
         return self.peak_pressure * _ellipse(r, self.contact_radius)
 
 
 @dataclass(frozen=True)
 class FirstYield:
-    """Load at which a line contact first yields: on its axis, at or below the surface."""
+    """Load at which a line contact first yields, on its axis."""
 
     peak_pressure: float
     half_width: float
@@ -148,12 +144,12 @@ def effective_radius(radius: Radius) -> float:
 def hertz_line(
     force: float, radius: Radius, E1: float, nu1: float, E2: float, nu2: float
 ) -> LineContact:
-    """Solve the line contact of two cylinders (Johnson eqs. 4.43, 4.45), plane strain.
+    """Solve the line contact of two cylinders (Johnson eqs. 4.43, 4.45).
 
         a = sqrt(4 F R/(pi E*)),    p0 = 2 F/(pi a),    p(x) = p0 sqrt(1 - x^2/a^2)
 
-    The force F is per unit thickness, positive in compression; the radius that of a cylinder on a
-    flat body, or the pair (R1, R2). A ValueError names an argument out of range.
+    F is positive in compression, the radius as in `effective_radius`. A ValueError names an
+    argument out of range.
 
     >>> c = hertz_line(10.0, 8.0, 200.0, 0.3, 200.0, 0.3)
     >>> round(c.half_width, 5), round(c.peak_pressure, 5)
@@ -191,14 +187,14 @@ DEPTHS = array(
 
 
 def line_axis_stress(depth: npt.ArrayLike, nu: float) -> Floats:
-    """Principal stresses below the middle of a line contact (Johnson eq. 4.49), plane strain.
+    """Principal stresses below the middle of a line contact (Johnson eq. 4.49).
 
     With z = depth/a and s = sqrt(1 + z^2), in units of the peak pressure,
 
         sigma_x = 2 z - (1 + 2 z^2)/s,    sigma_y = -1/s,    sigma_z = nu (sigma_x + sigma_y)
 
-    Depths over the half-width a have any shape (...), >= 0, else it is a ValueError; the stresses
-    along the surface, normal to it and out of plane have the shape (..., 3).
+    Depths over a have any shape (...); stresses (..., 3) are along the surface, normal to it and
+    out of plane. A ValueError for depths < 0.
 
     >>> line_axis_stress(0.0, 0.25).tolist()
     [-1.0, -1.0, -0.5]
@@ -215,16 +211,15 @@ def first_yield_line(
 ) -> FirstYield:
     """Find the load at which the first body of a line contact starts to yield (von Mises).
 
-    The von Mises stress is largest on the axis, below the surface at half to 0.8 half-widths, or
-    for nu below about 0.194 on it, where it is (1 - 2 nu) p0. The yield stress is uniaxial,
-    sqrt(3/2) Y for the Frobenius norm Y of the deviator; other arguments and errors as for
+    The von Mises stress is largest on the axis, at a depth of 0.5 to 0.8 a, or for nu < 0.194 on
+    the surface, (1 - 2 nu) p0. The yield stress is uniaxial; other arguments and errors as for
     `hertz_line`.
 
     >>> y = first_yield_line(450.0, 8.0, 206_900.0, 0.29, 206_900.0, 0.29)
     >>> round(y.peak_pressure, 1), round(y.half_width, 5), round(y.force, 1), round(y.depth, 4)
     (801.4, 0.11353, 142.9, 0.079)
     """
-    from scipy.optimize import minimize_scalar  # 0.1 s, for this alone
+    from scipy.optimize import minimize_scalar  # slow import
 
     check_all(POSITIVE, yield_stress=yield_stress)
     R, E_star = effective_radius(radius), effective_modulus(E1, nu1, E2, nu2)
@@ -234,14 +229,10 @@ def first_yield_line(
         return float(np.sqrt(0.5 * np.sum((s - np.roll(s, 1)) ** 2)))
 
     found = minimize_scalar(lambda z: -von_mises(z), bounds=(0.2, 2.0), options={"xatol": 1e-10})
-    # from the surface it falls at first: the end is a second maximum
     ratio, depth = max((-float(found.fun), float(found.x)), (von_mises(0.0), 0.0))
     p0 = yield_stress / ratio
     a = 2.0 * p0 * R / E_star  # from p0 = 2 F/(pi a) and a^2 = 4 F R/(pi E*)
     return FirstYield(p0, a, 0.5 * np.pi * a * p0, depth * a, ratio)
-
-
-# -- partial slip --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -279,8 +270,8 @@ class PartialSlip(_History):
 
         q_c(x) = mu p0 (sqrt(1 - x^2/a^2) - (c/a) sqrt(1 - x^2/c^2)),  the last term for |x| < c
 
-    is summed over the legs of the history: weight 1 for the first, -2 and +2 alternately for all
-    others, with half the change of the force each.
+    is summed over the legs: weight 1 for the first, then -2 and +2 in turn with half the change of
+    the force.
     """
 
     @property
@@ -308,8 +299,8 @@ class PartialSlip(_History):
     def displacement(self) -> float:
         """Relative displacement of the bodies due to partial slip, positive along Q.
 
-        mu P/(pi E*) (1 - k + k ln k) in the first loading. Without slip, bodies of finite size move
-        by C Q in addition, with their own compliance C (infinite for half spaces in the plane).
+        mu P/(pi E*) (1 - k + k ln k) in the first loading. Bodies of finite size move by C Q in
+        addition, with their compliance C without slip.
         """
         k, limit = np.array(self.k), self.friction * self.contact.force
         legs = np.array(self.weights) * (1.0 - k + _k_ln_k(k))
@@ -330,13 +321,12 @@ def cattaneo_line(contact: LineContact, friction: float, force: Force) -> Partia
         contact: under its normal force P, from `hertz_line`, of one material.
         friction: coefficient of friction mu.
         force: tangential force Q per unit thickness, |Q| <= mu P; or those at which it turned and
-            the present one last. No change may exceed the one before it, and the second not twice
-            the first force, which would close an earlier loop.
+            the present one. No change may exceed the one before it (the second: twice the first),
+            which would close a loop.
 
     Raises:
         ValueError: naming an argument out of range.
 
-    >>> from dolfinx_mortar.analytic import hertz_line
     >>> contact = hertz_line(100.0, 8.0, 200e3, 0.3, 200e3, 0.3)
     >>> s = cattaneo_line(contact, 0.2, 15.0)
     >>> round(s.stick_half_width / contact.half_width, 12)
@@ -382,8 +372,7 @@ class PartialSlipPoint(_History):
     def dissipation(self) -> float:
         """Energy dissipated so far, >= 0.
 
-        A leg takes |weight| mu P D (1 + 5 k - 5 k^(2/3) - k^(5/3))/5; a closed loop between -Q and
-        Q four times the first loading.
+        A leg takes |weight| mu P D (1 + 5 k - 5 k^(2/3) - k^(5/3))/5.
         """
         k, root = np.array(self.k), np.cbrt(self.k) ** 2
         legs = np.abs(self.weights) * (1.0 + 5.0 * k - 5.0 * root - k * root) / 5.0
@@ -405,10 +394,8 @@ def mindlin_point(
 ) -> PartialSlipPoint:
     """Solve a point contact under one tangential force, or a sequence.
 
-    Arguments and errors as for `cattaneo_line`, with the contact of `hertz_point` and Poisson's
-    ratio nu of the material.
+    As `cattaneo_line`, with the contact of `hertz_point` and Poisson's ratio nu.
 
-    >>> from dolfinx_mortar.analytic import hertz_point
     >>> contact = hertz_point(100.0, 8.0, 200e3, 0.3, 200e3, 0.3)
     >>> s = mindlin_point(contact, 0.2, 0.3, 17.5)
     >>> round(s.stick_radius / contact.contact_radius, 12)
@@ -426,13 +413,13 @@ FORCES = array((), (None,), remedy="give a finite number, or several in a sequen
 def _legs_of(force: Force, limit: float) -> Legs:
     """Forces of a history, weights of its legs (1, then 2, signed), and k of each.
 
-    1 - k, the change of the force over weight times mu P, is in [0, 1], else a ValueError.
+    1 - k in [0, 1] is the change of the force over weight times mu P.
     """
     path = np.atleast_1d(check("force", force, FORCES))
     changes = np.diff(path, prepend=0.0)
     sizes = np.where(np.arange(len(path)) > 0, 2.0, 1.0)
     weights, shares = np.sign(changes) * sizes, np.abs(changes) / limit / sizes
-    # a force that closes a loop may exceed its range by round-off
+    # closed loops, up to round-off
     beyond = shares > np.append(1.0, shares[:-1]) + HALF_OF_DIGITS
     if beyond.any():
         raise ValueError(
@@ -451,16 +438,13 @@ def _k_ln_k(k: Floats) -> Floats:
     return np.asarray(k * np.log(np.where(k > 0.0, k, 1.0)))
 
 
-# -- fit -----------------------------------------------------------------------------------------
-
-
 def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
     """Fit a Hertz distribution to nodal pressures: least squares of p^2 linear in x^2.
 
         p^2 = p0^2 (1 - x^2/a^2) = c0 + c1 x^2,    p0 = sqrt(c0),    a = sqrt(-c0/c1)
 
-    Nodes at the edge, where the p^2 predicted by the inner nodes is below a tenth of p0^2, are
-    excluded. Nodal means with 3, 4 and 6 facets across the contact give a to 6, 5 and 3 % (rms).
+    Nodes where the inner ones predict p^2 below a tenth of p0^2 are excluded. With 3, 4 and 6
+    facets across, a is right to 6, 5 and 3 %.
 
     Args:
         x: distances (n,) of the active nodes from the middle of the contact.
@@ -481,7 +465,6 @@ def fit_pressure(x: npt.ArrayLike, p: npt.ArrayLike) -> tuple[float, float]:
     wanted = f"give pressures of as many nodes, {len(distances)} finite numbers"
     values = check("p", p, array((len(distances),), remedy=wanted))
     squares = distances**2, values**2
-    # the farthest nodes may be at the edge, the others predict it
     farthest = squares[0].max(initial=0.0)
     c0, c1 = _fit_line(*squares, squares[0] <= (1.0 - EDGE) * farthest)
     c0, c1 = _fit_line(*squares, ~(c0 + c1 * squares[0] < EDGE * c0))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Bounds on unknowns of y, and friction laws that limit tangential reactions."""
+"""Bounds on unknowns, and friction laws."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from dolfinx_mortar.spaces import check_nodal
 
 @dataclass(frozen=True)
 class Constraints:
-    """Bounds on increments of unknowns y in this rank's numbering, equal ones for equalities."""
+    """Bounds on increments of y, in this rank's numbering."""
 
     dofs: Ints  # (k,) owned unknowns of y, each once
     lower: Floats  # (k,) -inf if free
@@ -94,14 +94,13 @@ def join(parts: Sequence[Constraints]) -> Constraints:
     return Constraints(dofs.astype(np.int32), lower, upper, weight)
 
 
-# Elastic slip at prescribed slips, in facets: the stiffness mu p / ROOM must be below E for the
-# friction of the last iterate to converge.
+# Elastic slip at prescribed slips, in facets: for convergence mu p / ROOM must be below E.
 ROOM = 0.05
 
 
 @dataclass(frozen=True)
 class SlipLimits:
-    """Limits of the tangential reactions at nodes with friction, in this rank's numbering.
+    """Limits of tangential reactions, in this rank's numbering.
 
     |z_t| <= coefficient z_n + cohesion where closed. In prescribed directions the slip s_e is
     known, not z_t; with the elastic slip a and the other slip s_t its share of the limit is
@@ -205,7 +204,7 @@ REMEDY = "give a number, a scalar fem.Constant, or a scalar Lagrange fem.Functio
 
 @dataclass(frozen=True)
 class FrictionLaw:
-    """Limit of the tangential traction tau of a closed contact with pressure p.
+    """Limit of the tangential traction tau at the pressure p.
 
     "friction": abs(tau) <= mu p (Coulomb); "tresca": abs(tau) <= s.
     """

@@ -111,7 +111,7 @@ class Unilateral(Interface):
 
 
 class Contact(Unilateral, MortarInterface):
-    """Unilateral contact: w_n <= gap, pressure >= 0, pressure * opening = 0; perhaps with friction.
+    """Unilateral contact, perhaps with friction.
 
     At slave node j with the outward normal n_j, the dual function Phi_j and the multiplier lambda_j
 
@@ -121,14 +121,12 @@ class Contact(Unilateral, MortarInterface):
     Results are Functions that vanish off the slave side: ``pressure`` (>= 0 in compression),
     ``gap`` (>= 0 when open; not-a-number at nodes that face no master), ``active`` (1 in contact,
     else 0). ``force`` is the resultant on the slave side, -sum_j D_jj lambda_j n_j plus friction.
-    ``pressure`` and ``traction`` are per area of the slave side at X + u with geometry="updated",
-    at X with "reference", and of the part that faces the master: their integral exceeds the force
-    unless all of the side does.
+    ``pressure`` and ``traction`` are per area of the slave side that faces the master, at X + u, or
+    at X with geometry="reference": their integral exceeds the force unless all of it does.
     Friction: abs(tau) <= mu p, with equality against the slip R_t^T (D^-1 (D - M) (u -
-    u_committed)) since the last commit. Further results: ``traction`` (tangential, on the slave
-    side), ``step_slip`` (of the last step, a length), ``slip`` (accumulated), ``status`` (0 open, 1
-    stick, 2 slip), and ``dissipation`` (energy since the start). Where Dirichlet data prescribe the
-    slip, friction reaches its limit over a twentieth of a facet.
+    u_committed)). Further results: ``traction`` (tangential, on the slave side), ``step_slip``,
+    ``slip`` (lengths), ``status`` and ``dissipation``. Where Dirichlet data prescribe the slip,
+    friction reaches its limit over a twentieth of a facet.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
@@ -140,16 +138,15 @@ class Contact(Unilateral, MortarInterface):
         feature_angle: least angle of an edge between facets in degrees, for smooth surfaces.
         friction: Coulomb's coefficient mu: a number, a scalar Constant, or a scalar Lagrange
             Function on this mesh, read at every step.
-        tresca: limit of the tangential traction instead, of the same kinds, at every slave node
-            that faces the master; a step is then a convex minimisation. In axisymmetry per
-            circumference at X for small strains.
+        tresca: limit of the tangential traction instead, at every slave node that faces the master;
+            a step is then a convex minimisation. In axisymmetry per circumference at X for small
+            strains.
     Source: the paper, eqs. 12 to 20; friction: S. Hueeber, G. Stadler, B. Wohlmuth, SIAM J. Sci.
     Comput. 30 (2008) 572-596; M. Gitterle, A. Popp, M. W. Gee, W. A. Wall, Int. J. Numer. Methods
     Engrg. 84 (2010) 543-571.
 
     Raises:
-        ValueError: for invalid tags, names, surface or angle, negative or infinite limits, and both
-            ``friction`` and ``tresca``.
+        ValueError: for an invalid argument, and both ``friction`` and ``tresca``.
     """
 
     def __init__(
@@ -169,7 +166,7 @@ class Contact(Unilateral, MortarInterface):
 
     @property
     def meets_itself(self) -> bool:
-        """Whether slave and master are one surface, see `mortar.self_contact`."""
+        """Whether slave and master are one surface."""
         return self.slave == self.master
 
     def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:

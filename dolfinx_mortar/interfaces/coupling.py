@@ -84,7 +84,7 @@ class Sides:
 
 @dataclass(frozen=True)
 class Pattern:
-    """Sparsity of the coupling, fixed between two searches."""
+    """Sparsity of the coupling."""
 
     row: Ints  # (e,) of the owned slave nodes
     column: Longs  # (e,) global node
@@ -97,7 +97,7 @@ class Pattern:
 
 @dataclass(frozen=True)
 class Coupling:
-    """One interface in one configuration, at owned slave nodes."""
+    """One configuration, at owned slave nodes."""
 
     blocks: Floats  # (e, d, d) entries of Q, read-only
     P: Floats  # (e, c) for c choices of direction
@@ -152,7 +152,7 @@ def create_pattern(
     smooth: tuple[SmoothSide, SmoothSide] | None = None,
     nearby: tuple[SmoothSide, SmoothSide] | None = None,
 ) -> Pattern:
-    """Pattern with its matrices; collective."""
+    """Create a pattern; collective."""
     V, rows = sides.V, sides.nodes[row]
     scalars = BlockMatrix(V.mesh.comm, V.dofmap.index_map, 1, rows, column)
     return Pattern(row, column, split, create_blocks(V, rows, column), scalars, smooth, nearby)
@@ -175,7 +175,7 @@ def mark(surface: Surface) -> Bools:
 
 @dataclass(frozen=True)
 class CoupledSides:
-    """An interface with the results of search and update."""
+    """An interface after search and update."""
 
     sides: Sides
     pairing: Pairing | None  # None without a master
@@ -201,7 +201,7 @@ class CoupledSides:
 
     @property
     def Q(self) -> PETSc.Mat:
-        """Matrix Q; configurations of one pattern share its memory."""
+        """Q, in memory that the pattern's configurations share."""
         return self.pattern.blocks.of(self.coupling.blocks)
 
     @property
@@ -212,7 +212,7 @@ class CoupledSides:
     def relative(self, v: PETSc.Vec) -> Floats:
         """Return R^-1 (v_j - sum_l Q_jl v_l) (n, d); collective.
 
-        In constrained directions this is R_j^-1 (v_j - P v).
+        In constrained directions R_j^-1 (v_j - P v).
         """
         difference = v.array_r - (self.Q * v).array_r
         local = difference.reshape(-1, self.coupling.R.shape[1])[self.nodes]
@@ -293,7 +293,7 @@ def slipped(coupled: CoupledSides, u: PETSc.Vec) -> Floats:
 
 @dataclass(frozen=True)
 class Frame:
-    """Directions at the owned slave nodes, and which are constrained."""
+    """Directions at the owned slave nodes."""
 
     R: Floats  # (n, d, d) frames as columns
     slot: Ints  # (n, d) column of a prescribed axis, else -1
@@ -304,16 +304,14 @@ class Frame:
 def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
     """Orthonormal frames with the normal first and prescribed axes among the tangents.
 
-    Unit normals (n, d) are zero in prescribed Cartesian directions (n, d). Returns R (n, d, d) with
-    the frame vectors as columns, and slot (n, d), the column of R of a prescribed axis, else -1.
+    Unit normals (n, d) are zero in prescribed directions (n, d). Returns R and slot of a `Frame`.
 
     >>> R, slot = create_frames(np.array([[0.0, -1.0]]), np.array([[True, False]]))
     >>> R[0].tolist(), slot[0].tolist()
     ([[0.0, 1.0], [-1.0, 0.0]], [1, -1])
     """
     n, d = normals.shape
-    # Without the free axis closest to n, [n, axes] is regular. Others keep their order: tangents
-    # that swap under small rotations would spoil reused multigrid levels.
+    # without the free axis closest to n; swapped tangents would spoil reused multigrid levels
     order = np.argsort(np.abs(normals) - 2.0 * fixed, axis=1, kind="stable")[:, : d - 1]
     order = np.sort(order, axis=1)
     columns = np.concatenate([normals[:, None, :], np.eye(d)[order]], axis=1)
@@ -327,7 +325,7 @@ def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
 def normal_frames(normals: Floats, kept: Bools, fixed: Bools) -> tuple[Floats, Ints, Bools]:
     """Frames whose normal is constrained at kept nodes (n,); Cartesian elsewhere.
 
-    Arguments and results as of `create_frames`, and the constrained directions (n, d).
+    As `create_frames`, and the constrained directions (n, d).
 
     >>> n, e = np.array([[0.6, 0.8]]), np.array([[True, False]])
     >>> R, slot, directions = normal_frames(n, np.array([True]), e)

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Unilateral contact of a side with a rigid tool without a mesh.
 
-Multipliers lambda_j exert the forces -D_jl lambda_j n_j, n_j = -grad phi(x_j), on the nodes l of
-the side, and the opposite on the tool.
+Multipliers exert the forces -D_jl lambda_j n_j, n_j = -grad phi(x_j), on the nodes l of the side.
 """
 
 from __future__ import annotations
@@ -59,18 +58,17 @@ FACETS = 2.0
 
 
 class Obstacle(Movable, Unilateral):
-    """Contact of a side with a rigid tool: w_n <= gap, pressure >= 0; optionally with friction.
+    """Contact of a side with a rigid tool, perhaps with friction.
 
-    The tool is a shape of `dolfinx_mortar.shapes`. With its signed distance phi, positive outside,
+    With the shape's signed distance phi, positive outside,
     and the dual functions Phi_j of the side, the weighted gaps are
 
         g_j = int Phi_j phi(X + u) >= 0,
 
     with geometry="reference" int Phi_j phi(X) - D_jj n_j.u_j, n_j = -grad phi. Contact forces act
-    along grad phi on the side, and opposite on the tool.
+    along grad phi on the side.
     The tool's point ``reference`` is at ``position``, and ``rotation`` turns it about this point
-    (an angle in the plane, a rotation vector in space; radians). Both are Constants, read in every
-    step.
+    (an angle in the plane, a rotation vector in space; radians): Constants, read in every step.
     Results are those of a `Contact` with the tool as master; slip is relative to the moving tool.
     ``tool_force`` and ``tool_moment`` (about its point) act on the tool. A node faces a tool within
     two facet lengths. Facets inclined by 78 degrees or more to the tool's surface, and untagged
@@ -79,21 +77,20 @@ class Obstacle(Movable, Unilateral):
     Args:
         facet_tags: facet markers on the mesh of the displacement.
         slave: tag or name (see `Tags`) of the side that meets the tool.
-        shape: of the tool in its initial position.
+        shape: the tool in its initial position, see `dolfinx_mortar.shapes`.
         reference: d initial coordinates of the tool's point; default ``shape.point``.
         load: given forces on the tool by name: "x", "y" and "moment" about its point in the plane,
-            "x", "y", "z", "moment x" to "moment z" in space, "y" in axisymmetry, each a number or a
-            scalar Constant, read at every step. Other motions are prescribed. The tool moves by
+            "x", "y", "z", "moment x" to "moment z" in space, "y" in axisymmetry, numbers or scalar
+            Constants, read at every step. Other motions are prescribed. The tool moves by
             ``travel`` until ``tool_force + load = 0``.
         surface: as in `Contact`, for straight cells. "smooth" with displacements of first order
             takes distances at the nodes and does not see a tip between them; default "smooth", for
             flat sides of first order "facets".
-        friction: as in `Contact`.
-        tresca: as in `Contact`.
+        friction, tresca: as in `Contact`.
 
     Raises:
-        ValueError: for invalid tags, names, shapes or limits, and, from the problem, for shapes
-            that are not of revolution in axisymmetry.
+        ValueError: for an invalid argument; from the problem, for shapes not of revolution in
+            axisymmetry.
 
     Attributes:
         tool: shape, position and rotation.

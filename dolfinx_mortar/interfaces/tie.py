@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Mesh tying: u_slave - P u_master = jump, with P = D^-1 M at X."""
+"""Mesh tying."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -34,8 +34,7 @@ from ufl.core.expr import Expr
 Jump = Sequence[float] | Floats | fem.Constant | fem.Function | Callable[[Floats], Floats] | None
 """A vector in Cartesian components, the same everywhere or one at each point."""
 
-# Default reach of ties beyond the least distance, in larger facets: sagittas of both sides are
-# less, up to right angles between facets.
+# Default reach beyond the least distance, in larger facets: above the sagittas of both sides.
 WITHIN = 0.5
 
 REACH = number("the largest distance over which to tie, a length", above=0.0)
@@ -57,30 +56,27 @@ class Tie(MortarInterface):
         facet_tags: facet markers on the mesh of the displacement.
         slave: tag or name (see `Tags`) of the side with the multipliers.
         master: tag or name of the other side.
-        jump: displacement of the slave side relative to the master side, a length: d components, a
-            Constant, a Function on this mesh, or a function of points x (3, n) that returns (d, n),
-            evaluated at the slave nodes in every step. A vector from the slave side into the master
-            side makes them overlap, the opposite opens a slit.
+        jump: displacement of the slave side relative to the master side: d components, a Constant,
+            a Function on this mesh, or a function of points x (3, n) that returns (d, n), read in
+            every step. A vector from the slave side into the master side makes them
+            overlap, the opposite opens a slit.
         pretension: resultant on the slave side along ``direction``, a force, positive in tension: a
             number or a scalar Constant, read in every step; half of it for half a bolt on a plane
-            of symmetry. None keeps jump and tightening: later loads change the force of a tight
-            bolt.
+            of symmetry. None keeps jump and tightening: later loads change the force.
         direction: d numbers of any length, out of the slave side: the axis of the bolt; default the
             mean normal of the slave side.
         surface: "facets" ties points of facets, u_s = P u_m; "smooth" the smooth surfaces through
             their nodes: where facets are apart by r, u_s = P u_m + (motion of r).
         feature_angle: least angle of an edge between facets in degrees, for smooth surfaces.
-        within: largest distance between tied facets at X, a length; default the least distance
-            between the sides plus half of the larger facet (the audit warns where that may be
-            wrong).
+        within: largest distance between tied facets at X; default the least one plus half of the
+            larger facet (the audit warns where that may be wrong).
     Source: the paper, section 4, eq. 16 with equality.
 
     Raises:
-        ValueError: for invalid tags, names, surface or angle, a jump or direction without d finite
-            components, a pretension that is no number, and ``within`` that is not positive.
+        ValueError: for an invalid argument.
 
     Attributes:
-        tightening: (d,) added to the jump everywhere: s n, set by every step with a pretension.
+        tightening: s n (d,), set by every step with a pretension.
     """
 
     stays = True
@@ -113,7 +109,7 @@ class Tie(MortarInterface):
 
     @property
     def jump(self) -> Jump:
-        """Displacement of the slave side, without the tightening."""
+        """The jump without the tightening."""
         return self._jump
 
     @jump.setter
@@ -122,7 +118,7 @@ class Tie(MortarInterface):
 
     @property
     def tightening(self) -> Floats:
-        """Vector (d,) added to the jump everywhere."""
+        """Addition (d,) to the jump."""
         return self._tightening
 
     @tightening.setter

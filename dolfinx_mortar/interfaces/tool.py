@@ -99,7 +99,7 @@ def motions_in(d: int) -> tuple[str, ...]:
 
 
 class RigidBody:
-    """Position and rotation of a rigid body as Constants, and the loads that drive it instead.
+    """Pose of a rigid body as Constants, and loads that drive it instead.
 
     Attributes:
         point: (d,) initial position of the reference point.
@@ -234,7 +234,7 @@ class RigidBody:
 
 
 class Movable:
-    """Position, rotation and load of an interface."""
+    """Interface with a rigid body."""
 
     rigid: RigidBody
 
@@ -326,7 +326,7 @@ class Asked(Shape):
 
 
 class Tool(RigidBody):
-    """A shape and its pose; `began` is that of the last commit, `probes` identify the shape."""
+    """A shape and its pose; `began` is the pose at the last commit."""
 
     def __init__(self, shape: Any, reference: Any, d: int) -> None:
         if not isinstance(shape, Shape):
@@ -344,7 +344,7 @@ class Tool(RigidBody):
         self.began, self.probes = self.pose(), np.zeros((0, d))
 
     def check(self, d: int, revolved: bool) -> None:
-        """Set the kinematics; raise a ValueError for a shape of another kind."""
+        """Set the kinematics; a ValueError for another kind of shape."""
         if misfit := self.shape.misfit(d, revolved):
             raise ValueError(f"shape: {misfit}")
         self.revolved = revolved
@@ -501,9 +501,8 @@ def point_gaps(
 ) -> tuple[Floats, Distance]:
     """Gaps (q,) between a tool and the smooth slave surface, and the distances; collective.
 
-    Smooth surfaces of first order interpolate the distances of all nodes; facets of second order
-    are nearer by the height of the smooth surface. `points` (q, d) are those of whole facets at X +
-    u (X for None).
+    First order interpolates the distances of nodes; second order subtracts the heights. `points`
+    (q, d) are of whole facets at X + u (X for None).
     """
     assert pattern.side is not None
     slave = pattern.side.slave
