@@ -257,11 +257,7 @@ class Obstacle(Movable, Unilateral):
         return ToolDerivatives(link, link.pattern.side, self.tool)
 
     def warnings(self, link: CoupledSides, x: PETSc.Vec) -> list[str]:
-        """Warning if no facet faces the tool, or if it starts in the body; collective.
-
-        Raises:
-            ValueError: if it contains the whole side.
-        """
+        """Warn of a tool that no facet faces or that starts in the body; collective."""
         sides, comm = link.sides, link.sides.V.mesh.comm
         d = sides.fixed.shape[1]
         at = x.array_r.reshape(-1, d)[link.nodes]

@@ -193,11 +193,7 @@ class Tie(MortarInterface):
         return {"motions_of": smooth}
 
     def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
-        """Jump plus tightening (n, d) at slave nodes, or None; collective.
-
-        Raises:
-            ValueError: on all ranks, for jumps on another mesh or of another shape.
-        """
+        """Jump plus tightening (n, d) at slave nodes, or None; collective."""
         if self.jump is None and not self.tightening.any():
             return None
         with raised_together(V.mesh.comm):
@@ -207,11 +203,7 @@ class Tie(MortarInterface):
             return _values_at(given, V, nodes) + self.tightening
 
     def driven(self) -> Bolt | None:
-        """Overlap driven by a pretension, if there is one.
-
-        Raises:
-            ValueError: if a needed direction is missing, or it points into the side.
-        """
+        """Overlap driven by a pretension, if any; a ValueError for an unusable direction."""
         if self.pretension is None:
             return None
         axis = find_axis(self.normal, self.direction, str(self))

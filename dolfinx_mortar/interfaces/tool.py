@@ -281,10 +281,7 @@ class Movable:
 
 
 class Asked(Shape):
-    """A shape with checked distances, whose errors are raised on all ranks.
-
-    Until `failed` is called the points of a failed rank count as far away.
-    """
+    """A shape with checked distances; points of a failed rank count as far away."""
 
     def __init__(self, shape: Shape) -> None:
         self.shape, self.point = shape, shape.point
@@ -378,10 +375,7 @@ class Tool(RigidBody):
         self.began = Pose(state["position"], state["rotation"], self.point)
 
     def way(self, before: Floats, after: Floats) -> Floats:
-        """Displacement of points (n, d) that move with the tool since the last commit.
-
-        Mean for the points ``before`` and ``after``.
-        """
+        """Motion with the tool since the last commit, mean for points before and after (n, d)."""
         began, now = self.began, self.pose()
         forth = now.to_space(began.to_tool(before)) - before
         back = after - began.to_space(now.to_tool(after))

@@ -27,10 +27,10 @@ from ufl.core.expr import Expr
 
 PATHS = 8
 SIZES = tuple(np.geomspace(1e-5, 1.0, 6))
-# Largest errors: laws that iterate to 1e-6 pass; finite strain has 7e-8 near kinks.
+# Largest errors: laws that iterate to 1e-6 pass.
 RTOL = 1e-5
 FINITE_RTOL = 1e-7
-# Relative lengths of differences: against cancellation, and to stay elastic up to E / Y = 1e6.
+# Relative lengths of differences; elastic up to E / Y = 1e6.
 LENGTHS = tuple(EPS**power for power in (1 / 5, 1 / 3, 0.45))
 WEIGHTS = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}  # central differences of sixth order
 STRETCHES = (  # scaled to a volume before use
@@ -51,7 +51,7 @@ class LawReport:
     changed: int  # samples in which an internal variable changed
     energy_error: float  # stress against differences of the energy; NaN without an energy
     tangent_error: float  # tangent against differences of the stress
-    state_error: float  # stress after the commit against stress at the end of the step
+    state_error: float  # stress after a commit against that before
     skew: float  # largest antisymmetric part of the tangent
     lowest: float  # smallest eigenvalue of the tangent, relative to the largest of all samples
     # psi and P at Q F against psi and Q P at F, Q a rotation; NaN for a small strain
@@ -123,10 +123,10 @@ def check(
         initial_stress: True for a law with stress in the virgin state.
 
     Returns:
-        The largest errors; ``print`` it.
+        The largest errors.
 
     Raises:
-        ValueError: naming a wrong argument; where the law does not fit, with strain, state and both
+        ValueError: for a wrong argument; where the law does not fit, with strain, state and both
             values.
     """
     parts = create_law("law", law, plane_stress=plane_stress)
@@ -196,7 +196,7 @@ class LawAtPoint:
         return FINITE_RTOL if self.finite else RTOL
 
     def __call__(self, strain: Floats, state: State) -> Point:
-        """Evaluate the law at a strain or F (3, 3) and a committed state; all must be finite."""
+        """Evaluate the law at a strain or F (3, 3); a ValueError unless all is finite."""
         found = self.evaluate(strain, state)
         if found.undefined[0]:
             volume = f"J = {np.linalg.det(strain):.3g}, " if self.finite else ""
@@ -216,10 +216,7 @@ class LawAtPoint:
 
 
 def law_at_point(material: Any, law: Law, strain: str | None = None) -> LawAtPoint:
-    """Law as a function of numbers, of its own strain or a finite one.
-
-    ValueError for parameters that vary in space, and for plane stress at finite strain.
-    """
+    """Law as a function of numbers; a ValueError for varying parameters and finite plane stress."""
     finite = (strain or law.strain) == "finite"
     if law.plane_stress and finite:
         raise ValueError("plane_stress is True: at finite strain a law is judged in space alone")
@@ -253,7 +250,7 @@ def _numbers_of(material: Any) -> dict[str, float]:
 
 
 def _of_ufl(law: Law, given: Mapping[str, float]) -> Callable[[Floats, State], PointValues]:
-    """Return a law in UFL as a function of one strain, or F, and state."""
+    """Return a law in UFL as a function of numbers."""
     e, D, z, *rest, p = _symbols(given, (3, 3), (3, 3), (), *law.state.values())
     response = respond(
         law, e, dict(zip(law.state, rest, strict=True)), p, z if law.condensed else None
@@ -297,7 +294,7 @@ def _of_ufl(law: Law, given: Mapping[str, float]) -> Callable[[Floats, State], P
 def _of_arrays(
     given: Mapping[str, float], values: Callable[..., PointValues]
 ) -> Callable[[Floats, State], PointValues]:
-    """Return a law of arrays as a function of one strain, or F, and state."""
+    """Return a law of arrays as a function of numbers."""
     p = grouped({name: np.array([value]) for name, value in given.items()})
 
     return lambda e, state: values(e[None], {n: np.array([v]) for n, v in state.items()}, p)
@@ -423,10 +420,7 @@ class _Judge:
         return float(errors[worst] / scale) if scale > 0.0 else 0.0
 
     def _compare_differences(self, D: Floats, length: float, modulus: float) -> tuple[float, float]:
-        """Return the errors of stress : D and tangent : D against differences along D.
-
-        That of the tangent is NaN where no two lengths of differences agree, as on a kink.
-        """
+        """Return the errors of stress : D and tangent : D; NaN on kinks."""
         slopes, changes, here = [], [], self._here
         for share in LENGTHS:
             step, slope, change = share * length, 0.0, np.zeros((3, 3))
@@ -463,7 +457,7 @@ class _Judge:
         left: Floats | None = None,
         right: Floats | None = None,
     ) -> float:
-        """Return the error of a response that should be the one here, turned, with a state."""
+        """Return the error of a response that should be the present one, turned."""
         after, stress = self.point(strain, state), self._here.stress
         stress = stress if left is None else left @ stress
         stress = stress if right is None else stress @ right.T

@@ -8,8 +8,7 @@ laws (`Law.isotropic`), with C_p = F_p^T F_p and 1/2 ln C_p as the plastic strai
     C_p^-1 = C_pn^-1/2 exp(-2 dep) C_pn^-1/2,    dep the plastic strain that the law gives.
 
 **Additive form**, for all others: the law of small strain at E = 1/2 ln(F^T F), exact where the
-principal directions do not rotate; in simple shear by 1 perfect plasticity is 3 % too soft, by 2
-17 %.
+principal directions do not rotate.
 
 Sources: J. C. Simo, Comput. Methods Appl. Mech. Engrg. 99 (1992) 61-112; C. Miehe, N. Apel, M.
 Lambrecht, Comput. Methods Appl. Mech. Engrg. 191 (2002) 5383-5425.
@@ -45,7 +44,7 @@ from dolfinx_mortar.materials.tensor import (
 )
 from ufl.core.expr import Expr
 
-CHUNK = 512  # points that are treated together, for the cache
+CHUNK = 512  # points at a time, for the cache
 
 
 @dataclass(frozen=True)
@@ -69,11 +68,11 @@ class Start:
 
 
 class LogarithmicLaw:
-    """A small-strain law as a function of H = F - I at points, see the module.
+    """A small-strain law as a function of H = F - I at points.
 
     Attributes:
         multiplicative: the form; else additive.
-        components: row and column of the k entries of P that may differ from zero.
+        components: row and column of k nonzero entries of P.
     """
 
     def __init__(
@@ -84,7 +83,7 @@ class LogarithmicLaw:
         dimension: int = 3,
         jit: Callable[[Expr], Kernel] = compile_kernel,
     ) -> None:
-        """Compile a law in UFL; a ValueError if it raises, or returns a wrong shape or name.
+        """Compile a law in UFL; a ValueError if it raises or returns a wrong part.
 
         Args:
             parameters: their names.
@@ -130,11 +129,7 @@ class LogarithmicLaw:
                 psi[some] = np.where(np.isnan(x[:, 0]), np.inf, found[:, -1])
 
     def find_normal(self, start: Start, H: Floats) -> None:
-        """Set H_zz of q points such that P_zz = 0, NaN where the law is undefined.
-
-        Raises:
-            ValueError: where it is not found.
-        """
+        """Set H_zz such that P_zz = 0, NaN where undefined; a ValueError if not found."""
 
         def equation(points: Ints, z: Floats) -> Floats:
             trial = H[points]
@@ -166,7 +161,7 @@ class LogarithmicLaw:
         return new
 
     def values(self, F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> PointValues:
-        """All values at F (q, 3, 3) as tensors, see `response.values_at_points`."""
+        """As `response.values_at_points`, at F (q, 3, 3)."""
         H = np.ascontiguousarray(F - np.eye(3))
         start = self.start(len(F), state, ungrouped(p))
         P, A, psi = self._evaluate(start, H)

@@ -2,9 +2,8 @@
 """Logarithmic strains at points, and the transformation of their stresses and moduli to P.
 
 Formulas: theory.md, Small-strain laws at finite strain, with G = I + g, F = I + H, and x, logs, N,
-y, m of C = (F G)^T F G. If psi is isotropic, T is diagonal in the eigenvectors; L couples normal
-strains, and each shear with itself. Components are stored as in `tensor.INDEX`: in the plane xx,
-xy, yx, yy, zz of F and P, in space nine.
+y, m of C = (F G)^T F G. Components are stored as in `tensor.INDEX`: in the plane xx, xy, yx, yy, zz
+of F and P, in space nine.
 """
 
 import numba
@@ -16,8 +15,7 @@ from dolfinx_mortar.materials.tensor import INDEX
 PAIRS = INDEX
 SETTINGS = {"cache": True, "error_model": "numpy"}
 
-# Relative difference of eigenvalues below which power series are exact to round-off; above,
-# differences lose two digits.
+# Relative difference of eigenvalues below which power series are exact to round-off.
 NEAR = 0.08
 
 
@@ -216,8 +214,8 @@ def _read(isotropic, law, N, T, L, R):  # type: ignore[no-untyped-def]
 def respond(components, isotropic, law, x, logs, N, y, m, P, A):  # type: ignore[no-untyped-def]
     """Fill P (q, k) and the upper triangle of dP/dF, A (q, k (k + 1) / 2), row by row.
 
-    The law gives T and the upper triangle of L; an isotropic one T_aa, that of L_aabb, and G_12,
-    G_23, G_13, T = 2 G E.
+    The law gives T and the upper triangle of L; an isotropic one T_aa, L_aabb, and G_12, G_23, G_13
+    of T = 2 G E.
     """
     k, s = len(components), 4 if len(components) == 5 else 6
     f, h, T = np.zeros((3, 3)), np.zeros((3, 3, 3)), np.zeros((3, 3))

@@ -64,7 +64,7 @@ def ungrouped(p: SimpleNamespace) -> dict[str, Any]:
 
 
 def check_fields(law: Any) -> None:
-    """Raise ValueError for numbers out of range; the `Solid` checks UFL."""
+    """Raise ValueError for numbers out of range."""
     kind = type(law)
     given = {name: (getattr(law, name), *limits) for name, limits in kind.ranges.items()}
     check_parameters(kind.__name__, **given)
@@ -142,23 +142,19 @@ class Material(Protocol):
     """A frozen dataclass of parameters, with the law as static methods.
 
     The law gets the strain (3x3 UFL), the committed state and the parameters `p` (attributes named
-    like the fields) as UFL symbols, so that the compiled code is the same for all values of the
-    parameters (see `Parameter`). It has either of
+    like the fields) as UFL symbols, see `Parameter`. It has either of
 
     * `energy(strain, state, p)`, the incremental potential psi of the step; UFL derives stress and
       tangent, or
     * `stress(strain, state, p)`, for a law without a potential (no line search on the energy).
 
-    With both, UFL only differentiates the stress. The tangent must be symmetric.
-    `dolfinx_mortar.materials.check` tests a law without a mesh.
+    The tangent must be symmetric. `dolfinx_mortar.materials.check` tests a law without a mesh.
 
     Optional methods, inherited only together with energy and stress:
-    `tangent(strain, state, p, direction)`, d stress / d strain : direction, where UFL should not
-    differentiate the stress;
-    `normal_strain(strain, state, p)`, the closed form of the strain out of the plane in plane
-    stress, or None.
+    `tangent(strain, state, p, direction)`, d stress / d strain : direction, instead of UFL's;
+    `normal_strain(strain, state, p)`, the strain out of the plane in closed form, or None.
 
-    A law may inherit from this class, or just have its methods.
+    Inheriting from this class is optional.
 
     **Finite strain.** A law with ``strain = "finite"``, for ``Solid(.., strain="finite")``, gets
     the deformation gradient F (3x3, det F > 0) in place of the strain: `energy(F, state, p)` is psi
@@ -181,8 +177,7 @@ class Material(Protocol):
             may be any number. Checked in every cell, and after changes.
 
     Rules for several parameters are a static method `conditions(p)`, rule in words -> whether or
-    where it is satisfied. `check_fields`, called in ``__post_init__``, checks numbers when a law is
-    made.
+    where it is satisfied; `check_fields`, in ``__post_init__``, checks numbers.
     """
 
     state: ClassVar[Mapping[str, tuple[int, ...]]]
@@ -197,7 +192,7 @@ class Material(Protocol):
 
     @staticmethod
     def updated_state(strain: Expr, state: Mapping[str, Expr], p: Any) -> dict[str, Expr]:
-        """Internal variables at the end of the step, by name."""
+        """Internal variables at the end of the step."""
         return {}
 
     @staticmethod
@@ -209,9 +204,9 @@ class Material(Protocol):
 class PointwiseLaw(Material):
     """A law without a closed form: stress, tangent and new state at all points, from arrays.
 
-    A frozen dataclass of parameters like any `Material`, with `update` in place of energy, stress
-    and updated_state. Without an energy Newton's method takes whole steps. With JAX (64 bits),
-    whose derivatives make the tangent of Hooke's law:
+    A `Material` with `update` in place of energy, stress and updated_state. Without an energy
+    Newton's method takes whole steps. With JAX (64 bits), whose derivatives make the tangent of
+    Hooke's law:
 
         def stress(strain, E, nu):
             G, L = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
@@ -245,7 +240,7 @@ class PointwiseLaw(Material):
 
         Args:
             strain: (q, 3, 3), symmetric; q may be 0.
-            state: committed internal variables, (q,) or (q, 3, 3), read-only.
+            state: committed, (q,) or (q, 3, 3), read-only.
             p: parameters by name, (q,) each.
 
         Returns:
@@ -258,11 +253,11 @@ class PointwiseLaw(Material):
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """The parts of a law, None if missing; looked up once."""
+    """The parts of a law, None if missing."""
 
     name: str
-    strain: str  # "small" or "finite": the first argument of the methods
-    plane_stress: bool  # whether to leave no stress out of the plane
+    strain: str  # "small" or "finite"
+    plane_stress: bool  # whether sigma_zz = 0
     state: Mapping[str, tuple[int, ...]]
     linear: bool
     splits: bool
@@ -303,7 +298,7 @@ RESERVED = (
 
 
 def create_law(name: str, material: Any, *, plane_stress: bool = False) -> Law:
-    """Parts of a material's law; a ValueError, with `name`, for a missing or wrong part."""
+    """Parts of a law; a ValueError, with `name`, for a missing or wrong part."""
     if not dataclasses.is_dataclass(material) or isinstance(material, type):
         raise ValueError(f"{name} = {material!r} is not a material such as Elastic(E, nu).")
     kind = type(material)
@@ -386,7 +381,7 @@ def _fitting(material: Any, part: str) -> Callable[..., Any] | None:
 
 
 def _checked_state(law: str, state: Any) -> Mapping[str, tuple[int, ...]]:
-    """Declared internal variables; a ValueError for a name or shape."""
+    """Declared internal variables, checked."""
     check(f"{law}: state", state, instance(Mapping, "give a dictionary, name -> shape"))
     free = Rule[str](
         f"choose a text other than {', '.join(RESERVED)}",

@@ -25,7 +25,7 @@ from dolfinx_mortar.materials.protocol import (
 )
 from ufl.core.expr import Expr
 
-# Dead band of the yield condition: round-off of 2 mu eps up to 1e5 yield strains.
+# Dead band of yielding: round-off up to 1e5 yield strains.
 YIELD_TOLERANCE = 1e-10
 LEAST_RATIO = -0.9
 """Poisson's ratio down to which `flow_in_plane_stress` is exact: below, its root has two scales."""
@@ -33,7 +33,7 @@ ACCUMULATED = "accumulated_plastic_strain"
 
 
 def shifted_stress(strain: Expr, state: Mapping[str, Expr], p: Any) -> tuple[Expr, Expr]:
-    """Return xi = 2 mu dev(eps) - (2 mu + a) ep_n, 3x3, and |xi|, differentiable also at xi = 0."""
+    """Return the trial shifted stress xi, and |xi|, differentiable also at 0."""
     mu = shear_modulus(p)
     xi = 2 * mu * ufl.dev(strain) - (2 * mu + p.a) * state["plastic_strain"]
     return xi, ufl.sqrt(ufl.inner(xi, xi) + (EPS * p.Y) ** 2)
@@ -63,8 +63,8 @@ def _updated_state(law: Any, strain: Expr, state: Mapping[str, Expr], p: Any) ->
 def flow_in_plane_stress(p: Expr, q: Expr, r: Expr) -> Expr:
     """Root t > 0 of p^2 / (1 + r t)^2 + q^2 / (1 + t)^2 = 1, 0 if p^2 + q^2 <= 1.
 
-    With N^2 the left side, 1/N is concave in t. Three steps of Halley's method from a lower bound
-    reach the round-off of N for p, q in [0, 1e6], .0175 <= r <= 1.
+    Three steps of Halley's method reach round-off for p, q in [0, 1e6], .0175 <= r <= 1: with N^2
+    the left side, 1/N is concave.
     """
     first = ufl.sqrt(p**2 + q**2)
     both, from_p = first - 1, (p - 1) / r
@@ -99,8 +99,7 @@ class VonMises(Material):
               - (|xi| - Y - H k_n)_+^2 / (2 (2 mu + a + H)).
 
     In tension, with plastic strain p = sqrt(2/3) k, the stress at first loading is sqrt(3/2) Y +
-    3/2 (a + H) p. Only with H is there an internal variable ``accumulated_plastic_strain``, k;
-    sqrt(2/3) k is the equivalent plastic strain.
+    3/2 (a + H) p. Only with H is k an internal variable, ``accumulated_plastic_strain``.
 
     Source: M. Cermak, S. Sysala, J. Valdman, Appl. Math. Comput. 355 (2019) 595-614.
 
@@ -129,7 +128,7 @@ class VonMises(Material):
 
     @property
     def state(self) -> Mapping[str, tuple[int, ...]]:  # type: ignore[override]
-        """Internal variables, k with isotropic hardening only."""
+        """Plastic strain, k with isotropic hardening."""
         kinematic = isinstance(self.H, Real) and self.H == 0
         return {PLASTIC: (3, 3)} if kinematic else {PLASTIC: (3, 3), ACCUMULATED: ()}
 
@@ -159,7 +158,7 @@ class VonMises(Material):
         Args:
             yield_stress: uniaxial; Y = sqrt(2/3) yield_stress.
             plastic_modulus: d sigma / d (plastic strain) in tension; a + H = 2/3 plastic_modulus. A
-                test's tangent modulus E_t gives plastic_modulus = E E_t / (E - E_t).
+                tangent modulus E_t gives E E_t / (E - E_t).
             isotropic: share of isotropic hardening, from 0 to 1; the rest is kinematic. On reversal
                 the bar yields 2 (yield_stress + isotropic (stress - yield_stress)) lower.
 
@@ -248,8 +247,7 @@ def wright_omega(y: Any) -> Expr:
 def increment(excess: Any, rest: Any, M: Any, b: Any, log_ratio: Any) -> tuple[Expr, Expr]:
     """Root g of M g + rest (1 - exp(-b g)) = excess, and its slope dg / d excess; all positive.
 
-    `log_ratio` is ln(b rest / M). One step of Chebyshev's method, of third order, corrects omega to
-    round-off.
+    `log_ratio` is ln(b rest / M). A step of Chebyshev's method corrects omega to round-off.
     """
     level = (excess - rest) / M
     y = log_ratio - b * level
@@ -265,18 +263,18 @@ def increment(excess: Any, rest: Any, M: Any, b: Any, log_ratio: Any) -> tuple[E
 
 @dataclass(frozen=True)
 class VonMisesVoce(Material):
-    """Small-strain von Mises plasticity, isotropic hardening with saturation, kinematic hardening.
+    """Small-strain von Mises plasticity with saturating isotropic and kinematic hardening.
 
     As `VonMises`, but the yield radius is
 
         R(k) = Y + H k + Q (1 - exp(-b k)),      k = int |dep|.
 
     The increment g of k in a step is the root of |xi| = (2 mu + a) g + R(k_n + g), in closed form
-    by Wright's omega function. Radial return mapping gives stress and consistent tangent,
+    by Wright's omega function. Stress and consistent tangent are given by
 
         sigma = C (eps - ep_n) - 2 mu g n,       dg / d|xi| = 1 / (2 mu + a + R'(k_n + g));
 
-    and the incremental potential is
+    the incremental potential is
 
         psi = 1/2 (eps - ep_n):C:(eps - ep_n) + a/2 |ep_n|^2
               - |xi| g + (2 mu + a)/2 g^2 + Y g + I(k_n + g),     I' = R - Y.
@@ -289,9 +287,9 @@ class VonMisesVoce(Material):
 
     E: Parameter  # Young's modulus
     nu: Parameter  # Poisson's ratio
-    Y: Parameter  # first yield radius, Frobenius norm: sqrt(2/3) x uniaxial yield stress
+    Y: Parameter  # first yield radius, as in `VonMises`
     a: Parameter  # kinematic modulus, back stress per plastic strain: 2/3 x uniaxial one
-    H: Parameter  # isotropic modulus after saturation: 2/3 x uniaxial one
+    H: Parameter  # isotropic modulus after saturation, as in `VonMises`
     Q: Parameter  # growth of the radius by saturation: sqrt(2/3) x that of the yield stress
     b: Parameter  # rate of saturation, per k: sqrt(2/3) x that per equivalent plastic strain
 
