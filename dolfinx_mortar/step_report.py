@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Report of a load step: iterations, certificate, seconds; and the error with it."""
+"""Report of a load step."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Note(str):
 
 @dataclass(frozen=True)
 class Iteration:
-    """One Newton iteration: a tangent, a bound-constrained QP, a step."""
+    """One Newton iteration."""
 
     number: int
     increment: float  # |du|_e / (|u|_e + |u + du|_e), elastic energy norm
@@ -78,10 +78,10 @@ class Iteration:
 class Certificate:
     """Residuals of a converged step, each relative to its own scale.
 
-    Forces: the largest of external, contact, reaction and element forces; lengths: the mean slave
-    facet; multipliers: the largest one, their forces the largest of these, resultants of patches
-    the sum of forces; tangential reactions: the largest friction limit, their energies limits times
-    slips. Small-strain errors are of the worst body.
+    Forces: the largest external, contact, reaction or element force; lengths: the mean slave facet;
+    multipliers: the largest one, their forces the largest of these, resultants of patches the sum
+    of forces; tangential reactions: the largest friction limit, their energies limits times slips.
+    Small-strain errors are of the worst body.
     """
 
     equilibrium: float  # forces on free unknowns
@@ -124,8 +124,7 @@ class Certificate:
 class Ledger:
     """Energies of a motion at the end of a step, and works since its start.
 
-    Of the whole ring, or per thickness in the plane. Works by the trapezoidal rule, exact for
-    linear bodies.
+    Of the whole ring, or per thickness. Works by the trapezoidal rule, exact for linear bodies.
 
         kinetic + stored + dissipated + friction + damping = initial + loads + supports.
     """
@@ -159,7 +158,7 @@ class Ledger:
 
 @dataclass
 class StepReport:
-    """Report of one load step; ``print`` shows a table, ``as_dict`` goes to JSON."""
+    """Report of one load step; ``print`` shows a table."""
 
     converged: bool = False
     backend: str = ""  # ``qp``
@@ -202,7 +201,7 @@ class StepReport:
             self.friction += f", from iteration {number} on {linearisation}"
 
     def begin_anew(self) -> None:
-        """Note that the predicted motion failed, and clear the iterations."""
+        """Note a failed prediction, and clear the iterations."""
         self.notes.append(
             f"the motion of the last step led nowhere in {len(self.iterations)} iterations: this "
             "one began without it"
@@ -266,7 +265,7 @@ class StepReport:
 
 @dataclass(frozen=True)
 class LoadStep:
-    """A committed load or time step, as `load_steps` and `time_steps` yield it."""
+    """A committed load or time step."""
 
     number: int
     time: float  # load level, or time, at its end
@@ -307,12 +306,12 @@ class LoadStep:
 class NewtonNotConverged(RuntimeError):
     """Newton's method failed; ``report`` has the details.
 
-    Displacement and committed state are those before the step, or the failed part of a step of
-    `load_steps`: retry with a smaller one.
+    Displacement and committed state are those before the failed step or part: retry with a smaller
+    one.
     """
 
     def __init__(self, message: str, report: StepReport) -> None:
-        """Create the error; the report may be completed later."""
+        """Create the error."""
         super().__init__(message, report)
         self.message, self.report = message, report
 

@@ -67,7 +67,7 @@ class ContactProblem:
     Args:
         solid: displacement, materials and committed state of the bodies.
         interfaces: contacts and ties; a slave node belongs to the first one whose master it faces.
-        bcs: Dirichlet conditions on the space of ``solid.u`` or its components, read in every step.
+        bcs: Dirichlet conditions on ``solid.u`` or its components, read in every step.
         loads: linear form of the external virtual work, assembled in every step.
         potential: functional of ``solid.u`` added to Psi. The solid's kinematics give both forms
             their weight: with "axisymmetric" write tractions without 2 pi r.
@@ -75,15 +75,15 @@ class ContactProblem:
         geometry: "updated" computes normals, segments, D, M and gaps at X + u in every Newton
             iteration, "reference" once at X.
         petsc_options_prefix: prefix of the linear solver's PETSc options.
-        petsc_options: options of the linear solver without the prefix. Without them `load_steps`
-            replaces multigrid that fails in 3D by a factorisation.
+        petsc_options: these options without the prefix; without them `load_steps` replaces
+            multigrid that fails by a factorisation.
 
     Raises:
-        ValueError: for invalid arguments, on all ranks, with the remedy.
+        ValueError: for invalid arguments, on all ranks.
 
     Attributes:
-        committed: the state from which the next step starts, in addition to ``u`` and
-            ``solid.state``: active sets, slips and the load level, ``committed.level``.
+        committed: the state from which the next step starts, besides ``u`` and ``solid.state``:
+            active sets, slips and ``level``.
     """
 
     def __init__(
@@ -190,7 +190,7 @@ class ContactProblem:
 
     @property
     def fixed(self) -> Bools:
-        """Displacement components (local nodes, d) with Dirichlet data."""
+        """Components (local nodes, d) with Dirichlet data."""
         return self.supports.fixed
 
     @property
@@ -243,14 +243,12 @@ class ContactProblem:
     def begin_step(self, level: float | None = None, predict: Predictor | None = None) -> StepData:
         """Read loads, Dirichlet values and jumps, predict u, pair the surfaces; collective.
 
-        Bodies, tied ones together, are translated by the mean of their prescribed increments. The
-        result depends only on the displacement and the committed state. `level` is that of the
-        step, None for the committed one; `predict` is a further prediction.
+        Bodies, tied ones together, are translated by the mean of their prescribed increments.
+        `level` is that of the step, None for the committed one; `predict` is a further prediction.
 
         Raises:
-            ValueError: for NaN, infinity or contradictions in data, displacement, potential or
-                coordinates; negative friction limits, points that leave an axis, invalid jumps,
-                interfaces of another problem.
+            ValueError: for NaN, infinity or contradictions in the data; negative friction limits,
+                points that leave an axis, invalid jumps, interfaces of another problem.
         """
         self.check_owned()
         data = self._read(level)
@@ -455,10 +453,8 @@ class ContactProblem:
     def commit(self) -> None:
         """Make the converged step the state from which the next one starts; collective.
 
-        An error of a term or an interface, or Ctrl-C, restores the last commit.
-
-        Raises:
-            ValueError: if a later problem uses an interface.
+        An error, or Ctrl-C, restores the last commit. A ValueError if a later problem uses an
+        interface.
         """
         self.check_owned()
         outcome = self.ended_here()
@@ -475,7 +471,7 @@ class ContactProblem:
 
     @contextmanager
     def undone(self, before: Before) -> Iterator[None]:
-        """Undo the step if the block fails or is interrupted, perhaps on this rank only."""
+        """Undo the step if the block fails, perhaps on this rank only."""
         try:
             with from_callbacks():
                 yield
@@ -485,7 +481,7 @@ class ContactProblem:
             raise
 
     def undo(self, before: Before) -> None:
-        """Restore the state before a step, perhaps on this rank only: without communication."""
+        """Restore the state before a step; not collective."""
         before.restore()
         self.outcome = before.outcome
 
@@ -537,9 +533,8 @@ class ContactProblem:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a checkpoint for `restore` on any number of ranks; collective.
 
-        It contains what steps compute, also `history`; not the data that a program sets before each
-        step: loads, supports, jumps, parameters and variable eigenstrain. Bodies that coincide cell
-        by cell cannot be restored.
+        It contains what steps compute, also `history`; not loads, supports, jumps, parameters and
+        variable eigenstrain. Bodies that coincide cell by cell cannot be restored.
 
         Args:
             path: HDF5 file in an existing folder; replaced once the new one is complete.
@@ -559,14 +554,14 @@ class ContactProblem:
     def restore(self, path: str | os.PathLike[str]) -> None:
         """Restore the state of a checkpoint, written on any number of ranks; collective.
 
-        Mesh, materials and interfaces must be the same; the mesh may be numbered differently.
-        Before an evaluation set loads to ``committed.level``, and after changes of parameters call
-        ``solid.follow()``; `load_steps` does both.
+        Mesh (in any numbering), materials and interfaces must be the same. Before an evaluation set
+        loads to ``committed.level``, and after changes of parameters call ``solid.follow()``;
+        `load_steps` does both.
 
         Raises:
             OSError: on all ranks, if the file is missing or unreadable.
-            ValueError: on all ranks, if it is no checkpoint, damaged, or of another version or
-                problem, with the differences. Nothing is changed.
+            ValueError: on all ranks, if it is damaged, or of another version or problem, with the
+                differences; nothing is changed.
         """
         with self.timings("checkpoint"):
             checkpoints.read(self.state, path).put()
@@ -577,10 +572,8 @@ class ContactProblem:
 
         The displacement, ``solid.output_fields()``, and of the interfaces "pressure", "gap",
         "facing" (1 at slave nodes that face a master; elsewhere the gap is 0) and "status"; with
-        friction also "traction" and "slip" (see `Contact`), and a status of 1 is stick, 2 slip.
-
-        Raises:
-            ValueError: if a problem made later uses one of the interfaces.
+        friction also "traction" and "slip" (see `Contact`). A ValueError if a later problem
+        uses an interface.
         """
         self.check_owned()
         fields = {"displacement": self.u} | self.solid.output_fields()
@@ -593,7 +586,7 @@ class ContactProblem:
         return fields
 
     def output_tools(self) -> list[tuple[Outline, Floats]]:
-        """Outlines of the rigid tools, with boxes (2, d) of sides in their frames; collective."""
+        """Outlines of tools, with boxes (2, d) of sides in their frames; collective."""
         return self.system.tools_at(self.u)
 
 

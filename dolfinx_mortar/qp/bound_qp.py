@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Quadratic program with bounds and Coulomb friction: data, solution, optimality conditions.
+"""Quadratic program with bounds and Coulomb friction.
 
 At node j the reaction z = b - A x has a normal component z_n >= 0, the multiplier of the bound on
 x_n, and tangential components z_t against the slip x_t - rest (theory.md, Friction):
@@ -38,7 +38,7 @@ class Friction:
 
     @property
     def some(self) -> Bools:
-        """Unknowns among the entries (m, t) of `tangential`."""
+        """Entries (m, t) of unknowns."""
         return np.asarray(self.tangential >= 0)
 
     def pick(self, values: Floats) -> Floats:
@@ -80,7 +80,7 @@ class Friction:
 
 @dataclass(frozen=True)
 class Sliding:
-    """Linearised law of slipping nodes, z_t = (mu z_n + cohesion) d + kappa (I - d d^T) slip."""
+    """Linearised law of slipping nodes."""
 
     normal: Ints  # (m,) unknowns
     law: Friction  # of the slipping nodes
@@ -130,8 +130,8 @@ class Sliders:
     def directions(self, before: Floats | None = None) -> tuple[Floats, Floats]:
         """Directions d (m, t), zero at sticking nodes, and kappa (m,) of the next state.
 
-        A node whose slip in a direction ``before`` (m, t) would reverse sticks first: neighbours
-        could alternate.
+        A node whose slip ``before`` (m, t) would reverse sticks first, or neighbours could
+        alternate.
 
         >>> nodes, rest = np.array([[0], [1]]), np.zeros((2, 1))
         >>> law = Friction(np.arange(2), nodes, rest, *np.ones((2, 2)))
@@ -182,8 +182,8 @@ class BoundQP:
     """Minimise 1/2 x'Ax - b'x over lower <= x <= upper, with friction.
 
     The reaction z = b - A x is >= 0 at an active upper bound, <= 0 at an active lower bound, else
-    0. With Coulomb friction or an indefinite A there is no minimum: solutions satisfy these
-    conditions; there may be several or none.
+    0. With friction or an indefinite A there is no minimum, but several or no solutions of these
+    conditions.
     """
 
     A: PETSc.Mat  # (n, n)
@@ -194,8 +194,8 @@ class BoundQP:
     friction: Friction | None = None  # on all ranks or on none
     # Whether A is symmetric, and positive definite on unknowns without bounds.
     definite: bool = True
-    product: CongruentOperator | None = None  # A as an operator, factorised without being formed
-    near: PETSc.Mat | None = None  # definite matrix whose multigrid preconditions A
+    product: CongruentOperator | None = None  # A as an operator, not formed
+    near: PETSc.Mat | None = None  # definite, for the multigrid of A
     extent: float = 0.0  # size of coordinates, whose differences are the bounds
     scalars: Scalars | None = None  # on all ranks or on none
     taken: float = 0.0  # norm of the part of b due to scalars
@@ -269,10 +269,7 @@ class Bounded:
         return active
 
     def strength(self, active: Actives, new: Actives) -> Floats:
-        """Sizes |z| + c |x - bound| of unknowns that differ between two sets, 0 at others.
-
-        Up to the tolerance they are weakly active.
-        """
+        """Sizes |z| + c |x - bound| of unknowns that differ between two sets, 0 at others."""
         side = np.where((active > 0) | (new > 0), self.upper, self.lower)
         side = np.where(np.isfinite(side), side, self.x)
         strength = np.abs(self.z) + self.stiffness * np.abs(self.x - side)
@@ -349,12 +346,7 @@ class UnusableQP(ValueError):
 
 
 def validate(qp: BoundQP) -> None:
-    """Raise an error on all ranks if the data can have no solution.
-
-    Raises:
-        UnusableQP: for bounds that cross or are infinite with the wrong sign, entries that are not
-            finite, or indices out of range.
-    """
+    """Raise `UnusableQP` on all ranks for crossing or wrong bounds, NaN, or wrong indices."""
     lower, upper = qp.lower.array_r, qp.upper.array_r
     diagonal = qp.diagonal.array_r
     outside = (qp.bounded < 0) | (qp.bounded >= lower.size)
@@ -396,10 +388,7 @@ def on_bounded(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec) -> Bounded:
 
 
 def on_friction(qp: BoundQP, x: PETSc.Vec, z: PETSc.Vec, found: Bounded) -> Sliders:
-    """An iterate x (n,), z = b - A x (n,) at this rank's nodes with friction.
-
-    The limit includes the force that closes a penetration.
-    """
+    """Iterate at this rank's nodes with friction; limits include forces that close penetrations."""
     law = qp.friction
     assert law is not None
     n = law.normal

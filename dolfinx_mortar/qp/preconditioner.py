@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The present factorisation or multigrid set-up, and its renewal as soon as that is cheaper.
 
-The decisions depend on residuals, not on clocks, so that they are the same on all ranks.
+Residuals decide, not clocks: the same on all ranks.
 """
 
 import ctypes
@@ -21,9 +21,8 @@ from dolfinx_mortar.qp.bound_qp import BoundQP
 from dolfinx_mortar.qp.operator import Operator, count_negative
 from dolfinx_mortar.qp.options import SolverOptions
 
-# Iterations above those of a new one that are worth a renewal: a factorisation in 2D costs 5 to 7
-# solves, a set-up of multigrid in 3D 25 to 50 iterations; levels of a plastic tangent would need
-# twice theirs when new.
+# Excess iterations worth a renewal: a factorisation in 2D costs 5 to 7 solves, a multigrid set-up
+# in 3D 25 to 50.
 RENEWAL_COST = {"direct": 6, "iterative": 80}
 # INFOG(1) of MUMPS: workspace too small; ICNTL(14) is the percentage above its estimate.
 WORKSPACE_ERRORS = (-8, -9)
@@ -53,14 +52,11 @@ class Renewal:
 
     def __init__(self, after: int, *, direct: bool) -> None:
         self.after, self.direct = after, direct
-        self.fresh_rate = 0.0  # log of the reduction per iteration when new
+        self.fresh_rate = 0.0  # log reduction per iteration when new
         self.excess = 0.0  # iterations above those of a new one
 
     def is_far(self, different: int) -> bool:
-        """Whether to renew at once, for so many unknowns newly fixed or free.
-
-        With a factorisation each may take an iteration.
-        """
+        """Whether to renew at once, for so many unknowns newly fixed or free."""
         return (different if self.direct else self.excess) > self.after
 
     def learn(self, norms: Floats, *, stale: bool) -> None:
@@ -116,7 +112,7 @@ def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
         for _ in range(2):
             for other in basis:
                 vector.axpy(-other.dot(vector), other)
-        if vector.norm() > HALF_OF_DIGITS * whole:  # so that the rest has half of its digits
+        if vector.norm() > HALF_OF_DIGITS * whole:
             vector.normalize()
             basis.append(vector)
     return basis
@@ -125,8 +121,8 @@ def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
 class Multigrid:
     """PETSc PC of type python, M^-1 in unknowns v that may differ from x.
 
-    At open contacts coarse functions of the relative motion would couple the two bodies. So a
-    matrix B in other unknowns v may be used,
+    Coarse functions of the relative motion would couple open contacts. So a matrix B in other
+    unknowns v may be used,
 
         x = (I - E) v,      M^-1 = (I - E) B^-1 (I - E)^T on free unknowns,
 
@@ -208,10 +204,7 @@ class Multigrid:
                 user.setOperators(finest, self.B)
 
     def follow(self, change: Change, held: Ints) -> None:
-        """Set the present fixed unknowns and v; collective.
-
-        The matrix of the change is the object of the set-up.
-        """
+        """Set the present fixed unknowns and v; collective."""
         assert self.B is not None, "not set up"
         self.E, self.held = change.E, held
         self.B.setDiagonal(change.matrix.getDiagonal())
@@ -231,11 +224,7 @@ class Multigrid:
 
 
 def set_apart(qp: BoundQP, options: SolverOptions) -> Ints | None:
-    """Unknowns G that a factorisation may leave for last; None for an ordinary one.
-
-    With bounds or friction, or of C if A is a product, ascending; on one rank, if S has few
-    entries.
-    """
+    """Unknowns G, with bounds or friction or of C, to leave for last; None on several ranks."""
     if not qp.definite or qp.scalars is not None:
         return None
     if qp.product is not None:
@@ -264,9 +253,8 @@ def _few(A: PETSc.Mat, unknowns: Ints, options: SolverOptions) -> Ints | None:
 class SchurComplement:
     """S = A_GG - A_GI A_II^-1 A_IG, of a factorisation by MUMPS that leaves G (k,) for last.
 
-    One factorisation serves all active sets. If A = T^T K T with T = I + C, C in G x G, K is
-    factorised, and T^T S T serves all geometries. S is that of the last factorisation; solves fix
-    G.
+    One factorisation serves all active sets; if A = T^T K T with T = I + C, C in G x G, that of K
+    and T^T S T all geometries. Solves fix G.
     """
 
     def __init__(self, unknowns: Ints, product: CongruentOperator | None = None) -> None:
@@ -329,10 +317,7 @@ class SchurComplement:
 
 
 class Preconditioner:
-    """Factorisation or multigrid of an earlier matrix and set, as preconditioner of an operator.
-
-    `unknowns` are those of multigrid, `schur` is of a factorisation that serves any set of G fixed.
-    """
+    """Factorisation or multigrid of an earlier matrix and set, as preconditioner of an operator."""
 
     def __init__(
         self,
@@ -380,7 +365,7 @@ class Preconditioner:
         return self.operator.state if self.schur is None else self.schur.state(self.operator.A)
 
     def differences(self, held: Ints) -> int | None:
-        """Number of fixed unknowns in which it differs, or None (collective)."""
+        """Number of differing fixed unknowns, or None (collective)."""
         if self.held is None:
             return None
         return int(self.comm.allreduce(np.setxor1d(self.held, held).size))

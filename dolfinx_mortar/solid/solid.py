@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Bodies: materials on cell tags, committed state, energy, residual and tangent.
-
-The compiled code depends on the cell type and the laws only.
-"""
+"""Bodies: materials on cell tags, committed state, energy, residual and tangent."""
 
 import math
 from collections.abc import Mapping
@@ -55,7 +52,7 @@ HIGHEST_RULE = 30
 
 
 class Solid(Term):
-    """Elasto-plastic bodies on one mesh: energy, forces and tangent at u and the committed state.
+    """Elasto-plastic bodies on one mesh: energy, forces and tangent.
 
     Attributes:
         u: displacement; its ghosts must be up to date in every call.
@@ -92,10 +89,10 @@ class Solid(Term):
             cell_tags: tags of the cells, see `Tags` for names; needed with a law per tag.
             quadrature_degree: None means 2(p - 1), at least 1, on simplices and 2p on
                 quadrilaterals and hexahedra, p the degree of u.
-            kinematics: "plane_strain" (the default in 2D), "plane_stress" (thin plates, forces per
-                thickness), "axisymmetric" (x[0] is the radius r, x[1] the axis z; components in the
-                order r, z, theta; forces, energies and volumes of the whole ring), "spatial" (the
-                only choice in 3D), or a `Kinematics`.
+            kinematics: "plane_strain" (the default in 2D), "plane_stress" (forces per thickness),
+                "axisymmetric" (x[0] is the radius r, x[1] the axis z; components in the order r, z,
+                theta; forces, energies and volumes of the whole ring), "spatial" (3D), or a
+                `Kinematics`.
             eigenstrain: strain without stress (thermal, misfit, initial): a scalar (isotropic) or a
                 3x3 tensor, as a number, an array, a Constant, a Function or UFL of these and of the
                 coordinates; or a dictionary of such by cell tag or name, zero at other tags. Its
@@ -103,12 +100,10 @@ class Solid(Term):
             volumetric: "full", or "reduced" (mean dilatation) against volumetric locking of
                 quadrilaterals and hexahedra, see `mean_volume`; at finite strain also for other
                 cells of degree 2. For laws that split, see `Material`.
-            strain: "small", or "finite" for large rotations and strains of more than a few percent:
-                laws are functions of F = I + grad u, the internal virtual work is int P : dF[v] dX.
-                Without eigenstrain.
-            energies: whether stored and dissipated energies are evaluated in each step, for
-                `energies` and the fields "stored_energy" and "dissipated_energy"; all laws need a
-                potential.
+            strain: "small", or "finite" for large rotations and strains above a few percent: laws
+                of F = I + grad u, virtual work int P : dF[v] dX. Without eigenstrain.
+            energies: whether to evaluate `energies` and the fields "stored_energy" and
+                "dissipated_energy" in each step; all laws need a potential.
 
         Raises:
             ValueError: on all ranks, naming an argument that is wrong or differs between ranks; for
@@ -184,17 +179,17 @@ class Solid(Term):
 
     @property
     def V(self) -> fem.FunctionSpace:
-        """The space of u."""
+        """Space of u."""
         return self.u.function_space
 
     @property
     def mesh(self) -> Mesh:
-        """The mesh of all bodies."""
+        """Mesh of all bodies."""
         return self.V.mesh
 
     @property
     def quadrature_degree(self) -> int:
-        """The degree of the cell integrals."""
+        """Degree of the cell integrals."""
         return self.fields.degree
 
     @property
@@ -216,13 +211,8 @@ class Solid(Term):
         """Whether the tangent is constant: laws, strain and parameters."""
         return self.gradients.small and all(region.law.linear for region in self.regions)
 
-    # -- one Newton iteration -------------------------------------------------------------------
-
     def create_matrix(self, kind: str = "aij") -> PETSc.Mat:
-        """Create the matrix of the tangent: V's layout, pattern of the mesh, no entries.
-
-        `kind`: "aij", or "baij" for blocks of nodes.
-        """
+        """Create the empty matrix of the tangent; `kind`: "aij", or "baij" for blocks of nodes."""
         K = fem_petsc.create_matrix(self.forms.tangent.form, kind)
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         return K
@@ -231,8 +221,8 @@ class Solid(Term):
         """This rank's share of the incremental potential Psi(u); collective.
 
         `along` is a step of `volume_step` and the length t, for its linearised volumes. None if a
-        law has no potential; infinite where det F <= 0 at any point. At finite strain with two more
-        addends of sum zero, whose size is the round-off of energies of F.
+        law has no potential; infinite for det F <= 0. At finite strain with two more addends of sum
+        zero, of the size of round-off.
         """
         if self.forms.energy is None:
             return None
@@ -292,22 +282,17 @@ class Solid(Term):
     def element_force_norm(self) -> float:
         """Norm of the unassembled element forces at u, sqrt(sum_e sum_a |f_ea|^2).
 
-        The scale of round-off in F(u). Exact for degree 1 on simplices; else by the gradients at
-        the midpoint, without the hoop stress.
+        The scale of round-off in F(u). Exact for degree 1 on simplices; else by gradients at the
+        midpoint, without the hoop stress.
         """
         self.follow()
         return _root(self, fem.assemble_scalar(self.forms.element_force))
 
-    # -- results and committed state ------------------------------------------------------------
-
     def evaluate(self) -> None:
-        """Evaluate stress and internal variables at u and the committed state; collective.
-
-        `stress` and `fields` then show these results; the committed state is unchanged.
+        """Evaluate `stress`, state and `fields` at u, from the committed state; collective.
 
         Raises:
-            ValueError: on all ranks, naming a law that gives NaN or infinity on any; all results
-                are then as before.
+            ValueError: on all ranks, for NaN or infinity of a law; all results are then as before.
         """
         self.follow()
         self.points.evaluate(self.follow)
@@ -315,8 +300,7 @@ class Solid(Term):
     def follow(self) -> None:
         """Update changed data of the forms, evaluate pointwise laws; collective.
 
-        Raises:
-            ValueError: on all ranks, for invalid parameters, eigenstrain or results of a law.
+        A ValueError on all ranks for invalid data or results of a law.
         """
         dilatation = self.forms.dilatation
         self.points.follow(None if dilatation is None else dilatation.follow)
@@ -332,11 +316,10 @@ class Solid(Term):
 
             solid.energies()["block"].dissipated
 
-        At the end of the last step, for each tag of cells, by its name if it has one, or for 0
-        without ``cell_tags``; of the whole ring, or per thickness. Elastic and hardening energy are
-        stored, the rest of the plastic work is dissipated; for friction see `Contact.dissipation`.
-        Their sum is the work of supports and loads, up to the error of the trapezoidal rule over
-        load steps.
+        At the end of the last step, by name or tag of cells, or 0 without ``cell_tags``; of the
+        whole ring, or per thickness. Elastic and hardening energy are stored, the rest of the
+        plastic work is dissipated; for friction see `Contact.dissipation`. Their sum is the work of
+        supports and loads, up to the error of the trapezoidal rule over load steps.
 
         Raises:
             ValueError: unless the solid was made with ``energies=True``.
@@ -350,11 +333,8 @@ class Solid(Term):
     def max(self, name: str) -> float:
         """Largest value of a scalar field over all integration points (collective).
 
-        Args:
-            name: see `PointFields.values`, for example "von_mises" or "plastic_strain_norm".
-
-        Raises:
-            ValueError: for a tensor or an unknown name.
+        `name` as in `PointFields.values`, such as "von_mises"; a ValueError for tensors and
+        unknown names.
         """
         return self.fields.max(name)
 
@@ -367,7 +347,7 @@ class Solid(Term):
 
         Stress, internal variables and output of the laws, of the last `evaluate`.
         ``plastic_strain_norm`` and ``back_stress_norm`` are Frobenius norms, ``hardening`` is the
-        vector norm of the stored back stress components that some papers plot.
+        vector norm of the stored back stress components.
         """
         first = [name for name in OUTPUT_FIELDS if name in self.fields.names]
         return {
@@ -389,7 +369,7 @@ def _root(solid: Solid, share: float) -> float:
 def flows_at_start(solid: Solid) -> bool:
     """Whether changes since the last commit may make bodies flow; collective.
 
-    Then a step begins with `add_first_forces` and `add_first_tangent`. False at finite strain.
+    A step then begins with `add_first_forces` and `add_first_tangent`. False at finite strain.
     """
     if not solid.gradients.small or not solid.state:
         return False
@@ -409,8 +389,8 @@ def add_first_forces(solid: Solid, F: PETSc.Vec) -> None:
 
         F_n + int C_n : (eps(u - u_n) - (e - e_n)) : eps(v),    C_n the tangent of that state.
 
-    The stress beyond yield by an eigenstrain e or parameters is bounded, no measure of the distance
-    to equilibrium.
+    The stress by an eigenstrain e or parameters, bounded by yield, does not measure the distance to
+    equilibrium.
     """
     solid.follow()
     committed, dilatation = solid.forms.committed, solid.forms.dilatation

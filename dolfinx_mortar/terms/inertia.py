@@ -105,15 +105,15 @@ class Inertia(Term):
         for step in dm.time_steps(problem, times):
             print(step.time, inertia.kinetic_energy())
 
-    Nodes of sides that can open are massless; their mass is moved to the nodes behind them. Mass,
-    centre and moments of inertia of each body are conserved with four layers of nodes behind each
-    side, mass and centre with three; with one or two, nodes keep their mass (`terms.mass`). All are
-    those of the whole ring in axisymmetry, per thickness in the plane.
+    Nodes of sides that can open are massless; their mass is moved to the nodes behind them
+    (`terms.mass`). Mass, centre and moments of inertia of each body are conserved with four layers
+    of nodes behind each side, mass and centre with three; with one or two, nodes keep their mass.
+    All of the whole ring, or per thickness.
 
     Attributes:
         scheme: of the steps; `time_steps` sets it.
-        velocity: of the last step, at first the initial one, a Function on ``solid.V``.
-        acceleration: of the last step, a Function on ``solid.V``.
+        velocity: of the last step, a Function on ``solid.V``.
+        acceleration: likewise.
 
     Args:
         density: mass per volume at X: a positive number or Constant, whose value is read here, or
@@ -173,7 +173,7 @@ class Inertia(Term):
 
     @property
     def state(self) -> Mapping[str, fem.Function]:
-        """Velocity, acceleration, and the forces at the end of the last step."""
+        """Velocity, acceleration, and forces at the last commit."""
         return self._state
 
     @property
@@ -213,7 +213,7 @@ class Inertia(Term):
         self._added, self._met = None, (contact.copy(), body.copy())
 
     def check_met(self, contact: Bools, body: Ints) -> None:
-        """Raise a ValueError on all ranks for other arguments than those of `meet`; collective."""
+        """Raise a ValueError for other arguments than in `meet`; collective."""
         same = self._met is not None and all(map(np.array_equal, self._met, (contact, body)))
         if any_rank(self.comm, not same)[0]:
             raise ValueError(
@@ -222,11 +222,7 @@ class Inertia(Term):
             )
 
     def begin(self, start: float, end: float) -> None:
-        """Prepare a step from time `start` to `end`.
-
-        Raises:
-            ValueError: unless end > start.
-        """
+        """Prepare a step from `start` to `end`; a ValueError unless end > start."""
         dt = end - start
         if not (dt > 0.0 and has_square(dt)):
             raise ValueError(f"Inertia: the step goes from {start:g} to {end:g}; {NO_TIME}")
@@ -457,7 +453,7 @@ def read_numbers(density: Any) -> None:
 
 
 def numbers_of(density: Any) -> Any:
-    """Densities as a number, or as numbers by tag."""
+    """Density, or densities by tag."""
     if isinstance(density, Mapping):
         return {str(tag): float(_value(given)) for tag, given in sorted(density.items(), key=str)}
     return float(_value(density))
@@ -470,7 +466,7 @@ def _value(given: Any) -> Any:
 
 
 def create_density(solid: Solid, density: Any, cell_tags: Any) -> Any:
-    """Density in UFL; a ValueError on all ranks for unknown or missing tags; collective."""
+    """Density in UFL; a ValueError for unknown or missing tags; collective."""
     if not isinstance(density, Mapping):
         return fem.Constant(solid.mesh, np.float64(_value(density)))
     chosen, tags = by_cells(solid.mesh, cell_tags, density, "Inertia: density", cover=True)
