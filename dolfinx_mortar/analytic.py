@@ -148,8 +148,8 @@ def hertz_line(
 
         a = sqrt(4 F R/(pi E*)),    p0 = 2 F/(pi a),    p(x) = p0 sqrt(1 - x^2/a^2)
 
-    F is positive in compression, the radius as in `effective_radius`. A ValueError names an
-    argument out of range.
+    F per unit thickness is positive in compression, the radius as in `effective_radius`. A
+    ValueError names an argument out of range.
 
     >>> c = hertz_line(10.0, 8.0, 200.0, 0.3, 200.0, 0.3)
     >>> round(c.half_width, 5), round(c.peak_pressure, 5)

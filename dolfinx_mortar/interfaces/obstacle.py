@@ -60,8 +60,8 @@ FACETS = 2.0
 class Obstacle(Movable, Unilateral):
     """Contact of a side with a rigid tool, perhaps with friction.
 
-    With the shape's signed distance phi, positive outside,
-    and the dual functions Phi_j of the side, the weighted gaps are
+    With the shape's signed distance phi, positive outside, and the dual functions Phi_j of the
+    side, the weighted gaps are
 
         g_j = int Phi_j phi(X + u) >= 0,
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A side of a body glued to a rigid plate: sum_j f_j = F, sum_j R (X_j - c) x f_j = M if driven."""
+"""A side of a body glued to a rigid plate."""
 
 from __future__ import annotations
 
@@ -75,8 +75,8 @@ class RigidSide(Movable, Interface):
     """A side that moves as a rigid body: prescribed, or driven by force and moment.
 
     Its point c = ``reference`` is at ``position`` = c + t, turned by ``rotation`` about it (an
-    angle in the plane, a rotation vector in space; radians). Both are Constants, read in every
-    step. With the rotation matrix R or vector theta
+    angle in the plane, a rotation vector in space; radians): Constants, read in every step. With
+    the rotation matrix R or vector theta
 
         u_j = t + R (X_j - c) - (X_j - c)      at finite strain,
         u_j = t + theta x (X_j - c)            at small strain.
@@ -93,8 +93,7 @@ class RigidSide(Movable, Interface):
             motions are prescribed.
 
     Raises:
-        ValueError: for invalid tags, names, points or loads, and, from the problem, for a side
-            without facets, or with nodes of Dirichlet conditions or earlier interfaces.
+        ValueError: for an invalid argument; from the problem, for such nodes or no facets.
     """
 
     rigid: Plate
@@ -125,11 +124,7 @@ class RigidSide(Movable, Interface):
         self.stays = self.rigid.small
 
     def find_sides(self, V: fem.FunctionSpace, fixed: Bools, weight: Weight | None = None) -> Sides:
-        """Surface in V; collective.
-
-        Raises:
-            ValueError: on all ranks, for nodes with Dirichlet conditions.
-        """
+        """Surface in V; a ValueError for nodes with Dirichlet conditions; collective."""
         sides = super().find_sides(V, fixed, weight)
         free = 1 if self.rigid.revolved else 0  # on the axis u_r = 0
         held = np.asarray(fixed[sides.nodes][:, free:].any(axis=1))

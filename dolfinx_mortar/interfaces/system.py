@@ -195,7 +195,7 @@ class InterfaceSystem:
         return marks
 
     def tools_at(self, u: fem.Function) -> list[tuple[Outline, Floats]]:
-        """Outlines of the rigid tools, with boxes (2, d) of sides in their frames; collective."""
+        """Outlines of tools, with boxes (2, d) of sides; collective."""
         tools = []
         for interface, sides in zip(self.interfaces, self.sides, strict=True):
             if interface.tool is None:

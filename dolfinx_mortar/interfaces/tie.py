@@ -49,8 +49,8 @@ class Tie(MortarInterface):
     Prescribed displacement components are not tied. Jumps, tightenings and directions do not rotate
     with the bodies: where these rotate by R, multiply them by R in each step, or a bolt loses
     force. The offset between separated sides rotates (linearised) with ``surface="smooth"`` only.
-    ``force`` is the resultant on the slave side; ``pressure`` the normal traction per area at X,
-    positive in compression; ``gap`` the normal part of the jump, negative where the sides overlap.
+    ``pressure`` is the normal traction per area at X, positive in compression; ``gap`` the normal
+    part of the jump, negative where the sides overlap.
 
     Args:
         facet_tags: facet markers on the mesh of the displacement.
@@ -58,8 +58,8 @@ class Tie(MortarInterface):
         master: tag or name of the other side.
         jump: displacement of the slave side relative to the master side: d components, a Constant,
             a Function on this mesh, or a function of points x (3, n) that returns (d, n), read in
-            every step. A vector from the slave side into the master side makes them
-            overlap, the opposite opens a slit.
+            every step. A vector from the slave side into the master side makes them overlap, the
+            opposite opens a slit.
         pretension: resultant on the slave side along ``direction``, a force, positive in tension: a
             number or a scalar Constant, read in every step; half of it for half a bolt on a plane
             of symmetry. None keeps jump and tightening: later loads change the force.

@@ -46,10 +46,7 @@ class Driven(Protocol):
     def motions(self, x: Floats, X: Floats, moved: Floats) -> Floats:
         """Displacements (m, n, d) of points by one unit of each motion.
 
-        Args:
-            x: (n, d) present positions, X with frozen geometry.
-            X: (n, d) initial positions.
-            moved: (m,) motions at which to linearise; may be neglected.
+        Points are at x (X if frozen), initially at X (n, d); ``moved`` (m,) is where to linearise.
         """
 
     def curve(self, X: Floats, amounts: Floats) -> Floats:

@@ -205,25 +205,7 @@ class PointwiseLaw(Material):
     """A law without a closed form: stress, tangent and new state at all points, from arrays.
 
     A `Material` with `update` in place of energy, stress and updated_state. Without an energy
-    Newton's method takes whole steps. With JAX (64 bits), whose derivatives make the tangent of
-    Hooke's law:
-
-        def stress(strain, E, nu):
-            G, L = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
-            return L * jnp.trace(strain) * jnp.eye(3) + G * (strain + strain.T)
-
-        stresses = jax.jit(jax.vmap(stress))
-        tangents = jax.jit(jax.vmap(jax.jacfwd(stress)))
-
-        @dataclass(frozen=True)
-        class Hooke(dm.materials.PointwiseLaw):
-            E: float
-            nu: float
-            elastic_stress = staticmethod(dm.Elastic.elastic_stress)
-
-            @staticmethod
-            def update(strain, state, p):
-                return stresses(strain, p.E, p.nu), tangents(strain, p.E, p.nu), {}
+    Newton's method takes whole steps. See the demo ``own_law`` for NumPy and JAX.
 
     With ``strain = "finite"`` the first argument is F (q, 3, 3), the stress P and the tangent
     dP_ij/dF_kl; such a law may have `energy(F, state, p)`, psi (q,), for the line search.

@@ -80,8 +80,8 @@ def solve_normal_strain(
 ) -> Floats:
     """Return z with sigma_zz(z) = 0, NaN where the law is undefined.
 
-    Newton's method, with bisection outside the bracket between pressure and tension, twice the
-    elastic step where C_zzzz <= 0, and at finite strain at most half of the way to z = -1.
+    Newton's method with bisection; twice the elastic step where C_zzzz <= 0; at finite strain at
+    most half of the way to z = -1.
 
     Args:
         law: its name.
@@ -334,8 +334,7 @@ def values_at_points(
 ) -> PointValues:
     """Values of a law of arrays at q points; a ValueError for a wrong form, name or shape.
 
-    `strain` symmetric (q, 3, 3), or F; committed internal variables (q,) or (q, 3, 3); parameters
-    (q,).
+    Strain, or F, (q, 3, 3); committed state (q,) or (q, 3, 3); parameters (q,).
     """
     z, finite = None, law.strain == "finite"
     if law.plane_stress:

@@ -168,14 +168,12 @@ def sphere(
             ball has one hexahedron more along the edge of the core, so that meshes do not match.
         radius: of the ball [mm].
         block: width, length and thickness [mm].
-        gap: initial gap [mm], negative for an overlap.
+        gap: as in `hertz`.
         core: distance from the contact point with size ``h`` [mm], by default an eighth of the
             radius; beyond, sizes grow in proportion to the distance.
         half: whether to mesh the half y >= 0 instead, without "symmetry_x".
 
-    Raises:
-        ValueError: on all ranks, if an argument is out of range or differs between ranks.
-        RuntimeError: on all ranks, if gmsh is missing or fails.
+    Errors as of `hertz`.
     """
     given = dict(locals())
     with raised_together(comm):

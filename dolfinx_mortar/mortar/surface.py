@@ -217,9 +217,8 @@ def create_surface(
     """Collect the exterior facets marked with `tag`, a number or name, on any rank (collective).
 
     Raises:
-        ValueError: On all ranks, for an unsupported space, tags of another mesh or dimension, a tag
-            that is no 32 bit integer or marks no or interior facets, and facets that are not
-            finite, degenerate, inverted or badly warped.
+        ValueError: on all ranks, for an unsupported space, wrong tags, and facets that are
+            interior, not finite, degenerate, inverted or badly warped.
     """
     check_space(V)
     element = _element(V)

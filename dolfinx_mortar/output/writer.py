@@ -211,15 +211,8 @@ class Writer:
         return [head, geometry]
 
 
-# -- values of Functions -------------------------------------------------------------------------
-
-
 def _values(V: fem.FunctionSpace, function: fem.Function) -> tuple[Floats, str]:
-    """Owned values, padded, shape (n, components), and "Node" or "Cell"; collective.
-
-    In the order of V's owned nodes, or of the owned cells: spaces of one element may differ in
-    numbering.
-    """
+    """Padded values (n, c) at V's owned nodes or cells, and "Node" or "Cell"; collective."""
     degree, own = V.ufl_element().degree, function.function_space.ufl_element().degree
     shape, topology = function.ufl_shape, V.mesh.topology
     if own not in (0, degree):
@@ -252,9 +245,6 @@ def _pad(values: Floats, shape: tuple[int, ...]) -> Floats:
             nine = [min(a + b, b + a) for a in "xyz" for b in "xyz"]
             return values @ np.array([[float(own == name) for name in nine] for own in names])
     return values
-
-
-# -- rigid tools ---------------------------------------------------------------------------------
 
 
 class _ToolFile(File):

@@ -100,7 +100,7 @@ def field(
     view: Any = None,
     ax: Any = None,
 ) -> Any:
-    """Draw a field on the deformed bodies. Collective.
+    """Draw a field on the deformed bodies.
 
     Rigid tools are drawn near the bodies, unless displacements are enlarged.
 
@@ -151,8 +151,8 @@ def pressure(
 ) -> Any:
     """Draw the contact pressure: along the slave side in the plane, over it in space.
 
-    Collective. In the plane the abscissa is the axis along which the sides are longer. Of ties the
-    normal traction is drawn, positive in compression.
+    In the plane the abscissa is the axis along which the sides are longer. Of ties the normal
+    traction is drawn, positive in compression.
 
     Args:
         problem: a `ContactProblem` after a step.
@@ -224,9 +224,6 @@ def _on_rank_0(
             draw(drawer, result)
             drawer.finish(result, file, view)
     return result
-
-
-# -- what is drawn -------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -75,8 +75,7 @@ class ContactProblem:
         geometry: "updated" computes normals, segments, D, M and gaps at X + u in every Newton
             iteration, "reference" once at X.
         petsc_options_prefix: prefix of the linear solver's PETSc options.
-        petsc_options: these options without the prefix; without them `load_steps` replaces
-            multigrid that fails by a factorisation.
+        petsc_options: these options without the prefix; see `load_steps` for multigrid that fails.
 
     Raises:
         ValueError: for invalid arguments, on all ranks.
@@ -586,7 +585,7 @@ class ContactProblem:
         return fields
 
     def output_tools(self) -> list[tuple[Outline, Floats]]:
-        """Outlines of tools, with boxes (2, d) of sides in their frames; collective."""
+        """See `InterfaceSystem.tools_at`; collective."""
         return self.system.tools_at(self.u)
 
 

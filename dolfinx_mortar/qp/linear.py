@@ -302,11 +302,7 @@ class LinearSolver:
             )
 
     def is_indefinite(self) -> bool:
-        """Whether the free part of the present matrix, assumed definite, is not; collective.
-
-        Raises:
-            LinearSolveFailed: for a singular matrix.
-        """
+        """Whether the free part of the present matrix, assumed definite, is not; collective."""
         held = None if self._setup is None else self._operator.held
         if not self._kind or held is None:
             return False

@@ -48,11 +48,7 @@ TRACED = (plane_strain, axisymmetric, spatial)
 def create_dilatation(
     u: fem.Function, given: Any, integral: Integral, eigenstrain: Eigenstrain | None
 ) -> MeanVolume | None:
-    """Volumetric part in the mean, None for "full"; collective.
-
-    Raises:
-        ValueError: for another choice than "full" and "reduced", and where nothing can be reduced.
-    """
+    """Volumetric part in the mean, None for "full"; a ValueError for other choices; collective."""
     if check("volumetric", given, one_of("full", "reduced")) == "full":
         return None
     kinematics = integral.kinematics

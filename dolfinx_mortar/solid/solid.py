@@ -57,7 +57,7 @@ class Solid(Term):
     Attributes:
         u: displacement; its ghosts must be up to date in every call.
         kinematics: strain measure, weight and rigid motions; plane strain in 2D.
-        volumetric: integration of the volumetric part, "full" or "reduced".
+        volumetric: "full" or "reduced".
         regions: the cells of each law, with its parameters.
         eigenstrain: at the integration points, or None; subtracted from the strain.
         stress: quadrature Function, stored as tensors of `state`; Cauchy's at finite strain.
@@ -96,7 +96,7 @@ class Solid(Term):
             eigenstrain: strain without stress (thermal, misfit, initial): a scalar (isotropic) or a
                 3x3 tensor, as a number, an array, a Constant, a Function or UFL of these and of the
                 coordinates; or a dictionary of such by cell tag or name, zero at other tags. Its
-                data may change between steps, in ``on_time`` of `load_steps`.
+                data may change between steps.
             volumetric: "full", or "reduced" (mean dilatation) against volumetric locking of
                 quadrilaterals and hexahedra, see `mean_volume`; at finite strain also for other
                 cells of degree 2. For laws that split, see `Material`.

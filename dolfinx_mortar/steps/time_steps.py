@@ -200,9 +200,8 @@ def time_steps(
         times: ends of the steps, increasing. If they begin with all those of the last run on this
             problem, as after `ContactProblem.restore`, that run goes on.
         scheme: "energy-conserving" is the trapezoidal rule, with an impulse of the contact forces
-            after each step that restores the energy of contact: impacts conserve energy, only
-            friction dissipates it. "generalised-alpha" (Chung and Hulbert 1993) damps high
-            frequencies.
+            after each step that restores the energy of contact: impacts conserve energy.
+            "generalised-alpha" damps high frequencies.
         spectral_radius: of "generalised-alpha": the factor of the amplitude of the highest
             frequencies in each step, from 0 to 1, by default 0.8; 1 means no damping.
         ramp, on_time: as in `load_steps`, over time; also called for the start.
@@ -219,8 +218,7 @@ def time_steps(
     Raises:
         ValueError: unless the problem has one inertia and times increase; otherwise as
             `load_steps`.
-        OSError: as `load_steps`.
-        NewtonNotConverged: as `load_steps`.
+        OSError, NewtonNotConverged: as `load_steps`.
     """
     check_problem(problem, ContactProblem)
     given = {"scheme": scheme, "spectral_radius": spectral_radius}
@@ -322,11 +320,7 @@ def check_increasing(begin: float, levels: list[float]) -> None:
 
 
 def find_inertia(problem: ContactProblem) -> list[Inertia]:
-    """The inertia of a problem, in a list; collective.
-
-    Raises:
-        ValueError: unless there is one, of its solid and with the mass for its contacts.
-    """
+    """The inertia of a problem, in a list; a ValueError unless one fits; collective."""
     found = [term for _, term in problem.terms.named if isinstance(term, Inertia)]
     if len(found) != 1:
         raise ValueError(

@@ -100,11 +100,6 @@ class Start:
 class Inertia(Term):
     """The inertia of bodies, for `time_steps`: give it in ``ContactProblem(.., terms=[inertia])``.
 
-        inertia = dm.Inertia(solid, 7.85e-9, velocity=(0.0, -227e3))
-        problem = dm.ContactProblem(solid, [contact], bcs=bcs, terms=[inertia])
-        for step in dm.time_steps(problem, times):
-            print(step.time, inertia.kinetic_energy())
-
     Nodes of sides that can open are massless; their mass is moved to the nodes behind them
     (`terms.mass`). Mass, centre and moments of inertia of each body are conserved with four layers
     of nodes behind each side, mass and centre with three; with one or two, nodes keep their mass.
@@ -112,8 +107,6 @@ class Inertia(Term):
 
     Attributes:
         scheme: of the steps; `time_steps` sets it.
-        velocity: of the last step, a Function on ``solid.V``.
-        acceleration: likewise.
 
     Args:
         density: mass per volume at X: a positive number or Constant, whose value is read here, or
@@ -183,12 +176,12 @@ class Inertia(Term):
 
     @property
     def velocity(self) -> fem.Function:
-        """Velocity at the end of the last step."""
+        """Velocity at the end of the last step, on ``solid.V``."""
         return self._state["velocity"]
 
     @property
     def acceleration(self) -> fem.Function:
-        """Acceleration at the end of the last step."""
+        """Acceleration at the end of the last step, on ``solid.V``."""
         return self._state["acceleration"]
 
     def values(self, name: str) -> Floats:

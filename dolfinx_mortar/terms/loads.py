@@ -111,11 +111,7 @@ class Pressure(WeakForm):
             self._thickness.follow()
 
     def has_potential(self, free: Bools) -> bool:
-        """Whether p V is a potential of the present forces; collective.
-
-        By differences of p V, which is cubic, along random values of components `free` (owned
-        nodes, d).
-        """
+        """Whether p V is a potential of forces on `free` (owned nodes, d); collective."""
         if self._energy is None:
             return False
         x, comm = self.u.x, self.u.function_space.mesh.comm
@@ -243,8 +239,8 @@ class PointForce(PointTerm):
         tip = fem.Constant(mesh, (0.0, -50.0))
         problem = dm.ContactProblem(solid, bcs=bcs, terms=[dm.PointForce(V, (4.0, 1.0), tip)])
 
-    Stresses below the force diverge as the mesh is refined, and so does the displacement of the
-    node; a traction on a small side has no such singularity.
+    Stresses and the displacement of the node diverge as the mesh is refined; a traction on a small
+    side has no such singularity.
 
     Args:
         V: space of the displacement.
