@@ -200,7 +200,7 @@ class Ogden(PointwiseLaw):
             G += alpha[:, None] / 2 * power[:, second] * share
         P, A = np.empty((q, 9)), np.empty((q, 45))
         law = np.hstack([T, L[:, *np.triu_indices(3)], G])
-        logarithms.respond(GRADIENT[3], True, law, x, logs, *tensors, P, A)
+        logarithms.respond(INDEX, True, law, x, logs, *tensors, P, A)
         return (*as_tensors(P, A, GRADIENT[3]), {})
 
 

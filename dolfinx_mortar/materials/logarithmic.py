@@ -8,7 +8,8 @@ laws (`Law.isotropic`), with C_p = F_p^T F_p and 1/2 ln C_p as the plastic strai
     C_p^-1 = C_pn^-1/2 exp(-2 dep) C_pn^-1/2,    dep the plastic strain that the law gives.
 
 **Additive form**, for all others: the law of small strain at E = 1/2 ln(F^T F), exact where the
-principal directions do not rotate.
+principal directions do not rotate; in simple shear by 1 perfect plasticity is 3 % too soft, by 2
+17 %.
 
 Sources: J. C. Simo, Comput. Methods Appl. Mech. Engrg. 99 (1992) 61-112; C. Miehe, N. Apel, M.
 Lambrecht, Comput. Methods Appl. Mech. Engrg. 191 (2002) 5383-5425.
@@ -40,11 +41,11 @@ from dolfinx_mortar.materials.tensor import (
     stored,
     tensor_of,
     to_components,
-    von_mises,
 )
 from ufl.core.expr import Expr
 
-CHUNK = 512  # points at a time, for the cache
+CHUNK = 512  # points per chunk, for the cache
+NORMAL = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # ab of L_aabb
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Start:
     roots: Floats | None  # C_pn^-1/2 - I (q, 3, 3), if not zero
     numbers: Floats  # (q, n) arguments of a law in UFL, with space for the strain
 
-    def at(self, points: Ints | slice) -> "Start":
+    def at(self, points: Ints) -> "Start":
         """Data of some points."""
         state, parameters = (
             {name: values[points] for name, values in of.items()}
@@ -68,11 +69,11 @@ class Start:
 
 
 class LogarithmicLaw:
-    """A small-strain law as a function of H = F - I at points.
+    """A small-strain law as a function of H = F - I at points, see the module.
 
     Attributes:
         multiplicative: the form; else additive.
-        components: row and column of k nonzero entries of P.
+        components: row and column of the k entries of P that may differ from zero.
     """
 
     def __init__(
@@ -83,7 +84,7 @@ class LogarithmicLaw:
         dimension: int = 3,
         jit: Callable[[Expr], Kernel] = compile_kernel,
     ) -> None:
-        """Compile a law in UFL; a ValueError if it raises or returns a wrong part.
+        """Compile a law in UFL; a ValueError if it raises, or returns a wrong shape or name.
 
         Args:
             parameters: their names.
@@ -122,30 +123,37 @@ class LogarithmicLaw:
             parts = self._decompose(start, H[some], some)
             x, logs, N = parts[:3]
             found = self._inner.moduli(start, some, logs, N)
-            logarithms.respond(
-                self.components, self.multiplicative, found, *parts, P[some], A[some]
-            )
+            logarithms.respond(self._pairs, self.multiplicative, found, *parts, P[some], A[some])
             if self.has_energy:
                 psi[some] = np.where(np.isnan(x[:, 0]), np.inf, found[:, -1])
 
     def find_normal(self, start: Start, H: Floats) -> None:
-        """Set H_zz such that P_zz = 0, NaN where undefined; a ValueError if not found."""
+        """Set H_zz for P_zz = 0, NaN if the law is undefined; a ValueError without a root."""
+        k = len(self.components)
+        c = self.components.index((2, 2))
+        last = _upper(k).index((c, c))
 
         def equation(points: Ints, z: Floats) -> Floats:
             trial = H[points]
             trial[:, 2, 2] = z[:, 0]
-            P, A, _ = self._evaluate(start.at(points), trial)
+            q = len(points)
+            P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
+            self.respond(start.at(points), trial, P, A, psi)
             stiffest, norm = np.abs(A).max(axis=1, initial=0.0), np.linalg.norm(P, axis=1)
-            return np.stack([P[:, -1], A[:, -1], stiffest, norm], axis=1)[:, None]
+            return np.stack([P[:, c], A[:, last], stiffest, norm], axis=1)[:, None]
 
         H[:, 2, 2] = solve_normal_strain(self.law.name, equation, (len(H), 1), finite=True)[:, 0]
 
     def condense(self, P: Floats, A: Floats) -> None:
-        """Convert stress and tangent of `respond` to plane stress, in place."""
-        a, b = np.triu_indices(len(self.components))
-        normal = A[:, b == b[-1]]  # of each component, zz is the last
-        A -= normal[:, a] * normal[:, b] / normal[:, -1:]
-        A[:, b == b[-1]], P[:, -1] = 0.0, 0.0
+        """Convert stress and tangent to plane stress, in place."""
+        k, c = len(self.components), self.components.index((2, 2))
+        number = {pair: t for t, pair in enumerate(_upper(k))}
+        with_normal = [A[:, number[min(a, c), max(a, c)]].copy() for a in range(k)]
+        for (a, b), t in number.items():
+            A[:, t] -= with_normal[a] * with_normal[b] / with_normal[c]
+            if c in (a, b):
+                A[:, t] = 0.0
+        P[:, c] = 0.0
 
     def update(self, start: Start, H: Floats) -> dict[str, Floats]:
         """New internal variables, (q,) or (q, 3, 3)."""
@@ -161,10 +169,12 @@ class LogarithmicLaw:
         return new
 
     def values(self, F: Floats, state: Mapping[str, Floats], p: SimpleNamespace) -> PointValues:
-        """As `response.values_at_points`, at F (q, 3, 3)."""
+        """Values at F (q, 3, 3), see `response.values_at_points`."""
+        q, k = len(F), len(self.components)
         H = np.ascontiguousarray(F - np.eye(3))
-        start = self.start(len(F), state, ungrouped(p))
-        P, A, psi = self._evaluate(start, H)
+        P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
+        start = self.start(q, state, ungrouped(p))
+        self.respond(start, H, P, A, psi)
         stress, tangent = as_tensors(P, A, self.components)
         energy = psi if self.has_energy else None
         return PointValues(stress, tangent, self.update(start, H), energy=energy)
@@ -173,21 +183,10 @@ class LogarithmicLaw:
         """Return 1 - |dev tau| / |dev T| (q,), 0 in the multiplicative form, T the law's stress."""
         share = np.zeros(len(H))
         for some in () if self.multiplicative else _chunks(len(H)):
-            _, logs, N, _, _ = self._decompose(start, H[some], some)
-            T = self._inner.moduli(start, some, logs, N)[:, : len(self._pairs)]
-            P, A, _ = self._evaluate(start.at(some), H[some])
-            tau, _ = as_tensors(P, A, self.components)
-            tau += tau @ np.swapaxes(H[some], 1, 2)
-            inner, outer = von_mises(T), von_mises(stored(tau))
-            share[some] = 1 - np.divide(outer, inner, out=np.ones_like(inner), where=inner > 0.0)
+            x, logs, N, _, _ = self._decompose(start, H[some], some)
+            found = self._inner.moduli(start, some, logs, N)
+            logarithms.lost(self._pairs, found, x, logs, N, share[some])
         return share
-
-    def _evaluate(self, start: Start, H: Floats) -> tuple[Floats, Floats, Floats]:
-        """P, A and psi of `respond`."""
-        q, k = len(H), len(self.components)
-        found = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
-        self.respond(start, H, *found)
-        return found
 
     def _decompose(self, start: Start, H: Floats, some: slice) -> list[Floats]:
         parts = [part[: len(H)] for part in (*self._vectors, *self._tensors)]
@@ -201,13 +200,19 @@ def as_tensors(
 ) -> tuple[Floats, Floats]:
     """P (q, 3, 3) and dP/dF (q, 3, 3, 3, 3) of components and the upper triangle."""
     stress, tangent = np.zeros((len(P), 3, 3)), np.zeros((len(P), 3, 3, 3, 3))
-    entries, (a, b) = np.array(components).T, np.triu_indices(len(components))
-    stress[:, *entries] = P
-    tangent[:, *entries[:, a], *entries[:, b]] = tangent[:, *entries[:, b], *entries[:, a]] = A
+    for n, entry in enumerate(components):
+        stress[:, *entry] = P[:, n]
+    for t, (a, b) in enumerate(_upper(len(components))):
+        first, second = components[a], components[b]
+        tangent[:, *first, *second] = tangent[:, *second, *first] = A[:, t]
     return stress, tangent
 
 
 _NONE = np.zeros((1, 3, 3))
+
+
+def _upper(k: int) -> list[tuple[int, int]]:
+    return [(a, b) for a in range(k) for b in range(a, k)]
 
 
 def _chunks(q: int) -> list[slice]:
@@ -218,9 +223,10 @@ def _answers(
     law: Law, size: int
 ) -> tuple[Sequence[tuple[int, int]], list[tuple[int, int, int, int]]]:
     pairs = INDEX[:size]
-    ways = [(a, b) for a in range(size) for b in range(a, size)]
-    ways = [(a, b) for a, b in ways if b < 3 or a == b or not law.isotropic]
-    return pairs[: 3 if law.isotropic else size], [(*pairs[a], *pairs[b]) for a, b in ways]
+    if not law.isotropic:
+        return pairs, [(*pairs[a], *pairs[b]) for a, b in _upper(size)]
+    ways = [(i, i, j, j) for i, j in NORMAL] + [(i, j, i, j) for i, j in pairs[3:]]
+    return INDEX[:3], ways
 
 
 class _InUFL:
@@ -280,7 +286,7 @@ class _InUFL:
         if self._law.isotropic:
             numbers[:, :3] = logs
         else:
-            numbers[:, : self._size] = stored(_composed(N, logs), self._size)
+            logarithms.compose_stored(N, logs, self._size, numbers)
         return numbers
 
     def _response(self) -> Response:
@@ -337,13 +343,8 @@ class _OfArrays:
             if PLASTIC in state:
                 state[PLASTIC] = np.zeros_like(state[PLASTIC])
         else:
-            strain[:] = _composed(N, logs)
+            strain[:] = np.einsum("qia,qa,qja->qij", N, logs, N)
         return values_at_points(self._law, strain, state, p)
-
-
-def _composed(N: Floats, values: Floats) -> Floats:
-    """sum_a values_a N_a (x) N_a of eigenvectors (q, 3, 3)."""
-    return np.asarray((N * values[:, None]) @ np.swapaxes(N, 1, 2))
 
 
 def _unit(i: int, j: int) -> Expr:
