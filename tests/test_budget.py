@@ -20,9 +20,9 @@ import dolfinx_mortar
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
     "files": 159,
-    "tokens of code": 312_665,
-    "words of prose": 56_353,
-    "words of strings": 13_370,
+    "tokens of code": 314_739,
+    "words of prose": 54_923,
+    "words of strings": 13_371,
 }
 TOKENS_OF_TESTS = 359_800
 PUBLIC_NAMES = 43

@@ -8,8 +8,7 @@ laws (`Law.isotropic`), with C_p = F_p^T F_p and 1/2 ln C_p as the plastic strai
     C_p^-1 = C_pn^-1/2 exp(-2 dep) C_pn^-1/2,    dep the plastic strain that the law gives.
 
 **Additive form**, for all others: the law of small strain at E = 1/2 ln(F^T F), exact where the
-principal directions do not rotate; in simple shear by 1 perfect plasticity is 3 % too soft, by 2
-17 %.
+principal directions do not rotate.
 
 Sources: J. C. Simo, Comput. Methods Appl. Mech. Engrg. 99 (1992) 61-112; C. Miehe, N. Apel, M.
 Lambrecht, Comput. Methods Appl. Mech. Engrg. 191 (2002) 5383-5425.
@@ -69,11 +68,11 @@ class Start:
 
 
 class LogarithmicLaw:
-    """A small-strain law as a function of H = F - I at points, see the module.
+    """A small-strain law as a function of H = F - I at points.
 
     Attributes:
         multiplicative: the form; else additive.
-        components: row and column of the k entries of P that may differ from zero.
+        components: row and column of k nonzero entries of P.
     """
 
     def __init__(
@@ -84,7 +83,7 @@ class LogarithmicLaw:
         dimension: int = 3,
         jit: Callable[[Expr], Kernel] = compile_kernel,
     ) -> None:
-        """Compile a law in UFL; a ValueError if it raises, or returns a wrong shape or name.
+        """Compile a law in UFL; a ValueError if it raises or returns a wrong part.
 
         Args:
             parameters: their names.

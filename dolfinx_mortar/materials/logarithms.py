@@ -1,26 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Logarithmic strains at points, and the transformation of their stresses and moduli to P.
 
-With F = I + H, a symmetric G = I + g and C = (F G)^T F G with eigenvalues 1 + x_a and eigenvectors
-N_a,
-
-    E = 1/2 ln C = sum_a 1/2 ln(1 + x_a) N_a (x) N_a.
-
-With T = d psi / d E, L = dT / dE, y_a = F G N_a and m_a = G N_a,
-
-    P = d psi / d F = sum_ab S_ab y_a (x) m_b,         S_ab = 2 f_ab T_ab,
-    dP_iJ / dF_kM   = sum M_ab,cd Z_ab,iJ Z_cd,kM + delta_ik sum_ab S_ab m_a,J m_b,M,
-
-with Z_ab = dC_ab = y_a (x) m_b + y_b (x) m_a, and M = d(S_ab / 2) / dC_cd from the divided
-differences f_ab, f_abc of 1/2 ln at the eigenvalues (power series for close ones):
-
-    M_ab,cd = f_ab L_ab,cd f_cd + terms of f_abc T.
-
-If psi is isotropic, T is diagonal in the eigenvectors; L couples normal strains, and each shear
-with itself. Components are stored as in `tensor.INDEX`: in the plane xx, xy, yx, yy, zz of F and P,
-in space nine.
-
-Source: C. Miehe, M. Lambrecht, Commun. Numer. Meth. Engng 17 (2001) 337-353.
+Formulas: theory.md, Small-strain laws at finite strain, with G = I + g, F = I + H, and x, logs, N,
+y, m of C = (F G)^T F G. Components are stored as in `tensor.INDEX`: in the plane xx, xy, yx, yy, zz
+of F and P, in space nine.
 """
 
 import numba
@@ -32,8 +15,7 @@ from dolfinx_mortar.materials.tensor import INDEX
 PAIRS = INDEX
 SETTINGS = {"cache": True, "error_model": "numpy"}
 
-# Relative difference of eigenvalues below which power series are exact to round-off; above,
-# differences lose two digits.
+# Relative difference of eigenvalues below which power series are exact to round-off.
 NEAR = 0.08
 
 
