@@ -133,15 +133,15 @@ BOXES = {"n_lower": (3, 3, 1), "n_upper": (2, 3, 1), "upper": PARTLY, "jitter": 
 OVER = {"upper": UNDER}
 SMOOTH = {"surface": "smooth", "transform": bent, "gap": 0.01}
 HIDING = {"transform": overhanging, "gap": 0.01, "noise": 0.01}
-STEP = {**HIDING, "transform": raised}
-BEHIND = {**HIDING, "transform": sunk}
+STEP = HIDING | {"transform": raised}
+BEHIND = HIDING | {"transform": sunk}
 ALIKE = {"n_lower": (4, 1), "n_upper": (3, 1), "x_lower": (0.0, 1.0), "x_upper": (0.0, 1.1)}
 SKINS = {"part": "skins", "noise": 1e-3}
 BESIDE = {"n_lower": (6, 4), "n_upper": (5, 4), "x_lower": (0.0, 1.0), "x_upper": (0.63, 1.17)}
-FLANKS = {**SKINS, "upper": (0.43, 1.37, -0.1, 1.12)}
-CORNER = {**SKINS, "upper": (0.43, 1.37, 0.38, 1.41)}
+FLANKS = SKINS | {"upper": (0.43, 1.37, -0.1, 1.12)}
+CORNER = SKINS | {"upper": (0.43, 1.37, 0.38, 1.41)}
 LITTLE = {"upper": (0.97, 1.87, 0.38, 1.41), "gap": 0.004}
-BEYOND = {**BESIDE, "x_upper": (0.965, 1.505), "gap": 0.005}
+BEYOND = BESIDE | {"x_upper": (0.965, 1.505), "gap": 0.005}
 ROLLERS = {"fixed": on_rollers, "transform": inclined}
 MIRRORS = {"fixed": on_rollers, "transform": arched, "gap": 0.01}
 PLANAR = {"shape": dm.shapes.Cylinder([0.3, 0.8], 1.0)}
@@ -154,41 +154,41 @@ ROWS = [  # cell, degree, what it has to contain, options
     ("triangle", 2, "partly", {}),
     ("triangle", 1, "partly", {"fixed": lambda X: X[:, :1] > [1.2, 1.2]}),  # facets without nodes
     ("triangle", 2, "partly smooth", SMOOTH),
-    ("triangle", 2, "partly smooth", {**SMOOTH, "order": 2}),
-    ("triangle", 2, "partly smooth", {**SMOOTH, "weight": around, "swap": True}),
+    ("triangle", 2, "partly smooth", SMOOTH | {"order": 2}),
+    ("triangle", 2, "partly smooth", SMOOTH | {"weight": around, "swap": True}),
     ("triangle", 1, "partly", HIDING),
     ("triangle", 2, "step", STEP),
     ("triangle", 1, "partly", BEHIND),
     ("triangle", 1, "lost", {"slid": -0.2, "gap": 0.01}),
-    ("triangle", 1, "held", {**ROLLERS, **ALIKE, "x_upper": (-0.4, 1.1), "n_upper": (2, 1)}),
-    ("triangle", 2, "held", {**MIRRORS, **ALIKE, "order": 2}),
-    ("triangle", 2, "edges", {**SKINS, **BESIDE, "swap": True}),
-    ("triangle", 1, "", {**SKINS, **BEYOND}),
+    ("triangle", 1, "held", ROLLERS | ALIKE | {"x_upper": (-0.4, 1.1), "n_upper": (2, 1)}),
+    ("triangle", 2, "held", MIRRORS | ALIKE | {"order": 2}),
+    ("triangle", 2, "edges", SKINS | BESIDE | {"swap": True}),
+    ("triangle", 1, "", SKINS | BEYOND),
     ("tetrahedron", 1, "partly", {}),
     ("tetrahedron", 1, "partly", {"friction": None, "swap": True}),
     ("tetrahedron", 1, "partly smooth", SMOOTH),
     ("tetrahedron", 1, "partly", {"loaded": 0.2}),
     ("tetrahedron", 1, "partly", BEHIND),
     ("tetrahedron", 2, "partly", {"noise": 0.01, "swap": True}),  # 256 pairs around a node
-    ("tetrahedron", 2, "", {**OVER, "noise": 0.01, "order": 2}),
+    ("tetrahedron", 2, "", OVER | {"noise": 0.01, "order": 2}),
     ("tetrahedron", 2, "edges", FLANKS),
-    ("hexahedron", 1, "edges", {**SKINS, "upper": (0.23, 0.77, 0.21, 0.75), "swap": True}),
-    ("hexahedron", 1, "edges", {**CORNER, "swap": True}),
-    ("hexahedron", 1, "", {**SKINS, **LITTLE, "swap": True}),
+    ("hexahedron", 1, "edges", SKINS | {"upper": (0.23, 0.77, 0.21, 0.75), "swap": True}),
+    ("hexahedron", 1, "edges", CORNER | {"swap": True}),
+    ("hexahedron", 1, "", SKINS | LITTLE | {"swap": True}),
     ("hexahedron", 1, "partly", {}),
-    ("hexahedron", 1, "held", {**MIRRORS, "upper": UNIT, "swap": True}),
-    ("hexahedron", 2, "partly smooth", {**SMOOTH, "noise": 0.01}),
-    ("hexahedron", 2, "smooth", {**SMOOTH, **OVER, "noise": 0.01, "order": 2}),
+    ("hexahedron", 1, "held", MIRRORS | {"upper": UNIT, "swap": True}),
+    ("hexahedron", 2, "partly smooth", SMOOTH | {"noise": 0.01}),
+    ("hexahedron", 2, "smooth", SMOOTH | OVER | {"noise": 0.01, "order": 2}),
     *((cell, 1, "partly", {"part": "itself"}) for cell in ("triangle", "tetrahedron")),
     *(("triangle", 1 + (tool is RING), "held partly", tool) for tool in (PLANAR, RING)),
     *(
-        ("triangle", 1 + (tool is PLANAR), "held partly", {**tool, "surface": "smooth", "bow": 0.2})
+        ("triangle", 1 + (tool is PLANAR), "held partly", tool | {"surface": "smooth", "bow": 0.2})
         for tool in (PLANAR, RING)
     ),
     ("triangle", 1, "held partly", LEVELS),
     ("tetrahedron", 2, "held partly", SOLID),
     ("hexahedron", 1, "held partly", CURVED),
-    ("hexahedron", 1, "held partly", {**SOLID, "surface": "smooth"}),
+    ("hexahedron", 1, "held partly", SOLID | {"surface": "smooth"}),
 ]
 
 
@@ -208,7 +208,7 @@ def test_derivatives_are_those_of_forces_gaps_and_slips(cell, degree, contains, 
 
 @pytest.mark.parametrize(
     ("cell", "options"),
-    [("triangle", {**SKINS, **BESIDE}), ("hexahedron", {**CORNER, "swap": True})],
+    [("triangle", SKINS | BESIDE), ("hexahedron", CORNER | {"swap": True})],
 )
 def test_what_is_held_is_bounded_at_edges(cell, options):
     """Measured: of forces .003 to .2 of the largest entry, of gaps 3e-6, of slips 7e-4."""
