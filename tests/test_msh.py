@@ -89,6 +89,28 @@ def test_a_group_that_has_lost_its_name_is_told(caplog):
         assert "without a name, of dimension 1: 9, 41" in caplog.text
 
 
+def cut(model):
+    """Draw the squares, in partitions."""
+    squares(model)
+    model.mesh.partition(2)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("version", [2.2, 4.1])
+def test_partitions_of_a_file_are_left_out(version):
+    options = {"MshFileVersion": version, "PartitionCreateGhostCells": 1}
+    with msh_file(squares) as file:
+        whole = dm.meshing.read_msh(file)
+    with msh_file(cut, **options) as file:
+        mesh, cell_tags, facet_tags = dm.meshing.read_msh(file)
+    for d in (0, 2):
+        counts = [m.topology.index_map(d).size_global for m in (mesh, whole.mesh)]
+        assert counts[0] == counts[1] > 0
+    assert sizes(mesh, cell_tags, "dx") == pytest.approx({"low": 1.5, "up": 1.0})
+    lengths = {"bottom": 1.5, "slave": 1.0, "master": 1.5}
+    assert sizes(mesh, facet_tags, "ds") == pytest.approx(lengths)
+
+
 MESHIO = """$MeshFormat
 2.2 0 8
 $EndMeshFormat

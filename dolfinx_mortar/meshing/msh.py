@@ -4,6 +4,7 @@
 import logging
 import os
 import re
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import check, instance
-from dolfinx_mortar.arrays import HALF_OF_DIGITS, Longs
+from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Longs
 from dolfinx_mortar.disk import check_path
 from dolfinx_mortar.meshing.two_bodies import TaggedMesh, gmsh_model
 from dolfinx_mortar.tags import Tags
@@ -26,8 +27,8 @@ log = logging.getLogger(__name__)
 # Gmsh's numbers of known cells, and the corners of their facets.
 CELLS = {2: 2, 3: 2, 9: 2, 10: 2, 4: 3, 5: 4, 11: 3, 12: 4}
 KNOWN = "triangles, quadrilaterals, tetrahedra or hexahedra of degree 1 or 2"
-# Lines of $PhysicalNames: dimension, tag, name; text also in binary files.
-NAMED = re.compile(rb'^\s*(\d+)[ \t]+(\d+)[ \t]+"(.*)"\s*$', re.MULTILINE)
+# A line of $PhysicalNames: dimension, tag, name; text also in binary files.
+NAMED = re.compile(rb'\s*(\d+)\s+(\d+)\s+"(.*)"\s*')
 
 
 @dataclass(frozen=True)
@@ -37,12 +38,8 @@ class Group:
     dim: int
     tag: int
     name: str
+    elements: Longs  # (m,) numbers of its elements
     nodes: dict[int, Longs]  # (elements, nodes of an element) by Gmsh's number of their kind
-
-    @property
-    def size(self) -> int:
-        """Number of its elements."""
-        return sum(map(len, self.nodes.values()))
 
     def __str__(self) -> str:
         return f"{self.name!r}" if self.name else f"number {self.tag}"
@@ -79,9 +76,8 @@ def read_msh(path: str | os.PathLike[str], comm: MPI.Intracomm = MPI.COMM_WORLD)
         with raised_together(comm):
             if comm.rank == 0:
                 gmsh = _open(file, stack)
-                path = f"path = {str(file)!r}"
-                groups = _check(gmsh.model, _read_groups(gmsh.model, file), path)
-                model = _create_model(gmsh, groups, path)
+                groups = _check(gmsh.model, _read_groups(gmsh.model, file), f"path = {str(file)!r}")
+                model = _create_model(gmsh, groups)
         told = comm.bcast([(g.dim, g.tag, g.name) for g in groups])
         dim = max(d for d, _, _ in told)
         domain, cell_tags, facet_tags = compat.mesh_from_gmsh(model, comm, dim)
@@ -134,38 +130,51 @@ def _check_file(file: Path) -> None:
 
 def _read_groups(model: Any, file: Path) -> list[Group]:
     """Groups with elements or a name, merged by name; names from the file, as gmsh loses some."""
-    head = file.read_bytes().partition(b"\n$Nodes")[0].partition(b"\n$EndPhysicalNames")[0]
-    found = NAMED.findall(head)
-    names = {(int(d), int(t)): name.decode(errors="replace") for d, t, name in found}
-    groups = [(int(d), int(t)) for d, t in model.getPhysicalGroups()]
-    filled = {group: model.getEntitiesForPhysicalGroup(*group) for group in groups}
+    names = {(dim, tag): name for dim, tag, name in _named(file)}
+    filled = {(int(d), int(t)) for d, t in model.getPhysicalGroups()}
     alike: dict[tuple[int, int | str], list[int]] = {}
     for dim, tag in sorted({*names, *filled}):
         alike.setdefault((dim, names.get((dim, tag)) or tag), []).append(tag)
-    merged = []
+    found = []
     for (dim, name), tags in alike.items():
-        nodes: dict[int, list[Longs]] = {}
-        for entity in sorted({int(e) for tag in tags for e in filled.get((dim, tag), ())}):
-            for kind, numbers, flat in zip(*model.mesh.getElements(dim, entity), strict=True):
-                rows = np.asarray(flat, dtype=np.int64).reshape(len(numbers), -1)
-                nodes.setdefault(int(kind), []).append(rows)
-        by_kind = {kind: np.concatenate(rows) for kind, rows in nodes.items()}
-        merged.append(Group(dim, tags[0], name if isinstance(name, str) else "", by_kind))
-    return merged
+        entities = {
+            int(entity)
+            for tag in tags
+            if (dim, tag) in filled
+            for entity in model.getEntitiesForPhysicalGroup(dim, tag)
+        }
+        of = name if isinstance(name, str) else ""
+        found.append(_read_group(model, dim, tags[0], of, sorted(entities)))
+    return found
 
 
-def _create_model(gmsh: Any, groups: list[Group], path: str) -> Any:
+def _named(file: Path) -> Iterator[tuple[int, int, str]]:
+    with file.open("rb") as stream:
+        for line in stream:
+            if line.startswith((b"$EndPhysicalNames", b"$Entities", b"$Nodes")):
+                return
+            if (found := NAMED.fullmatch(line)) is not None:
+                yield int(found[1]), int(found[2]), found[3].decode(errors="replace")
+
+
+def _read_group(model: Any, dim: int, tag: int, name: str, entities: list[int]) -> Group:
+    found: dict[int, list[tuple[Longs, Longs]]] = {}
+    for entity in entities:
+        for kind, *arrays in zip(*model.mesh.getElements(dim, entity), strict=True):
+            tags, nodes = (np.asarray(a, dtype=np.int64) for a in arrays)
+            found.setdefault(int(kind), []).append((tags, nodes.reshape(len(tags), -1)))
+    numbers = [tags for parts in found.values() for tags, _ in parts]
+    elements = np.concatenate([np.empty(0, dtype=np.int64), *numbers])
+    by_kind = {kind: np.concatenate([n for _, n in parts]) for kind, parts in found.items()}
+    return Group(dim, tag, name, elements, by_kind)
+
+
+def _create_model(gmsh: Any, groups: list[Group]) -> Any:
     tags, x, _ = gmsh.model.mesh.getNodes()
     parts = [nodes.ravel() for g in groups for nodes in g.nodes.values()]
     used = np.unique(np.concatenate(parts))
     order = np.argsort(tags)
-    x = x.reshape(-1, 3)[order[np.searchsorted(tags, used, sorter=order)]]
-    low, high = float(x[:, 2].min()), float(x[:, 2].max())
-    if groups[0].dim == 2 and max(-low, high) > HALF_OF_DIGITS * np.ptp(x, axis=0).max():
-        raise ValueError(
-            f"{path}: a mesh of surfaces must be in the plane z = 0, but has z from {low:g} to "
-            f"{high:g}: rotate or move it; bodies in space need physical volumes."
-        )
+    x = x.reshape(-1, 3)[order[np.searchsorted(tags[order], used)]]
     _renew(gmsh)
     entities = [gmsh.model.addDiscreteEntity(g.dim) for g in groups]
     numbers = np.arange(1, len(used) + 1)
@@ -185,7 +194,7 @@ def _check(model: Any, groups: list[Group], path: str) -> list[Group]:
             'Gmsh, Physical Volume("ball") = {1}; and Physical Surface("top") = {2}; or '
             "gmsh.model.addPhysicalGroup(dim, tags, name=...)."
         )
-    empty = [g for g in groups if g.dim > 0 and not g.size]
+    empty = [g for g in groups if g.dim > 0 and not len(g.elements)]
     if empty:
         raise ValueError(
             f"{path}: the physical group {', '.join(map(str, empty))} is empty (dimension "
@@ -193,8 +202,9 @@ def _check(model: Any, groups: list[Group], path: str) -> list[Group]:
         )
     dim = max(g.dim for g in groups)
     bodies, sides = ([g for g in groups if g.dim == of] for of in (dim, dim - 1))
-    _check_apart(bodies, path)
     _check_cells(model, bodies, path)
+    _check_plane(model, bodies, path)
+    _check_apart(bodies, path)
     _check_apart(sides, path)
     _check_facets(model, bodies, sides, path)
     for sort in (bodies, sides):
@@ -216,8 +226,9 @@ def _check_cells(model: Any, bodies: list[Group], path: str) -> None:
             f"{path}: the physical groups are of dimension {dim}; bodies are surfaces in 2D or "
             "volumes in 3D: add a physical surface or volume for each."
         )
-    left = {d: sum(map(len, model.mesh.getElements(d)[1])) for d in range(dim, 4)}
-    left[dim] -= sum(g.size for g in bodies)
+    every = {d: model.mesh.getElements(d)[1] for d in range(dim, 4)}
+    left = {d: len(np.unique(np.concatenate([*tags, []]))) for d, tags in every.items()}
+    left[dim] -= len(np.unique(np.concatenate([g.elements for g in bodies])))
     for d, n in reversed(left.items()):
         if n:
             raise ValueError(
@@ -246,22 +257,43 @@ def _check_facets(model: Any, bodies: list[Group], sides: list[Group], path: str
     if not parts:
         return
     if bodies[0].dim == 2:
-        listed = model.mesh.getElementEdgeNodes(kind, primary=True)
+        found = model.mesh.getElementEdgeNodes(kind, primary=True)
     else:
-        listed = model.mesh.getElementFaceNodes(kind, k, primary=True)
-    every = np.asarray(listed, dtype=np.int64).reshape(-1, k)
+        found = model.mesh.getElementFaceNodes(kind, k, primary=True)
+    every = np.asarray(found, dtype=np.int64).reshape(-1, k)
     facets = every[np.isin(every, np.concatenate([part.ravel() for part in parts])).all(axis=1)]
-    known = {*map(tuple, np.sort(facets, axis=1))}
     for g in sides:
-        found = (np.sort(nodes[:, :k], axis=1) for nodes in g.nodes.values())
-        off = sum(tuple(facet) not in known for one in found for facet in one)
+        off = sum(int((~_are_in(nodes[:, :k], facets)).sum()) for nodes in g.nodes.values())
         if off:
             raise ValueError(
-                f"{path}: {off} of the {g.size} elements of the physical group {g} "
+                f"{path}: {off} of the {len(g.elements)} elements of the physical group {g} "
                 f"(dimension {g.dim}) are no facets of a body: if they bound one that is in no "
                 f"group, give it a physical {('surface', 'volume')[g.dim - 1]}; take what bounds "
                 "no body, such as a section, an axis or the surface of a tool, out of the groups."
             )
+
+
+def _are_in(facets: Longs, known: Longs) -> Bools:
+    """Mask (m,) of facets (m, k) among known ones (n, k), in any order of nodes."""
+    if facets.shape[1] != known.shape[1]:
+        return np.zeros(len(facets), dtype=bool)
+    every = np.sort(np.concatenate([known, facets]), axis=1)
+    number = np.unique(every, axis=0, return_inverse=True)[1].ravel()
+    return np.isin(number[len(known) :], number[: len(known)])
+
+
+def _check_plane(model: Any, bodies: list[Group], path: str) -> None:
+    if bodies[0].dim == 3:
+        return
+    tags, x, _ = model.mesh.getNodes()
+    parts = [nodes.ravel() for g in bodies for nodes in g.nodes.values()]
+    x = x.reshape(-1, 3)[np.isin(tags, np.concatenate(parts))]
+    low, high = float(x[:, 2].min()), float(x[:, 2].max())
+    if max(-low, high) > HALF_OF_DIGITS * np.ptp(x, axis=0).max():
+        raise ValueError(
+            f"{path}: a mesh of surfaces must be in the plane z = 0, but has z from {low:g} to "
+            f"{high:g}: rotate or move it; bodies in space need physical volumes."
+        )
 
 
 def _check_apart(groups: list[Group], path: str) -> None:
