@@ -20,11 +20,11 @@ import dolfinx_mortar
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
     "files": 159,
-    "tokens of code": 314_739,
-    "words of prose": 54_923,
-    "words of strings": 13_371,
+    "tokens of code": 315_081,
+    "words of prose": 54_942,
+    "words of strings": 13_372,
 }
-TOKENS_OF_TESTS = 359_800
+TOKENS_OF_TESTS = 359_900
 PUBLIC_NAMES = 43
 WORDS_OF_PAGES = {"README.md": 700, "ARCHITECTURE.md": 1_500}
 SIMPLEST_STEP = {"files": 78, "functions": 739, "lines": 7_402}
