@@ -20,9 +20,9 @@ import dolfinx_mortar
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
     "files": 159,
-    "tokens of code": 315_081,
-    "words of prose": 54_942,
-    "words of strings": 13_372,
+    "tokens of code": 315_693,
+    "words of prose": 54_959,
+    "words of strings": 13_374,
 }
 TOKENS_OF_TESTS = 359_900
 PUBLIC_NAMES = 43

@@ -229,9 +229,6 @@ def field_keys(names: Iterable[str]) -> dict[str, str]:
     return keys
 
 
-# -- the steps of earlier runs -------------------------------------------------------------------
-
-
 def _read(path: Path) -> list[Step]:
     """Steps of an earlier run, or a ValueError; on rank 0."""
     told = f"path is {str(path)!r}, which cannot be resumed, as"

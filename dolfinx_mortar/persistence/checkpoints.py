@@ -176,9 +176,6 @@ class Saved:
         interface.sum_up(state.comm, nodes)
 
 
-# -- values of this rank -------------------------------------------------------------------------
-
-
 def _places_of(state: ProblemState) -> dict[str, Floats]:
     nodes, points = find_places(state.solid.V), find_places(state.solid.stress.function_space)
     slaves = {SLAVES.format(k): nodes[side.nodes] for k, side in enumerate(state.system.sides)}
@@ -223,9 +220,6 @@ def _at_slaves(state: ProblemState, k: int) -> dict[str, Floats]:
 def _owned(f: fem.Function) -> Floats:
     dofmap = f.function_space.dofmap
     return np.asarray(f.x.array.reshape(-1, dofmap.bs)[: dofmap.index_map.size_local])
-
-
-# -- which problem it is -------------------------------------------------------------------------
 
 
 def describe(state: ProblemState) -> dict[str, Any]:

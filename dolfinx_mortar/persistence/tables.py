@@ -184,9 +184,6 @@ def seal(file: Path) -> None:
         stream.write(first + second)
 
 
-# -- reading -------------------------------------------------------------------------------------
-
-
 def read_about(comm: MPI.Comm, path: Path) -> dict[str, Any]:
     """JSON part of a file; an OSError or ValueError on all ranks; collective."""
     about: Any = {}

@@ -28,6 +28,7 @@ import numpy as np
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx_mortar import compat
+from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import check, one_of
 from dolfinx_mortar.arrays import Floats
 from dolfinx_mortar.materials.response import Response, elastic_response, without_variables
@@ -35,6 +36,7 @@ from dolfinx_mortar.solid.cell_functions import CellFunctions, RowsOfCells
 from dolfinx_mortar.solid.eigenstrain import Eigenstrain
 from dolfinx_mortar.solid.kinematics import Kinematics, axisymmetric, plane_strain, spatial
 from dolfinx_mortar.solid.laws import Integral, Region, measure
+from dolfinx_mortar.solid.term import assemble, create_vector
 from dolfinx_mortar.spaces import set_owned
 from ufl.algorithms import expand_derivatives
 from ufl.classes import Label, Variable
@@ -47,13 +49,15 @@ TRACED = (plane_strain, axisymmetric, spatial)
 
 def create_dilatation(
     u: fem.Function, given: Any, integral: Integral, eigenstrain: Eigenstrain | None
-) -> MeanVolume | None:
+) -> MeanDilatation | MeanVolume | None:
     """Volumetric part in the mean, None for "full"; a ValueError for other choices; collective."""
     if check("volumetric", given, one_of("full", "reduced")) == "full":
         return None
     kinematics = integral.kinematics
     check_reducible(u.function_space, integral.regions, kinematics, integral.degree)
-    return MeanVolume(u, integral, eigenstrain)
+    if kinematics.finite:
+        return MeanVolume(u, integral)
+    return MeanDilatation(u, integral, eigenstrain)
 
 
 def check_reducible(
@@ -83,6 +87,76 @@ def check_reducible(
     for rule, holds in rules.items():
         if not holds:
             raise ValueError(f"volumetric is 'reduced', which is for {rule}: choose 'full'")
+
+
+class MeanDilatation:
+    """The volumetric part at small strain, p = K t of each cell."""
+
+    def __init__(
+        self, u: fem.Function, integral: Integral, eigenstrain: Eigenstrain | None
+    ) -> None:
+        """Assemble B and V; collective."""
+        V = u.function_space
+        Q = fem.functionspace(V.mesh, ("DG", 0))
+        self.mean_stress = fem.Function(Q, name="mean_stress")
+        self._u, self._vector, test = u, create_vector(Q), ufl.TestFunction(Q)
+        trace = ufl.tr(integral.kinematics.virtual(u, ufl.TrialFunction(V)))
+        size, dx = integral.weight * test, measure(V.mesh, integral.degree)
+        B, volumes, self._modulus = compat.compile_together(
+            trace * size * dx,
+            size * dx,
+            integral(bulk_modulus_of(r) * test for r in integral.regions),
+        )
+        self._B = RowsOfCells(B, 1)
+        self._B.assemble()
+        self._volumes = assemble(volumes, self._vector).copy()
+        free = None if eigenstrain is None else ufl.tr(eigenstrain.tensor) * size * dx
+        self._free = None if free is None else fem.form(free)
+        self._bulk = np.zeros_like(self._volumes)
+        self._tangent: tuple[Floats, PETSc.Mat] | None = None
+
+    def complete(self, region: Region, response: Response) -> Response:
+        """Response to a deviator, with p."""
+        return dataclasses.replace(
+            response,
+            stress=response.stress + self.mean_stress * ufl.Identity(3),
+            change=lambda direction: response.change(ufl.dev(direction)),
+        )
+
+    def follow(self) -> None:
+        """Update to displacement and parameters; collective."""
+        self._bulk = assemble(self._modulus, self._vector) / self._volumes
+        change = self._B.times(self._u)[:, 0]
+        if self._free is not None:
+            change -= assemble(self._free, self._vector)
+        self.mean_stress.x.array[: len(change)] = self._bulk * change / self._volumes
+        self.mean_stress.x.scatter_forward()
+
+    def energy(self, along: Any = None) -> float:
+        """sum_c K/2 V t^2 of owned cells."""
+        return float((self.densities() * self._volumes).sum())
+
+    def densities(self) -> Floats:
+        """K/2 t^2 of owned cells."""
+        p = self.mean_stress.x.array[: len(self._bulk)]
+        return np.asarray(p**2 / (2 * self._bulk))
+
+    def norm_squared(self, v: fem.Function) -> float:
+        """sum_c K / V (B v)^2 of owned cells."""
+        return float((self._bulk / self._volumes * self._B.times(v)[:, 0] ** 2).sum())
+
+    def add_tangent(self, K: PETSc.Mat) -> None:
+        """Add B^T (K / V) B, formed once; collective."""
+        same = self._tangent is not None and np.array_equal(self._tangent[0], self._bulk)
+        if any_rank(self._u.function_space.mesh.comm, not same)[0]:
+            self._tangent = None  # free the memory first
+            product = K.duplicate(copy=False)
+            product.zeroEntries()
+            product.assemble()
+            self._B.add_square((self._bulk / self._volumes)[:, None, None], product)
+            self._tangent = self._bulk, product
+        assert self._tangent is not None
+        K.axpy(1.0, self._tangent[1], PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
 
 
 def bulk_modulus_of(region: Region) -> Expr:
@@ -118,27 +192,24 @@ class VolumeStep:
 
 
 class MeanVolume:
-    """The volumetric part by the mean of J over each cell, or of the trace t of a small strain.
+    """The volumetric part at finite strain, by the mean of J over each cell.
 
     Attributes:
         cells: the functions onto which J and U'(j) are projected.
         mean_stress: coefficients of p, as of `follow`.
     """
 
-    def __init__(
-        self, u: fem.Function, integral: Integral, eigenstrain: Eigenstrain | None
-    ) -> None:
+    def __init__(self, u: fem.Function, integral: Integral) -> None:
         """Compile; collective."""
-        V, regions, self.finite = u.function_space, integral.regions, integral.kinematics.finite
+        V, regions = u.function_space, integral.regions
         dx = measure(V.mesh, integral.degree)
         affine = V.element.basix_element.degree > 1 and V.mesh.topology.cell_name() in CELLS
         self.cells = cells = CellFunctions(V.mesh, integral.weight, dx, affine=affine)
         self.mean_stress, self._ratio = (fem.Function(cells.space) for _ in range(2))
-        self._ratio.x.array[:: cells.size] = float(self.finite)
-        self._at = fem.Constant(V.mesh, default_scalar_type(1.0))  # J in derivatives
+        self._ratio.x.array[:: cells.size] = 1.0
+        self._at = fem.Constant(V.mesh, default_scalar_type(1.0))  # J, for derivatives
         self._gradient = integral.kinematics.measure(u)
-        J = ufl.det(self._gradient) if self.finite else ufl.tr(self._gradient)
-        J -= 0.0 if eigenstrain is None else ufl.tr(eigenstrain.tensor)
+        J = ufl.det(self._gradient)
         change = ufl.derivative(J, u, ufl.TrialFunction(V))
         j = cells.field(self._ratio)
         energy, slope, stiffness = ([self._slope(r, k, j) for r in regions] for k in range(3))
@@ -154,23 +225,14 @@ class MeanVolume:
 
     def _slope(self, region: Region, order: int, J: Expr) -> Expr:
         at = Variable(self._at, Label(-4))
-        value = volumetric_energy(region, at, finite=self.finite)
+        value = volumetric_energy(region, at)
         for _ in range(order):
             value = ufl.diff(value, at)
         return ufl.replace(without_variables(expand_derivatives(value)), {self._at: J})
 
     def complete(self, region: Region, response: Response) -> Response:
-        """Response with p in place of U'(J), and without U(J) in the energy.
-
-        The small strain of a response is the deviator.
-        """
+        """Response with p in place of U'(J), and without U(J) in the energy."""
         F, p = self._gradient, self.cells.field(self.mean_stress)
-        if not self.finite:
-            return dataclasses.replace(
-                response,
-                stress=response.stress + p * ufl.Identity(3),
-                change=lambda direction: response.change(ufl.dev(direction)),
-            )
 
         def stress(gradient: Expr) -> Expr:
             J = ufl.det(gradient)
@@ -182,9 +244,7 @@ class MeanVolume:
             return response.change(direction) + without_variables(expand_derivatives(slope))
 
         energy = response.energy
-        energy = (
-            None if energy is None else energy - volumetric_energy(region, ufl.det(F), finite=True)
-        )
+        energy = None if energy is None else energy - volumetric_energy(region, ufl.det(F))
         total = response.stress + stress(F)
         return dataclasses.replace(response, stress=total, energy=energy, change=change)
 
@@ -240,9 +300,9 @@ class MeanVolume:
         self._B.add_square(inverse @ stiffness @ inverse, K)
 
 
-def volumetric_energy(region: Region, J: Expr, *, finite: bool) -> Expr:
-    """U(J) of a law of F, K/2 (ln J)^2 of a law that splits, K/2 t^2 of a small strain."""
+def volumetric_energy(region: Region, J: Expr) -> Expr:
+    """U(J) of a law of F, K/2 (ln J)^2 of a law that splits."""
     if region.law.strain == "finite":
         assert region.law.volumetric is not None
         return region.law.volumetric(J, region.symbols)
-    return bulk_modulus_of(region) / 2 * (ufl.ln(J) if finite else J) ** 2
+    return bulk_modulus_of(region) / 2 * ufl.ln(J) ** 2

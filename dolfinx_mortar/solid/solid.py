@@ -26,6 +26,8 @@ from dolfinx_mortar.solid.gradients import PointGradients, Volumes, as_cauchy, c
 from dolfinx_mortar.solid.kinematics import Kinematics, check_radius, choose_kinematics
 from dolfinx_mortar.solid.laws import Integral, create_evaluations, create_regions
 from dolfinx_mortar.solid.mean_volume import (
+    MeanDilatation,
+    MeanVolume,
     VolumeStep,
     create_dilatation,
 )
@@ -145,7 +147,7 @@ class Solid(Term):
         dilatation = create_dilatation(u, self.volumetric, integral, self.eigenstrain)
         measured, points = self.kinematics.measure(u), self.points
         seen = measured if self.eigenstrain is None else measured - self.eigenstrain.tensor
-        if dilatation is not None and not finite:  # laws, pointwise ones too, get the deviator
+        if isinstance(dilatation, MeanDilatation):  # also pointwise laws get the deviator
             seen = ufl.dev(seen)
         inputs = [u] if self.eigenstrain is None else [u, self.eigenstrain.function]
         how = self.regions, seen, self.state
@@ -254,7 +256,7 @@ class Solid(Term):
         """
         self.follow()
         dilatation = self.forms.dilatation
-        if pressure is not None and dilatation is not None:
+        if pressure is not None and isinstance(dilatation, MeanVolume):
             dilatation.set_pressure(pressure)
         self.forms.tangent.add_to(K)
         K.assemble()
@@ -416,7 +418,7 @@ def add_first_tangent(solid: Solid, K: PETSc.Mat) -> None:
 def volume_step(solid: Solid, du: fem.Function) -> VolumeStep | None:
     """Volumes and pressures along a step, None without means of J; collective."""
     dilatation = solid.forms.dilatation
-    return dilatation.step_along(du) if dilatation is not None and dilatation.finite else None
+    return dilatation.step_along(du) if isinstance(dilatation, MeanVolume) else None
 
 
 def _degree(V: fem.FunctionSpace, given: int | None) -> int:
