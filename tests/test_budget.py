@@ -20,9 +20,9 @@ import dolfinx_mortar
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
     "files": 159,
-    "tokens of code": 315_693,
-    "words of prose": 54_959,
-    "words of strings": 13_374,
+    "tokens of code": 315_728,
+    "words of prose": 54_970,
+    "words of strings": 13_392,
 }
 TOKENS_OF_TESTS = 359_900
 PUBLIC_NAMES = 43

@@ -236,15 +236,21 @@ def describe_passing(problem: ContactProblem) -> str:
 
 
 def _describe(found: Passing, master: bool) -> str:
-    at, who = [float(f"{x:.4g}") for x in found.place], "the side has passed through the tool"
+    at = [float(f"{x:.4g}") for x in found.place]
+    if found.surface is None and not found.count:
+        return (
+            f"the tool has passed through the side, as has its point, which began around {at}; no "
+            f"step may bring that point, {found.depth:.3g} deep in the tool, into the body"
+        )
+    who, into = "the side has passed through the tool", "tool"
     if found.surface is not None:
-        who = f"the {'master' if master else 'slave'} side has passed through the other one"
-    elif not found.count:
-        who = "the tool has passed through the side"
+        who, into = (
+            f"the {'master' if master else 'slave'} side has passed through the other one",
+            "other body",
+        )
     return (
-        f"{who}, at {found.count or 'no'} facets, such as what began around {at}; no step may "
-        "bring the middle of a body, or the point of a tool, "
-        f"{found.depth:.3g} behind that place, into the other one"
+        f"{who}, at {found.count} facets, such as the one that began around {at}; no step may "
+        f"bring the middle of the body, {found.depth:.3g} behind that facet, into the {into}"
     )
 
 
