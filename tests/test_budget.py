@@ -20,7 +20,7 @@ import dolfinx_mortar
 PACKAGE = Path(dolfinx_mortar.__file__).parent
 CEILINGS = {
     "files": 159,
-    "tokens of code": 315_728,
+    "tokens of code": 315_744,
     "words of prose": 54_970,
     "words of strings": 13_392,
 }

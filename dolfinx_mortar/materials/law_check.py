@@ -348,16 +348,16 @@ class _Judge:
             length = float(np.linalg.norm(strain))
             scale = max(float(np.linalg.norm(s)) for s in (here.stress, point.elastic(strain)))
             modulus = scale / length
-        self._strain, self._state, self._here, self._scale = strain, state, here, scale
+        sample = _Sample(point, strain, state, here, scale)
         if law.linear:
-            self._demand(
+            sample.demand(
                 *("linear is True, but the tangent", here.tangent, self._start.tangent),
                 *("at zero strain it is", float(np.linalg.norm(self._start.tangent))),
             )
         if not point.finite:
-            self._demand("the stress", here.stress, here.stress.T, "mirrored it is", scale)
+            sample.demand("the stress", here.stress, here.stress.T, "mirrored it is", scale)
         D = _unit(self.rng, symmetric=not point.finite)
-        energy, tangent = self._compare_differences(D, length, modulus)
+        energy, tangent = sample.compare_differences(D, length, modulus)
         found = {"energy": energy, "tangent": tangent, "highest": 1.0}
         found["changed"] = any(np.any(here.state[name] != state[name]) for name in state)
         skew = here.tangent - here.tangent.transpose(2, 3, 0, 1)
@@ -366,12 +366,14 @@ class _Judge:
             found["lowest"], found["highest"] = _extreme_moduli(here.tangent)
             if self._rate_independent:
                 told = "after a commit at the same strain it is"
-                found["kept"] = self._compare(told, strain, here.state, here.state)
+                found["kept"] = sample.compare(told, strain, here.state, here.state)
             if law.isotropic and not law.plane_stress:
-                found["isotropy"] = self._compare_elastic(_rotation(self._turns))
+                found["isotropy"] = sample.compare_elastic(_rotation(self._turns))
         elif state is self.virgin:  # tensors that a law remembers may turn with it
             Q, told = _rotation(self.rng), "since a rotation strains nothing (write psi in C = F^T "
-            found["objectivity"] = self._compare(f"{told}F) it should be", Q @ strain, state, {}, Q)
+            found["objectivity"] = sample.compare(
+                f"{told}F) it should be", Q @ strain, state, {}, Q
+            )
         self.found.append(found)
         return here.state
 
@@ -404,7 +406,16 @@ class _Judge:
             isotropy_error=largest("isotropy"),
         )
 
-    def _demand(
+
+@dataclass(frozen=True)
+class _Sample:
+    point: LawAtPoint
+    strain: Floats
+    state: State
+    here: Point
+    scale: float
+
+    def demand(
         self, what: str, given: Any, wanted: Any, other: str, scale: float, **places: Floats
     ) -> float:
         """Relative error; a ValueError with both values if too large."""
@@ -415,18 +426,18 @@ class _Judge:
             entry = " " * bool(worst) + "".join("xyz"[i] for i in worst)
             raise ValueError(
                 f"{self.point.law.name}: {what}{entry} is {given[worst]:.8g}, but {other} "
-                f"{wanted[worst]:.8g}, at {self.point.where(self._strain, self._state, **places)}"
+                f"{wanted[worst]:.8g}, at {self.point.where(self.strain, self.state, **places)}"
             )
         return float(errors[worst] / scale) if scale > 0.0 else 0.0
 
-    def _compare_differences(self, D: Floats, length: float, modulus: float) -> tuple[float, float]:
+    def compare_differences(self, D: Floats, length: float, modulus: float) -> tuple[float, float]:
         """Return the errors of stress : D and tangent : D; NaN on kinks."""
-        slopes, changes, here = [], [], self._here
+        slopes, changes, here = [], [], self.here
         for share in LENGTHS:
             step, slope, change = share * length, 0.0, np.zeros((3, 3))
             for k, weight in WEIGHTS.items():
                 for m in (k, -k):
-                    at = self.point(self._strain + m * step * D, self._state)
+                    at = self.point(self.strain + m * step * D, self.state)
                     slope += np.sign(m) * weight / step * at.energy
                     change += np.sign(m) * weight / step * at.stress
             slopes.append(slope)
@@ -436,7 +447,7 @@ class _Judge:
         if not np.isnan(here.energy):
             work, why = (here.stress * D).sum(), "differences of the energy give"
             slope = min(slopes, key=lambda value: abs(value - work))
-            energy_error = self._demand("the stress times D", work, slope, why, self._scale, D=D)
+            energy_error = self.demand("the stress times D", work, slope, why, self.scale, D=D)
 
         def apart(one: Floats, other: Floats) -> float:
             return float(np.abs(one - other).max()) / modulus
@@ -446,9 +457,9 @@ class _Judge:
             return energy_error, np.nan
         what = "dP/dF : D" if self.point.finite else "the tangent along D"
         why = "differences of the stress give"
-        return energy_error, self._demand(what, given, nearest, why, modulus, D=D)
+        return energy_error, self.demand(what, given, nearest, why, modulus, D=D)
 
-    def _compare(
+    def compare(
         self,
         told: str,
         strain: Floats,
@@ -458,27 +469,27 @@ class _Judge:
         right: Floats | None = None,
     ) -> float:
         """Return the error of a response that should be the present one, turned."""
-        after, stress = self.point(strain, state), self._here.stress
+        after, stress = self.point(strain, state), self.here.stress
         stress = stress if left is None else left @ stress
         stress = stress if right is None else stress @ right.T
         for name, value in wanted.items():
-            changes = (value, value - self._state[name]) if left is None else (value, strain)
+            changes = (value, value - self.state[name]) if left is None else (value, strain)
             size = max(float(np.abs(change).max()) for change in changes)
-            self._demand(f"the state {name}", value, after.state[name], told, size)
+            self.demand(f"the state {name}", value, after.state[name], told, size)
         if self.point.finite and not np.isnan(after.energy):
-            self._demand("psi(Q F)", after.energy, self._here.energy, told, self._scale)
+            self.demand("psi(Q F)", after.energy, self.here.energy, told, self.scale)
         what = "P(Q F)" if self.point.finite else "the stress"
-        return self._demand(what, after.stress, stress, told, self._scale)
+        return self.demand(what, after.stress, stress, told, self.scale)
 
-    def _compare_elastic(self, Q: Floats) -> float:
+    def compare_elastic(self, Q: Floats) -> float:
         """Return the error of the response to the elastic strain alone, turned by Q."""
-        plastic = self._state.get(PLASTIC, np.zeros((3, 3)))
-        state, new = dict(self._state), dict(self._here.state)
+        plastic = self.state.get(PLASTIC, np.zeros((3, 3)))
+        state, new = dict(self.state), dict(self.here.state)
         if PLASTIC in state:
             state[PLASTIC] = 0.0 * plastic
             new[PLASTIC] = Q @ (new[PLASTIC] - plastic) @ Q.T
         told = "isotropic is True, but of the turned elastic strain it is"
-        return self._compare(told, Q @ (self._strain - plastic) @ Q.T, state, new, Q, Q)
+        return self.compare(told, Q @ (self.strain - plastic) @ Q.T, state, new, Q, Q)
 
 
 def _extreme_moduli(tangent: Floats) -> tuple[float, float]:
