@@ -144,18 +144,33 @@ def test_a_singular_matrix_is_an_error(pc):
     assert "choose a factorisation" not in str(caught.value)  # it is one
 
 
-def test_multigrid_after_a_set_up_that_failed():
-    """Levels of an indefinite matrix cannot be set up, those of a definite one can, afterwards."""
+@pytest.fixture
+def indefinite():
+    """Tridiagonal matrix (64, 64) with eigenvalues 1.5 - 2 cos(i pi / 65), on this rank alone."""
     A = PETSc.Mat().createAIJ((64, 64), nnz=3, comm=MPI.COMM_SELF)
     for i in range(64):
         columns = [j for j in (i - 1, i, i + 1) if 0 <= j < 64]
         A.setValues(i, columns, [1.5 if j == i else -1.0 for j in columns])
     A.assemble()
-    linear = LinearSolver(MPI.COMM_SELF, prefix="again_", multigrid=True)
-    linear.set_matrix(A)
+    return A
+
+
+def test_multigrid_of_an_indefinite_matrix(indefinite):
+    """Estimates of eigenvalues read what was written alone: a set-up ends alike on all ranks."""
+    linear = LinearSolver(MPI.COMM_SELF, prefix="estimate_", multigrid=True)
+    linear.set_matrix(indefinite)
+    linear.factorise(none())
+    assert linear.negative_pivots() > 0
+
+
+def test_multigrid_after_a_set_up_that_failed(indefinite):
+    """Conjugate gradients cannot estimate eigenvalues of the first matrix."""
+    options = {"pc_gamg_esteig_ksp_type": "cg"}
+    linear = LinearSolver(MPI.COMM_SELF, prefix="again_", options=options, multigrid=True)
+    linear.set_matrix(indefinite)
     with pytest.raises(LinearSolveFailed):
         linear.factorise(none())
-    A.shift(1.5)
+    indefinite.shift(1.5)
     linear.factorise(none())
 
 

@@ -14,7 +14,14 @@ import numpy as np
 from dolfinx_mortar.algebra.csr import call
 from dolfinx_mortar.algebra.parallel import any_rank
 
-DEFAULTS = {"ksp_type": "cg", "pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
+DEFAULTS = {
+    "ksp_type": "cg",
+    "pc_type": "cholesky",
+    "pc_factor_mat_solver_type": "mumps",
+    # PETSc's estimate by CG reads what was never written where a matrix is indefinite, and may be
+    # an error on one rank only (3.22 to 3.24, cgeig.c); GMRES estimates without.
+    "pc_gamg_esteig_ksp_type": "gmres",
+}
 GENERAL = {"ksp_type": "gmres", "pc_type": "lu"}
 # In 3D. The threshold drops round-off; a third smoothing step saves a third of the iterations;
 # Chebyshev's interval ends at 1.2, as later tangents may exceed 1.1.
