@@ -263,7 +263,7 @@ def _check_facets(model: Any, bodies: list[Group], sides: list[Group], path: str
     every = np.asarray(found, dtype=np.int64).reshape(-1, k)
     facets = every[np.isin(every, np.concatenate([part.ravel() for part in parts])).all(axis=1)]
     for g in sides:
-        off = sum(int((~_are_in(nodes[:, :k], facets)).sum()) for nodes in g.nodes.values())
+        off = sum(int((~are_in(nodes[:, :k], facets)).sum()) for nodes in g.nodes.values())
         if off:
             raise ValueError(
                 f"{path}: {off} of the {len(g.elements)} elements of the physical group {g} "
@@ -273,7 +273,7 @@ def _check_facets(model: Any, bodies: list[Group], sides: list[Group], path: str
             )
 
 
-def _are_in(facets: Longs, known: Longs) -> Bools:
+def are_in(facets: Longs, known: Longs) -> Bools:
     """Mask (m,) of facets (m, k) among known ones (n, k), in any order of nodes."""
     if facets.shape[1] != known.shape[1]:
         return np.zeros(len(facets), dtype=bool)

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: MIT
+"""Decks of Abaqus and CalculiX: cells, sets, surfaces, laws and interfaces, and their errors."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import dolfinx_mortar as dm
+import ufl
+from dolfinx import fem
+from dolfinx_mortar.meshing.inp import SHAPES
+from tests.cases.integrals import integral
+from tests.cases.msh_files import folder
+from tests.cases.pressed_blocks import rejected
+
+COMM = MPI.COMM_WORLD
+TYPES = {
+    "triangle": "CPE{}",
+    "quadrilateral": "CPS{}R",
+    "tetrahedron": "C3D{}",
+    "hexahedron": "C3D{}",
+}
+SIZES = {"triangle": 0.5, "quadrilateral": 1.0, "tetrahedron": 1 / 6, "hexahedron": 1.0}
+
+
+def deck_of(shape, count, bulge=0.0):
+    """One reference cell as a deck; its middles of edges are moved by x -> x + bulge x^2."""
+    corners = np.array(shape.corners, dtype=float)
+    x = np.array([*corners, *(corners[list(e)].mean(axis=0) for e in shape.edges)])[:count]
+    x[:, 0] += bulge * x[:, 0] ** 2
+    nodes = "\n".join(f"{i}, {', '.join(map(str, at))}" for i, at in enumerate(x, 10))
+    kind = TYPES[shape.cell].format(count)
+    numbers = ", ".join(str(i) for i in range(10, 10 + count))
+    return f"*NODE\n{nodes}\n*ELEMENT, TYPE={kind}, ELSET=E\n7, {numbers}\n"
+
+
+def read(text, **more):
+    """Read a deck from its text, and texts of included files."""
+    with folder() as place:
+        if COMM.rank == 0:
+            for name, content in {"deck": text, **more}.items():
+                (place / f"{name}.inp").write_text(content)
+        COMM.Barrier()
+        return dm.meshing.read_inp(place / "deck.inp")
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("key", [key for key in SHAPES], ids=lambda key: f"{key[0]}{key[1]}")
+def test_volume_and_facets_of_a_cell(key):
+    """Int dx and int ds of each facet: x -> x + x^2/4 has the volume int 1 + x/2, exactly."""
+    shape, count = SHAPES[key], key[1]
+    bulge = 0.25 if count > len(shape.corners) else 0.0
+    names = [f"S{i}" for i in range(1, len(shape.faces) + 1)]
+    surfaces = "".join(f"*SURFACE, NAME=F{n}\nE, {n}\n" for n in names)
+    deck = read(deck_of(shape, count, bulge) + surfaces)
+    x = ufl.SpatialCoordinate(deck.mesh)
+    one = fem.Constant(deck.mesh, 1.0)
+    mean = {"triangle": 1 / 3, "tetrahedron": 1 / 4}.get(shape.cell, 1 / 2)
+    volume = SIZES[shape.cell] * (1.0 + 2.0 * bulge * mean)
+    assert integral(one * ufl.dx(deck.mesh)) == pytest.approx(volume, rel=1e-12)
+    n, ds = ufl.FacetNormal(deck.mesh), ufl.Measure("ds", deck.mesh, subdomain_data=deck.facet_tags)
+    every = sum(integral(ufl.dot(x, n) * ds(deck.facet_tags.tag(f"F{s}"))) for s in names)
+    assert every == pytest.approx(len(shape.corners[0]) * volume, rel=1e-12)
+    lowest = {"C3D": "FS1", "C": "FS1"}[key[0]]  # z = 0 or y = 0
+    height = x[len(shape.corners[0]) - 1] ** 2
+    assert integral(height * ds(deck.facet_tags.tag(lowest))) == pytest.approx(0.0, abs=1e-14)
+
+
+DECK = """*PART, NAME=BLOCK
+*INCLUDE, INPUT=block.inp
+*END PART
+** a comment
+*ASSEMBLY, NAME=A
+*INSTANCE, NAME=LOW, PART=BLOCK
+*END INSTANCE
+*INSTANCE, NAME=UP, PART=BLOCK
+-1., -2., 0.
+0., 0., 0., 0., 0., 1., 180.
+*END INSTANCE
+*NSET, NSET=HELD
+LOW.FOOT,
+*NSET, NSET=PUSHED, INSTANCE=UP
+Foot, 1
+*END ASSEMBLY
+*MATERIAL, NAME=STEEL
+*ELASTIC
+200., .3
+*EXPANSION
+1.2D-5
+*DENSITY
+7.8e-9
+*SURFACE INTERACTION, NAME=DRY
+*FRICTION
+.3
+*STEP
+*STATIC
+*END STEP
+"""
+BLOCK = """*Node, nset=all
+1, 0, 0
+2, 1, 0
+3, 1, 1
+4, 0, 1
+5, .5, 0
+6, 1, .5
+7, .5, 1
+8, 0, .5
+*Element, type=CPE8R, elset=E
+1, 1,2,3,4,5,
+6,7,8
+*Nset, nset=Foot, generate
+1, 2, 1
+5, 5
+*Nset, nset=Top
+3, 4, 7
+*Surface, name=Upper, type=NODE
+Top
+*Surface, name=Skin
+E
+*Solid Section, elset=E, material=STEEL
+,
+"""
+CONTACT = "*CONTACT PAIR, INTERACTION=DRY\nUP.UPPER, LOW.UPPER\n"
+TIE = "*TIE, NAME=GLUE, POSITION TOLERANCE=0.5\nUP.UPPER, LOW.UPPER\n"
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("joint", "kind"), [(CONTACT, dm.Contact), (TIE, dm.Tie)])
+def test_two_instances_of_a_block(joint, kind):
+    """A uniform strain of .005 in plane strain: the pressure is E/(1 - nu^2) times that."""
+    deck = read(DECK + joint, block=BLOCK)
+    mesh, cell_tags, facet_tags = deck
+    assert cell_tags.names == {"LOW.E": 1, "UP.E": 2} and deck.kinematics == "plane_strain"
+    assert {*facet_tags.names} == {"LOW.UPPER", "UP.UPPER"}
+    assert {*deck.tags("LOW.SKIN", "UP.SKIN").names} == {"LOW.SKIN", "UP.SKIN"}
+    assert deck.densities == {"LOW.E": 7.8e-9, "UP.E": 7.8e-9}
+    assert deck.expansions == {"LOW.E": 1.2e-5, "UP.E": 1.2e-5}
+    unread = [text.partition("*")[2] for text in deck.unread]
+    assert unread == ["STEP", "STATIC", "END STEP"] and "deck.inp, line 27" in deck.unread[0]
+    (joined,) = deck.interfaces
+    assert type(joined) is kind and (joined.slave, joined.master) == (1, 2)
+    V = fem.functionspace(mesh, ("Lagrange", 2, (2,)))
+    solid = dm.Solid(fem.Function(V), deck.materials, cell_tags, kinematics=deck.kinematics)
+    zero, push = (fem.Constant(mesh, v) for v in (0.0, -0.01))
+    held, pushed = (deck.dofs(V, name) for name in ("HELD", "PUSHED"))
+    assert COMM.allreduce(len(held)) >= 3
+    middle = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0], 0.5))
+    bcs = [
+        fem.dirichletbc(
+            zero, 2 * np.intersect1d(middle, [*held, *pushed]).astype(np.int32), V.sub(0)
+        )
+    ]
+    bcs += [fem.dirichletbc(v, 2 * at + 1, V.sub(1)) for v, at in ((zero, held), (push, pushed))]
+    dm.newton(dm.ContactProblem(solid, deck.interfaces, bcs=bcs))
+    pressure = 0.005 * 200.0 / (1.0 - 0.3**2)
+    assert joined.force == pytest.approx([0.0, pressure], rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("CPE8R", "S8R", ("block.inp, line 10, *ELEMENT", "TYPE=S8R is unknown", "C3D4")),
+        ("6,7,8", "6,7,9", ("line 12", "there is no node '9'")),
+        ("6,7,8", "6,7", ("line 10", "8 nodes of an element are missing")),
+        ("6,7,8", "6,7,7", ("line 11", "element 1 has a node twice")),
+        (".5, 0", ".5, x", ("line 6", "3 finite numbers")),
+        ("type=NODE\nTop", "type=NODE\nTip", ("line 19", "no node set 'TIP'")),
+        ("name=Skin\nE", "name=Skin\nE, S5", ("'S5' is none of S1, S2, S3, S4",)),
+        ("material=STEEL", "material=IRON", ("line 22", "no material 'IRON'")),
+        ("elset=E, material", "elset=F, material", ("line 22", "no element set 'F'")),
+        ("*Solid Section, elset=E", "*Solid Section, x=E", ("ELSET= is missing",)),
+        ("PART=BLOCK\n-1", "PART=BLACK\n-1", ("line 8", "no part 'BLACK'")),
+        ("LOW.FOOT", "LOW.FEET", ("line 13, *NSET", "no node set 'LOW.FEET'")),
+        ("LOW.UPPER", "LOW.OTHER", ("no surface 'LOW.OTHER'",)),
+        ("200., .3", "-200., .3", ("E",)),
+        ("200., .3", "200.", ("line 19, *ELASTIC", "2 finite numbers")),
+        ("block.inp", "black.inp", ("black.inp", "deck.inp includes")),
+        ("block.inp", "deck.inp", ("includes itself",)),
+    ],
+)
+def test_decks_that_are_refused(old, new, words):
+    texts = [text.replace(old, new) for text in (DECK + CONTACT, BLOCK)]
+    with rejected(*words, error=(ValueError, OSError)):
+        read(texts[0], block=texts[1])
