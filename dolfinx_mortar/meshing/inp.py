@@ -639,7 +639,9 @@ def _find_facets(domain: dmesh.Mesh, surfaces: Mapping[str, Longs]) -> dict[str,
     domain.topology.create_entities(dim - 1)
     domain.topology.create_connectivity(dim - 1, dim)
     facets = dmesh.exterior_facet_indices(domain.topology)
-    nodes = dmesh.entities_to_geometry(domain, dim - 1, facets)
+    nodes = np.empty((0, 4), dtype=np.int32)
+    if len(facets):  # dolfinx divides by their number
+        nodes = dmesh.entities_to_geometry(domain, dim - 1, facets)
     count = {"tetrahedron": 3, "hexahedron": 4}.get(domain.topology.cell_name(), 2)
     corners = np.asarray(domain.geometry.input_global_indices)[nodes[:, :count]]
     corners.sort(axis=1)
