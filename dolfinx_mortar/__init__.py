@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from dolfinx_mortar import materials, shapes
 from dolfinx_mortar.audit.pairs import find_pairs
+from dolfinx_mortar.heat import Conductance, Heat
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.obstacle import Obstacle
 from dolfinx_mortar.interfaces.rigid_side import RigidSide
@@ -53,11 +54,13 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 
 __all__ = [
+    "Conductance",
     "Contact",
     "ContactProblem",
     "Damping",
     "DruckerPrager",
     "Elastic",
+    "Heat",
     "Inertia",
     "Ledger",
     "LoadStep",

@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
+from dolfinx_mortar.arguments import check_optional
+from dolfinx_mortar.heat import HEAT, Heat
 from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_problem
 from dolfinx_mortar.problem.problem import ContactProblem
 from dolfinx_mortar.step_report import LoadStep
@@ -33,6 +35,7 @@ def load_steps(
     progress: bool | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     every: int = 1,
+    heat: Heat | None = None,
 ) -> Iterator[LoadStep]:
     """Step through load levels: set the loads, solve, commit, yield; collective.
 
@@ -61,6 +64,8 @@ def load_steps(
             and logging is not configured, except in notebooks. The log has the lines at level INFO.
         checkpoint: file, see below; each run needs its own.
         every: write it after so many steps, and after the last one.
+        heat: temperature that is solved in turn with the step, until its changes are rtol times its
+            range; levels are times then. Not in checkpoints.
 
     With ``checkpoint`` a program that was killed continues when it is run again. If the file
     exists, its state is restored, the loads are set, and only the remaining steps are made and
@@ -90,7 +95,7 @@ def load_steps(
     loading = Loading(read_ramps(problem.comm, ramp), on_time)
     file = check_every(problem.comm, checkpoint, every)
     yield from walk(
-        Solves(problem, qp, rtol, max_it),
+        Solves(problem, qp, rtol, max_it, heat=check_optional("heat", heat, HEAT)),
         levels,
         loading,
         problem.committed.level if start is None else float(start),

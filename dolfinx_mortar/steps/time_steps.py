@@ -16,8 +16,9 @@ import numpy.typing as npt
 from dolfinx import fem
 from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import any_rank, maximum
-from dolfinx_mortar.arguments import check, number, one_of
+from dolfinx_mortar.arguments import check, check_optional, number, one_of
 from dolfinx_mortar.arrays import QUARTER_OF_DIGITS, ROUND_OFF, SAME, Bools, Floats
+from dolfinx_mortar.heat import HEAT, Heat
 from dolfinx_mortar.persistence.committed import Before
 from dolfinx_mortar.problem.checks import check_every, check_load_steps, check_problem
 from dolfinx_mortar.problem.problem import ContactProblem
@@ -177,6 +178,7 @@ def time_steps(
     progress: bool | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     every: int = 1,
+    heat: Heat | None = None,
 ) -> Iterator[LoadStep]:
     """Step through time: set the loads, solve, commit, yield; collective.
 
@@ -210,6 +212,7 @@ def time_steps(
         cuts, max_cuts, progress, every: as in `load_steps`. A step is also cut where bodies would
             pass through each other.
         checkpoint: as in `load_steps`, with velocities and accelerations.
+        heat: as in `load_steps`.
 
     Yields:
         One ``LoadStep`` for every time, or remaining time of a continued run, with the `Ledger` of
@@ -239,6 +242,7 @@ def time_steps(
             conserve=scheme == CONSERVING,
             radius=radius,
             loading=loading,
+            heat=check_optional("heat", heat, HEAT),
         ),
         levels,
         loading,

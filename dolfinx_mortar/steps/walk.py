@@ -22,9 +22,11 @@ from typing import Any, ClassVar
 
 from mpi4py import MPI
 
+from dolfinx_mortar.agreement import find_constants
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arguments import FLAG, check_optional, instance
 from dolfinx_mortar.arrays import SAME
+from dolfinx_mortar.heat import Heat
 from dolfinx_mortar.interfaces.link import nodal_gaps
 from dolfinx_mortar.newton_method.failures import AS_BEFORE
 from dolfinx_mortar.persistence.checkpoints import Saved, read
@@ -38,6 +40,8 @@ from dolfinx_mortar.steps.newton import solve_step
 from dolfinx_mortar.steps.ramp import Ramp, check_range, difference, notes_on_unread
 
 log = logging.getLogger(__name__)
+
+MOST_TURNS = 50  # solutions of forces and temperatures in turn; a conductance that opens takes 20
 
 
 @dataclass(frozen=True)
@@ -100,6 +104,7 @@ class Solves:
     rtol: float
     max_it: int
     factorising: LinearSolver | None = None  # replaces the problem's
+    heat: Heat | None = None
     name: ClassVar[str] = "load step"
 
     @property
@@ -120,6 +125,24 @@ class Solves:
         return loading.changes
 
     def to(self, level: Level) -> StepReport:
+        """Solve a step to a level, in turn with the temperature until both agree; collective."""
+        report = self._to(level)
+        if self.heat is None:
+            return report
+        assert self.problem.outcome is not None and self.problem.outcome.before is not None
+        with self.problem.undone(self.problem.outcome.before), self.heat.undone():
+            dt = abs(level.time - self.problem.committed.level) or None
+            for _ in range(MOST_TURNS):
+                if self.heat.solve(dt) <= self.rtol * self.heat.span():
+                    return report
+                report = self._to(level)
+            raise NewtonNotConverged(
+                f"forces and temperatures do not agree after {MOST_TURNS} solutions in turn: take "
+                "smaller steps",
+                report,
+            )
+
+    def _to(self, level: Level) -> StepReport:
         """Solve a step to a level, by a factorisation if multigrid fails; collective.
 
         If both fail, later steps try multigrid again.
@@ -195,6 +218,10 @@ def walk(
     levels of the last walk, which this one continues.
     """
     problem = solves.problem
+    if solves.heat is not None and file is not None:
+        raise ValueError(
+            "checkpoint: a file has no temperatures, so leave out heat= or checkpoint="
+        )
     committed = problem.committed
     check_range(loading.ramps, [begin, *levels])
     committed.level, committed.walked = begin, done
@@ -207,7 +234,7 @@ def walk(
     committed.walk = Walk(begin, [one.rows for one in loading.ramps], settings)
     written = Checkpoint(problem, file, committed.walk)
     done = committed.walked  # of the checkpoint, if any
-    idle = _idle(problem, loading)
+    idle = _idle(solves, loading)
     tell = lines(problem.comm, False if progress is None and len(levels) == 1 else progress)
     for number, time in enumerate(levels[done:], start=done + 1):
         step = _walk(solves, number, time, loading, most, written)
@@ -219,10 +246,12 @@ def walk(
             written.write()
 
 
-def _idle(problem: ContactProblem, loading: Loading) -> list[str]:
+def _idle(solves: Solves, loading: Loading) -> list[str]:
     if loading.on_time is not None:
         return []
-    notes = notes_on_unread(loading.ramps, problem.constants())
+    problem, of_heat = solves.problem, solves.heat and find_constants(solves.heat.given)
+    read = problem.constants()
+    notes = notes_on_unread(loading.ramps, read and read + (of_heat or []))
     if problem.comm.rank == 0:
         for note in notes:
             log.warning("%s", note)
@@ -340,6 +369,8 @@ def _walk(
         assert problem.outcome is not None and problem.outcome.before is not None
         with problem.undone(problem.outcome.before):
             solves.commit(report)
+            if solves.heat is not None:
+                solves.heat.commit()
             if not pending:
                 step = _book(problem, number, time, parts, failures)
         written.new, reached = True, level
