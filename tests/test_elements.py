@@ -57,7 +57,7 @@ def test_functions_are_nodal_in_dolfinx_order(element):
     assert np.abs(element.shape_functions(x) - np.eye(element.nodes)).max() < 1e-15
     v = list(element.vertices)
     assert v == list(range(len(v)))
-    assert np.abs(element.vertex_functions(x[v]) - np.eye(len(v))).max() < 1e-15
+    assert np.abs(element.first.shape_functions(x[v]) - np.eye(len(v))).max() < 1e-15
 
 
 @ELEMENTS
@@ -66,7 +66,7 @@ def test_derivatives(element):
     xi = np.random.default_rng(3).uniform(0, 0.4, (7, len(nodes(element)[0])))
     for a, step in enumerate(0.5 * np.eye(xi.shape[1])):
         up, down = (element.shape_functions(xi + s * step) for s in (1, -1))
-        assert np.abs(element.derivatives(xi)[:, :, a] - (up - down)).max() < 1e-15
+        assert np.abs(element.functions(xi)[1][:, a] - (up - down)).max() < 1e-15
 
 
 @ELEMENTS
@@ -139,7 +139,7 @@ def test_parts_tile_their_facet(element):
     """On straight facets a point of a part is that point of the facet; areas add up."""
     rng = np.random.default_rng(7)
     corners = rng.uniform(-1, 1, (3, 4 if element.bilinear else 3, 3))
-    x = element.vertex_functions(element.points) @ corners
+    x = element.first.shape_functions(element.points) @ corners
     facets, parts = Facets(element, x), parts_of(Facets(element, x))
     s = count(element)
     assert len(parts.x) == s * len(x) and parts.element.degree == 1
@@ -162,7 +162,7 @@ def test_straight_facets_need_no_parts(element):
     corners = rng.uniform(-1, 1, (2, len(element.vertices), 3))
     if element.bilinear:
         corners[:, 3] = corners[:, :3].mean(axis=1)  # planes
-    x = element.vertex_functions(element.points) @ corners
+    x = element.first.shape_functions(element.points) @ corners
     simple = first_order(Facets(element, x))
     assert simple is not None and simple.element.degree == 1 and (simple.x == corners).all()
     for which, by in ((-1, 1e-9), (0, 1e-9 * element.bilinear)):  # a middle, a corner

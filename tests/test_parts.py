@@ -20,7 +20,8 @@ def test_curved_facets_are_integrated_as_they_are(element):
     if not element.bilinear:
         corner = np.array([[-9.0, -9.0], [27.0, -9.0], [-9.0, 27.0]])
     flat = np.column_stack([corner, np.full(len(corner), 1.0)])
-    master = Facets(element, (element.vertex_functions(xi) @ flat)[None, list(element.mirrored)])
+    x_m = element.first.shape_functions(xi) @ flat
+    master = Facets(element, x_m[None, list(element.mirrored)])
     pairs = np.zeros((1, 2), dtype=np.int32)
     points = segments.create_segments(slave, np.zeros((1, 1, 3)), master, pairs)
     area, parts = (tributary_weights(f).sum() for f in (slave, parts_of(slave)))
@@ -76,7 +77,7 @@ def uneven(n, half, seed):
     shift = np.random.default_rng(seed).uniform(-size / 6, size / 6, (n - 1, n - 1, 2))
     at[1:-1, 1:-1] += shift
     corners = np.stack([at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]], axis=2)
-    x = QUAD9.vertex_functions(QUAD9.points) @ corners.reshape(-1, 4, 2)
+    x = QUAD9.first.shape_functions(QUAD9.points) @ corners.reshape(-1, 4, 2)
     return Facets(QUAD9, np.pad(x, ((0, 0), (0, 0), (0, 1))))
 
 

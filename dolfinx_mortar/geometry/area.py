@@ -24,7 +24,6 @@ from dolfinx_mortar.geometry.moments import (
     Sides,
     Sums,
     create_points,
-    functions,
     sums,
     turns,
 )
@@ -452,15 +451,15 @@ def _create(
     if slave.element.part or master.element.part:
         on_parts = {"xi_s": xi, "xi_m": xi_m, "weight": weight}
         xi_s, xi_m, _ = on_facets(slave, master, over.planes[1], over.pairs[on], **on_parts)
-        weight *= slave.element.size / (a * (slave.element.part or slave.element).size)
+        weight *= slave.element.size / (a * slave.element.first.size)
     lost = np.isnan(xi_m[:, 0])
     xi_m[lost], weight[lost] = 0.0, 0.0
     xi, xi_s, xi_m = (v.reshape(shape) for v in (xi, xi_s, xi_m))
     facet, pair = part // a, over.of[which]
     nodes = slave.x[facet], master.x[pair]
     points = create_points(
-        functions(slave.element, xi_s),
-        functions(master.element, xi_m)[:2],
+        slave.element.functions(xi_s),
+        master.element.functions(xi_m)[:2],
         nodes,
         weight.reshape(shape[:2]),
         (given.factor[facet], given.reach[facet]),
@@ -517,7 +516,7 @@ def _add_inner(over: "_Overlaps", inner: _OfPairs, found: Sums) -> None:
     """
     at, (u, n, tilts), slave, X = inner.at, inner.frame, over.slave.element, inner.x
     (s, q, k), E = at.N.shape, _scattered(slave, inner.part)
-    N, dN, ddN = (sums(v, E) for v in functions(over.parts.element, inner.xi))
+    N, dN, ddN = (sums(v, E) for v in over.parts.element.functions(inner.xi))
     V, bend = sums(dN, X[:, :k]), sums(ddN[:, :, 0, 1], X[:, :k])
     K, G = (_oblique(v, n[:, None]) for v in (V, at.U))
     c = on_reference(slave)[inner.part % count(slave)][:, :2]

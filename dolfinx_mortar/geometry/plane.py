@@ -36,7 +36,7 @@ def first_order(facets: Facets) -> Facets | None:
     if element.part is None:
         return facets
     corners = x[:, list(element.vertices)]
-    off = x - element.vertex_functions(element.points) @ corners
+    off = x - element.first.shape_functions(element.points) @ corners
     heights = np.einsum(
         "mki,mi->mk", corners - corners.mean(axis=1, keepdims=True), facet_normals(facets)
     )
@@ -83,7 +83,7 @@ def all_pairs(pairs, a, b):  # type: ignore[no-untyped-def]
 def on_reference(element: FacetElement) -> Floats:
     """Coefficients (s, 3, 9) of parts of the reference facet."""
     x = element.points[np.array(element.sub_facets)]  # (s, k', d-1)
-    return coefficients(Facets(element.part or element, np.pad(x, ((0, 0), (0, 0), (0, 1)))))
+    return coefficients(Facets(element.first, np.pad(x, ((0, 0), (0, 0), (0, 1)))))
 
 
 def coefficients(facets: Facets) -> Floats:
@@ -186,8 +186,7 @@ def on_facets(
     slave parts' planes, the last the direction of projection; xi_s, xi_m and weight belong to the
     parts (q, 2).
     """
-    part_s = slave.element.part or slave.element
-    scale = slave.element.size / (count(slave.element) * part_s.size)
+    scale = slave.element.size / (count(slave.element) * slave.element.first.size)
     facets = (coefficients(f) for f in (slave, master))
     references = (on_reference(f.element) for f in (slave, master))
     on_s, on_m, area = _place(*facets, *references, axes, part, xi_s, xi_m, weight, scale)

@@ -50,7 +50,7 @@ def _judge(
     weights = np.where(closed[vertices], 1.0, QUARTER_OF_DIGITS)  # others only if alone
     cosines = np.einsum("mki,mi->mk", n[vertices], n_f)
     weights[held | (cosines < np.cos(np.radians(feature_angle / 2)))] = 0.0
-    between = side.element.vertex_functions(side.element.points)
+    between = side.element.first.shape_functions(side.element.points)
     columns = np.stack([n_f[:, i], n_f[:, i] ** 2, np.ones(len(n_f))], axis=1)[:, None]
     sums = sum_at_nodes(side, columns.repeat(len(between), axis=1))
     means = np.ones((len(n), 4))

@@ -18,7 +18,7 @@ from dolfinx.common import timed
 from dolfinx_mortar.algebra.csr import Blocks
 from dolfinx_mortar.arrays import CHUNK, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry import area, line
-from dolfinx_mortar.geometry.curvature import common_sagittas, first_order, height_table, node_pairs
+from dolfinx_mortar.geometry.curvature import common_sagittas, height_table, node_pairs
 from dolfinx_mortar.geometry.curvature import edges as edges_of
 from dolfinx_mortar.geometry.elements import FacetElement
 from dolfinx_mortar.geometry.facets import Facets
@@ -221,7 +221,7 @@ def _surfaces(
 
 
 def _slopes(side: Curved, other: Curved, shared: bool) -> tuple[Floats, Floats]:
-    e, (a, b) = edges_of(side.facets), node_pairs(first_order(side.facets.element))
+    e, (a, b) = edges_of(side.facets), node_pairs(side.facets.element.first)
     (P, k, d), count = side.facets.x.shape, len(a)
     by_nodes, by_others = (
         np.zeros((P, count, k, d)),
