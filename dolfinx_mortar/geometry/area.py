@@ -348,17 +348,6 @@ def _nearest_line(c, e, P, r, best):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def _is_next(corners, which, t):  # type: ignore[no-untyped-def]
-    if t == 0 or t == len(corners) or which[t - 1] != which[t]:
-        return False
-    same = True
-    for h in range(2):
-        same = same and corners[t - 1, 0, h] == corners[t, 0, h]
-        same = same and corners[t - 1, 2, h] == corners[t, 1, h]
-    return same
-
-
-@numba.njit(**KERNEL)
 def _find_edges(x_s, x_m, bilinear, pairs, centre, axes, which, corners, hidden):  # type: ignore[no-untyped-def]
     """Moving edges (q, 4): triangle, edge, pair with the line (< 0: slave), its corner."""
     found, q, none = np.empty((3 * len(which), 4), np.int64), 0, np.int64(-1)
@@ -369,8 +358,6 @@ def _find_edges(x_s, x_m, bilinear, pairs, centre, axes, which, corners, hidden)
             project(x_s[s], centre[s], axes[s], S)
             project(x_m[m], centre[s], axes[s], M)
         for e in range(3):
-            if e != 1 and _is_next(corners, which, t + e // 2):
-                continue
             line = _nearest_line(corners[t], e, S, none, (HALF_OF_DIGITS, none, none))
             if line[2] < 0:
                 line = _nearest_line(corners[t], e, M, r, line)

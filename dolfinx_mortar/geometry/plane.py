@@ -55,29 +55,10 @@ def pairs_of_parts(pairs: Ints, slave: FacetElement, master: FacetElement) -> tu
     ([[0, 3], [0, 5]], [0, 1])
     """
     a, b = count(slave), count(master)
-    if a * b == 1:
-        return pairs, np.arange(len(pairs), dtype=np.int32)
-    every, of = all_pairs(pairs, a, b)
-    return every, of
-
-
-@numba.njit(**KERNEL)
-def all_pairs(pairs, a, b):  # type: ignore[no-untyped-def]
-    """See `pairs_of_parts`, for a and b parts."""
-    size = len(pairs) * a * b
-    every, of = np.empty((size, 2), np.int32), np.empty(size, np.int32)
-    first, k = 0, 0
-    while first < len(pairs):
-        last = first
-        while last < len(pairs) and pairs[last, 0] == pairs[first, 0]:
-            last += 1
-        for i in range(a):
-            for p in range(first, last):
-                for j in range(b):
-                    every[k, 0], every[k, 1], of[k] = pairs[p, 0] * a + i, pairs[p, 1] * b + j, p
-                    k += 1
-        first = last
-    return every, of
+    each = np.stack(np.divmod(np.arange(a * b), b), axis=1)
+    every = (pairs[:, None] * [a, b] + each).reshape(-1, 2).astype(np.int32)
+    order = np.argsort(every[:, 0], kind="stable")
+    return every[order], np.repeat(np.arange(len(pairs), dtype=np.int32), a * b)[order]
 
 
 def on_reference(element: FacetElement) -> Floats:
