@@ -31,14 +31,13 @@ from dolfinx_mortar.geometry.plane import (
     VERTICES,
     count,
     create_planes,
-    first_order,
     height_at,
     inverse,
     on_facets,
-    on_reference,
     pairs_of_parts,
     parts_of,
     project,
+    reference_parts,
     slopes,
 )
 from dolfinx_mortar.geometry.tolerances import KERNEL, ROUND_OFF
@@ -506,8 +505,8 @@ def _add_inner(over: "_Overlaps", inner: _OfPairs, found: Sums) -> None:
     N, dN, ddN = (sums(v, E) for v in over.parts.element.functions(inner.xi))
     V, bend = sums(dN, X[:, :k]), sums(ddN[:, :, 0, 1], X[:, :k])
     K, G = (_oblique(v, n[:, None]) for v in (V, at.U))
-    c = on_reference(slave)[inner.part % count(slave)][:, :2]
-    B = c[:, None, :, [3, 1]] @ K  # xi of the facet change by -B dx
+    slopes = slave.first.functions(slave.points[:1])[1] @ reference_parts(slave)  # (parts, 2, 2)
+    B = slopes[inner.part % count(slave), None].swapaxes(2, 3) @ K  # xi of the facet: -B dx
     by = np.zeros((s, q, 5, inner.nodes.shape[1], 3))
     by_x, by_y, N = by[..., :k, :], by[..., k:, :], N[:, :, None, :, None]
     by_x[:, :, :2] = -B[..., None, :] * N
@@ -587,9 +586,6 @@ def place_points(
 ) -> tuple[npt.NDArray[Any], Floats, Floats, Floats]:
     """See `line.place_points`; folded facets cover nothing."""
     least = _least_degree(slave.element, master.element)
-    simple_s, simple_m = first_order(slave), first_order(master)
-    if simple_s is not None and simple_m is not None:
-        slave, master = simple_s, simple_m
     over = _find_overlaps(slave, master, pairs, deepest)
     at, triangles = (*over.sides, *over.planes), (over.which, over.corners)
     rule = _choose_rules(*at[:-1], *triangles, least)
