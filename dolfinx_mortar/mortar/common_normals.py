@@ -79,7 +79,7 @@ def find_spreads(
     """Spreads of normals at X; collective.
 
     `contacts` are sides of contacts, `ties` tied sides, which do not count, `mirrors` (local nodes,
-    d) those of `find_mirrors`.
+    d) those of `judge_supports`.
     """
     V, nodes = contacts[0].V, boundary.nodes
     marks = la.vector(V.dofmap.index_map)
@@ -260,14 +260,12 @@ def _facing(
 ) -> tuple[Floats, Floats]:
     """Sums (owned nodes, d) of w N_j n_s and w N_l n_m at nodes on edges; collective."""
     V, slave, master = pairing.slave.V, pairing.slave, pairing.master
-    flags = np.zeros_like(master.X)
-    flags[:, 0] = edged_m
-    asked = edged[slave.facets], receive(pairing, flags)[pairing.master_facets, 0]
+    asked = edged[slave.facets], receive(pairing, edged_m[:, None])[pairing.master_facets, 0]
     points = segments.slave, segments.master
     some = [np.flatnonzero(v.any(axis=1)[on]) for v, on in zip(asked, points, strict=True)]
     own = slave.nodes[: slave.owned], master.nodes[: master.owned]
     if not any_rank(V.mesh.comm, *(len(which) > 0 for which in some)).any():
-        return np.zeros((len(own[0]), flags.shape[1])), np.zeros((len(own[1]), flags.shape[1]))
+        return np.zeros_like(slave.X[: len(own[0])]), np.zeros_like(master.X[: len(own[1])])
     numbers = V.dofmap.index_map.local_to_global(slave.nodes).astype(np.int64)
     sides = (
         (facets_at(slave, coordinates(slave, u)), segments.xi_s, numbers[slave.facets]),

@@ -28,12 +28,7 @@ from dolfinx_mortar.geometry.flat import bounds, facet_distances
 from dolfinx_mortar.geometry.segments import Segments, create_segments, find_candidates
 from dolfinx_mortar.geometry.tolerances import ROUND_OFF
 from dolfinx_mortar.mortar.pairing import THROUGH
-from dolfinx_mortar.mortar.surface import (
-    create_groups,
-    find_receivers,
-    group_cones,
-    thickness_of_bodies,
-)
+from dolfinx_mortar.mortar.surface import seen_facets, thickness_of_bodies
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +68,8 @@ def find_facing(comm: MPI.Intracomm, skin: Skin, asked: Bools | None = None) -> 
     depth = THROUGH * thickness_of_bodies(comm, skin.facets, skin.part, skin.facets, skin.part)
     own = np.flatnonzero(np.ones(len(depth), dtype=bool) if asked is None else asked)
     facets = skin.facets[own]
-    others, part, label, behind = _receive(comm, facets, skin, depth)
+    sent = skin.facets, skin.part, skin.label, depth
+    others, part, label, behind = seen_facets(comm, facets, *sent)
     n = np.repeat(facet_normals(facets)[:, None], facets.element.nodes, axis=1)
     pairs = find_candidates(facets, n, others, np.zeros(len(own)))
     deepest = np.minimum(depth[own][pairs[:, 0]], behind[pairs[:, 1]])
@@ -128,21 +124,6 @@ def _distances(facets: Facets, others: Facets, least: Floats) -> Floats:
     return np.where(
         least < -HALF_OF_DIGITS * size, np.where(inside & (along < 0.0), along, otherwise), distance
     )
-
-
-def _receive(
-    comm: MPI.Intracomm, asking: Facets, skin: Skin, depth: Floats
-) -> tuple[Facets, Longs, Longs, Floats]:
-    """Facets of all ranks that this rank's can face; collective."""
-    if comm.size == 1:
-        return skin.facets, skin.part, skin.label, depth
-    n = facet_normals(asking)[:, None]
-    cones = group_cones(asking.x, n, create_groups(asking.x), np.zeros(len(n)))
-    receivers = find_receivers(comm, cones, skin.facets)
-    sent = skin.facets.x, skin.part, skin.label, depth
-    parts = comm.alltoall([tuple(values[to] for values in sent) for to in receivers.T])
-    x, part, label, depth = (np.concatenate([one[k] for one in parts]) for k in range(4))
-    return Facets(asking.element, x), part, label, depth
 
 
 def are_near(facing: Facing, within: float | None) -> Bools:

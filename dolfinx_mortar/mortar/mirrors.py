@@ -19,11 +19,6 @@ from dolfinx_mortar.geometry.facets import facet_normals, unit
 from dolfinx_mortar.mortar.surface import Surface, facets_at, sum_at_nodes
 
 
-def find_mirrors(surface: Surface, fixed: Bools, feature_angle: float) -> Bools:
-    """Components (n, d) across planes of symmetry; collective."""
-    return judge_supports(surface, fixed, feature_angle)[0]
-
-
 def judge_supports(surface: Surface, fixed: Bools, feature_angle: float) -> tuple[Bools, Floats]:
     """Components (n, d) across planes of symmetry, and n_j.e (n, d), at X; collective.
 
