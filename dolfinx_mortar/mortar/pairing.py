@@ -108,20 +108,11 @@ def _deepest(surface: Surface, u: dolfinx.fem.Function | None, itself: bool) -> 
     return np.asarray(THROUGH * surface.thickness * stretch)
 
 
-def _create_triplets(
-    slave: Surface, pairs: Ints, nodes: Longs, facets: Ints
-) -> tuple[Triplets, Triplets]:
-    index_map = slave.V.dofmap.index_map
-    rows = index_map.local_to_global(slave.nodes)[slave.facets]
-    paired, found = np.unique(pairs[:, 0]), []
-    for i, j in (
-        (rows[paired], rows[paired]),
-        (rows[pairs[:, 0]], nodes[facets][pairs[:, 1]]),
-    ):
-        block = (len(i), i.shape[1], j.shape[1])
-        places = (np.broadcast_to(v, block) for v in (i[:, :, None], j[:, None]))
-        found.append(Triplets(slave.V.mesh.comm, index_map, *places))
-    return found[0], found[1]
+def create_triplets(slave: Surface, rows: Longs, columns: Longs) -> Triplets:
+    """Sums of blocks between global nodes (b, k) and (b, l); collective."""
+    block = (*rows.shape, columns.shape[1])
+    places = (np.broadcast_to(v, block) for v in (rows[:, :, None], columns[:, None]))
+    return Triplets(slave.V.mesh.comm, slave.V.dofmap.index_map, *places)
 
 
 def pattern_of_P(slave: Surface, D: Triplets, *M: Triplets) -> dict[str, Any]:
@@ -231,7 +222,10 @@ def create_pairing(
     same = earlier is not None and _has_pairs(earlier, pairs, nodes, facets)
     if earlier is not None and comm.allreduce(same, op=MPI.LAND):
         return replace(earlier, sent=receivers, deepest=deepest, roles=roles)
-    D, M = _create_triplets(slave, pairs, nodes, facets)
+    rows = V.dofmap.index_map.local_to_global(slave.nodes)[slave.facets]
+    paired = rows[np.unique(pairs[:, 0])]
+    D = create_triplets(slave, paired, paired)
+    M = create_triplets(slave, rows[pairs[:, 0]], nodes[facets][pairs[:, 1]])
     return Pairing(
         slave=slave,
         master=master,

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import basix
 import dolfinx
 from dolfinx_mortar import compat
-from dolfinx_mortar.algebra.parallel import any_rank, raised_together
+from dolfinx_mortar.algebra.parallel import any_rank, raised_together, values_at
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats, Ints, Longs
 from dolfinx_mortar.geometry.elements import FACETS_OF, FacetElement
 from dolfinx_mortar.geometry.facets import (
@@ -98,13 +98,14 @@ def check_tags(facet_tags: Any) -> None:
         raise ValueError(f"facet_tags is {facet_tags!r}: give a dolfinx.mesh.MeshTags of facets.")
 
 
-def _owned_facets_with(facet_tags: dolfinx.mesh.MeshTags, tag: int) -> Ints:
-    facet_map = facet_tags.topology.index_map(facet_tags.dim)
-    mark = dolfinx.la.vector(facet_map)
-    mark.array[:] = 0.0
-    mark.array[facet_tags.find(tag)] = 1.0
-    mark.scatter_reverse(dolfinx.la.InsertMode.add)
-    return np.flatnonzero(mark.array[: facet_map.size_local]).astype(np.int32)
+def marks(index_map: dolfinx.common.IndexMap, local: Ints) -> Bools:
+    """Local entries that any rank marks; collective."""
+    found = dolfinx.la.vector(index_map)
+    found.array[:] = 0.0
+    found.array[local] = 1.0
+    found.scatter_reverse(dolfinx.la.InsertMode.add)
+    found.scatter_forward()
+    return np.asarray(found.array > 0.0)
 
 
 def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str) -> Ints:  # type: ignore[no-untyped-def]
@@ -125,7 +126,9 @@ def _marked_facets(V: dolfinx.fem.FunctionSpace, facet_tags, tag: int, name: str
     connect(topology)
     with raised_together(comm):
         check_entities("facet_tags", facet_tags)
-    facets = _owned_facets_with(facet_tags, tag)
+    facet_map = facet_tags.topology.index_map(fdim)
+    marked = marks(facet_map, facet_tags.find(tag))[: facet_map.size_local]
+    facets = np.flatnonzero(marked).astype(np.int32)
     exterior = dolfinx.mesh.exterior_facet_indices(topology)
     inside = np.setdiff1d(facets, exterior)
     total, interior = comm.allreduce(np.array([len(facets), len(inside)]))
@@ -178,16 +181,12 @@ def _order_outwards(X: Floats, nodes: Ints, cells: Ints, V: dolfinx.fem.Function
 def create_sums(V: dolfinx.fem.FunctionSpace, nodes: Ints) -> tuple[Ints, int, PETSc.Vec]:
     """Nodes, with owned ones of other ranks' facets; their number; the vector; collective."""
     index_map = V.dofmap.index_map
-    number = dolfinx.la.vector(index_map)
-    number.array[:] = 0.0
-    number.array[nodes] = 1.0
-    number.scatter_reverse(dolfinx.la.InsertMode.add)
-    owned = np.flatnonzero(number.array[: index_map.size_local])
-    first = V.mesh.comm.exscan(len(owned)) or 0
-    number.array[owned] = first + np.arange(len(owned))
-    number.scatter_forward()
+    owned = np.flatnonzero(marks(index_map, nodes)[: index_map.size_local])
+    numbers = np.zeros((index_map.size_local, 1))
+    numbers[owned, 0] = (V.mesh.comm.exscan(len(owned)) or 0) + np.arange(len(owned))
     ghosts = nodes[nodes >= index_map.size_local]
-    ghost_numbers = number.array[ghosts].astype(PETSc.IntType)
+    asked = index_map.local_to_global(ghosts)
+    ghost_numbers = values_at(V.mesh.comm, numbers, asked)[:, 0].astype(PETSc.IntType)
     sums = PETSc.Vec().createGhost(ghost_numbers, (len(owned), None), comm=V.mesh.comm)
     return np.concatenate([owned, ghosts]).astype(np.int32), len(owned), sums
 

@@ -47,6 +47,8 @@ def held() -> Iterator[None]:
         return patch.object(module, name, found)
 
     def turned_mean(*given):
+        if np.iscomplexobj(given[0]):  # a complex step
+            return mean(*given)
         at = first.setdefault("mean", given)
         R = [rotations(*vectors) for vectors in zip(at[:2], given[:2], strict=True)]
         return mean(*given[:2], *(r @ S @ r.swapaxes(1, 2) for r, S in zip(R, at[2:], strict=True)))
