@@ -247,7 +247,7 @@ def _between(side: Sides, other: Sides, u: fem.Function | None) -> Floats:
         return np.zeros(len(facets))
     parts = []
     for master in (side.master, other.master):
-        pairing = create_pairing(side.V, side.slave, master, u, moving=False, again=True)
+        pairing = create_pairing(side.slave, master, u, moving=False, again=True)
         segments, _ = find_segments(pairing, u)
         covered = np.bincount(segments.slave, segments.weight, minlength=len(facets))
         parts.append(covered / segments.facet_weights.sum(axis=1))

@@ -125,7 +125,7 @@ class MortarInterface(Interface):
         known, pattern = (None, None) if earlier is None else earlier
         options = {"again": again, "weight": sides.weight, "earlier": known}
         surfaces = sides.slave, sides.master
-        pairing = create_pairing(sides.V, *surfaces, u, moving=u is not None, **options)
+        pairing = create_pairing(*surfaces, u, moving=u is not None, **options)
         if known is not None and pattern is not None and pairing.D is known.D:
             return pairing, pattern
         smooth = nearby = None

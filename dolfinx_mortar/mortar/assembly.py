@@ -153,7 +153,7 @@ def segments(
     W, u = find_positions(V, u, same_nodes=False)
     names = {"slave": slave, "master": master}
     sides = [create_surface(W, facet_tags, tag, name) for name, tag in names.items()]
-    pairing = create_pairing(W, *sides, u, moving=False)
+    pairing = create_pairing(*sides, u, moving=False)
     cells_s, cells_m = (
         _find_cells(V, side, u, name) for side, name in zip(sides, names, strict=True)
     )
@@ -268,7 +268,7 @@ def assemble_mortar(
     W, u = find_positions(V, u, same_nodes=True)
     surfaces = [create_surface(W, facet_tags, slave, "slave")]
     surfaces.append(create_surface(W, facet_tags, master, "master"))
-    pairing = create_pairing(W, *surfaces, u, moving=False, weight=weight)
+    pairing = create_pairing(*surfaces, u, moving=False, weight=weight)
     segments, averaged = find_segments(pairing, u)
     everything = np.ones((len(averaged), 1), dtype=bool)
     operators = create_operators(pairing, u, segments, averaged, everything)

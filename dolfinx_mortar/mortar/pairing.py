@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 import numpy.typing as npt
 
@@ -131,32 +129,6 @@ def pattern_of_P(slave: Surface, D: Triplets, *M: Triplets) -> dict[str, Any]:
     }
 
 
-def _check_surfaces(
-    V: dolfinx.fem.FunctionSpace,
-    slave: Surface,
-    master: Surface,
-    u: dolfinx.fem.Function | None,
-) -> None:
-    if slave.V != V or master.V != V:
-        raise ValueError("slave and master have to be surfaces of V.")
-    if u is not None and (not isinstance(u, dolfinx.fem.Function) or u.function_space != V):
-        raise ValueError("u has to be a Function of V itself, not of another space or mesh.")
-    common = V.mesh.comm.allreduce(len(np.intersect1d(slave.entities, master.entities)))
-    if common and slave is not master:
-        raise ValueError(
-            f"slave={slave.label} and master={master.label} share {common} facets; "
-            "mark each side of the interface with a tag of its own."
-        )
-
-
-def _check_finite(u: dolfinx.fem.Function | None, *sides: Surface) -> None:
-    finite = all(np.isfinite(coordinates(side, u)).all() for side in sides)
-    if any_rank(sides[0].V.mesh.comm, not finite)[0]:
-        raise ValueError(
-            "u holds NaN or infinity at nodes of slave or master; check the displacement."
-        )
-
-
 def _check_facing(pairs: Ints, slave: Surface, master: Surface, n_s: Floats, n_m: Floats) -> None:
     comm = slave.V.mesh.comm
     if comm.allreduce(len(pairs)):
@@ -172,7 +144,6 @@ def _check_facing(pairs: Ints, slave: Surface, master: Surface, n_s: Floats, n_m
 
 @timed("~Mortar: search")
 def create_pairing(
-    V: dolfinx.fem.FunctionSpace,
     slave: Surface,
     master: Surface,
     u: dolfinx.fem.Function | None,
@@ -193,14 +164,22 @@ def create_pairing(
         earlier: of the same surfaces; its patterns are reused if the pairs are the same.
 
     Raises:
-        ValueError: On all ranks, if the sides share facets, belong to another space, u is not
-            finite there, or at the first search no facets face each other.
+        ValueError: On all ranks, if the sides share facets, u is not finite there, or at the first
+            search no facets face each other.
     """
-    _check_surfaces(V, slave, master, u)
-    _check_finite(u, slave, master)
-    comm = V.mesh.comm
+    V, comm = slave.V, slave.V.mesh.comm
+    common = comm.allreduce(len(np.intersect1d(slave.entities, master.entities)))
+    if common and slave is not master:
+        raise ValueError(
+            f"slave={slave.label} and master={master.label} share {common} facets; "
+            "mark each side of the interface with a tag of its own."
+        )
     slaves, n_s = _slave_facets(slave, u)
     masters = facets_at(master, coordinates(master, u))
+    if any_rank(comm, not (np.isfinite(slaves.x).all() and np.isfinite(masters.x).all()))[0]:
+        raise ValueError(
+            "u holds NaN or infinity at nodes of slave or master; check the displacement."
+        )
     margin = sliding_margins(slaves.x) * moving
     receivers: Bools = np.ones((len(masters.x), 1), dtype=bool)
     if comm.size > 1:
@@ -219,8 +198,15 @@ def create_pairing(
     elif not again:
         _check_facing(pairs, slave, master, n_s, facet_normals(masters))
     deepest = np.minimum(own[pairs[:, 0]], deepest[pairs[:, 1]])
-    same = earlier is not None and _has_pairs(earlier, pairs, nodes, facets)
-    if earlier is not None and comm.allreduce(same, op=MPI.LAND):
+    if (
+        earlier is not None
+        and not any_rank(
+            comm,
+            not np.array_equal(earlier.pairs, pairs),
+            not np.array_equal(earlier.master_nodes, nodes),
+            not np.array_equal(earlier.master_facets, facets),
+        ).any()
+    ):
         return replace(earlier, sent=receivers, deepest=deepest, roles=roles)
     rows = V.dofmap.index_map.local_to_global(slave.nodes)[slave.facets]
     paired = rows[np.unique(pairs[:, 0])]
@@ -241,11 +227,6 @@ def create_pairing(
         weight=weight,
         roles=roles,
     )
-
-
-def _has_pairs(pairing: Pairing, pairs: Ints, nodes: Longs, facets: Ints) -> bool:
-    same = np.array_equal(pairing.pairs, pairs) and np.array_equal(pairing.master_nodes, nodes)
-    return same and np.array_equal(pairing.master_facets, facets)
 
 
 def _coordinates_of(
