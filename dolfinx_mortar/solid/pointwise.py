@@ -24,7 +24,14 @@ from dolfinx_mortar.materials.response import (
     solve_normal_strain,
     values_at_points,
 )
-from dolfinx_mortar.materials.tensor import COMPONENTS, GRADIENT, INDEX, stored, tensor_of
+from dolfinx_mortar.materials.tensor import (
+    COMPONENTS,
+    GRADIENT,
+    INDEX,
+    stored,
+    tensor_of,
+    upper_triangle,
+)
 from dolfinx_mortar.solid.laws import Region
 from dolfinx_mortar.solid.sources import create_field, middle_of, point_function
 from ufl.core.expr import Expr
@@ -153,7 +160,7 @@ class PointwiseFields(PointValuesOfRegion):
         self._entries = GRADIENT[d] if self._finite else INDEX[: len(COMPONENTS[d])]
         size = len(self._entries)
         self._stress = point_function(domain, degree, (size,))
-        self._tangent = point_function(domain, degree, (len(_pairs(size)),))
+        self._tangent = point_function(domain, degree, (len(upper_triangle(size)),))
         self._energy = point_function(domain, degree) if has_energy else None
         self.normal = point_function(domain, degree) if law.plane_stress else None
         points = compat.interpolation_points(self._stress.function_space)
@@ -180,7 +187,7 @@ class PointwiseFields(PointValuesOfRegion):
         return ufl.as_tensor(rows)
 
     def _change(self, direction: Expr) -> Expr:
-        number = {pair: k for k, pair in enumerate(_pairs(len(self._entries)))}
+        number = {pair: k for k, pair in enumerate(upper_triangle(len(self._entries)))}
         sums = []
         for a in range(len(self._entries)):
             terms = []
@@ -292,7 +299,7 @@ class LogarithmicFields(PointwiseFields):
 
     def settle(self) -> None:
         """Evaluate the internal variables at the end of the step."""
-        new = self._law.update(self._start_of_step(), self._gradients)
+        new = self._law.update(self._start_of_step(), self._gradients, self._state())
         for name, f in self._new.items():
             self._set(f, new[name])
 
@@ -368,13 +375,9 @@ def largest_stress_lost(
     return float(shares[worst]), parts[worst].region.law.name
 
 
-def _pairs(size: int) -> list[tuple[int, int]]:
-    return [(i, j) for i in range(size) for j in range(i, size)]
-
-
 def packed(tangent: Floats, entries: Sequence[tuple[int, int]]) -> Floats:
     """Upper triangle of tangents (q, 3, 3, 3, 3), symmetrised, row by row."""
-    a, b = np.array(_pairs(len(entries))).T
+    a, b = np.array(upper_triangle(len(entries))).T
     at = np.array(entries) @ [3, 1]
     terms = np.stack([9 * at[a] + at[b], 9 * at[b] + at[a]], axis=1)
     return np.asarray(_means(np.ascontiguousarray(tangent).reshape(len(tangent), 81), terms))
