@@ -183,7 +183,7 @@ class Ogden(PointwiseLaw):
         """P (q, 3, 3) and dP/dF (q, 3, 3, 3, 3) from the principal Kirchhoff stresses."""
         q = len(F)
         x, logs, *tensors = np.empty((q, 3)), np.empty((q, 3)), *np.empty((3, q, 3, 3))
-        logarithms.decompose(F - np.eye(3), np.zeros((q, 3, 3)), x, logs, *tensors)
+        logarithms.decompose(F - np.eye(3), np.empty((0, 3, 3)), x, logs, *tensors)
         e, J = logs - logs.mean(axis=1, keepdims=True), np.exp(logs.sum(axis=1))[:, None]
         T, L, G = p.K[:, None] * (J - 1) * J * np.ones(3), np.zeros((q, 3, 3)), np.zeros((q, 3))
         L += (p.K[:, None] * (2 * J - 1) * J)[..., None]
@@ -200,7 +200,7 @@ class Ogden(PointwiseLaw):
             G += alpha[:, None] / 2 * power[:, second] * share
         P, A = np.empty((q, 9)), np.empty((q, 45))
         law = np.hstack([T, L.reshape(q, 9), G])
-        logarithms.respond(INDEX, GRADIENT[3], True, law, x, logs, *tensors, P, A)
+        logarithms.respond(INDEX, True, law, x, logs, *tensors, P, A)
         return (*as_tensors(P, A, GRADIENT[3]), {})
 
 

@@ -15,6 +15,7 @@ Lambrecht, Comput. Methods Appl. Mech. Engrg. 191 (2002) 5383-5425.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import product
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -51,7 +52,7 @@ class Start(NamedTuple):
     """Data of q points at the start of a step."""
 
     numbers: Floats  # (q, n): space for the strain, internal variables, parameters
-    roots: Floats  # C_pn^-1/2 - I (q, 3, 3)
+    roots: Floats  # C_pn^-1/2 - I (q, 3, 3), empty if zero
 
 
 class LogarithmicLaw:
@@ -83,8 +84,10 @@ class LogarithmicLaw:
         self._pairs = pairs = INDEX[: 4 if dimension == 2 else 6]
         self._remembers = self.multiplicative and PLASTIC in law.state  # by the roots
         self._strains = INDEX[:3] if law.isotropic else pairs  # of a law in its eigenvectors
-        # ij, km of L_ijkm
-        self._ways = [(i, j) for i in self._strains for j in self._strains]
+        # ij, km of L_ijkm, each computed once
+        self._ways = [
+            tuple(sorted(way, key=INDEX.index)) for way in product(self._strains, repeat=2)
+        ]
         if law.isotropic:
             self._ways += [(pair, pair) for pair in pairs[3:]]
         self._vectors, self._tensors = np.empty((2, CHUNK, 3)), np.empty((3, CHUNK, 3, 3))
@@ -128,7 +131,8 @@ class LogarithmicLaw:
 
     def start(self, q: int, state: Mapping[str, Floats], parameters: Mapping[str, Floats]) -> Start:
         """Prepare a step of q points; state (q,) or (q, 3, 3), parameters (q,)."""
-        roots, columns = np.zeros((q, 3, 3)), [np.zeros((q, len(self._strains)))]
+        columns: list[Floats] = [np.zeros((q, len(self._strains)))]
+        roots = np.empty((q if self._remembers else 0, 3, 3))
         if self._remembers:
             logarithms.roots(state[PLASTIC], roots)
         for name, shape in self._memory.items():
@@ -136,22 +140,26 @@ class LogarithmicLaw:
         columns += [parameters[name][:, None] for name in self._names]
         return Start(np.ascontiguousarray(np.hstack(columns)), roots)
 
-    def respond(self, start: Start, H: Floats, P: Floats, A: Floats, psi: Floats) -> None:
-        """Fill stress, tangent and potential at q points; where det F <= 0, psi = inf, others NaN.
+    def response(self, start: Start, H: Floats) -> tuple[Floats, Floats, Floats]:
+        """Stress, tangent and potential at q points; where det F <= 0, psi = inf, others NaN.
 
         Args:
             start: of `start`.
             H: displacement gradient (q, 3, 3).
-            P: d psi / dF, the k `components` (q, k).
-            A: dP / dF, its upper triangle row by row (q, k (k + 1) / 2).
-            psi: (q,), per volume at X; unchanged without a potential.
+
+        Returns:
+            P = d psi / dF, the k `components` (q, k); dP / dF, its upper triangle row by row (q, k
+            (k + 1) / 2); psi (q,), per volume at X, zero without a potential.
         """
-        how = self._pairs, self.components, self.multiplicative
+        q, k = len(H), len(self.components)
+        P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.zeros(q)
         for some, numbers, parts in self._decomposed(start, H):
             found = self._answers(numbers)
-            logarithms.respond(*how, found, *parts, P[some], A[some])
+            how = self._pairs, self.multiplicative, found
+            logarithms.respond(*how, *parts, P[some], A[some])
             if self.has_energy:
                 psi[some] = np.where(np.isnan(parts[0][:, 0]), np.inf, found[:, -1])
+        return P, A, psi
 
     def _decomposed(self, start: Start, H: Floats) -> Iterator[tuple[slice, Floats, list[Floats]]]:
         """Chunks of points, with the arguments of the law and `logarithms.decompose`."""
@@ -191,7 +199,8 @@ class LogarithmicLaw:
         def equation(points: Ints, z: Floats) -> Floats:
             trial = H[points]
             trial[:, 2, 2] = z[:, 0]
-            P, A, _ = self._response(Start(*(part[points] for part in start)), trial)
+            some = Start(*(part[points] if len(part) else part for part in start))
+            P, A, _ = self.response(some, trial)
             return normal_equation(P, A)
 
         H[:, 2, 2] = solve_normal_strain(self.law.name, equation, (len(H), 1), finite=True)[:, 0]
@@ -229,26 +238,18 @@ class LogarithmicLaw:
         """Values at F (q, 3, 3), see `response.values_at_points`."""
         H = np.ascontiguousarray(F - np.eye(3))
         start = self.start(len(F), state, ungrouped(p))
-        P, A, psi = self._response(start, H)
+        P, A, psi = self.response(start, H)
         energy = psi if self.has_energy else None
         new = self.update(start, H, state)
         return PointValues(*as_tensors(P, A, self.components), new, energy=energy)
 
-    def _response(self, start: Start, H: Floats) -> tuple[Floats, Floats, Floats]:
-        q, k = len(H), len(self.components)
-        P, A, psi = np.empty((q, k)), np.empty((q, k * (k + 1) // 2)), np.empty(q)
-        self.respond(start, H, P, A, psi)
-        return P, A, psi
-
     def stress_lost(self, start: Start, H: Floats) -> Floats:
-        """Return 1 - |dev tau| / |dev T| (q,), zero in the multiplicative form and where T is."""
-        kept = np.ones(len(H))
-        if not self.multiplicative:
-            P, _ = as_tensors(*self._response(start, H)[:2], self.components)
-            tau = von_mises(stored(P @ np.swapaxes(H + np.eye(3), 1, 2)))
-            for some, numbers, _ in self._decomposed(start, H):
-                T = von_mises(self._answers(numbers)[:, : len(self._pairs)])
-                np.divide(tau[some], T, out=kept[some], where=T > 0.0)
+        """Return 1 - |dev tau| / |dev T| (q,), zero where T is."""
+        P, _ = as_tensors(*self.response(start, H)[:2], self.components)
+        tau, kept = von_mises(stored(P @ np.swapaxes(H + np.eye(3), 1, 2))), np.ones(len(H))
+        for some, numbers, _ in self._decomposed(start, H):
+            T = von_mises(self._answers(numbers)[:, : len(self._pairs)])
+            np.divide(tau[some], T, out=kept[some], where=T > 0.0)
         return 1 - kept
 
 

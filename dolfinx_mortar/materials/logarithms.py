@@ -10,8 +10,10 @@ import numba
 import numpy as np
 
 from dolfinx_mortar.arrays import LIMIT
+from dolfinx_mortar.materials.tensor import INDEX
 
 IDENTITY = np.eye(3)
+PAIRS = INDEX
 NUMBER = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]])  # of the stored component ij
 SETTINGS = {"cache": True, "error_model": "numpy"}
 
@@ -148,9 +150,9 @@ def second_difference(x, y, z, f_xy, f_yz, f_zx):  # type: ignore[no-untyped-def
 
 @numba.njit(**SETTINGS)
 def decompose(H, g, x, logs, N, y, m):  # type: ignore[no-untyped-def]
-    """Fill x and logs (q, 3), and the columns N, y, m (q, 3, 3), for H and g (q, 3, 3).
+    """Fill x and logs (q, 3), and the columns N, y, m (q, 3, 3), for H and g (q or 0, 3, 3).
 
-    Where det F is not positive, all is NaN.
+    Without g, G is I. Where det F is not positive, all is NaN.
     """
     F, G, C, D = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     for q in range(len(H)):
@@ -159,16 +161,18 @@ def decompose(H, g, x, logs, N, y, m):  # type: ignore[no-untyped-def]
         for i in range(3):
             for j in range(3):
                 F[i, j] = IDENTITY[i, j] + H[q, i, j]
-                G[i, j] = IDENTITY[i, j] + g[q, i, j]
-        congruent(G, C, D)
-        add_change(g[q], D)
-        diagonalise(D, N[q])
+                G[i, j] = IDENTITY[i, j] + (g[q, i, j] if len(g) else 0.0)
+        if len(g):
+            congruent(G, C, D)
+            C[:] = D
+            add_change(g[q], C)
+        diagonalise(C, N[q])
         J = F[0, 0] * (F[1, 1] * F[2, 2] - F[1, 2] * F[2, 1])
         J += F[0, 1] * (F[1, 2] * F[2, 0] - F[1, 0] * F[2, 2])
         J += F[0, 2] * (F[1, 0] * F[2, 1] - F[1, 1] * F[2, 0])
         undefined = 0.0 if J > 0.0 else np.nan
         for a in range(3):
-            x[q, a] = D[a, a] + undefined
+            x[q, a] = C[a, a] + undefined
             logs[q, a] = np.log1p(x[q, a]) / 2
             for i in range(3):
                 m[q, i, a] = G[i, 0] * N[q, 0, a] + G[i, 1] * N[q, 1, a] + G[i, 2] * N[q, 2, a]
@@ -177,52 +181,55 @@ def decompose(H, g, x, logs, N, y, m):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**SETTINGS)
-def _isotropic_moduli(pairs, law, x, logs, S, M):  # type: ignore[no-untyped-def]
-    """Fill S and M from T_aa, L_aabb, G_12, G_23, G_13, T = 2 G E."""
-    for a in range(3):
-        S[a, a] = law[a] / (1 + x[a])
-        for b in range(3):
-            M[a, b] = law[3 + 3 * a + b] / (4 * (1 + x[a]) * (1 + x[b]))
-        M[a, a] -= S[a, a] / (2 * (1 + x[a]))
-    for i in range(3, len(pairs)):
-        a, b = pairs[i]
-        f = first_difference(x[a], x[b], logs[a], logs[b])
-        f_a, f_b = confluent_differences(x[a], x[b], f)
-        M[i, i] = 4 * law[9 + i] * f * f + 2 * (law[a] * f_a + law[b] * f_b)
-
-
-@numba.njit(**SETTINGS)
 def _differences(pairs, x, logs, f, h):  # type: ignore[no-untyped-def]
+    """Fill f_ab, f_aab and f_abb of 1/2 ln(1 + .), in all orders of the indices."""
     for a in range(3):
         f[a, a] = 1 / (2 * (1 + x[a]))
         h[a, a, a] = -f[a, a] * f[a, a]
     for i in range(3, len(pairs)):
-        a, b = pairs[i]
+        a, b = PAIRS[i]
         f[a, b] = first_difference(x[a], x[b], logs[a], logs[b])
         f_a, f_b = confluent_differences(x[a], x[b], f[a, b])
         h[a, a, b] = h[a, b, a] = h[b, a, a] = f_a
         h[b, b, a] = h[b, a, b] = h[a, b, b] = f_b
-    if len(pairs) > 4:
-        mixed = second_difference(x[0], x[1], x[2], f[0, 1], f[1, 2], f[0, 2])
-        h[0, 1, 2] = h[1, 2, 0] = h[2, 0, 1] = h[0, 2, 1] = h[2, 1, 0] = h[1, 0, 2] = mixed
 
 
 @numba.njit(**SETTINGS)
-def _moduli(pairs, law, x, logs, N, S, M, f, h, T, R):  # type: ignore[no-untyped-def]
+def _isotropic_moduli(pairs, law, f, h, S, M):  # type: ignore[no-untyped-def]
+    """Fill S and M from T_aa, L_aabb, G_12, G_23, G_13, T = 2 G E."""
+    for a in range(3):
+        S[a, a] = 2 * law[a] * f[a, a]
+        for b in range(3):
+            M[a, b] = law[3 + 3 * a + b] * f[a, a] * f[b, b]
+        M[a, a] += 2 * law[a] * h[a, a, a]
+    for i in range(3, len(pairs)):
+        a, b = PAIRS[i]
+        M[i, i] = 4 * law[9 + i] * f[a, b] ** 2
+        M[i, i] += 2 * (law[a] * h[a, a, b] + law[b] * h[a, b, b])
+
+
+@numba.njit(**SETTINGS)
+def _moduli(pairs, law, x, N, f, h, S, M, T, R):  # type: ignore[no-untyped-def]
     """Fill S and M from T and L, row by row, of stored components."""
     s = len(pairs)
-    _differences(pairs, x, logs, f, h)
-    for i in range(s):
-        a, b = pairs[i]
-        T[a, b] = 0.0
-        for j in range(s):
-            c, d = pairs[j]
-            R[i, j] = N[c, a] * N[d, b] + (N[d, a] * N[c, b] if j > 2 else 0.0)
-            T[a, b] += R[i, j] * law[j]
-            R[i, j] *= f[a, b] * (1.0 if i < 3 else 2.0)
-        T[b, a] = T[a, b]
-        S[a, b] = S[b, a] = 2 * f[a, b] * T[a, b]
+    if s > 4:
+        mixed = second_difference(x[0], x[1], x[2], f[0, 1], f[1, 2], f[0, 2])
+        h[0, 2, 1] = h[1, 0, 2] = h[0, 1, 2] = mixed
     M[:] = 0.0
+    for i in range(s):
+        a, b = PAIRS[i]
+        T[i] = 0.0
+        for j in range(s):
+            c, d = PAIRS[j]
+            R[i, j] = N[c, a] * N[d, b] + (N[d, a] * N[c, b] if j > 2 else 0.0)
+            T[i] += R[i, j] * law[j]
+            R[i, j] *= f[a, b] * (1.0 if i < 3 else 2.0)
+        S[a, b] = S[b, a] = 2 * f[a, b] * T[i]
+        for c in range(3):  # T : d^2 E
+            j, k = NUMBER[a, c], NUMBER[c, b]
+            M[j, k] += 2 * T[i] * h[a, c, b]
+            if i > 2:
+                M[k, j] += 2 * T[i] * h[a, c, b]
     for i in range(s):
         for k in range(s):
             part = 0.0
@@ -230,39 +237,37 @@ def _moduli(pairs, law, x, logs, N, S, M, f, h, T, R):  # type: ignore[no-untype
                 part += R[i, j] * law[s + s * j + k]
             for j in range(s):
                 M[i, j] += part * R[j, k]
-    for a in range(3):
-        for b in range(3):
-            for c in range(3):  # T : d^2 E
-                M[NUMBER[a, c], NUMBER[c, b]] += 2 * T[a, b] * h[a, c, b]
 
 
 @numba.njit(**SETTINGS)
-def respond(pairs, entries, isotropic, law, x, logs, N, y, m, P, A):  # type: ignore[no-untyped-def]
+def respond(pairs, isotropic, law, x, logs, N, y, m, P, A):  # type: ignore[no-untyped-def]
     """Fill P (q, k) and dP/dF, A (q, k (k + 1) / 2), upper triangle row by row."""
-    s, k = len(pairs), len(entries)
+    s = len(pairs)
+    k = s + 1 if s == 4 else s + 3
     S, M, B = np.zeros((3, 3)), np.zeros((6, 6)), np.empty((3, 3))
-    f, h, T, R = np.empty((3, 3)), np.zeros((3, 3, 3)), np.zeros((3, 3)), np.empty((6, 6))
+    f, h, T, R = np.empty((3, 3)), np.zeros((3, 3, 3)), np.empty(6), np.empty((6, 6))
     Z, W = np.empty((6, 9)), np.empty((6, 9))
     for q in range(len(x)):
+        _differences(pairs, x[q], logs[q], f, h)
         if isotropic:
-            _isotropic_moduli(pairs, law[q], x[q], logs[q], S, M)
+            _isotropic_moduli(pairs, law[q], f, h, S, M)
         else:
-            _moduli(pairs, law[q], x[q], logs[q], N[q], S, M, f, h, T, R)
+            _moduli(pairs, law[q], x[q], N[q], f, h, S, M, T, R)
         for n in range(k):
-            i, j = entries[n]
+            i, j = _entry(n, s)
             P[q, n] = 0.0
             for p in range(s):
-                a, b = pairs[p]
+                a, b = PAIRS[p]
                 Z[p, n] = y[q, i, a] * m[q, j, b] + y[q, i, b] * m[q, j, a]  # dC
                 P[q, n] += S[a, b] * Z[p, n] * (0.5 if p < 3 else 1.0)
         congruent(m[q], S, B)
-        _fill_tangent(s, entries, M, B, Z, W, A[q])
+        _fill_tangent(s, M, B, Z, W, A[q])
 
 
 @numba.njit(**SETTINGS)
-def _fill_tangent(s, entries, M, B, Z, W, A):  # type: ignore[no-untyped-def]
+def _fill_tangent(s, M, B, Z, W, A):  # type: ignore[no-untyped-def]
     """Set A to Z^T M Z + B, the stress part; upper triangle."""
-    k, t = len(entries), 0
+    k, t = s + 1 if s == 4 else s + 3, 0
     for p in range(s):
         for n in range(k):
             W[p, n] = M[p, p] * Z[p, n]
@@ -271,12 +276,21 @@ def _fill_tangent(s, entries, M, B, Z, W, A):  # type: ignore[no-untyped-def]
                 for n in range(k):
                     W[p, n] += M[p, r] * Z[r, n]
     for n in range(k):
+        i, j = _entry(n, s)
         for o in range(n, k):
-            total = B[entries[n][1], entries[o][1]] if entries[n][0] == entries[o][0] else 0.0
+            c, d = _entry(o, s)
+            total = B[j, d] if i == c else 0.0
             for p in range(s):
                 total += Z[p, n] * W[p, o]
             A[t] = total
             t += 1
+
+
+@numba.njit(**SETTINGS)
+def _entry(n, s):  # type: ignore[no-untyped-def]
+    if s == 6:
+        return n // 3, n % 3
+    return (n // 2, n % 2) if n < 4 else (2, 2)
 
 
 @numba.njit(**SETTINGS)

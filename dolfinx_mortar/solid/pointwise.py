@@ -16,7 +16,7 @@ from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.kernels import ANYWHERE, Kernel, kernel_of
-from dolfinx_mortar.materials.logarithmic import LogarithmicLaw, Start
+from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
 from dolfinx_mortar.materials.protocol import Law, ungrouped
 from dolfinx_mortar.materials.response import (
     Response,
@@ -60,7 +60,7 @@ class PointValuesOfRegion(ABC):
         self.region = region
         self._mesh = region.mesh
         self._committed = {name: state[name] for name in region.law.state}
-        self._inputs = [*inputs, *self._committed.values(), region.parameters.function]
+        self._inputs = [region.parameters.function, *self._committed.values(), *inputs]
         self._seen: list[Floats] = []
         self._create(strain, degree)
 
@@ -75,12 +75,16 @@ class PointValuesOfRegion(ABC):
     def fill(self) -> None:
         """Evaluate the law if an input has changed, or raise a ValueError; not collective."""
         now = [f.x.array for f in self._inputs]
-        if len(self._seen) != len(now) or not all(map(np.array_equal, now, self._seen)):
+        same = [*map(np.array_equal, now, self._seen)] or [False]
+        if not all(same):
+            self._seen = []  # invalid until the law succeeds
+            if not all(same[: 1 + len(self._committed)]):
+                self._begin()
             self._evaluate()
-            self._seen = self._copies(now)
+            self._seen = [values.copy() for values in now]
 
-    def _copies(self, now: list[Floats]) -> list[Floats]:
-        return [values.copy() for values in now]
+    def _begin(self) -> None:  # noqa: B027
+        """Prepare evaluations with the present parameters and committed state."""
 
     def settle(self) -> None:  # noqa: B027 - most have evaluated everything by then
         """Evaluate the values needed at the end of a step only; not collective."""
@@ -93,8 +97,11 @@ class PointValuesOfRegion(ABC):
             found[name] = tensor_of(values) if values.shape[1] > 1 else values[:, 0]
         return found
 
-    def _rows(self, f: fem.Function) -> Ints:
-        return np.asarray(f.function_space.dofmap.list[self.region.cells].ravel())
+    def _rows(self, f: fem.Function) -> Ints | slice:
+        """Points of a Function, a slice (faster) if they are in order."""
+        rows = np.asarray(f.function_space.dofmap.list[self.region.cells].ravel())
+        in_order = rows.size and rows[-1] - rows[0] == rows.size - 1 and (np.diff(rows) == 1).all()
+        return slice(rows[0], rows[-1] + 1) if in_order else rows
 
     def _set(self, f: fem.Function, values: Floats) -> None:
         """Set a Function at the points from values or tensors (q, 3, 3)."""
@@ -251,27 +258,20 @@ class LogarithmicFields(PointwiseFields):
         names, d = list(ungrouped(self.region.symbols)), self._mesh.geometry.dim
         law = replace(self.region.law, plane_stress=False)  # H_zz is an unknown here
         self._law = LogarithmicLaw(law, names, dimension=d, jit=compiled)
-        self._start: tuple[list[Floats], Start] | None = None
-        self._gradients = np.zeros((0, 3, 3))
         return True, self._law.has_energy
 
     def _wanted(self, strain: Expr) -> Expr:
         """F - I, row by row: strains may be far below round-off of 1."""
-        u = self._inputs[0]
+        u = self._inputs[1 + len(self._committed)]
         H = ufl.derivative(strain, u, u)
         return ufl.as_vector([H[i, j] for i in range(3) for j in range(3)])
 
     def _evaluate(self) -> None:
         found = self._evaluated(self._strain, self.region.cells)
         H = np.ascontiguousarray(found).reshape(-1, 3, 3)
-        start = self._start_of_step()
         if self.normal is not None:
-            self._law.find_normal(start, H)
-        self._seen = []  # invalid until the law succeeds
-        functions = [self._stress, self._tangent]
-        functions += [] if self._energy is None else [self._energy]
-        P, A, *psi = targets = [self._table(f) for f in functions]
-        self._law.respond(start, H, P, A, psi[0][:, 0] if psi else np.empty(0))
+            self._law.find_normal(self._start, H)
+        P, A, psi = self._law.response(self._start, H)
         if not np.isfinite(P.sum() + A.sum()):
             F = H + np.eye(3)
             self._judge(np.asarray(np.linalg.det(F) <= 0.0), F, INSIDE_OUT)
@@ -280,45 +280,26 @@ class LogarithmicFields(PointwiseFields):
         if self.normal is not None:
             self._law.condense(P, A)
             self._set(self.normal, H[:, 2, 2])
-        for f, values in zip(functions, targets, strict=True):
-            if values.base is None:
-                self._set(f, values)
+        self._set(self._stress, P)
+        self._set(self._tangent, A)
+        if self._energy is not None:
+            self._set(self._energy, psi)
         self._gradients = H
-
-    def _table(self, f: fem.Function) -> Floats:
-        """Storage (q, components), a view if points are in order."""
-        rows, table = self._rows(f), f.x.array.reshape(-1, f.function_space.dofmap.bs)
-        if len(rows) and np.array_equal(rows, np.arange(rows[0], rows[0] + len(rows))):
-            return np.asarray(table[rows[0] : rows[0] + len(rows)])
-        return np.empty((len(rows), table.shape[1]))
-
-    def _copies(self, now: list[Floats]) -> list[Floats]:
-        assert self._start is not None
-        kept = self._start[0]
-        return [*(values.copy() for values in now[: len(now) - len(kept)]), *kept]
 
     def settle(self) -> None:
         """Evaluate the internal variables at the end of the step."""
-        new = self._law.update(self._start_of_step(), self._gradients, self._state())
+        new = self._law.update(self._start, self._gradients, self._state())
         for name, f in self._new.items():
             self._set(f, new[name])
 
     def stress_lost(self) -> Floats:
-        """Error of the stress (q,), see `LogarithmicLaw`; zero without memory."""
-        if not self.region.law.state:
-            return np.zeros(0)
-        return self._law.stress_lost(self._start_of_step(), self._gradients)
+        """Error of the stress (q,), see `LogarithmicLaw`."""
+        return self._law.stress_lost(self._start, self._gradients)
 
-    def _start_of_step(self) -> Start:
-        functions = [*self._committed.values(), self.region.parameters.function]
-        now = [f.x.array for f in functions]
-        if self._start is None or not all(map(np.array_equal, now, self._start[0])):
-            cells = self.region.cells
-            points = self._stress.function_space.dofmap.list.shape[1]
-            p = ungrouped(self.region.parameters.values(cells, points))
-            start = self._law.start(len(cells) * points, self._state(), p)
-            self._start = [values.copy() for values in now], start
-        return self._start[1]
+    def _begin(self) -> None:
+        q, points = self.region.cells.size, self._stress.function_space.dofmap.list.shape[1]
+        p = ungrouped(self.region.parameters.values(self.region.cells, points))
+        self._start = self._law.start(q * points, self._state(), p)
 
 
 def create_point_values(
@@ -365,11 +346,13 @@ def normal_strain(found: Mapping[Law, PointValuesOfRegion]) -> Expr:
 def largest_stress_lost(
     comm: MPI.Comm, found: Mapping[Law, PointValuesOfRegion]
 ) -> tuple[float, str]:
-    """Largest `LogarithmicFields.stress_lost`, and its law; collective."""
-    parts = [values for values in found.values() if isinstance(values, LogarithmicFields)]
-    local = [float(values.stress_lost().max(initial=0.0)) for values in parts]
+    """Largest `LogarithmicFields.stress_lost` of laws with memory, and its law; collective."""
+    kinds = [values for law, values in found.items() if law.state and not law.isotropic]
+    parts = [values for values in kinds if isinstance(values, LogarithmicFields)]
     if not parts:
         return 0.0, ""
+    fill_point_values(comm, found)
+    local = [float(values.stress_lost().max(initial=0.0)) for values in parts]
     shares = maximum(comm, *local)
     worst = int(np.argmax(shares))
     return float(shares[worst]), parts[worst].region.law.name
