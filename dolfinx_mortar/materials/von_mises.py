@@ -31,6 +31,11 @@ LEAST_RATIO = -0.9
 ACCUMULATED = "accumulated_plastic_strain"
 
 
+def _memory(state: Mapping[str, Expr], p: Any) -> tuple[Any, Any]:
+    """Return k and H, zero without k."""
+    return (state[ACCUMULATED], p.H) if ACCUMULATED in state else (0.0, 0.0)
+
+
 @dataclass(frozen=True)
 class RadialReturn(CheckedLaw):
     """Von Mises plasticity with the radius R(k) of a subclass; I' = R - Y."""
@@ -40,9 +45,9 @@ class RadialReturn(CheckedLaw):
     Y: Parameter  # first yield radius, Frobenius norm: sqrt(2/3) x uniaxial yield stress
     a: Parameter  # kinematic modulus, back stress per plastic strain: 2/3 x uniaxial one
 
-    _radius: ClassVar[Callable[..., Any]]  # k, p -> R
-    _increment: ClassVar[Callable[..., Any]]  # |xi| - R(k), k, p -> g > 0 and dg / d|xi|
-    _hardening: ClassVar[Callable[..., Any]]  # k, p -> I
+    _radius: ClassVar[Callable[..., Any]]  # k, H, p -> R
+    _increment: ClassVar[Callable[..., Any]]  # |xi| - R(k), k, H, p -> g > 0 and dg / d|xi|
+    _hardening: ClassVar[Callable[..., Any]]  # k, H, p -> I
     splits: ClassVar[bool] = True
     elastic_stress = staticmethod(Elastic.elastic_stress)
 
@@ -56,11 +61,11 @@ class RadialReturn(CheckedLaw):
         cls, strain: Expr, state: Mapping[str, Expr], p: Any
     ) -> tuple[Expr, Expr, Expr, Expr]:
         """Return xi, |xi| (differentiable also at 0), the increment g of k, and dg / d|xi|."""
-        mu, k = shear_modulus(p), state.get(ACCUMULATED, 0)
+        mu, memory = shear_modulus(p), _memory(state, p)
         xi = 2 * mu * ufl.dev(strain) - (2 * mu + p.a) * state[PLASTIC]
-        norm, radius = ufl.sqrt(ufl.inner(xi, xi) + (EPS * p.Y) ** 2), cls._radius(k, p)
+        norm, radius = ufl.sqrt(ufl.inner(xi, xi) + (EPS * p.Y) ** 2), cls._radius(*memory, p)
         yields = ufl.gt(norm - radius, YIELD_TOLERANCE * radius)
-        found = cls._increment(norm - radius, k, p)
+        found = cls._increment(norm - radius, *memory, p)
         return xi, norm, *(ufl.conditional(yields, value, 0.0) for value in found)
 
     @classmethod
@@ -68,7 +73,8 @@ class RadialReturn(CheckedLaw):
         """Return psi."""
         ep, (_, norm, g, _) = state[PLASTIC], cls._flow(strain, state, p)
         flow = (2 * shear_modulus(p) + p.a) / 2 * g**2 + (p.Y - norm) * g
-        stored = p.a / 2 * ufl.inner(ep, ep) + cls._hardening(state.get(ACCUMULATED, 0) + g, p)
+        k, H = _memory(state, p)
+        stored = p.a / 2 * ufl.inner(ep, ep) + cls._hardening(k + g, H, p)
         return Elastic.energy(strain - ep, {}, p) + stored + flow
 
     @classmethod
@@ -207,33 +213,34 @@ class VonMises(RadialReturn):
         return cls(E, nu, math.sqrt(2 / 3) * yield_stress, a, H)
 
     @staticmethod
-    def _radius(k: Expr, p: Any) -> Expr:
-        return p.Y + p.H * k
+    def _radius(k: Expr, H: Expr, p: Any) -> Expr:
+        return p.Y + H * k
 
     @staticmethod
-    def _increment(excess: Expr, k: Expr, p: Any) -> tuple[Expr, Expr]:
-        slope = 1 / (2 * shear_modulus(p) + p.a + p.H)
+    def _increment(excess: Expr, k: Expr, H: Expr, p: Any) -> tuple[Expr, Expr]:
+        slope = 1 / (2 * shear_modulus(p) + p.a + H)
         return slope * excess, slope
 
     @staticmethod
-    def _hardening(k: Expr, p: Any) -> Expr:
-        return p.H / 2 * k**2
+    def _hardening(k: Expr, H: Expr, p: Any) -> Expr:
+        return H / 2 * k**2
 
     @staticmethod
     def _normal_strain(strain: Expr, state: Mapping[str, Expr], p: Any) -> Expr:
         """Strain zz with sigma_zz = 0 (theory.md, Axisymmetry, plane stress ..)."""
-        ep, radius = state[PLASTIC], VonMises._radius(state.get(ACCUMULATED, 0), p)
+        ep, (k, H) = state[PLASTIC], _memory(state, p)
         e, mu, bulk = strain - ep, shear_modulus(p), p.E / (1 - p.nu)
         S = bulk * (e[0, 0] + e[1, 1]) + 3 * p.a * ep[2, 2]
         D = 2 * mu * (e[0, 0] - e[1, 1]) - p.a * (ep[0, 0] - ep[1, 1])
         T = 2 * mu * e[0, 1] - p.a * ep[0, 1]
-        rate_S, rate_D = bulk / 3 + p.a + p.H, 2 * mu + p.a + p.H
+        radius = p.Y + H * k
+        rate_S, rate_D = bulk / 3 + p.a + H, 2 * mu + p.a + H
         r = rate_S / rate_D
         sum_part, other = abs(S) / (math.sqrt(6) * radius), ufl.sqrt(D**2 / 2 + 2 * T**2) / radius
         t = flow_in_plane_stress(sum_part, other, r)
         phi, fallen = t / rate_D, S / (1 + r * t)
         plastic = ep[2, 2] - phi * fallen / 3
-        stress = (1 + p.H * phi) * fallen - 3 * p.a * plastic  # xx + yy
+        stress = (1 + H * phi) * fallen - 3 * p.a * plastic  # xx + yy
         return plastic - p.nu / p.E * stress
 
 
@@ -345,16 +352,16 @@ class VonMisesVoce(RadialReturn):
         )  # fmt: skip
 
     @staticmethod
-    def _radius(k: Expr, p: Any) -> Expr:
-        return p.Y + p.H * k + p.Q - p.Q * ufl.exp(-p.b * k)
+    def _radius(k: Expr, H: Expr, p: Any) -> Expr:
+        return p.Y + H * k + p.Q - p.Q * ufl.exp(-p.b * k)
 
     @staticmethod
-    def _increment(excess: Expr, k: Expr, p: Any) -> tuple[Expr, Expr]:
-        M = 2 * shear_modulus(p) + p.a + p.H
+    def _increment(excess: Expr, k: Expr, H: Expr, p: Any) -> tuple[Expr, Expr]:
+        M = 2 * shear_modulus(p) + p.a + H
         # split: one part is the same at all points of a cell
         log_ratio = ufl.ln(p.b * p.Q / M) - p.b * k
         return increment(excess, p.Q * ufl.exp(-p.b * k), M, p.b, log_ratio)
 
     @staticmethod
-    def _hardening(k: Expr, p: Any) -> Expr:
-        return p.H / 2 * k**2 + p.Q * (k + (ufl.exp(-p.b * k) - 1) / p.b)
+    def _hardening(k: Expr, H: Expr, p: Any) -> Expr:
+        return H / 2 * k**2 + p.Q * (k + (ufl.exp(-p.b * k) - 1) / p.b)
