@@ -12,12 +12,11 @@ import numpy as np
 
 import ufl
 from dolfinx import fem, jit
-from dolfinx_mortar import compat
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.kernels import ANYWHERE, Kernel, kernel_of
 from dolfinx_mortar.materials.logarithmic import LogarithmicLaw
-from dolfinx_mortar.materials.protocol import Law, ungrouped
+from dolfinx_mortar.materials.protocol import Law, grouped
 from dolfinx_mortar.materials.response import (
     Response,
     respond,
@@ -33,7 +32,7 @@ from dolfinx_mortar.materials.tensor import (
     upper_triangle,
 )
 from dolfinx_mortar.solid.laws import Region
-from dolfinx_mortar.solid.sources import create_field, middle_of, point_function
+from dolfinx_mortar.solid.sources import Part, create_source, middle_of, point_function, unchanged
 from ufl.core.expr import Expr
 
 
@@ -109,51 +108,42 @@ class PointValuesOfRegion(ABC):
         values = stored(values, size) if values.ndim == 3 else values.reshape(-1, size)
         f.x.array.reshape(-1, size)[self._rows(f)] = values
 
-    def _evaluated(self, expression: fem.Expression, cells: Ints) -> Floats:
-        return np.asarray(expression.eval(self._mesh, cells))
-
 
 class NormalStrain(PointValuesOfRegion):
     """The strain (stretch less 1) z in plane stress, of a law in UFL."""
 
     def _create(self, strain: Expr, degree: int) -> None:
         region = self.region
-        self.normal = create_field(self._mesh, degree, (), "strain_out_of_the_plane")
+        self.normal = point_function(self._mesh, degree, (), "strain_out_of_the_plane")
         committed = region.tensors(self._committed)
         with raised_together(self._mesh.comm):
             self.response = respond(region.law, strain, committed, region.symbols, self.normal)
-        found = self.response.normal_strain
+        found, start = self.response.normal_strain, self.response.start
         if found is None:
             assert self.response.equation is not None
             found = ufl.as_vector(self.response.equation)
-        points = compat.interpolation_points(self.normal.function_space)
-        self._equation = fem.Expression(found, points)
-        start = self.response.start
-        self._start = None if start is None else fem.Expression(start, points)
+        name = f"{region.law.name}: the strain out of the plane"
+        self._equation = create_source(region.cells, Part(name, self.normal, found))
+        part = None if start is None else Part(name, self.normal, start)
+        self._start = None if part is None else create_source(region.cells, part)
 
     def _evaluate(self) -> None:
         assert self.normal is not None
-        cells, values = self.region.cells, self.normal.x.array
-        dofs = self.normal.function_space.dofmap.list[cells]
         if self.response.normal_strain is not None:
-            values[dofs] = self._evaluated(self._equation, cells).reshape(dofs.shape)
+            self._equation.fill()
             return
+        cells, values, law = self.region.cells, self.normal.x.array, self.region.law
+        dofs = self.normal.function_space.dofmap.list[cells]
 
         def equation(rows: Ints, z: Floats) -> Floats:
             values[dofs[rows]] = z
-            return self._evaluated(self._equation, cells[rows]).reshape(*z.shape, 4)
+            return self._equation.evaluate(cells[rows])[0]
 
-        before, law = values.copy(), self.region.law
-        finite, start = law.strain == "finite", None
-        if self._start is not None:
-            start = self._evaluated(self._start, cells).reshape(dofs.shape)
-        try:
+        start = None if self._start is None else self._start.evaluate()[0][..., 0]
+        with unchanged([self.normal], on_error=True):
             values[dofs] = solve_normal_strain(
-                law.name, equation, dofs.shape, finite=finite, start=start
+                law.name, equation, dofs.shape, finite=law.strain == "finite", start=start
             )
-        except ValueError:
-            values[:] = before
-            raise
 
 
 class PointwiseFields(PointValuesOfRegion):
@@ -170,8 +160,8 @@ class PointwiseFields(PointValuesOfRegion):
         self._tangent = point_function(domain, degree, (len(upper_triangle(size)),))
         self._energy = point_function(domain, degree) if has_energy else None
         self.normal = point_function(domain, degree) if law.plane_stress else None
-        points = compat.interpolation_points(self._stress.function_space)
-        self._strain = fem.Expression(self._wanted(strain), points)
+        part = Part(f"{law.name}: the strain", self._stress, self._wanted(strain))
+        self._strain = create_source(self.region.cells, part)
         self._new = {name: f.copy() for name, f in self._committed.items()}
         new, stress = self.region.tensors(self._new), self._tensor(list(self._stress))
         self.response = Response(stress, self._energy, new, self._change)
@@ -209,13 +199,13 @@ class PointwiseFields(PointValuesOfRegion):
         region, (rows, columns) = self.region, np.array(self._entries).T
         points = self._stress.function_space.dofmap.list.shape[1]
         strain = np.zeros((len(region.cells) * points, 3, 3))
-        found = self._evaluated(self._strain, region.cells).reshape(-1, len(rows))
+        found = self._strain.evaluate()[0].reshape(-1, len(rows))
         strain[:, rows, columns] = found
         if self._finite:
             self._judge(np.linalg.det(strain) <= 0.0, strain, INSIDE_OUT)
         else:
             strain[:, columns, rows] = found
-        p = region.parameters.values(region.cells, points)
+        p = grouped(region.parameters.values(region.cells, points))
         answer = values_at_points(region.law, strain, self._state(), p)
         self._judge(answer.undefined, strain, UNDEFINED)
         stress = answer.stress
@@ -255,7 +245,7 @@ class LogarithmicFields(PointwiseFields):
             found, module, _ = jit.ffcx_jit(self._mesh.comm, (vector, ANYWHERE))
             return kernel_of(found, module, vector)
 
-        names, d = list(ungrouped(self.region.symbols)), self._mesh.geometry.dim
+        names, d = self.region.parameters.names, self._mesh.geometry.dim
         law = replace(self.region.law, plane_stress=False)  # H_zz is an unknown here
         self._law = LogarithmicLaw(law, names, dimension=d, jit=compiled)
         return True, self._law.has_energy
@@ -267,8 +257,7 @@ class LogarithmicFields(PointwiseFields):
         return ufl.as_vector([H[i, j] for i in range(3) for j in range(3)])
 
     def _evaluate(self) -> None:
-        found = self._evaluated(self._strain, self.region.cells)
-        H = np.ascontiguousarray(found).reshape(-1, 3, 3)
+        H = np.ascontiguousarray(self._strain.evaluate()[0]).reshape(-1, 3, 3)
         if self.normal is not None:
             self._law.find_normal(self._start, H)
         P, A, psi = self._law.response(self._start, H)
@@ -298,7 +287,7 @@ class LogarithmicFields(PointwiseFields):
 
     def _begin(self) -> None:
         q, points = self.region.cells.size, self._stress.function_space.dofmap.list.shape[1]
-        p = ungrouped(self.region.parameters.values(self.region.cells, points))
+        p = self.region.parameters.values(self.region.cells, points)
         self._start = self._law.start(q * points, self._state(), p)
 
 
