@@ -167,7 +167,7 @@ def test_output_sees_the_parameters_of_its_points():
     solid = solid_on(domain, dm.VonMises(1000.0, 0.3, 1.0, a))
     set_wave(solid.u, 0.1)
     solid.evaluate()
-    x = dm.solid.sources.create_field(domain, solid.quadrature_degree, (), "a")
+    x = dm.solid.sources.point_function(domain, solid.quadrature_degree, (), "a")
     points = x.function_space.element.interpolation_points
     x.interpolate(fem.Expression(a, points() if callable(points) else points))
     dofs = x.function_space.dofmap.list[: solid.fields.weights.shape[0]]
