@@ -7,13 +7,11 @@ import numpy as np
 
 from dolfinx import fem
 from dolfinx.mesh import MeshTags
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.interfaces.constraints import Limit, create_law
-from dolfinx_mortar.interfaces.coupling import Frame, normal_frames
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE, Interface
 from dolfinx_mortar.interfaces.mortar_interface import MortarInterface
 from dolfinx_mortar.interfaces.results import NoResult
-from dolfinx_mortar.mortar.operators import SmoothSides
 from dolfinx_mortar.spaces import check_mesh
 
 # Least free part of a node's normal for a multiplier, which may exceed the free force tenfold.
@@ -58,25 +56,6 @@ class Unilateral(Interface):
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
         """Nodes (n, 1) whose normal is not prescribed."""
         return np.asarray((left >= MIN_FREE_NORMAL)[:, None])
-
-    def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
-        """Frames with the constrained normal first; Cartesian where not kept.
-
-        With friction the free tangents are constrained, too.
-        """
-        R, slot, directions = normal_frames(normals, kept[:, 0], fixed)
-        if self.law is not None:
-            prescribed = (slot[:, :, None] == np.arange(R.shape[1])).any(axis=1)
-            directions = kept & ~prescribed
-        return Frame(R, slot, directions, np.where(kept, normals, 0.0))
-
-    def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
-        """P_jl R_j S_j R_j^-1; without friction P_jl r_j n_j^T, r_j the first column of R_j."""
-        if self.law is None:
-            r, n = frame.R[row, :, 0], frame.normals[row]
-            return np.asarray(P[:, 0, None, None] * r[:, :, None] * n[:, None, :])
-        R = frame.R * frame.directions[:, None, :]
-        return np.asarray(P[:, 0, None, None] * (R @ np.linalg.inv(frame.R))[row])
 
     def _of_friction(self, name: str) -> fem.Function:
         if self.law is None:
@@ -168,7 +147,3 @@ class Contact(Unilateral, MortarInterface):
     def meets_itself(self) -> bool:
         """Whether slave and master are one surface."""
         return self.slave == self.master
-
-    def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
-        """Heights of smooth surfaces."""
-        return {"heights_of": smooth}

@@ -291,16 +291,6 @@ def slipped(coupled: CoupledSides, u: PETSc.Vec) -> Floats:
     return np.asarray(across.max(axis=0))
 
 
-@dataclass(frozen=True)
-class Frame:
-    """Directions at the owned slave nodes."""
-
-    R: Floats  # (n, d, d) frames as columns
-    slot: Ints  # (n, d) column of a prescribed axis, else -1
-    directions: Bools  # (n, d) constrained columns
-    normals: Floats  # (n, d) 0 without multiplier
-
-
 def create_frames(normals: Floats, fixed: Bools) -> tuple[Floats, Ints]:
     """Orthonormal frames with the normal first and prescribed axes among the tangents.
 
@@ -352,15 +342,31 @@ def free_directions(normals: Floats, fixed: Bools) -> tuple[Floats, Floats]:
     return np.where(some, free / np.maximum(left, TINY)[:, None], 0.0), left
 
 
-def couple_in(frame: Frame, kept: Bools, *, blocks: Floats, **rest: Any) -> Coupling:
-    """Coupling in a frame; makes ``blocks`` read-only."""
+def create_coupling(
+    pattern: Pattern,
+    P: Floats,
+    normals: Floats,
+    fixed: Bools,
+    kept: Bools,
+    *,
+    tangential: bool,
+    added: Floats | None = None,
+    **rest: Any,
+) -> Coupling:
+    """Coupling for P (e, c), unit normals (n, d), fixed directions (n, d), kept nodes (n, c).
+
+    Frames have the normal first where it is kept, and are Cartesian elsewhere and for c > 1.
+
+    Args:
+        tangential: whether free tangents are constrained, too.
+        added: (k, d, d) added to the last entries of Q.
+    """
+    R, slot, directions = normal_frames(normals, kept[:, 0] & (kept.shape[1] == 1), fixed)
+    if tangential:
+        directions = kept & ~(slot[:, :, None] == np.arange(R.shape[1])).any(axis=1)
+    blocks = P[:, :, None] * (R * directions[:, None] @ np.linalg.inv(R))[pattern.row]
+    if added is not None:
+        blocks[len(blocks) - len(added) :] += added
     blocks.flags.writeable = False
-    return Coupling(
-        blocks=blocks,
-        R=frame.R,
-        slot=frame.slot,
-        directions=frame.directions,
-        kept=kept,
-        normals=frame.normals,
-        **rest,
-    )
+    normals = np.where(kept.any(axis=1, keepdims=True), normals, 0.0)
+    return Coupling(blocks, P, R, slot, directions, kept, normals=normals, **rest)

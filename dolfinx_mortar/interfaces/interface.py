@@ -241,8 +241,6 @@ _RETURNS: Mapping[str, tuple[type, ...]] = {
     "measure_coverage": (Coverage,),
     "couple": (Coupling,),
     "may_carry": (np.ndarray,),
-    "frame": (object,),
-    "blocks": (np.ndarray,),
     "apart": (np.ndarray, NoneType),
     "constraints": (Constraints,),
     "derivatives": (object,),

@@ -12,16 +12,15 @@ from dolfinx import fem
 from dolfinx.mesh import MeshTags
 from dolfinx_mortar.algebra.parallel import any_rank
 from dolfinx_mortar.arguments import check, one_of
-from dolfinx_mortar.arrays import Bools, Floats, Ints
+from dolfinx_mortar.arrays import Bools, Floats
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.contact_tangent import ContactDerivatives
 from dolfinx_mortar.interfaces.coupling import (
     CoupledSides,
     Coupling,
-    Frame,
     Pattern,
     Sides,
-    couple_in,
+    create_coupling,
     create_pattern,
     free_directions,
 )
@@ -31,7 +30,7 @@ from dolfinx_mortar.mortar.curvature_correction import find_smooth_sides
 from dolfinx_mortar.mortar.duals import Coverage, find_coverage, node_weights
 from dolfinx_mortar.mortar.facing_bodies import check_angle
 from dolfinx_mortar.mortar.integrals import drop_far, find_segments
-from dolfinx_mortar.mortar.operators import SmoothSides, create_operators
+from dolfinx_mortar.mortar.operators import create_operators
 from dolfinx_mortar.mortar.pairing import Pairing, create_pairing
 from dolfinx_mortar.tags import check_tag, label, tag_of
 
@@ -100,18 +99,6 @@ class MortarInterface(Interface):
             fixed: (n, d) directions with Dirichlet data.
         """
 
-    @abstractmethod
-    def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
-        """Frames for unit normals (n, d), kept nodes (n, c), fixed directions (n, d)."""
-
-    @abstractmethod
-    def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
-        """Entries (e, d, d) of Q for P (e, c) in rows (e,)."""
-
-    @abstractmethod
-    def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
-        """Arguments of `create_operators` for smooth surfaces."""
-
     def pair(
         self,
         sides: Sides,
@@ -172,7 +159,7 @@ class MortarInterface(Interface):
         fixed, free = sides.fixed[slave.nodes], ~banned[slave.nodes, None]
         _, left = free_directions(normals, fixed)
         allowed = self.may_carry(left, fixed) & free
-        options = {} if pattern.smooth is None else self.corrections(pattern.smooth)
+        options = {"heights_of" if self.unilateral else "motions_of": pattern.smooth}
         operators = create_operators(pairing, u, segments, normals, allowed, **options)
         common = None
         if sides.spreads is not None:
@@ -184,16 +171,14 @@ class MortarInterface(Interface):
             if any_rank(comm, (operators.kept & ~may[own]).any())[0]:
                 allowed &= may
                 operators = create_operators(pairing, u, segments, normals, allowed, **options)
-        kept = operators.kept
-        frame = self.frame(normals[own], kept, fixed[own])
-        blocks = self.blocks(operators.P, frame, pattern.row)
-        if operators.motions is not None:
-            blocks[pattern.split :] += operators.motions
-        return couple_in(
-            frame,
-            kept,
-            blocks=blocks,
-            P=operators.P,
+        return create_coupling(
+            pattern,
+            operators.P,
+            normals[own],
+            fixed[own],
+            operators.kept,
+            tangential=self.law is not None or not self.unilateral,
+            added=operators.motions,
             weight=operators.weight,
             heights=operators.heights,
             coverage=operators.coverage,

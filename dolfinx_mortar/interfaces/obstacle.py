@@ -27,7 +27,7 @@ from dolfinx_mortar.interfaces.coupling import (
     Coupling,
     Pattern,
     Sides,
-    couple_in,
+    create_coupling,
     create_pattern,
     free_directions,
 )
@@ -224,17 +224,18 @@ class Obstacle(Movable, Unilateral):
         if any_rank(comm, banned[slave.nodes].any())[0]:
             facing &= near[slave.facets].any(axis=1)
         found = integrate_side(side, x, facing, allowed)
-        frame = self.frame(into[own], found.kept, sides.fixed[sides.nodes])
         gaps, _ = point_gaps(pattern, pose, self.tool.asked, u, found.segments, found.x)
         at = means(side, found, np.column_stack([found.x, gaps]))
         # the gap n.(P x - x_j) - h_j is the mean of phi
-        heights = -(frame.normals * at[:, :-1]).sum(axis=1) - at[:, -1]
+        heights = -(into[own] * at[:, :-1]).sum(axis=1) - at[:, -1]
         kept = found.kept
-        return couple_in(
-            frame,
+        return create_coupling(
+            pattern,
+            found.P,
+            into[own],
+            sides.fixed[sides.nodes],
             kept,
-            blocks=self.blocks(found.P, frame, pattern.row),
-            P=found.P,
+            tangential=self.law is not None,
             weight=np.where(kept, found.weight, 0.0),
             heights=np.where(kept[:, 0], heights, 0.0),
             coverage=replace(found.coverage, near=near[own]),

@@ -17,7 +17,7 @@ from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import FORCE, Force, present_force
 from dolfinx_mortar.interfaces.coupling import CoupledSides, Sides
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
-from dolfinx_mortar.interfaces.mortar_interface import Frame, MortarInterface
+from dolfinx_mortar.interfaces.mortar_interface import MortarInterface
 from dolfinx_mortar.interfaces.pretension import (
     Bolt,
     Direction,
@@ -25,7 +25,6 @@ from dolfinx_mortar.interfaces.pretension import (
     find_axis,
     mean_normal,
 )
-from dolfinx_mortar.mortar.operators import SmoothSides
 from dolfinx_mortar.mortar.pairing import Weight
 from dolfinx_mortar.shapes.shape import check_unit
 from dolfinx_mortar.spaces import check_mesh, check_nodal, check_real
@@ -177,20 +176,6 @@ class Tie(MortarInterface):
     def may_carry(self, left: Floats, fixed: Bools) -> Bools:
         """Directions (n, d) without Dirichlet data."""
         return ~fixed
-
-    def frame(self, normals: Floats, kept: Bools, fixed: Bools) -> Frame:
-        """Cartesian frames constrained in the kept directions."""
-        n, d = normals.shape
-        slot = np.where(fixed, np.arange(d, dtype=np.int32), -1).astype(np.int32)
-        return Frame(np.broadcast_to(np.eye(d), (n, d, d)), slot, kept, normals)
-
-    def blocks(self, P: Floats, frame: Frame, row: Ints) -> Floats:
-        """Blocks P_jl I."""
-        return np.asarray(P[:, :, None] * np.eye(P.shape[1]))
-
-    def corrections(self, smooth: SmoothSides) -> dict[str, SmoothSides]:
-        """Motions of offset vectors."""
-        return {"motions_of": smooth}
 
     def apart(self, V: fem.FunctionSpace, nodes: Ints) -> Floats | None:
         """Jump plus tightening (n, d) at slave nodes, or None; collective."""
