@@ -8,7 +8,7 @@ A slave node of several interfaces has multipliers of only one.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import permutations
 
 from mpi4py import MPI
@@ -39,11 +39,12 @@ from dolfinx_mortar.mortar.surface import nodal_normals, sum_at_nodes
 class Claims:
     """Owners of slave nodes, and order of the interfaces."""
 
-    owner: Ints  # (owned nodes,) interface
-    banned: list[Bools]  # of each (local nodes,): slave nodes of others
-    dependencies: frozenset[tuple[int, int]]  # i depends on slave nodes of k: T_i is left of T_k
-    order: list[int]  # of the transformations
-    notes: list[str]
+    owner: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int32))  # (owned nodes,)
+    banned: Sequence[Bools] = ()  # of each (local nodes,): slave nodes of others
+    # i depends on slave nodes of k: T_i is left of T_k
+    dependencies: frozenset[tuple[int, int]] = frozenset()
+    order: Sequence[int] = ()  # of the transformations
+    notes: Sequence[str] = ()
 
 
 def referenced(sides: Sides, pattern: Pattern) -> Bools:
@@ -261,7 +262,7 @@ class Transformation:
     def __init__(self, V: fem.FunctionSpace, links: Sequence[Link], claims: Claims) -> None:
         # without chains one matrix saves products
         self.claims = claims
-        groups = [[i] for i in claims.order] if self.chained else [claims.order]
+        groups = [[i] for i in claims.order] if self.chained else [list(claims.order)]
         self.links = links
         dependent = any_rank(V.mesh.comm, any(link.sides.dependent.any() for link in links))[0]
         levels = (True, False) if dependent else (None,)
@@ -274,10 +275,19 @@ class Transformation:
         """Whether interfaces may depend on others' slave nodes."""
         return bool(self.claims.dependencies)
 
-    def serves(self, claims: Claims) -> bool:
-        """Whether its factors fit other claims."""
+    def serves(self, links: Sequence[Link], claims: Claims) -> bool:
+        """Whether its factors fit other links and claims, on this rank."""
         mine = self.claims
-        return claims.order == mine.order and claims.dependencies == mine.dependencies
+        same = claims.order == mine.order and claims.dependencies == mine.dependencies
+        return same and all(
+            np.array_equal(a, b)
+            for one, other in zip(self.links, links, strict=True)
+            for a, b in (
+                (one.pattern.row, other.pattern.row),
+                (one.pattern.column, other.pattern.column),
+                (one.banned, other.banned),
+            )
+        )
 
     def update(self, links: Sequence[Link]) -> None:
         """Refill T; collective."""

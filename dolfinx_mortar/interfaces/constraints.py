@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from numbers import Real
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -87,11 +87,13 @@ def upper_bounds(nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Con
     return Constraints(dofs, np.full(len(gap), -np.inf), gap, D[on, 0])
 
 
-def join(parts: Sequence[Constraints]) -> Constraints:
-    """Concatenate constraints."""
-    columns = ([p.dofs, p.lower, p.upper, p.weight] for p in parts)
-    dofs, lower, upper, weight = (np.concatenate(c) for c in zip(*columns, strict=True))
-    return Constraints(dofs.astype(np.int32), lower, upper, weight)
+T = TypeVar("T", Constraints, "SlipLimits")
+
+
+def join(parts: Sequence[T]) -> T:
+    """Concatenate the arrays of records, at least one."""
+    columns = ([getattr(part, column.name) for part in parts] for column in fields(parts[0]))
+    return type(parts[0])(*map(np.concatenate, columns))
 
 
 # Elastic slip at prescribed slips, in facets: for convergence mu p / ROOM must be below E.
@@ -167,12 +169,6 @@ class SlipLimits:
     def vectors(self, parts: Floats) -> Floats:
         """Vectors (m, d) of tangential components (m, d - 1)."""
         return np.asarray(np.einsum("mti,mt->mi", self.axes, parts))
-
-
-def join_limits(parts: Sequence[SlipLimits]) -> SlipLimits:
-    """Concatenate limits, at least one."""
-    columns = (tuple(getattr(p, field.name) for field in fields(SlipLimits)) for p in parts)
-    return SlipLimits(*(np.concatenate(c) for c in zip(*columns, strict=True)))
 
 
 Force: TypeAlias = float | fem.Constant

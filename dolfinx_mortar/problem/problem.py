@@ -121,9 +121,8 @@ class ContactProblem:
             for interface in sides:
                 interface.take(self.supports, self.V)
         bodies = find_bodies(self.V, kinematics.rigid_motions)
-        self.bodies: Bodies = with_ties(bodies, self.system.tied)
-        can_open = self.system.can_open[: self.n]
-        self.terms.meet(can_open, self.bodies.label)
+        self.bodies: Bodies = with_ties(bodies, self.system.sides)
+        self.terms.meet(self.system.can_open, self.bodies.label)
         motions = kinematics.nearly_rigid or kinematics.rigid_motions
         with self.timings("setup"):
             self.linear = LinearSolver(
@@ -205,12 +204,12 @@ class ContactProblem:
     @property
     def contacts(self) -> list[Any]:
         """Unilateral interfaces: `Contact`, `Obstacle`, or a user's subclass."""
-        return self.system.contacts
+        return [i for i in self.interfaces if i.unilateral]
 
     @property
     def ties(self) -> list[Any]:
         """Other interfaces: `Tie`, `RigidSide`, or a user's subclass."""
-        return self.system.ties
+        return [i for i in self.interfaces if not i.unilateral]
 
     @property
     def configuration(self) -> fem.Function | None:
@@ -359,8 +358,8 @@ class ContactProblem:
         return result
 
     def _found_partners(self, found: Configuration) -> list[Partners | None]:
-        frozen = self.geometry == "reference"
-        return found.partners(self._committed_positions(), frozen=frozen)
+        x, frozen = self._committed_positions(), self.geometry == "reference"
+        return [link.partners(x, frozen=frozen) for link in found.links]
 
     def audit(self) -> Audit:
         """Geometry audit at the present displacement; collective.
