@@ -57,25 +57,16 @@ class Polyline(Curved):
         self._q = np.roll(x, -1, axis=0)[: len(self._p)]
         lengths, along = unit_vectors(self._q - self._p)
         short = lengths <= HALF_OF_DIGITS * np.ptp(x, axis=0).max()
-        refuse("points have", self._p, short, "points that coincide", REMEDY)
         before = along if closed else along[:-1]
         after = np.roll(along, -1, axis=0)[: len(before)]
         beside = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
         back = (np.abs(beside) <= HALF_OF_DIGITS) & ((before * after).sum(axis=1) < 0.0)
-        refuse(
-            "points have",
-            self._q[: len(back)],
-            back,
-            "edges that go back along the one before",
-            REMEDY,
-        )
-        refuse(
-            "points have",
-            self._p,
-            _crossed(self._p, self._q, closed),
-            "edges that cross others",
-            REMEDY,
-        )
+        for what, wrong, at in (
+            ("points that coincide", short, self._p),
+            ("edges that go back along the one before", back, self._q[: len(back)]),
+            ("edges that cross others", _crossed(self._p, self._q, closed), self._p),
+        ):
+            refuse("points have", at, wrong, what, REMEDY)
         if closed and (x[:, 0] * self._q[:, 1] - x[:, 1] * self._q[:, 0]).sum() < 0.0:
             raise ValueError(
                 "points go clockwise around the tool: reverse them, points[::-1], or for a body in "
