@@ -103,7 +103,8 @@ class Interface(Collective, Results, ABC):
 
     def given(self) -> dict[str, Any]:
         """Arguments that must agree among ranks, by name."""
-        return {"facet_tags": self.facet_tags, "slave": self.slave}
+        own = {"facet_tags": self.facet_tags, "slave": self.slave}
+        return own | ({} if self.rigid is None else self.rigid.given())
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Raise a ValueError if a problem cannot take it.
@@ -205,8 +206,8 @@ class Interface(Collective, Results, ABC):
         return None
 
     def driven(self) -> Driven | None:
-        """Motions driven by given forces, or None."""
-        return None
+        """Motions driven by given forces, or None if all are prescribed."""
+        return self.rigid if self.rigid is not None and self.rigid.load else None
 
     def warnings(self, link: CoupledSides, x: PETSc.Vec) -> list[str]:
         """Warnings for the audit at positions x (n,), the same on all ranks; collective.
@@ -221,10 +222,12 @@ class Interface(Collective, Results, ABC):
 
         `ended`: at the start of the next step.
         """
-        return {}
+        return {} if self.rigid is None else self.rigid.state(ended)
 
     def restore(self, state: Mapping[str, Floats]) -> None:
         """Set the result of `state`; without communication."""
+        if self.rigid is not None:
+            self.rigid.restore(state)
 
 
 def full_coverage(sides: Sides) -> Coverage:

@@ -130,7 +130,7 @@ class Obstacle(Movable, Unilateral):
 
     def given(self) -> dict[str, Any]:
         """See `Interface.given`."""
-        return super().given() | self.tool.given() | {"surface": self.meant}
+        return super().given() | {"surface": self.meant}
 
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Raise a ValueError for shapes of another dimension, or not of revolution."""

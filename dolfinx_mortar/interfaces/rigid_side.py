@@ -114,10 +114,6 @@ class RigidSide(Movable, Interface):
     def __repr__(self) -> str:
         return super().__repr__().replace("slave=", "", 1)
 
-    def given(self) -> dict[str, Any]:
-        """See `Interface.given`."""
-        return super().given() | self.rigid.given()
-
     def check(self, V: fem.FunctionSpace, revolved: bool, strain: str) -> None:
         """Set the kinematics: forces act at X at small strain."""
         self.rigid.revolved, self.rigid.small = revolved, strain == "small"

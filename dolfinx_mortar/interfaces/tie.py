@@ -75,7 +75,8 @@ class Tie(MortarInterface):
         ValueError: for an invalid argument.
 
     Attributes:
-        tightening: s n (d,), set by every step with a pretension.
+        jump, pretension, direction: as given, the direction as a unit vector; may be set.
+        tightening: s n (d,), added to the jump, set by every step with a pretension.
     """
 
     stays = True
@@ -99,49 +100,18 @@ class Tie(MortarInterface):
         self.within = within if everything else check_optional("within", within, REACH)
         self.jump = jump
         self.pretension, self.direction = pretension, direction
-        self.tightening: Floats = np.zeros(self._components)
-        self.normal: Floats = np.zeros(self._components)
+        self.tightening: Floats = np.zeros(facet_tags.topology.dim)
+        self.normal: Floats = np.zeros(facet_tags.topology.dim)
 
-    @property
-    def _components(self) -> int:
-        return int(self.facet_tags.topology.dim)
-
-    @property
-    def jump(self) -> Jump:
-        """The jump without the tightening."""
-        return self._jump
-
-    @jump.setter
-    def jump(self, value: Jump) -> None:
-        self._jump: Jump = _check_jump(value, self._components)
-
-    @property
-    def tightening(self) -> Floats:
-        """Addition (d,) to the jump."""
-        return self._tightening
-
-    @tightening.setter
-    def tightening(self, value: Floats) -> None:
-        self._tightening: Floats = _check_jump(np.asarray(value), self._components)
-
-    @property
-    def pretension(self) -> Force | None:
-        """Resultant along the direction; None keeps the jump."""
-        return self._pretension
-
-    @pretension.setter
-    def pretension(self, value: Force | None) -> None:
-        self._pretension: Force | None = check_optional("pretension", value, FORCE, BOLT)
-
-    @property
-    def direction(self) -> Direction:
-        """Unit vector (d,) of the pretension, None for the mean normal."""
-        return self._direction
-
-    @direction.setter
-    def direction(self, value: Direction) -> None:
-        unit = None if value is None else check_unit("direction", value, self._components)
-        self._direction: Direction = unit
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set an attribute; a ValueError for an invalid one of a jump or pretension."""
+        if name in ("jump", "tightening"):
+            value = _check_jump(value, self.facet_tags.topology.dim)
+        elif name == "pretension":
+            value = check_optional(name, value, FORCE, BOLT)
+        elif name == "direction" and value is not None:
+            value = check_unit(name, value, self.facet_tags.topology.dim)
+        super().__setattr__(name, value)
 
     def given(self) -> dict[str, Any]:
         """See `Interface.given`."""
