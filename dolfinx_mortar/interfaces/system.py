@@ -39,7 +39,7 @@ from dolfinx_mortar.interfaces.interface import (
     full_coverage,
 )
 from dolfinx_mortar.interfaces.link import Link
-from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent, MovingGeometry
+from dolfinx_mortar.interfaces.moving_geometry import GeometryTangent
 from dolfinx_mortar.interfaces.pretension import Bolt
 from dolfinx_mortar.interfaces.slip_partners import Partners
 from dolfinx_mortar.interfaces.tool import Outline
@@ -81,7 +81,7 @@ class Reused:
     at_X: dict[int, Coupling] = field(default_factory=dict)
     paired_at: Floats = field(default_factory=lambda: np.zeros(0))
     transformation: Transformation | None = None
-    moving: MovingGeometry | None = None
+    moving: GeometryTangent | None = None
 
 
 class InterfaceSystem:
@@ -323,9 +323,10 @@ class InterfaceSystem:
         assert T is not None
         lacks = moving is None or not moving.serves(self.links)
         if moving is None or any_rank(self.V.mesh.comm, lacks)[0]:
-            moving = MovingGeometry(self.V, self.links, T.claims)
+            moving = GeometryTangent(self.V, self.links, T.claims)
             self._reused = replace(self._reused, moving=moving)
-        return moving.linearise(self.links, u, multipliers, tangential, slips)
+        moving.linearise(self.links, u, multipliers, tangential, slips)
+        return moving
 
     def constraints(self, x: PETSc.Vec, u: PETSc.Vec) -> Constraints:
         """Bounds of all interfaces on increments of y, at x = X + u, also frozen; collective."""
