@@ -20,7 +20,7 @@ from dolfinx_mortar.algebra.parallel import any_rank, maximum, raised_together
 from dolfinx_mortar.arguments import check_optional
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, TINY, Bools, Floats
 from dolfinx_mortar.interfaces.constraints import Force, Limit, create_law
-from dolfinx_mortar.interfaces.contact import Unilateral
+from dolfinx_mortar.interfaces.contact import SURFACES, Unilateral
 from dolfinx_mortar.interfaces.contact_tangent import ToolDerivatives
 from dolfinx_mortar.interfaces.coupling import (
     CoupledSides,
@@ -32,7 +32,6 @@ from dolfinx_mortar.interfaces.coupling import (
     free_directions,
 )
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
-from dolfinx_mortar.interfaces.mortar_interface import SURFACES
 from dolfinx_mortar.interfaces.tool import (
     Movable,
     SidePattern,

@@ -15,9 +15,9 @@ from dolfinx_mortar.algebra.parallel import raised_together
 from dolfinx_mortar.arguments import array, check, check_optional, number
 from dolfinx_mortar.arrays import Bools, Floats, Ints
 from dolfinx_mortar.interfaces.constraints import FORCE, Force, present_force
+from dolfinx_mortar.interfaces.contact import MortarInterface
 from dolfinx_mortar.interfaces.coupling import CoupledSides, Sides
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
-from dolfinx_mortar.interfaces.mortar_interface import MortarInterface
 from dolfinx_mortar.interfaces.pretension import (
     Bolt,
     Direction,

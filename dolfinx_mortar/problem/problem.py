@@ -47,9 +47,8 @@ from dolfinx_mortar.solid.solid import Solid, flows_at_start
 from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.spaces import with_values
 from dolfinx_mortar.step_report import LoadStep, Timings
-from dolfinx_mortar.supports.axis import check_axis, check_targets
 from dolfinx_mortar.supports.bodies import Bodies, find_bodies, with_ties
-from dolfinx_mortar.supports.dirichlet import Dirichlet, create_dirichlet
+from dolfinx_mortar.supports.dirichlet import Dirichlet, check_axis, check_targets, create_dirichlet
 from dolfinx_mortar.terms.inertia import Inertia
 from dolfinx_mortar.terms.sum import Terms, check_terms
 from dolfinx_mortar.terms.weak_forms import DeadLoads, WeakForm, check_form
