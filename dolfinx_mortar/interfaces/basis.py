@@ -9,6 +9,7 @@ A slave node of several interfaces has multipliers of only one.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from graphlib import TopologicalSorter
 from itertools import permutations
 
 from mpi4py import MPI
@@ -47,13 +48,6 @@ class Claims:
     notes: Sequence[str] = ()
 
 
-def referenced(sides: Sides, pattern: Pattern) -> Bools:
-    """Owned nodes on which candidate pairs depend; collective."""
-    columns, layout = pattern.column[pattern.split :], sides.V.dofmap.index_map
-    counts = sums_at_nodes(sides.V.mesh.comm, layout, columns, np.ones((len(columns), 1)))
-    return np.asarray(counts[:, 0] > 0)
-
-
 def choose_owners(sides: Sequence[Sides], coverage: Sequence[Coverage]) -> Ints:
     """Owner (n,) of each owned node: first interface that faces or covers it."""
     n = sides[0].n_owned
@@ -68,7 +62,9 @@ def choose_owners(sides: Sequence[Sides], coverage: Sequence[Coverage]) -> Ints:
 
 def find_referenced(sides: Sides, pattern: Pattern, banned: Bools, coverage: Coverage) -> Bools:
     """Nodes to which P may refer: of masters, and removed slave nodes; collective."""
-    leant_on = referenced(sides, pattern)
+    columns, layout = pattern.column[pattern.split :], sides.V.dofmap.index_map
+    counts = sums_at_nodes(sides.V.mesh.comm, layout, columns, np.ones((len(columns), 1)))
+    leant_on = np.asarray(counts[:, 0] > 0)
     leant_on[sides.nodes[coverage.reached & banned[sides.nodes]]] = True
     return leant_on
 
@@ -169,9 +165,9 @@ def resolve_claims(
             else:
                 dependencies.add((i, k))
     shared = [with_ghosts(s.V, b) for s, b in zip(sides, banned, strict=True)]
-    return Claims(
-        owner, shared, frozenset(dependencies), _topological(len(sides), dependencies), notes
-    )
+    before = {k: {i for i, e in dependencies if e == k} for k in range(len(sides))}
+    order = list(TopologicalSorter(before).static_order())
+    return Claims(owner, shared, frozenset(dependencies), order, notes)
 
 
 def are_outdated(claims: Claims, links: Sequence[CoupledSides]) -> bool:
@@ -197,19 +193,6 @@ def are_outdated(claims: Claims, links: Sequence[CoupledSides]) -> bool:
 
 def _reaches(edges: set[tuple[int, int]], a: int, b: int) -> bool:
     return any(c == a and (e == b or _reaches(edges, e, b)) for c, e in edges)
-
-
-def _topological(n: int, edges: set[tuple[int, int]]) -> list[int]:
-    order: list[int] = []
-    while len(order) < n:
-        order.append(
-            next(
-                k
-                for k in range(n)
-                if k not in order and all(i in order for i, e in edges if e == k)
-            )
-        )
-    return order
 
 
 def notes_on_splits(

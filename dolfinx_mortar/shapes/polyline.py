@@ -64,7 +64,7 @@ class Polyline(Curved):
         for what, wrong, at in (
             ("points that coincide", short, self._p),
             ("edges that go back along the one before", back, self._q[: len(back)]),
-            ("edges that cross others", _crossed(self._p, self._q, closed), self._p),
+            ("edges that cross others", _crossed(self._p, self._q), self._p),
         ):
             refuse("points have", at, wrong, what, REMEDY)
         if closed and (x[:, 0] * self._q[:, 1] - x[:, 1] * self._q[:, 0]).sum() < 0.0:
@@ -153,20 +153,15 @@ def _agreeing(directions: Floats, spans: Floats) -> Floats:
     return unit_vectors(directions[one[best], n] + directions[other[best], n])[1]
 
 
-def _crossed(p: Floats, q: Floats, closed: bool) -> Bools:
+def _crossed(p: Floats, q: Floats) -> Bools:
     """Mask (m,) of edges that cross another one."""
 
     def side(a: Floats, b: Floats, c: Floats) -> Floats:
         u, v = b - a, c - a
         return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
 
-    m = len(p)
-    result = np.zeros(m, dtype=bool)
-    number = np.arange(m)
-    for k in range(m):
+    result = np.zeros(len(p), dtype=bool)
+    for k in range(len(p)):  # exactly 0 at the common point of two neighbours
         between = side(p[k], q[k], p) * side(p[k], q[k], q) < 0.0
-        between &= side(p, q, p[k]) * side(p, q, q[k]) < 0.0
-        apart = np.abs(number - k)
-        next_to = (apart <= 1) | (closed & (apart == m - 1))
-        result[k] = (between & ~next_to).any()
+        result[k] = (between & (side(p, q, p[k]) * side(p, q, q[k]) < 0.0)).any()
     return result
