@@ -69,22 +69,13 @@ def check_constraints(name: str, found: Constraints, nodes: Ints, directions: Bo
         raise ValueError(f"{name} lower > upper or a weight that is not positive")
 
 
-def equalities(dofs: Ints, values: Floats, weight: Floats | None = None) -> Constraints:
+def equalities(dofs: Ints, values: Floats) -> Constraints:
     """Constraints y = values.
 
     >>> equalities(np.array([4], dtype=np.int32), np.array([0.5])).equal.tolist()
     [True]
     """
-    weight = np.ones(len(dofs)) if weight is None else weight
-    return Constraints(dofs.astype(np.int32), values, values, weight)
-
-
-def upper_bounds(nodes: Ints, directions: Bools, slip: Floats, D: Floats) -> Constraints:
-    """Bounds w_n <= gap; arguments as in `Interface.constraints`."""
-    on = directions[:, 0]
-    gap = -slip[on, 0]
-    dofs = (directions.shape[1] * nodes[on]).astype(np.int32)
-    return Constraints(dofs, np.full(len(gap), -np.inf), gap, D[on, 0])
+    return Constraints(dofs.astype(np.int32), values, values, np.ones(len(dofs)))
 
 
 T = TypeVar("T", Constraints, "SlipLimits")

@@ -141,13 +141,6 @@ class Obstacle(Movable, Unilateral):
         super().take(owner, V)
         self.tool.began = self.tool.pose()
         self.tool.asked.alone = V.mesh.comm.size == 1
-        facets, d = self.facet_tags.find(self.slave), V.mesh.geometry.dim
-        dofs = fem.locate_dofs_topological(V, self.facet_tags.dim, facets)
-        X = V.tabulate_dof_coordinates()[dofs, :d]
-        ends = maximum(V.mesh.comm, *np.hstack([-X, X]).max(axis=0, initial=-np.inf))
-        low, high = -ends[:d], ends[d:]
-        axes = np.stack([low, (low + high) / 2.0, high], axis=1)
-        self.tool.probes = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, d)
 
     def pair(
         self,

@@ -153,7 +153,12 @@ class Tie(MortarInterface):
             return None
         with raised_together(V.mesh.comm):
             check_mesh("jump", self.jump, V)
-        given = _nodal_function(self.jump, V)
+        given: Any = self.jump
+        if isinstance(given, fem.Function) and given.function_space != V:
+            given.x.scatter_forward()
+            nodal = fem.Function(V)
+            nodal.interpolate(given)
+            given = nodal
         with raised_together(V.mesh.comm):
             return _values_at(given, V, nodes) + self.tightening
 
@@ -207,16 +212,6 @@ def _check_jump(jump: Any, d: int) -> Any:
     if callable(jump):
         return jump
     return check("jump", jump, array((d,), remedy=wanted))
-
-
-def _nodal_function(jump: Any, V: fem.FunctionSpace) -> Any:
-    """Functions as one of V; collective for these."""
-    if not isinstance(jump, fem.Function) or jump.function_space == V:
-        return jump
-    jump.x.scatter_forward()
-    nodal = fem.Function(V)
-    nodal.interpolate(jump)
-    return nodal
 
 
 def _values_at(jump: Any, V: fem.FunctionSpace, nodes: Ints) -> Floats:

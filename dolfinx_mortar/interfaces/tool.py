@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 import basix.ufl
 import ufl
@@ -68,7 +68,7 @@ class Pose:
     def R(self) -> Floats:
         """Rotation matrix (d, d)."""
         d = len(self.position)
-        return np.asarray(Rotation.from_rotvec(in_space(self.rotation)).as_matrix()[:d, :d])
+        return np.asarray(_turn(in_space(self.rotation)).as_matrix()[:d, :d])
 
     def to_tool(self, x: Floats) -> Floats:
         """Initial positions (n, d) of the tool's points at x (n, d)."""
@@ -318,7 +318,7 @@ class Tool(RigidBody):
         given = check_optional("reference", reference, array((d,)))
         super().__init__(shape.point.copy() if given is None else given)
         self.shape, self.asked = shape, Asked(shape)
-        self.began, self.probes = self.pose(), np.zeros((0, d))
+        self.began = self.pose()
 
     def check(self, d: int, revolved: bool) -> None:
         """Set the kinematics; a ValueError for another kind of shape."""
@@ -327,12 +327,14 @@ class Tool(RigidBody):
         self.revolved = revolved
 
     def probed(self) -> list[float] | str:
-        """Largest coordinate and distances at the probes, or how they fail."""
+        """Coordinate of points around the shape's, and distances of these, or how they fail."""
+        point, d = self.shape.point, len(self.point)
+        size = max(1.0, float(np.abs(point).max()))
+        around = point + size * np.vstack([np.eye(d), -np.eye(d)])
         try:
-            found = [*map(float, self.shape.values(self.probes))]
+            found = [*map(float, self.shape.values(around))]
         except Exception as error:
             return type(error).__name__
-        size = float(np.abs(self.probes).max(initial=0.0))
         return [size, *found] if np.isfinite(found).all() else "NaN or infinity"
 
     def given(self) -> dict[str, Any]:
@@ -341,7 +343,7 @@ class Tool(RigidBody):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Reference point and distances at the probes."""
+        """Reference point and some distances."""
         return super().identity | {"distances": self.probed()}
 
     def state(self, ended: bool) -> dict[str, Floats]:
@@ -409,6 +411,10 @@ class Outline:
         return find_zero_level(self.shape, low, high)
 
 
+def _turn(rotation: Floats) -> Any:
+    return scipy.spatial.transform.Rotation.from_rotvec(rotation)
+
+
 def in_space(rotation: Floats) -> Floats:
     """Rotation vector (3,) of an angle (1,) or a vector (3,)."""
     return np.append(np.zeros(3 - len(rotation)), rotation)
@@ -425,7 +431,9 @@ def turn_between(before: Pose, now: Pose) -> Floats:
     """Rotation (1,) or (3,) between two poses, with whole turns."""
     change = now.rotation - before.rotation
     if len(change) > 1 and np.cross(before.rotation, now.rotation).any():
-        return _vector_near(Rotation.from_matrix(now.R @ before.R.T), change)
+        return _vector_near(
+            scipy.spatial.transform.Rotation.from_matrix(now.R @ before.R.T), change
+        )
     return change
 
 
@@ -433,11 +441,11 @@ def after(rotation: Floats, step: Floats) -> Floats:
     """Rotation (1,) or (3,) followed by ``step``, with whole turns."""
     if len(rotation) == 1:
         return rotation + step
-    turned = Rotation.from_rotvec(step) * Rotation.from_rotvec(rotation)
+    turned = _turn(step) * _turn(rotation)
     return _vector_near(turned, rotation + step)
 
 
-def _vector_near(turned: Rotation, guess: Floats) -> Floats:
+def _vector_near(turned: Any, guess: Floats) -> Floats:
     found = np.asarray(turned.as_rotvec())
     angle = float(np.linalg.norm(found))
     axis = found / angle if angle > HALF_OF_DIGITS else unit_vectors(guess[None])[1][0]

@@ -86,12 +86,9 @@ class Polyline(Curved):
 
     @property
     def surface(self) -> tuple[Floats, Longs]:
-        """Ends and middles of the edges (n, 2), and two lines (m, 2) for each."""
-        p, q, n = self._p, self._q, np.arange(len(self._p))
-        a, b = np.moveaxis(self._bends[:, 0, :, :2], 1, 0)
-        x = np.concatenate([p, (p + q) / 2 + (a - b) / 8.0, q])
-        lines = np.concatenate([n, n + len(n)]), np.concatenate([n + len(n), n + 2 * len(n)])
-        return x, np.stack(lines, axis=1)
+        """Points (n, 2), and lines (m, 2) between them."""
+        first = np.arange(len(self._p))
+        return self.points, np.stack([first, (first + 1) % len(self.points)], axis=1)
 
     def given(self) -> Mapping[str, Any]:
         """See `Shape`; with a digest of the points."""

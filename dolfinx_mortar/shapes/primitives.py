@@ -17,7 +17,6 @@ from dolfinx_mortar.shapes.shape import (
     check_unit,
     of_axis,
     of_centre,
-    of_section,
 )
 
 
@@ -137,12 +136,15 @@ class Torus(_Round):
 
     def distance(self, x: Floats) -> Distance:
         """See `Shape`."""
-        n, d = x.shape
-        offset = x - self.centre
-        across = of_axis(offset, self.axis)
-        along = Distance(offset @ self.axis, np.tile(self.axis, (n, 1)), np.zeros((n, d, d)))
-        section = np.stack([across.value - self.radius, along.value], axis=1)
-        return of_section(across, along, of_centre(section)).less(self.tube)
+        n, offset = len(x), x - self.centre
+        rho = of_axis(offset, self.axis)
+        # phi of the section in the coordinates rho - R and along the axis
+        phi = of_centre(np.stack([rho.value - self.radius, offset @ self.axis], axis=1))
+        parts = np.stack([rho.gradient, np.tile(self.axis, (n, 1))], axis=1)
+        hessian = phi.gradient[:, 0, None, None] * rho.hessian
+        hessian = hessian + parts.swapaxes(1, 2) @ phi.hessian @ parts
+        gradient = (phi.gradient[:, None] @ parts)[:, 0]
+        return Distance(phi.value, gradient, hessian).less(self.tube)
 
 
 class _Pointed(Shape):

@@ -171,33 +171,22 @@ def rigid_motions(bodies: Bodies) -> list[PETSc.Vec]:
     return [motion for _, _, motion in whole.rigid_modes()]
 
 
-def free_motions(
+def find_free(
     bodies: Bodies,
     constraints: Sequence[Motion],
     contacts: Sequence[Motion] = (),
     facets: Sequence[Motion] = (),
-) -> list[str]:
-    """Name the rigid-body modes that no constraint resists; collective.
+) -> tuple[list[str], list[str]]:
+    """Names of the rigid-body modes that no constraint resists, with and without contacts.
+
+    Motions of single bodies where possible, then of several together, then sums; collective.
 
     Args:
         constraints: linear functions of a displacement vector that return constrained displacements
             (any number on each rank).
         contacts: such functions of contacts, as if they were bilateral.
         facets: such functions of resistance only by facets of a curved side, as of a spinning pin.
-
-    Returns:
-        Motions of single bodies where possible, then of several together, then sums.
     """
-    return find_free(bodies, constraints, contacts, facets)[0]
-
-
-def find_free(
-    bodies: Bodies,
-    constraints: Sequence[Motion],
-    contacts: Sequence[Motion],
-    facets: Sequence[Motion],
-) -> tuple[list[str], list[str]]:
-    """Names of `free_motions`, with and without contacts; collective."""
     modes = bodies.rigid_modes()
     if not modes:
         return [], []

@@ -54,25 +54,6 @@ def _check_dofs(V: fem.FunctionSpace, bc: fem.DirichletBC) -> None:
         )
 
 
-def prescribed_values(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC]) -> Floats:
-    """Prescribed values at owned dofs, 0 where free; a ValueError on all ranks; collective."""
-    d, layout = V.dofmap.index_map_bs, V.dofmap.index_map
-    values, known = np.zeros((2, d * (layout.size_local + layout.num_ghosts)))
-    for bc in bcs:
-        bc.set(values)
-        known[bc.dof_indices()[0]] = 1.0
-    shared = la.vector(layout, 2 * d)
-    table = shared.array.reshape(-1, 2 * d)
-    table[:] = np.hstack([(known * values).reshape(-1, d), known.reshape(-1, d)])
-    shared.scatter_reverse(la.InsertMode.add)
-    own = slice(None, d * layout.size_local)
-    total, count = (table[: layout.size_local, part].ravel() for part in np.s_[:d, d:])
-    # the owner's value is exact; else the mean of the others'
-    target = np.where(known[own] > 0, values[own], total / np.maximum(count, 1.0))
-    _check_unique(V, bcs, target)
-    return target
-
-
 def _check_unique(V: fem.FunctionSpace, bcs: Sequence[fem.DirichletBC], target: Floats) -> None:
     d, comm = V.dofmap.index_map_bs, V.mesh.comm
     chosen = la.vector(V.dofmap.index_map, d)
@@ -120,8 +101,23 @@ class Dirichlet:
         return np.asarray(self.fixed[: self.V.dofmap.index_map.size_local])
 
     def values(self) -> Floats:
-        """Prescribed values at owned dofs, 0 where free; collective."""
-        return prescribed_values(self.V, self.bcs)
+        """Prescribed values at owned dofs, 0 where free; a ValueError on all ranks; collective."""
+        V, bcs = self.V, self.bcs
+        d, layout = V.dofmap.index_map_bs, V.dofmap.index_map
+        values, known = np.zeros((2, d * (layout.size_local + layout.num_ghosts)))
+        for bc in bcs:
+            bc.set(values)
+            known[bc.dof_indices()[0]] = 1.0
+        shared = la.vector(layout, 2 * d)
+        table = shared.array.reshape(-1, 2 * d)
+        table[:] = np.hstack([(known * values).reshape(-1, d), known.reshape(-1, d)])
+        shared.scatter_reverse(la.InsertMode.add)
+        own = slice(None, d * layout.size_local)
+        total, count = (table[: layout.size_local, part].ravel() for part in np.s_[:d, d:])
+        # the owner's value is exact; else the mean of the others'
+        target = np.where(known[own] > 0, values[own], total / np.maximum(count, 1.0))
+        _check_unique(V, bcs, target)
+        return target
 
     def warnings(self) -> list[str]:
         """Warning for each condition without dofs; collective."""
