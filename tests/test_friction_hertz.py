@@ -8,7 +8,7 @@ import pytest
 
 import dolfinx_mortar as dm
 from dolfinx import fem
-from dolfinx_mortar.interfaces import mortar_interface
+from dolfinx_mortar.interfaces import contact as interface
 from tests.cases.finite_sliding import averaged
 from tests.cases.hertz import ELASTIC, create_case, create_mesh
 
@@ -45,7 +45,7 @@ def coarse(geometry, slave):
 @pytest.mark.slow
 def test_the_forces_of_another_code(monkeypatch):
     """Tangential forces to all digits that are known, the stick zone to the node, up to sliding."""
-    monkeypatch.setattr(mortar_interface, "common_normals", averaged)
+    monkeypatch.setattr(interface, "common_normals", averaged)
     pushes = [*SIDEWAYS, SLIDING[0]]
     levels = [(DEPTH, 0.0), *((DEPTH, s) for s in pushes)]
     cases = pushed("graded", 0.05, levels, geometry="reference", surface="facets")

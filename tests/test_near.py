@@ -10,7 +10,7 @@ import pytest
 
 from dolfinx_mortar import meshing, newton
 from dolfinx_mortar.interfaces import link as links
-from dolfinx_mortar.interfaces.mortar_interface import MortarInterface
+from dolfinx_mortar.interfaces.contact import MortarInterface
 from tests.cases.bolted_joint import Joint
 from tests.cases.hertz import ELASTIC, create_case
 

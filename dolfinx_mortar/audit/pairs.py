@@ -20,9 +20,8 @@ from dolfinx_mortar.arrays import Ints, Longs
 from dolfinx_mortar.audit.mesh_audit import check_mesh
 from dolfinx_mortar.audit.sides import Candidates, choose_roles
 from dolfinx_mortar.interfaces.constraints import Limit, create_law
-from dolfinx_mortar.interfaces.contact import Contact
+from dolfinx_mortar.interfaces.contact import SURFACES, Contact
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE
-from dolfinx_mortar.interfaces.mortar_interface import SURFACES
 from dolfinx_mortar.mortar.facing_bodies import (
     Facing,
     Skin,

@@ -253,7 +253,7 @@ def linearise_all(
         with problem.timings("assembly"):
             problem.terms.assemble_tangent(problem.K, pressure)
     with problem.timings("assembly"):
-        found = replace(found, forces=[*found.forces, *problem.terms.skews()])
+        found.forces += problem.terms.skews()
     with problem.timings("transform"):
         T = problem.system.transformation
         assert T is not None

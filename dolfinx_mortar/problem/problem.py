@@ -47,9 +47,8 @@ from dolfinx_mortar.solid.solid import Solid, flows_at_start
 from dolfinx_mortar.solid.term import Term
 from dolfinx_mortar.spaces import with_values
 from dolfinx_mortar.step_report import LoadStep, Timings
-from dolfinx_mortar.supports.axis import check_axis, check_targets
 from dolfinx_mortar.supports.bodies import Bodies, find_bodies, with_ties
-from dolfinx_mortar.supports.dirichlet import Dirichlet, create_dirichlet
+from dolfinx_mortar.supports.dirichlet import Dirichlet, check_axis, check_targets, create_dirichlet
 from dolfinx_mortar.terms.inertia import Inertia
 from dolfinx_mortar.terms.sum import Terms, check_terms
 from dolfinx_mortar.terms.weak_forms import DeadLoads, WeakForm, check_form
@@ -121,9 +120,8 @@ class ContactProblem:
             for interface in sides:
                 interface.take(self.supports, self.V)
         bodies = find_bodies(self.V, kinematics.rigid_motions)
-        self.bodies: Bodies = with_ties(bodies, self.system.tied)
-        can_open = self.system.can_open[: self.n]
-        self.terms.meet(can_open, self.bodies.label)
+        self.bodies: Bodies = with_ties(bodies, self.system.sides)
+        self.terms.meet(self.system.can_open, self.bodies.label)
         motions = kinematics.nearly_rigid or kinematics.rigid_motions
         with self.timings("setup"):
             self.linear = LinearSolver(
@@ -205,12 +203,12 @@ class ContactProblem:
     @property
     def contacts(self) -> list[Any]:
         """Unilateral interfaces: `Contact`, `Obstacle`, or a user's subclass."""
-        return self.system.contacts
+        return [i for i in self.interfaces if i.unilateral]
 
     @property
     def ties(self) -> list[Any]:
         """Other interfaces: `Tie`, `RigidSide`, or a user's subclass."""
-        return self.system.ties
+        return [i for i in self.interfaces if not i.unilateral]
 
     @property
     def configuration(self) -> fem.Function | None:
@@ -359,8 +357,8 @@ class ContactProblem:
         return result
 
     def _found_partners(self, found: Configuration) -> list[Partners | None]:
-        frozen = self.geometry == "reference"
-        return found.partners(self._committed_positions(), frozen=frozen)
+        x, frozen = self._committed_positions(), self.geometry == "reference"
+        return [link.partners(x, frozen=frozen) for link in found.links]
 
     def audit(self) -> Audit:
         """Geometry audit at the present displacement; collective.

@@ -335,5 +335,5 @@ def find_inertia(problem: ContactProblem) -> list[Inertia]:
     for name, term in problem.terms.named:
         if isinstance(term, Damping) and term.inertia is not inertia:
             raise ValueError(f"problem: {name} is that of another Inertia: make it with this one")
-    inertia.check_met(problem.system.can_open[: problem.n], problem.bodies.label)
+    inertia.check_met(problem.system.can_open, problem.bodies.label)
     return found
