@@ -21,13 +21,7 @@ import numpy as np
 import scipy
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.congruence import (
-    OperatorOfBases,
-    ProductOfBases,
-    as_aij,
-    refill,
-    union,
-)
+from dolfinx_mortar.algebra.congruence import OperatorOfBases, ProductOfBases
 from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.basis import Claims, Transformation
@@ -44,7 +38,8 @@ class GeometryTangent:
     trial: Transformation  # T_g
     gaps: Sequence[PETSc.Mat]  # (n, n) rows w_n of each: -dG_j.du / D_jj
     slips: Sequence[SlipRows]  # of contacts with friction
-    products: Products
+    product: ProductOfBases
+    operator: OperatorOfBases
 
     def closing(self, du: PETSc.Vec) -> Floats:
         """Closing of gaps and added slips (n,) by du; collective."""
@@ -55,59 +50,22 @@ class GeometryTangent:
             total.reshape(-1, slip.d)[slip.link.nodes, 1:] = slip.of(du)
         return total
 
+    def _bases(self, T: Transformation) -> list[tuple[PETSc.Mat, PETSc.Mat]]:
+        return [(a.C, b.C) for a, b in zip(T.factors, self.trial.factors, strict=True)]
+
     def transform(self, K: PETSc.Mat, T: Transformation) -> PETSc.Mat:
         """Return T^T (K + H) T_g, refilled in place; collective."""
-        return self.products.fill(K, self.forces, T, self.trial)
+        return self.product.fill([K, *self.forces], self._bases(T))
 
     def follow(
         self, K: PETSc.Mat, T: Transformation, decoupled: Ints, diagonal: PETSc.Vec
     ) -> OperatorOfBases:
-        """Same as an operator, decoupled at owned unknowns, valid until the next call; collective.
+        """Same as an operator, decoupled at owned unknowns, always the same; collective.
 
         `diagonal` (n,) is that of T^T K T.
         """
-        return self.products.follow([K, *self.forces], T, self.trial, decoupled, diagonal)
-
-
-class Products:
-    """Matrices of T^T (K + H) T_g, on fixed patterns."""
-
-    def __init__(self) -> None:
-        self._total: PETSc.Mat | None = None
-        self._factors: list[ProductOfBases] = []
-        self._operator: OperatorOfBases | None = None
-
-    def fill(
-        self, K: PETSc.Mat, H: Sequence[PETSc.Mat], T: Transformation, T_g: Transformation
-    ) -> PETSc.Mat:
-        """Product, always the same matrix; collective."""
-        A = as_aij(K)
-        fresh, bases = self._total is None, list(zip(T.factors, T_g.factors, strict=True))
-        if self._total is None:
-            self._total = union(A, H)
-        refill(self._total, [A, *H])
-        A = self._total
-        for k, (test, trial) in enumerate(bases):
-            if fresh:
-                self._factors.append(ProductOfBases(A, test.C, trial.C))
-            self._factors[k].update(A, test.C, trial.C)
-            A = self._factors[k].product
-        return A
-
-    def follow(
-        self,
-        parts: Sequence[PETSc.Mat],
-        T: Transformation,
-        T_g: Transformation,
-        decoupled: Ints,
-        diagonal: PETSc.Vec,
-    ) -> OperatorOfBases:
-        """Product as an operator, always the same; collective."""
-        if self._operator is None:
-            self._operator = OperatorOfBases(parts[0])
-        bases = [(a.C, b.C) for a, b in zip(T.factors, T_g.factors, strict=True)]
-        self._operator.follow(parts, bases, decoupled, diagonal)
-        return self._operator
+        self.operator.follow_bases([K, *self.forces], self._bases(T), decoupled, diagonal)
+        return self.operator
 
 
 class MovingGeometry:
@@ -117,7 +75,8 @@ class MovingGeometry:
         found = {k: link.interface.derivatives(link) for k, link in enumerate(links)}
         self._contacts = {k: one for k, one in found.items() if one is not None}
         self._trial = Transformation(V, links, claims)
-        self._products = Products()
+        products = ProductOfBases(), OperatorOfBases(self._trial.factors[0].C)
+        self._products = products
 
     def serves(self, links: Sequence[Link]) -> bool:
         """Whether the patterns fit other links."""
@@ -144,7 +103,7 @@ class MovingGeometry:
             H.append(forces)
             gaps.append(rows)
         self._trial.update(moved)
-        return GeometryTangent(H, self._trial, gaps, sliding, self._products)
+        return GeometryTangent(H, self._trial, gaps, sliding, *self._products)
 
 
 def _trial(link: Link, weighted: PETSc.Mat, known: Bools, slips: SlipRows | None) -> Link:
