@@ -72,11 +72,11 @@ class Iterate:
 
 @dataclass(frozen=True)
 class Solution:
-    """QP of an iteration and its solution."""
+    """QP of an iteration and its solution, in which driven tools balance their loads."""
 
     lin: Linearisation
     solved: QPSolution
-    driven: driven_tools.Settled | None = None
+    travel: Floats | None = None  # (m,) of tools
     shift: float = 0.0
     negative: bool = False
     rejected: str = ""  # why the exact tangent was rejected
@@ -128,7 +128,7 @@ class Subproblem:
     def solve(self, old: Iterate, residuals: Sequence[Residuals], *, exact: bool) -> Solution:
         """Solve the QP at an iterate, at first with the exact tangent if `exact`; collective."""
         tangent = not self.linear or (not residuals and self.problem.terms.vary(self.problem.K))
-        rejected = ""
+        found, rejected = None, ""
         if exact:
             try:
                 found = self.exact(old, residuals, tangent)
@@ -136,19 +136,14 @@ class Subproblem:
                 rejected = f"without the exact tangent ({error})"
             else:
                 curvature = found.solved.x.dot(found.lin.qp.b - found.solved.z)  # x.A x
-                if not old.shift or curvature > 0.0:
-                    return self.drive(found, old)
-                rejected = "without the exact tangent, which is indefinite"
-        found = self.definite(old, residuals, tangent)
-        return replace(self.drive(found, old), rejected=rejected)
-
-    def drive(self, found: Solution, old: Iterate) -> Solution:
-        """Solution in which driven tools balance their loads."""
+                if old.shift and not curvature > 0.0:
+                    found, rejected = None, "without the exact tangent, which is indefinite"
+        if found is None:
+            found = replace(self.definite(old, residuals, tangent), rejected=rejected)
         if found.solved.travel is None:
             return found
-        given = found.lin.drives, found.lin, found.solved, old.scales.extent
-        driven = driven_tools.settle(*given)
-        return replace(found, lin=driven.lin, solved=driven.solved, driven=driven)
+        lin, travel = driven_tools.settle(found.lin, found.solved, old.scales.extent)
+        return replace(found, lin=lin, travel=travel)
 
     def definite(self, old: Iterate, residuals: Sequence[Residuals], tangent: bool) -> Solution:
         """Solve the QP of the bodies' tangent, made positive definite; collective.
@@ -280,7 +275,7 @@ class Subproblem:
                     rtol=rtol,
                 )
             except backends.NoResistance as error:
-                raise driven_tools.unresisted(lin.drives, lin, error.which) from error
+                raise driven_tools.unresisted(lin, error.which) from error
         if solved.travel is None:
             # exactly, also by an iterative solver
             equal = lin.balance.equal

@@ -129,9 +129,11 @@ def _find(
         if border is None:
             return _Found(x.array_r, np.zeros(0), *ended, None)
         values, q = border.at(x.array_r)
-        if not border.rho.any() or border.is_met(q):
+        left = np.abs(border.rho * (q - border.centre))
+        # round-off of e.z, and what is missing
+        if not border.rho.any() or (left <= 2.0 * border.least).all():
             return _Found(values, q, *ended, border.resistance() + np.diag(border.proximal()))
-        left = border.force_of_term(q)
+        left /= np.sqrt(border.weights)
         if not left.max() <= 0.5 * before:  # the load moves its tool until contact, or for ever
             border.share /= 16.0
         if border.share < EPS:
