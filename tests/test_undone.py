@@ -14,7 +14,7 @@ import dolfinx_mortar as dm
 from dolfinx import fem
 from dolfinx_mortar.qp import interior_point
 from dolfinx_mortar.qp.condensed import Dense
-from dolfinx_mortar.qp.operator import FreePart
+from dolfinx_mortar.qp.operator import Operator
 from dolfinx_mortar.report.energy_ledger import EnergyLedger
 from dolfinx_mortar.steps import walk
 from tests import tool_case
@@ -210,7 +210,7 @@ def test_a_step_in_time_is_tried_again_from_the_last_commit(tmp_path):
 
 
 CALLED_BY_PETSC = {
-    "active-set": [(Dense, "mult"), (FreePart, "mult")],
+    "active-set": [(Dense, "mult"), (Operator, "mult")],
     "interior-point": [(interior_point, "check")],
 }
 

@@ -18,7 +18,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.congruence import Congruence
+from dolfinx_mortar.algebra.congruence import ProductOfBases
 from dolfinx_mortar.algebra.parallel import any_rank, sums_at_nodes
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.coupling import (
@@ -251,7 +251,8 @@ class Transformation:
         levels = (True, False) if dependent else (None,)
         parts = [(group, level) for group in groups for level in levels]
         self.factors = [_Factor(V, links, *part) for part in parts]
-        self._congruences: list[Congruence] = []
+        self._product = ProductOfBases()
+        self.formed = False  # whether T^T K T exists
 
     @property
     def chained(self) -> bool:
@@ -328,22 +329,10 @@ class Transformation:
             u = factor.inverse(self.links, u)
         return u
 
-    @property
-    def formed(self) -> bool:
-        """Whether T^T K T exists."""
-        return bool(self._congruences)
-
     def transform(self, K: PETSc.Mat) -> PETSc.Mat:
         """T^T K T, refilled in place; collective."""
-        fresh = not self.formed
-        for k, factor in enumerate(self.factors):
-            if fresh:
-                self._congruences.append(Congruence(K, factor.C))
-                self._congruences[k].product.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-            else:
-                self._congruences[k].update(K, factor.C)
-            K = self._congruences[k].product
-        return K
+        self.formed = True
+        return self._product.fill([K], [(factor.C, factor.C) for factor in self.factors])
 
 
 class _Factor:

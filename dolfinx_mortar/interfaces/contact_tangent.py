@@ -19,7 +19,6 @@ from dolfinx import fem
 from dolfinx_mortar.algebra.csr import (
     BlockEntries,
     Blocks,
-    BlockSums,
     SumWithProducts,
     Triplets,
     owned_rows,
@@ -312,9 +311,9 @@ class ToolDerivatives(LinkDerivatives):
         pattern = among.T @ among
         of = V.mesh.comm, layout_of(V)
         alone = scipy.sparse.eye_array(n, format="csr")
-        self.F = BlockSums(*of, BlockEntries(pattern, (d, d), dofs, dofs))
-        self.G = BlockSums(*of, BlockEntries(pattern, (1, d), d * nodes, dofs))
-        self.N = BlockSums(*of, BlockEntries(alone, (d, d), dofs, dofs))
+        self.F = SumWithProducts(*of, BlockEntries(pattern, (d, d), dofs, dofs))
+        self.G = SumWithProducts(*of, BlockEntries(pattern, (1, d), d * nodes, dofs))
+        self.N = SumWithProducts(*of, BlockEntries(alone, (d, d), dofs, dofs))
 
     def serves(self, link: CoupledSides) -> bool:
         """True: the pattern is that of the side."""

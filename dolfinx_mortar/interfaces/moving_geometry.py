@@ -21,13 +21,7 @@ import numpy as np
 import scipy
 
 from dolfinx import fem
-from dolfinx_mortar.algebra.congruence import (
-    OperatorOfBases,
-    ProductOfBases,
-    as_aij,
-    refill,
-    union,
-)
+from dolfinx_mortar.algebra.congruence import OperatorOfBases, ProductOfBases
 from dolfinx_mortar.algebra.csr import owned_rows
 from dolfinx_mortar.arrays import Bools, Floats, Ints, Longs
 from dolfinx_mortar.interfaces.basis import Claims, Transformation
@@ -51,9 +45,8 @@ class GeometryTangent:
         self.trial = Transformation(V, links, claims)
         self.forces: list[PETSc.Mat] = []
         self.rows: list[PETSc.Mat] = []
-        self._total: PETSc.Mat | None = None
-        self._factors: list[ProductOfBases] = []
-        self._operator: OperatorOfBases | None = None
+        self._product = ProductOfBases()
+        self._operator = OperatorOfBases(self.trial.factors[0].C)
 
     def serves(self, links: Sequence[Link]) -> bool:
         """Whether the patterns fit other links."""
@@ -89,32 +82,21 @@ class GeometryTangent:
             total += (rows * du).array_r
         return total
 
+    def _bases(self, T: Transformation) -> list[tuple[PETSc.Mat, PETSc.Mat]]:
+        return [(a.C, b.C) for a, b in zip(T.factors, self.trial.factors, strict=True)]
+
     def transform(self, K: PETSc.Mat, T: Transformation) -> PETSc.Mat:
-        """Return T^T (K + H) T_g, always the same matrix; collective."""
-        A = as_aij(K)
-        fresh = self._total is None
-        if self._total is None:
-            self._total = union(A, self.forces)
-        refill(self._total, [A, *self.forces])
-        A = self._total
-        for k, (test, trial) in enumerate(zip(T.factors, self.trial.factors, strict=True)):
-            if fresh:
-                self._factors.append(ProductOfBases(A, test.C, trial.C))
-            self._factors[k].update(A, test.C, trial.C)
-            A = self._factors[k].product
-        return A
+        """Return T^T (K + H) T_g, refilled in place; collective."""
+        return self._product.fill([K, *self.forces], self._bases(T))
 
     def follow(
         self, K: PETSc.Mat, T: Transformation, decoupled: Ints, diagonal: PETSc.Vec
     ) -> OperatorOfBases:
-        """Same as an operator, decoupled at owned unknowns, valid until the next call; collective.
+        """Same as an operator, decoupled at owned unknowns, always the same; collective.
 
         `diagonal` (n,) is that of T^T K T.
         """
-        if self._operator is None:
-            self._operator = OperatorOfBases(K)
-        bases = [(a.C, b.C) for a, b in zip(T.factors, self.trial.factors, strict=True)]
-        self._operator.follow([K, *self.forces], bases, decoupled, diagonal)
+        self._operator.follow_bases([K, *self.forces], self._bases(T), decoupled, diagonal)
         return self._operator
 
 

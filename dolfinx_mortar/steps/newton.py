@@ -254,7 +254,7 @@ class _Step:
             scales = replace(scales, first=self.first_forces(lin))
         residual = self.residual(balance, contacts, lin.diagonal, scales, norm)
         self.report.quote(number, solved.note or found.rejected)
-        self.report.note_friction(number, solved.linearisation)
+        self.report.friction = "" if lin.qp.friction is None else "exact linearisation"
         self.report.iterations.append(
             Iteration(
                 number=number,
