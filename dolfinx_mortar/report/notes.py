@@ -138,11 +138,9 @@ def note_pressures(end: StepEnd) -> list[str]:
     forces[end.balance.nodes] = end.contacts.reactions(end.balance)
     stiffness[end.balance.nodes] = end.stiffness[end.balance.bounds.dofs]
     forces[forces <= np.maximum(end.limit, stiffness * gap_round_off(end.problem.u))] = 0.0
-    x, u = end.problem.positions(), end.problem.configuration
     notes, few = list[str](), list[str]()
     for link in end.problem.system.unilateral:
-        diagonal, potential = end.problem.K.getDiagonal, end.problem.solid.potential
-        notes += note_on_facets(link, x, u, forces, stiffness, diagonal, potential)
+        notes += note_on_facets(link, end.problem, forces, stiffness)
         if any_rank(end.problem.comm, forces[link.nodes].any())[0]:
             few += notes_on_resolution(link, end.contacts)
     return notes + few
