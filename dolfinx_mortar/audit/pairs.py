@@ -17,8 +17,8 @@ from dolfinx_mortar.agreement import check_same_on_all_ranks
 from dolfinx_mortar.algebra.parallel import raised_together, sums_at_nodes
 from dolfinx_mortar.arguments import POSITIVE, check, check_optional, instance
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Ints, Longs
+from dolfinx_mortar.audit.audit import COARSE
 from dolfinx_mortar.audit.mesh_audit import check_mesh
-from dolfinx_mortar.audit.sides import COARSE
 from dolfinx_mortar.interfaces.constraints import Limit, create_law
 from dolfinx_mortar.interfaces.contact import Contact
 from dolfinx_mortar.interfaces.interface import FEATURE_ANGLE

@@ -12,7 +12,7 @@ import scipy
 from dolfinx import fem
 from dolfinx_mortar.algebra.parallel import any_rank, maximum, norm, ratio
 from dolfinx_mortar.arrays import HALF_OF_DIGITS, Bools, Floats
-from dolfinx_mortar.audit.sides import SPOILT, are_flat
+from dolfinx_mortar.audit.audit import SPOILT, are_flat
 from dolfinx_mortar.geometry.segments import Segments
 from dolfinx_mortar.interfaces.link import Link
 from dolfinx_mortar.interfaces.tool import SidePattern, find_facing, point_gaps
