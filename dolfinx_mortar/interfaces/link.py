@@ -5,11 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfinx import fem, la
 from dolfinx_mortar.algebra.parallel import maximum, ratio
@@ -54,10 +56,15 @@ class Link(CoupledSides):
 
     def prescribed_facets(self) -> Bools:
         """Slave facets (m,) with such nodes only; collective."""
+        marks = self.with_ghosts(self.prescribed)
+        return np.asarray((marks > 0.0)[self.sides.slave.facets].all(axis=1))
+
+    def with_ghosts(self, values: npt.NDArray[Any]) -> Floats:
+        """Values (n,) or (n, c) of slave nodes, also at ghosts; collective."""
         slave = self.sides.slave
-        marks = np.zeros(len(slave.nodes))
-        marks[: slave.owned] = self.prescribed
-        return np.asarray((accumulate(slave, marks) > 0)[slave.facets].all(axis=1))
+        local = np.zeros((len(slave.nodes), *values.shape[1:]))
+        local[: slave.owned] = values
+        return accumulate(slave, local)
 
     def slip_limits(
         self, limit: Floats, moved: PETSc.Vec, partner: Partners | None, sliding: Floats | None
