@@ -321,7 +321,7 @@ class ContactProblem:
 
     def _resistance_of_potential(self) -> Callable[[PETSc.Vec], Floats]:
         """Return v -> forces of the terms under v, over the largest entry of each row of K."""
-        if not self.terms.have_tangent:
+        if not self.terms.stiff:
             return lambda v: np.zeros(0)
         self.terms.check_energies()
         springs = self.terms.stiffness()
