@@ -93,7 +93,7 @@ def test_other_programs_read_it(good):
     assert np.array_equal(found[np.lexsort(found.T)], PLACES[np.lexsort(PLACES.T)])
     first, second, rest = content.split(b"\n", 2)
     version = ".".join(dm.__version__.split(".")[:2])
-    assert first.decode() == f"dolfinx_mortar checkpoint, format 8, version {version}"
+    assert first.decode() == f"dolfinx_mortar checkpoint, format 9, version {version}"
     assert set(rest[:100]) == {0}
     told = subprocess.run(["sha256sum"], input=rest, capture_output=True, check=True).stdout
     assert second == b"sha256 of what follows: " + told.split()[0]

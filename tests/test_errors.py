@@ -311,7 +311,7 @@ ON_ONE_RANK = [  # what only one rank may see
             (2, lambda c: dm.Solid(c.u, {1: ELASTIC}, no_entity(c, 2, c.cells, -(2**31)))),
         )
     ),
-    (nan_in_loads, "loads", "NaN", "coefficients"),
+    (nan_in_loads, "loads", "nan", "coefficients"),
     (nan_in_supports, "bcs: 1 values", "NaN", "check the values"),
     (nan_in_start, "u:", "finite displacement"),
     (lambda c: nan_in_mesh(c, -1.0), "coordinates", "check the mesh"),

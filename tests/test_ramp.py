@@ -9,6 +9,7 @@ import pytest
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
+from dolfinx_mortar.agreement import find_constants
 from dolfinx_mortar.steps.ramp import check_range, difference, read_ramps
 from tests.cases.pressed_blocks import Bare, PressedBlocks, rejected
 from tests.checkpoint_program import LEVELS, Press
@@ -82,7 +83,7 @@ def test_a_table_that_nothing_reads_is_told_of():
     assert len(first) == 1 and first[0].startswith("ramp: table 7 ") and not second
     assert told(on_time=lambda t: None) == [[], []]
     own = dm.ContactProblem(solid, [contact], bcs=case.bcs(), terms=[Bare()])
-    assert own.constants() is None
+    assert find_constants(own.inputs) is None
 
 
 def test_a_function_finds_the_values_of_the_tables():

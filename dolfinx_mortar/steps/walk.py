@@ -22,6 +22,7 @@ from typing import Any, ClassVar
 
 from mpi4py import MPI
 
+from dolfinx_mortar.agreement import find_constants
 from dolfinx_mortar.algebra.parallel import maximum, raised_together
 from dolfinx_mortar.arguments import FLAG, check_optional, instance
 from dolfinx_mortar.arrays import SAME
@@ -222,7 +223,7 @@ def walk(
 def _idle(problem: ContactProblem, loading: Loading) -> list[str]:
     if loading.on_time is not None:
         return []
-    notes = notes_on_unread(loading.ramps, problem.constants())
+    notes = notes_on_unread(loading.ramps, find_constants(problem.inputs))
     if problem.comm.rank == 0:
         for note in notes:
             log.warning("%s", note)
