@@ -125,18 +125,6 @@ def test_same_operators_on_any_number_of_ranks(cell, partition, sides):
     assert np.abs(forms(COMM, cell, partition, sides) - alone).max() < EXACT and alone[-1] >= 8
 
 
-def test_gap_is_negative_where_the_bodies_overlap():
-    mesh, _, tags = two_blocks(COMM, (4, 2), (3, 2))
-    V = space(mesh)
-    u = fem.Function(V)
-    lowered = create_surface(V, tags, 4, "master").nodes
-    for height in (0.2, -0.1):
-        u.x.array[2 * lowered + 1] = height
-        u.x.scatter_forward()
-        mortar = assemble_mortar(V, tags, slave=3, master=4, u=u)
-        assert COMM.allreduce(mortar.gap.array.sum()) == pytest.approx(height, abs=1e-14)
-
-
 @pytest.mark.parametrize("coverage", [1.0, 0.051, 0.049, 1e-6])
 @pytest.mark.parametrize("sides", SIDES)
 def test_coverage_decides_and_constants_stay(coverage, sides):
