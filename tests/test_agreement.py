@@ -187,9 +187,9 @@ def test_a_shape_that_is_another_on_one_rank(case):
         refused("interfaces[0].distances", lambda: dm.newton(tool))
 
 
-def test_arguments_of_pictures_and_writers(case, tmp_path):
+def test_arguments_of_pictures_and_writers(case, folder):
     """The name of a field decides what is gathered; ranks that resume read together."""
-    path, pressed = COMM.bcast(tmp_path) / "out.xdmf", case.problem()
+    path, pressed = folder / "out.xdmf", case.problem()
     dm.newton(pressed)
     if COMM.size > 1:
         name = "nothing" if HERE else "von_mises"

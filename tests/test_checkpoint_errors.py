@@ -33,12 +33,6 @@ def good(tmp_path_factory):
     return file
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """Return a folder that all ranks see."""
-    return COMM.bcast(tmp_path)
-
-
 @pytest.fixture(scope="module")
 def press():
     """Return a problem that takes over no checkpoint of this module."""

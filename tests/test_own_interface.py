@@ -190,8 +190,8 @@ def spoilt(method, how, on):
 
 
 @pytest.mark.parametrize(("method", "how", "words"), SPOILT)
-def test_what_goes_wrong_on_one_rank_is_an_error_on_all(method, how, words, tmp_path):
-    path, case = COMM.bcast(tmp_path / "state.h5"), Pressed()
+def test_what_goes_wrong_on_one_rank_is_an_error_on_all(method, how, words, folder):
+    path, case = folder / "state.h5", Pressed()
     nodes = fem.locate_dofs_topological(case.V, 1, case.facets.find(BOTTOM))
     owns = (nodes < case.V.dofmap.index_map.size_local).any()
     last = COMM.allreduce(COMM.rank if owns else -1, op=MPI.MAX)

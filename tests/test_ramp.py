@@ -18,12 +18,6 @@ COMM = MPI.COMM_WORLD
 ROWS = [(0.0, (0.0, 0.0)), (0.6, (0.001, -0.005)), (1.0, (0.002, -0.008))]
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """Return a folder that all ranks see."""
-    return COMM.bcast(tmp_path)
-
-
 def by_function(constant, rows):
     """Return the function of the level that a table stands for."""
     levels, values = zip(*rows, strict=True)

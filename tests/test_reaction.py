@@ -150,8 +150,8 @@ def test_it_is_that_of_the_last_step_whatever_comes_after():
 
 
 @pytest.mark.mpi
-def test_rows_of_load_steps_have_it_and_a_checkpoint_too(tmp_path):
-    file = COMM.bcast(tmp_path) / "walk.h5"
+def test_rows_of_load_steps_have_it_and_a_checkpoint_too(folder):
+    file = folder / "walk.h5"
     case = PressedBlocks()
     problem = case.problem()
 

@@ -42,10 +42,10 @@ def test_asking_before_the_first_step():
 
 
 @pytest.mark.mpi
-def test_nothing_is_shown_of_an_interface_that_another_problem_has(tmp_path):
+def test_nothing_is_shown_of_an_interface_that_another_problem_has(folder):
     """It would be the results of the other one; what has been written stays."""
     pytest.importorskip("matplotlib")
-    folder = COMM.bcast(tmp_path)
+    folder = folder
     case = PressedBlocks()
     contact = case.contact()
     first = case.problem([contact])
