@@ -312,16 +312,3 @@ def test_sides_with_common_nodes():
     found = [solve(**{name: jump}) for name in ("jump", "tightening")]
     assert largest(found[0]) > 1e-3
     assert largest(found[1] - found[0]) < 1e-13
-
-
-@pytest.mark.mpi
-@pytest.mark.skipif(COMM.size == 1, reason="needs ranks that differ")
-def test_ranks_that_differ():
-    case, problem = clamped()
-    case.tie.pretension = 30.0 + COMM.rank
-    with rejected("interfaces[0].pretension", "differs between the ranks"):
-        dm.newton(problem)
-    case.tie.pretension = 30.0
-    case.tie.direction = [0.1 * COMM.rank, -1.0]
-    with rejected("interfaces[0].direction", "differs between the ranks"):
-        dm.newton(problem)

@@ -153,15 +153,6 @@ def test_levels_that_a_table_does_not_hold():
     check_range(read_ramps(COMM, {press.top: ROWS}), [0.0, 1.0 + 1e-15])  # by round-off: none
 
 
-@pytest.mark.mpi
-@pytest.mark.skipif(COMM.size == 1, reason="for several ranks")
-def test_ranks_that_do_not_agree():
-    press = Press()
-    rows = [*ROWS[:-1], (1.0, (0.002, -0.008 - 0.001 * COMM.rank))]
-    with rejected("ramp: table 1 differs between the ranks", "give all ranks the same"):
-        next(press.walk(LEVELS, on_time=None, ramp={press.top: rows}))
-
-
 # -- restart ---------------------------------------------------------------------------------------
 
 
