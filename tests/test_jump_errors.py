@@ -24,7 +24,7 @@ def glue(case, jump):
 
 
 @pytest.mark.parametrize(
-    "jump", [0.1, [0.1], [0.0, 0.1, 0.0], [[0.0, 0.1]], "up", ["a", "b"], [0.1, None], {}, 1j]
+    "jump", [0.1, [0.1], [[0.0, 0.1]], "up", ["a", "b"], [0.1, None], (0.0, 1j), (0, 10**400)]
 )
 def test_a_jump_of_the_wrong_shape_or_kind(case, jump):
     with rejected("jump is ", "give 2 Cartesian components", "[0, 0.1]"):
