@@ -183,7 +183,7 @@ def test_constants_that_differ_at_a_step(case):
     body = dm.Solid(case.u, dm.Elastic(E, 0.3), eigenstrain=heat)
     potential = 0.5 * k * ufl.inner(case.u, case.u) * ufl.ds
     forms = {"loads": work(case, pull), "potential": potential}
-    whole = dm.ContactProblem(body, [side], bcs=case.bcs(), **forms)
+    whole = case.problem([side], law=body, **forms)
     for name, value in {
         "materials.E": E,
         "eigenstrain": heat,

@@ -56,7 +56,7 @@ def test_nothing_is_shown_of_an_interface_that_another_problem_has(folder):
     written = (folder / "first.xdmf").read_text()
     solid = dm.Solid(fem.Function(case.V), ELASTIC)
     case.top.value[1] = -0.02
-    second = dm.ContactProblem(solid, [contact], bcs=case.bcs())
+    second = case.problem([contact], law=solid)
     dm.newton(second)
     pressure = contact.pressure.x.array.copy()
     for show in (

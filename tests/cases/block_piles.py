@@ -87,7 +87,8 @@ class Blocks:
 
     def __init__(self, boxes, **options):
         """Create mesh, space and displacement."""
-        self.mesh, self.cells, self.facets = create_blocks(COMM, boxes, **options)
+        comm = options.pop("comm", COMM)
+        self.mesh, self.cells, self.facets = create_blocks(comm, boxes, **options)
         self.V = fem.functionspace(self.mesh, ("Lagrange", 1, (2,)))
         self.u = fem.Function(self.V, name="u")
 
