@@ -1,41 +1,26 @@
 # SPDX-License-Identifier: MIT
 """Patch tests of rings and discs: a uniform pressure, whatever the meshes and the slave."""
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 
 import dolfinx_mortar as dm
 import ufl
 from dolfinx import fem
+from dolfinx_mortar.mortar import duals
+from dolfinx_mortar.mortar.duals import LEAST_WEIGHT
+from dolfinx_mortar.mortar.integrals import find_segments
 from tests.cases.meshes import BOTTOM, BOTTOM_OF_UPPER, TOP, TOP_OF_LOWER
 from tests.cases.rings import SIDES, held_axis, largest
 from tests.cases.two_bodies import TwoBodies
 from tests.choice import crosswise
+from tests.test_patch import beyond
 
+COMM = MPI.COMM_WORLD
 E, NU, P = 1000.0, 0.3, 10.0
 EXACT = 1e-9
-
-
-def beyond(domain, lines, cut):
-    """Return a traction share over the facet that holds the cut, with the moments of r > cut."""
-    x = ufl.SpatialCoordinate(domain)[0]
-    k = int(np.searchsorted(lines, cut)) - 1
-    if k >= len(lines) - 1:
-        return None
-    a, b = lines[k : k + 2]
-    points, weights = np.polynomial.legendre.leggauss(4)
-
-    def shapes(r):
-        return np.stack([(b - r) / (b - a), (r - a) / (b - a)])
-
-    def integral(f, lo, hi):
-        r = (lo + hi) / 2 + (hi - lo) / 2 * points
-        return np.sum(f(r) * weights * r, axis=-1) * (hi - lo) / 2
-
-    mass = integral(lambda r: shapes(r)[:, None] * shapes(r)[None], a, b)
-    left, right = np.linalg.solve(mass, integral(shapes, cut, b))
-    inside = left + (right - left) * (x - a) / (b - a)
-    return ufl.conditional(x > b, 1.0, ufl.conditional(x > a, inside, 0.0))
 
 
 def solve_patch(
@@ -66,9 +51,9 @@ def solve_patch(
     loads = -P * v * ds(TOP)
     ends = ((TOP_OF_LOWER, lower, upper[-1], -P), (BOTTOM_OF_UPPER, upper, lower[-1], P))
     for tag, lines, cut, pressure in ends:
-        share = beyond(case.mesh, unit * np.asarray(lines), unit * cut)
-        if share is not None:
-            loads += pressure * share * v * ds(tag)
+        r = ufl.SpatialCoordinate(case.mesh)[0]
+        share = beyond(case.mesh, r, unit * cut, unit * np.asarray(lines), 1, weight=lambda r: r)
+        loads += pressure * share * v * ds(tag)
     bcs = [case.held(BOTTOM, P / E * unit, 1)]
     bcs += [held_axis(case.V)] if min(lower[0], upper[0]) == 0.0 else []
     interface = case.interface(kind, swap=slave == "upper")
@@ -176,3 +161,23 @@ def test_friction_of_discs(degree, lift):
     assert slips.any() == closed
     drag = np.linalg.norm(found["traction"], axis=1)
     assert np.allclose(drag[slips], mu * found["pressure"][slips], rtol=EXACT, atol=0.0)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("slave", SIDES)
+def test_who_has_no_weight(slave, monkeypatch):
+    """The node on the axis alone, and clearly: half and twice the number, and a tenth, say so."""
+    problem, interface, _ = solve_patch(slave, *RADII["disc"], degree=2)
+    problem.audit()
+    pairing = problem.system.link(interface).pairing
+    segments, _ = find_segments(pairing, None)
+    at_axis = pairing.slave.X[:, 0] < 1e-12
+    for least in (0.1, 0.5, 1.0, 2.0, 10.0):
+        monkeypatch.setattr(duals, "LEAST_WEIGHT", least * LEAST_WEIGHT)
+        found, share = duals._find_weightless(pairing, segments)
+        assert (found == at_axis).all() and share == pytest.approx(1.0, rel=1e-12)
+    for absurd, most in ((-1.0, 0), (0.3, 1)):  # nobody; also vertices, of weight 1/6
+        monkeypatch.setattr(duals, "LEAST_WEIGHT", absurd)
+        found, _ = duals._find_weightless(pairing, segments)
+        count = COMM.allreduce(int(found[: pairing.slave.owned].sum()))
+        assert count > most if most else count == 0

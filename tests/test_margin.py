@@ -16,6 +16,7 @@ from dolfinx_mortar.mortar.surface import create_surface
 from tests.cases.meshes import TOP_OF_LOWER, UPPER, two_blocks
 from tests.cases.meshes_3d import BOTTOM_OF_UPPER, two_boxes
 from tests.cases.mortar import moving, operators
+from tests.test_mortar import PARTITIONS
 
 COMM = MPI.COMM_WORLD
 pytestmark = pytest.mark.mpi
@@ -91,6 +92,17 @@ def test_one_missing_candidate_is_noticed(cell):
         if COMM.rank == rank:
             left[used[k]] = False
         assert outside_margin(replace(pairing, pairs=pairing.pairs[left]), None)
+
+
+@pytest.mark.parametrize("partition", PARTITIONS)
+def test_margin_of_sliding(partition):
+    """Half a facet of sliding is within the margin, several are not; a new search has a new one."""
+    V, pairing, upper = moving(partition)
+    assert not outside_margin(pairing, None)
+    for amount in (0.0, 0.08, -0.08, 1.0, -1.0):
+        u = slide(pairing, upper, (amount, 0.0))
+        assert outside_margin(pairing, u) == (abs(amount) > 0.5)
+        assert not outside_margin(create_pairing(V, pairing.slave, pairing.master, u), u)
 
 
 def test_margin_where_a_rank_has_no_master_facet():

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 
-import dolfinx_mortar as dm
 from dolfinx_mortar.geometry import segments
 from dolfinx_mortar.mortar import (
     common_normals,
@@ -24,7 +23,6 @@ from dolfinx_mortar.mortar import (
     surface,
 )
 from tests import (
-    test_axisymmetric_patch,
     test_corners,
     test_curvature_jumps,
     test_dual,
@@ -43,8 +41,9 @@ NUMBERS = [
     "THROUGH", "TINY", "TURN", "VERTICES", "area._HIGHEST", "integrals._FALL", "segments._SLIDING",
     "surface._MOST_WARPED",
 ]  # fmt: skip
-# Numbers that its cases do not reach: absurd values, and tests that fail with them. PROJECTIONS is
-# in test_smooth_3d, LIMIT of parts, which only a kernel sees, in test_elements.
+# Numbers that its cases do not reach: absurd values, and tests that fail with them. LEAST_WEIGHT is
+# in test_axisymmetric_patch, PROJECTIONS in test_smooth_3d, LIMIT of parts, which only a kernel
+# sees, in test_elements.
 FELT = {
     "ALPHA": (
         duals,
@@ -74,13 +73,6 @@ FELT = {
         (1e12,),
         lambda: test_corners.test_what_stands_back_behind_a_step_does_not_count("triangle", 1, 0.0),
     ),
-    "LEAST_WEIGHT": (
-        duals,
-        (-1.0, 0.3),
-        lambda: test_axisymmetric_patch.test_patch_of_second_order(
-            "disc", "triangle", "lower", dm.Contact
-        ),
-    ),
     "REACH": (
         self_contact,
         (0.1,),
@@ -95,7 +87,7 @@ FELT = {
     "_SLIDING": (
         segments,
         ({2: 0.0, 3: 0.0}, {2: 9.0, 3: 9.0}),
-        lambda: test_margin.test_margin_is_conservative("stripes"),
+        lambda: test_margin.test_margin_of_sliding("stripes"),
     ),
 }
 DEFINITIONS = {"ALPHA"}  # of the multipliers' space, not of accuracy: see test_tying
