@@ -15,16 +15,11 @@ from dolfinx_mortar.geometry.facets import (
     facet_normals,
     normals_at_nodes,
     points_of,
-    scaled_normals,
     tributary_weights,
 )
 from dolfinx_mortar.geometry.plane import (
     coefficients,
-    count,
-    create_planes,
     meet,
-    on_facets,
-    parts_of,
 )
 from dolfinx_mortar.spaces import CELLS, HIGHEST
 
@@ -131,28 +126,6 @@ def test_every_cell_that_u_may_have_has_the_facets_of_dolfinx():
         kind = dolfinx.mesh.to_type(cell)
         expected = dolfinx.cpp.mesh.cell_entity_type(kind, dolfinx.cpp.mesh.cell_dim(kind) - 1, 0)
         assert (expected.name, degree) == (facet.cell, facet.degree)
-
-
-@parametrize([TRI3, QUAD4, TRI6, QUAD9])
-def test_parts_tile_their_facet(element):
-    """On straight facets a point of a part is that point of the facet; areas add up."""
-    rng = np.random.default_rng(7)
-    corners = rng.uniform(-1, 1, (3, 4 if element.bilinear else 3, 3))
-    x = element.first.shape_functions(element.points) @ corners
-    facets, parts = Facets(element, x), parts_of(Facets(element, x))
-    s = count(element)
-    assert len(parts.x) == s * len(x) and parts.element.degree == 1
-    part = np.arange(3 * s, dtype=np.int32)
-    xi = rng.uniform(0.0, 0.5, (3 * s, 2))
-    of, both = {"xi_s": xi, "xi_m": xi, "weight": np.ones(3 * s)}, np.stack([part, part], axis=1)
-    on, back, weight = on_facets(facets, facets, create_planes(parts.x)[1], both, **of)
-    assert np.abs(points_of(facets, part // s, on) - points_of(parts, part, xi)).max() < 1e-14
-    each = (scaled_normals(parts[part[[i]]], xi[[i]]) for i in range(3 * s))
-    jacobians = np.linalg.norm(np.concatenate(list(each))[:, 0], axis=1) / parts.element.size
-    assert np.abs(back - on).max() < 1e-13 and np.abs(weight / jacobians - 1).max() < 1e-12
-    areas = tributary_weights(parts).sum(axis=1).reshape(3, s).sum(axis=1)
-    smooth = 1e-2 if element.bilinear else 1e-14  # the area of warped ones is no polynomial
-    assert tributary_weights(facets).sum(axis=1) == pytest.approx(areas, rel=smooth)
 
 
 @parametrize([TRI6, QUAD9])

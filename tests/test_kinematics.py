@@ -29,6 +29,7 @@ from tests.cases.solid import (
     tag_facets,
     total,
 )
+from tests.cases.two_bodies import create_problem
 from tests.cases.user_laws import green_lagrange
 
 pytestmark = pytest.mark.mpi
@@ -156,7 +157,7 @@ def test_motions_that_nothing_holds_are_those_of_the_kinematics():
 def test_a_problem_asks_for_the_motions_of_its_kinematics():
     ring = dataclasses.replace(plane_strain, name="ring", rigid_motions=along_the_axis)
     case = PressedBlocks()
-    problem = dm.ContactProblem(dm.Solid(case.u, LAW, kinematics=ring))
+    problem = create_problem(case.u, law=LAW, kinematics=ring)
     with rejected("nothing holds ", "shift along the axis of the body"):
         problem.audit()
     assert len(rigid_motions(problem.bodies)) == 1
@@ -204,10 +205,9 @@ def test_a_thick_cylinder_converges_to_lame(cell):
     for n in (4, 8, 16):
         u = create_displacement(section(1.0, 2.0, (n, n), cell))
         V = u.function_space
-        solid = dm.Solid(u, LAW, **RING)
         loads = 10.0 * ufl.TestFunction(V)[0] * marked(V.mesh, 0, 1.0)
         bcs = rollers(V, [1], (0.0, 1.0))
-        dm.newton(dm.ContactProblem(solid, bcs=bcs, loads=loads), rtol=1e-11)
+        dm.newton(create_problem(u, (), bcs, LAW, loads=loads, **RING), rtol=1e-11)
         x = ufl.SpatialCoordinate(V.mesh)
         difference = u[0] - exact.displacement(x[0])
         error = fem.form((difference**2 + u[1] ** 2) * x[0] * ufl.dx)

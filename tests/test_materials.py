@@ -36,7 +36,6 @@ LAWS = {
 }
 POINT, AT_CONE = MaterialPoint(STEEL), MaterialPoint(CONE)
 POINTS = {"kinematic": POINT, "cone": AT_CONE}
-SHEAR = np.array([[0, 1.0, 0], [1.0, 0, 0], [0, 0, 0]])
 
 seeds = st.integers(0, 2**32 - 1)
 magnitudes = st.floats(-12.0, 0.5).map(lambda power: 10.0**power)  # of strains

@@ -291,13 +291,3 @@ def test_what_cannot_be_a_parameter():
     ]:
         with rejected(message):
             dm.Solid(u, dm.Elastic(E, 0.3))
-
-
-def test_uniaxial_numbers_may_vary():
-    domain = create_domain("triangle")
-    given = 450.0, 15_000.0
-    plain = dm.VonMises.from_uniaxial(STEEL.E, 0.29, *given)
-    law = dm.VonMises.from_uniaxial(STEEL.E, 0.29, *(constant(domain, v) for v in given))
-    assert list(law.state) == ["plastic_strain"]  # no isotropic hardening, no variable for it
-    found = [numbers(solid_on(domain, m)) for m in (plain, law)]
-    assert found[1] == pytest.approx(found[0], rel=1e-12)

@@ -19,12 +19,6 @@ COMM = MPI.COMM_WORLD
 ROWS = [(0.0, (0.0, 0.0)), (0.6, (0.001, -0.005)), (1.0, (0.002, -0.008))]
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """Return a folder that all ranks see."""
-    return COMM.bcast(tmp_path)
-
-
 def by_function(constant, rows):
     """Return the function of the level that a table stands for."""
     levels, values = zip(*rows, strict=True)
@@ -158,15 +152,6 @@ def test_levels_that_a_table_does_not_hold():
             next(press.walk(levels, on_time=None, ramp={press.top: rows}, start=start))
     assert not press.problem.history
     check_range(read_ramps(COMM, {press.top: ROWS}), [0.0, 1.0 + 1e-15])  # by round-off: none
-
-
-@pytest.mark.mpi
-@pytest.mark.skipif(COMM.size == 1, reason="for several ranks")
-def test_ranks_that_do_not_agree():
-    press = Press()
-    rows = [*ROWS[:-1], (1.0, (0.002, -0.008 - 0.001 * COMM.rank))]
-    with rejected("ramp: table 1 differs between the ranks", "give all ranks the same"):
-        next(press.walk(LEVELS, on_time=None, ramp={press.top: rows}))
 
 
 # -- restart ---------------------------------------------------------------------------------------

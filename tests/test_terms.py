@@ -71,9 +71,9 @@ def damped(levels):
     return found
 
 
-def test_a_damper_after_a_restart(guide, tmp_path):
+def test_a_damper_after_a_restart(guide, folder):
     """Its state is in the checkpoint: the steps after it are those of the whole walk."""
-    file = COMM.bcast(str(tmp_path / "run.h5"))
+    file = folder / "run.h5"
     for levels in (LEVELS[:2], LEVELS):
         bar = Bar()
         problem = bar.problem(guide["Damper"](bar.solid, C, bar.ds))

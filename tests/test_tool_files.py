@@ -24,12 +24,6 @@ PROFILE = [(5.0, 0.1), (6.5, 0.0), (8.0, 0.9), (8.0, 1.5), (5.0, 1.5)]
 PLANE = dm.shapes.Plane([0.0, 0.1], [0.0, -1.0])
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """Return a folder that all ranks see."""
-    return COMM.bcast(tmp_path)
-
-
 def in_plane():
     """Return tools of two kinds beside a block that turn and move, their ways, and the problem."""
     case = Block(n=4)
